@@ -130,7 +130,7 @@ def read_events(path: Path) -> Iterator[Event]:
     for number, line in enumerate(lines[:-1]):
         try:
             event = json.loads(line)
-        except ValueError as error:
+        except (ValueError, RecursionError) as error:
             raise InputError(f"{path}, line {number + 1}: not a line of a journal ({error})") from error
         if not isinstance(event, dict) or event.get("sequence") != number:
             raise InputError(f"{path}, line {number + 1}: events are missing or out of order")

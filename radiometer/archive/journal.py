@@ -104,6 +104,6 @@ class ResultJournal:
         for line in self.path.read_text(encoding="utf-8", errors="replace").splitlines():
             try:
                 rows = json.loads(line)
-            except json.JSONDecodeError:
+            except (json.JSONDecodeError, RecursionError):
                 continue
             yield from rows

@@ -22,6 +22,7 @@ from radiometer.data.decoding import decoded
 from radiometer.data.frame import MASKED_PIXELS, DigitalNumbers, Frame, FrameSettings
 from radiometer.data.guards import refuse_large_picture
 from radiometer.data.raw_files import RAW_SUFFIXES, read_raw_colours
+from radiometer.data.reader_limits import bounded_reader
 from radiometer.data.storage import read_yaml
 from radiometer.data.validation import FileSection, validate
 from radiometer.errors import CaptureError
@@ -278,6 +279,7 @@ def read_header(path: Path) -> CaptureHeader:
     return _checked_header(path / HEADER_NAME)
 
 
+@bounded_reader()
 def read_digital_numbers(path: Path) -> DigitalNumbers:
     """Return the raw digital numbers of a single-channel 8- or 16-bit PNG or TIFF, or the green ones of a raw file.
 

@@ -22,6 +22,7 @@ from radiometer.errors import CaptureError, InputError, UsageError
 MOST_PICTURE_BYTES: Final = 400_000_000  # decoded; the largest sensors sold have 151 million pixels of 16 bits
 MOST_FILE_BYTES: Final = 800_000_000
 MOST_YAML_BYTES: Final = 64_000_000
+MOST_DIRECTORIES: Final = 1_000_000  # of a TIFF: a day of frames at 10 per second
 DEEPEST_NESTING: Final = 64
 MOST_ENTRIES: Final = 5_000_000  # after all repetitions are written out
 _Loader: Final = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
@@ -71,6 +72,7 @@ def refuse_large_picture(path: Path, content: bytes) -> None:
         refuse_size(path, (height, width, _PNG_CHANNELS.get(colour, 4)), 2 if bits == 16 else 1)
         return
     if content[:4] in (b"II*\x00", b"MM\x00*"):
+        refuse_endless_tiff(path, content)
         for width, height, samples, bits in _tiff_sizes(content):
             refuse_size(path, (height, width, samples), max(1, (bits + 7) // 8))
         return
@@ -120,6 +122,36 @@ def _tiff_sizes(content: bytes) -> list[tuple[int, int, int, int]]:
     except struct.error:
         return []
     return [(found[256], found[257], found[277], found[258])]
+
+
+def refuse_endless_tiff(path: Path, content: bytes) -> None:
+    """Refuse a TIFF whose directories point back to one before: readers that follow them never end.
+
+    A classic TIFF and a BigTIFF are walked (TIFF 6.0, section 2; BigTIFF design of the Aware Systems). A directory
+    beyond the file ends the walk: its reader names it.
+
+    Args:
+        path: The file, for the message.
+        content: Its bytes.
+
+    Raises:
+        CaptureError: If a directory comes twice, or there are more than `MOST_DIRECTORIES`.
+    """
+    order = "<" if content[:2] == b"II" else ">"
+    big = content[2:4] in (b"+\x00", b"\x00+")
+    counted, width, pointer = ("Q", 20, "Q") if big else ("H", 12, "I")
+    seen = set[int]()
+    try:
+        (at,) = struct.unpack_from(f"{order}{pointer}", content, 8 if big else 4)
+        while at:
+            if at in seen or len(seen) >= MOST_DIRECTORIES:
+                raise CaptureError(f"{path}: the chain of its TIFF directories never ends; write the file again")
+            seen.add(at)
+            (entries,) = struct.unpack_from(f"{order}{counted}", content, at)
+            after = at + struct.calcsize(f"{order}{counted}") + width * entries
+            (at,) = struct.unpack_from(f"{order}{pointer}", content, after)
+    except struct.error:
+        return
 
 
 def refuse_deep_yaml(text: str, where: str) -> None:

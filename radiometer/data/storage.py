@@ -14,6 +14,7 @@ from typing import Any
 import yaml
 
 from radiometer.data.guards import MOST_YAML_BYTES, refuse_deep_yaml
+from radiometer.data.reader_limits import bounded_reader
 from radiometer.errors import InputError, OutputError, OutputRefused
 
 _Loader = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
@@ -179,6 +180,7 @@ def dump_yaml(mapping: Mapping[str, Any]) -> str:
     )
 
 
+@bounded_reader(error=InputError)
 def read_text(path: Path) -> str:
     """Return what a text file holds, without the mark that some editors put before it.
 
@@ -193,6 +195,7 @@ def read_text(path: Path) -> str:
         raise InputError(f"cannot read {path}: {error.strerror or error}") from error
 
 
+@bounded_reader(error=InputError)
 def read_yaml(path: Path) -> dict[str, Any]:
     """Return the mapping that a YAML file holds.
 

@@ -11,6 +11,7 @@ from fractions import Fraction
 from pathlib import Path
 from typing import Final
 
+from radiometer.data.reader_limits import bounded_reader
 from radiometer.data.storage import read_text
 from radiometer.errors import InputError
 
@@ -55,6 +56,7 @@ def plain_name(name: str) -> str:
     return "_".join(filter(None, ("".join(c if c.isalnum() else " " for c in text)).split()))
 
 
+@bounded_reader(error=InputError)
 def read_table(path: Path, needs: str) -> TextTable:
     """Return a table with a header; of lines that begin with # the last before the numbers may be the header.
 

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from radiometer.data.frame import FrameSettings
 from radiometer.data.guards import refuse_size
+from radiometer.data.reader_limits import bounded_reader
 from radiometer.errors import CaptureError, MissingLibrary
 from radiometer.importing.file_bytes import read_bytes
 from radiometer.importing.file_names import claims_of, contradictions
@@ -41,6 +42,7 @@ _SETTLED_K: Final = 1.0
 _ASI_GAIN_DB: Final = 0.1  # ZWO states its GAIN in tenths of a decibel
 
 
+@bounded_reader()
 def read_fits_headers(path: Path) -> list[FoundFrame]:
     """Return the frames of a FITS file, gzipped or not, without keeping their pixels.
 
@@ -57,6 +59,7 @@ def read_fits_headers(path: Path) -> list[FoundFrame]:
     return _frames(path, header, history, shape, stored)
 
 
+@bounded_reader()
 def read_fits_pixels(path: Path, part: int) -> NDArray[Any]:
     """Return the values of one plane of a FITS file, BSCALE and BZERO applied.
 

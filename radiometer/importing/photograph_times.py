@@ -13,6 +13,7 @@ from typing import Final
 
 from PIL import Image, UnidentifiedImageError
 
+from radiometer.data.reader_limits import bounded_reader
 from radiometer.data.storage import read_text
 from radiometer.errors import CaptureError, InputError
 from radiometer.units import exact_exposure_s, exact_f_number
@@ -100,6 +101,7 @@ def is_dial_time(seconds: float) -> bool:
     return any(close) or any(abs(seconds / t - 1.0) < 0.005 for t in _DIAL_TIMES)
 
 
+@bounded_reader()
 def read_exif(path: Path) -> PhotographSettings | None:
     """Return the settings in a photograph's EXIF data; None where it holds no exposure time.
 
@@ -129,6 +131,7 @@ def find_list(folder: Path) -> Path | None:
     return next((folder / name for name in LIST_NAMES if (folder / name).is_file()), None)
 
 
+@bounded_reader()
 def read_list(path: Path) -> dict[str, PhotographSettings]:
     """Return the settings of every file that a list names.
 

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from radiometer.data import CameraDescription, CaptureHeader, SettingStatistics, SourceDescription
+from radiometer.data.reader_limits import bounded_reader
 from radiometer.errors import CaptureError
 from radiometer.importing.file_bytes import read_bytes
 from radiometer.importing.record import ImportRecord
@@ -78,6 +79,7 @@ def _delimiter(heading: str) -> str:
     return max(",;\t", key=heading.count)
 
 
+@bounded_reader()
 def read_statistics_table(path: Path) -> CaptureHeader:
     """Return a table's rows as the header of a capture set without pictures.
 

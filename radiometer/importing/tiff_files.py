@@ -16,7 +16,8 @@ import tifffile
 from numpy.typing import NDArray
 
 from radiometer.data.frame import FrameSettings
-from radiometer.data.guards import refuse_size
+from radiometer.data.guards import refuse_endless_tiff, refuse_size
+from radiometer.data.reader_limits import bounded_reader
 from radiometer.errors import CaptureError
 from radiometer.importing.file_bytes import read_bytes
 from radiometer.importing.file_names import claims_of, contradictions
@@ -32,6 +33,7 @@ _BASE_ISO: Final = 100.0
 _DOUBTFUL_BLACK_SHARE: Final = 0.01  # of the stated black level: what masked rows may differ from it unnoticed
 
 
+@bounded_reader()
 def read_tiff_headers(path: Path) -> list[FoundFrame]:
     """Return the frames of a TIFF file, one per page, without keeping their pixels.
 
@@ -48,6 +50,7 @@ def read_tiff_headers(path: Path) -> list[FoundFrame]:
     return [frame if plane is None else completed(frame, plane) for frame, plane in zip(frames, said, strict=True)]
 
 
+@bounded_reader()
 def read_tiff_pixels(path: Path, part: int) -> NDArray[Any]:
     """Return the stored values of one page.
 
@@ -65,6 +68,7 @@ def read_tiff_pixels(path: Path, part: int) -> NDArray[Any]:
 @contextmanager
 def _opened(path: Path) -> Iterator[Any]:
     content = read_bytes(path)
+    refuse_endless_tiff(path, content)
     try:
         with tifffile.TiffFile(io.BytesIO(content)) as tiff:
             yield tiff

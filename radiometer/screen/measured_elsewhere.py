@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from radiometer.data import Provenance
+from radiometer.data.reader_limits import bounded_reader
 from radiometer.errors import InputError
 from radiometer.screen.calibration import ChannelCurve, ScreenCalibration
 from radiometer.screen.run import Light
@@ -51,6 +52,7 @@ class ScreenReadings:
     shape_u_rel: float = 0.0
 
 
+@bounded_reader(error=InputError)
 def read_screen_readings(path: Path, white_cd_m2: float | None = None, gamma: float = 2.2) -> ScreenReadings:
     """Return the readings in a file.
 

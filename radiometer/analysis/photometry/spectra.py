@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from radiometer.analysis.photometry.display_types import primary_spectrum
+from radiometer.data.reader_limits import bounded_reader
 from radiometer.data.storage import read_text
 from radiometer.errors import InputError
 from radiometer.units import BOLTZMANN_J_K, PLANCK_J_S, SPEED_OF_LIGHT_M_S
@@ -147,6 +148,7 @@ def _planck(name: str, temperature_k: float) -> Spectrum:
     return Spectrum(name, wavelength, power / power.max())
 
 
+@bounded_reader(error=InputError)
 def spectrum_from_csv(path: Path) -> Spectrum:
     """Return the spectrum, or the spectral response, in a CSV of wavelength in nm and relative value.
 
