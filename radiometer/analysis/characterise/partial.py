@@ -86,15 +86,11 @@ def partial_characterisation(
 
 
 def bent(transfer: PhotonTransfer) -> str:
-    """Return the note for a photon transfer that bends: the ratio of variance to mean at its two ends."""
-    used = sorted(transfer.used, key=lambda s: s.signal_dn)
-    third = max(1, len(used) // 3)
-    ends = [
-        float(np.mean([s.photo_variance_dn2 / s.signal_dn for s in part])) for part in (used[:third], used[-third:])
-    ]
+    """Return the note for a photon transfer that bends: the local gains at its two ends."""
+    low, high = transfer.local
     return (
-        f"the photon transfer bends (variance over mean goes from {ends[0]:.3g} to {ends[1]:.3g} DN): there is no one "
-        "gain, and the uncertainty of K holds the range"
+        f"the photon transfer bends: the local gain goes from {low:.3g} to {high:.3g} DN/e-. One K does not describe "
+        "this sensor; the U of K covers that range"
     )
 
 

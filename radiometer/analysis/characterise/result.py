@@ -10,6 +10,7 @@ from typing import Any, Final
 from radiometer.analysis.characterise.linearity import Linearity
 from radiometer.analysis.characterise.photon_transfer import PhotonTransfer
 from radiometer.analysis.characterise.steps import SignalStep
+from radiometer.analysis.characterise.symbols import upper_limit
 from radiometer.data import CameraDescription, Provenance, Quantity
 from radiometer.units import gain_factor
 
@@ -84,7 +85,7 @@ class Characterisation:
             "emva1288": {
                 "standard": "4.0 (linear)",
                 "gain_db": self.gain_db,
-                "figures": {name: _finite(q) for name, q in self.figures.items()},
+                "figures": {name: _figure(name, q) for name, q in self.figures.items()},
                 "K_by_gain": [{"gain_db": g, "K": _finite(q)} for g, q in self.gains.items()],
                 "saturation_limited_by": self.limited_by,
                 "notes": list(self.notes),
@@ -110,6 +111,12 @@ class Characterisation:
         if "mu_I_mean" in self.figures and "dark_current_reference_C" in camera:
             sources["dark_current_reference_C"] = "mean sensor temperature of the dark frames"
         return sources | {key: "as the camera states" for key in limits if key not in sources}
+
+
+def _figure(name: str, quantity: Quantity) -> dict[str, Any]:
+    """Return a figure as a mapping; `below` is its upper limit where its U (k = 2) exceeds 100 %."""
+    limit = upper_limit(name, quantity)
+    return _finite(quantity) | ({} if limit is None else {"below": limit})
 
 
 def _finite(quantity: Quantity) -> dict[str, Any]:
