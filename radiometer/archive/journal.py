@@ -11,6 +11,7 @@ from types import TracebackType
 from typing import Self
 
 from radiometer.archive.jobs import COLUMNS, Row
+from radiometer.data.guards import spreadsheet_cell
 from radiometer.data.storage import write_bytes_atomic
 from radiometer.errors import OutputError, UsageError
 
@@ -84,7 +85,7 @@ class ResultJournal:
         if self.table.suffix == ".parquet":
             frame.to_parquet(content, index=False)
         else:
-            content.write(frame.to_csv(index=False).encode())
+            content.write(frame.map(spreadsheet_cell).to_csv(index=False).encode())
         write_bytes_atomic(self.table, content.getvalue())
         return len(frame)
 

@@ -17,8 +17,24 @@ from radiometer.data.guards import MOST_YAML_BYTES, refuse_deep_yaml
 from radiometer.data.reader_limits import bounded_reader
 from radiometer.errors import InputError, OutputError, OutputRefused
 
-_Loader = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
+_Loader: Any = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
 _Dumper = getattr(yaml, "CSafeDumper", yaml.SafeDumper)
+
+
+class _UniqueKeys(_Loader):  # type: ignore[misc]  # which loader there is depends on libyaml
+    """Refuses a key that stands twice in one mapping: the last would win without a word."""
+
+    def construct_mapping(self, node: Any, deep: bool = False) -> Any:
+        seen = set[tuple[str, str]]()
+        for key, _ in node.value if isinstance(node, yaml.MappingNode) else ():
+            if not isinstance(key, yaml.ScalarNode):
+                continue
+            if (key.tag, key.value) in seen:
+                raise yaml.constructor.ConstructorError(
+                    None, None, f"the key {key.value!r} stands twice; leave one out", key.start_mark
+                )
+            seen.add((key.tag, key.value))
+        return super().construct_mapping(node, deep)
 
 
 def check_outputs(*paths: Path | None, force: bool = False) -> None:
@@ -210,7 +226,7 @@ def read_yaml(path: Path) -> dict[str, Any]:
     text = read_text(path)
     try:
         refuse_deep_yaml(text, str(path))
-        content = yaml.load(text, Loader=_Loader)
+        content = yaml.load(text, Loader=_UniqueKeys)
     except (yaml.YAMLError, ValueError, OverflowError, TypeError) as error:  # a date or key that is none, too
         mark = getattr(error, "problem_mark", None)
         at = f", line {mark.line + 1}, column {mark.column + 1}" if mark else ""

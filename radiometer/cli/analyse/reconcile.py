@@ -47,7 +47,9 @@ def command(
     report: Annotated[Path | None, typer.Option(help="Where the HTML report is written.")] = None,
     plan: Annotated[Path | None, typer.Option(help="Write the next capture as a plan for `bracket`.")] = None,
     without: Annotated[list[str] | None, typer.Option(help="Leave an entry out of the catalogue.")] = None,
-    effects: Annotated[list[Path] | None, typer.Option(help="Python file with further effects to look for.")] = None,
+    effects: Annotated[
+        list[Path] | None, typer.Option(help="Python file with further effects; it is run, so name only one you trust.")
+    ] = None,
     propose: Annotated[
         Path | None,
         typer.Option(

@@ -128,7 +128,8 @@ def _summary(readings: list[dict[str, Any]]) -> str:
 def _show_events(reader: JournalReader, since_us: int | None, limit: int) -> None:
     out = console()
     for event in reader.events(since_us, limit):
-        out.print(f"{event['time'][:23].replace('T', ' ')}  {event['kind']:<11} {event['message']}", markup=False)
+        message = " ".join(event["message"].split())  # one line each, whatever a remark holds
+        out.print(f"{event['time'][:23].replace('T', ' ')}  {event['kind']:<11} {message}", markup=False)
 
 
 def _show_budget(reader: JournalReader, sequence: int) -> None:

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import contextlib
+import math
 import resource
 import struct
 import subprocess
 import sys
+import unicodedata
 import zlib
 from pathlib import Path
 
@@ -22,11 +24,13 @@ from radiometer.data.capture_set import read_digital_numbers
 from radiometer.data.guards import (
     MOST_PICTURE_BYTES,
     is_file,
+    printable,
     refuse_deep_yaml,
     refuse_large_picture,
     refuse_size,
     safe_file_name,
     safe_name,
+    spreadsheet_cell,
 )
 from radiometer.data.storage import read_yaml
 from radiometer.errors import CaptureError, ConfigurationError, InputError, MissingLibrary, UsageError
@@ -217,6 +221,29 @@ def test_two_texts_never_become_one_name() -> None:
     """However alike they look once their slashes are gone."""
     texts = ["a/b", "a_b", "a\\b", "a b", "a\0b", "x" * 65, "x" * 66, "", " ", ".", "..", "S/1 ", "S/1"]
     assert len({safe_file_name(text) for text in texts}) == len(texts)
+
+
+@given(st.text())
+def test_no_text_from_outside_steers_a_terminal_or_a_spreadsheet(text: str) -> None:
+    """No control character but line feed and tab is left, whatever the text; no cell begins a formula."""
+    shown, cell = printable(text), spreadsheet_cell(text)
+    assert not [char for char in shown if unicodedata.category(char) == "Cc" and char not in "\n\t"]
+    assert shown == text or "\\x" in shown
+    assert cell[:1] not in ("=", "@", "\t")
+    assert cell[:1] not in ("+", "-") or math.isfinite(float(cell))
+
+
+def test_numbers_and_plain_texts_stay_as_they_are() -> None:
+    """Also negative ones, in a cell as anywhere; what is no text is no formula."""
+    assert [spreadsheet_cell(value) for value in ("-1.5e-3", "+2", "a=b", -1.5, None)] == [
+        "-1.5e-3",
+        "+2",
+        "a=b",
+        -1.5,
+        None,
+    ]
+    assert spreadsheet_cell("=1+1\x1b") == "'=1+1\\x1b"
+    assert printable("\x1b]0;x\x07 µ\n") == "\\x1b]0;x\\x07 µ\n"
 
 
 @pytest.mark.long

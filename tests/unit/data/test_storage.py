@@ -12,7 +12,7 @@ import pytest
 
 from radiometer.analysis.exports.maps import WRITERS, MapPicture, writer_for
 from radiometer.data import RadianceMap, storage
-from radiometer.data.storage import read_text
+from radiometer.data.storage import read_text, read_yaml
 from radiometer.errors import InputError, OutputError, OutputRefused
 
 
@@ -135,12 +135,18 @@ def test_a_file_may_be_read_by_whom_the_user_s_mask_allows(tmp_path, ending, mas
 
 @pytest.mark.parametrize("ending", [".txt", *WRITERS])
 def test_a_file_gets_its_name_when_its_content_is_on_the_disk(tmp_path, monkeypatch, ending):
-    """A power cut leaves the old file or the whole new one: what is renamed was flushed before."""
+    """A power cut leaves the old file or the whole new one: the content is flushed before the name, then its folder."""
     path, steps, (fsync, replace) = tmp_path / f"result{ending}", [], (os.fsync, os.replace)
-    monkeypatch.setattr(os, "fsync", lambda file: steps.append(os.fstat(file).st_size) or fsync(file))
+
+    def flushed(file):
+        found = os.fstat(file)
+        steps.append("folder" if stat.S_ISDIR(found.st_mode) else found.st_size)
+        fsync(file)
+
+    monkeypatch.setattr(os, "fsync", flushed)
     monkeypatch.setattr(os, "replace", lambda old, new: steps.append(new) or replace(old, new))
     write(path)
-    assert steps == [path.stat().st_size, path]
+    assert steps == [path.stat().st_size, path, "folder"]
     assert steps[0] > 0
 
 
@@ -151,3 +157,13 @@ def write(path):
     one = np.ones((2, 2), np.float32)
     grey = RadianceMap(one, 0.1 * one, np.zeros((2, 2), np.uint8), "relative")
     return writer_for(path)(path, MapPicture({"mono": grey}))
+
+
+def test_a_key_that_stands_twice_is_refused(tmp_path):
+    """With its line, at any depth, however it is quoted; merged keys may be overridden, as YAML has it."""
+    path = tmp_path / "preset.yaml"
+    path.write_text("a: 1\nsafety:\n  limit: 1\n  'limit': 2\n")
+    with pytest.raises(InputError, match=r"preset\.yaml, line 4, .*'limit' stands twice"):
+        read_yaml(path)
+    path.write_text("base: &b {x: 1, y: 1}\nmore: {<<: *b, x: 2}\n")
+    assert read_yaml(path)["more"] == {"x": 2, "y": 1}
