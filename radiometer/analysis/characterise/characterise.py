@@ -35,7 +35,7 @@ _FEWEST_LEVELS = 3
 
 
 def characterise(subject: Subject, statistics: Sequence[GroupStatistics] | None = None) -> Characterisation:
-    """Return the figures of a camera with their standard uncertainties, as many as the frames tell.
+    """Return the figures of a camera with their standard uncertainties, as many as the frames determine.
 
     With pairs of bright frames at three levels or more and dark frames all of them; else those that can be had, with
     notes that say what is missing. Groups of frames that contradict all others are left out and named. Where frames
@@ -48,7 +48,7 @@ def characterise(subject: Subject, statistics: Sequence[GroupStatistics] | None 
         statistics: Their statistics where they are known already.
 
     Raises:
-        MeasurementError: If the frames tell no figure at all, or show no shot noise.
+        MeasurementError: If the frames determine no figure at all, or show no shot noise.
         CaptureError: If a frame is unreadable.
 
     Source: EMVA Standard 1288, release 4.0 (linear).

@@ -40,7 +40,7 @@ class DarkSignal:
 def dark_signal(dark: Sequence[GroupStatistics], step_dn: int = 1) -> DarkSignal:
     """Return the dark signal of groups of one gain, region and temperature.
 
-    Groups of one frame tell its mean only.
+    Groups of one frame determine its mean only.
 
     Args:
         dark: The groups; at least one of them with two frames or more.

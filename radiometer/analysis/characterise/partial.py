@@ -1,4 +1,4 @@
-"""What frames tell that are too few for a whole characterisation: darks alone, one level of light, single frames."""
+"""Figures from frames that are too few for a whole characterisation: darks alone, one level of light, single frames."""
 
 from __future__ import annotations
 
@@ -97,7 +97,7 @@ def bent(transfer: PhotonTransfer) -> str:
 def disagreeing_gains(K: Quantity | None, K_dark: Quantity) -> list[str]:
     """Return a note on how the gain from darks compares with that from light; none where there is no light."""
     if K is None:
-        return ["the gain is that of the dark current's shot noise: no pairs of bright frames tell it"]
+        return ["the gain is that of the dark current's shot noise: there are no pairs of bright frames"]
     distance = abs(K.value - K_dark.value) / math.hypot(K.u, K_dark.u)
     word = "agrees with" if distance <= _DOUBTFUL_SIGMAS else "differs from"
     return [
@@ -172,7 +172,7 @@ def _without_darks(
         return [], None, None
     notes.append(
         "no dark frames: the gain is the slope of a free line, and black level, read noise and saturation capacity "
-        "cannot be told from it"
+        "do not follow from it"
     )
     if transfer.line.birge_ratio > 1.5:
         notes.append(

@@ -75,7 +75,7 @@ def photon_transfer(
     used = tuple(s for s in steps if _is_in_range(s, saturation_dn) and s.bright.variance_dn2 >= least)
     if len(used) < _FEWEST_STEPS:
         raise MeasurementError(
-            f"only {len(used)} of {len(steps)} bright steps lie between darkness and 70 % of saturation; the photon "
+            f"only {len(used)} of {len(steps)} bright steps are between darkness and 70 % of saturation; the photon "
             f"transfer needs at least {_FEWEST_STEPS}: take more and shorter exposures"
         )
     x = np.array([s.signal_dn for s in used])

@@ -42,7 +42,7 @@ def outcome(result: Characterisation) -> str:
     figures = result.figures
     gain = figures.get("K", figures.get("K_dark"))
     if gain is None or not math.isfinite(gain.value):
-        return "These frames tell no gain: the camera's electrons cannot be counted from them."
+        return "These frames determine no gain: the camera's electrons cannot be counted from them."
     said = [f"One electron is {with_u(gain.value, 2 * gain.u, 'DN')}"]
     if "sigma_d" in figures:
         said.append(f"the camera reads with {_with_u(figures['sigma_d'])} of noise")
@@ -70,7 +70,7 @@ def meaning(result: Characterisation) -> list[str]:
     elif "K_dark" in figures:
         said.append(
             "The gain comes from dark frames alone. Frames of steady, even light from darkness to saturation would "
-            "tell it better, and linearity and saturation with it."
+            "determine it better, and linearity and saturation as well."
         )
     else:
         said.append(

@@ -29,7 +29,7 @@ class Characterisation:
         transfer: Photon transfer at `gain_db`; None where there is none.
         steps: Bright steps of the main region.
         dark_points: (exposure in s, mean in DN, variance in DN², temperature in °C) of the dark groups.
-        linearity: Linearity; None where too few steps lie in its range.
+        linearity: Linearity; None where too few steps are in its range.
         notes: What a user must know.
         provenance: What it was made from.
     """
@@ -71,7 +71,7 @@ class Characterisation:
         return self.believed.model_copy(update=update)
 
     def to_mapping(self, limits: Mapping[str, Any] | None = None) -> dict[str, Any]:
-        """Return the camera file (`configs/cameras/` form) with the EMVA 1288 figures beside it.
+        """Return the camera file (`configs/cameras/` form) with the EMVA 1288 figures.
 
         Args:
             limits: Limits of the camera, where one was at hand.

@@ -19,7 +19,7 @@ _SAME_TEMPERATURE_K = 1.5
 
 @dataclass(frozen=True, slots=True)
 class SignalStep:
-    """One bright setting in one region beside its dark one.
+    """One bright setting in one region, with its dark one.
 
     Attributes:
         bright: Statistics of the bright frames.
