@@ -214,11 +214,26 @@ def bombs() -> dict[str, tuple[bytes, Callable[[Path], Any]]]:
             b"CTI3\nNUMBER_OF_FIELDS 1e99\nNUMBER_OF_SETS 9\nBEGIN_DATA\n1 2\nEND_DATA\n",
             read_screen_readings,
         ),
+        **_compressed_fits(),
         "nested.json": (nested, read_statistics_table),
         "nested.yaml": (nested, read_yaml),
         "nested.jsonl": (b'{"sequence": 0, "a": ' + nested + b"\n", lambda p: list(read_events(p))),
         "numbers.jsonl": (b'{"sequence": 0, "a": ' + b"9" * 10_000 + b"}\n" + b"[]\n", lambda p: list(read_events(p))),
     }
+
+
+def _compressed_fits() -> dict[str, tuple[bytes, Callable[[Path], Any]]]:
+    """Return a compressed FITS picture with wrong bytes in its data."""
+    try:
+        from astropy.io import fits
+    except ImportError:
+        return {}
+    stream, dn = io.BytesIO(), np.random.default_rng(1).integers(0, 4096, (40, 50)).astype(np.int16)
+    fits.HDUList([fits.PrimaryHDU(), fits.CompImageHDU(dn, compression_type="GZIP_1")]).writeto(stream)
+    content = bytearray(stream.getvalue())
+    at = content.index(b"\x1f\x8b") + 12
+    content[at : at + 4] = b"\xff\xff\xff\xff"
+    return {"compressed.fits": (bytes(content), lambda p: (read_fits_headers(p), read_fits_pixels(p, 0)))}
 
 
 def _picture(path: Path) -> Any:

@@ -53,12 +53,13 @@ def calibrate(
         open_light_camera(opened, camera, bench, area, camera_calibration) as instrument,
         progress_bar(shown=not json) as bar,
     ):
+        channels = tuple(channel or opened.box.channels)
+        _refuse_unknown(channels, tuple(opened.box.channels))
         file = out or calibration_file(opened.box.identity.serial)
         if out is None:
             file.parent.mkdir(parents=True, exist_ok=True)
-            check_outputs(file, force=force)
-        channels = tuple(channel or opened.box.channels)
-        _refuse_unknown(channels, tuple(opened.box.channels))
+            known = opened.calibration.channels if opened.calibration else {}
+            check_outputs(file, force=force or not set(channels) & set(known))  # the other channels of the file stay
         task = bar.add_task("calibrating", total=None)
         request = SurveyRequest(channels, points_per_decade, seed, responsivity, spectral_u_rel)
         found = survey_box(

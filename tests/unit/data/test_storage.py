@@ -5,13 +5,15 @@ from __future__ import annotations
 import contextlib
 import errno
 import os
+import re
 import stat
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from radiometer.analysis.exports.maps import WRITERS, MapPicture, writer_for
-from radiometer.data import RadianceMap, storage
+from radiometer.data import CameraDescription, CaptureSet, CaptureSetWriter, Frame, FrameSettings, RadianceMap, storage
 from radiometer.data.storage import read_text, read_yaml
 from radiometer.errors import InputError, OutputError, OutputRefused
 
@@ -167,3 +169,28 @@ def test_a_key_that_stands_twice_is_refused(tmp_path):
         read_yaml(path)
     path.write_text("base: &b {x: 1, y: 1}\nmore: {<<: *b, x: 2}\n")
     assert read_yaml(path)["more"] == {"x": 2, "y": 1}
+
+
+@pytest.mark.parametrize("taken", [2, 4])
+def test_frames_that_the_disk_does_not_take_are_finished_elsewhere(tmp_path, monkeypatch, taken):
+    """A full disk at the third of four frames, or after all: the set is whole in the state folder, which is named."""
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
+    out, fsync = tmp_path / "set", os.fsync
+
+    def full(file):
+        is_in_set = Path(f"/proc/self/fd/{file}").readlink().is_relative_to(out)
+        if is_in_set and len(list(tmp_path.rglob("*.png"))) >= taken:
+            raise OSError(errno.ENOSPC, "No space left on device")
+        fsync(file)
+
+    def capture():
+        with CaptureSetWriter(out, CameraDescription(bit_depth=12)) as writer:
+            for number in range(4):
+                writer.add(Frame(np.full((4, 5), number, np.uint16), 12, FrameSettings(0.01)))
+
+    monkeypatch.setattr(os, "fsync", full)
+    with pytest.raises(OutputError, match=r"No space left.*the finished capture set is saved as ") as refusal:
+        capture()
+    saved = CaptureSet.read(Path(re.search(r"saved as (.*): move", str(refusal.value))[1]))
+    assert [int(frame.dn[0, 0]) for frame in saved.frames()] == [0, 1, 2, 3]
+    assert not out.exists()
