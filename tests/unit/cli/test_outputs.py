@@ -8,9 +8,11 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 import typer
 
+from radiometer.bench.boxes import calibration_file
 from radiometer.cli.commands import COMMANDS
 from radiometer.cli.main import run
 
@@ -86,3 +88,47 @@ def test_an_output_is_checked_before_the_work(
     assert there.read_text() == "precious"
     is_folder = getattr(command.callback, "output_folder", None) == name
     assert is_folder or any("--force" in one.opts for one in command.params)
+
+
+_HOSTILE = ("..", "../../out", "/etc/x", "a/b", "-o", ".hidden", "x" * 300, "a\0b", "")
+
+
+@pytest.mark.parametrize("serial", _HOSTILE)
+def test_a_box_cannot_choose_where_its_calibration_is_written(
+    serial: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Whatever serial number it sends: one file in the folder for them."""
+    monkeypatch.setenv("XDG_DATA_HOME", str(tmp_path))
+    assert calibration_file(serial).resolve().parent == tmp_path / "radiometer" / "light_boxes"
+
+
+def test_a_file_cannot_choose_where_its_frames_are_written(tmp_path: Path) -> None:
+    """Whatever camera name a FITS header states: every capture set is a folder of its own in that of -o."""
+    fits = pytest.importorskip("astropy.io.fits")
+    source, out = tmp_path / "source", tmp_path / "a" / "out"
+    source.mkdir()
+    out.parent.mkdir()
+    names = [name for name in _HOSTILE if len(name) < 60 and name.isprintable()]
+    for number, name in enumerate(names):
+        unit = fits.PrimaryHDU(np.full((6, 8), 100 + number, np.int16))
+        unit.header["INSTRUME"], unit.header["EXPTIME"] = name, 1.0
+        unit.writeto(source / f"{number}.fits")
+    before = {path for path in tmp_path.rglob("*") if not path.is_relative_to(out)}
+    assert run(["import", str(source), "-o", str(out)]) == 0
+    assert {path for path in tmp_path.rglob("*") if not path.is_relative_to(out)} == before
+    assert len([path for path in out.iterdir() if (path / "capture.yaml").is_file()]) == len(names)
+
+
+def test_a_file_that_is_no_journal_is_never_emptied(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """`adapt run -o` takes up a journal, also one whose first line a crash tore; a text without a line end stays."""
+    monkeypatch.chdir(tmp_path)
+    words = ["adapt", "run", "quick", "--subject", "S01", "--simulate", "steady", "-o"]
+    for content in ("precious", "precious\n", '{"a": 1}'):
+        Path("notes.txt").write_text(content)
+        assert run([*words, "notes.txt"]) != 0
+        assert Path("notes.txt").read_text() == content
+    assert "no journal of an adaptation run" in capsys.readouterr().err
+    Path("torn.jsonl").write_text('{"sequence": 0, "ki')
+    assert run([*words, "torn.jsonl"]) == 0
