@@ -120,7 +120,7 @@ def _r_lists(path: Path, text: str) -> tuple[list[str], list[str]] | None:
             low, high = int(span.group(1)), int(span.group(2))
             if high - low >= _MOST_ROWS:
                 raise InputError(
-                    f"{path}: {name} = {low}:{high} stands for more than {_MOST_ROWS} values; no run has so many"
+                    f"{path}: {name} = {low}:{high} means more than {_MOST_ROWS} values; no run has so many"
                 )
             found.append([str(number) for number in range(low, high + 1)])
         else:

@@ -19,7 +19,7 @@ TABLE_ENDINGS = (".parquet", ".csv")
 
 
 def journal_of(table: Path) -> Path:
-    """Return the file beside a table that holds its rows as they come."""
+    """Return the journal of a table, which holds its rows as they come."""
     return table.with_name(table.name + ".journal")
 
 

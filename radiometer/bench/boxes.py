@@ -146,7 +146,7 @@ def candidate_ports() -> list[str]:
 
 
 def _is_of_a_running_box(link: Path) -> bool:
-    """Tell whether a simulated box's link leads to its own pseudo-terminal, not to one that another program has since.
+    """Return whether a simulated box's link leads to its own pseudo-terminal, not to another program's.
 
     A box that was killed leaves its link; its terminal's number is given to the next program. That terminal is younger
     than the link.
@@ -343,12 +343,12 @@ def _port_of(serial: str | None) -> str:
 
 
 def nothing_answers(serial: str | None, held: Sequence[str] = ()) -> str:
-    """Return what to tell a user for whom no light box answers, with the ports that were not asked."""
-    wanted = "no light box answers" if serial is None else f"no light box {serial} answers"
+    """Return the message where no light box answers, with the ports that were not asked."""
+    reason = "no light box answers" if serial is None else f"no light box {serial} answers"
     busy = f" (held by another program: {', '.join(held)})" if held else ""
     others = sorted({port.device for port in list_serial_ports()} - set(candidate_ports()))
     left_out = f" (not asked, for none has answered as a light box before: {', '.join(others)})" if others else ""
-    return f"{wanted}{busy}{left_out}; plug it in, name its port with --box once, or use --box {SIMULATED}"
+    return f"{reason}{busy}{left_out}; plug it in, name its port with --box once, or use --box {SIMULATED}"
 
 
 def _simulated(config: LightBoxConfig) -> OpenedBox:

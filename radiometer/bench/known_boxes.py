@@ -15,7 +15,7 @@ _FORMAT: Final = "radiometer-known-boxes/1"
 
 
 def is_known(port: SerialPort) -> bool:
-    """Tell whether a device with this vendor, product and serial number has answered as a light box before.
+    """Return whether a device with this vendor, product and serial number has answered as a light box before.
 
     A USB device without a serial number is never known: it cannot be distinguished from another of its kind.
     """

@@ -82,7 +82,7 @@ class Hub:
         self._subscriptions.discard(subscription)
 
     def end_one(self, youngest_s: float) -> bool:
-        """End the subscription that is furthest behind, else the oldest, and tell whether there was one to end.
+        """End the subscription that is furthest behind, else the oldest, and return whether there was one.
 
         Args:
             youngest_s: One that is not as old as this in s stays.

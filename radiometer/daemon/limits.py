@@ -24,7 +24,7 @@ class Limits:
         line_bytes: Length of an SCPI message.
         messages_waiting: Messages of one client that wait to be executed; reading pauses at more.
         messages_per_s: SCPI messages per second of one client, sustained; more are delayed.
-        reply_bytes: Replies of one SCPI message together, beside the largest of them; more are refused (-225).
+        reply_bytes: Replies of one SCPI message together, without the largest of them; more are refused (-225).
         reply_bytes_waiting: Reply bytes handed to the system that a client has not taken; the rest waits.
         large_replies_bytes: Large replies that all clients of an interface have not taken yet; more are refused.
         stuck_s: A client that does not take its replies, or does not finish a line, is dropped after this time in s.

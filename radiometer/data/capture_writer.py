@@ -100,7 +100,7 @@ class CaptureSetWriter:
             write_bytes_atomic(self.path / name, content, rescue=False)
 
     def _go_elsewhere(self, failure: OutputError) -> bool:
-        """Move what was written to the user's state folder, and tell whether that could be done."""
+        """Move what was written to the user's state folder, and return whether that was possible."""
         try:
             state_folder().mkdir(parents=True, exist_ok=True)
             elsewhere = Path(tempfile.mkdtemp(prefix="saved-", dir=state_folder())) / self.path.name[-64:]

@@ -91,9 +91,9 @@ def bounded_reader(
             except Exception as failure:  # a damaged file makes libraries raise nearly anything
                 if path is None:
                     raise
-                said = (str(failure).strip().splitlines() or [""])[0][:200]
+                reason = (str(failure).strip().splitlines() or [""])[0][:200]
                 kind = type(failure).__name__
-                raise error(f"{where}: damaged, or of a form that is not read ({kind}: {said})") from failure
+                raise error(f"{where}: damaged, or of a form that is not read ({kind}: {reason})") from failure
             finally:
                 _THREAD.reading = False
 

@@ -90,7 +90,7 @@ def _exists(path: Path) -> bool:
 
 
 def _refuse_folder(path: Path, folder: Path) -> None:
-    """Refuse a target whose folder takes no files: one without a name is created there, as rights alone do not tell."""
+    """Refuse a target whose folder takes no files: a nameless file is created there to see."""
     if not folder.is_dir():
         raise OutputRefused(f"cannot write {path}: the folder {folder} does not exist; create it first")
     try:

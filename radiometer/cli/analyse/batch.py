@@ -30,7 +30,7 @@ def command(
     ] = None,
     maps: Annotated[Path | None, typer.Option(help="Folder for radiance maps (Zarr), with --do merge.")] = None,
     json: Annotated[bool, typer.Option("--json", help="Summary as JSON on standard output.")] = False,
-    force: Annotated[bool, typer.Option("--force", help="Replace a table that has no journal beside it.")] = False,
+    force: Annotated[bool, typer.Option("--force", help="Replace a table whose journal is missing.")] = False,
 ) -> int:
     """Do one job on every capture set of an archive and write one table of results.
 

@@ -146,9 +146,9 @@ def export_command(
     chosen = _export_kinds(kinds)
     if not chosen:
         raise UsageError("name at least one form: psychopy,ti3,csv,inverse,vcgt,cal")
-    beside = (out or calibration.parent) / calibration.name
-    check_outputs(*_export_files(chosen, beside), force=force)
-    for written in _write_exports(ScreenCalibration.read(calibration), chosen, beside):
+    base = (out or calibration.parent) / calibration.name
+    check_outputs(*_export_files(chosen, base), force=force)
+    for written in _write_exports(ScreenCalibration.read(calibration), chosen, base):
         console().print(f"wrote {written}")
 
 
@@ -171,10 +171,10 @@ def _write_exports(calibration: ScreenCalibration, kinds: list[str], beside: Pat
     return files
 
 
-def _export_files(kinds: list[str], beside: Path) -> list[Path]:
+def _export_files(kinds: list[str], base: Path) -> list[Path]:
     from radiometer.screen.exports import EXPORTS
 
-    return [beside.with_suffix(EXPORTS[kind][1]) for kind in kinds]
+    return [base.with_suffix(EXPORTS[kind][1]) for kind in kinds]
 
 
 def _page_warnings(opened: ScreenBench) -> list[str]:

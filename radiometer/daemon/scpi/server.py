@@ -379,7 +379,7 @@ class ScpiServer:
         if self._socket is not None:
             path, inode = self._socket
             with contextlib.suppress(FileNotFoundError):
-                if path.lstat().st_ino == inode:  # another program may have put its own there
+                if path.lstat().st_ino == inode:  # another program may have replaced it
                     path.unlink()
 
     def refusal(self, peer: Any) -> str:

@@ -39,7 +39,7 @@ class Session:
     Args:
         station: The instrument, shared by all sessions.
         table: The command table.
-        reply_bytes: Bytes that the replies of one message may have together, beside the largest of them.
+        reply_bytes: Bytes that the replies of one message may have together, without the largest of them.
     """
 
     def __init__(self, station: Station, table: CommandTable, reply_bytes: int = _REPLY_BYTES) -> None:
@@ -203,10 +203,10 @@ class Session:
         return await rest if isinstance(rest, Coroutine) else rest
 
     def _respond(self, response: str) -> bool:
-        """Keep the response of a query, and tell whether the message may go on: all but the largest are bounded."""
+        """Keep the response of a query and return whether the message may go on: all but the largest are bounded."""
         sizes = [*map(len, self.responses), len(response)]
         if sum(sizes) - max(sizes) > self.reply_bytes:
-            text = f"a message's replies may have {self.reply_bytes} bytes beside the largest; ask one by one"
+            text = f"a message's replies may have {self.reply_bytes} bytes without the largest; ask one by one"
             self.status.push(ScpiError(-225, text))
             return False
         self.responses.append(response)

@@ -103,7 +103,7 @@ def test_a_box_cannot_choose_where_its_calibration_is_written(
 
 
 def test_a_file_cannot_choose_where_its_frames_are_written(tmp_path: Path) -> None:
-    """Whatever camera name a FITS header states: every capture set is a folder of its own in that of -o."""
+    """Whatever camera name a FITS header states: every capture set is a separate folder in that of -o."""
     fits = pytest.importorskip("astropy.io.fits")
     source, out = tmp_path / "source", tmp_path / "a" / "out"
     source.mkdir()

@@ -82,7 +82,7 @@ async def test_the_stream_that_is_furthest_behind_ends_first() -> None:
 
 
 async def test_one_message_has_bounded_replies(client: Any, instrument: Any, station: Station) -> None:
-    """Those beside the largest: of 370 pictures of 2 MB two come, and an entry of the queue refuses the rest."""
+    """Those without the largest: of 370 pictures of 2 MB two come, and an entry of the queue refuses the rest."""
     instrument.shape = (1024, 1024)
     await station.measure()
     async with asyncio.timeout(within(30.0)):

@@ -30,7 +30,7 @@ def readers(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Callable[[Pat
 
 
 def test_every_reader_refuses_what_has_no_end(readers: dict[str, Callable[[Path], Any]], tmp_path: Path) -> None:
-    """A pipe that nobody fills and a file of 3 TB that takes no room on the disk: at once, by name."""
+    """A pipe that is never filled and a file of 3 TB that takes no room on the disk: at once, by name."""
     for name, read in readers.items():
         if name in _BYTES_ONLY:
             continue
@@ -74,15 +74,15 @@ def _by_chance(path: Path) -> object:
 
 
 @pytest.mark.parametrize(
-    ("read", "said"),
+    ("read", "reason"),
     [(_all_of_it, "more than 2 GB of memory"), (_for_ever, "processor time"), (_by_chance, "damaged.*KeyError: 'TAG'")],
 )
 def test_whatever_a_library_does_becomes_one_line(
-    read: Callable[[Path], object], said: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    read: Callable[[Path], object], reason: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Memory, time, an error of its own; afterwards the process is as free as before."""
+    """Memory, time, any error; afterwards the process is as free as before."""
     monkeypatch.setattr(reader_limits, "READER_SECONDS", 0.2)
-    with pytest.raises(InputError, match=f"a.bin: .*{said}"):
+    with pytest.raises(InputError, match=f"a.bin: .*{reason}"):
         bounded_reader(error=InputError)(read)(tmp_path / "a.bin")
     assert np.empty(2_500_000_000, np.uint8).nbytes == 2_500_000_000
 
