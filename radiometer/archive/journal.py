@@ -11,9 +11,9 @@ from types import TracebackType
 from typing import Self
 
 from radiometer.archive.jobs import COLUMNS, Row
-from radiometer.data.guards import spreadsheet_cell
 from radiometer.data.storage import write_bytes_atomic
 from radiometer.errors import OutputError, UsageError
+from radiometer.reporting.plain_text import spreadsheet_cell
 
 TABLE_ENDINGS = (".parquet", ".csv")
 

@@ -7,8 +7,8 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
-from radiometer.data.guards import printable
 from radiometer.errors import DeviceError
+from radiometer.reporting.plain_text import printable
 
 if TYPE_CHECKING:
     from rich.console import Console

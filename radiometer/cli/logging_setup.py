@@ -32,7 +32,7 @@ class StandardErrorLogger:
 
 def printable_texts(logger: WrappedLogger, method: str, event: EventDict) -> EventDict:
     """Replace the control characters of texts from outside, which could steer a terminal that shows the log."""
-    from radiometer.data.guards import printable
+    from radiometer.reporting.plain_text import printable
 
     return {name: printable(value) if isinstance(value, str) else value for name, value in event.items()}
 

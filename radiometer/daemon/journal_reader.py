@@ -16,8 +16,8 @@ from urllib.parse import quote
 
 from radiometer.daemon.journal import APPLICATION_ID, MINUTE_US
 from radiometer.daemon.timestamps import iso_time
-from radiometer.data.guards import spreadsheet_cell
 from radiometer.errors import InputError
+from radiometer.reporting.plain_text import spreadsheet_cell
 
 CSV_COLUMNS: Final = (
     "sequence",

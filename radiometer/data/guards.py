@@ -12,7 +12,7 @@ import re
 import struct
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 import yaml
 from PIL import Image, UnidentifiedImageError
@@ -30,10 +30,6 @@ _PNG_SIGNATURE: Final = b"\x89PNG\r\n\x1a\n"
 _PNG_CHANNELS: Final = {0: 1, 2: 3, 3: 1, 4: 2, 6: 4}  # PNG specification, 11.2.2: channels of each colour type
 _HDR_RESOLUTION: Final = re.compile(rb"[-+][XY] +(\d{1,12}) +[-+][XY] +(\d{1,12})\s")
 _LONGEST_HEAD: Final = 65_536
-# C0 and C1 without line feed and tab; Unicode's bidirectional overrides and isolates (UAX 9), which hide words
-_UNPRINTABLE: Final = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f\u202a-\u202e\u2066-\u2069]")
-_FORMULA: Final = ("=", "+", "-", "@", "\t")
-_NUMBER: Final = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?")
 _LONGEST_NAME: Final = 64  # characters, of at most three bytes each: Linux file systems take 255 bytes
 _EXR_CHANNELS: Final = 4
 _MODE_BYTES: Final = {"1": 1, "L": 1, "P": 1, "I;16": 2, "I;16B": 2, "I": 4, "F": 4, "RGB": 3, "RGBA": 4, "CMYK": 4}
@@ -236,25 +232,6 @@ def safe_file_name(text: str) -> str:
         return name
     digest = hashlib.sha256(text.encode("utf-8", "surrogatepass")).hexdigest()[:8]
     return f"{name[: _LONGEST_NAME - 9].rstrip()}-{digest}"
-
-
-def printable(text: str) -> str:
-    """Return a text from outside as a terminal may show it, control characters written as \\x1b.
-
-    So are those that turn the direction of writing. Line feeds and tabs stay.
-    """
-    return _UNPRINTABLE.sub(lambda found: f"\\x{ord(found[0]):02x}", text)
-
-
-def spreadsheet_cell(value: Any) -> Any:
-    """Return a value for a cell of a CSV file: a text that a spreadsheet would run as a formula gets an apostrophe.
-
-    Source: OWASP, CSV injection: cells that begin with = + - @, a tab or a carriage return. A number is no formula.
-    """
-    if not isinstance(value, str):
-        return value
-    text = printable(value)
-    return f"'{text}" if text.startswith(_FORMULA) and not _NUMBER.fullmatch(text) else text
 
 
 def safe_name(name: str, what: str) -> str:

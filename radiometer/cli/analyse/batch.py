@@ -37,12 +37,12 @@ def command(
     What the table holds already of the same captures, settings and code is not done again. A capture set that
     fails becomes a row with its error and does not stop the rest. Ctrl-C leaves a usable table.
     """
+    from radiometer.api.outputs import check_outputs
     from radiometer.archive.discovery import find_captures
     from radiometer.archive.jobs import JOBS
     from radiometer.archive.journal import journal_of
     from radiometer.archive.run import run_batch
     from radiometer.archive.settings import JobSettings
-    from radiometer.data.storage import check_outputs
 
     if do not in JOBS:
         raise UsageError(f"--do {do!r}: there is no such job; there are {', '.join(JOBS)}")

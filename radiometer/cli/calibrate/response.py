@@ -18,6 +18,7 @@ from radiometer.analysis.response.compare import compare_methods
 from radiometer.analysis.response.estimate import ResponseEstimate, median_uncertainty, telling
 from radiometer.analysis.response.labels import refuse_lying_labels
 from radiometer.analysis.response.methods import DEFAULT_METHOD, METHODS, RATIO_METHODS, method_names
+from radiometer.api.outputs import check_outputs
 from radiometer.bench.sources import open_brackets
 from radiometer.cli.arguments import ISO_HELP, parse_known_ratios, parse_measured_iso
 from radiometer.cli.calibrate.response_plot import check_plot_name, draw_responses
@@ -25,7 +26,6 @@ from radiometer.cli.console import note, progress_bar
 from radiometer.cli.outputs import writes
 from radiometer.data import Bracket
 from radiometer.data.iso_speeds import IsoSpeeds
-from radiometer.data.storage import check_outputs
 from radiometer.errors import MeasurementError, UsageError
 from radiometer.photographs.alignment import photographs_in_one_place
 from radiometer.photographs.iso_record import with_iso_speeds

@@ -62,8 +62,8 @@ def calibrate(
     force: Annotated[bool, typer.Option("--force", help="Replace output files that exist.")] = False,
 ) -> None:
     """Measure which level of a screen gives which radiance and luminance, with uncertainty."""
+    from radiometer.api.outputs import check_outputs
     from radiometer.bench.screen import lights, open_screen_bench, primaries_of
-    from radiometer.data.storage import check_outputs
     from radiometer.screen.calibration_run import Options, calibrate_screen
     from radiometer.screen.plan import parse_levels
 
@@ -140,7 +140,7 @@ def export_command(
     force: Annotated[bool, typer.Option("--force", help="Replace output files that exist.")] = False,
 ) -> None:
     """Write a calibration in the forms of other programs."""
-    from radiometer.data.storage import check_outputs
+    from radiometer.api.outputs import check_outputs
     from radiometer.screen import ScreenCalibration
 
     chosen = _export_kinds(kinds)

@@ -89,11 +89,12 @@ def run(
     from radiometer.adaptation.protocol import read_protocol
     from radiometer.adaptation.run import run_test
     from radiometer.adaptation.run_facts import facts_of
+    from radiometer.api.outputs import check_outputs
     from radiometer.bench.box_adaptation import SIMULATED, BoxRequest
     from radiometer.cli.keys import listening
     from radiometer.cli.light.adapt_watch import Watching, watchers
     from radiometer.data.guards import safe_name
-    from radiometer.data.storage import check_outputs, write_text_atomic
+    from radiometer.data.storage import write_text_atomic
 
     safe_name(subject, "--subject")
     if eye not in ("right", "left"):

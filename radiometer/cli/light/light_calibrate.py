@@ -43,9 +43,9 @@ def calibrate(
     Levels come in random order, each after it has settled; the dark reading is taken off, a reference level measured
     in between tells the drift. What is written makes `radiometer light set spot --radiance 0.01` work.
     """
+    from radiometer.api.outputs import check_outputs
     from radiometer.bench.boxes import calibration_file, open_light_box
     from radiometer.bench.light_bench import SurveyRequest, open_light_camera, survey_box
-    from radiometer.data.storage import check_outputs
 
     area = parse_patch(patch) if patch else None
     with (

@@ -24,16 +24,15 @@ from radiometer.data.capture_set import read_digital_numbers
 from radiometer.data.guards import (
     MOST_PICTURE_BYTES,
     is_file,
-    printable,
     refuse_deep_yaml,
     refuse_large_picture,
     refuse_size,
     safe_file_name,
     safe_name,
-    spreadsheet_cell,
 )
 from radiometer.data.storage import read_yaml
 from radiometer.errors import CaptureError, ConfigurationError, InputError, MissingLibrary, UsageError
+from radiometer.reporting.plain_text import printable, spreadsheet_cell
 from simulators.scenes.image_file import ImageScene
 from testing.patience import within
 
