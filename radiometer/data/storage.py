@@ -17,24 +17,24 @@ from radiometer.data.guards import MOST_YAML_BYTES, refuse_deep_yaml
 from radiometer.data.reader_limits import bounded_reader
 from radiometer.errors import InputError, OutputError, OutputRefused
 
-_Loader: Any = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
+_SafeLoader: Any = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
 _Dumper = getattr(yaml, "CSafeDumper", yaml.SafeDumper)
 
 
-class _UniqueKeys(_Loader):  # type: ignore[misc]  # which loader there is depends on libyaml
-    """Refuses a key that stands twice in one mapping: the last would win without a word."""
+class _Loader(_SafeLoader):  # type: ignore[misc]
+    """Refuses a key that occurs twice in a mapping, as YAML 1.2 (3.2.1.3) asks: PyYAML takes the last one."""
 
-    def construct_mapping(self, node: Any, deep: bool = False) -> Any:
-        seen = set[tuple[str, str]]()
-        for key, _ in node.value if isinstance(node, yaml.MappingNode) else ():
-            if not isinstance(key, yaml.ScalarNode):
+    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
+        seen = set()
+        for key_node, _ in node.value:
+            if not isinstance(key_node, yaml.ScalarNode) or key_node.tag == "tag:yaml.org,2002:merge":
                 continue
-            if (key.tag, key.value) in seen:
+            if (key := self.construct_object(key_node)) in seen:
                 raise yaml.constructor.ConstructorError(
-                    None, None, f"the key {key.value!r} stands twice; leave one out", key.start_mark
+                    None, None, f"key {key_node.value!r} occurs twice in one mapping; keep one", key_node.start_mark
                 )
-            seen.add((key.tag, key.value))
-        return super().construct_mapping(node, deep)
+            seen.add(key)
+        return dict(super().construct_mapping(node, deep=deep))
 
 
 def check_outputs(*paths: Path | None, force: bool = False) -> None:
@@ -226,7 +226,7 @@ def read_yaml(path: Path) -> dict[str, Any]:
     text = read_text(path)
     try:
         refuse_deep_yaml(text, str(path))
-        content = yaml.load(text, Loader=_UniqueKeys)
+        content = yaml.load(text, Loader=_Loader)
     except (yaml.YAMLError, ValueError, OverflowError, TypeError) as error:  # a date or key that is none, too
         mark = getattr(error, "problem_mark", None)
         at = f", line {mark.line + 1}, column {mark.column + 1}" if mark else ""

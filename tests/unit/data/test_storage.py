@@ -165,7 +165,7 @@ def test_a_key_that_stands_twice_is_refused(tmp_path):
     """With its line, at any depth, however it is quoted; merged keys may be overridden, as YAML has it."""
     path = tmp_path / "preset.yaml"
     path.write_text("a: 1\nsafety:\n  limit: 1\n  'limit': 2\n")
-    with pytest.raises(InputError, match=r"preset\.yaml, line 4, .*'limit' stands twice"):
+    with pytest.raises(InputError, match=r"preset\.yaml, line 4, .*'limit' occurs twice"):
         read_yaml(path)
     path.write_text("base: &b {x: 1, y: 1}\nmore: {<<: *b, x: 2}\n")
     assert read_yaml(path)["more"] == {"x": 2, "y": 1}
