@@ -141,8 +141,10 @@ def candidate_ports() -> list[str]:
     folder = simulated_port_folder()
     simulated = sorted(str(link) for link in folder.glob("*") if _is_of_a_running_box(link)) if is_ours(folder) else []
     known = [port.device for port in list_serial_ports() if is_known(port)]
-    by_device = {os.path.realpath(port): port for port in reversed([*named, *simulated, *known])}
-    return list(reversed(by_device.values()))
+    by_device: dict[str, str] = {}
+    for port in [*named, *simulated, *known]:  # a device counts once, by the first of its names
+        by_device.setdefault(os.path.realpath(port), port)
+    return list(by_device.values())
 
 
 def _is_of_a_running_box(link: Path) -> bool:
