@@ -63,7 +63,7 @@ class CaptureSetWriter:
         self._rescue, self._failure = rescue, ""
 
     def __enter__(self) -> Self:
-        check_new_folder(self.path, parents=True)
+        check_new_folder(self.path)
         try:
             (self.path / "frames").mkdir(parents=True)
         except OSError as error:

@@ -60,19 +60,18 @@ def check_outputs(*paths: Path | None, force: bool = False) -> None:
         _refuse_folder(path, path.resolve().parent)
 
 
-def check_new_folder(path: Path, *, parents: bool = False) -> None:
+def check_new_folder(path: Path) -> None:
     """Refuse a folder that a result cannot fill later, before the work whose result it is to hold.
 
     Args:
-        path: The folder. It must not exist, or be empty; a result never replaces a folder.
-        parents: The folders above it may be missing too.
+        path: The folder. It must not exist, or be empty; a result never replaces a folder. The folders above it are
+            created with it.
 
     Raises:
         OutputRefused: If it exists and is not empty, or cannot be created.
     """
     if not _exists(path):
-        above = next((one for one in path.resolve().parents if one.exists()), path.parent) if parents else path.parent
-        _refuse_folder(path, above)
+        _refuse_folder(path, next(one for one in path.resolve().parents if one.exists()))
     elif not path.is_dir() or any(path.iterdir()):
         raise OutputRefused(f"{path} exists already and is not empty; name a new folder")
     else:

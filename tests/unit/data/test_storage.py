@@ -84,13 +84,12 @@ def test_one_file_for_two_outputs_is_refused(tmp_path):
 
 
 def test_a_folder_is_never_replaced(tmp_path):
-    """A new or empty one is filled; the folders above must exist where that is asked for."""
-    storage.check_new_folder(tmp_path / "new")
+    """A new or empty one is filled, and made with those above it; one with content or below a file is refused."""
     storage.check_new_folder(tmp_path)
-    storage.check_new_folder(tmp_path / "a" / "b", parents=True)
-    with pytest.raises(OutputRefused, match="does not exist"):
-        storage.check_new_folder(tmp_path / "a" / "b")
+    storage.check_new_folder(tmp_path / "a" / "b")
     (tmp_path / "file").touch()
+    with pytest.raises(OutputRefused, match="Not a directory"):
+        storage.check_new_folder(tmp_path / "file" / "b")
     for taken in (tmp_path, tmp_path / "file"):
         with pytest.raises(OutputRefused, match="name a new folder"):
             storage.check_new_folder(taken)
