@@ -160,16 +160,6 @@ def write(path):
     return writer_for(path)(path, MapPicture({"mono": grey}))
 
 
-def test_a_key_that_stands_twice_is_refused(tmp_path):
-    """With its line, at any depth, however it is quoted; merged keys may be overridden, as YAML has it."""
-    path = tmp_path / "preset.yaml"
-    path.write_text("a: 1\nsafety:\n  limit: 1\n  'limit': 2\n")
-    with pytest.raises(InputError, match=r"preset\.yaml, line 4, .*'limit' occurs twice"):
-        read_yaml(path)
-    path.write_text("base: &b {x: 1, y: 1}\nmore: {<<: *b, x: 2}\n")
-    assert read_yaml(path)["more"] == {"x": 2, "y": 1}
-
-
 @pytest.mark.parametrize("taken", [2, 4])
 def test_frames_that_the_disk_does_not_take_are_finished_elsewhere(tmp_path, monkeypatch, taken):
     """A full disk at the third of four frames, or after all: the set is whole in the state folder, which is named."""
@@ -193,3 +183,22 @@ def test_frames_that_the_disk_does_not_take_are_finished_elsewhere(tmp_path, mon
     saved = CaptureSet.read(Path(re.search(r"saved as (.*): move", str(refusal.value))[1]))
     assert [int(frame.dn[0, 0]) for frame in saved.frames()] == [0, 1, 2, 3]
     assert not out.exists()
+
+
+@pytest.mark.parametrize(
+    ("text", "key", "line"),
+    [
+        ("limit: 1\nlimit: 2\n", "limit", 2),
+        ("channels:\n  spot: {bound: 1}\n  field: {bound: 2}\n  spot: {bound: 3}\n", "spot", 4),
+        ("flash: {bound: 1, duration: 2, bound: 3}\n", "bound", 1),
+        ("a: 1\n'a': 2\n", "a", 2),
+    ],
+)
+def test_a_key_that_occurs_twice_is_refused(tmp_path, text, key, line):
+    """Of two bounds for one channel neither is chosen; what an anchor brings in may be replaced."""
+    file = tmp_path / "preset.yaml"
+    file.write_text(text, encoding="utf-8")
+    with pytest.raises(InputError, match=rf"line {line}, .* key '{key}' occurs twice"):
+        read_yaml(file)
+    file.write_text("base: &base {bound: 1}\nspot: {<<: *base, bound: 2}\n", encoding="utf-8")
+    assert read_yaml(file)["spot"] == {"bound": 2}
