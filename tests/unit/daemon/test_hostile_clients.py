@@ -59,7 +59,7 @@ async def test_listeners_that_do_not_read_do_not_hold_all_streams(base: str, sta
         session.get(f"{base}/readings/stream", params={"format": "jsonl"}) as stream,
     ):
         assert stream.status == 200
-        await station.measure()
+        await station.acquisition.measure()
         assert b"radiance" in await stream.content.readline()
     for writer in writers:
         writer.close()
@@ -84,7 +84,7 @@ async def test_the_stream_that_is_furthest_behind_ends_first() -> None:
 async def test_one_message_has_bounded_replies(client: Any, instrument: Any, station: Station) -> None:
     """Those without the largest: of 370 pictures of 2 MB two come, and an entry of the queue refuses the rest."""
     instrument.shape = (1024, 1024)
-    await station.measure()
+    await station.acquisition.measure()
     async with asyncio.timeout(within(30.0)):
         await client.send(";".join(["TRAC? IMAG"] * 370))
         received = await client.reader.readexactly(2 * (9 + 2_097_152) + 2)
@@ -110,7 +110,7 @@ async def test_a_client_that_takes_nothing_holds_memory_only_while_it_is_there(
     """It holds the budget; another's picture fails with -225 and its small queries do not; then it is gone."""
     limits = replace(Limits(), large_replies_bytes=3_000_000, reply_bytes_waiting=1000)
     instrument.shape = (6000, 1024)
-    await station.measure()
+    await station.acquisition.measure()
     server = ScpiServer(station, limits=limits)
     port = await server.listen_tcp("127.0.0.1", 0)
     lazy = await asyncio.open_connection("127.0.0.1", port, limit=2)
