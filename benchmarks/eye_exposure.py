@@ -25,7 +25,7 @@ SHOWN = (
 
 
 def main() -> None:
-    """Print the tables and write them into docs/light-box.md."""
+    """Run the sequences."""
     parser = argparse.ArgumentParser()
     parser.add_argument("--twin", type=int, default=10_000, help="sequences with the simulated twin")
     parser.add_argument("--firmware", type=int, default=200, help="sequences with the firmware's code")
@@ -37,6 +37,11 @@ def main() -> None:
             "simulated twin": sequences(folder, options.twin),
             "firmware's code": sequences(folder, options.firmware, firmware=True),
         }
+    report(found)
+
+
+def report(found: dict[str, Desks]) -> None:
+    """Print the tables and write them into docs/light-box.md."""
     body = [
         "| box | sequences | largest share of the limit in any 10⁴ s | median | above 9 % | above 10 % |",
         "|---|---|---|---|---|---|",
