@@ -76,6 +76,12 @@ def process_name(pid: int) -> str:
     return f"{pid} {status.rpartition(')')[2].split()[19]}"
 
 
+def is_running(name: str) -> bool:
+    """Tell whether the process of a name still runs."""
+    pid = name.partition(" ")[0]
+    return pid.isdigit() and process_name(int(pid)) == name
+
+
 @dataclass(frozen=True, slots=True)
 class Phase:
     """Light of one radiance within a stimulus, in fractions of the exposure limits.
@@ -331,7 +337,7 @@ class FileStore:
     moment: Callable[[], Moment] = machine_moment
     sleep: Callable[[float], None] = time.sleep
     holder: str = field(default_factory=lambda: process_name(os.getpid()))
-    running: Callable[[str], bool] = lambda name: process_name(int(name.partition(" ")[0])) == name
+    running: Callable[[str], bool] = is_running
 
     def lives(self, holder: str) -> bool:
         """Tell whether another program that entered light still runs."""
