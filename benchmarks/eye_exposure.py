@@ -20,9 +20,10 @@ FIRST_SEED = 100_000
 PART = 250
 ABOUT = (
     "Each sequence is 30 events at a desk with two boxes and two eyes. Programs give light, are killed at any step on"
-    " the line or the disk, and take the longest pulse that is not refused. Cables are pulled, answers get lost, boxes and"
-    " computer restart, the clock is set wrong, the account is deleted or damaged. What an eye receives is integrated"
-    " from the outputs of the boxes, for the brightest box that the preset allows. A tenth of the limit is promised."
+    " the line or the disk, and take the longest pulse that is not refused. Cables are pulled, answers get lost, boxes"
+    " and computer restart, the clock is set wrong, the account is deleted or damaged. What an eye receives is"
+    " integrated from the outputs of the boxes, for the brightest box that the preset allows. A tenth of the limit is"
+    " promised."
 )
 SHOWN = (
     "asked", "given", "refused", "programs", "killed", "killed in the midst", "rebooted", "clock set", "replugged",

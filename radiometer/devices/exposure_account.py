@@ -20,6 +20,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Final, Protocol
 
+from radiometer.data.json_text import json_text
 from radiometer.data.storage import write_text_atomic
 from radiometer.devices.retinal_safety import BLUE_WINDOW_S
 from radiometer.errors import OutputError, UnsafeStimulus
@@ -434,7 +435,7 @@ class FileStore:
 def render_account(account: Account) -> str:
     """Return the account as a line of JSON and a line with its SHA-256; its times count from its moment."""
     now_s = account.now_s
-    body = json.dumps(
+    body = json_text(
         {
             "format": FORMAT,
             "moment": [account.moment.boot, account.moment.uptime_s, account.moment.wall_s, account.moment.machine],
@@ -444,8 +445,7 @@ def render_account(account: Account) -> str:
             "assumed": {key: [until_s - now_s, why] for key, (until_s, why) in account.assumed.items()},
             "planned": {name: _planned_to_json(planned, now_s) for name, planned in account.planned.items()},
         },
-        ensure_ascii=True,
-        allow_nan=False,
+        ascii_only=True,
     )
     return f"{body}\n{hashlib.sha256(body.encode('ascii')).hexdigest()}\n"
 
@@ -476,8 +476,9 @@ def parse_account(content: bytes) -> Account | None:
 
 
 def _planned_to_json(planned: Planned, now_s: float) -> list[Any]:
-    phases = [[p.blue_per_s, p.blue_most, _none_if_endless(p.bright_s), p.thermal] for p in planned.phases]
-    times = [planned.start_s - now_s, _none_if_endless(planned.over_s - now_s)]
+    """Return a stimulus as JSON; a time without an end becomes null."""
+    phases = [[p.blue_per_s, p.blue_most, p.bright_s, p.thermal] for p in planned.phases]
+    times = [planned.start_s - now_s, planned.over_s - now_s]
     return [planned.box, planned.eye, planned.channel, planned.holder, *times, phases]
 
 
@@ -485,10 +486,6 @@ def _planned_from_json(entry: list[Any], now_s: float) -> Planned:
     box, eye, channel, holder, start_s, over_s, phases = entry
     known = tuple(Phase(float(a), float(b), _endless_if_none(c), float(d)) for a, b, c, d in phases)
     return Planned(box, eye, channel, holder, now_s + start_s, now_s + _endless_if_none(over_s), known)
-
-
-def _none_if_endless(time_s: float) -> float | None:
-    return time_s if math.isfinite(time_s) else None
 
 
 def _endless_if_none(time_s: float | None) -> float:
