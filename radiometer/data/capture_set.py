@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal, Protocol, Self
@@ -222,6 +222,18 @@ class CaptureSet:
             )
         return frame
 
+    def read_frames(self, indices: Sequence[int]) -> Iterator[Frame]:
+        """Yield the frames at positions of the header's list with the white level that they show together.
+
+        Args:
+            indices: Positions, in the order in which the frames are yielded; a few are held in memory.
+
+        Raises:
+            CaptureError: As `read_frame`.
+        """
+        settings = [self.header.frames[index].settings for index in indices]
+        return streamed_with_white_levels(settings, lambda place: self.read_frame(indices[place]))
+
     def read_numbers(self, file: str) -> DigitalNumbers:
         """Return the digital numbers of the frame that the header lists under a name.
 
@@ -237,8 +249,7 @@ class CaptureSet:
             CaptureError: If a file is unreadable or sizes differ.
         """
         shape: tuple[int, int] | None = None
-        settings = [entry.settings for entry in self.header.frames]
-        for entry, frame in zip(self.header.frames, streamed_with_white_levels(settings, self.read_frame), strict=True):
+        for entry, frame in zip(self.header.frames, self.read_frames(range(len(self))), strict=True):
             if shape is not None and frame.shape != shape:
                 raise CaptureError(
                     f"{self.path / entry.file}: is {frame.shape[1]} × {frame.shape[0]} pixels, the frames before "

@@ -253,7 +253,7 @@ def _camera(frames: Sequence[FoundFrame], codes: _Codes, options: ImportOptions)
 def _white_level(frames: Sequence[FoundFrame], codes: _Codes, options: ImportOptions) -> tuple[float | None, list[str]]:
     """Return the digital number from which the files say that pixels are saturated, and what is doubtful of it."""
     full_scale = (1 << codes.bit_depth) - 1
-    stated = sorted({f.camera["stated_top_dn"] + options.pedestal for f in frames if "stated_top_dn" in f.camera})
+    stated = sorted({f.camera["stated_white_dn"] + options.pedestal for f in frames if "stated_white_dn" in f.camera})
     if not stated or options.full_scale is not None:  # scaled numbers are none that a header speaks of
         return None, []
     lowest, highest = stated[0], stated[-1]

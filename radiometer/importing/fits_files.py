@@ -54,6 +54,7 @@ _SET_TEMPERATURE: Final = ("SET-TEMP", "SETTEMP", "CCD-TSET")
 _TIME: Final = ("DATE-OBS", "DATE-BEG", "DATE_OBS", "DATE")
 _CAMERA_NAME: Final = ("INSTRUME", "CAMERA", "DETECTOR", "DETNAM")
 _ELECTRONS_PER_DN: Final = places("EGAIN:e-/DN E-GAIN:e-/DN GAINEL:e-/DN CCDGAIN:e-/DN")
+_SATURATED_FROM: Final = ("SATURATE", "SATLEVEL")
 _READ_NOISE: Final = places("RDNOISE:e- READNOIS:e- RON:e- READNOISE:e-")
 _F_NUMBER: Final = places("FNUMBER:1 FRATIO:1")
 # Settings that change gain or offset by a maker's steps: frames that differ in one are separate sets.
@@ -438,6 +439,12 @@ def _camera(
     top = _number(header, "SATURATE") or _number(header, "DATAMAX")
     if top is not None and top >= 1:
         camera["stated_top_dn"] = top
+    # DATAMAX is the largest value of this frame's data (FITS standard 4.0, table 22), not where pixels are saturated.
+    place = next((k for k in _SATURATED_FROM if (_number(header, k) or 0.0) >= 1.0), None)
+    if place is not None and unit_in_words(header[place].comment, "read_noise")[0] is not None:
+        doubts.append(f"{place} is in electrons, not in DN: it is not used as the white level")
+    elif place is not None:
+        taken["white_level_dn"], camera["stated_white_dn"] = place, _number(header, place)
     return camera
 
 

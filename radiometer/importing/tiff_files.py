@@ -310,7 +310,8 @@ def _camera(facts: _Facts, taken: dict[str, str]) -> dict[str, Any]:
     white = tags.get(_WHITE_LEVEL)
     top = float(white[0]) if isinstance(white, tuple) and white else 0.0
     if top > 1:
-        camera["stated_top_dn"] = top
+        taken["white_level_dn"] = "tag WhiteLevel"
+        camera |= {"stated_top_dn": top, "stated_white_dn": top}
     centre = numbers(xmp, "VignettingCenter")
     if centre and "serial" not in camera:
         # Each unit has a lens calibration of its own, so that it tells units apart where no serial number does.

@@ -215,8 +215,6 @@ def _merge_capture(
 
 def _frames(capture: CaptureSet, pattern: str | None, step: Any) -> Iterator[Frame]:
     """Yield dark frames, then the light frames of one pattern at the source's highest level, one at a time."""
-    from radiometer.data.pile_up import streamed_with_white_levels
-
     entries = capture.header.frames
     wanted = pattern or next((e.pattern for e in entries if e.shutter == "open" and e.source_level > 0), "default")
     dark = [i for i, entry in enumerate(entries) if entry.shutter == "closed"]
@@ -227,9 +225,7 @@ def _frames(capture: CaptureSet, pattern: str | None, step: Any) -> Iterator[Fra
     level = max(entries[i].source_level for i in light)
     light = [i for i in light if entries[i].source_level == level]
     order = [*dark, *sorted(light, key=lambda i: entries[i].settings.effective_exposure_s)]
-    for frame in streamed_with_white_levels(
-        [entries[i].settings for i in order], lambda place: capture.read_frame(order[place])
-    ):
+    for frame in capture.read_frames(order):
         yield frame
         step()
 
