@@ -31,10 +31,12 @@ HEADERS = {"X-Content-Type-Options": "nosniff", "Referrer-Policy": "no-referrer"
 octets = st.integers(0, 255)
 
 
-@pytest.mark.parametrize("sent", [b"Bearer \xff\xfe", b"Bearer \xed\xa0\x80", "Bearer schlüssel".encode("latin-1")])
+@pytest.mark.parametrize(
+    "sent", [b"Bearer \xff\xfe", b"Bearer \xed\xa0\x80", "Bearer schlüssel-zum-haus".encode("latin-1")]
+)
 async def test_a_token_of_any_bytes_is_refused_without_an_error(station: Station, sent: bytes) -> None:
     """What is no UTF-8 is a wrong token like any other: 401; in UTF-8 it opens."""
-    server = HttpServer(station, token="schlüssel")
+    server = HttpServer(station, token="schlüssel-zum-haus")
     port = await server.listen("127.0.0.1", 0)
 
     async def status(header: bytes) -> bytes:
@@ -47,21 +49,28 @@ async def test_a_token_of_any_bytes_is_refused_without_an_error(station: Station
         return reply.split(b" ", 2)[1]
 
     assert await status(sent) == b"401"
-    assert await status("Bearer schlüssel".encode()) == b"200"
+    assert await status("Bearer schlüssel-zum-haus".encode()) == b"200"
     await server.close()
 
 
 @pytest.mark.parametrize(
     ("header", "opens"),
     [
-        ("Bearer the-token", True), ("bearer  the-token", True), ("BEARER the-token", True), ("the-token", False),
-        ("Basic the-token", False), ("Bearer the-toke", False), ("Bearer the-token1", False), ("Bearer ", False),
-        ("Bearer the-Token", False), ("", False),
+        ("Bearer a-token-so-long-as-it", True),
+        ("bearer  a-token-so-long-as-it", True),
+        ("BEARER a-token-so-long-as-it", True),
+        ("a-token-so-long-as-it", False),
+        ("Basic a-token-so-long-as-it", False),
+        ("Bearer a-token-so-long-as-i", False),
+        ("Bearer a-token-so-long-as-it1", False),
+        ("Bearer ", False),
+        ("Bearer a-Token-so-long-as-it", False),
+        ("", False),
     ],
-)  # fmt: skip
+)
 async def test_the_whole_token_opens_and_nothing_else(station: Station, header: str, opens: bool) -> None:
     """Bearer in any case and the token, letter for letter."""
-    server = HttpServer(station, token="the-token")
+    server = HttpServer(station, token="a-token-so-long-as-it")
     base = f"http://127.0.0.1:{await server.listen('127.0.0.1', 0)}"
     async with (
         aiohttp.ClientSession(headers={"Authorization": header} if header else {}) as session,

@@ -165,10 +165,24 @@ async def test_a_service_listens_reloads_and_ends_as_signals_say(tmp_path: Path,
     assert signal.getsignal(signal.SIGHUP) is signal.SIG_DFL
 
 
+async def test_a_storm_of_hangups_is_one_reload_and_one_more(tmp_path: Path, eventually: Eventually) -> None:
+    """Each reload stops the camera: 100 signals within a moment stop it twice, for the last one must count."""
+    one = fresh(tmp_path)
+    running = asyncio.create_task(one.service.run())
+    await eventually(lambda: one.told.lines or running.done())
+    for _ in range(100):
+        os.kill(os.getpid(), signal.SIGHUP)
+        await asyncio.sleep(0.001)
+    await eventually(lambda: one.instrument.reloads == 2)
+    await asyncio.sleep(0.05)
+    assert one.instrument.reloads == 2
+    await ended(running)
+
+
 async def test_who_may_connect_is_announced(tmp_path: Path, eventually: Eventually) -> None:
     """Networks that are let in, that a token is needed, and how pvAccess is served."""
     options = {"scpi_address": "0.0.0.0", "scpi_allow": parse_networks(["10.0.0.0/8", "192.0.2.0/24"])}
-    one = fresh(tmp_path, **options, token="secret", pva=PvaOptions("lab", isolated=True))
+    one = fresh(tmp_path, **options, token="a secret of sixteen", pva=PvaOptions("lab", isolated=True))
     running = asyncio.create_task(one.service.run())
     await eventually(lambda: one.told.lines or running.done())
     scpi, web, pva, journal = one.said
