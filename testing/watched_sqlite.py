@@ -11,7 +11,7 @@ import pytest
 
 
 class Watched(sqlite3.Connection):
-    """A connection that refuses some statements while it is told to."""
+    """A connection that refuses some statements on request."""
 
     refused: tuple[str, int] | None = None  # words of a statement, and SQLite's code for why
 

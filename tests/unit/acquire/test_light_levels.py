@@ -194,11 +194,11 @@ def test_the_reference_is_read_before_every_sixth_level_and_at_the_end():
 
 @pytest.mark.parametrize(("growth", "settle_s"), [(0.0002, 20.0), (0.0008, 560.0)])
 def test_light_has_settled_when_two_readings_agree_to_a_twentieth_of_a_percent(growth, settle_s):
-    """Else it is read 40 s before the longest time of 600 s ends; its last step stands for 2/√3 of it to come."""
+    """Else it is read 40 s before the longest time of 600 s ends; its last step shows 2/√3 of the change to come."""
     found = points_of(SlowBox(growth))
     assert found.settle_s == settle_s
     unsettled = max(growth, 0.0005) * 2.0 / math.sqrt(3.0)
-    # A bright point's own doubt is that alone: the room's light beside it and noise of a millionth are less.
+    # A bright point's doubt is that alone: the room's light next to it and noise of a millionth are less.
     assert max(found.points, key=lambda one: one.radiance_W_per_sr_m2).u_rel == pytest.approx(unsettled, rel=0.3)
 
 
@@ -229,7 +229,7 @@ def test_a_level_is_lit_when_the_budget_is_as_full_as_it_needs():
 
 
 def test_what_does_not_stand_out_of_the_noise_is_no_point():
-    """Of light of 1 mW beside a room that is known to 1 % of 2 W, levels below some 60 mW are lost."""
+    """Of light of 1 mW in a room that is known to 1 % of 2 W, levels below some 60 mW are lost."""
 
     class Noisy(LinearBox):
         def measure(self):

@@ -26,7 +26,7 @@ from radiometer.errors import (
 )
 from testing.patience import within
 
-# Of the OWASP secure-headers list, what keeps a page from being framed, guessed at, or told to other sites.
+# Of the OWASP secure-headers list, what keeps a page from being framed, guessed at, or shown to other sites.
 HEADERS = {"X-Content-Type-Options": "nosniff", "Referrer-Policy": "no-referrer", "Cache-Control": "no-store"}
 octets = st.integers(0, 255)
 

@@ -29,7 +29,7 @@ Eventually = Callable[..., Awaitable[None]]
 
 
 class Told:
-    """systemd, which wants to hear every few milliseconds that the daemon lives, and keeps what it is told."""
+    """systemd, which wants to hear every few milliseconds that the daemon lives, and keeps what it receives."""
 
     watchdog_period_s = 0.005
 
@@ -54,7 +54,7 @@ class Told:
 
 @dataclass
 class Daemon:
-    """A service on fakes that has not begun, what it announces, and what it tells systemd."""
+    """A service on fakes that has not begun, what it announces, and what it sends to systemd."""
 
     service: Service
     station: Station
@@ -81,7 +81,7 @@ async def ended(running: asyncio.Task[None]) -> None:
 async def test_the_watchdog_is_fed_unless_a_call_takes_ten_minutes(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, eventually: Eventually, stuck_s: float, fed: bool
 ) -> None:
-    """The longest exposures and the longest patience lie below; a call that takes longer never ends."""
+    """The longest exposures and the longest patience are below; a call that takes longer never ends."""
     one = fresh(tmp_path)
     monkeypatch.setattr(type(one.station.camera), "stuck_s", stuck_s)
     running = asyncio.create_task(one.service.run())

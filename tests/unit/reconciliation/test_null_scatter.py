@@ -79,7 +79,7 @@ def test_statistics_scatter_as_stated_where_the_model_holds_the_effect(
 ) -> None:
     """With the camera's true effect in the model nothing is left: χ²/n of all statistics is 1 within 6 sigma.
 
-    Chance shifts of the tiles that a fixed pattern makes alike in all captures are fitted; profiles of its own lines
+    Chance shifts of the tiles that a fixed pattern makes alike in all captures are fitted; profiles of its lines
     are nearly used up by them.
     """
     values, hooks = HIDDEN[name]

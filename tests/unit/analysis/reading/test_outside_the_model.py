@@ -524,7 +524,7 @@ def test_what_a_reading_shares_with_its_calibration_counts_once(rig, level, left
 
 @pytest.mark.parametrize("steps", [(1, -1, 2, 0, -2, 0), (3, -3), (1, 1, -2)])
 def test_a_source_that_fluctuates_is_known_by_its_sample_standard_deviation(rig, steps):
-    """s/√n, s with n − 1: of frames that differ by per cents, beside a noise of 0.05 %, to half a step of 12 %."""
+    """s/√n, s with n − 1: of frames that differ by per cents, with a noise of 0.05 %, to half a step of 12 %."""
     full, rng = rig.radiance_of_full_scale(1e-3), np.random.default_rng(7)
     frames = [rig.frame(np.full((12, 12), 0.5 * full * (1.0 + 0.02 * step)), 1e-3, rng) for step in steps]
     found = next(one for one in read(rig, calibrated(rig), frames=frames).budget if one.name == "source fluctuation")

@@ -1,4 +1,4 @@
-"""Readings of a chart of known radiances in many situations: the truth lies within what is stated."""
+"""Readings of a chart of known radiances in many situations: the truth is within what is stated."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Where pixels lie: by hand for a frame of 8 × 6 pixels, cropped, binned, and with an axis that is not its middle."""
+"""Places of pixels: by hand for a frame of 8 × 6 pixels, cropped, binned, and with an axis that is not its middle."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ FRAME = FrameGeometry.of_image(8, 6, pixel_spacing_um=5.0)
 
 
 def test_coordinates_count_pixels_of_the_sensor() -> None:
-    """From 0 at the upper left; a crop begins at its corner, a binned pixel lies in the middle of its own."""
+    """From 0 at the upper left; a crop begins at its corner, a binned pixel is in the middle of its four."""
     assert FRAME.x_px.tolist() == [list(range(8))]
     assert FRAME.y_px.tolist() == [[float(y)] for y in range(6)]
     assert FRAME.shape == (6, 8)
@@ -39,7 +39,7 @@ def test_the_axis_is_the_middle_or_as_stated() -> None:
 
 
 def test_sensor_and_screen_run_from_minus_one_to_one_over_the_longer_side() -> None:
-    """Half of 8 pixels is 1; a screen turned by 90° exchanges its axes, a shifted one lies beside."""
+    """Half of 8 pixels is 1; a screen turned by 90° exchanges its axes, a shifted one is next to it."""
     for x, y in (FRAME.sensor_xy(), FRAME.screen_xy()):
         assert np.broadcast_to(x, FRAME.shape)[0] == pytest.approx((np.arange(8) - 3.5) / 4.0)
         assert np.broadcast_to(y, FRAME.shape)[:, 0] == pytest.approx((np.arange(6) - 2.5) / 4.0)

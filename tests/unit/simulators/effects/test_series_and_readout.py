@@ -427,7 +427,7 @@ def test_a_sag_is_freed_to_either_side_of_an_exponential() -> None:
 
 
 def test_bands_of_a_flickering_lamp_have_the_variance_that_is_predicted() -> None:
-    """A row's light over random phases: (m·L·sinc(f·t))²/2 of 100 Hz in 2 ms, as frames show and tiles are told."""
+    """A row's light over random phases: (m·L·sinc(f·t))²/2 of 100 Hz in 2 ms, as frames and tiles have it."""
     effect = RollingShutterBanding(modulation=0.1, frequency_hz=100.0, row_time_s=2e-5)
     context, rng = _context(exposure_s=2e-3), np.random.default_rng(6)
     rows = np.array([effect.sample(np.full((5, 8), 1000.0), context, rng)[2, 0] for _ in range(4000)])
