@@ -46,19 +46,18 @@ def _from_elsewhere(path: str) -> str:
 
 def commands() -> str:
     """Return the reference of the command line, from the commands themselves."""
-    from radiometer.cli.admin.command_tree import command_tree
+    from radiometer.cli.tree import command_tree
 
     parts = ["# Commands\n\nMade from the command line itself. `radiometer man` prints the same as a manual page."]
     for one in command_tree():
         words = " ".join(one.path)
         usage = " ".join(
             [f"radiometer {words}", *(["COMMAND"] if one.below else []), *(["[OPTIONS]"] if one.options else [])]
-            + [word.names[0] if word.required else f"[{word.names[0]}]" for word in one.arguments]
+            + [name for name, _ in one.arguments]
         )
         heading = "##" if len(one.path) == 1 else "###"
         parts.append(f"{heading} `{words}`\n\n```\n{usage}\n```\n\n{_escaped(one.text)}")
-        rows = [(", ".join(word.names) + (f" {word.takes}" if word.takes else ""), word.said) for word in one.arguments]
-        rows += [(", ".join(word.names) + (f" {word.takes}" if word.takes else ""), word.said) for word in one.options]
+        rows = (*one.arguments, *one.options)
         if rows:
             parts.append("| | |\n|---|---|\n" + "\n".join(f"| `{name}` | {_cell(said)} |" for name, said in rows))
     return "\n\n".join(parts) + "\n"

@@ -16,7 +16,7 @@ import nbformat
 import pytest
 
 import radiometer
-from radiometer.cli.admin.command_tree import command_tree
+from radiometer.cli.tree import command_tree
 from simulators.effects.registry import EFFECTS
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(900)]
