@@ -11,10 +11,9 @@ from types import TracebackType
 from typing import Any
 
 import radiometer
-from radiometer.cli.commands import COMMANDS
+from radiometer.cli.commands import COMMANDS, COMPLETING
 from radiometer.errors import RadiometerError, UsageError
 
-_COMPLETING = "_RADIOMETER_COMPLETE"
 _INTRODUCTION = """\
 Usage: radiometer [-v] COMMAND [ARGUMENTS]
 
@@ -70,7 +69,7 @@ def overview() -> str:
 
 
 def _dispatch(arguments: list[str]) -> int:
-    if _COMPLETING in os.environ:  # a shell asks for the words that may follow; typer answers and leaves
+    if COMPLETING in os.environ:  # a shell asks for the words that may follow; typer answers and leaves
         from radiometer.cli.tree import group
 
         group().main(args=[], prog_name="radiometer")

@@ -17,8 +17,8 @@ from pathlib import Path
 
 import pytest
 
-from radiometer.cli.tree import command_tree
 from radiometer.cli.admin.man import manual_page
+from radiometer.cli.tree import command_tree
 from testing.patience import within
 
 ROOT = Path(__file__).resolve().parents[2]

@@ -6,6 +6,7 @@ from typing import Annotated, Final
 
 import typer
 
+from radiometer.cli.commands import COMPLETING
 from radiometer.errors import UsageError
 
 _SHELLS: Final = ("bash", "zsh", "fish")
@@ -20,8 +21,10 @@ def command(
     completion zsh > ~/.zfunc/_radiometer` with ~/.zfunc in fpath; fish: `radiometer completion fish >
     ~/.config/fish/completions/radiometer.fish`. File names are completed wherever no option fits.
     """
-    from typer.completion import get_completion_script
+    from typer.completion import shell_complete
+
+    from radiometer.cli.tree import group
 
     if shell not in _SHELLS:
         raise UsageError(f"there is no completion for {shell!r}; choose one of {', '.join(_SHELLS)}")
-    print(get_completion_script(prog_name="radiometer", complete_var="_RADIOMETER_COMPLETE", shell=shell))
+    shell_complete(group(), {}, "radiometer", COMPLETING, f"source_{shell}")

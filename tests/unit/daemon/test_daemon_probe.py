@@ -9,9 +9,9 @@ from typing import Any
 
 import pytest
 
-from radiometer.daemon import probe
+from radiometer.bench import daemon_probe as probe
+from radiometer.bench.daemon_probe import check_daemon
 from radiometer.daemon.http.server import HttpServer
-from radiometer.daemon.probe import check_daemon
 from radiometer.daemon.scpi.server import ScpiServer
 from radiometer.daemon.station import Station
 from radiometer.devices import Health
