@@ -241,7 +241,11 @@ if TYPE_CHECKING:
 
 def __getattr__(name: str) -> Any:
     if name not in _HOME_OF:
-        raise AttributeError(f"module 'radiometer' has no attribute {name!r}; it has {', '.join(__all__)}")
+        import difflib
+
+        close = difflib.get_close_matches(name.lower(), __all__, 1)
+        hint = f"did you mean {close[0]!r}?" if close else "dir(radiometer) lists the names"
+        raise AttributeError(f"module 'radiometer' has no attribute {name!r}; {hint}")
     return getattr(importlib.import_module(_HOME_OF[name]), name)
 
 

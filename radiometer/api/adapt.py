@@ -334,8 +334,8 @@ def adapt_retest(visits: Sequence[PathLike]) -> Retest:
     Examples:
         >>> import radiometer as rm
         >>> found = rm.adapt_retest(["thresholds.csv", "thresholds.csv"])
-        >>> {b - a for one in found.comparisons for a, b in one.visits}
-        {0.0}
+        >>> {b - a for one in found.comparisons for a, b in one.visits} == {0.0}
+        True
 
     Args:
         visits: Tables of thresholds: first and second visit of each subject, in turn.
