@@ -90,6 +90,7 @@ def import_capture(
         progress: Called while headers are read.
 
     Raises:
+        UsageError: If a table of statistics is not named alone.
         CaptureError: If the files cannot be read or contradict each other.
         OutputError: If the folder is not empty or cannot be written.
     """

@@ -125,6 +125,7 @@ def readings(
         clock: Steady clock in s.
 
     Raises:
+        UsageError: If a calibration is named and none is to be used.
         RadiometerError: As `measure`.
     """
     if calibration is not None and uncalibrated:

@@ -79,7 +79,20 @@ def capture_settings(
     ask: Ask | None = None,
     taken: Taken | None = None,
 ) -> CaptureSet:
-    """Capture the settings of a plan into a new folder and return what was written; arguments and errors as above."""
+    """Capture the settings of a plan into a new folder and return what was written.
+
+    Args:
+        out: As all further ones for `capture_exposures`.
+        camera: See there.
+        plan: Settings with what must be arranged for each.
+        config: See there.
+        ask: Arranges what a setting needs.
+        taken: See there.
+
+    Raises:
+        DeviceError: If the camera fails, or needs a hand and there is nobody to ask.
+        OutputError: If the folder exists or cannot be written.
+    """
 
     def asked(wish: str) -> None:
         if ask is None:
