@@ -14,7 +14,7 @@ from __future__ import annotations
 import importlib
 from typing import TYPE_CHECKING, Any
 
-__version__ = "0.1.0"
+__version__ = "0.2.0"
 
 # Where each public name is defined; a new one stands here and in the list below for type checkers. The daemon's are not
 # in that list: the daemon builds on what this package lists, and a type checker would go round in a circle.

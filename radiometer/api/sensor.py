@@ -17,7 +17,7 @@ from radiometer.analysis.characterise.emva_export import export_descriptor
 from radiometer.analysis.characterise.report import datasheet
 from radiometer.analysis.characterise.report_plots import draw_telling
 from radiometer.analysis.characterise.subject import with_known_radiance
-from radiometer.analysis.characterise.symbols import SYMBOLS
+from radiometer.analysis.characterise.symbols import SYMBOLS, as_printed
 from radiometer.api.files import PathLike
 from radiometer.api.meter import PatchLike, as_patch
 from radiometer.api.result import Ask, Progress, Result
@@ -79,9 +79,13 @@ class Sensor(Result):
         """Return one figure. Raises KeyError for one that the frames do not give."""
         return self.figures[symbol]
 
-    def named_figures(self) -> list[tuple[str, str, Quantity]]:
-        """Return sign, meaning and value of every figure, in the order of the standard."""
-        return [(one.sign, one.meaning, self[key]) for key, one in SYMBOLS.items() if key in self.figures]
+    def rows(self) -> list[tuple[str, str, str, str, str]]:
+        """Return sign, meaning, value, U (k = 2) and unit of every figure as it is printed, in the standard's order."""
+        return [
+            (one.sign, one.meaning, *as_printed(key, self[key]), "" if self[key].unit == "1" else self[key].unit)
+            for key, one in SYMBOLS.items()
+            if key in self.figures
+        ]
 
     def to_csv(self, path: PathLike) -> None:
         """Write `symbol,value,u,unit`. Raises UsageError for another ending, OutputError if it fails."""

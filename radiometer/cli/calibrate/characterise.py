@@ -11,7 +11,6 @@ import radiometer as rm
 from radiometer.cli.arguments import parse_patch, parse_relative
 from radiometer.cli.console import asker, console, note, progress
 from radiometer.cli.options import BenchOption, ReportOption
-from radiometer.reporting.numbers import rounded
 
 
 def command(
@@ -70,9 +69,8 @@ def _show(found: rm.Sensor) -> None:
     table = Table(title=f"EMVA 1288 figures at {result.gain_db:g} dB", title_justify="left")
     for heading in ("symbol", "figure", "value", "U (k = 2)", "unit"):
         table.add_column(heading, justify="right" if heading in ("value", "U (k = 2)") else "left")
-    for sign, meaning, figure in found.named_figures():
-        value, expanded = rounded(figure.value, 2 * figure.u)
-        table.add_row(sign, meaning, value, expanded, "" if figure.unit == "1" else figure.unit)
+    for row in found.rows():
+        table.add_row(*row)
     out.print(table)
     for remark in result.notes:
         out.print(f"[yellow]note[/yellow]  {remark}")
