@@ -239,6 +239,11 @@ if TYPE_CHECKING:
     from radiometer.errors import UsageError as UsageError
 
 
+def home_of(name: str) -> str:
+    """Return the module in which a public name is defined."""
+    return _HOME_OF[name]
+
+
 def __getattr__(name: str) -> Any:
     if name not in _HOME_OF:
         import difflib

@@ -241,7 +241,7 @@ def simulate_box(
         subject: Simulated subject before it: "steady", "never", "always", "leaves".
         filter_density: Density of the neutral filter between spot and subject.
         ready: Called with the name of its port once it is served.
-        entered: Waits so many seconds and tells whether somebody wants the button pressed.
+        entered: Waits so many seconds and returns whether the button is to be pressed.
 
     Raises:
         UsageError: If the serial number or the subject is not possible.

@@ -98,7 +98,7 @@ def import_capture(
     out, options = Path(output), ImportOptions(as_patch(crop), sample, full_scale, pedestal)
     table = statistics_of(paths[0]) if paths[0].exists() else None
     if table is not None and len(paths) > 1:
-        raise UsageError("a table of statistics is a source of its own; name it alone")
+        raise UsageError("a table of statistics is a separate source; name it alone")
     if out.exists() and (not out.is_dir() or any(out.iterdir())):
         raise OutputError(f"{out} exists already and is not empty; name a new folder")
     return Imported(_of_table(table, out) if table is not None else _of_files(paths, options, out, progress))

@@ -67,7 +67,7 @@ Lit = Callable[[LitChannel], None]
 
 
 def _unwatched(lit: LitChannel) -> None:
-    """Take a report that nobody wants to see before the light is over."""
+    """Drop a report."""
 
 
 def light_set(

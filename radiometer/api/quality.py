@@ -119,7 +119,7 @@ def quality_take(
 
     Raises:
         UsageError: If there is no such procedure or step.
-        DeviceError: If the camera fails, or several steps are missing and there is nobody to ask.
+        DeviceError: If the camera fails, or several steps are missing and `ask` is missing.
     """
     wanted = procedure_named(procedure)
     folder = Path(session) / wanted.name

@@ -19,7 +19,7 @@ _LONGEST_LIST: Final = 12  # entries of a list that a notebook shows; longer one
 
 
 def unheard(line: str) -> None:
-    """Take a notice that nobody wants to read."""
+    """Drop a notice."""
 
 
 class Result:

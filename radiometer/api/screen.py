@@ -70,7 +70,7 @@ class CalibratedScreen(Result):
 
 @dataclass(frozen=True, repr=False)
 class ScreenLevel(Result):
-    """The level that shows a wanted value.
+    """The level that shows a requested value.
 
     Attributes:
         channel: Name of the channel.
@@ -183,7 +183,7 @@ def screen_calibrate(
 def screen_level(
     calibration: PathLike | ScreenCalibration, target: float, unit: str = "cd", channel: str = "grey"
 ) -> ScreenLevel:
-    """Find which level shows a wanted luminance or radiance.
+    """Find which level shows a requested luminance or radiance.
 
     Examples:
         >>> import radiometer as rm
@@ -193,7 +193,7 @@ def screen_level(
 
     Args:
         calibration: Screen calibration, or its file.
-        target: Wanted value.
+        target: Requested value.
         unit: "cd", "scotopic" (both cd·m⁻²) or "W" (W·sr⁻¹·m⁻²).
         channel: "grey", "red", "green" or "blue".
 

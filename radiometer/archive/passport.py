@@ -375,7 +375,7 @@ def _compared(name: str, sessions: Sequence[Session]) -> Change | None:
     pairs = list(itertools.combinations(known, 2))
     limit_sigmas = -float(ndtri(ndtr(-_CHANGED_SIGMAS) / len(pairs)))
     changed = [
-        (abs(difference.value) / max(difference.u, _TINY_U), f"{after.name} against {before.name} {_signed(difference)}")
+        (abs(difference.value) / max(difference.u, _TINY_U), _against(before, after, difference))
         for (before, one), (after, other) in pairs
         for difference in [Quantity(other.value - one.value, math.hypot(one.u, other.u), one.unit)]
         if abs(difference.value) > max(limit_sigmas * difference.u, _repeatability(name, one.value))
@@ -387,8 +387,9 @@ def _compared(name: str, sessions: Sequence[Session]) -> Change | None:
     return Change(name, True, f"{said}{degrees}: {max(changed)[1]}")
 
 
-def _signed(difference: Quantity) -> str:
-    return f"{difference.value:+.3g} ± {2.0 * difference.u:.2g} {difference.unit} (k = 2)"
+def _against(before: Session, after: Session, difference: Quantity) -> str:
+    size = f"{difference.value:+.3g} ± {2.0 * difference.u:.2g} {difference.unit} (k = 2)"
+    return f"{after.name} against {before.name} {size}"
 
 
 def _repeatability(name: str, value: float) -> float:

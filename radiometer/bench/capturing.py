@@ -24,7 +24,7 @@ def shutter_by_hand(camera: Camera, ask: Ask | None) -> Callable[[bool], None]:
     """Return what has the lens covered (True) and uncovered (False) by whoever is asked.
 
     Raises:
-        DeviceError: If there is nobody to ask.
+        DeviceError: If `ask` is missing.
     """
     if ask is None:
         raise DeviceError(
@@ -55,7 +55,7 @@ def capture_exposures(
         taken: Called after every frame with how many are taken, and of how many.
 
     Raises:
-        DeviceError: If the camera fails, or needs a hand and there is nobody to ask.
+        DeviceError: If the camera fails, or needs a hand and `ask` is missing.
         OutputError: If the folder exists or cannot be written.
     """
     by_hand = request.dark_frames and not camera.capabilities.has_shutter
@@ -90,7 +90,7 @@ def capture_settings(
         taken: See there.
 
     Raises:
-        DeviceError: If the camera fails, or needs a hand and there is nobody to ask.
+        DeviceError: If the camera fails, or needs a hand and `ask` is missing.
         OutputError: If the folder exists or cannot be written.
     """
 

@@ -133,7 +133,7 @@ def serve_box(
         reset_every_s: Restart the box this often; None for never.
         press_every_s: Press the button this often; None for never.
         ready: Called with the name of its port once it is served.
-        entered: Waits so many seconds and tells whether somebody wants the button pressed.
+        entered: Waits so many seconds and returns whether the button is to be pressed.
 
     Raises:
         UsageError: If the serial number or the subject is not possible.

@@ -20,7 +20,7 @@ def console(*, to_stderr: bool = False) -> Console:
 
 
 def note(message: str) -> None:
-    """Say something beside the result, on standard error."""
+    """Print a line on standard error, next to the result."""
     print(message, file=sys.stderr)
 
 
