@@ -66,7 +66,9 @@ _HOMES = {
         "ButtonPress",
         "CalibratedBox",
         "Darkness",
+        "ExposureAccount",
         "LitChannel",
+        "light_account",
         "light_blink",
         "light_calibrate",
         "light_off",
@@ -133,6 +135,7 @@ _HOMES = {
         "CalibrationError",
         "CaptureError",
         "ConfigurationError",
+        "DamagedFileError",
         "DeviceError",
         "DeviceInUse",
         "DeviceLost",
@@ -145,6 +148,7 @@ _HOMES = {
         "RadiometerError",
         "SettingOutOfRange",
         "UnsafeStimulus",
+        "UnsettledError",
         "UsageError",
     ),
 }
@@ -186,7 +190,9 @@ if TYPE_CHECKING:
     from radiometer.api.light import ButtonPress as ButtonPress
     from radiometer.api.light import CalibratedBox as CalibratedBox
     from radiometer.api.light import Darkness as Darkness
+    from radiometer.api.light import ExposureAccount as ExposureAccount
     from radiometer.api.light import LitChannel as LitChannel
+    from radiometer.api.light import light_account as light_account
     from radiometer.api.light import light_blink as light_blink
     from radiometer.api.light import light_calibrate as light_calibrate
     from radiometer.api.light import light_off as light_off
@@ -224,6 +230,7 @@ if TYPE_CHECKING:
     from radiometer.errors import CalibrationError as CalibrationError
     from radiometer.errors import CaptureError as CaptureError
     from radiometer.errors import ConfigurationError as ConfigurationError
+    from radiometer.errors import DamagedFileError as DamagedFileError
     from radiometer.errors import DeviceError as DeviceError
     from radiometer.errors import DeviceInUse as DeviceInUse
     from radiometer.errors import DeviceLost as DeviceLost
@@ -236,6 +243,7 @@ if TYPE_CHECKING:
     from radiometer.errors import RadiometerError as RadiometerError
     from radiometer.errors import SettingOutOfRange as SettingOutOfRange
     from radiometer.errors import UnsafeStimulus as UnsafeStimulus
+    from radiometer.errors import UnsettledError as UnsettledError
     from radiometer.errors import UsageError as UsageError
 
 

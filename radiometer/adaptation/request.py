@@ -59,3 +59,8 @@ class RunRequest:
     def __post_init__(self) -> None:
         if self.eye not in EYES:
             raise UsageError(f"--eye {self.eye}: {' or '.join(EYES)}")
+
+    @property
+    def whose(self) -> str | None:
+        """Return whose eye looks, such as "S07 right", for the account of its exposure; None of no known subject."""
+        return f"{self.subject} {self.eye}" if self.subject else None

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, ExitStack, contextmanager
 from dataclasses import dataclass, field
@@ -24,6 +23,7 @@ from radiometer.adaptation.screen_stage import ScreenStage
 from radiometer.adaptation.simulated_stage import simulated_stage
 from radiometer.adaptation.stage import DescribedStage, Stage
 from radiometer.bench.box_holder import darken_held
+from radiometer.data.json_text import json_text
 from radiometer.errors import UsageError
 
 Watcher = Callable[[Event], None]
@@ -67,7 +67,7 @@ class Session:
     @staticmethod
     def event_json(event: Event) -> str:
         """Return an event as one line of JSON, as the journal holds it."""
-        return json.dumps(event, ensure_ascii=False)
+        return json_text(event)
 
     def live_text(self) -> LiveText:
         """Return the running test as lines of text, with what the journal holds already."""

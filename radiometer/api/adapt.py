@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager, ExitStack
@@ -30,6 +29,7 @@ from radiometer.adaptation.threshold_series import ThresholdSeries
 from radiometer.api.files import PathLike
 from radiometer.api.result import Notice, Result, unheard
 from radiometer.data.guards import safe_name
+from radiometer.data.json_text import json_text
 from radiometer.data.storage import write_text_atomic
 from radiometer.errors import MeasurementError, UsageError
 
@@ -371,7 +371,7 @@ class Protocols(Result):
 
     def to_json(self) -> str:
         """Return the documented JSON form: a list."""
-        return json.dumps([one.model_dump() for one in self.protocols])
+        return json_text([one.model_dump() for one in self.protocols])
 
     def to_mapping(self) -> dict[str, Any]:
         """Return the protocols by name."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import shutil
+import os
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,34 +11,9 @@ from typing import Any
 from radiometer.api.files import PathLike
 from radiometer.api.meter import PatchLike, as_patch
 from radiometer.api.result import Progress, Result
-from radiometer.data import CaptureHeader
-from radiometer.errors import OutputError, UsageError
-from radiometer.importing import ImportOptions, ImportRecord, copy_into, import_sources, imported_of, statistics_of
-from radiometer.importing.assembly import Assembled
-from radiometer.importing.record import record_in
-from radiometer.importing.sources import as_capture, write_statistics
-
-
-@dataclass(frozen=True, repr=False)
-class ImportedSet:
-    """One capture set that was written.
-
-    Attributes:
-        path: Its folder.
-        record: What was taken from where, what is missing, what is doubted.
-        frames: Number of frames; 0 for statistics without pictures.
-        settings: Number of settings of such statistics.
-    """
-
-    path: Path
-    record: ImportRecord
-    frames: int = 0
-    settings: int = 0
-
-    def to_mapping(self) -> dict[str, Any]:
-        """Return the documented JSON form."""
-        counted = {"frames": self.frames} if self.frames else {"settings": self.settings}
-        return {"path": str(self.path), **counted, **self.record.to_mapping()}
+from radiometer.data.statements import StatementMap
+from radiometer.importing import ImportOptions, import_into
+from radiometer.importing.sources import WrittenSet
 
 
 @dataclass(frozen=True, repr=False)
@@ -49,11 +24,11 @@ class Imported(Result):
         capture_sets: One per camera and band.
     """
 
-    capture_sets: tuple[ImportedSet, ...]
+    capture_sets: tuple[WrittenSet, ...]
 
     def to_mapping(self) -> dict[str, Any]:
         """Return the documented JSON form."""
-        return {"capture_sets": [one.to_mapping() for one in self.capture_sets]}
+        return {"capture_sets": [_mapping(one) for one in self.capture_sets]}
 
     def __str__(self) -> str:
         """Return folders with what they hold."""
@@ -71,6 +46,7 @@ def import_capture(
     sample: int = 1,
     full_scale: float | None = None,
     pedestal: float = 0.0,
+    mapped: StatementMap | Sequence[str] = (),
     progress: Progress | None = None,
 ) -> Imported:
     """Turn frames and tables of any laboratory into capture sets.
@@ -87,46 +63,26 @@ def import_capture(
         sample: Keep every n-th row and column.
         full_scale: Full scale of files with 32-bit or floating-point numbers.
         pedestal: Value added to every pixel, where numbers go below zero.
+        mapped: Where a fact stands, and its unit: "exposure=IMG_EXP:ms", "gain=GAIN:0.1dB", or a YAML file of such.
         progress: Called while headers are read.
 
     Raises:
         UsageError: If a table of statistics is not named alone.
+        UnsettledError: If a number has no unit that is known.
         CaptureError: If the files cannot be read or contradict each other.
         OutputError: If the folder is not empty or cannot be written.
     """
-    paths = [Path(one) for one in ([sources] if isinstance(sources, str | Path) else list(sources))]  # type: ignore[arg-type]
-    out, options = Path(output), ImportOptions(as_patch(crop), sample, full_scale, pedestal)
-    table = statistics_of(paths[0]) if paths[0].exists() else None
-    if table is not None and len(paths) > 1:
-        raise UsageError("a table of statistics is a separate source; name it alone")
-    if out.exists() and (not out.is_dir() or any(out.iterdir())):
-        raise OutputError(f"{out} exists already and is not empty; name a new folder")
-    return Imported(_of_table(table, out) if table is not None else _of_files(paths, options, out, progress))
+    several = [sources] if isinstance(sources, str | os.PathLike) else sources
+    stated = mapped if isinstance(mapped, StatementMap) else StatementMap.parse(mapped)
+    options = ImportOptions(as_patch(crop), sample, full_scale, pedestal, stated)
 
-
-def _of_table(header: CaptureHeader, out: Path) -> tuple[ImportedSet, ...]:
-    write_statistics(header, out)
-    return (ImportedSet(out, record_in(header), settings=len(header.statistics)),)
-
-
-def _of_files(
-    sources: list[Path], options: ImportOptions, out: Path, progress: Progress | None
-) -> tuple[ImportedSet, ...]:
     def advance(done: int, total: int) -> None:
         if progress:
             progress("reading headers", done, total)
 
-    found, existed = import_sources(sources, options, advance), out.exists()
-    try:
-        return tuple(_copied(one, out if len(found) == 1 else out / one.title, sources[0], options) for one in found)
-    except BaseException:
-        # Of several cameras all are written or none.
-        shutil.rmtree(out, ignore_errors=True)
-        if existed:
-            out.mkdir(exist_ok=True)
-        raise
+    return Imported(tuple(import_into([Path(one) for one in several], Path(output), options, advance)))
 
 
-def _copied(one: Assembled, out: Path, source: Path, options: ImportOptions) -> ImportedSet:
-    written = copy_into(as_capture(one, source, options), out)
-    return ImportedSet(out, imported_of(written), frames=len(written))
+def _mapping(one: WrittenSet) -> dict[str, Any]:
+    counted = {"frames": one.frames} if one.frames else {"settings": one.settings}
+    return {"path": str(one.path), **counted, **one.record.to_mapping()}

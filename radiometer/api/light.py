@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Final
 
@@ -12,8 +12,18 @@ from radiometer.api.files import PathLike
 from radiometer.api.meter import PatchLike, as_patch
 from radiometer.api.result import Notice, Progress, Result, unheard
 from radiometer.bench.box_holder import ask_for_darkness, held_boxes
-from radiometer.bench.boxes import SIMULATED, OpenedBox, calibration_file, open_light_box
+from radiometer.bench.boxes import (
+    SIMULATED,
+    ExposureReport,
+    OpenedBox,
+    calibration_file,
+    confirm_no_exposure,
+    exposure_reports,
+    open_light_box,
+    require_known_box,
+)
 from radiometer.bench.light_bench import SurveyRequest, open_light_camera, survey_box
+from radiometer.data.json_text import json_text
 from radiometer.data.light_calibration import LevelChoice, LightCalibration
 from radiometer.devices import ChannelMode, ChannelState, CurrentRange, DriveLevel, Radiance
 from radiometer.devices.light_box import Level
@@ -348,6 +358,68 @@ def light_watch_buttons(
             yield ButtonPress(event.pressed, event.time_s - start_s, event.u_time_s)
             if count is not None and presses >= count:
                 return
+
+
+@dataclass(frozen=True, repr=False)
+class ExposureAccount(Result):
+    """What boxes and eyes have used up of the blue-light limit within 10⁴ s.
+
+    Attributes:
+        reports: One per box and eye.
+    """
+
+    reports: tuple[ExposureReport, ...]
+
+    def to_json(self) -> str:
+        """Return the documented JSON form: a list."""
+        return json_text([asdict(one) for one in self.reports])
+
+    def to_mapping(self) -> dict[str, Any]:
+        """Return the reports by name."""
+        return {one.name: asdict(one) for one in self.reports}
+
+    def lines(self) -> list[str]:
+        """Return a line for every box and eye."""
+        return [_account_line(one) for one in self.reports]
+
+    def __str__(self) -> str:
+        """Return how many boxes and eyes are known."""
+        return f"{len(self.reports)} boxes and eyes"
+
+
+def _account_line(one: ExposureReport) -> str:
+    if one.unknown_for_s > 0:
+        minutes = -(-one.unknown_for_s // 60)
+        return f"{one.name}: its history is unknown; it counts as used up for {minutes:.0f} min"
+    free = f"; free again in {-(-one.frees_in_s // 60):.0f} min" if one.blue_light > 0 else ""
+    return f"{one.name}: {100 * one.blue_light:.3g} % of the blue-light limit within 10⁴ s{free}"
+
+
+def light_account(box: str | None = None, *, confirm_unexposed: bool = False) -> ExposureAccount:
+    """Return how much of the blue-light limit boxes and eyes have used up within 10⁴ s.
+
+    A box without a history on this computer counts as used up, and so does every box where the account was lost,
+    damaged or from the future. That ends after 10⁴ s, or with `confirm_unexposed`.
+
+    Examples:
+        >>> import radiometer as rm
+        >>> isinstance(rm.light_account().lines(), list)
+        True
+
+    Args:
+        box: Serial number of a light box; all by default.
+        confirm_unexposed: State that no eye that will look into the box saw its light, or another light as bright, in
+            the last 10⁴ s.
+
+    Raises:
+        UsageError: If the account does not know the box, or none is named to confirm.
+        UnsafeStimulus: If the account cannot be read or stored.
+    """
+    if box is not None or confirm_unexposed:
+        box = require_known_box(box)
+    if confirm_unexposed:
+        confirm_no_exposure(box or "")
+    return ExposureAccount(tuple(one for one in exposure_reports() if box is None or one.name == f"box {box}"))
 
 
 @dataclass(frozen=True, repr=False)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -17,6 +16,7 @@ from radiometer.api.meter import PatchLike, as_patch
 from radiometer.api.result import Ask, Progress, Result
 from radiometer.bench.quality_session import chosen_steps, procedure_named, take_step
 from radiometer.data import Calibration, SpectralResponse
+from radiometer.data.json_text import json_text
 from radiometer.errors import DeviceError
 
 
@@ -32,7 +32,7 @@ class QualityPlan(Result):
 
     def to_json(self) -> str:
         """Return the documented JSON form: a list of the procedures."""
-        return json.dumps([asdict(one) for one in self.procedures], ensure_ascii=False)
+        return json_text([asdict(one) for one in self.procedures])
 
     def to_mapping(self) -> dict[str, Any]:
         """Return the procedures by name."""

@@ -16,6 +16,7 @@ from radiometer.api.files import PathLike, Stack
 from radiometer.api.response import Response
 from radiometer.data import BlackLevel, Bracket, Calibration, PixelMask, RadianceMap, Scale, SensorNoise
 from radiometer.data.drawing import new_axes, picture
+from radiometer.data.pile_up import with_white_levels
 from radiometer.errors import MissingLibrary, UsageError
 
 if TYPE_CHECKING:
@@ -210,7 +211,8 @@ def merge(
     bracket = stack.bracket
     if response is not None:
         known = _without_scale(response, stack, bracket)
-    return Radiance(merge_bracket(bracket, stack.camera, stack.lens, known))
+    shown = Bracket.from_frames(with_white_levels([*bracket.dark_frames, *bracket.frames]), origin=bracket.origin)
+    return Radiance(merge_bracket(shown, stack.camera, stack.lens, known))
 
 
 def _without_scale(response: Response, stack: Stack, bracket: Bracket) -> Calibration:

@@ -12,6 +12,7 @@ from radiometer.api.meter import PatchLike, as_patch
 from radiometer.api.result import Notice, Progress, Result, unheard
 from radiometer.bench.screen import BROWSER, lights, open_screen_bench, primaries_of
 from radiometer.data import Quantity
+from radiometer.data.statements import StatementMap
 from radiometer.errors import UsageError
 from radiometer.screen.calibration import LUMINANCE, RADIANCE, SCOTOPIC, ChannelCurve, ScreenCalibration
 from radiometer.screen.calibration_run import Options, calibrate_screen
@@ -32,17 +33,20 @@ class CalibratedScreen(Result):
         calibration: Its channels, checks and provenance.
         file: The file; None where none was written.
         taken: What was made of the file that it was imported from, a line each.
+        doubts: What that file leaves open and how it was read, a line each.
         left_out: Channels of that file whose spectra are not known.
     """
 
     calibration: ScreenCalibration
     file: Path | None
     taken: tuple[str, ...] = ()
+    doubts: tuple[str, ...] = ()
     left_out: tuple[str, ...] = ()
 
     def to_mapping(self) -> dict[str, Any]:
         """Return the documented JSON form."""
-        return {"file": None if self.file is None else str(self.file), **self.calibration.to_mapping()}
+        report = {"taken": list(self.taken), "doubts": list(self.doubts)} if self.taken or self.doubts else {}
+        return {"file": None if self.file is None else str(self.file), **report, **self.calibration.to_mapping()}
 
     def luminance_range(self, curve: ChannelCurve) -> tuple[Quantity, Quantity]:
         """Return the luminance of a channel's darkest and brightest level in cd·m⁻²."""
@@ -244,6 +248,7 @@ def screen_import(
     meter_u_rel: float = METER_U_REL,
     white_luminance: float | None = None,
     gamma: float = 2.2,
+    mapped: StatementMap | Sequence[str] = (),
 ) -> CalibratedScreen:
     """Make a screen calibration of measurements made elsewhere, with their uncertainty.
 
@@ -261,19 +266,23 @@ def screen_import(
         meter_u_rel: Relative standard uncertainty of the meter's scale.
         white_luminance: Luminance of white in cd·m⁻², which a .cal does not hold.
         gamma: Exponent that a .cal was made for.
+        mapped: Column of a table and its unit: "level=drive:8bit", "luminance=Y:cd/m2"; or a YAML file.
 
     Raises:
+        UnsettledError: If a table's columns or units are not known.
         InputError: If the file cannot be read or holds too few levels.
         OutputError: If the calibration cannot be written.
     """
-    readings = read_screen_readings(Path(file), white_luminance, gamma)
+    stated = mapped if isinstance(mapped, StatementMap) else StatementMap.parse(mapped)
+    readings = read_screen_readings(Path(file), white_luminance, gamma, stated)
     if name is not None:
         readings = replace(readings, name=name)
     found = imported(readings, lights(white, primaries), meter_u_rel, Path(file).name)
     if out is not None:
         found.write(Path(out))
     left_out = tuple(sorted(set(readings.primaries) - set(found.channels)))
-    return CalibratedScreen(found, Path(out) if out is not None else None, tuple(readings.taken), left_out)
+    place = Path(out) if out is not None else None
+    return CalibratedScreen(found, place, tuple(readings.taken), tuple(readings.doubts), left_out)
 
 
 def _kinds(names: Sequence[str]) -> list[str]:

@@ -5,12 +5,11 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import replace
-from fractions import Fraction
 from typing import TYPE_CHECKING, Final, overload
 
 import radiometer as rm
 from radiometer.errors import UsageError
-from radiometer.units import exact_f_number
+from radiometer.units import exact_f_number, read_number, unit_of
 
 # Printed f-numbers lie this near to the exact stop behind them.
 _SAME_STOP_REL: Final = 0.03
@@ -19,7 +18,6 @@ if TYPE_CHECKING:
     from radiometer import Patch
     from radiometer.data import Bracket, Calibration
     from radiometer.data.iso_speeds import IsoSpeeds
-
 
 _LONGEST_BARE_EXPOSURE_S: Final = 30.0  # the longest time that shutters offer; 60 and more are meant as 1/60 …
 _F_NUMBERS: Final = (0.5, 256.0)  # the least that a lens in air can have, and a pinhole's
@@ -66,15 +64,14 @@ def parse_seconds(text: str | None, option: str) -> float | None:
     """
     if not text:
         return None
-    scale, number = 1.0, text.strip()
-    for ending, factor in (("us", 1e-6), ("µs", 1e-6), ("ms", 1e-3), ("s", 1.0)):
-        if number.endswith(ending):
-            scale, number = factor, number[: -len(ending)].strip()
-            break
     try:
-        seconds = float(Fraction(number)) * scale if "/" in number else float(number) * scale
-    except (ValueError, ZeroDivisionError) as error:
+        number, spelling = read_number(text)
+    except ValueError as error:
         raise UsageError(f"{option} {text!r}: expected a time such as 0.008, 1/125, 8ms or 500us") from error
+    unit = unit_of(spelling or "s", "exposure")
+    if unit is None:
+        raise UsageError(f"{option} {text!r}: {spelling!r} is no unit of time; use s, ms, us, ns or min")
+    seconds = unit.to_base(number)
     if not (math.isfinite(seconds) and seconds > 0):
         raise UsageError(f"{option} {text!r}: a time must be above 0")
     return seconds

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal, Protocol, Self
 
@@ -21,6 +21,7 @@ from radiometer.data.capture_header import (
 from radiometer.data.decoding import decoded
 from radiometer.data.frame import MASKED_PIXELS, DigitalNumbers, Frame, FrameSettings
 from radiometer.data.guards import refuse_large_picture
+from radiometer.data.pile_up import streamed_with_white_levels
 from radiometer.data.raw_files import RAW_SUFFIXES, read_raw_colours
 from radiometer.data.storage import read_yaml
 from radiometer.data.validation import FileSection, validate
@@ -211,7 +212,8 @@ class CaptureSet:
             dn = dn.astype(np.uint16)
         masked = (entry.model_extra or {}).get(MASKED_PIXELS)
         extra = {} if masked is None else {MASKED_PIXELS: masked}
-        frame = Frame(dn, bit_depth, entry.settings, frame_id=index, extra=extra)
+        settings = replace(entry.settings, white_level=self.header.camera.white_level)
+        frame = Frame(dn, bit_depth, settings, frame_id=index, extra=extra)
         highest = int(dn.max(initial=0))
         if highest > self.header.camera.full_scale_dn:
             raise CaptureError(
@@ -229,14 +231,14 @@ class CaptureSet:
         return self.store.read(file) if self.store else read_digital_numbers(self.path / file)
 
     def frames(self) -> Iterator[Frame]:
-        """Yield all frames in the header's order, one in memory at a time.
+        """Yield all frames in the header's order with the white level that they show together, few in memory at a time.
 
         Raises:
             CaptureError: If a file is unreadable or sizes differ.
         """
         shape: tuple[int, int] | None = None
-        for index, entry in enumerate(self.header.frames):
-            frame = self.read_frame(index)
+        settings = [entry.settings for entry in self.header.frames]
+        for entry, frame in zip(self.header.frames, streamed_with_white_levels(settings, self.read_frame), strict=True):
             if shape is not None and frame.shape != shape:
                 raise CaptureError(
                     f"{self.path / entry.file}: is {frame.shape[1]} × {frame.shape[0]} pixels, the frames before "

@@ -43,6 +43,7 @@ from radiometer.data import (
     RadianceMap,
 )
 from radiometer.data.reading import RADIANCE_UNIT, RELATIVE_UNIT
+from radiometer.data.white_level import white_level_notes
 from radiometer.errors import MeasurementError
 
 MOST_FRAMES = 64
@@ -479,6 +480,7 @@ class StreamingMerge:
         self._doubt_falloff(*images[:2])
         repair_defects(*images, calibration.defects if calibration else ())
         numbers = {terms.settings.f_number or self._situation.lens.f_number for terms in self._terms}
+        white = white_level_notes(terms.settings.white_level for terms in self._terms)
         not_in_u = (*self._stray_light(images[0]), *self._exposure_offset(), *self._bend(), *self._light())
         return RadianceMap(
             *images,
@@ -487,8 +489,12 @@ class StreamingMerge:
             exposures_s=tuple(sorted({terms.settings.exposure_s for terms in self._terms})),
             provenance=Provenance(
                 "maximum-likelihood merge",
-                assumptions=(*self._situation.assumptions, *not_in_u),
-                parameters={"frames": len(self._terms), "dark_frames": len(self._dark)},
+                assumptions=(*self._situation.assumptions, *white, *not_in_u),
+                parameters={
+                    "frames": len(self._terms),
+                    "dark_frames": len(self._dark),
+                    "saturated_dn": sorted({terms.high_dn for terms in self._terms}),
+                },
             ),
             not_in_u=not_in_u,
         )

@@ -144,7 +144,7 @@ def _pairwise_rise(bracket: Bracket) -> NDArray[np.float64]:
     step = max(1, int(np.sqrt(np.prod(bracket.shape) / _COMPARED_PIXELS)))
     full_scale = bracket.frames[0].full_scale_dn
     pixels = np.array([frame.dn[::step, ::step].ravel().astype(np.float32) for frame in bracket])
-    inside = (pixels > 0) & (pixels < full_scale)
+    inside = (pixels > 0) & (pixels < min(frame.saturated_dn for frame in bracket.frames))
     count = len(bracket)
     rise = np.zeros((count, count))
     for i in range(count):

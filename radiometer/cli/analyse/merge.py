@@ -215,6 +215,8 @@ def _merge_capture(
 
 def _frames(capture: CaptureSet, pattern: str | None, step: Any) -> Iterator[Frame]:
     """Yield dark frames, then the light frames of one pattern at the source's highest level, one at a time."""
+    from radiometer.data.pile_up import streamed_with_white_levels
+
     entries = capture.header.frames
     wanted = pattern or next((e.pattern for e in entries if e.shutter == "open" and e.source_level > 0), "default")
     dark = [i for i, entry in enumerate(entries) if entry.shutter == "closed"]
@@ -224,8 +226,11 @@ def _frames(capture: CaptureSet, pattern: str | None, step: Any) -> Iterator[Fra
         raise CaptureError(f"{capture.path}: holds no lit frame of pattern {wanted!r}; there are: {there}")
     level = max(entries[i].source_level for i in light)
     light = [i for i in light if entries[i].source_level == level]
-    for index in (*dark, *sorted(light, key=lambda i: entries[i].settings.effective_exposure_s)):
-        yield capture.read_frame(index)
+    order = [*dark, *sorted(light, key=lambda i: entries[i].settings.effective_exposure_s)]
+    for frame in streamed_with_white_levels(
+        [entries[i].settings for i in order], lambda place: capture.read_frame(order[place])
+    ):
+        yield frame
         step()
 
 

@@ -122,18 +122,27 @@ def import_command(
         float | None, typer.Option(min=1e-6, help="Luminance of white in cd/m², which a .cal does not hold.")
     ] = None,
     gamma: Annotated[float, typer.Option(min=0.1, max=10.0, help="Exponent that a .cal was made for.")] = 2.2,
+    mapped: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--map", help="Column of a table and its unit: level=drive:8bit, luminance=Y:cd/m2; or a YAML file."
+        ),
+    ] = None,
     json: JsonOption = False,
 ) -> None:
     """Make a screen calibration of measurements made elsewhere, with their uncertainty."""
     found = rm.screen_import(
         file, out, name=name, white=white, primaries=primaries,
         meter_u_rel=parse_relative(meter_u_rel, "--meter-u-rel") or 0.0, white_luminance=white_luminance, gamma=gamma,
+        mapped=mapped or (),
     )  # fmt: skip
     if json:
         print(found.to_json())
         return
     for line in found.taken:
         note(f"taken: {line}")
+    for line in found.doubts:
+        note(f"doubt: {line}")
     if found.left_out:
         names = ", ".join(found.left_out)
         note(f"{names} left out: their spectra are not known; --primaries names a display type or a CSV")

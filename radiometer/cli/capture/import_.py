@@ -29,18 +29,25 @@ def command(
     pedestal: Annotated[
         float, typer.Option(help="Value added to every pixel, where numbers go below zero (processed frames).")
     ] = 0.0,
+    mapped: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--map",
+            help="Where a fact stands, and its unit: exposure=IMG_EXP:ms, gain=GAIN:0.1dB, or a YAML file of such.",
+        ),
+    ] = None,
     json: JsonOption = False,
 ) -> None:
     """Turn frames and tables of any laboratory into capture sets.
 
-    Says what was taken from where, what is missing, and what is doubted: a file called 1 s whose header says 60 s, a
-    black level tag that the masked rows contradict. Frames of several cameras or bands become a capture set each, in
-    folders of their names.
+    Reports what was taken from where, what is missing, what is doubted and what of the files is not used. A number
+    without a known unit stops the import; --map settles it. Frames of several cameras, bands or gains of unknown unit
+    become a capture set each, in folders of their names.
     """
     with progress(shown=not json) as shown:
         found = rm.import_capture(
             sources, output, crop=parse_patch(crop), sample=sample, full_scale=full_scale, pedestal=pedestal,
-            progress=shown,
+            mapped=mapped or (), progress=shown,
         )  # fmt: skip
     if json:
         print(found.to_json())
@@ -48,7 +55,7 @@ def command(
     for one in found.capture_sets:
         what = f"{one.frames} frames" if one.frames else f"statistics of {one.settings} settings"
         note(f"{one.path}: {what}")
-        report = one.to_mapping()
-        for title in ("taken", "missing", "doubts", "left_out"):
+        report = one.record.to_mapping()
+        for title in ("mapped", "taken", "missing", "doubts", "not_used", "left_out"):
             for line in report[title]:
                 note(f"  {title.replace('_', ' ')}: {line}")

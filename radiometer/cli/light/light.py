@@ -171,6 +171,32 @@ def calibrate(
     console().print(f"written    {found.file}")
 
 
+@app.command()
+def account(
+    box: Annotated[str | None, typer.Option("--box", help="Serial number of a light box; all by default.")] = None,
+    confirm_no_exposure: Annotated[
+        bool,
+        typer.Option(
+            "--confirm-no-exposure",
+            help="State that no eye that will look into the box saw its light, or another light as bright, in the last"
+            " 10⁴ s (2 h 47 min).",
+        ),
+    ] = False,
+    json: JsonOption = False,
+) -> None:
+    """Show how much of the blue-light limit boxes and eyes have used up within 10⁴ s.
+
+    A box without a history on this computer counts as used up, and so does every box where the account was lost,
+    damaged or from the future. That ends after 10⁴ s, or with --confirm-no-exposure.
+    """
+    found = rm.light_account(box, confirm_unexposed=confirm_no_exposure)
+    if json:
+        print(found.to_json())
+        return
+    for line in found.lines() or ["no light box was opened on this computer yet"]:
+        console().print(line)
+
+
 def _show_lit(found: rm.LitChannel, *, json: bool) -> None:
     """Print what a channel does now and, where a radiance was asked for, the one that it really gives."""
     if json:

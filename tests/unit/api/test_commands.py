@@ -73,6 +73,7 @@ CASES = (
         lambda out: rm.light_blink("spot", 0.1, 0.1, 2, level=20000, box="sim"),
     ),
     Case("light off --box sim --json", lambda out: rm.light_off(box="sim")),
+    Case("light account --json", lambda out: rm.light_account()),
     Case("light status --box sim --json", lambda out: rm.light_status(box="sim")),
     Case("light watch-buttons --for 300ms --box sim --json", lambda out: list(rm.light_watch_buttons(0.3, box="sim"))),
     Case(
