@@ -27,6 +27,7 @@ from radiometer.adaptation.session import Watcher as Watcher
 from radiometer.adaptation.session import open_session
 from radiometer.adaptation.threshold_series import ThresholdSeries
 from radiometer.api.files import PathLike
+from radiometer.api.outputs import check_outputs
 from radiometer.api.result import Notice, Result, unheard
 from radiometer.data.guards import safe_name
 from radiometer.data.json_text import json_text
@@ -105,6 +106,7 @@ def adapt_run(
     page: bool = False,
     page_port: int = 0,
     audio: bool = False,
+    force: bool = False,
     watch: Watcher | None = None,
     view: View | None = None,
     bell: Callable[[], None] = lambda: None,
@@ -143,6 +145,7 @@ def adapt_run(
         page: Serve the live curve as a page.
         page_port: Port of that page; 0 for any free one.
         audio: Sound prompts: on the page, else by the bell.
+        force: Replace tables that exist; a journal is never replaced.
         watch: Called with every event.
         view: Opens what watches the run for as long as it lasts.
         bell: Sounds once.
@@ -165,6 +168,9 @@ def adapt_run(
         simulate=simulate, screen=screens, display=display, port=port,
     )  # fmt: skip
     journal = Path(out) if out else Path(f"{subject}-{chosen.name}.jsonl")
+    resumed = journal.exists()
+    table_file = Path(csv) if csv else journal.with_suffix(".csv")
+    check_outputs(None if resumed else journal, table_file, force=force or resumed)
     with (
         open_session(request, journal, Controls(linger_s=slow_s), announce=announce, notice=notice) as session,
         ExitStack() as held,
@@ -180,7 +186,7 @@ def adapt_run(
             ring = (lambda: None) if page or page_port > 0 else bell
             tell = session.with_prompts(tell, _sounded(tell, ring))
         outcome = session.run(tell)
-        table = Path(csv) if csv else journal.with_suffix(".csv") if outcome.can_be_fitted else None
+        table = table_file if csv or outcome.can_be_fitted else None
         if table is not None:
             write_text_atomic(table, session.table(outcome))
     return AdaptationRun(outcome, journal, table, _fit_options(chosen))

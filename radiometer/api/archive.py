@@ -8,10 +8,12 @@ from typing import Any
 
 from radiometer.api.files import PathLike
 from radiometer.api.meter import PatchLike, as_patch
+from radiometer.api.outputs import check_outputs
 from radiometer.api.result import Progress, Result
 from radiometer.archive.discovery import find_captures
 from radiometer.archive.history import read_histories
 from radiometer.archive.jobs import JOBS
+from radiometer.archive.journal import journal_of
 from radiometer.archive.passport import Passport as Passport
 from radiometer.archive.passport import passports
 from radiometer.archive.run import BatchSummary, run_batch
@@ -107,6 +109,7 @@ def batch(
     calibration: PathLike | None = None,
     patch: PatchLike | None = None,
     maps: PathLike | None = None,
+    force: bool = False,
     progress: Progress | None = None,
 ) -> Batch:
     """Do one job on every capture set of an archive and write one table of results.
@@ -125,6 +128,7 @@ def batch(
         calibration: Calibration file; relative values without one.
         patch: Region; each capture set's own patches by default.
         maps: Folder for radiance maps (Zarr), with "merge".
+        force: Replace a table whose journal is missing.
         progress: Called after every capture set.
 
     Raises:
@@ -133,6 +137,7 @@ def batch(
     """
     if do not in JOBS:
         raise UsageError(f"--do {do!r}: there is no such job; there are {', '.join(JOBS)}")
+    check_outputs(Path(output), force=force or journal_of(Path(output)).exists())
     region = as_patch(patch)
     captures, unfinished = find_captures(str(archive))
     settings = JobSettings(

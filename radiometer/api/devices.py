@@ -151,7 +151,7 @@ def new_bench(
         4.0
 
     Args:
-        output: File to write (.yaml); must not exist.
+        output: File to write (.yaml).
         camera: Serial number, id or address; "sim" for a simulated one.
         focal_length_mm: Focal length of the lens in mm; None where there is none or it is not known.
         f_number: f-number that it is set to.
@@ -160,7 +160,7 @@ def new_bench(
 
     Raises:
         UsageError: If an answer is missing or wrong.
-        OutputError: If the file exists or cannot be written.
+        OutputError: If the file cannot be written.
     """
     return write_bench(Path(output), camera, focal_length_mm, f_number, calibration, as_patch(patch))
 

@@ -10,15 +10,16 @@ from typing import Any, Final
 
 from radiometer.api.files import PathLike
 from radiometer.api.meter import PatchLike, as_patch
+from radiometer.api.outputs import check_outputs
 from radiometer.api.result import Notice, Progress, Result, unheard
-from radiometer.bench.box_holder import ask_for_darkness, held_boxes
 from radiometer.bench.boxes import (
-    SIMULATED,
     ExposureReport,
     OpenedBox,
     calibration_file,
     confirm_no_exposure,
+    darken,
     exposure_reports,
+    nothing_answers,
     open_light_box,
     require_known_box,
 )
@@ -27,7 +28,7 @@ from radiometer.data.json_text import json_text
 from radiometer.data.light_calibration import LevelChoice, LightCalibration
 from radiometer.devices import ChannelMode, ChannelState, CurrentRange, DriveLevel, Radiance
 from radiometer.devices.light_box import Level
-from radiometer.errors import DeviceError, UsageError
+from radiometer.errors import DeviceError, DeviceNotFound, UsageError
 
 _LOOK_S: Final = 0.25  # how often the light is looked at: half of the time in which a lost box must be reported
 _BUDGET_USED_UP: Final = 0.02  # of the full budget: it refills from the moment the light went out
@@ -244,8 +245,12 @@ class Darkness(Result):
         return f"light box {self.box}: dark{by}"
 
 
-def light_off(channel: str | None = None, *, box: str | None = None) -> list[Darkness]:
-    """Darken the box, or one channel; also while another program holds the box, which then darkens all of it.
+def light_off(
+    channel: str | None = None, *, box: str | None = None, darkened: Callable[[Darkness], None] = lambda one: None
+) -> list[Darkness]:
+    """Darken every box that can be reached, or one of them, or one channel; also while another program holds it.
+
+    A program that holds a box darkens all of it.
 
     Examples:
         >>> import radiometer as rm
@@ -254,21 +259,22 @@ def light_off(channel: str | None = None, *, box: str | None = None) -> list[Dar
 
     Args:
         channel: One channel; all by default.
-        box: "sim", a serial number or a port; the only one by default.
+        box: "sim", a serial number or a port; all by default.
+        darkened: Called with every box that is dark, also where another one fails.
 
     Raises:
-        DeviceError: If the box does not answer, or the program that holds it does not.
+        DeviceNotFound: If no box answers.
+        DeviceError: If a box fails, or the program that holds it does not answer.
     """
-    held = [entry for entry in held_boxes() if box in (None, entry.serial, entry.port)] if box != SIMULATED else []
-    for entry in held:
-        ask_for_darkness(entry)
-    if held:
-        return [Darkness(entry.serial, {}, entry.pid) for entry in held]
-    with open_light_box(box) as opened:
-        if channel is not None:
-            opened.box.off(channel)
-        dark = {name: opened.box.read_channel(name).drive.level == 0 for name in opened.box.channels}
-        return [Darkness(opened.box.identity.serial, dark)]
+    found, failures = darken(box, channel)
+    dark = [Darkness(one.serial, dict(one.dark), one.darkened_by) for one in found]
+    for entry in dark:
+        darkened(entry)
+    if failures:
+        raise DeviceError("; ".join(map(str, failures)))
+    if not dark:
+        raise DeviceNotFound(nothing_answers(box))
+    return dark
 
 
 @dataclass(frozen=True, repr=False)
@@ -470,6 +476,7 @@ def light_calibrate(
     seed: int | None = None,
     preset: PathLike | None = None,
     out: PathLike | None = None,
+    force: bool = False,
     progress: Progress | None = None,
 ) -> CalibratedBox:
     """Measure the radiance of a box's channels over their levels with the camera, on both current ranges.
@@ -493,6 +500,7 @@ def light_calibrate(
         seed: Makes the random order of the levels.
         preset: Light-box preset with safety bounds.
         out: File to write; the box's own by default.
+        force: Calibrate channels anew that the box's own file holds already.
         progress: Called after every level.
 
     Raises:
@@ -510,13 +518,16 @@ def light_calibrate(
         for name in channels:
             if name not in opened.box.channels:
                 raise UsageError(f"the box has no channel {name!r}; it has {', '.join(opened.box.channels)}")
+        file = Path(out) if out else calibration_file(opened.box.identity.serial)
+        if out is None:
+            file.parent.mkdir(parents=True, exist_ok=True)
+            known_channels = opened.calibration.channels if opened.calibration else {}
+            # The other channels of the file stay.
+            check_outputs(file, force=force or not set(channels) & set(known_channels))
         request = SurveyRequest(
             channels, points_per_decade, seed, Path(responsivity) if responsivity else None, spectral_u_rel
         )
         found = survey_box(opened, instrument, request, progress)
-        file = Path(out) if out else calibration_file(opened.box.identity.serial)
-    if out is None:
-        file.parent.mkdir(parents=True, exist_ok=True)
     found.write(file)
     return CalibratedBox(found, channels, file)
 

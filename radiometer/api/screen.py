@@ -9,6 +9,7 @@ from typing import Any, Final
 
 from radiometer.api.files import PathLike
 from radiometer.api.meter import PatchLike, as_patch
+from radiometer.api.outputs import check_outputs
 from radiometer.api.result import Notice, Progress, Result, unheard
 from radiometer.bench.screen import BROWSER, lights, open_screen_bench, primaries_of
 from radiometer.data import Quantity
@@ -118,6 +119,7 @@ def screen_calibrate(
     port: int = 0,
     export: Sequence[str] = (),
     seed: int = 1,
+    force: bool = False,
     announce: Callable[[str], None] = lambda url: None,
     notice: Notice = unheard,
     progress: Progress | None = None,
@@ -149,6 +151,7 @@ def screen_calibrate(
         port: Port of the page; 0 for any free one.
         export: Forms to write as well, such as "psychopy" or "ti3".
         seed: Seed of the random order.
+        force: Replace exports that exist.
         announce: Called with the page's address.
         notice: Gets warnings of the page.
         progress: Called after every patch.
@@ -159,6 +162,8 @@ def screen_calibrate(
         OutputError: If a file cannot be written.
     """
     kinds = _kinds(export)
+    if out is not None:
+        check_outputs(*_export_files(kinds, Path(out)), force=force)
     options = Options(
         name=name or display, levels=parse_levels("quick" if quick else levels), channels=tuple(channels),
         repeats=repeats, patch_size=size, warm_up_limit_s=warm_up_s, seed=seed, pixel_mm=pixel_mm,
@@ -213,7 +218,9 @@ def screen_level(
     return ScreenLevel(channel, level, curve.at(level, _UNITS[unit]), target)
 
 
-def screen_export(calibration: PathLike, kinds: Sequence[str], out: PathLike | None = None) -> list[Path]:
+def screen_export(
+    calibration: PathLike, kinds: Sequence[str], out: PathLike | None = None, *, force: bool = False
+) -> list[Path]:
     """Write a screen calibration in the forms of other programs, and return the files.
 
     Examples:
@@ -226,6 +233,7 @@ def screen_export(calibration: PathLike, kinds: Sequence[str], out: PathLike | N
         calibration: Screen calibration file.
         kinds: "psychopy", "ti3", "csv", "inverse", "vcgt", "cal" or some of them.
         out: Folder; where the calibration is by default.
+        force: Replace files that exist.
 
     Raises:
         UsageError: If no form is named, or one that is unknown.
@@ -235,7 +243,9 @@ def screen_export(calibration: PathLike, kinds: Sequence[str], out: PathLike | N
     if not chosen:
         raise UsageError(f"name at least one form: {','.join(EXPORTS)}")
     file = Path(calibration)
-    return _exports(ScreenCalibration.read(file), chosen, Path(out or file.parent) / file.name)
+    base = Path(out or file.parent) / file.name
+    check_outputs(*_export_files(chosen, base), force=force)
+    return _exports(ScreenCalibration.read(file), chosen, base)
 
 
 def screen_import(
@@ -293,9 +303,11 @@ def _kinds(names: Sequence[str]) -> list[str]:
 
 
 def _exports(calibration: ScreenCalibration, kinds: list[str], beside: Path) -> list[Path]:
-    written = []
-    for kind in kinds:
-        path = beside.with_suffix(EXPORTS[kind][1])
+    files = _export_files(kinds, beside)
+    for kind, path in zip(kinds, files, strict=True):
         write_export(calibration, kind, path)
-        written.append(path)
-    return written
+    return files
+
+
+def _export_files(kinds: list[str], base: Path) -> list[Path]:
+    return [base.with_suffix(EXPORTS[kind][1]) for kind in kinds]

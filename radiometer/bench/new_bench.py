@@ -11,17 +11,15 @@ from radiometer.bench.config import BenchConfig
 from radiometer.data import Patch
 from radiometer.data.storage import write_yaml_atomic
 from radiometer.data.validation import validate
-from radiometer.errors import ConfigurationError, OutputError, UsageError
+from radiometer.errors import ConfigurationError, UsageError
 
 _PRESET: Final = {"kind": "simulated", "preset": "BFS-U3-19S4M"}
 _EVEN_FIELD: Final = {"kind": "uniform", "radiance_W_per_sr_m2": 0.3}
 _SIMULATED_LENS: Final = {"focal_length_mm": 16.0, "f_number": 4.0}
 
 
-def require_free(path: Path) -> None:
-    """Raise OutputError where the file exists, UsageError where its name is no bench file's."""
-    if path.exists():
-        raise OutputError(f"{path} exists already; name another file, or move it away")
+def require_name(path: Path) -> None:
+    """Raise UsageError where the name is no bench file's."""
     if path.suffix not in (".yaml", ".yml"):
         raise UsageError(f"{path}: a bench file's name must end in .yaml")
 
@@ -37,7 +35,7 @@ def write_bench(
     """Write a bench file once its content has been checked, and return its path.
 
     Args:
-        path: File to write (.yaml); must not exist.
+        path: File to write (.yaml).
         camera: Serial number, id or address; "sim" for a simulated one.
         focal_length_mm: Focal length in mm; None where there is no lens or it is not known.
         f_number: f-number that the lens is set to.
@@ -47,9 +45,9 @@ def write_bench(
     Raises:
         UsageError: If the camera, or the f-number of a known lens, is missing, or a number is not above 0.
         ConfigurationError: If the form of bench files does not allow a value.
-        OutputError: If the file exists or cannot be written.
+        OutputError: If the file cannot be written.
     """
-    require_free(path)
+    require_name(path)
     if not camera:
         raise UsageError("a bench needs a camera: --camera sim, or the serial number that `radiometer devices` lists")
     for option, value in (("--focal-length", focal_length_mm), ("--f-number", f_number)):

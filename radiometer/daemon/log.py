@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import datetime as dt
+import io
 import json
 import math
 import statistics
@@ -18,6 +19,7 @@ from radiometer.daemon.journal import default_journal_path
 from radiometer.daemon.journal_reader import JournalReader, ReadingFilter, to_csv
 from radiometer.daemon.timestamps import parse_moment
 from radiometer.data.drawing import new_axes
+from radiometer.data.storage import write_bytes_atomic
 from radiometer.errors import UsageError
 
 if TYPE_CHECKING:
@@ -126,7 +128,9 @@ class LoggedReadings(Result):
             raise UsageError(f"{target}: name a .png, .pdf or .svg file")
         figure: Any = self.plot(new_axes()).figure
         figure.set_size_inches(9, 4.2)
-        figure.savefig(target, dpi=150)
+        content = io.BytesIO()
+        figure.savefig(content, format=target.suffix.lower()[1:], dpi=150)
+        write_bytes_atomic(target, content.getvalue())
 
     def __str__(self) -> str:
         """Return how many readings of how many places."""

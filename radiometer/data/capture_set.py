@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal, Protocol, Self
@@ -23,6 +23,7 @@ from radiometer.data.frame import MASKED_PIXELS, DigitalNumbers, Frame, FrameSet
 from radiometer.data.guards import refuse_large_picture
 from radiometer.data.pile_up import streamed_with_white_levels
 from radiometer.data.raw_files import RAW_SUFFIXES, read_raw_colours
+from radiometer.data.reader_limits import bounded_reader
 from radiometer.data.storage import read_yaml
 from radiometer.data.validation import FileSection, validate
 from radiometer.errors import CaptureError
@@ -222,6 +223,18 @@ class CaptureSet:
             )
         return frame
 
+    def read_frames(self, indices: Sequence[int]) -> Iterator[Frame]:
+        """Yield the frames at positions of the header's list with the white level that they show together.
+
+        Args:
+            indices: Positions, in the order in which the frames are yielded; a few are held in memory.
+
+        Raises:
+            CaptureError: As `read_frame`.
+        """
+        settings = [self.header.frames[index].settings for index in indices]
+        return streamed_with_white_levels(settings, lambda place: self.read_frame(indices[place]))
+
     def read_numbers(self, file: str) -> DigitalNumbers:
         """Return the digital numbers of the frame that the header lists under a name.
 
@@ -237,8 +250,7 @@ class CaptureSet:
             CaptureError: If a file is unreadable or sizes differ.
         """
         shape: tuple[int, int] | None = None
-        settings = [entry.settings for entry in self.header.frames]
-        for entry, frame in zip(self.header.frames, streamed_with_white_levels(settings, self.read_frame), strict=True):
+        for entry, frame in zip(self.header.frames, self.read_frames(range(len(self))), strict=True):
             if shape is not None and frame.shape != shape:
                 raise CaptureError(
                     f"{self.path / entry.file}: is {frame.shape[1]} × {frame.shape[0]} pixels, the frames before "
@@ -280,6 +292,7 @@ def read_header(path: Path) -> CaptureHeader:
     return _checked_header(path / HEADER_NAME)
 
 
+@bounded_reader()
 def read_digital_numbers(path: Path) -> DigitalNumbers:
     """Return the raw digital numbers of a single-channel 8- or 16-bit PNG or TIFF, or the green ones of a raw file.
 

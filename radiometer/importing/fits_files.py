@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from radiometer.data.frame import FrameSettings
 from radiometer.data.guards import refuse_size
+from radiometer.data.reader_limits import bounded_reader
 from radiometer.data.statements import (
     Place,
     Statement,
@@ -54,6 +55,7 @@ _SET_TEMPERATURE: Final = ("SET-TEMP", "SETTEMP", "CCD-TSET")
 _TIME: Final = ("DATE-OBS", "DATE-BEG", "DATE_OBS", "DATE")
 _CAMERA_NAME: Final = ("INSTRUME", "CAMERA", "DETECTOR", "DETNAM")
 _ELECTRONS_PER_DN: Final = places("EGAIN:e-/DN E-GAIN:e-/DN GAINEL:e-/DN CCDGAIN:e-/DN")
+_SATURATED_FROM: Final = ("SATURATE", "SATLEVEL")
 _READ_NOISE: Final = places("RDNOISE:e- READNOIS:e- RON:e- READNOISE:e-")
 _F_NUMBER: Final = places("FNUMBER:1 FRATIO:1")
 # Settings that change gain or offset by a maker's steps: frames that differ in one are separate sets.
@@ -74,6 +76,7 @@ _SETTLED_K: Final = 1.0
 _EXPOSURES_SAME_REL: Final = 0.01  # by which two keywords of the exposure may differ unnoticed
 
 
+@bounded_reader()
 def read_fits_headers(path: Path, mapped: StatementMap = StatementMap()) -> list[FoundFrame]:
     """Return the frames of a FITS file, gzipped or not, without keeping their pixels.
 
@@ -109,6 +112,7 @@ def read_fits_headers(path: Path, mapped: StatementMap = StatementMap()) -> list
     return [replace(frame, not_used=not_used) for frame in frames]
 
 
+@bounded_reader()
 def read_fits_pixels(path: Path, part: int) -> NDArray[Any]:
     """Return the values of one plane of a FITS file, BSCALE and BZERO applied.
 
@@ -438,6 +442,12 @@ def _camera(
     top = _number(header, "SATURATE") or _number(header, "DATAMAX")
     if top is not None and top >= 1:
         camera["stated_top_dn"] = top
+    # DATAMAX is the largest value of this frame's data (FITS standard 4.0, table 22), not where pixels are saturated.
+    place = next((k for k in _SATURATED_FROM if (_number(header, k) or 0.0) >= 1.0), None)
+    if place is not None and unit_in_words(header[place].comment, "read_noise")[0] is not None:
+        doubts.append(f"{place} is in electrons, not in DN: it is not used as the white level")
+    elif place is not None:
+        taken["white_level_dn"], camera["stated_white_dn"] = place, _number(header, place)
     return camera
 
 

@@ -18,7 +18,8 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from radiometer.data.frame import FrameSettings
-from radiometer.data.guards import refuse_size
+from radiometer.data.guards import refuse_endless_tiff, refuse_size
+from radiometer.data.reader_limits import bounded_reader
 from radiometer.data.statements import Statement, StatementMap, first_stated, places
 from radiometer.errors import CaptureError, DamagedFileError, UnsettledError
 from radiometer.importing.exif import (
@@ -46,6 +47,7 @@ _BLACK_LEVEL, _BLACK_REPEATS, _BLACK_DELTAS = 50714, 50713, (50715, 50716)
 _DOUBTFUL_BLACK_SHARE: Final = 0.01  # of the stated black level: what masked rows may differ from it unnoticed
 
 
+@bounded_reader()
 def read_tiff_headers(path: Path, mapped: StatementMap = StatementMap()) -> list[FoundFrame]:
     """Return the frames of a TIFF file, one per full-size directory, without keeping their pixels.
 
@@ -75,6 +77,7 @@ def read_tiff_headers(path: Path, mapped: StatementMap = StatementMap()) -> list
     return [replace(frame, not_used=reduced) for frame in frames]
 
 
+@bounded_reader()
 def read_tiff_pixels(path: Path, part: int) -> NDArray[Any]:
     """Return the stored values of one page.
 
@@ -129,6 +132,7 @@ def _image_j(tiff: Any) -> dict[str, Statement]:
 @contextmanager
 def _opened(path: Path) -> Iterator[Any]:
     content = read_bytes(path)
+    refuse_endless_tiff(path, content)
     try:
         with tifffile.TiffFile(io.BytesIO(content)) as tiff:
             yield tiff
@@ -310,7 +314,8 @@ def _camera(facts: _Facts, taken: dict[str, str]) -> dict[str, Any]:
     white = tags.get(_WHITE_LEVEL)
     top = float(white[0]) if isinstance(white, tuple) and white else 0.0
     if top > 1:
-        camera["stated_top_dn"] = top
+        taken["white_level_dn"] = "tag WhiteLevel"
+        camera |= {"stated_top_dn": top, "stated_white_dn": top}
     centre = numbers(xmp, "VignettingCenter")
     if centre and "serial" not in camera:
         # Each unit has a lens calibration of its own, so that it tells units apart where no serial number does.

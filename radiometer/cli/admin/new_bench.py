@@ -11,6 +11,7 @@ import typer
 import radiometer as rm
 from radiometer.cli.arguments import parse_f_number, parse_patch
 from radiometer.cli.console import note
+from radiometer.cli.outputs import writes
 
 _QUESTIONS: Final = {
     "camera": "Camera: serial number, id or address; sim for a simulated one",
@@ -21,8 +22,9 @@ _QUESTIONS: Final = {
 }
 
 
+@writes("output")
 def command(
-    output: Annotated[Path, typer.Argument(metavar="FILE", help="Bench file to write (.yaml); must not exist.")],
+    output: Annotated[Path, typer.Argument(metavar="FILE", help="Bench file to write (.yaml).")],
     camera: Annotated[str | None, typer.Option(help=f"{_QUESTIONS['camera']}.")] = None,
     focal_length: Annotated[str | None, typer.Option(help=f"{_QUESTIONS['focal_length']}.")] = None,
     f_number: Annotated[str | None, typer.Option(help=f"{_QUESTIONS['f_number']}.")] = None,
@@ -33,8 +35,6 @@ def command(
 
     What an option answers is not asked. Without a terminal, questions without an answer count as empty.
     """
-    if output.exists():  # before anybody is asked
-        raise rm.OutputError(f"{output} exists already; name another file, or move it away")
     which = _answer("camera", camera)
     length = _number("--focal-length", _answer("focal_length", focal_length))
     number = parse_f_number(_answer("f_number", f_number) or None, "--f-number") if length else None

@@ -10,8 +10,10 @@ import typer
 import radiometer as rm
 from radiometer.cli.arguments import parse_patch
 from radiometer.cli.console import note, progress
+from radiometer.cli.outputs import writes
 
 
+@writes()
 def command(
     archive: Annotated[str, typer.Argument(help="Folder of capture sets, at any depth, or a glob.")],
     do: Annotated[str, typer.Option(help="merge, response, measure, characterise or reconcile.")] = "measure",
@@ -26,6 +28,7 @@ def command(
     ] = None,
     maps: Annotated[Path | None, typer.Option(help="Folder for radiance maps (Zarr), with --do merge.")] = None,
     json: Annotated[bool, typer.Option("--json", help="Summary as JSON on standard output.")] = False,
+    force: Annotated[bool, typer.Option("--force", help="Replace a table whose journal is missing.")] = False,
 ) -> int:
     """Do one job on every capture set of an archive and write one table of results.
 
@@ -35,7 +38,7 @@ def command(
     with progress() as shown:
         found = rm.batch(
             archive, do, out, scheduler=scheduler, workers=workers, calibration=calibration, patch=parse_patch(patch),
-            maps=maps, progress=shown,
+            maps=maps, force=force, progress=shown,
         )  # fmt: skip
     if json:
         print(found.to_json())

@@ -12,6 +12,7 @@ import typer
 
 from radiometer.cli.arguments import F_NUMBER_HELP, ISO_HELP, parse_bounds, parse_iso_speeds, with_f_number
 from radiometer.cli.console import progress_bar
+from radiometer.cli.outputs import writes
 from radiometer.errors import CaptureError, UsageError
 from radiometer.photographs.alignment import ALIGN_CHOICES
 from radiometer.photographs.iso_record import with_iso_in_map
@@ -21,6 +22,7 @@ if TYPE_CHECKING:
     from radiometer.data.iso_speeds import IsoSpeeds
 
 
+@writes("out")
 def command(
     path: Annotated[Path, typer.Argument(help="Capture set, or folder of photographs.")],
     out: Annotated[
@@ -70,7 +72,6 @@ def command(
     from radiometer.analysis.exports.maps import MapPicture, in_luminance, writer_for
     from radiometer.analysis.photometry.spectra import spectrum as spectrum_of
     from radiometer.cli.analyse.merge_report import map_report, show_map_report
-    from radiometer.data.storage import refuse_unwritable
 
     if not out:
         raise UsageError("-o FILE is missing: name a file that ends in .exr, .hdr, .tiff or .png")
@@ -83,8 +84,6 @@ def command(
     if lens and vignetting != "lensfun":
         raise UsageError("--lens names the lens for --vignetting lensfun")
     writers = [(file, writer_for(file)) for file in out]
-    for file in out:
-        refuse_unwritable(file)
     bounds = parse_bounds(scale, "--scale") if scale else None
     known = _calibration(calibration)
     speeds = parse_iso_speeds(measured_iso, known)
@@ -215,8 +214,6 @@ def _merge_capture(
 
 def _frames(capture: CaptureSet, pattern: str | None, step: Any) -> Iterator[Frame]:
     """Yield dark frames, then the light frames of one pattern at the source's highest level, one at a time."""
-    from radiometer.data.pile_up import streamed_with_white_levels
-
     entries = capture.header.frames
     wanted = pattern or next((e.pattern for e in entries if e.shutter == "open" and e.source_level > 0), "default")
     dark = [i for i, entry in enumerate(entries) if entry.shutter == "closed"]
@@ -227,9 +224,7 @@ def _frames(capture: CaptureSet, pattern: str | None, step: Any) -> Iterator[Fra
     level = max(entries[i].source_level for i in light)
     light = [i for i in light if entries[i].source_level == level]
     order = [*dark, *sorted(light, key=lambda i: entries[i].settings.effective_exposure_s)]
-    for frame in streamed_with_white_levels(
-        [entries[i].settings for i in order], lambda place: capture.read_frame(order[place])
-    ):
+    for frame in capture.read_frames(order):
         yield frame
         step()
 

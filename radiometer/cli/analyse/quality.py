@@ -11,6 +11,7 @@ import radiometer as rm
 from radiometer.cli.arguments import parse_patch, parse_relative
 from radiometer.cli.console import asker, console, note, progress
 from radiometer.cli.options import BenchOption, CameraOption, JsonOption, PatchOption, command_group
+from radiometer.cli.outputs import writes
 
 app = command_group(
     "Measure the instrument's quality indices (ISO/CIE 19476, CIE 244, ISO 9358) and write its datasheet."
@@ -64,6 +65,7 @@ def take(
 
 
 @app.command("report")
+@writes("out")
 def report(
     session: Session,
     calibration: Annotated[

@@ -10,11 +10,13 @@ import typer
 import radiometer as rm
 from radiometer.cli.console import console, note
 from radiometer.cli.options import JsonOption
+from radiometer.cli.outputs import writes
 
 if TYPE_CHECKING:
     from radiometer.api.archive import Trend
 
 
+@writes("report")
 def command(
     results: Annotated[Path, typer.Argument(help="Table written by `radiometer batch --do measure`.")],
     quantity: Annotated[str, typer.Option(help="Quantity to follow.")] = "radiance",

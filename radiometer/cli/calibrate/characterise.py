@@ -11,8 +11,10 @@ import radiometer as rm
 from radiometer.cli.arguments import parse_patch, parse_relative
 from radiometer.cli.console import asker, console, note, progress
 from radiometer.cli.options import BenchOption, ReportOption
+from radiometer.cli.outputs import writes
 
 
+@writes("output", "report", "emva_descriptor", folder="keep")
 def command(
     capture: Annotated[
         Path | None, typer.Argument(help="Capture set, or EMVA 1288 descriptor file; or else --camera.")

@@ -22,6 +22,7 @@ from radiometer.cli.options import (
     command_group,
     words,
 )
+from radiometer.cli.outputs import writes
 
 app = command_group("Calibrate a screen as a light source, and use the calibration.")
 ScreenFile = Annotated[Path, typer.Argument(help="Screen calibration file.")]
@@ -29,6 +30,7 @@ OutOption = Annotated[Path, typer.Option("--out", "-o", help="Calibration file t
 
 
 @app.command()
+@writes("out")
 def calibrate(
     out: OutOption = Path("screen.yaml"),
     display: Annotated[str, typer.Option(help="browser, or a simulated one: lcd, pwm_lcd, oled.")] = "browser",
@@ -54,6 +56,7 @@ def calibrate(
     argyll: Annotated[bool, typer.Option("--argyll", help="Print spotread's line for every level measured.")] = False,
     seed: SeedOption = 1,
     json: JsonOption = False,
+    force: Annotated[bool, typer.Option("--force", help="Replace output files that exist.")] = False,
 ) -> None:
     """Measure which level of a screen gives which radiance and luminance, with uncertainty."""
 
@@ -66,7 +69,7 @@ def calibrate(
         found = rm.screen_calibrate(
             out, display, name=name, levels=levels, quick=quick, channels=words(channels), repeats=repeats, size=size,
             pixel_mm=pixel_mm, warm_up_s=warm_up, white=white, primaries=primaries, camera=camera, bench=bench,
-            calibration=calibration, patch=parse_patch(patch), port=port, export=words(export), seed=seed,
+            calibration=calibration, patch=parse_patch(patch), port=port, export=words(export), seed=seed, force=force,
             announce=announce, notice=note, progress=shown,
         )  # fmt: skip
     if json:
@@ -98,17 +101,20 @@ def level(
 
 
 @app.command("export")
+@writes()
 def export_command(
     calibration: ScreenFile,
     kinds: Annotated[str, typer.Argument(help="psychopy,ti3,csv,inverse,vcgt,cal or some of them.")],
     out: Annotated[Path | None, typer.Option("--out", "-o", help="Folder; beside the calibration by default.")] = None,
+    force: Annotated[bool, typer.Option("--force", help="Replace output files that exist.")] = False,
 ) -> None:
     """Write a calibration in the forms of other programs."""
-    for written in rm.screen_export(calibration, words(kinds), out):
+    for written in rm.screen_export(calibration, words(kinds), out, force=force):
         console().print(f"wrote {written}")
 
 
 @app.command("import")
+@writes("out")
 def import_command(
     file: Annotated[Path, typer.Argument(help="ArgyllCMS .ti3 or .cal, pacsdisplay uLR, or a table: level, cd/m².")],
     out: OutOption = Path("screen.yaml"),

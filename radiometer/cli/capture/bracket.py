@@ -11,8 +11,10 @@ import radiometer as rm
 from radiometer.cli.arguments import parse_exposure, parse_patch
 from radiometer.cli.console import asker, note, progress
 from radiometer.cli.options import BenchOption, CameraOption, JsonOption, URelOption
+from radiometer.cli.outputs import writes
 
 
+@writes(folder="out")
 def command(
     out: Annotated[Path, typer.Argument(help="Folder to create.")],
     camera: CameraOption = None,

@@ -11,8 +11,10 @@ import radiometer as rm
 from radiometer.cli.arguments import parse_patch
 from radiometer.cli.console import note, progress
 from radiometer.cli.options import JsonOption
+from radiometer.cli.outputs import writes
 
 
+@writes(folder="output")
 def command(
     sources: Annotated[
         list[Path],

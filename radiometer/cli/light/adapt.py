@@ -14,6 +14,7 @@ import radiometer as rm
 from radiometer.cli.console import console, note
 from radiometer.cli.keys import listening
 from radiometer.cli.options import BenchOption, BoxPresetOption, JsonOption, SeedOption, WhiteOption, command_group
+from radiometer.cli.outputs import writes
 
 if TYPE_CHECKING:
     from radiometer.api.adapt import Session, Watcher
@@ -24,6 +25,7 @@ app = command_group("Dark adaptation: run the test, and analyse the measured thr
 
 
 @app.command()
+@writes("csv")
 def run(
     protocol: Annotated[str, typer.Argument(help="Protocol file, or the name of a shipped one (`adapt protocols`).")],
     subject: Annotated[str, typer.Option(help="Pseudonym of the subject.")],
@@ -66,6 +68,9 @@ def run(
     page_port: Annotated[int, typer.Option(min=0, max=65535, help="Port of that page; 0 for any free one.")] = 0,
     audio: Annotated[bool, typer.Option("--audio", help="Sound prompts: on the page, else by the bell.")] = False,
     json: Annotated[bool, typer.Option("--json", help="Each event and the outcome as JSON lines.")] = False,
+    force: Annotated[
+        bool, typer.Option("--force", help="Replace tables that exist; a journal is never replaced.")
+    ] = False,
 ) -> None:
     """Run a dark-adaptation test; where the journal exists, take it up where it ends.
 
@@ -83,7 +88,7 @@ def run(
     done = rm.adapt_run(
         protocol, subject, out, csv=csv, box=box, calibration=calibration, accept_stale=accept_stale, camera=camera,
         bench=bench, white=white, fixation=fixation, simulate=simulate, room=room, slow_s=slow, seed=seed, eye=eye,
-        preset=preset, screen=screen, display=display, port=port, page=page, page_port=page_port, audio=audio,
+        preset=preset, screen=screen, display=display, port=port, page=page, page_port=page_port, audio=audio, force=force,
         view=view, bell=lambda: print("\a", end="", file=sys.stderr, flush=True), notice=note, announce=_announce,
     )  # fmt: skip
     if json:
@@ -176,6 +181,7 @@ def bleach(
 
 
 @app.command()
+@writes("report", "csv")
 def fit(
     data: Annotated[
         Path,

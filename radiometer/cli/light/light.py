@@ -11,6 +11,7 @@ import radiometer as rm
 from radiometer.cli.arguments import parse_patch, parse_relative, parse_seconds
 from radiometer.cli.console import console, expanded, note, progress
 from radiometer.cli.options import BenchOption, BoxOption, BoxPresetOption, CameraOption, JsonOption, command_group
+from radiometer.cli.outputs import writes
 
 _JUMP_SHOWN = 0.005  # a start further off than half a per cent matters next to a calibration's 1 %
 
@@ -92,12 +93,11 @@ def off(
     box: BoxOption = None,
     json: JsonOption = False,
 ) -> None:
-    """Darken the box, or one channel; also while another program, such as the daemon, holds the box.
+    """Darken every box that can be reached, or one of them, or one channel; also while another program holds it.
 
-    A program that holds it darkens all of it. The button of the box does so too, held for 3 s.
+    A program that holds a box, such as the daemon, darkens all of it. The button of the box does so too, held for 3 s.
     """
-    for one in rm.light_off(channel, box=box):
-        print(one.to_json()) if json else console().print(str(one))
+    rm.light_off(channel, box=box, darkened=lambda one: print(one.to_json()) if json else console().print(str(one)))
 
 
 @app.command()
@@ -126,6 +126,7 @@ def watch_buttons(
 
 
 @app.command()
+@writes("out")
 def calibrate(
     channel: Annotated[list[str] | None, typer.Option(help="Channel to calibrate; may be repeated; all.")] = None,
     box: BoxOption = None,
@@ -144,6 +145,7 @@ def calibrate(
     preset: BoxPresetOption = None,
     out: Annotated[Path | None, typer.Option("--out", "-o", help="File to write; the box's own by default.")] = None,
     json: JsonOption = False,
+    force: Annotated[bool, typer.Option("--force", help="Replace output files that exist.")] = False,
 ) -> None:
     """Measure each channel's radiance over its levels with the camera, on both current ranges.
 
@@ -154,7 +156,7 @@ def calibrate(
         found = rm.light_calibrate(
             channel, box=box, camera=camera, bench=bench, patch=parse_patch(patch),
             camera_calibration=camera_calibration, points_per_decade=points_per_decade, responsivity=responsivity,
-            spectral_u_rel=parse_relative(spectral_u_rel, "--spectral-u-rel"), seed=seed, preset=preset, out=out,
+            spectral_u_rel=parse_relative(spectral_u_rel, "--spectral-u-rel"), seed=seed, preset=preset, out=out, force=force,
             progress=shown,
         )  # fmt: skip
     if json:

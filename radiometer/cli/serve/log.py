@@ -10,6 +10,7 @@ import typer
 
 import radiometer as rm
 from radiometer.cli.console import console, note
+from radiometer.cli.outputs import writes
 from radiometer.errors import UsageError
 
 if TYPE_CHECKING:
@@ -18,6 +19,7 @@ if TYPE_CHECKING:
 _SHOWN: Final = 20  # readings: with the summary they fit a terminal of 24 rows
 
 
+@writes("plot")
 def command(
     file: Annotated[Path | None, typer.Argument(help="Journal file; the daemon's default one if left out.")] = None,
     journal: Annotated[Path | None, typer.Option(help="Journal file, named as for `radiometer serve`.")] = None,
@@ -47,7 +49,8 @@ def command(
     where, out = file or journal, console()
     if events:
         for event in rm.log_events(where, since=since, limit=limit or 200):
-            out.print(f"{event['time'][:23].replace('T', ' ')}  {event['kind']:<11} {event['message']}", markup=False)
+            message = " ".join(event["message"].split())  # one line each, whatever a remark holds
+            out.print(f"{event['time'][:23].replace('T', ' ')}  {event['kind']:<11} {message}", markup=False)
         return
     if budget is not None:
         for name, u_rel in rm.log_budget(budget, where).items():

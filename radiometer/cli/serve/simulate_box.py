@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import select
+import signal
 import sys
 import time
 from pathlib import Path
@@ -42,6 +43,7 @@ def command(
         print(port, flush=True)
         print(f"light box {serial} is served; stop with Ctrl-C", file=sys.stderr, flush=True)
 
+    signal.signal(signal.SIGTERM, signal.default_int_handler)  # its end takes the port's link away as Ctrl-C does
     rm.simulate_box(
         serial, link, firmware=firmware, clock_ppm=clock_ppm, corrupt=corrupt, drop=drop,
         reset_every_s=parse_seconds(reset_every, "--reset-every"),

@@ -50,7 +50,7 @@ def test_trend_gives_json_and_a_report(table, tmp_path, capsys, monkeypatch):
     assert {trend["patch"]: trend["drifts"] for trend in trends} == {"lamp": True, "wall": False}
     (sentence,) = re.findall(r"<p class='outcome'>(.*?)</p>", page.read_text(encoding="utf-8"))
     assert re.match(r"1 of 2 patches drift.* lamp", sentence)
-    assert run(["trend", str(table), "--report", str(page)]) == 0
+    assert run(["trend", str(table), "--report", str(page), "--force"]) == 0
     assert f"report: {page}" in capsys.readouterr().err.replace("\n", "")
 
 

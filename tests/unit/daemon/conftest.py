@@ -38,6 +38,7 @@ class FakeInstrument:
     is_open: bool = False
     reloads: int = 0
     late_at: float | None = None
+    shape: tuple[int, int] = (48, 64)
     let_go: threading.Event | None = None  # a measurement takes until it is set
 
     @property
@@ -82,7 +83,7 @@ class FakeInstrument:
             exposures_s=(settings.exposure_s,),
             budget=(Contribution("scale", 0.01),),
         )
-        dn = np.arange(48 * 64, dtype=np.uint16).reshape(48, 64)
+        dn = (np.arange(np.prod(self.shape)) % 3072).astype(np.uint16).reshape(self.shape)
         return Measurement(reading, (Frame(dn, 12, FrameSettings(settings.exposure_s)),))
 
     def self_test(self) -> list[str]:

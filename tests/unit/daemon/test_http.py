@@ -296,6 +296,13 @@ async def test_no_path_reaches_the_file_system(base: str, path: str) -> None:
     assert b"root:" not in head
 
 
+async def test_a_key_that_stands_twice_is_refused(base: str, session: aiohttp.ClientSession) -> None:
+    """Which of two levels of a light was meant is not known: nothing is set."""
+    body, kind = '{"channel": "white", "level": 0, "level": 1}', {"Content-Type": "application/json"}
+    async with session.post(f"{base}/light", data=body, headers=kind) as reply:
+        assert (reply.status, "'level' stands twice" in await reply.text()) == (400, True)
+
+
 async def test_nonsense_is_refused_without_filling_the_log(base: str) -> None:
     """What is no HTTP gets its 400, and leaves no traceback behind."""
     port, logged = int(base.rsplit(":", 1)[1]), BufferingHandler(100)

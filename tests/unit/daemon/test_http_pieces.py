@@ -374,7 +374,7 @@ def test_what_lies_at_black_is_dim_and_not_a_thousand() -> None:
 async def test_an_export_that_breaks_off_is_no_whole_table(monkeypatch: pytest.MonkeyPatch) -> None:
     """A client that has half of it sees the connection end: nothing that was cut may pass for all there is."""
     for error in (TimeoutError(), ConnectionError(), InputError("the journal is gone")):
-        aborted, sent = list[int](), list[str]()
+        aborted, sent = list[int](), list[bytes]()
         transport = SimpleNamespace(abort=lambda aborted=aborted: aborted.append(1))
         request = SimpleNamespace(method="GET", transport=transport)
         pieces: list[Any] = [['{"sequence": 1}'], error]
@@ -385,7 +385,7 @@ async def test_an_export_that_breaks_off_is_no_whole_table(monkeypatch: pytest.M
                 raise found
             return found
 
-        async def write(response: Any, text: str, sent: list[str] = sent) -> None:
+        async def write(response: Any, text: bytes, sent: list[bytes] = sent) -> None:
             sent.append(text)
 
         async def prepare(self: Any, request: Any) -> None:
@@ -396,7 +396,7 @@ async def test_an_export_that_breaks_off_is_no_whole_table(monkeypatch: pytest.M
         monkeypatch.setattr("aiohttp.web.StreamResponse.prepare", prepare)
         wanted = ReadingFilter(limit=1, stream="")
         await readings._send_all(request, None, wanted, "jsonl")  # type: ignore[arg-type]
-        assert sent == ['{"sequence": 1}\n']
+        assert sent == [b'{"sequence": 1}\n']
         assert aborted == [1]
         request.transport = None
         pieces[:] = [[], error]

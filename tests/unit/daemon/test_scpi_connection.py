@@ -73,7 +73,7 @@ class Wire(asyncio.Transport):
 class Scripted:
     """A session that keeps its messages: `?x` replies x, `wait` waits for an event, `bug` has one."""
 
-    def __init__(self, station: Any, table: Any) -> None:
+    def __init__(self, station: Any, table: Any, reply_bytes: int) -> None:
         self.heard: list[str] = []
         self.at: list[float] = []
         self.status = Status()

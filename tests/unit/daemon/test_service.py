@@ -180,7 +180,6 @@ async def test_a_service_listens_reloads_and_ends_as_signals_say(tmp_path: Path,
     await eventually(lambda: len(said) == 6)
     assert said[5] == "calibration not reloaded: calibration.yaml: no scale"
     await eventually(lambda: told.lines[-1].startswith("ready alarm: calibration not reloaded, the old one stays"))
-    await eventually(lambda: not service._reloads)  # of one that has ended nothing is kept
     instrument.reload_calibration = lambda: "again"  # type: ignore[method-assign]
     await service._station.reload_calibration()
     service._station.set_every(50.0)
@@ -195,11 +194,26 @@ async def test_a_service_listens_reloads_and_ends_as_signals_say(tmp_path: Path,
     assert service._housekeeping.cancelled() or service._housekeeping.cancelling()
 
 
+async def test_a_storm_of_hangups_is_one_reload_and_one_more(tmp_path: Path, eventually: Eventually) -> None:
+    """Each reload stops the camera: 100 signals within a moment stop it twice, for the last one must count."""
+    service, instrument, _, told = fresh(tmp_path)
+    running = asyncio.create_task(service.run())
+    await eventually(lambda: told.lines or running.done())
+    for _ in range(100):
+        os.kill(os.getpid(), signal.SIGHUP)
+        await asyncio.sleep(0.001)
+    await eventually(lambda: instrument.reloads == 2)
+    await asyncio.sleep(0.05)
+    assert instrument.reloads == 2
+    os.kill(os.getpid(), signal.SIGTERM)
+    await running
+
+
 async def test_who_may_connect_is_announced(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Networks that are let in, that a token is needed, an IPv6 address in brackets, and what else is told whom."""
     service, _, said, _ = fresh(
         tmp_path, scpi_address="192.0.2.7", scpi_allow=parse_networks(["10.0.0.0/8", "192.0.2.0/24"]),
-        http_address="::1", token="secret",
+        http_address="::1", token="a secret of sixteen",
     )  # fmt: skip
     begun: list[str] = []
     other = SimpleNamespace(start=lambda: begun.append("mqtt"), target="broker:1883", topic="lab")

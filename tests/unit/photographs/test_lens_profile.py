@@ -73,7 +73,7 @@ def test_planted_falloff_is_taken_out(tmp_path, capsys):
     for seconds in (0.02, 0.04, 0.08):
         dn = rng.poisson(place * seconds * 300_000.0).astype(np.uint16)
         _photograph(folder / f"t{seconds}.png", dn, seconds)
-    words = ["merge", str(folder), "--linear", "-o", str(tmp_path / "map.tiff")]
+    words = ["merge", "--force", str(folder), "--linear", "-o", str(tmp_path / "map.tiff")]
     assert run([*words, "--vignetting", "lensfun"]) == 0
     assert f"{LENS} at 24 mm, f/4" in capsys.readouterr().out
     value = tifffile.imread(tmp_path / "map.tiff", key=0).astype(float)

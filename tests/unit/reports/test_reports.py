@@ -237,7 +237,6 @@ BRACKETS = {
 }
 
 
-@OPEN
 @pytest.mark.parametrize("make", BRACKETS.values(), ids=BRACKETS)
 def test_frames_that_saturate_below_their_container_are_merged_right(make, tmp_path):
     """800 000 DN/s at the right end, within 1 % from the darkest column to the brightest."""
@@ -247,7 +246,6 @@ def test_frames_that_saturate_below_their_container_are_merged_right(make, tmp_p
     assert found[2:] == pytest.approx((8e5 * np.linspace(0.02, 1, 96))[2:], rel=0.01)
 
 
-@OPEN
 @pytest.mark.parametrize(("spread_dn", "strays"), [(0.0, 0), (0.0, 40), (1.0, 0)])
 def test_a_raw_file_that_saturates_below_its_white_level(spread_dn, strays, tmp_path):
     """240 000 DN/s within 1 %, whatever is above the sensor's end (jcelaya/hdrmerge/issues/126)."""
