@@ -89,7 +89,8 @@ def run(
         protocol, subject, out, csv=csv, box=box, calibration=calibration, accept_stale=accept_stale, camera=camera,
         bench=bench, white=white, fixation=fixation, simulate=simulate, room=room, slow_s=slow, seed=seed, eye=eye,
         preset=preset, screen=screen, display=display, port=port, page=page, page_port=page_port, audio=audio,
-        force=force, view=view, bell=lambda: print("\a", end="", file=sys.stderr, flush=True), notice=note, announce=_announce,
+        force=force, view=view, bell=lambda: print("\a", end="", file=sys.stderr, flush=True), notice=note,
+        announce=_announce,
     )  # fmt: skip
     if json:
         print(done.to_json())
