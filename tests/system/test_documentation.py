@@ -160,17 +160,6 @@ def test_the_reference_holds_every_public_name_command_and_effect(site):
         assert f"<code>{name}</code>" in effects
 
 
-def test_a_page_is_followed_by_kind_not_by_noise(follow_module):
-    """Numbers may differ within their uncertainties; another word, unit, or a value beyond them is told."""
-    same = follow_module._same_kind
-    assert same("radiance 0.3265 ± 0.0033 W", "radiance 0.3281 ± 0.0030 W (k = 2)")
-    assert not same("radiance 0.3265 ± 0.0033 W", "radiance 0.4265 ± 0.0033 W")
-    assert not same("radiance 0.3265 ± 0.0033 W", "radiance 0.3265 ± 0.0003 W")
-    assert not same("radiance 0.3265 ± 0.0033 W", "luminance 0.3265 ± 0.0033 W")
-    assert not same("exposures 1.25 ms", "exposures 1.25 s")
-    assert list(follow_module._missing("a 1\nb 2\n", "x\n a   3\n")) == ["b 2"]
-
-
 def test_a_command_that_fails_ends_the_following(follow_module, tmp_path):
     """A page whose command fails is no page that works."""
     page = tmp_path / "page.md"

@@ -42,7 +42,6 @@ def stranger(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Strang
     monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
     monkeypatch.delenv(boxes.PORT_VARIABLE, raising=False)
     monkeypatch.setattr("drivers.light_box.box.BOOT_S", 0.01)
-    boxes._SILENT.clear()
     master, slave = pty.openpty()
     tty.setraw(slave)
     yield Stranger(os.ttyname(slave), master)

@@ -139,6 +139,7 @@ def test_sixteen_bit_pictures_are_linear_where_that_is_said(tmp_path, capsys, en
     _agrees(tmp_path / "map.tiff", radiance)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("gamma", "grows"), [(1.0, None), (2.2, "1.37")])
 def test_photographs_that_are_not_linear_are_told_of(tmp_path, capsys, gamma, grows):
     """Behind a gamma of 1/2.2 twice the exposure makes numbers 2^(1/2.2) as large: said beside map and in it."""
@@ -160,6 +161,7 @@ def test_photographs_that_are_not_linear_are_told_of(tmp_path, capsys, gamma, gr
     assert ("said to be linear" in capsys.readouterr().err) == (grows is not None)
 
 
+@pytest.mark.slow
 def test_jpeg_files_that_cannot_tell_are_told_of(tmp_path, capsys):
     """Of two JPEG files without a pixel in common no growth is known: that JPEG is not linear is said all the same."""
     folder, rng = tmp_path / "p", np.random.default_rng(7)
@@ -178,6 +180,7 @@ def test_linear_photographs_take_no_response(tmp_path, capsys):
     assert "leave --response out" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_raw_files_are_filled_in_for_pictures(tmp_path, capsys):
     """--demosaic gives the map at full size, in proportion to the light of each colour."""
     pytest.importorskip("rawpy")

@@ -270,6 +270,7 @@ def test_the_response_of_photographs_from_the_hand_is_that_of_aligned_ones(bent,
     assert off["off"] > 3.0 * off["auto"]
 
 
+@pytest.mark.slow
 def test_photographs_from_the_hand_are_reconciled_in_one_place(bent, capsys):
     """Aligned, their printed exposures agree; as they lie no tone curve would join them."""
     assert run(["reconcile", str(bent), "--json"]) == 0

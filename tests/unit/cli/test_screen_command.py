@@ -36,6 +36,7 @@ def test_level_answers_in_json(calibration: Path, capsys: pytest.CaptureFixture[
     assert answer["shown"]["u"] > 0
 
 
+@pytest.mark.slow
 def test_level_out_of_reach_fails_in_one_line(calibration: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Exit code 1, the limits in the message."""
     assert run(["screen", "level", str(calibration), "5000"]) == 1

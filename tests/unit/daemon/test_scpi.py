@@ -262,6 +262,7 @@ def test_a_newline_inside_a_block_is_data() -> None:
     """Framing looks past a block, but not past a '#' in a string."""
     assert block_end(b"SENS:EXP #14a\nbc\n", 13) == 16
     assert block_end(b'SENS:EXP "#14a\nbc"\n', 14) == 14
+    assert block_end(b"SENS:EXP #1x\nbc\n", 12) == 12
     units, error = split_message("A:B #14a\nbc;*IDN?")
     assert error is None
     assert units[0].arguments == (Argument(Kind.BLOCK, "a\nbc"),)
