@@ -206,7 +206,7 @@ def look_up_all(slots: Any, records: Any, found: Any) -> None:  # pragma: no cov
 
 def indispensable(bracket: Bracket) -> dict[str, Callable[[], object]]:
     """Return what no merge of these sums goes without, each alone: reading, looking up, touching the result."""
-    numbers = [frame.dn.ravel() for frame in bracket]
+    numbers = [frame.dn.ravel() for frame in bracket.light]
     used = sum((one < 4095).astype(np.uint64) << np.uint64(k) for k, one in enumerate(numbers))
     slots = np.unique(used, return_inverse=True)[1].astype(np.uint64)
     records, found = np.random.default_rng(3).random((256, 24)), np.empty(_LOOKED_UP_AT_ONCE)

@@ -28,7 +28,7 @@ Array = NDArray[np.float64]
 
 
 def half(bracket: Bracket, parity: int) -> Bracket:
-    return replace(bracket, frames=bracket.frames[parity::2])
+    return replace(bracket, frames=bracket.light[parity::2])
 
 
 def halves(path: Path) -> tuple[dict[str, tuple[RadianceMap, RadianceMap]], str]:
@@ -41,7 +41,7 @@ def halves(path: Path) -> tuple[dict[str, tuple[RadianceMap, RadianceMap]], str]
             curves, _ = recovered_curves(common, Path(folder) / "map.exr", lambda _: None)
         maps = {}
         for whole in placed.brackets:
-            channel = str(whole.frames[0].extra["channel"])
+            channel = str(whole.light[0].extra["channel"])
             bracket = with_found_times(half(whole, parity), curves[channel])
             known, displacement = relative_calibration(bracket, curves[channel], camera, lens)
             maps[channel] = merge(

@@ -36,7 +36,7 @@ class Stack:
         (3, ['red', 'green', 'blue'])
         >>> stack["green"]
         <Stack photographs: green: 3 frames of 96 × 64 pixels, 8 bits, 0.02 to 0.08 s>
-        >>> stack["green"].bracket.frames[0].dn.shape
+        >>> stack["green"].bracket.light[0].dn.shape
         (64, 96)
 
     Attributes:
@@ -84,11 +84,11 @@ class Stack:
         """
         where = axes if axes is not None else new_axes()
         for name, bracket in self.brackets.items():
-            exposures = [frame.settings.effective_exposure_s for frame in bracket.frames]
-            low, middle, high = np.transpose([np.percentile(_thinned(one.dn), (1, 50, 99)) for one in bracket.frames])
+            exposures = [frame.settings.effective_exposure_s for frame in bracket.light]
+            low, middle, high = np.transpose([np.percentile(_thinned(one.dn), (1, 50, 99)) for one in bracket.light])
             (line,) = where.plot(exposures, middle, "o-", markersize=3, label=name)
             where.fill_between(exposures, low, high, color=line.get_color(), alpha=0.2, linewidth=0)
-            where.axhline(bracket.frames[0].full_scale_dn, color="black", linewidth=0.8, linestyle=":")
+            where.axhline(bracket.light[0].full_scale_dn, color="black", linewidth=0.8, linestyle=":")
         where.set_xscale("log")
         where.set_xlabel("exposure time × gain in s")
         where.set_ylabel("digital number (DN); dotted: full scale")
@@ -102,11 +102,11 @@ class Stack:
         """Return size, number of frames and exposures in one line."""
         parts = []
         for name, bracket in self.brackets.items():
-            times = [frame.settings.exposure_s for frame in bracket.frames]
+            times = [frame.settings.exposure_s for frame in bracket.light]
             height, width = bracket.shape
-            dark = f" + {len(bracket.dark_frames)} dark" if bracket.dark_frames else ""
+            dark = f" + {len(bracket.dark)} dark" if bracket.dark else ""
             parts.append(
-                f"{name}: {len(bracket)}{dark} frames of {width} × {height} pixels, {bracket.bit_depth} bits, "
+                f"{name}: {len(bracket.light)}{dark} frames of {width} × {height} pixels, {bracket.bit_depth} bits, "
                 f"{min(times):.4g} to {max(times):.4g} s"
             )
         return f"<Stack {self.origin}: {'; '.join(parts)}>"
@@ -171,7 +171,7 @@ def _thinned(dn: DigitalNumbers) -> DigitalNumbers:
 
 
 def _name(bracket: Bracket) -> str:
-    settings, extra = bracket.frames[0].settings, bracket.frames[0].extra
+    settings, extra = bracket.light[0].settings, bracket.light[0].extra
     if "channel" in extra:
         return str(extra["channel"])
     return settings.pattern if settings.source_level == 1.0 else f"{settings.pattern} at {settings.source_level:g}"

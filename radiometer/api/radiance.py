@@ -214,7 +214,7 @@ def merge(
 
 
 def _without_scale(response: Response, stack: Stack, bracket: Bracket) -> Calibration:
-    stated = (bracket.frames[0].settings.black_level_dn, stack.camera.black_level_dn, black_of_curve(response.curve))
+    stated = (bracket.light[0].settings.black_level_dn, stack.camera.black_level_dn, black_of_curve(response.curve))
     return Calibration(
         camera=stack.camera,
         lens=stack.lens,

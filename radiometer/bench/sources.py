@@ -87,7 +87,7 @@ def lensfun_falloff(path: Path, bracket: Bracket, lens: str | None = None) -> tu
     """
     from radiometer.photographs.lens_profile import lensfun_flat_field, read_lens_record
 
-    record = read_lens_record(path / str(bracket.frames[0].extra["file"]), lens)
+    record = read_lens_record(path / str(bracket.light[0].extra["file"]), lens)
     return lensfun_flat_field(record, bracket.shape)
 
 

@@ -83,7 +83,7 @@ def with_f_number(bracket: Bracket, f_number: float | None) -> Bracket:
         return bracket
     if not (math.isfinite(f_number) and f_number > 0):
         raise UsageError(f"--f-number {f_number:g}: must be above 0")
-    other = {n for frame in bracket if (n := frame.settings.f_number) and abs(n / f_number - 1.0) > _SAME_STOP_REL}
+    other = {n for frame in bracket.light if (n := frame.settings.f_number) and abs(n / f_number - 1.0) > _SAME_STOP_REL}
     if other:
         raise UsageError(f"--f-number {f_number:g}: the frames state f/{min(other):.4g} themselves; leave it out")
     exact = exact_f_number(f_number)
@@ -92,7 +92,7 @@ def with_f_number(bracket: Bracket, f_number: float | None) -> Bracket:
 
     frames = (
         frame if frame.settings.f_number else replace(frame, settings=replace(frame.settings, f_number=number))
-        for frame in (*bracket.frames, *bracket.dark_frames)
+        for frame in (*bracket.light, *bracket.dark)
     )
     return Bracket.from_frames(frames, origin=bracket.origin)
 

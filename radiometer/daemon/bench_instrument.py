@@ -106,7 +106,7 @@ class BenchInstrument:
         if camera.settings.gain_db != settings.gain_db:
             camera.configure(replace(camera.settings, gain_db=settings.gain_db))
         bracket = instrument.take_bracket() if settings.auto_exposure else self._fixed(camera, settings.exposure_s)
-        temperatures = [f.settings.temperature_c for f in bracket.frames if f.settings.temperature_c is not None]
+        temperatures = [f.settings.temperature_c for f in bracket.light if f.settings.temperature_c is not None]
         self._temperature_c = temperatures[-1] if temperatures else self._temperature_c
         return Measurement(instrument.read(bracket), _distinct(bracket), self.check())
 
@@ -185,4 +185,4 @@ class BenchInstrument:
 
 def _distinct(bracket: Bracket) -> tuple[Frame, ...]:
     """Return one frame per exposure: what a picture needs."""
-    return tuple({frame.settings.effective_exposure_s: frame for frame in bracket.frames}.values())
+    return tuple({frame.settings.effective_exposure_s: frame for frame in bracket.light}.values())

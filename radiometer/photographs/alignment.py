@@ -36,11 +36,11 @@ class Placed:
         if not self.absent:
             return bracket
         frames = []
-        for frame, absent in zip(bracket, self.absent, strict=True):
+        for frame, absent in zip(bracket.light, self.absent, strict=True):
             dn = frame.dn.copy()
             dn[absent] = frame.full_scale_dn
             frames.append(replace(frame, dn=dn))
-        return replace(bracket, frames=tuple(frames))
+        return replace(bracket, light=tuple(frames))
 
 
 def in_one_place(brackets: Sequence[Bracket], align: str) -> Placed:
@@ -60,11 +60,11 @@ def in_one_place(brackets: Sequence[Bracket], align: str) -> Placed:
 
     if align not in ALIGN_CHOICES:
         raise UsageError(f"--align {align}: choose one of {', '.join(ALIGN_CHOICES)}")
-    if align == "off" or len(brackets[0]) < 2:
+    if align == "off" or len(brackets[0].light) < 2:
         return Placed(list(brackets), list(brackets), [], None)
-    seen = next((one for one in brackets if one.frames[0].extra.get("channel") == "green"), brackets[0])
+    seen = next((one for one in brackets if one.light[0].extra.get("channel") == "green"), brackets[0])
     alignment = find_alignment(seen)
-    sentence = alignment.sentence([frame_name(seen, k) for k in range(len(seen))], moved=align == "on")
+    sentence = alignment.sentence([frame_name(seen, k) for k in range(len(seen.light))], moved=align == "on")
     if not (alignment.needed or align == "on"):
         return Placed(list(brackets), list(brackets), [], sentence)
     moved = [aligned(one, alignment) for one in brackets]
@@ -84,7 +84,7 @@ def photographs_in_one_place(brackets: Sequence[Bracket], align: str = "auto") -
     Raises:
         UsageError: If it is none of these.
     """
-    by_hand = all("nominal_exposure_s" in frame.extra for bracket in brackets for frame in bracket)
+    by_hand = all("nominal_exposure_s" in frame.extra for bracket in brackets for frame in bracket.light)
     if by_hand or align not in ALIGN_CHOICES:
         return in_one_place(brackets, align)
     return in_one_place(brackets, "off")

@@ -57,7 +57,7 @@ def at_iso(scale: Scale, iso: float | None, stated: float | None) -> Scale:
 
 def with_iso_speeds(estimate: ResponseEstimate, *several: Sequence[Bracket]) -> ResponseEstimate:
     """Return the estimate with the ISO speeds of its photographs in its curve's provenance and in its details."""
-    record = iso_record(frame for brackets in several for bracket in brackets for frame in bracket)
+    record = iso_record(frame for brackets in several for bracket in brackets for frame in bracket.light)
     curve = replace(estimate.curve, provenance=_with_record(estimate.curve.provenance, record))
     return replace(estimate, curve=curve, details={**estimate.details, "iso": record} if record else estimate.details)
 

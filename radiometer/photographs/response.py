@@ -105,7 +105,7 @@ def told_by_themselves(
     Raises:
         MeasurementError: If the photographs hold no response.
     """
-    raw = all("raw" in frame.extra for frame in bracket)
+    raw = all("raw" in frame.extra for frame in bracket.light)
     if linear and not raw and (doubt := linear_doubt(common)):
         say(doubt)
     if linear or raw:
@@ -144,11 +144,11 @@ def in_their_own_depth(brackets: Sequence[Bracket]) -> list[Bracket]:
     """
     ends = [_white_dn(bracket) for bracket in brackets]
     depth = min(ends).bit_length()
-    highest = max(int(frame.dn.max()) for bracket in brackets for frame in bracket)
+    highest = max(int(frame.dn.max()) for bracket in brackets for frame in bracket.light)
     if min(ends) != (1 << depth) - 1 or highest > min(ends) or not 8 < depth < brackets[0].bit_depth:
         return list(brackets)
     return [
-        type(one).from_frames([replace(f, bit_depth=depth) for f in (*one, *one.dark_frames)], origin=one.origin)
+        type(one).from_frames([replace(f, bit_depth=depth) for f in one.every_frame], origin=one.origin)
         for one in brackets
     ]
 
@@ -161,13 +161,13 @@ def linear_doubt(bracket: Bracket) -> str | None:
     """
     from radiometer.analysis.response.proportion import growth_power
 
-    power = growth_power(bracket, bracket.frames[0].settings.black_level_dn or 0.0)
+    power = growth_power(bracket, bracket.light[0].settings.black_level_dn or 0.0)
     if power is not None and abs(power - 1.0) > _NOT_LINEAR:
         return (
             f"said to be linear, yet twice the exposure makes numbers {2.0**power:.2f} times as large: a curve as of "
             "most pictures, a black level that is not stated, or wrong times; without --linear a curve is recovered"
         )
-    if power is None and all(Path(str(f.extra.get("file", ""))).suffix.lower() in _JPEG_SUFFIXES for f in bracket):
+    if power is None and all(Path(str(f.extra.get("file", ""))).suffix.lower() in _JPEG_SUFFIXES for f in bracket.light):
         return "said to be linear, yet cameras write JPEG through a curve, and no two of these show the same pixels"
     return None
 
@@ -204,13 +204,13 @@ def with_found_times(bracket: Bracket, curve: ResponseCurve) -> Bracket:
         curve: Recovered from the same photographs.
     """
     errors = curve.provenance.parameters.get("log_time_errors")
-    if not errors or len(errors) != len(bracket) or not any(errors):
+    if not errors or len(errors) != len(bracket.light) or not any(errors):
         return bracket
     frames = [
         replace(f, settings=replace(f.settings, exposure_s=f.settings.exposure_s * math.exp(float(error))))
-        for f, error in zip(bracket, errors, strict=True)
+        for f, error in zip(bracket.light, errors, strict=True)
     ]
-    return type(bracket).from_frames([*frames, *bracket.dark_frames], origin=bracket.origin)
+    return bracket.with_light(frames)
 
 
 def shutter_offset_of(curve: ResponseCurve | None) -> ShutterOffset | None:
@@ -252,17 +252,17 @@ def with_offset_of_response(
     offset = shutter_offset_of(curve)
     if offset is None:
         return bracket, None, False
-    shortest_s = min(frame.settings.exposure_s for frame in bracket)
+    shortest_s = min(frame.settings.exposure_s for frame in bracket.light)
     not_taken = f"the shutter's offset of the response (exposures {offset.told()} than their labels) is not taken"
     if listed is not None:
         return bracket, f"{not_taken}: {listed} gives the exposures", False
     if not is_possible(offset.seconds, shortest_s):
         return bracket, f"{not_taken}: it is too large beside {1e6 * shortest_s:.3g} µs", False
     timed = [
-        replace(f, settings=replace(f.settings, exposure_s=f.settings.exposure_s + offset.seconds)) for f in bracket
+        replace(f, settings=replace(f.settings, exposure_s=f.settings.exposure_s + offset.seconds)) for f in bracket.light
     ]
     text = f"all exposures {offset.told()} than their labels, the shutter's offset that the response was recovered with"
-    return type(bracket).from_frames([*timed, *bracket.dark_frames], origin=bracket.origin), text, True
+    return bracket.with_light(timed), text, True
 
 
 def with_offset_of_calibration(
@@ -319,7 +319,7 @@ def _black_dn(bracket: Bracket, curve: ResponseCurve | None) -> float:
     """Return the black level as the photographs state it, else as their response has it: a film's fog is black."""
     from radiometer.analysis.response.curves import black_of_curve
 
-    stated = bracket.frames[0].settings.black_level_dn
+    stated = bracket.light[0].settings.black_level_dn
     return stated or (black_of_curve(curve) if curve is not None else 0.0)
 
 
@@ -335,7 +335,7 @@ def displacement_of(bracket: Bracket, curve: ResponseCurve | None) -> Displaceme
 
     if curve is not None and curve.bit_depth != bracket.bit_depth:
         return None
-    black_dn = bracket.frames[0].settings.black_level_dn or 0.0
+    black_dn = bracket.light[0].settings.black_level_dn or 0.0
     try:
         return find_displacement(bracket, curve or _straight_line(bracket, black_dn))
     except MeasurementError:
@@ -363,7 +363,7 @@ def _full_well(bracket: Bracket, black_dn: float, noise: SensorNoise) -> float:
     from radiometer.analysis.signal.model import USABLE_FULL_WELL
 
     white = _white_dn(bracket)
-    if white < bracket.frames[0].full_scale_dn:  # such as 12 bits in files of 16
+    if white < bracket.light[0].full_scale_dn:  # such as 12 bits in files of 16
         # Half a number below, or a rounding of this product may put the end above the number that clips.
         return (white - 0.5 - black_dn) * noise.conversion_gain_e_per_dn / USABLE_FULL_WELL
     return _BEYOND_THE_CONVERTER * noise.full_well_e
@@ -377,7 +377,7 @@ def _white_dn(bracket: Bracket) -> int:
     try:
         return find_limits([bracket]).saturated_dn
     except MeasurementError:  # nothing but black and white
-        return bracket.frames[0].full_scale_dn
+        return bracket.light[0].full_scale_dn
 
 
 def _straight_line(bracket: Bracket, black_dn: float) -> ResponseCurve:
@@ -396,15 +396,15 @@ def _straight_line(bracket: Bracket, black_dn: float) -> ResponseCurve:
 
 
 def _channel(bracket: Bracket) -> str:
-    return str(bracket.frames[0].extra.get("channel", "mono"))
+    return str(bracket.light[0].extra.get("channel", "mono"))
 
 
 def _fingerprint(brackets: Mapping[str, Bracket]) -> str:
     """Return a hash of photographs: their values and exposure times in all colours, which are judged together."""
     digest = hashlib.sha256()
     for channel, bracket in brackets.items():
-        digest.update(f"{channel} {len(bracket)} ".encode())
-        for frame in bracket:
+        digest.update(f"{channel} {len(bracket.light)} ".encode())
+        for frame in bracket.light:
             digest.update(f"{frame.settings.effective_exposure_s!r} {frame.shape} {frame.bit_depth}".encode())
             digest.update(frame.dn.tobytes())
     return digest.hexdigest()

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import datetime as dt
 import math
-from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from typing import Literal
 
@@ -16,12 +15,12 @@ from radiometer.analysis.response.curves import black_of_curve
 from radiometer.analysis.signal.lens import lens_factor_sr
 from radiometer.analysis.signal.model import signal_model
 from radiometer.data import (
+    Bracket,
     BlackLevel,
     Calibration,
     CameraDescription,
     Flag,
     FlatField,
-    Frame,
     FrameSettings,
     LensDescription,
     Patch,
@@ -104,7 +103,7 @@ def unscaled_calibration(
 
 def scale_by_source(
     base: Calibration,
-    frames: Iterable[Frame],
+    frames: Bracket,
     patch: Patch,
     source: KnownSource,
     light: SourceDescription | None = None,
@@ -113,7 +112,7 @@ def scale_by_source(
 
     Args:
         base: Unscaled calibration.
-        frames: Frames of the source.
+        frames: Bracket of the source; its dark frames give the dark level.
         patch: Where the source is.
         source: What is known of its radiance.
         light: What else is known of it.
@@ -121,12 +120,11 @@ def scale_by_source(
     Raises:
         MeasurementError: If the patch is clipped, below the noise or not uniform.
     """
-    seen = list(frames)
     made = dt.datetime.fromisoformat(base.created)  # a scale has no age when it is made
-    situation = patch_situation(seen, patch, base, base.camera, base.lens, light, made)
+    situation = patch_situation(frames, patch, base, base.camera, base.lens, light, made)
     conditions = situation.conditions
     own = replace(base, scale=base.scale.model_copy(update={"conditions": conditions}))
-    reading = read_patch(seen, patch, own, base.camera, base.lens, source=light, now=made)
+    reading = read_patch(frames, patch, own, base.camera, base.lens, source=light, now=made)
     for flag in (Flag.SATURATED, Flag.BELOW_NOISE, Flag.NONUNIFORM):
         if flag in reading.flags:
             raise MeasurementError(

@@ -50,7 +50,7 @@ _TOLD_REL = 0.001  # an offset of exposures that does less to the brightest pixe
 
 
 def merge(
-    frames: Iterable[Frame],
+    frames: Bracket | Iterable[Frame],
     camera: CameraDescription,
     lens: LensDescription,
     calibration: Calibration | None = None,
@@ -208,9 +208,9 @@ class StreamingMerge:
         Raises:
             MeasurementError: If frames do not belong together.
         """
-        for dark in bracket.dark_frames:
+        for dark in bracket.dark:
             self.add(dark)
-        for taken in bracket:
+        for taken in bracket.light:
             frame = self._corrected(taken)
             self._refuse_misfit(frame)
             self._pending.append(self._sample(frame))

@@ -24,6 +24,7 @@ from radiometer.analysis.signal.model import SignalModel
 from radiometer.analysis.signal.situation import Situation, flat_field_for, situation_of, unstated_u_rel
 from radiometer.analysis.uncertainty.budget import combined_u, coverage_factor, effective_degrees_of_freedom
 from radiometer.data import (
+    Bracket,
     Calibration,
     CameraDescription,
     Flag,
@@ -42,7 +43,7 @@ from radiometer.errors import MeasurementError
 
 
 def read_patch(
-    frames: Iterable[Frame],
+    frames: Bracket | Iterable[Frame],
     patch: Patch,
     calibration: Calibration | None,
     camera: CameraDescription,
@@ -84,7 +85,7 @@ def read_patch(
 
 
 def patch_situation(
-    frames: Iterable[Frame],
+    frames: Bracket | Iterable[Frame],
     patch: Patch,
     calibration: Calibration | None,
     camera: CameraDescription,
@@ -116,7 +117,7 @@ def patch_situation(
 
 
 def _patch_situation(
-    frames: Iterable[Frame],
+    frames: Bracket | Iterable[Frame],
     patch: Patch,
     calibration: Calibration | None,
     camera: CameraDescription,

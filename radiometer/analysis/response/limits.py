@@ -50,9 +50,9 @@ def find_limits(brackets: Sequence[Bracket]) -> ValueLimits:
     full_scale = (1 << brackets[0].bit_depth) - 1
     histogram = np.zeros(full_scale + 1, dtype=np.int64)
     for bracket in brackets:
-        for frame in bracket:
+        for frame in bracket.light:
             histogram += np.bincount(frame.dn.ravel(), minlength=full_scale + 1)[: full_scale + 1]
-    stated = [f.settings.black_level_dn for b in brackets for f in b if f.settings.black_level_dn]
+    stated = [f.settings.black_level_dn for b in brackets for f in b.light if f.settings.black_level_dn]
     stills = [_stands_still(bracket, full_scale) for bracket in brackets]
     black = max(_floor(histogram), int(np.ceil(max(stated))) if stated else 0, *(low for low, _ in stills))
     saturated = min(_ceiling(histogram), *(high for _, high in stills))
@@ -69,11 +69,11 @@ def _stands_still(bracket: Bracket, full_scale: int) -> tuple[int, int]:
     times = bracket.effective_exposures_s
     shortest = max(_STILL_FRAMES, int(np.searchsorted(times, _STILL_GROWTH * times[0])) + 1)
     longest = max(_STILL_FRAMES, len(times) - int(np.searchsorted(times, times[-1] / _STILL_GROWTH, "right")) + 1)
-    low, high, most = 0, full_scale, len(bracket) // 2
+    low, high, most = 0, full_scale, len(bracket.light) // 2
     if shortest <= most:
-        low = _common_peak(bracket.frames[:shortest], full_scale) or 0
+        low = _common_peak(bracket.light[:shortest], full_scale) or 0
     if longest <= most:
-        high = _common_peak(bracket.frames[-longest:], full_scale) or full_scale
+        high = _common_peak(bracket.light[-longest:], full_scale) or full_scale
     middle = (full_scale + 1) // 2
     return (low if low < middle else 0), (high if high > middle else full_scale)
 

@@ -265,15 +265,15 @@ def _merge_photographs(path: Path, options: _Options) -> tuple[dict[str, Radianc
     files: list[Path] = []
     if options.responses and brackets[0].bit_depth != 8:
         curves = curves_of(options.responses, brackets[0].bit_depth)
-    raw = all("raw" in frame.extra for bracket in brackets for frame in bracket)
+    raw = all("raw" in frame.extra for bracket in brackets for frame in bracket.light)
     if not (calibration or curves or raw or options.linear):
         curves, files = recovered_curves(placed.common, options.beside, note)
-        brackets = [with_found_times(b, curves[str(b.frames[0].extra.get("channel", "mono"))]) for b in brackets]
+        brackets = [with_found_times(b, curves[str(b.light[0].extra.get("channel", "mono"))]) for b in brackets]
         said = {channel: offset_told(curve) for channel, curve in curves.items()}
     else:
         brackets, said = _with_offsets(path, brackets, curves, calibration)
     asked = placed.common if options.linear and not (calibration or raw) else []
-    doubts = {str(b.frames[0].extra.get("channel", "mono")): doubt for b in asked if (doubt := linear_doubt(b))}
+    doubts = {str(b.light[0].extra.get("channel", "mono")): doubt for b in asked if (doubt := linear_doubt(b))}
     for name, doubt in doubts.items():
         note(f"{name}: {doubt}")
     several = [with_f_number(bracket, options.f_number) for bracket in brackets]
@@ -298,7 +298,7 @@ def _with_offsets(
     said: dict[str, str | None] = {}
     notes: dict[str, list[str]] = {}
     for bracket in brackets:
-        channel = str(bracket.frames[0].extra.get("channel", "mono"))
+        channel = str(bracket.light[0].extra.get("channel", "mono"))
         curve = _of_channel(curves, channel) if curves else None
         if calibration:
             one, text, taken = with_offset_of_calibration(bracket, calibration, listed)
@@ -354,7 +354,7 @@ def _merged(
     from radiometer.data import CameraDescription, LensDescription
     from radiometer.photographs.response import displacement_of, relative_calibration, with_displacement_told
 
-    name = str(bracket.frames[0].extra.get("channel", "mono"))
+    name = str(bracket.light[0].extra.get("channel", "mono"))
     camera = calibration.camera if calibration else CameraDescription(bit_depth=bracket.bit_depth)
     curve = _of_channel(curves, name)
     if calibration:
@@ -373,7 +373,7 @@ def _merged(
     )
     for text in _assumed_of(curve, name) if curve else ():
         found = _with_assumption(found, text)
-    return {name: with_iso_in_map(with_displacement_told(found, displacement), bracket)}
+    return {name: with_iso_in_map(with_displacement_told(found, displacement), bracket.light)}
 
 
 def _assumed_of(curve: ResponseCurve, channel: str) -> tuple[str, ...]:

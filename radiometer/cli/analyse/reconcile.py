@@ -201,8 +201,8 @@ def _photographs(path: Path) -> Sequence[Sequence[Frame]]:
     placed = photographs_in_one_place(open_brackets(path, "each", most_pixels=_ENOUGH_PIXELS))
     if placed.absent:
         note(f"{path.name}: {placed.sentence}")
-    brackets = sorted(placed.common, key=lambda one: one.frames[0].extra.get("channel") != "green")
-    return [(*one.frames, *one.dark_frames) for one in brackets]
+    brackets = sorted(placed.common, key=lambda one: one.light[0].extra.get("channel") != "green")
+    return [one.every_frame for one in brackets]
 
 
 def _refuse_unknown(names: list[str]) -> None:

@@ -141,7 +141,7 @@ def command(
         refuse_another_channel(base, seen.bracket)
     base = replace(base, uncertainties=_uncertainties(stated, preset))
     if model is not None:
-        shape = seen.bracket.frames[0].shape if seen is not None else None
+        shape = seen.bracket.light[0].shape if seen is not None else None
         base = with_found_effects(base, model, base.uncertainties.model_fields_set, shape)
     if spectrum_unstated and "efficacy_u_rel" not in base.uncertainties.model_fields_set:
         unknown = base.uncertainties.model_copy(update={"efficacy_u_rel": UNKNOWN_EFFICACY_U_REL})
@@ -156,7 +156,7 @@ def command(
     meter: MeterReading | None = None
     if source is not None and seen is not None and seen.patch is not None:
         known = make.scale_by_source(base, seen.bracket, seen.patch, source)
-        scales.append(at_iso(known, *reference_iso(seen.bracket, speeds)))
+        scales.append(at_iso(known, *reference_iso(seen.bracket.light, speeds)))
     if meter_wanted is not None and meter_k is not None:
         dn = reference_dn if reference_dn is not None else description.full_scale_dn // 2
         meter = make.MeterReading(meter_k, meter_wanted, dn, k_u_rel)
@@ -253,9 +253,9 @@ def _at_full_level(capture: CaptureSet) -> Bracket:
     from radiometer.data import Bracket
 
     bracket = capture.bracket()
-    level = max(frame.settings.source_level for frame in bracket)
-    lit = [frame for frame in bracket if frame.settings.source_level == level]
-    return Bracket.from_frames([*lit, *bracket.dark_frames], origin=bracket.origin)
+    level = max(frame.settings.source_level for frame in bracket.light)
+    lit = [frame for frame in bracket.light if frame.settings.source_level == level]
+    return Bracket.from_frames([*lit, *bracket.dark], origin=bracket.origin)
 
 
 def _seen_by_camera(camera: str | None, bench: Path | None, patch: str | None) -> _Seen:
@@ -279,7 +279,7 @@ def _known_source(
     stated = radiance if luminance is None else radiance_w_sr_m2(luminance, spectrum_of(spectrum))
     uncertainty = u_rel
     if stated is None and seen is not None and seen.known is not None:
-        settings = seen.bracket.frames[0].settings
+        settings = seen.bracket.light[0].settings
         known = seen.known.radiance(settings.pattern)
         stated = None if known is None else known * settings.source_level
         uncertainty = u_rel if u_rel is not None else seen.known.u_rel
@@ -309,7 +309,7 @@ def _meter_settings(
 
 def _with_f_number(seen: _Seen, f_number: float | None, *, needed: bool) -> _Seen:
     """Return the known source as captured with the f-number stated by hand where its frames do not state it."""
-    unstated = seen.lens.f_number is None and any(frame.settings.f_number is None for frame in seen.bracket)
+    unstated = seen.lens.f_number is None and any(frame.settings.f_number is None for frame in seen.bracket.light)
     if unstated and f_number is None:
         raise UsageError(
             "the f-number of the frames is not stated: give --f-number N (1 of a lens whose iris cannot change); "
@@ -328,7 +328,7 @@ def _camera_and_lens(
     from radiometer.data import CameraDescription, LensDescription
 
     if seen is not None:
-        numbers = {frame.settings.f_number for frame in seen.bracket} - {None}
+        numbers = {frame.settings.f_number for frame in seen.bracket.light} - {None}
         update = {"f_number": numbers.pop()} if len(numbers) == 1 else {}
         return seen.camera, seen.lens.model_copy(update=update)
     if curve_bits is None:
@@ -382,5 +382,5 @@ def _uncertainties(words: list[str] | None, preset: CameraPreset | None) -> Stat
 def _black_level(stated: float | None, seen: _Seen | None) -> float | None:
     if stated is not None or seen is None:
         return stated
-    levels = {frame.settings.black_level_dn for frame in seen.bracket} - {None}
+    levels = {frame.settings.black_level_dn for frame in seen.bracket.light} - {None}
     return levels.pop() if len(levels) == 1 else None

@@ -146,7 +146,7 @@ def _read(paths: Sequence[Path], channel: str, speeds: IsoSpeeds, align: str) ->
         with _bar(f"reading {path.name}") as report:
             brackets = open_brackets(path, channel, report=report, speeds=speeds, most_pixels=_ENOUGH_PIXELS)
         for bracket in _placed(brackets, align):
-            found.setdefault(str(bracket.frames[0].extra.get("channel", "mono")), []).append(bracket)
+            found.setdefault(str(bracket.light[0].extra.get("channel", "mono")), []).append(bracket)
     return found
 
 

@@ -197,7 +197,7 @@ def _photographed(
         known = replace(known, spectrum=spectrum)
     reading = read_patch(bracket, patch, known, camera, lens, spectrum_stated=spectrum is not None)
     situation = patch_situation(bracket, patch, known, camera, lens, spectrum_stated=spectrum is not None)
-    return with_iso_in_reading(reading, bracket), situation, placed.sentence
+    return with_iso_in_reading(reading, bracket.light), situation, placed.sentence
 
 
 def _cover(instrument: Instrument) -> Callable[[bool], None]:

@@ -150,8 +150,8 @@ def test_a_model_that_holds_an_offset_takes_its_own():
 def test_every_exposure_is_longer_by_it():
     """Frames keep their numbers, dark ones their times, and what is said says how much."""
     timed, text, taken = with_offset_of_response(bracket(*LABELS_S), of_offset(), None)
-    assert [frame.settings.exposure_s for frame in timed] == [label + OFFSET_S for label in sorted(LABELS_S)]
-    assert [frame.settings.exposure_s for frame in timed.dark_frames] == [1.0]
+    assert [frame.settings.exposure_s for frame in timed.light] == [label + OFFSET_S for label in sorted(LABELS_S)]
+    assert [frame.settings.exposure_s for frame in timed.dark] == [1.0]
     assert timed.origin == "here"
     assert (text, taken) == (SAID, True)
 

@@ -52,7 +52,7 @@ def test_a_bracket_is_sorted_and_keeps_the_darks_apart(capture):
     """Light frames ascend in exposure; dark frames stand beside them."""
     bracket = CaptureSet.read(capture).bracket()
     assert bracket.effective_exposures_s.tolist() == [0.01, 0.02, 0.04]
-    assert len(bracket.dark_frames) == 1
+    assert len(bracket.dark) == 1
 
 
 def test_keys_of_other_programs_are_kept(capture):

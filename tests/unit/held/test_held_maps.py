@@ -200,7 +200,7 @@ def test_an_alignment_is_as_it_was(size):
         "places": [one.to_frame.tolist() for one in alignment.movements],
         "known": [one.known for one in alignment.movements],
         "words": alignment.sentence(["a", "b", "c", "d", "e"]),
-        "dn": [digest(one.dn) for one in brought],
+        "dn": [digest(one.dn) for one in brought.light],
         "absent": [digest(one) for one in absent],
         "trimmed": list(alignment.trimmed(brought).shape),
     }

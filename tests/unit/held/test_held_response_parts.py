@@ -253,7 +253,7 @@ def test_dynamic_ranges_are_as_they_were():
 
 def test_lying_labels_are_refused_in_the_words_they_were():
     """Pairs of frames, whole lists, equal frames; nothing where brightness rises as it should."""
-    frames = list(stack("plain").frames)
+    frames = list(stack("plain").light)
 
     def labelled(*times: float, of: tuple[int, ...] = (0, 1, 2, 3, 4, 5), named: bool = True) -> Any:
         made = []

@@ -90,7 +90,7 @@ def test_a_response_is_as_it_was(method, of):
     told = found.to_mapping()
     told["notes"] = len(told["notes"])
     assert not moved(f"responses/{of}_{method}", {"curve": of_curve(found.curve), **told}, rel=10 * FITS)
-    steps = len(STACKS[of]().frames) - 1
+    steps = len(STACKS[of]().light) - 1
     assert found.exposure_ratios.shape == found.u_exposure_ratios.shape == (steps,)
 
 

@@ -104,7 +104,7 @@ def test_moved_values_are_those_of_the_scene(waves):
     still, moved = _photograph(waves, _place(0.0, 0.0), 8.0), _photograph(waves, place, 8.0)
     shape = (HEIGHT, WIDTH)
     back, absent = aligned(Bracket.from_frames([moved]), Alignment((Movement(place),), 0, shape))
-    shown = back.frames[0].dn.astype(int)
+    shown = back.light[0].dn.astype(int)
     seen = ~absent[0]
     gap = np.abs(shown - still.dn)[seen]
     assert gap.max() <= 5

@@ -103,7 +103,7 @@ def test_fewer_frames_cost_noise(passer_by):
     scene, bracket, _ = passer_by
     found = merge(bracket, CAMERA, LENS, _calibration(), without_ghosts=True)
     place = (slice(22, 38), slice(37, 48))  # something stood here in the fourth frame
-    rest = Bracket.from_frames([f for k, f in enumerate(bracket) if k != 3])
+    rest = Bracket.from_frames([f for k, f in enumerate(bracket.light) if k != 3])
     alone = merge(rest, CAMERA, LENS, _calibration())
     same = (found.mask[place] & PixelMask.MOVED > 0) & (np.abs(scene[place] / scene[22, 37] - 1.0) < 10.0)
     assert same.mean() > 0.95

@@ -24,7 +24,7 @@ def seen(rig):
 
 
 def without_f_number(bracket):
-    return Bracket.from_frames(Frame(f.dn, 12, replace(f.settings, f_number=None)) for f in bracket)
+    return Bracket.from_frames(Frame(f.dn, 12, replace(f.settings, f_number=None)) for f in bracket.light)
 
 
 def lensed(rig, **lens):
