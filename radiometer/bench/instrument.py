@@ -19,6 +19,7 @@ from radiometer.acquire.bracketing import (
     take_plan,
 )
 from radiometer.acquire.exposure_plan import STEADY_SHORT_FRAMES, ExposurePlan, steadied
+from radiometer.analysis.calibration.shared import require_camera
 from radiometer.analysis.reading.contributions import PatchSituation
 from radiometer.analysis.reading.reading import patch_situation, read_patch
 from radiometer.data import Bracket, Calibration, Frame, LensDescription, Patch, Reading, SourceDescription
@@ -70,7 +71,7 @@ class Instrument:
 
     def __post_init__(self) -> None:
         if self.calibration is not None:
-            self.calibration.require_camera(self.camera.description)
+            require_camera(self.calibration, self.camera.description)
         refuse_outside(self.patch, self.camera)
 
     def at(self, patch: Patch) -> Instrument:

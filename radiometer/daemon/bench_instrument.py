@@ -7,6 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from radiometer.analysis.calibration.shared import require_camera
 from radiometer.analysis.photometry.spectra import spectrum
 from radiometer.bench.assembly import calibration_path, stated_source, states_spectrum
 from radiometer.bench.cameras import open_camera
@@ -129,7 +130,7 @@ class BenchInstrument:
         """Read the calibration file again and return one line that names it. Raises CalibrationError."""
         fresh = self._read_calibration()
         if fresh is not None and self._camera is not None:
-            fresh.require_camera(self._camera.description)
+            require_camera(fresh, self._camera.description)
         self._calibration = fresh
         return f"{self._path.name}, made {fresh.created}" if self._path and fresh else "no calibration in use"
 

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 from radiometer.analysis.calibration.absolute import MeterSettings, scale_from_meter, scale_from_radiance
+from radiometer.analysis.calibration.shared import settle
 from radiometer.analysis.photometry.spectra import spectrum
 from radiometer.analysis.reading.contributions import budget_terms
 from radiometer.analysis.reading.reading import patch_situation, read_patch
@@ -159,7 +160,7 @@ def scale_by_meter(base: Calibration, meter: MeterReading) -> Scale:
 
     Raises:
         InputError: If a setting or K is not above 0.
-        UsageError: If the reference pixel value is not between black and full scale.
+        UsageError: If the reference pixel value is not between black and full scale, or where the curve has no data.
     """
     model = signal_model(base.camera, base.response, base.noise, base.black_level.dn)
     low, high = base.black_level.dn, base.camera.full_scale_dn
@@ -168,6 +169,9 @@ def scale_by_meter(base: Calibration, meter: MeterReading) -> Scale:
             f"reference pixel value {meter.reference_dn:g} DN is out of range; "
             f"allowed is above {low:g} and below {high} DN"
         )
+    support = model.valid_dn
+    inside = support[0] <= meter.reference_dn <= support[1]
+    settle("response support", f"{support[0]} to {support[1]}", f"{meter.reference_dn:g}", equal=inside)
     settings = FrameSettings(meter.settings.exposure_s, f_number=meter.settings.f_number)
     return scale_from_meter(
         meter.meter_k,

@@ -8,6 +8,7 @@ from typing import Final
 
 import numpy as np
 
+from radiometer.analysis.calibration.shared import Handling, require_camera, require_lens, settle
 from radiometer.analysis.photometry.photometry import Observer, spectral_mismatch_factor
 from radiometer.analysis.photometry.spectra import spectrum
 from radiometer.analysis.photometry.unstated_light import plausible_responses, unstated_light_u_rel
@@ -66,8 +67,8 @@ def situation_of(calibration: Calibration | None, camera: CameraDescription, len
         model = signal_model(camera, None, noise, black.dn, stated.linearity_u_rel)
         assumed = ("response taken as linear", *(f"typical {name}" for name in noise.assumed))
         return Situation(model, black, stated, 1.0, lens, assumed)
-    calibration.require_camera(camera)
-    calibration.require_lens(lens)
+    require_camera(calibration, camera)
+    require_lens(calibration, lens)
     black, stated = calibration.black_level, calibration.uncertainties
     model = signal_model(calibration.camera, calibration.response, calibration.noise, black.dn, stated.linearity_u_rel)
     of_source = (f"spectrum {calibration.spectrum}",) if calibration.absolute else ()
@@ -163,7 +164,9 @@ def f_number_u_rel(
         numbers: f-numbers of the frames.
     """
     reference = calibration.scale.f_number if calibration else None
-    if reference is None or numbers == {reference}:
+    if reference is None or all(
+        n is not None and settle("f-number", reference, n) is Handling.KEPT for n in numbers
+    ):
         return 0.0, "same as at calibration, so it drops out"
     return 2.0 * stated.f_number_u_rel, "differs from the one at calibration"
 

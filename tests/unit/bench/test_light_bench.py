@@ -22,7 +22,7 @@ def test_the_light_of_a_box_is_no_light_of_any_kind(monkeypatch):
     )
     camera.open()
     known = Calibration.read(shipped_config("calibrations/simulated.yaml"))
-    monkeypatch.setattr(Calibration, "require_camera", lambda *_: None)
+    monkeypatch.setattr("radiometer.analysis.signal.situation.require_camera", lambda *_: None)
     unstated = Instrument(camera, Patch(0, 0, 8, 8), calibration=known, spectrum_stated=False)
 
     @contextmanager
