@@ -17,6 +17,8 @@ from typing import TYPE_CHECKING, Any
 __version__ = "0.1.0"
 
 __all__ = [
+    "Calibrated",
+    "Flux",
     "Meter",
     "Patch",
     "Radiance",
@@ -24,30 +26,42 @@ __all__ = [
     "Reconciliation",
     "Response",
     "Sensor",
+    "Separability",
     "Stack",
+    "calibrate",
     "characterise",
+    "flux",
+    "measure_photographs",
     "merge",
     "open",
     "read",
     "read_photographs",
     "reconcile",
+    "reconcile_plan",
     "recover_response",
 ]
 
 if TYPE_CHECKING:
     from radiometer.api import (
+        Calibrated,
+        Flux,
         Meter,
         Radiance,
         Reconciliation,
         Response,
         Sensor,
+        Separability,
         Stack,
+        calibrate,
         characterise,
+        flux,
+        measure_photographs,
         merge,
         open,
         read,
         read_photographs,
         reconcile,
+        reconcile_plan,
         recover_response,
     )
     from radiometer.data import Patch, Reading

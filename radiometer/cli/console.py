@@ -44,6 +44,14 @@ def progress_bar(*, shown: bool = True) -> Iterator[Progress]:
         yield bar
 
 
+@contextmanager
+def progress(*, shown: bool = True) -> Iterator[Callable[[str, int, int | None], None]]:
+    """Show a progress bar while the block runs; yield what takes the progress of a function of the library."""
+    with progress_bar(shown=shown) as bar:
+        task = bar.add_task("", total=None)
+        yield lambda what, done, total: bar.update(task, description=what, completed=done, total=total)
+
+
 def significant(value: float, u: float) -> str:
     """Return a value with as many digits as its standard uncertainty allows: two digits of u."""
     import math

@@ -98,8 +98,8 @@ class Bracket:
         height, width = self.shape
         dark = f" + {len(self.dark)} dark" if self.dark else ""
         return (
-            f"<Bracket {self.origin}: {len(self.light)}{dark} frames of {width} × {height} pixels, {self.bit_depth} bits, "
-            f"{min(times):.4g} to {max(times):.4g} s>"
+            f"<Bracket {self.origin}: {len(self.light)}{dark} frames of {width} × {height} pixels, "
+            f"{self.bit_depth} bits, {min(times):.4g} to {max(times):.4g} s>"
         )
 
     @property

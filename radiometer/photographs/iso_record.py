@@ -7,8 +7,6 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from pathlib import Path
-
     from radiometer.analysis.response.estimate import ResponseEstimate
     from radiometer.data import Bracket, Frame, Provenance, RadianceMap, Reading, Scale
     from radiometer.data.iso_speeds import IsoSpeeds
@@ -29,15 +27,6 @@ def iso_text(record: Sequence[dict[str, float]]) -> str:
     """Return the record in words, such as "ISO 200 is really 136"; empty where nothing was measured."""
     measured = [entry for entry in record if "measured" in entry]
     return ", ".join(f"ISO {entry['stated']:g} is really {entry['measured']:g}" for entry in measured)
-
-
-def is_photographs(path: Path) -> bool:
-    """Tell whether a path is a folder of photographs: neither a capture set nor files of another kind."""
-    from radiometer.importing import is_foreign
-
-    if not path.is_dir() or (path / "capture.yaml").exists() or (path / "frames").is_dir():
-        return False
-    return not is_foreign(path)
 
 
 def reference_iso(frames: Iterable[Frame], speeds: IsoSpeeds) -> tuple[float | None, float | None]:

@@ -16,8 +16,8 @@ from radiometer.analysis.response.curves import black_of_curve
 from radiometer.analysis.signal.lens import lens_factor_sr
 from radiometer.analysis.signal.model import signal_model
 from radiometer.data import (
-    Bracket,
     BlackLevel,
+    Bracket,
     Calibration,
     CameraDescription,
     Flag,
@@ -123,7 +123,8 @@ def scale_by_source(
     """
     made = dt.datetime.fromisoformat(base.created)  # a scale has no age when it is made
     situation = patch_situation(frames, patch, base, base.camera, base.lens, light, made)
-    conditions = situation.conditions
+    channel = frames.light[0].extra.get("channel")
+    conditions = situation.conditions.model_copy(update={"channel": None if channel is None else str(channel)})
     own = replace(base, scale=base.scale.model_copy(update={"conditions": conditions}))
     reading = read_patch(frames, patch, own, base.camera, base.lens, source=light, now=made)
     for flag in (Flag.SATURATED, Flag.BELOW_NOISE, Flag.NONUNIFORM):
@@ -191,7 +192,11 @@ def scales_ratio(by_meter: Scale, by_source: Scale) -> Quantity:
 
 
 def scaled_calibration(
-    base: Calibration, scale: Scale, inputs: tuple[str, ...], other: Scale | None = None
+    base: Calibration,
+    scale: Scale,
+    inputs: tuple[str, ...],
+    other: Scale | None = None,
+    further: tuple[str, ...] = (),
 ) -> Calibration:
     """Return the calibration with its scale and the record of how it was made.
 
@@ -200,6 +205,7 @@ def scaled_calibration(
         scale: The scale to use.
         inputs: Names of what went in.
         other: A second scale that was found and not used.
+        further: What else was assumed.
     """
     doubt = base.uncertainties.efficacy_u_rel
     known = f", its luminous efficacy to {100 * doubt:.2g} % (k = 1)" if doubt else ""
@@ -212,6 +218,7 @@ def scaled_calibration(
         assumptions.append("typical values for " + ", ".join(base.noise.assumed))
     if base.lens.transmittance is None and scale.method == "light_meter_k":
         assumptions.append("lens transmittance 1")
+    assumptions += further
     parameters: dict[str, object] = {"scale": scale.model_dump(mode="json", exclude_none=True)}
     if other is not None:
         parameters["other_scale"] = other.model_dump(mode="json", exclude_none=True)

@@ -149,9 +149,7 @@ TABLE: Final[Mapping[str, Mapping[State, Rule]]] = {
             "plausible responses counts",
             "spectral assumption",
         ),
-        State.READING_SILENT: Rule(
-            Handling.WIDENED, "the spread over kinds of light counts", "spectral assumption"
-        ),
+        State.READING_SILENT: Rule(Handling.WIDENED, "the spread over kinds of light counts", "spectral assumption"),
     },
     "temperature": {
         State.EQUAL: _KEPT,
@@ -249,10 +247,19 @@ def require_photograph(calibration: Calibration, frame: Frame) -> None:
         CalibrationError: If one side does not state its ISO speed.
         UsageError: If colours differ.
     """
-    settle("channel", channel_of(calibration), _colour(frame.extra.get("channel")))
+    require_channel(calibration, frame)
     if calibration.absolute:
         # Equal speeds or not: the gain that the frame carries holds their ratio.
         settle("ISO speed", calibration.scale.iso, frame.settings.iso)
+
+
+def require_channel(calibration: Calibration, frame: Frame) -> None:
+    """Refuse a photograph in another colour than a calibration's, or than the response that is to get a scale.
+
+    Raises:
+        UsageError: If colours differ.
+    """
+    settle("channel", channel_of(calibration), _colour(frame.extra.get("channel")))
 
 
 def channel_of(calibration: Calibration) -> str | None:

@@ -164,9 +164,7 @@ def f_number_u_rel(
         numbers: f-numbers of the frames.
     """
     reference = calibration.scale.f_number if calibration else None
-    if reference is None or all(
-        n is not None and settle("f-number", reference, n) is Handling.KEPT for n in numbers
-    ):
+    if reference is None or all(n is not None and settle("f-number", reference, n) is Handling.KEPT for n in numbers):
         return 0.0, "same as at calibration, so it drops out"
     return 2.0 * stated.f_number_u_rel, "differs from the one at calibration"
 

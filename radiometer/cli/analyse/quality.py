@@ -193,7 +193,7 @@ def _calibration(path: Path | None) -> Calibration | None:
 def _response(path: Path | None) -> SpectralResponse | None:
     if path is None:
         return None
-    from radiometer.cli.calibrate.calibrate import read_spectral_response
+    from radiometer.api.calibration import read_spectral_response
 
     return read_spectral_response(path)
 

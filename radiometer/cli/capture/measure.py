@@ -12,15 +12,16 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from radiometer.cli.arguments import F_NUMBER_HELP, ISO_HELP, parse_iso_speeds, parse_patch, with_f_number
-from radiometer.cli.console import console, note, progress_bar, shutter_by_hand, significant
+import radiometer as rm
+from radiometer.cli.arguments import F_NUMBER_HELP, ISO_HELP, UNSTATED_ISO_HELP, parse_measured_iso, parse_patch
+from radiometer.cli.console import console, note, progress, progress_bar, shutter_by_hand, significant
 from radiometer.errors import UsageError
 
 if TYPE_CHECKING:
     from radiometer.analysis.reading.contributions import PatchSituation
     from radiometer.analysis.uncertainty.monte_carlo import Distribution
     from radiometer.bench.instrument import Instrument
-    from radiometer.data import Bracket, Patch, Reading
+    from radiometer.data import Bracket, Reading
 
 _FLAG_MEANING = {
     "saturated": "pixels clip even in the shortest exposure: the value is a lower bound",
@@ -63,6 +64,8 @@ def command(
         bool, typer.Option("--linear", help="Uncalibrated photographs are linear above black (raw files always are).")
     ] = False,
     measured_iso: Annotated[list[str] | None, typer.Option(metavar="STATED=REAL", help=ISO_HELP)] = None,
+    iso: Annotated[float | None, typer.Option(help=UNSTATED_ISO_HELP)] = None,
+    pattern: Annotated[str | None, typer.Option(help="Pattern of a capture set that holds several.")] = None,
     f_number: Annotated[float | None, typer.Option(help=F_NUMBER_HELP)] = None,
     spectrum: Annotated[str | None, typer.Option(help="Spectrum assumed for the luminance.")] = None,
     u_rel: Annotated[float | None, typer.Option(help="Repeat until noise is below this relative u (k = 1).")] = None,
@@ -88,39 +91,40 @@ def command(
     if calibration and uncalibrated:
         raise UsageError("--calibration and --uncalibrated exclude each other")
     wanted = parse_patch(patch) if patch else None
-    if photographs is not None or measured_iso or linear:
+    if photographs is not None or measured_iso or linear or iso is not None or pattern is not None:
         if photographs is None or camera or bench:
             raise UsageError(
-                "--photographs takes the place of --camera and --bench; --measured-iso and --linear belong to it"
+                "--photographs takes the place of --camera and --bench; --measured-iso, --iso, --pattern and --linear "
+                "belong to it"
             )
-        if linear and calibration:
-            raise UsageError("--linear belongs to photographs without a calibration, which knows the camera's response")
-        reading, situation, alignment = _photographed(
-            photographs,
-            wanted,
-            calibration,
-            channel,
-            measured_iso,
-            spectrum,
-            f_number,
-            align,
-            relative=uncalibrated,
-            linear=linear,
-        )
-        drawn = _distribution(situation, reading) if monte_carlo else None
-        said = reading.provenance
+        with progress(shown=not json) as shown:
+            reading = rm.measure_photographs(
+                photographs,
+                wanted,
+                calibration=calibration,
+                uncalibrated=uncalibrated,
+                channel=channel,
+                pattern=pattern,
+                align=align,
+                linear=linear,
+                measured_iso=parse_measured_iso(measured_iso),
+                iso=iso,
+                f_number=f_number,
+                spectrum=spectrum,
+                monte_carlo=monte_carlo,
+                progress=shown,
+            )
+        for text in reading.more["notes"]:
+            note(text)
         if json:
-            iso = said.parameters.get("iso", []) if said else []
-            assumptions = list(said.assumptions) if said else []
-            further = {"iso": iso, "assumptions": assumptions, "alignment": alignment}
-            print(_as_json(reading, drawn, further), flush=True)
+            print(reading.to_json(), flush=True)
         else:
-            if alignment:
-                note(f"frames: {alignment}")
-            for assumption in said.assumptions if said else ():
+            if reading.more["alignment"]:
+                note(f"frames: {reading.more['alignment']}")
+            for assumption in reading.more["assumptions"]:
                 note(f"assumed: {assumption}")
             _show(reading, budget=budget)
-            _show_distribution(reading, drawn)
+            _show_distribution(reading, reading.more.get("monte_carlo"))
         return
     from radiometer.bench.assembly import open_instrument
 
@@ -139,65 +143,9 @@ def command(
                 print(_as_json(reading, drawn), flush=True)
             else:
                 _show(reading, budget=budget)
-                _show_distribution(reading, drawn)
+                _show_distribution(reading, drawn.to_mapping(reading) if drawn else None)
             if watch or number < repeat:
                 time.sleep(max(0.0, every - (time.monotonic() - begun)))
-
-
-def _photographed(
-    path: Path,
-    patch: Patch | None,
-    calibration: Path | None,
-    channel: str,
-    measured_iso: list[str] | None,
-    spectrum: str | None,
-    f_number: float | None,
-    align: str,
-    *,
-    relative: bool,
-    linear: bool,
-) -> tuple[Reading, PatchSituation, str | None]:
-    """Return the reading of a patch in a folder of photographs, what it was made from, and how the frames lay."""
-    from radiometer.analysis.reading.reading import patch_situation, read_patch
-    from radiometer.bench.sources import exposure_list, open_brackets
-    from radiometer.data import Calibration, CameraDescription, LensDescription
-    from radiometer.data.capture_set import HEADER_NAME
-    from radiometer.importing import is_foreign
-    from radiometer.photographs.alignment import in_one_place
-    from radiometer.photographs.iso_record import with_iso_in_reading
-    from radiometer.photographs.response import (
-        in_their_own_depth,
-        refuse_another_channel,
-        told_by_themselves,
-        with_offset_of_calibration,
-    )
-
-    if patch is None or channel == "each":
-        raise UsageError("--photographs needs --patch X,Y,W,H, and one channel: luminance, red, green or blue")
-    if calibration is None and not relative:
-        raise UsageError("--photographs needs --calibration (or --uncalibrated for relative values)")
-    known = Calibration.read(calibration) if calibration else None
-    bracket = open_brackets(path, channel, speeds=parse_iso_speeds(measured_iso, known))[0]
-    if known is not None:
-        refuse_another_channel(known, bracket)
-    elif linear:
-        (bracket,) = in_their_own_depth([bracket])
-    placed = in_one_place([with_f_number(bracket, f_number)], align)
-    bracket = placed.without_absent()
-    camera = known.camera if known else CameraDescription(bit_depth=bracket.bit_depth)
-    lens = LensDescription()
-    photographs = not (is_foreign(path) or (path / HEADER_NAME).exists())
-    if known is not None and photographs:
-        bracket, text, _ = with_offset_of_calibration(bracket, known, exposure_list(path))
-        if text:
-            note(text)
-    if known is None and photographs:
-        known, bracket = told_by_themselves(bracket, placed.common[0], camera, lens, note, linear=linear)
-    elif known is not None and spectrum is not None:
-        known = replace(known, spectrum=spectrum)
-    reading = read_patch(bracket, patch, known, camera, lens, spectrum_stated=spectrum is not None)
-    situation = patch_situation(bracket, patch, known, camera, lens, spectrum_stated=spectrum is not None)
-    return with_iso_in_reading(reading, bracket.light), situation, placed.sentence
 
 
 def _cover(instrument: Instrument) -> Callable[[bool], None]:
@@ -246,20 +194,19 @@ def _distribution(situation: PatchSituation, reading: Reading) -> Distribution:
     return propagate_distributions(situation, np.random.default_rng(reading.sequence))
 
 
-def _as_json(reading: Reading, drawn: Distribution | None, further: Mapping[str, Any] | None = None) -> str:
-    whole = {**reading.to_mapping(), **(further or {})}
+def _as_json(reading: Reading, drawn: Distribution | None) -> str:
+    whole = reading.to_mapping()
     if drawn is not None:
         whole["monte_carlo"] = drawn.to_mapping(reading)
     return json_module.dumps(whole, ensure_ascii=False, allow_nan=False)
 
 
-def _show_distribution(reading: Reading, drawn: Distribution | None) -> None:
-    if drawn is None:
+def _show_distribution(reading: Reading, said: Mapping[str, Any] | None) -> None:
+    if said is None:
         return
-    said = drawn.to_mapping(reading)
     out, u = console(), reading.radiance.u
-    low, high = (significant(end, u) for end in (drawn.low, drawn.high))
-    out.print(f"drawn      {low} to {high} (95.45 %, JCGM 101), u = {drawn.u:.3g}")
+    low, high = (significant(said[end], u) for end in ("low", "high"))
+    out.print(f"drawn      {low} to {high} (95.45 %, JCGM 101), u = {said['u']:.3g}")
     if said["validates"]:
         out.print(f"           agrees with the budget to {said['tolerance']:.2g}")
     else:

@@ -142,7 +142,7 @@ def test_netcdf_keeps_units_uncertainties_and_flags(stack, tmp_path):
 def test_response_and_calibration_exclude_each_other(stack):
     """A calibration holds a response of its own."""
     response = rm.recover_response(_gradient())
-    with pytest.raises(UsageError, match="give one of both"):
+    with pytest.raises(UsageError, match="leave --response out"):
         rm.merge(stack, response, calibration="anything.yaml")
 
 

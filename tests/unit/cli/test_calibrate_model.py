@@ -17,8 +17,8 @@ from radiometer.analysis.calibration.calibrate import (
 )
 from radiometer.analysis.merge.bracket import merge
 from radiometer.analysis.reading.reading import read_patch
-from radiometer.cli.calibrate.from_model import with_found_effects
 from radiometer.data import (
+    Bracket,
     Calibration,
     CameraDescription,
     FoundEffects,
@@ -29,6 +29,7 @@ from radiometer.data import (
     ResponseCurve,
 )
 from radiometer.errors import InputError
+from radiometer.reconciliation.report.read_back import with_found_effects
 from simulators.chain.camera_model import CameraModel
 from simulators.effects.registry import make_effect
 
@@ -65,7 +66,7 @@ def even(radiance=1.0):
 
 
 def read(base, calibration_frames, reading_frames):
-    scale = scale_by_source(base, calibration_frames, PATCH, KnownSource(1.0, 0.004))
+    scale = scale_by_source(base, Bracket.from_frames(calibration_frames), PATCH, KnownSource(1.0, 0.004))
     known = scaled_calibration(base, scale, ())
     now = dt.datetime.fromisoformat(known.created)
     return read_patch(reading_frames, PATCH, known, CAMERA, LENS, now=now), known

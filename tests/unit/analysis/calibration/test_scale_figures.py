@@ -19,6 +19,7 @@ from radiometer.analysis.signal import situation
 from radiometer.analysis.signal.lens import lens_factor_sr, lens_in_use, relative_sensitivity
 from radiometer.data import (
     BlackLevel,
+    Bracket,
     Calibration,
     CameraDescription,
     FlatField,
@@ -53,8 +54,8 @@ def test_a_scale_knows_from_how_few_frames_it_is(rig, source_u_rel, times):
     light = 0.5 * rig.radiance_of_full_scale(1e-3)
     frames = [rig.frame(np.full((12, 12), light * (1 + e)), 1e-3, rng) for e in (0.05, -0.05, 0.02, -0.02)]
     base = rig.calibration(uncertainties=NOTHING, black_level=BlackLevel(dn=64.0, u_dn=0.0, dark_u_rel=0.0))
-    own = scale_by_source(base, frames, PATCH, KnownSource(light, 0.0))
-    found = scale_by_source(base, frames, PATCH, KnownSource(light, source_u_rel * own.u_rel))
+    own = scale_by_source(base, Bracket.from_frames(frames), PATCH, KnownSource(light, 0.0))
+    found = scale_by_source(base, Bracket.from_frames(frames), PATCH, KnownSource(light, source_u_rel * own.u_rel))
     assert found.degrees_of_freedom == pytest.approx(3.0 * times, rel=0.02)
     assert found.u_rel == pytest.approx(own.u_rel * math.sqrt(1.0 + source_u_rel**2))
     assert found.value == pytest.approx(1.0, rel=0.01)  # the base has it right already
@@ -66,7 +67,7 @@ def test_a_source_that_clips_makes_no_scale(rig):
         np.full((12, 12), 2.0 * rig.radiance_of_full_scale(1e-3)), np.random.default_rng(1), (1e-3,) * 3
     )
     with pytest.raises(MeasurementError, match="saturated"):
-        scale_by_source(rig.calibration(), frames, PATCH, KnownSource(1.0, 0.0))
+        scale_by_source(rig.calibration(), Bracket.from_frames(frames), PATCH, KnownSource(1.0, 0.0))
 
 
 RESPONSE = SpectralResponse(wavelength_nm=(300.0, 1000.0), relative=(300.0, 1000.0), u_rel=0.02, source="hand")

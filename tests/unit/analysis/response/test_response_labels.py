@@ -67,9 +67,7 @@ def test_equal_black_frames_are_no_lie(make_stack):
     """Two frames without light are alike whatever their labels say."""
     bracket = make_stack("gamma", bit_depth=8)
     dark = [
-        replace(
-            bracket.light[0], dn=bracket.light[0].dn * 0, settings=replace(bracket.light[0].settings, exposure_s=s)
-        )
+        replace(bracket.light[0], dn=bracket.light[0].dn * 0, settings=replace(bracket.light[0].settings, exposure_s=s))
         for s in (1e-6, 2e-6)
     ]
     refuse_lying_labels(Bracket.from_frames([*dark, *bracket.light]))
