@@ -65,10 +65,10 @@ tutorial: $(VENV)/.ready-test  ## Follow the tutorial word by word in a fresh fo
 	PIP_CONSTRAINT=$(CURDIR)/out/wheel/constraints.txt PIP_DISABLE_PIP_VERSION_CHECK=1 \
 	  $(BIN)/python docs/_site/follow.py docs/tutorial.md out/tutorial
 
-mutants: $(VENV)/.ready-test $(if $(BLIND),out/mutants.coverage)  ## Make plausible mistakes one at a time and count which the fast tests notice (AREA=planning; BLIND=seed draws new ones)
-	$(BIN)/python -m tests.mutants $(AREA) $(if $(BLIND),--blind $(BLIND) --report out/blind-$(BLIND).md)
+mutants: $(VENV)/.ready-test out/mutants.coverage  ## Draw mistakes at random and count which the fast tests notice (BLIND=seed, AREA=planning)
+	$(BIN)/python -m tests.mutants $(AREA) --blind $(or $(BLIND),$(error give the seed, for example BLIND=41)) --report out/blind-$(BLIND).md
 
-out/mutants.coverage: $(VENV)/.ready-test  # which fast test runs which line, for blind draws; delete it after changes
+out/mutants.coverage: $(VENV)/.ready-test  # which fast test runs which line; delete it after changes
 	$(BIN)/python -m tests.mutants --record
 
 coverage: $(VENV)/.ready-test  ## Run the whole suite and show which branches it never takes, least covered modules first

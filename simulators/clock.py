@@ -4,7 +4,7 @@ from __future__ import annotations
 
 
 class SimulatedClock:
-    """A steady clock that moves only when told to.
+    """A steady clock that moves only when asked to.
 
     Args:
         start_s: First reading in s.

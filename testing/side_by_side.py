@@ -25,7 +25,6 @@ REAL_TIME = "real time"  # the group of what waits for devices and processes, on
 # Taken first: nothing long is left for the end, when one process has nothing else to do.
 HEAVY = (
     REAL_TIME,
-    "tests/unit/held",
     "tests/unit/reconciliation",
     "tests/roundtrip",
     "tests/system",

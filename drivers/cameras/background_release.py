@@ -20,7 +20,7 @@ HEARTBEAT_S: Final = 10.0
 
 
 def drop_in_background(*objects: Any) -> None:
-    """Take objects of the library over, and drop them in a thread of its own once nobody else holds them.
+    """Take over objects of the library, and drop them in a separate thread once no other code holds them.
 
     Args:
         *objects: Objects to let go, in the order in which they are to end. The caller drops its own references, which
@@ -37,7 +37,7 @@ def give_up_in_background(camera: Any, library_error: type[Exception], heartbeat
     Args:
         camera: An `Aravis.Camera`.
         library_error: The exception class of the library, `GLib.Error`.
-        heartbeat_s: How long the library may take to notice and tell that the camera is gone, in s.
+        heartbeat_s: How long the library may take to notice and report that the camera is gone, in s.
     """
     given = ([camera], library_error, heartbeat_s)
     threading.Thread(target=_give_up, args=given, name="camera farewell", daemon=True).start()

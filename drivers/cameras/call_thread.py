@@ -1,7 +1,7 @@
-"""Runs a library's calls in a thread of its own, so that one which waits for a camera that is gone can be left behind.
+"""Runs a library's calls in a separate thread, so that one which waits for a camera that is gone can be left behind.
 
-A register access to a GigE Vision camera that was unplugged ends after 2.5 s, and before that it may have to wait for
-the library's heartbeat, which asks just as patiently: 10 s in all. Nothing in the library shortens or breaks that off.
+A register access to a GigE Vision camera that was unplugged ends after 2.5 s. Before that it may wait for the
+library's heartbeat, which asks as patiently: 10 s in all. Nothing in the library shortens or breaks that off.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""What only the camera's features tell: what falsifies radiometry, how it is linked, how Mono16 is laid out."""
+"""Checks by the camera's features: what falsifies radiometry, how it is linked, how Mono16 is laid out."""
 
 from __future__ import annotations
 

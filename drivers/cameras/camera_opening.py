@@ -119,7 +119,7 @@ class CameraSession:
         return self.access.black_level_scale(self.settings.pixel_format)
 
     def slow_down(self) -> bool:
-        """Have it send more slowly, and tell whether it does; the acquisition must be stopped."""
+        """Have it send more slowly, and return whether it does; the acquisition must be stopped."""
         return self.throughput is not None and self.throughput.slow_down()
 
     def is_lost(self) -> bool:

@@ -37,12 +37,13 @@ class PresetChoice(ConfigSection):
 
 
 class CameraQuirks(ConfigSection):
-    """How a family of cameras differs from the standard; each figure's origin is told in `sources`.
+    """How a family of cameras differs from the standard; each figure's origin is stated in `sources`.
 
     Attributes:
         matches: Which cameras are meant.
         presets: Datasheet presets of its models.
-        discard_after_change: Frames thrown away after a change of settings, beside those that chunks tell apart.
+        discard_after_change: Frames thrown away after a change of settings, in addition to those that chunks
+            distinguish.
         load_default_user_set: Load the factory's user set when opening.
         mono16_left_aligned_bits: Significant bits of Mono16 where they are shifted to the top; 0 where not.
         mono16_big_endian: Mono16 comes with the high byte first.

@@ -121,7 +121,7 @@ def exposure_of(raw: RawFrame, settings: CameraSettings) -> float:
 
 
 def changed_chunks(before: CameraSettings, after: CameraSettings) -> frozenset[str]:
-    """Return the chunks that tell a change of settings apart; what needs a stopped acquisition needs none."""
+    """Return the chunks that identify a change of settings; what needs a stopped acquisition needs none."""
     pairs = (
         ("ExposureTime", before.exposure_s, after.exposure_s),
         ("Gain", before.gain_db, after.gain_db),

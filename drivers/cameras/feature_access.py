@@ -1,4 +1,4 @@
-"""Reads and writes GenICam features, with the library's errors said in the project's own."""
+"""Reads and writes GenICam features, and raises the library's errors as the project's errors."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ class FeatureAccess:
         thread: Where calls run that may wait for the camera; None to run them where they are asked for.
 
     Attributes:
-        lost: Set once the camera did not answer, so that nobody waits for it again.
+        lost: Set once the camera did not answer, so that no call waits for it again.
     """
 
     def __init__(

@@ -100,7 +100,7 @@ def switch_off_falsifiers(features: FeatureAccess) -> tuple[HygieneFinding, ...]
 
 
 def _is_selected(features: FeatureAccess, known: FalsifyingFeature, entry: str) -> bool:
-    """Select one of several features of a name, and tell whether there is such a one."""
+    """Select one of several features of a name, and return whether there is such a one."""
     if not entry:
         return True
     if not features.has(known.selector):

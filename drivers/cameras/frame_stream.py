@@ -188,8 +188,8 @@ class FrameStream:
     def _socket_kind(self, payload_bytes: int) -> Any:
         """Return the library's option: packet sockets only where an ordinary socket cannot hold a frame.
 
-        Packets of other programs that come before the library's packet socket has its filter count as a frame of the
-        camera with a wild number, and up to 100 good frames after it as late ones.
+        Packets of other programs may come before the library's packet socket has its filter. They count as a frame of
+        the camera with a wild number, and up to 100 good frames after it as late ones.
         """
         options = self._aravis.GvStreamOption
         return options.PACKET_SOCKET_DISABLED if payload_bytes <= socket_buffer_limit() else options.NONE

@@ -46,10 +46,10 @@ class FreshFrames:
     def next(self) -> Frame:
         """Return the next frame exposed under the settings in force. Raises DeviceTimeout or DeviceLost.
 
-        Where chunks tell which settings a frame was exposed under, the first one under those in force is taken; else
-        as many are thrown away as the quirk file says. A chunk that lags by a frame (aravis issue 312) costs one more.
-        A frame of the acquisition before that was late on its way makes them more than the known number: up to as many
-        again go where their chunk says the black level that was in force before.
+        Where chunks state the settings that a frame was exposed under, the first one under those in force is taken.
+        Else as many are thrown away as the quirk file states. A chunk that lags by a frame (aravis issue 312) costs
+        one more. A late frame of the acquisition before makes them more than the known number. Up to as many again
+        are thrown away where their chunk states the former black level.
         """
         session = self._session
         for _ in range(MAX_STALE + session.quirks.discard_after_change + 1):

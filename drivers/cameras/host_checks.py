@@ -28,7 +28,7 @@ def check_host(load: Callable[[], object], root: Path = Path("/")) -> list[Findi
 
     Args:
         load: Loads the camera library; raises MissingLibrary where it is absent.
-        root: Where /sys, /proc, /etc and /dev lie.
+        root: Folder that holds /sys, /proc, /etc and /dev.
     """
     return [
         check_library(load),
@@ -80,7 +80,7 @@ def check_usb_memory(root: Path) -> Finding:
 
 @dataclass(frozen=True, slots=True)
 class UsbLink:
-    """How a USB3 Vision camera hangs on this computer: its names, and the speed in Mbit/s that was agreed on."""
+    """How a USB3 Vision camera is connected to this computer: its names, and the speed in Mbit/s that was agreed on."""
 
     product: str
     serial: str
@@ -99,12 +99,13 @@ def usb_links(root: Path = Path("/")) -> list[UsbLink]:
 
 
 def usb_link(serial: str, root: Path = Path("/")) -> UsbLink | None:
-    """Return how the camera of a serial number hangs on this computer; None where the kernel sees no such one."""
+    """Return how the camera of a serial number is connected to this computer; None where the kernel sees no such
+    one."""
     return next((link for link in usb_links(root) if same_serial(link.serial, serial)), None)
 
 
 def check_usb_links(root: Path) -> list[Finding]:
-    """Return one finding for each USB3 Vision camera: whether it hangs on a port that is fast enough."""
+    """Return one finding for each USB3 Vision camera: whether it is connected to a port that is fast enough."""
     return [_link_finding(link) for link in usb_links(root)]
 
 
@@ -160,7 +161,9 @@ def _interface_finding(name: str, mtu: int) -> Finding:
     check = f"network {name}"
     if mtu >= JUMBO_MTU:
         return Finding(check, Health.OK, f"packets of {mtu} bytes pass (jumbo frames)")
-    cure = f"ip link set dev {name} mtu {JUMBO_MTU}, if the camera hangs on it and every switch between allows it"
+    cure = (
+        f"ip link set dev {name} mtu {JUMBO_MTU}, if the camera is connected to it and every switch between allows it"
+    )
     return Finding(check, Health.NOTE, f"packets of {mtu} bytes at most: more packets per frame, more load", cure)
 
 

@@ -37,7 +37,7 @@ class LinkThroughput:
     lowest_bytes_s: int
 
     def slow_down(self) -> bool:
-        """Lower the limit by a quarter, and tell whether that could be done; the acquisition must be stopped.
+        """Lower the limit by a quarter, and return whether that could be done; the acquisition must be stopped.
 
         Raises:
             DeviceLost: If the camera does not answer.

@@ -129,7 +129,7 @@ class PiLink:
             device.close()
 
     def apply(self, settings: CameraSettings) -> CameraSettings:
-        """Take over exposure time and gain: they are set when the acquisition starts, and told by every frame."""
+        """Take over exposure time and gain: they are set when the acquisition starts, and every frame states them."""
         self._settings = CameraSettings(
             settings.exposure_s, settings.gain_db, black_level_dn=self._black_dn, pixel_format=settings.pixel_format
         )

@@ -149,7 +149,7 @@ class PlainCamera:
 
     @property
     def lens(self) -> LensDescription:
-        """Return the lens in front of it, as configured; the f-number is the camera's own where nobody else says it."""
+        """Return the lens in front of it, as configured; the f-number is the camera's where nothing else states it."""
         stated = self._stated_f_number
         if self._lens.f_number is None and stated is not None:
             return self._lens.model_copy(update={"f_number": stated})

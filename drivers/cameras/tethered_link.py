@@ -269,7 +269,7 @@ class _Meaning(Protocol):
 
 
 def _raw_files(device: TetheredDevice, names: frozenset[str]) -> list[Finding]:
-    """Have the camera write raw files and nothing beside them, where it lets that be chosen."""
+    """Have the camera write raw files only, where it lets that be chosen."""
     for name in _QUALITIES:
         entries = device.choices(name) if name in names else []
         raw = [entry for entry in entries if any(word in entry.lower() for word in _RAW_WORDS)]

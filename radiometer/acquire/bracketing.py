@@ -78,7 +78,7 @@ def take_plan(
     Args:
         camera: An open camera.
         plan: Exposure times.
-        request: How many dark frames are wanted.
+        request: How many dark frames are requested.
         progress: Called after every frame.
         close_shutter: Called with True before the dark frames and False after them; the camera's own shutter where
             None.
@@ -87,7 +87,7 @@ def take_plan(
         clock: Steady clock in s.
 
     Raises:
-        DeviceError: If the camera fails, or dark frames are wanted and there is no way to close the shutter.
+        DeviceError: If the camera fails, or dark frames are requested and there is no way to close the shutter.
     """
     distinct = sorted(set(plan.exposures_s))
     total = len(plan.exposures_s) + request.dark_frames * len(distinct)
@@ -144,9 +144,7 @@ def take_dark_frames(
 def own_shutter(camera: Camera) -> Callable[[bool], None]:
     """Return what closes the camera's own shutter. Raises DeviceError where it has none."""
     if not camera.capabilities.has_shutter:
-        raise DeviceError(
-            f"{camera.identity.model} has no shutter of its own; cover the lens by hand when asked, at a terminal"
-        )
+        raise DeviceError(f"{camera.identity.model} has no shutter; cover the lens by hand when asked, at a terminal")
     return lambda closed: camera.set_shutter(closed=closed)
 
 

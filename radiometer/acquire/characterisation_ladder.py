@@ -78,7 +78,7 @@ def saturating_exposure_s(camera: Camera, region: Patch) -> float:
     """Return the exposure in s at which the mean of a region reaches full scale.
 
     Raises:
-        MeasurementError: If that lies outside the camera's limits of exposure.
+        MeasurementError: If that is outside the camera's limits of exposure.
         DeviceError: If the camera fails.
     """
     shortest, longest = camera.capabilities.exposure_s
@@ -106,7 +106,7 @@ def _signal(camera: Camera, region: Patch, exposure_s: float) -> tuple[float, fl
     frame = camera.capture()[0]
     if not region.fits(frame.shape):
         raise MeasurementError(
-            f"the region {region.x},{region.y},{region.width},{region.height} does not lie on the frame of "
+            f"the region {region.x},{region.y},{region.width},{region.height} is not on the frame of "
             f"{frame.shape[1]} × {frame.shape[0]} pixels"
         )
     black = frame.settings.black_level_dn or 0.0

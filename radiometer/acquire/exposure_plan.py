@@ -60,7 +60,7 @@ class ExposurePlan:
         too_bright: Number of pixels that clip even at the shortest exposure.
         too_dark: Number of pixels that stay under the noise floor even at the longest permitted exposure.
         total_s: Sum of the exposure times in s.
-        cut_short: Whether the time limit kept frames out that were wanted.
+        cut_short: Whether the time limit kept frames out that were requested.
     """
 
     exposures_s: tuple[float, ...]

@@ -143,7 +143,7 @@ class LevelSurvey:
         """Light a channel for as long as the eye allows, up to the longest settling, and return that time.
 
         Where light without an end would be beyond the limits of the eye, a stated end keeps it within them; what needs
-        an end is bright, so that readings take no time beside the settling.
+        an end is bright, so that readings take no time in addition to the settling.
         """
         try:
             self.box.set_level(channel, drive)

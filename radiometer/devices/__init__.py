@@ -1,4 +1,4 @@
-"""Protocols that real and simulated devices share; above this layer they cannot be told apart."""
+"""Protocols that real and simulated devices share; above this layer they cannot be distinguished."""
 
 from radiometer.devices.camera import (
     AcquisitionCounts,

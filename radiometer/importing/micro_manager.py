@@ -11,7 +11,7 @@ import json
 import xml.etree.ElementTree as ElementTree
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from datetime import datetime
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, Final
 
@@ -279,10 +279,12 @@ def _number(value: Any) -> float | None:
 
 
 def _stamp(text: Any) -> float | None:
+    """Return a time in s since 1970; one without a zone is UTC, whatever the zone of this machine."""
     try:
-        return datetime.fromisoformat(str(text).strip()).timestamp() if text else None
+        moment = datetime.fromisoformat(str(text).strip())
     except ValueError:
         return None
+    return moment.replace(tzinfo=moment.tzinfo or UTC).timestamp()
 
 
 def _json(text: str) -> Any:

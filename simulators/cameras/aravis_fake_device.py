@@ -64,7 +64,7 @@ def _declare(aravis: ctypes.CDLL, gobject: ctypes.CDLL) -> None:
 
 
 def _require_free(address: str) -> None:
-    """Raise DeviceInUse unless a camera can listen at an address: the library itself does not tell."""
+    """Raise DeviceInUse unless a camera can listen at an address: the library itself does not report it."""
     try:
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as line:
             line.bind((address, GVCP_PORT))

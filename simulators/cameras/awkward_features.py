@@ -1,4 +1,4 @@
-"""The features of a Blackfly S as awkward as the real one: what its description and threads about it tell.
+"""The features of a Blackfly S as awkward as the real one, after its description and public reports.
 
 Source: FLIR's descriptions of BFS-PGE-19S4 and BFS-U3-161S7; AravisProject/aravis issues 312, 492, 1045.
 """

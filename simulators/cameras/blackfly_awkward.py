@@ -1,9 +1,9 @@
 """A simulated Blackfly S as awkward as the real one, behind the real GigE Vision protocol.
 
-It offers no plain Mono12; its serial number is hexadecimal; two frames after a change of exposure, gain or black level
-are still exposed under the settings before, and their chunks say so; exposure times are whole µs; Mono16 holds 12 bits
-at the top; running numbers are at their 16-bit end; its frame rate is on and locked; it draws a test pattern as it
-arrives; and whoever lets it send faster than its link carries gets no frame whole.
+It offers no plain Mono12. Its serial number is hexadecimal. Two frames after a change of exposure, gain or black level
+are still exposed under the settings before, and their chunks say so; exposure times are whole µs; Mono16 holds 12
+bits at the top. Running numbers are at their 16-bit end. Its frame rate is on and locked. It draws a test pattern as
+it arrives. Whoever lets it send faster than its link carries gets no frame whole.
 """
 
 from __future__ import annotations

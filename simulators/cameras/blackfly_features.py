@@ -1,6 +1,6 @@
 """The features of a simulated Blackfly S: SFNC names, registers, limits, values as shipped.
 
-Registers below 0x400 are those that Aravis's fake device itself acts upon (arvfakecamera.c); ours lie from 0x4000.
+Registers below 0x400 are those that Aravis's fake device itself acts upon (arvfakecamera.c); ours start at 0x4000.
 """
 
 from __future__ import annotations

@@ -4,7 +4,7 @@
         ...                                      # any GenICam program now finds it at 127.0.0.1
 
 As shipped, a Blackfly has automatic exposure, gamma and sharpening switched on, and so has this one: whoever measures
-with it must switch them off. Faults are told to it by methods, or over the wire by its SimulatorControl features.
+with it must switch them off. Methods set its faults, or its SimulatorControl features over the wire.
 """
 
 from __future__ import annotations
@@ -91,7 +91,7 @@ class BlackflyGige:
 
     @property
     def is_served(self) -> bool:
-        """Tell whether it is on the network; false once it was told to disconnect."""
+        """Return whether it is on the network; false after it was asked to disconnect."""
         return self._device is not None and self._device.is_served
 
     @property

@@ -1,4 +1,4 @@
-"""Writes a GenICam description: features by category, each on a register of its own."""
+"""Writes a GenICam description: features by category, each on a separate register."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ class Feature:
         name: SFNC name.
         category: Category that it is listed in; "" for a helper that is not listed.
         kind: Type of its node.
-        address: Where its register lies; 0 for a formula.
+        address: Address of its register; 0 for a formula.
         description: What it is, for tooltips.
         access: "RW", "RO" or "WO".
         unit: Unit of a number.

@@ -1,6 +1,6 @@
 """Sends pictures over GigE Vision's stream protocol, with or without chunks: what Aravis's own server cannot send.
 
-Source: GigE Vision 2.0, GVSP: image leader, payload and trailer packets; bit 14 of the payload type tells of chunks.
+Source: GigE Vision 2.0, GVSP: image leader, payload and trailer packets; bit 14 of the payload type announces chunks.
 """
 
 from __future__ import annotations

@@ -38,7 +38,7 @@ def simulate_capture(
 ) -> CaptureSet:
     """Write the capture set that a camera model takes of a scene, and return it.
 
-    The model may hold effects that nobody is told of; the header states only what is believed.
+    The model may hold effects that the header does not state; the header states only what is believed.
 
     Args:
         model: The true camera.

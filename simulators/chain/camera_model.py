@@ -157,8 +157,8 @@ class CameraModel:
     def moments(self, radiance: Signal, context: ExposureContext, until: Stage = Stage.DIGITAL) -> Moments:
         """Return mean, temporal, fixed-pattern and frame-common variance after a stage (by default in DN).
 
-        Each limit takes what reaches it as normal: where full well and converter end within 3 sigma of each other the
-        second starts from the first's clipped distribution, and the mean was found up to 0.05 sigma off there.
+        Each limit treats what reaches it as normal. Where full well and converter end within 3 sigma of each other,
+        the second starts from the first's clipped distribution, and the mean was found up to 0.05 sigma off there.
 
         Raises:
             MeasurementError: If an effect fails; the message names it.
@@ -172,7 +172,7 @@ class CameraModel:
     def sample(self, radiance: Signal, context: ExposureContext, seed: Sequence[int]) -> Exposed:
         """Return one random frame; the same seed gives the same frame.
 
-        Each effect draws from a generator of its own, so that adding one leaves the noise of the others as it was.
+        Each effect draws from a separate generator, so that adding one leaves the noise of the others as it was.
 
         Args:
             radiance: Scene radiance in W·sr⁻¹·m⁻², shape of the geometry.
@@ -194,7 +194,7 @@ class CameraModel:
         return Exposed(dn, electrons)
 
     def to_mapping(self) -> dict[str, Any]:
-        """Return the mapping that stands in a model file."""
+        """Return the mapping that a model file holds."""
         return {
             "format": FORMAT,
             "camera": self.camera.model_dump(mode="json", exclude_none=True),
@@ -223,7 +223,7 @@ class CameraModel:
 
 
 def _run(effect: Effect, step: Callable[[], _ResultT]) -> _ResultT:
-    """Run one effect; what goes wrong is told under its name."""
+    """Run one effect; an error is reported under its name."""
     try:
         with np.errstate(invalid="raise", divide="raise", over="raise"):
             result = step()

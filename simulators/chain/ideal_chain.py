@@ -57,7 +57,7 @@ def ideal_chain(camera: CameraDescription, lens: LensDescription) -> tuple[Effec
 def beside_ideal(
     effects: Sequence[Effect], camera: CameraDescription, lens: LensDescription
 ) -> tuple[CameraDescription, tuple[Effect, ...]]:
-    """Return the camera with the figures that a chain's ideal links hold, and the effects beside them.
+    """Return the camera with the figures that a chain's ideal links hold, and the other effects.
 
     Args:
         effects: A chain that was built on that of `ideal_chain`.

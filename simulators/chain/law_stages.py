@@ -15,13 +15,13 @@ class Link:
         stage: What people call the stage.
         member: Member of `Stage`.
         unit_signal: Name of the unit's constant in `simulators.effects.base`.
-        before: Link of the chain that it must stand in front of; empty where it does not matter.
+        before: Link of the chain that it must precede; empty where it does not matter.
         unit: Unit of the amplitude.
         code: The signal with the law, `{law}` standing for the amplitude times the formula.
         said: What it does, as the head of a sentence.
-        covariates: What it may go with by itself.
+        covariates: Covariates that it may depend on by itself.
         like: What kind of cause acts so.
-        goes_with: What it goes with by its kind, whatever its law.
+        goes_with: Covariates that it depends on by its kind, whatever its law.
         is_noise: Whether the law is the standard deviation of a noise, `code` being that noise at 1 sigma.
     """
 
@@ -78,7 +78,7 @@ LINKS: Final = {
             _FACTOR,
             "scales the light of the scene",
             ("picture_mean",),
-            "a screen whose light goes with how it is driven",
+            "a screen whose light depends on how it is driven",
         ),
         Link(
             "optics",
@@ -140,7 +140,7 @@ LINKS: Final = {
             "signal + {law} * context.settings.exposure_s",
             "adds charge in proportion to exposure",
             (*_PLACE, "temperature_C"),
-            "the glow of an amplifier or heat beside the sensor",
+            "the glow of an amplifier or heat next to the sensor",
             ("exposure_s",),
         ),
         Link(
@@ -249,7 +249,7 @@ LINKS: Final = {
             "signal * {law}",
             "lets the amplification of each pixel tremble from frame to frame",
             ("gain_db", "temperature_C"),
-            "a reference voltage with noise of its own",
+            "a reference voltage with separate noise",
             ("signal",),
             is_noise=True,
         ),

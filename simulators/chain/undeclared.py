@@ -31,7 +31,7 @@ _MARGIN_BITS: Final = 4.0  # stands for a full well that nobody declared: far ab
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Undeclared:
-    """How far a camera lies off its description, and what the description leaves out.
+    """How far a camera is off its description, and what the description leaves out.
 
     Attributes:
         log_responsivity: Natural logarithm of the responsivity over the declared one.

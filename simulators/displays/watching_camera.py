@@ -58,7 +58,7 @@ class WatchingCamera(SimulatedCamera):
     Args:
         model: The camera, its lens and their effects.
         display: What it looks at.
-        wavelength_nm: Wavelength that stands for the display's light in nm.
+        wavelength_nm: Wavelength that represents the display's light in nm.
         options: As of SimulatedCamera.
     """
 

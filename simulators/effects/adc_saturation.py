@@ -19,8 +19,8 @@ _SPREAD: Final = 0.005
 class AdcSaturation(CatalogueEffect):
     """Clips to the codes that there are: 0 to 2^b − 1 of the output's bit depth b.
 
-    Where there are several converters, or offsets are taken out behind them, pixels clip at codes of their own, normal
-    with standard deviation s.
+    Where there are several converters, or offsets are taken out behind them, each pixel clips at a separate code,
+    normal with standard deviation s.
 
     Source: column-parallel and multi-tap read-out.
     """

@@ -1,4 +1,4 @@
-"""Room light that reaches the sensor beside the source."""
+"""Room light that reaches the sensor in addition to the source."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ from simulators.effects.context import ExposureContext
 class AmbientLightLeak(Offset):
     """Adds light that the source's drive does not change: E' = E + a·((1 − l) + l·(4/N)²)·(1 + g·x + h·y).
 
-    l is 0 for light that leaks past the lens and 1 for light that comes through it (a lit room). x and y run from −1 to
-    1 over the sensor's longer side; g and h are 0 where the light is even.
+    l is 0 for light that leaks past the lens and 1 for light that comes through it (a lit room). The coordinates x
+    and y run from −1 to 1 over the sensor's longer side; g and h are 0 where the light is even.
 
     Source: a dark room leaks; typical 1e-6 to 1e-3 of the brightest patch.
     """
@@ -36,7 +36,7 @@ class AmbientLightLeak(Offset):
         0.0, "W m-2", -1000.0, 1000000.0, source="engineering prior; refined on a real rig"
     )
     through_lens: float = parameter(0.0, "1", 0.0, 1.0, source="0 past the lens, 1 through it")
-    tilt_x: float = parameter(0.0, "1", -1.0, 1.0, source="a window or a gap lies on one side")
+    tilt_x: float = parameter(0.0, "1", -1.0, 1.0, source="a window or a gap is on one side")
     tilt_y: float = parameter(0.0, "1", -1.0, 1.0, source="the same from top to bottom")
 
     def offset(self, context: ExposureContext) -> Any:

@@ -18,7 +18,7 @@ class AngleDependence(Scaling):
 
     Source: chief-ray angle shading of microlenses; linear in the cone 1/N. Where the microlenses reject a narrow
     slanting cone that they would take in part of, if it were wide, q is negative. Where they lose the rim of a wide
-    cone everywhere (pixel vignetting), c is above zero; with q = 0 beside it slant and cone act each by itself.
+    cone everywhere (pixel vignetting), c is above zero; with q = 0 slant and cone act each by itself.
     """
 
     name = "angle_dependence"
@@ -61,7 +61,7 @@ class AngleDependence(Scaling):
 
     @classmethod
     def covers(cls, context: ExposureContext) -> tuple[Self, ...]:
-        """Return the form with powers of its own."""
+        """Return the form with separate powers."""
         return (cls(0.01, 2.5, -0.5),)
 
     @classmethod

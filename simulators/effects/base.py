@@ -71,7 +71,7 @@ class Parameter:
         high: Highest allowed value.
         source: Where its default and bounds come from.
         default: Its default.
-        of_full_scale: Whether the range goes with the converter's; `low` and `high` are then those of the widest one.
+        of_full_scale: Whether the range scales with the converter's; `low` and `high` are then those of the widest one.
     """
 
     name: str
@@ -191,7 +191,8 @@ class Effect(ABC):
 
     @property
     def drifts(self) -> bool:
-        """Tell whether it goes with time or temperature: the first frame of a series then differs from the others."""
+        """Return whether it depends on time or temperature: the first frame of a series then differs from the
+        others."""
         return False
 
     def tile(self, after: TileMoments, before: TileMoments, context: ExposureContext) -> TileMoments:

@@ -12,7 +12,7 @@ from simulators.effects.context import ExposureContext
 
 @dataclass(frozen=True)
 class BlackLevelDrift(Offset):
-    """Adds an offset that goes with the temperature: y' = y + c·(T − T₀) + q·(T − T₀)²; q is 0 for a plain drift.
+    """Adds an offset that depends on the temperature: y' = y + c·(T − T₀) + q·(T − T₀)²; q is 0 for a plain drift.
 
     Source: typical 0.01 to 0.3 DN/K where no optical black is subtracted.
     """

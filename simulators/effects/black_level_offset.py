@@ -47,7 +47,7 @@ class BlackLevelOffset(Offset):
         return self.offset_dn + self.tilt_x_dn * x + self.tilt_y_dn * y
 
     def loosened(self, context: ExposureContext) -> tuple[Self, ...]:
-        """Return the offset that goes with the place."""
+        """Return the offset that depends on the place."""
         return () if self.tilt_x_dn or self.tilt_y_dn else (self.with_parameters(tilt_x_dn=0.02, tilt_y_dn=0.02),)
 
     def free(self) -> tuple[str, ...]:

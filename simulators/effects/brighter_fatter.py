@@ -26,7 +26,7 @@ _AGAIN: Final = (1.0, 5.0 / 6.0, 0.5)  # of √((e⁴ˣ − 1)/4x) in powers of 
 
 @dataclass(frozen=True)
 class BrighterFatter(CatalogueEffect):
-    """Moves the borders of pixels away from charge: what crosses one is b·z·S·F, z = S/S_FW the fill beside it.
+    """Moves the borders of pixels away from charge: what crosses one is b·z·S·F, z = S/S_FW the fill next to it.
 
     Charge in the middle of a pixel pushes a border at (x, y) from it by x/(r² + h²)², with a height h for borders
     between columns (x) and one for borders between rows (y); F is the mean of that over the border, as a share of the

@@ -1,7 +1,7 @@
-"""What an effect must tell so that `radiometer reconcile` can look for it: where it shows and how large it may be.
+"""The interface by which `radiometer reconcile` looks for an effect: where it shows and how large it may be.
 
-All methods of a catalogue effect take settings and signals that broadcast (scalars for one frame, arrays of
-captures × tiles × points for a fit), so none of them may branch on a value: use `numpy.where`.
+All methods of a catalogue effect take settings and signals that broadcast (scalars for one frame, arrays of captures
+× tiles × points for a fit). So none of them may branch on a value; use `numpy.where`.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ class CatalogueEffect(Effect):
         fitted: Parameters that are fitted; the others keep their trial's value.
         settles: The capture that separates the effect from its likenesses, as advice to the user.
         essential: Parameters without which it is not this effect, however well the others fit.
-        stands_for: Other entries that may together be no more than this one.
+        stands_for: Other entries that may together be equivalent to this one.
         endless: Parameters whose range ends in a form of the effect as good as any, not where physics ends.
         log_prior_odds: Natural logarithm of how likely the effect is before any data, against a usual one; added to
             its score.
@@ -58,9 +58,9 @@ class CatalogueEffect(Effect):
         looks_back: Whether it acts by what the frame before held (`context.previous_e`).
         is_steep: Whether it may change within a tile as no quadratic surface does: a step, a narrow spot or wave.
         signal_power: Power of the signal with which a steep effect goes, where that is all: 0 for what is added, 1 for
-            a factor. What one signal tells on the grid in each tile then holds for all.
-        is_sudden: Whether it jumps along the signal: each pixel's own noise decides on which side of the jump it lies.
-        least: How far from the value that does nothing a parameter lies at least where this is the cause, by its name.
+            a factor. The result for one signal on the grid in each tile then holds for all.
+        is_sudden: Whether it jumps along the signal: each pixel's noise decides on which side of the jump it is.
+        least: Least distance of a parameter from the value without effect where this is the cause, by its name.
         heated: Parameter that doubles within `doubling_K` and is stated at `reference_C`; a search states it at the
             temperature of the session that is nearest to the usual.
     """
@@ -170,10 +170,10 @@ class CatalogueEffect(Effect):
         return cls()
 
     def loosened(self, context: ExposureContext) -> tuple[Self, ...]:
-        """Return more flexible forms that start from this one; tried where structure stays beside it.
+        """Return more flexible forms that start from this one; tried where structure stays.
 
-        By default the covers that have more free parameters, with this one's values where they share them: what was
-        fitted and is free no more would be a parameter that nobody pays for.
+        By default the covers that have more free parameters, with this one's values where they share them: a
+        parameter that was fitted and is then fixed would cost nothing.
         """
         more = (cover for cover in self.covers(context) if len(cover.free()) > len(self.free()))
         shared = ((cover, (name for name in self.free() if "[" not in name and name in cover.free())) for cover in more)
@@ -192,9 +192,9 @@ class CatalogueEffect(Effect):
         raise NotImplementedError(f"{self.name} does not repeat")
 
     def pattern_e(self, context: ExposureContext) -> Any:
-        """Return the standard deviation in electrons of a fixed pattern that grows by settings of its own.
+        """Return the standard deviation in electrons of a fixed pattern whose growth depends on separate settings.
 
-        None for patterns that are the same in all frames or go with the light.
+        None for patterns that are the same in all frames or scale with the light.
         """
         return None
 
@@ -209,7 +209,8 @@ class CatalogueEffect(Effect):
 
     @property
     def drifts(self) -> bool:
-        """Tell whether it goes with time or temperature: the first frame of a series then differs from the others."""
+        """Return whether it depends on time or temperature: the first frame of a series then differs from the
+        others."""
         return self.where in ("timestamp_s", "temperature_C")
 
     def tile(self, after: TileMoments, before: TileMoments, context: ExposureContext) -> TileMoments:
@@ -302,7 +303,7 @@ def dark_temperatures_c(context: ExposureContext) -> Any:
 
 
 def dark_exposures_vary(context: ExposureContext) -> bool:
-    """Tell whether dark frames of one exposure stand beside some of another: what grows with it is seen there only."""
+    """Return whether there are dark frames of two exposures: only they show what grows with exposure."""
     settings: Any = context.settings
     dark = np.asarray(settings.is_dark)
     known = np.broadcast_to(settings.exposure_s, dark.shape)[dark]
@@ -313,8 +314,8 @@ def nearest_temperature_c(context: ExposureContext, usual_c: float) -> float:
     """Return the temperature in °C to state a leak at: the usual one, or the whole °C of the dark frames nearest to it.
 
     What is stated far from any dark frame is known no better than the law that leads there. Within 10 K of one the
-    usual temperature stays, as it does where none is known, so that figures can be held against datasheets. Darks of
-    one temperature tell no doubling: stated at the very temperature, their leak does not ask for one.
+    usual temperature stays, as it does where none is known, so that figures can be compared with datasheets. Darks of
+    one temperature determine no doubling: stated at exactly that temperature, their leak needs none.
     """
     known = dark_temperatures_c(context)
     if not known.size:

@@ -89,7 +89,7 @@ def unevenly_limited(before: Moments, limit: Callable[[Moments, float], Moments]
 
     Args:
         before: Moments before it.
-        limit: Gives the moments behind a limit that lies so many standard deviations beside the usual one.
+        limit: Gives the moments behind a limit that is so many standard deviations away from the usual one.
     """
     parts = [(weight, limit(before, node)) for node, weight in _SPREAD]
     mean = sum(weight * part.mean for weight, part in parts)

@@ -1,4 +1,4 @@
-"""What an effect may know of the frame it acts on, beside the signal itself."""
+"""The information on a frame that an effect may use, in addition to the signal."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def largest(signal: Signal) -> Signal:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FrameGeometry:
-    """Where the pixels (or the tiles that stand for them) lie on the sensor and on the screen.
+    """Positions of the pixels (or of the tiles that represent them) on the sensor and on the screen.
 
     All coordinates broadcast against the signal: shapes (1, width) and (height, 1) for an image, (n,) each for n
     tiles. They count unbinned pixels of the whole sensor, so that a region of interest keeps its field angles.
@@ -39,7 +39,7 @@ class FrameGeometry:
         binning: Pixels summed in each direction.
         screen_rotation_rad: Rotation of the screen as the camera sees it.
         screen_shift_px: Shift of the screen's middle on the sensor in pixels.
-        weights: Share of the frame that each tile stands for; None where all weigh alike.
+        weights: Share of the frame that each tile represents; None where all weigh alike.
     """
 
     x_px: Signal
@@ -66,7 +66,7 @@ class FrameGeometry:
         sensor_height: int | None = None,
         **more: Any,
     ) -> FrameGeometry:
-        """Return the geometry of an image of `width` × `height` stored pixels whose corner lies at sensor (x, y).
+        """Return the geometry of an image of `width` × `height` stored pixels whose corner is at sensor (x, y).
 
         Args:
             width: Stored columns.
@@ -152,7 +152,7 @@ class ExposureContext:
 
     Attributes:
         settings: What the camera says that it did (exposure, gain, f-number, temperature, time, level, shutter).
-        geometry: Where the pixels lie.
+        geometry: Positions of the pixels.
         camera: What the model's camera is, in its native bit depth; effects take full well, gain and pitch from here.
         lens: The lens in front of it.
         wavelength_nm: Effective wavelength of the light.

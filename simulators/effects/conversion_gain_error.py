@@ -19,8 +19,8 @@ from simulators.effects.tile_moments import TileMoments
 class ConversionGainError(CatalogueEffect):
     """Scales electrons by 1 + e behind the noise: the photon-transfer slope is off by e.
 
-    Tiles are compared at the measured level, for a fit gives the lost mean back to the responsivity: there the mean
-    stays, shot noise variance grows by 1 + e and read noise variance by (1 + e)².
+    Tiles are compared at the measured level, for a fit gives the lost mean back to the responsivity. There the mean
+    stays; shot noise variance grows by 1 + e and read noise variance by (1 + e)².
 
     Source: EMVA Standard 1288, release 4.0, equation (14); typical 2 to 10 %.
     """
@@ -68,7 +68,7 @@ class ConversionGainError(CatalogueEffect):
         )
 
     def remark(self, camera: CameraDescription, u: Mapping[str, float | None]) -> str:
-        """Return the electrons per DN that are stated and those that the noise tells."""
+        """Return the electrons per DN that are stated and those that the noise shows."""
         stated, relative = camera.conversion_gain_e_per_dn, u.get("error_rel")
         if stated is None or relative is None:
             return ""

@@ -49,7 +49,7 @@ class CorrelatedReadNoise(CatalogueEffect):
         return 1.0
 
     def sample(self, signal: Signal, context: ExposureContext, rng: np.random.Generator) -> Signal:
-        """Return the signal with the noise on it; a line begins with a sample of its own."""
+        """Return the signal with the noise on it; a line begins with an independent sample."""
         drawn = rng.standard_normal((signal.shape[0], signal.shape[1] + 1), dtype=np.float32)
         return cast(Signal, signal + self.sigma_e / math.sqrt(2.0) * (drawn[:, 1:] + self.sign * drawn[:, :-1]))
 

@@ -14,7 +14,7 @@ from simulators.effects.context import ExposureContext
 class DarkCurrent(Offset):
     """Adds thermal electrons: μ_d = D₀·2^((T − T₀)/T_d)·t.
 
-    Counted before `shot_noise`, so they carry their own shot noise. Two entries add up: a finding stands beside the
+    Counted before `shot_noise`, so they carry their own shot noise. Two entries add up: a finding is added to the
     datasheet's figure. A frame without a temperature counts as being at T₀.
 
     Source: EMVA Standard 1288, release 4.0, equations (15) and (16).
@@ -42,7 +42,7 @@ class DarkCurrent(Offset):
 
     @property
     def drifts(self) -> bool:
-        """Tell that it goes with the temperature."""
+        """Return that it depends on the temperature."""
         return True
 
     def offset(self, context: ExposureContext) -> Any:

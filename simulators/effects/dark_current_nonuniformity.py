@@ -26,17 +26,18 @@ _THIRD: Final = 1.0 / 3.0  # mean of x² from −1 to 1
 class DarkCurrentNonuniformity(CatalogueEffect):
     """Adds to each pixel a fixed share of thermal electrons: S grows by p·t·2^((T − T₀)/T_d), p varies by s.
 
-    p may rise and bend over the sensor, too: by s·(a·x + b·y + c·(x² − ⅓) + d·(y² − ⅓)), x and y from −1 to 1 over its
-    longer side: what generates charge is not spread evenly over a wafer, and edges have more of it.
+    p may rise and bend over the sensor, too: by s·(a·x + b·y + c·(x² − ⅓) + d·(y² − ⅓)), x and y from −1 to 1 over
+    its longer side. Generation centres are not spread evenly over a wafer, and edges have more of them.
 
     The pattern is log-normal less its mean: a few pixels leak much more than the others, and stand out as hot pixels.
-    It has no mean of its own, for that is the dark current's; only what is cut off moves the mean: no pixel holds less
-    than nothing, and the darks that show most pixels standing out have these left out of all tiles.
+    It has no mean, which is the dark current's. Only clipping moves the mean: no pixel holds less than nothing.
+    Pixels that stand out in the darks are left out of all tiles.
 
     Source: EMVA Standard 1288, release 4.0, DCNU; the tail as seen in CMOS datasheets; Widenhorn et al. (2002), Proc.
-    SPIE 4669, 193: what differs between pixels is generation in the depletion region (doubling in 7 to 8 K), beside a
-    diffusion current that all share (3 to 5 K). A KAF-1001E's darks of 300 s at 0 °C rise by 2 % down the rows and by
-    2 % from the middle column to both sides, and as slowly with the temperature as its pattern does.
+    SPIE 4669, 193: what differs between pixels is generation in the depletion region (doubling in 7 to 8 K), in
+    addition to a diffusion current that all share (3 to 5 K). A KAF-1001E's darks of 300 s at 0 °C rise by 2 % down
+    the rows and by 2 % from the middle column to both sides. They rise as slowly with the temperature as the pattern
+    does.
     """
 
     name = "dark_current_nonuniformity"
@@ -68,7 +69,7 @@ class DarkCurrentNonuniformity(CatalogueEffect):
 
     @classmethod
     def starts(cls, context: ExposureContext) -> tuple[Self, ...]:
-        """Return the patterns from which a search begins: darks of several temperatures tell their doubling."""
+        """Return the patterns from which a search begins: darks of several temperatures determine their doubling."""
         known = dark_temperatures_c(context)
         told = known.size > 0 and float(np.ptp(known)) > _TOLD_K
         own = _USUAL_DOUBLING_K + 0.2 if told else _USUAL_DOUBLING_K
@@ -122,7 +123,7 @@ class DarkCurrentNonuniformity(CatalogueEffect):
         return any(getattr(self, name) for name in _SMOOTH)
 
     def _smooth(self, context: ExposureContext) -> Any:
-        """Return by how many of its standard deviations the pattern lies higher in some place of the sensor."""
+        """Return by how many of its standard deviations the pattern is higher in some place of the sensor."""
         if not self._is_uneven():
             return 0.0
         x, y = context.geometry.sensor_xy()

@@ -25,14 +25,14 @@ class DarkFrameSubtracted(CatalogueEffect):
     """Subtracts the mean of n dark frames and keeps a pedestal p: y' = max(y − d̄ + p, 0), d̄ in whole codes.
 
     The darks have the frame's exposure, gain and temperature. What they hold on average goes: black level and dark
-    charge as the camera's description has them, and all patterns of the dark. Their own noise comes instead, and stays
-    in all frames of that setting: whole codes of variance s·K²·(σ_r² + μ_d) + (s − s²)/12 in front of their own
-    rounding, s = 1/n, with read noise σ_r and dark electrons μ_d. Each setting has a pattern of its own. The highest
+    charge as the camera's description has them, and all patterns of the dark. The darks' noise replaces it, and is
+    the same in all frames of that setting. It has whole codes of variance s·K²·(σ_r² + μ_d) + (s − s²)/12 before they
+    are rounded, s = 1/n, with read noise σ_r and dark electrons μ_d. Each setting has a separate pattern. The highest
     code comes down by what is subtracted, and negative values are cut, pixel by pixel.
 
     What leaks beyond the description is gone from the mean as well: it shows in the noise alone
-    (`dark_current_clamped`). The median of many darks has s = π/(2n); a mean of two is rounded from halves, which adds
-    1/24 DN² more than is said here.
+    (`dark_current_clamped`). The median of many darks has s = π/(2n); a mean of two is rounded from halves, which
+    adds 1/24 DN² more than is stated here.
 
     Source: Howell (2006), Handbook of CCD Astronomy, 2nd ed., section 4.3 (a calibration frame brings its own noise);
     Janesick (2001), Scientific Charge-Coupled Devices, on removing fixed pattern noise by subtracting frames.
@@ -77,7 +77,7 @@ class DarkFrameSubtracted(CatalogueEffect):
         return bool(np.median(self._mean_of_darks(context)[1]) < _HIDDEN_DN**2)
 
     def mean(self, signal: Signal, context: ExposureContext) -> Signal:
-        """Return what is left above zero, not rounded."""
+        """Return the part above zero, not rounded."""
         return cast(Signal, np.maximum(self._lifted(signal, context), 0.0).astype(signal.dtype))
 
     def slope(self, signal: Signal, context: ExposureContext) -> Any:
@@ -96,7 +96,7 @@ class DarkFrameSubtracted(CatalogueEffect):
         return cast(Signal, np.maximum(read - dark + np.rint(self.pedestal_dn), 0.0).astype(signal.dtype))
 
     def moments(self, before: Moments, context: ExposureContext) -> Moments:
-        """Return the moments of what is left: a pattern more, the highest code lower, no value negative."""
+        """Return the moments after subtraction: a pattern more, the highest code lower, no value negative."""
         top = float(context.full_scale_dn)
         if is_reached(before, top):
             before = limited(before, lambda tail: censored_above(tail, top))

@@ -21,7 +21,7 @@ _SLOWEST_S = 600.0  # what takes longer is warmth: another temperature of the ca
 class EventOffset(Offset):
     """Adds an offset that dies away after an event: y' = y + b·exp(−(t − t₀)/τ) from t₀ on, y' = y before.
 
-    The event is known to lie before the first capture that shows it, not better: t₀ is that capture's time, and is not
+    The event is known to be before the first capture that shows it, not better: t₀ is that capture's time, and is not
     fitted. What has not come back by the last capture is a step, which whatever changes once (a setting, a temperature)
     gives as well.
 
@@ -37,7 +37,7 @@ class EventOffset(Offset):
     block = "mean"
     also = ("first",)
     log_prior_odds = -3.0
-    prior_reason = "few cameras interrupt a session, and an event may lie anywhere in it"
+    prior_reason = "few cameras interrupt a session, and an event may be anywhere in it"
     trials = ({"offset_dn": _TRIED_DN, "tau_s": 30.0}, {"offset_dn": -_TRIED_DN, "tau_s": 30.0})
     fitted = ("offset_dn", "tau_s")
     essential = ("offset_dn",)  # where times follow the exposures, anything that bends along them is some event

@@ -31,7 +31,7 @@ class ExposureLabelError(Scaling):
     where = "exposure_s"
     block = "mean"
     log_prior_odds = -6.0
-    prior_reason = "labels seldom lie, and one ratio per label explains whatever one setting shows"
+    prior_reason = "labels are seldom wrong, and one ratio per label explains whatever one setting shows"
     neutral_at_one = ("ratio",)
     trials = ({"label_s": 1.0, "ratio": 1.1},)
     fitted = ("ratio",)

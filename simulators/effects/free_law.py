@@ -1,8 +1,8 @@
 """An effect by another law than its own: what it does is more here and less there along its covariates.
 
 The effect's own change of the signal is taken times a factor, a curve through a few knots along a covariate (or a table
-along two). The factor is 1 where the data follow the effect's own equation, and never below 0: cause, stage and sign
-are the effect's, the law is the data's. `freed` makes the kind; its name is the effect's.
+along two). The factor is 1 where the data follow the effect's own equation, and never below 0. Cause, stage and sign
+are the effect's; the law is the data's. `freed` makes the kind; its name is the effect's.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ class _Axis:
     Attributes:
         unit: Unit of its values.
         value: Gives it for a signal in front of the effect and a context; broadcasts against the signal.
-        scale: Takes values to where knots lie evenly.
+        scale: Takes values to a scale with even knots.
     """
 
     unit: str
@@ -94,7 +94,7 @@ def _range(effect: CatalogueEffect, context: ExposureContext) -> float:
 
 
 def axis_scale(axis: str, values: Any) -> Any:
-    """Return values of a covariate on the scale on which knots lie evenly."""
+    """Return values of a covariate on the scale on which knots are even."""
     return _AXES[axis].scale(values)
 
 
@@ -116,7 +116,7 @@ class FreeLaw(CatalogueEffect):
         return self.plain(**{entry.name: getattr(self, entry.name) for entry in fields(self.plain)})
 
     def knots(self, axis: str) -> tuple[float, ...]:
-        """Return where the law's knots lie along a covariate, in its unit."""
+        """Return the positions of the law's knots along a covariate, in its unit."""
         return cast(tuple[float, ...], getattr(self, _PREFIX + axis))
 
     def weight(self, signal: Signal, context: ExposureContext) -> Any:
@@ -141,7 +141,7 @@ class FreeLaw(CatalogueEffect):
         return cast(Signal, (signal + self.weight(signal, context) * (own - signal)).astype(signal.dtype))
 
     def slope(self, signal: Signal, context: ExposureContext) -> Any:
-        """Return d(mean)/d(signal); by differences where the law goes with the signal."""
+        """Return d(mean)/d(signal); by differences where the law depends on the signal."""
         if {"signal", "patch_level"} & set(self.axes):
             step = 1e-4 * np.maximum(np.abs(signal), 1e-3 * np.maximum(largest(signal), 1e-30))
             return (self.mean(signal + step, context) - self.mean(signal - step, context)) / (2.0 * step)
@@ -205,7 +205,7 @@ def _names(before: Moments) -> tuple[str, ...]:
 
 
 def _added(name: str, carried: Moments, after: Moments, unweighted: Moments, weight: Any) -> Any:
-    """Return one of the moments: what is carried, and so much of what the effect adds beside carrying."""
+    """Return one of the moments: what is carried, and so much of what the effect adds to carrying."""
     there, plain = getattr(after, name), getattr(unweighted, name)
     if there is plain:
         return getattr(carried, name)

@@ -20,12 +20,13 @@ _LEAST_E: Final = 1.0  # a power below 1 is endless at nothing
 class ImageLag(CatalogueEffect):
     """Adds a share of what the pixel held in the frame before: S' = S + l·S_prev, or less where traps fill up.
 
-    Traps that hold no more than 1/c electrons release (1 − exp(−c·l·S_prev))/c; c = 0 is the plain share. Slow traps
+    Traps that hold at most 1/c electrons release (1 − exp(−c·l·S_prev))/c; c = 0 is the plain share. Slow traps
     release a further share m of the frame before that one, which a single frame takes to be like the one before. Traps
     of many depths release by a power p: l·S_prev·(S_prev/1000 e-)^(p − 1).
 
-    Each electron that stays by chance makes what is left as noisy as light of as many electrons; what a barrier holds
-    back, or a settling output stage, is a fixed share and adds none. The noise is a share of the former, 1 as a rule.
+    Each electron that stays by chance makes the remaining charge as noisy as light of as many electrons; what a
+    barrier holds back, or a settling output stage, is a fixed share and adds none. The noise is a share of the
+    former, 1 as a rule.
 
     Source: incomplete charge transfer; typical 0.01 to 0.5 %. Traps: first-order filling; of many depths a
     power between a half and 1 (engineering prior). Noise: thinning of a Poisson process.
@@ -66,13 +67,14 @@ class ImageLag(CatalogueEffect):
         return tuple(forms)
 
     def free(self) -> tuple[str, ...]:
-        """Return the share, what its law holds beside (fullness, the older frame's, the power), and a lesser noise."""
+        """Return the share, its law's further parameters (fullness, the older frame's, the power), and a lesser
+        noise."""
         further = {"power": self.power != 1.0, "older_share": bool(self.older_share)}
         law = next((name for name, used in further.items() if used), "fullness_per_e" if self.fullness_per_e else "")
         return ("share", *((law,) if law else ()), *(("noise",) if self.noise != 1.0 else ()))
 
     def mean(self, signal: Signal, context: ExposureContext) -> Signal:
-        """Return the electrons with what was left behind."""
+        """Return the electrons with those left behind."""
         return cast(Signal, (signal + self._left(signal, context)).astype(signal.dtype))
 
     def sample(self, signal: Signal, context: ExposureContext, rng: np.random.Generator) -> Signal:
@@ -116,7 +118,7 @@ class ImageLag(CatalogueEffect):
         return self.older_share * (previous - own) * np.maximum(frames - 2.0, 0.0) / np.maximum(frames - 1.0, 1.0)
 
     def _left(self, signal: Signal, context: ExposureContext) -> Any:
-        """Return what is left of the frame before; n − 1 of a capture's n frames follow one of their kind."""
+        """Return the remainder of the frame before; n − 1 of a capture's n frames follow one of their kind."""
         previous = np.zeros(1, dtype=signal.dtype) if context.previous_e is None else context.previous_e
         frames: Any = getattr(context, "frames", None)
         if frames is None:

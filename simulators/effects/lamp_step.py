@@ -19,7 +19,7 @@ _FEWEST = 4  # captures on either side of a jump: fewer may be single frames tha
 class LampStep(Scaling):
     """Scales light from one moment on: L' = L·(1 + A·[t > t_0]).
 
-    The moment is known to lie between two captures, not better; it is not fitted.
+    The moment is known to be between two captures, not better; it is not fitted.
 
     Source: arcs that move on their electrodes, supplies that switch range, flats of one evening that differ by 0.4 %.
     """
@@ -31,7 +31,7 @@ class LampStep(Scaling):
     where = "timestamp_s"
     block = "mean"
     log_prior_odds = -2.0
-    prior_reason = "a drift is likelier than a jump, and a jump may lie anywhere in a session"
+    prior_reason = "a drift is likelier than a jump, and a jump may be anywhere in a session"
     trials = ({"step_rel": _TRIED_REL, "time_s": 0.0},)
     fitted = ("step_rel",)
     settles = "one setting repeated through the session, in between the others"

@@ -52,7 +52,7 @@ class LineStartOffset(Offset):
     settles = "an average of many frames of no exposure, with masked or overscanned columns at both ends of the lines"
     offset_dn: float = parameter(0.0, "DN", -0.05, 0.05, source="tenths of a DN to tens of DN", of_full_scale=True)
     decay_share: float = parameter(
-        0.15, "1", 0.01, 0.5, source="share of a line; a shorter one is no more than a few columns, a longer one a tilt"
+        0.15, "1", 0.01, 0.5, source="share of a line; a shorter one is only a few columns, a longer one a tilt"
     )
     from_right: float = parameter(0.0, "1", 0.0, 1.0, source="1 where a line is read from its last column on")
     slow_dn: float = parameter(0.0, "DN", -0.05, 0.05, source="a clamp's: tenths of a DN", of_full_scale=True)
@@ -63,7 +63,7 @@ class LineStartOffset(Offset):
         return (*self.fitted, "slow_dn", "slow_share") if self.slow_dn else self.fitted
 
     def loosened(self, context: ExposureContext) -> tuple[Self, ...]:
-        """Return settlings with a slow part of either sign beside the quick one."""
+        """Return settlings with a slow part of either sign and the quick one."""
         if self.slow_dn:
             return ()
         size, longer = _SLOW_PART * abs(self.offset_dn), min(max(_LONGER * self.decay_share, 0.2), 1.0)

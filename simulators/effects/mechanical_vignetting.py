@@ -20,9 +20,9 @@ class MechanicalVignetting(Scaling):
     p is 4, or 2 where the loss begins nearer to the middle.
 
     With a barrel E' = E·A(2/N, b, s·ρ·(2/N)^w)·(N/2)²/π, where A is the area common to the pupil (a circle of radius
-    2/N), and the barrel's opening (radius b) as it is seen from ρ, displaced by s·ρ. Lengths are in radii of the
-    pupil at f/2. w is 0 where the barrel stands still before the iris, above 0 where the pupil takes it along.
-    Nothing is lost within a circle that grows with N.
+    2/N), and the barrel's opening. The opening has radius b and, seen from ρ, is displaced by s·ρ. Lengths are in
+    radii of the pupil at f/2. w is 0 where the barrel stands still before the iris, above 0 where the pupil takes it
+    along. Nothing is lost within a circle that grows with N.
 
     Source: lens barrels; vanishes one to two stops above the smallest f-number.
     """
@@ -50,7 +50,7 @@ class MechanicalVignetting(Scaling):
     radius_power: float = parameter(4.0, "1", 2.0, 6.0, source="how late it sets in towards the corner")
     barrel: float = parameter(0.0, "1", 0.0, 20.0, source="radius of the barrel's opening; 0 for the law alone")
     shift: float = parameter(0.0, "1", 0.0, 20.0, source="its displacement as seen from the corner")
-    wander: float = parameter(0.0, "1", -5.0, 5.0, source="how far the displacement goes with the pupil's size")
+    wander: float = parameter(0.0, "1", -5.0, 5.0, source="how far the displacement scales with the pupil's size")
 
     def factor(self, context: ExposureContext) -> Any:
         """Return the fall-off."""

@@ -92,7 +92,7 @@ class MissingCodes(CatalogueEffect):
     added_codes: float = parameter(0.0, "1", 0.0, 1e9, source="half a step where it is rounded to the nearest")
 
     def mean(self, signal: Signal, context: ExposureContext) -> Signal:
-        """Return the code that stands for a value."""
+        """Return the code that represents a value."""
         lifted = signal + self.added_codes
         whole = self.step_codes * np.floor((lifted + 1e-6) / self.step_codes)
         return cast(Signal, whole + np.clip(np.floor(lifted - whole + 1e-6), 0.0, self.kept_codes - 1.0))

@@ -20,8 +20,8 @@ _BACK: Final = 0.1  # of what was lost, by which k₄ may err
 class NaturalVignetting(Scaling):
     """Weakens light off the axis: E' = E·(1 + s·ρ²)^−2·(1 − k₄·ρ⁴), ρ the field radius (1 in the corner).
 
-    s is (half diagonal / focal length)² for the cos⁴ law; k₄ takes up what a real lens adds. ρ counts from the stated
-    principal point, or from where the lens's axis really is, (x, y) beside it in half diagonals.
+    s is (half diagonal / focal length)² for the cos⁴ law; k₄ takes up what a real lens adds. The radius ρ counts from
+    the stated principal point, or from the lens's real axis, (x, y) away from it in half diagonals.
 
     Source: cos⁴ law; ρ⁴ term after Goldman (2010).
     """
@@ -63,11 +63,11 @@ class NaturalVignetting(Scaling):
 
     @classmethod
     def covers(cls, context: ExposureContext) -> tuple[Self, ...]:
-        """Return the plain law about an axis of its own."""
+        """Return the plain law about a separate axis."""
         return (cls(0.02, 0.0, 0.01, 0.01),)
 
     def loosened(self, context: ExposureContext) -> tuple[Self, ...]:
-        """Return the law about an axis of its own, plain and with k₄."""
+        """Return the law about a separate axis, plain and with k₄."""
         if not (self.axis_x or self.axis_y):
             (plain,) = self.covers(context)
             return tuple(plain.with_parameters(strength=self.strength, k4=k4) for k4 in (0.0, self.k4 or _BENT))
@@ -84,7 +84,7 @@ class NaturalVignetting(Scaling):
     def free(self) -> tuple[str, ...]:
         """Return the parameters to fit: of an axis that is not the stated one its place too, and k₄ where it is not 0.
 
-        A k₄ that was fitted is free there as well: else it would be a parameter that nobody pays for.
+        A k₄ that was fitted is free there as well: else the parameter would cost nothing.
         """
         if not (self.axis_x or self.axis_y):
             return self.fitted

@@ -51,7 +51,7 @@ def spread_over_disc(signal: Signal, radius_px: Any, context: ExposureContext) -
 def disc_edge_share(radius_px: Any) -> Any:
     """Return the share of a step that an even disc carries into the last line before it.
 
-    It is the segment of the disc that lies half a pixel and more beyond its middle: (R²·acos(h/R) − h·√(R² − h²))/πR².
+    It is the segment of the disc that is half a pixel and more beyond its middle: (R²·acos(h/R) − h·√(R² − h²))/πR².
     """
     square = np.square(np.maximum(radius_px, 0.5))
     cosine = 0.5 / np.sqrt(square)
@@ -81,8 +81,8 @@ def exchange_between_neighbours(signal: Signal, share: Signal | float, further_d
 def exchange_moments(moments: TileMoments, share: Signal, light: float, further_down: float = 0.0) -> TileMoments:
     """Return the moments of an even field whose white noise is mixed by such an exchange.
 
-    A pixel keeps k = 1 − 2x − 2y and receives x from each neighbour in the row, y = x + `further_down` in the column:
-    the variance becomes k² + 2x² + 2y² and the covariance of neighbours 2x·k and 2y·k of what it was. `light` scales
+    A pixel keeps k = 1 − 2x − 2y and receives x from each neighbour in the row, y = x + `further_down` in the column.
+    The variance becomes k² + 2x² + 2y² and the covariance of neighbours 2x·k and 2y·k of what it was. `light` scales
     the share (1 for all of it).
     """
     x = share * light

@@ -48,7 +48,7 @@ class PwmFlicker(CatalogueEffect):
     def between(self) -> tuple[Self, ...]:
         """Return a dense comb of frequencies.
 
-        Over many periods the light that an exposure leaves hangs on the frequency to a small part of a period.
+        Over many periods the light of an exposure depends on the frequency to a small part of a period.
         """
         return tuple(self.with_parameters(frequency_hz=float(self.frequency_hz * factor)) for factor in _COMB)
 

@@ -14,7 +14,7 @@ from simulators.effects.context import ExposureContext
 class ReadoutDarkCharge(Offset):
     """Adds thermal electrons that grow down the rows: S' = S + q·2^((T − T_ref)/ΔT₂)·(y + w), y the share of rows read.
 
-    It goes with the dark current but not with the exposure: a frame of no exposure shows it too. Between the last
+    It scales with the dark current but not with the exposure: a frame of no exposure shows it too. Between the last
     clearing and the first row all pixels wait for w of the time that reading takes; 0 where reading begins at once.
 
     Source: Janesick (2001), Scientific Charge-Coupled Devices, ch. 7: dark charge during readout; a KAF-1001E gathers
@@ -64,5 +64,5 @@ class ReadoutDarkCharge(Offset):
 
     @property
     def drifts(self) -> bool:
-        """Tell that it goes with the temperature."""
+        """Return that it depends on the temperature."""
         return True

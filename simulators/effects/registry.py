@@ -200,7 +200,7 @@ def _loaded(found: EntryPoint) -> Any:
     except Exception as error:  # whatever a foreign package does when it is imported
         raise ConfigurationError(
             f"effect {found.name!r} ({found.value}) cannot be loaded: {type(error).__name__}: {error}; "
-            "mend or uninstall its package"
+            "repair or uninstall its package"
         ) from error
 
 
@@ -274,7 +274,7 @@ class _EntryFile(ConfigSection):
 
 @dataclass(frozen=True, slots=True)
 class EffectEntry:
-    """An effect as it stands in a camera model: with a switch, and notes on where it comes from.
+    """An effect as a camera model holds it: with a switch, and notes on where it comes from.
 
     Attributes:
         effect: The effect with its parameters.

@@ -39,10 +39,10 @@ def rounded(before: SomeMoments) -> SomeMoments:
 
     With noise of half a code and more that is the mean as it was and 1/12 DN² more variance. Below, mean and variance
     are the sums over the codes of a normal variable cut at half codes. With less than 0.3 DN of noise and fixed
-    pattern together, their shares of the variance are not told apart.
+    pattern together, their shares of the variance are not distinguished.
 
-    What the pixels of a row or a column share spreads them over the codes as noise of their own does, and goes on as it
-    was: what rounding adds is booked to noise and pattern of single pixels.
+    What the pixels of a row or a column share spreads them over the codes as their independent noise does, and is
+    unchanged. The variance of rounding is attributed to noise and pattern of single pixels.
 
     Args:
         before: Moments in DN, of type `Moments` or derived from it.
@@ -66,7 +66,7 @@ def rounded(before: SomeMoments) -> SomeMoments:
 def excess_kurtosis(before: Moments) -> Signal:
     """Return the excess kurtosis of rounded values: of few codes hardly any is normal, and their variance scatters so.
 
-    0 where rounding moves nothing; no more than 100, which noise of a sixth of a code has at the middle of one.
+    0 where rounding moves nothing; at most 100, which noise of a sixth of a code has at the middle of one.
 
     Args:
         before: Moments in DN in front of the rounding; the fixed pattern is left out.

@@ -14,15 +14,15 @@ from simulators.effects.context import ExposureContext
 
 @dataclass(frozen=True)
 class RowDependentExposure(Scaling):
-    """Exposes each row for a time of its own: H' = H·(t + τ·r − a·t·r)/t, r the share of rows read before.
+    """Exposes each row for a separate time: H' = H·(t + τ·r − a·t·r)/t, r the share of rows read before.
 
     Rows are cleared and read one after the other: unequal paces add the same time at every exposure, τ at the last row,
-    of either sign; what goes with the exposure is a. A time added alone is what light does that leaks into rows which
-    wait (`parasitic_light_sensitivity`), and a share lost alone what any shading of the sensor does: neither tells this
-    effect.
+    of either sign; the part that scales with the exposure is a. A time added alone is what light does that leaks into
+    rows which wait (`parasitic_light_sensitivity`), and a share lost alone what any shading of the sensor does:
+    neither identifies this effect.
 
-    Source: radiometric model of MicaSense RedEdge and Parrot Sequoia, L ∝ 1/(t + a₂·y − a₃·t·y), with the maker's
-    a₂ and a₃ in each frame: over 960 rows 60 to 110 µs, and −1 to 6 %.
+    Source: radiometric model of MicaSense RedEdge and Parrot Sequoia, L ∝ 1/(t + a₂·y − a₃·t·y), with the maker's a₂
+    and a₃ in each frame. Over 960 rows 60 to 110 µs, and −1 to 6 %.
     """
 
     name = "row_dependent_exposure"

@@ -29,7 +29,7 @@ class ShutterDeadTime(CatalogueEffect):
     where = "exposure_s"
     block = "first"
     log_prior_odds = -2.0
-    prior_reason = "a constant beside the exposure is the usual error of timing"
+    prior_reason = "a constant added to the exposure is the usual error of timing"
     trials = (
         {"dead_time_s": 2e-06},
         {"dead_time_s": 1e-05},
@@ -37,7 +37,7 @@ class ShutterDeadTime(CatalogueEffect):
         {"dead_time_s": -1e-05},
     )
     fitted = ("dead_time_s",)
-    settles = "single triggered frames beside runs of frames at the shortest exposure"
+    settles = "single triggered frames and runs of frames at the shortest exposure"
     dead_time_s: float = parameter(0.0, "s", -0.01, 0.01, source="engineering prior; refined on a real rig")
 
     growth: float = parameter(0.0, "1", -1.0, 1.0, source="buffers fill up along a run")

@@ -19,7 +19,7 @@ _NARROWEST: Final = 0.02  # of the full well between knee and ceiling: what is n
 class SoftSaturation(CatalogueEffect):
     """Compresses above a knee: y = (z − z_k)/w, z' = z_k + w·y/(1 + y^p)^(1/p), w = z_c − z_k, z = S/S_FW.
 
-    Where what is left of the well fills up like a capacitor, z' = z_k + w·(1 − e^−y).
+    Where the rest of the well fills up like a capacitor, z' = z_k + w·(1 − e^−y).
 
     Source: anti-blooming drains begin to take charge before the well is full.
     """

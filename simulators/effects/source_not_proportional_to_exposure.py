@@ -73,7 +73,7 @@ class SourceNotProportionalToExposure(Scaling):
         )
 
     def loosened(self, context: ExposureContext) -> tuple[Self, ...]:
-        """Return the same with a stretch of its own, to either side of an exponential."""
+        """Return the same with a separate stretch, to either side of an exponential."""
         return () if self.stretch != 1.0 else tuple(self.with_parameters(stretch=at) for at in (_STRAIGHT, _SLOW))
 
     def free(self) -> tuple[str, ...]:

@@ -49,6 +49,6 @@ class SpectralMismatch(Scaling):
 
     @classmethod
     def usable(cls, context: ExposureContext) -> bool:
-        """Tell whether each channel is shown alone, and something else beside them."""
+        """Return whether each channel is shown alone, and something else as well."""
         shown = set(np.unique(np.asarray(context.settings.pattern)).tolist())
         return shown.issuperset(CHANNELS) and len(shown) > len(CHANNELS)

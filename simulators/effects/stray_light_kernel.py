@@ -23,9 +23,9 @@ _LITTLE: Final = 0.005  # of the light, at each width
 class StrayLightKernel(CatalogueEffect):
     """Spreads a share of the light over a wide Gaussian: E' = (1 − v)·E + v·(E ∗ G_σ).
 
-    With wings of any other form it is a sum of Gaussians of five widths, E' = E + Σ vₖ·(E ∗ Gₖ − E). What lies beyond
-    the border is not seen: the picture goes on there as at the border, or at a share of it, down to darkness; that
-    share is free whatever the wings, for what is missing at the border looks like a fall-off.
+    With wings of any other form it is a sum of Gaussians of five widths, E' = E + Σ vₖ·(E ∗ Gₖ − E). The scene beyond
+    the border is unknown. The picture is continued there as at the border, or at a share of it, down to darkness.
+    That share is free whatever the wings, for light missing at the border looks like a fall-off.
 
     Source: the far tail of a point-spread function; σ a tenth of the picture and more.
     """
@@ -80,7 +80,7 @@ class StrayLightKernel(CatalogueEffect):
         return (*others, *(self.with_parameters(share=0.0, wings=wings) for wings in (near, even)))
 
     def free(self) -> tuple[str, ...]:
-        """Return the parameters to fit: those of the wings where there are any, and of what lies beyond."""
+        """Return the parameters to fit: those of the wings where there are any, and of the scene beyond the border."""
         further = ("beyond",) if self.beyond != 1.0 else ()
         if not self.wings:
             return (*self.fitted, *further)
@@ -99,5 +99,5 @@ class StrayLightKernel(CatalogueEffect):
         return sum(share for share, _ in self._kernels())
 
     def tile(self, after: TileMoments, before: TileMoments, context: ExposureContext) -> TileMoments:
-        """Return the moments with what the kernel carries across an edge, which hangs on where the patch ends."""
+        """Return the moments with what the kernel carries across an edge, which depends on where the patch ends."""
         return after.changed(edge_share=before.edge_share + np.full((1, 1, 1), self._lost * self.edge_share))

@@ -63,7 +63,7 @@ class ImageSurroundings:
         return cast(Signal, cv2.resize(soft, (width, height), interpolation=cv2.INTER_LINEAR))
 
     def reflected(self, signal: Signal, radius_fraction: float = 0.0) -> Signal:
-        """Return the signal at the point reflected about the optical axis, spread first; 0 where that lies outside."""
+        """Return the signal at the point reflected about the optical axis, spread first; 0 where that is outside."""
         if radius_fraction * max(signal.shape) > _SHARP_PX:
             signal = self.spread(signal, radius_fraction)
         geometry = self._context.geometry

@@ -65,7 +65,7 @@ class Moments:
 
 
 def carried(values: Signal | float, factor: Signal | float) -> Signal:
-    """Return values times a factor; a lone zero, which stands for all, stays one."""
+    """Return values times a factor; a lone zero, which represents all, stays one."""
     nothing = not values if isinstance(values, float) else values.size == 1 and not values.item()
     return np.asarray(values if nothing else values * factor)
 
@@ -82,12 +82,12 @@ class TileMoments(Moments):
         neighbour_x: Covariance of the fluctuations of horizontal neighbours.
         neighbour_y: The same of vertical neighbours.
         first_excess: Mean of a capture's first frame minus that of its other frames.
-        edge_share: Share of a step at a patch's edge that lies in the last line inside it.
+        edge_share: Share of a step at a patch's edge that is in the last line inside it.
         outliers: Expected number of outlying pixels in the frame.
         comb_step: Spacing of the codes in use; 1 for all.
         comb_kept: How many codes of each spacing occur.
         limit_variance: Part of the fixed-pattern variance that limits which differ from pixel to pixel leave.
-        renewed_variance: Part of it that each setting has a pattern of its own for.
+        renewed_variance: Part of it whose pattern differs between settings.
         beyond_x: Sum of the covariances with the pixels of a row from the second neighbour on, to one side.
         beyond_y: The same of a column.
         beyond_rows: The same with all pixels of the rows below, but for the vertical neighbour.

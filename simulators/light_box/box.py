@@ -223,7 +223,7 @@ class LightBoxTwin:
             self._drive_leds()
 
     def _account(self, ms: int) -> None:
-        """Let the channels go on for so long; tell of those whose energy is used up."""
+        """Let the channels go on for so long; report those whose energy is used up."""
         for index, channel in enumerate(self.channels):
             if ms and channel.advance(ms):
                 self.darkened += 1

@@ -95,7 +95,7 @@ class Channel:
         return max(min(times), 1) if times else None
 
     def advance(self, ms: int) -> bool:
-        """Let `ms` milliseconds pass, no more than `ms_to_change`; tell whether the bucket ran empty."""
+        """Let `ms` milliseconds pass, at most `ms_to_change`; return whether the bucket ran empty."""
         if not self._account(ms):
             return True
         self.left_ms -= ms

@@ -37,7 +37,7 @@ class Flash:
         return self._left, wait_ms
 
     def fire(self, now_ms: int) -> bool:
-        """Fire, and tell whether the box's limits let it."""
+        """Fire, and return whether the box's limits let it."""
         left, wait_ms = self.state(now_ms)
         if left == 0 or wait_ms:
             return False

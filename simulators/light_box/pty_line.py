@@ -31,7 +31,7 @@ class SerialDevice(Protocol):
 
 @dataclass(slots=True)
 class PtyServer:
-    """Serves a simulated device on a pseudo-terminal, in real time, from a thread of its own.
+    """Serves a simulated device on a pseudo-terminal, in real time, from a separate thread.
 
     A real device runs while this program waits for a processor, and hears its host meanwhile. This one stands still
     then, beyond `LAG_S`: else it would go dark for a silence that was none.

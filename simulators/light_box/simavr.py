@@ -1,7 +1,7 @@
 """The AVR simulator simavr through ctypes: an ATmega328P that runs real machine code, cycle by cycle.
 
-Debian packages `libsimavr2` (or `libsimavr-dev`). Only exported functions are called; of the simulator's own structure
-four fields are touched, and their place is verified against the addresses of two callbacks that lie behind them.
+Debian packages `libsimavr2` (or `libsimavr-dev`). Only exported functions are called. Four fields of the simulator's
+structure are touched; their place is verified against the addresses of two callbacks behind them.
 """
 
 from __future__ import annotations

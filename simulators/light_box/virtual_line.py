@@ -87,7 +87,7 @@ class VirtualLine:
         return self.least_latency_s + (float(self.rng.exponential(self.latency_s)) if self.latency_s else 0.0)
 
     def _carry_one(self, deadline_s: float) -> None:
-        """Let the box run until it has said something or the deadline has come."""
+        """Let the box run until it has sent something or the deadline has come."""
         while not self._inward:
             next_s = self.twin.next_time_s()
             moments = [deadline_s]

@@ -32,15 +32,15 @@ class ObserverAtBox:
     """A subject in front of the simulated light box, with its hand on the button.
 
     What the box's bleaching lights do to the eye follows from their luminance and time; before any bleach the eye is as
-    `observer` has it. False alarms come at random times, once in 1/`false_alarms` s on average, for nobody tells the
-    subject when a blink without light (a catch) is due.
+    `observer` has it. False alarms come at random times, once in 1/`false_alarms` s on average, for the subject does
+    not know when a blink without light (a catch) is due.
 
     Attributes:
         observer: The subject.
         twin: The box.
         channels: The channels that it watches for.
         filter_density: Optical density of the filter before the test spot.
-        places: Where channels stand that have an opening of their own, without the filter, in degrees temporal of and
+        places: Positions of channels that have a separate opening, without the filter, in degrees temporal of and
             above the mark; the others are the test spot.
         leaves_after_min: Time in the dark after which it presses no more.
         taps: Press again and again, whatever is seen.
@@ -132,7 +132,7 @@ class ObserverAtBox:
         self.observer.dark_since_s = now_s
 
     def _watch_flash(self) -> None:
-        """Be bleached by each flash, on top of what is left of those before."""
+        """Be bleached by each flash, on top of the remaining bleach of those before."""
         while self._flashes < len(self.twin.flash.fired_ms):
             self._flashes += 1
             now_s = self.twin.time_s

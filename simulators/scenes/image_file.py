@@ -54,7 +54,7 @@ class ImageScene(ConfigSection):
         return SceneImage(radiance, peak_radiance=float(radiance.max()))
 
     def patches(self, width: int, height: int) -> tuple[PatchDescription, ...]:
-        """Return none: a picture has no patches of its own."""
+        """Return none: a picture has no patches."""
         return ()
 
 

@@ -7,10 +7,10 @@ from radiometer.errors import ConfigurationError
 
 
 def refuse_outside(name: str, patch: Patch, width: int, height: int) -> None:
-    """Raise ConfigurationError where a patch does not lie wholly on the sensor."""
+    """Raise ConfigurationError where a patch is not wholly on the sensor."""
     if not patch.fits((height, width)):
         raise ConfigurationError(
-            f"scene: patch {name!r} ({patch.width} × {patch.height} px at {patch.x}, {patch.y}) does not lie on the "
+            f"scene: patch {name!r} ({patch.width} × {patch.height} px at {patch.x}, {patch.y}) is not on the "
             f"sensor of {width} × {height} px"
         )
 

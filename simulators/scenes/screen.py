@@ -36,7 +36,7 @@ class ScreenPatch(ConfigSection):
             raise ValueError(f"patch {self.name!r} needs either drive or radiance_W_per_sr_m2")
         drives = self.drive.values() if isinstance(self.drive, dict) else [self.drive or 0.0]
         if any(not 0.0 <= drive <= 1.0 for drive in drives):
-            raise ValueError(f"patch {self.name!r}: a drive lies between 0 and 1")
+            raise ValueError(f"patch {self.name!r}: a drive is between 0 and 1")
         return self
 
     @property

@@ -27,9 +27,9 @@ class Steps(ConfigSection):
 class StepChartScene(ConfigSection):
     """Patches in a grid on a surround, from the darkest to the lightest row by row, or scrambled.
 
-    Give `radiances_W_per_sr_m2` or `steps`. `margin` is the share of each cell's side that stays surround;
-    `scramble_seed` shuffles the patches; `inverted: true` adds a pattern in which they stand in reverse order,
-    so that every patch is seen at two radiances.
+    Give `radiances_W_per_sr_m2` or `steps`. The share `margin` of each cell's side stays surround; `scramble_seed`
+    shuffles the patches. The switch `inverted: true` adds a pattern in reverse order, so that every patch is seen at
+    two radiances.
     """
 
     kind: Literal["step_chart"] = "step_chart"

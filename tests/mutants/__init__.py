@@ -1,1 +1,1 @@
-"""Plausible mistakes, one at a time, and the fast tests that must notice them: `make mutants`."""
+"""Draws plausible mistakes at random and counts which the fast tests notice: `make mutants BLIND=seed`."""

@@ -3,10 +3,10 @@
     python -m tests.mutants --record                        once, and after the source or the tests changed
     python -m tests.mutants --blind SEED [AREA ...] [--each 8] [--report FILE]
 
-Who writes the list of mistakes has read the tests. A seed has not: it draws places of the syntax trees of an area's
-sources (`areas.py`) and one mistake at each (`mistakes.py`). Against it run the fast tests that ran its line, as a
-record of coverage test by test tells, the nearest first. A survivor is for people to judge: it does what the original
-does for any input, or a test is missing. A seed is used once: whoever writes tests for its survivors draws another.
+A seed has read no test. It draws places of the syntax trees of an area's sources (`areas.py`) and one mistake at each
+(`mistakes.py`). The fast tests that ran the line run against the mistake, the nearest first. A record of coverage by
+test names them. A survivor is for people to judge: it does what the original does for any input, or a test is missing.
+A seed is used once: after tests are written for its survivors, the next draw takes another seed.
 """
 
 from __future__ import annotations
@@ -77,11 +77,11 @@ class Record:
     def tests(self, file: str, line: int) -> list[str]:
         """Return the tests that ran a line, those nearest to the file first, of these the ones that ran least.
 
-        What runs when a module is imported, or compiled by numba, no test has run: then it is those that ran the
-        function around it or the lines that name what is made there, else the folder beside it; and what is held.
+        No test runs what runs at import or is compiled by numba. Then these tests are chosen: those that ran the
+        function around the line or the lines that name what it defines, else those of the folder of the same name.
         """
         lines = self.tests_of.get(file, {})
-        found = lines.get(line) or self._held() | (self._around(file, line) or self._beside(file))
+        found = lines.get(line) or self._around(file, line) or self._beside(file)
         near = f"tests/unit/{file.removeprefix('radiometer/').rpartition('/')[0]}/"
         return sorted(found, key=lambda test: (not test.startswith(near), self.lines_of[test], test))
 
@@ -114,9 +114,6 @@ class Record:
             lines = (harness.ROOT / file).read_text(encoding="utf-8").splitlines()
             found |= self._ran(file, [k for k, text in enumerate(lines, 1) if said.search(text)])
         return found
-
-    def _held(self) -> set[str]:
-        return {test for test in self.lines_of if test.startswith("tests/unit/held/")}
 
     def _beside(self, file: str) -> set[str]:
         folder = "tests/unit/firmware/" if "firmware" in file else f"tests/unit/{file.removeprefix('radiometer/')}"

@@ -35,7 +35,7 @@ _FEWEST_LEVELS = 3
 
 
 def characterise(subject: Subject, statistics: Sequence[GroupStatistics] | None = None) -> Characterisation:
-    """Return the figures of a camera with their standard uncertainties, as many as the frames tell.
+    """Return the figures of a camera with their standard uncertainties, as many as the frames determine.
 
     With pairs of bright frames at three levels or more and dark frames all of them; else those that can be had, with
     notes that say what is missing. Groups of frames that contradict all others are left out and named. Where frames
@@ -48,7 +48,7 @@ def characterise(subject: Subject, statistics: Sequence[GroupStatistics] | None 
         statistics: Their statistics where they are known already.
 
     Raises:
-        MeasurementError: If the frames tell no figure at all, or show no shot noise.
+        MeasurementError: If the frames determine no figure at all, or show no shot noise.
         CaptureError: If a frame is unreadable.
 
     Source: EMVA Standard 1288, release 4.0 (linear).
@@ -62,7 +62,7 @@ def characterise(subject: Subject, statistics: Sequence[GroupStatistics] | None 
         subject = replace(subject, notes=(*subject.notes, *named))
     if not _complete(kept, dark):
         return partial_characterisation(subject, bright, kept, dark)
-    gains = _characterised_gains(kept, dark)
+    gains = _characterised_gains(kept, dark, subject.camera.code_step_dn or 1)
     return _Work(subject, gains[0], {g.gain_db: g.transfer.K for g in sorted(gains, key=lambda g: g.gain_db)}).result()
 
 
@@ -116,7 +116,9 @@ class _AtGain:
     dark: tuple[GroupStatistics, ...]
 
 
-def _characterised_gains(bright: Sequence[GroupStatistics], dark: Sequence[GroupStatistics]) -> list[_AtGain]:
+def _characterised_gains(
+    bright: Sequence[GroupStatistics], dark: Sequence[GroupStatistics], step_dn: int
+) -> list[_AtGain]:
     """Return every gain that can be characterised, the one nearest to 0 dB first."""
     found, refused = list[_AtGain](), list[MeasurementError]()
     for gain in sorted({s.settings.gain_db for s in bright}, key=abs):
@@ -126,6 +128,7 @@ def _characterised_gains(bright: Sequence[GroupStatistics], dark: Sequence[Group
                     gain,
                     [s for s in bright if s.settings.gain_db == gain],
                     [s for s in dark if s.settings.gain_db == gain],
+                    step_dn,
                 )
             )
         except MeasurementError as error:
@@ -135,8 +138,8 @@ def _characterised_gains(bright: Sequence[GroupStatistics], dark: Sequence[Group
     return found
 
 
-def _at_gain(gain_db: float, bright: list[GroupStatistics], dark: list[GroupStatistics]) -> _AtGain:
-    steps = make_steps(bright, dark)
+def _at_gain(gain_db: float, bright: list[GroupStatistics], dark: list[GroupStatistics], step_dn: int) -> _AtGain:
+    steps = make_steps(bright, dark, step_dn)
     main = max({s.region: s for s in bright}.values(), key=lambda s: (s.pixels, s.mean_dn)).region
     own = tuple(s for s in steps if s.bright.region == main)
     saturation = find_saturation(own)
@@ -144,7 +147,7 @@ def _at_gain(gain_db: float, bright: list[GroupStatistics], dark: list[GroupStat
         gain_db,
         own,
         saturation,
-        photon_transfer(steps, saturation.signal_dn),
+        photon_transfer(steps, saturation.signal_dn, step_dn=step_dn),
         tuple(s for s in bright if s.region == main),
         tuple(s for s in dark if s.region == main),
     )

@@ -1,4 +1,4 @@
-"""What dark frames alone tell: the typical pixel's dark current, its doubling, and the gain from its shot noise."""
+"""Figures from dark frames alone: the typical pixel's dark current, its doubling, and the gain from its shot noise."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ _FINEST_TEMPERATURE_K: Final = 0.05
 def typical_rates(dark: Sequence[GroupStatistics]) -> list[tuple[float | None, float, Quantity]]:
     """Return (temperature in °C, its standard uncertainty in K, dark current in DN/s) of each plateau of temperature.
 
-    The typical pixel's mean is used: a few hot pixels with a doubling of their own hold much of the mean of all. The
+    The typical pixel's mean is used: a few hot pixels with another doubling hold much of the mean of all. The
     temperature is known to a step of its readings.
 
     Args:
@@ -78,7 +78,8 @@ def _temperature_u(known: Sequence[float]) -> float:
 
 
 def doubling_of(rates: Sequence[tuple[float | None, float, Quantity]]) -> Quantity | None:
-    """Return the doubling temperature in K of dark currents at two plateaus or more; None where they do not tell."""
+    """Return the doubling temperature in K of dark currents at two plateaus or more; None where they do not determine
+    it."""
     known = [(t, u, q) for t, u, q in rates if t is not None]
     return doubling_temperature([(t, q) for t, _, q in known], [u for _, u, _ in known])
 

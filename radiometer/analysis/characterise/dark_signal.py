@@ -10,7 +10,7 @@ import numpy as np
 
 from radiometer.analysis.characterise.group_statistics import GroupStatistics
 from radiometer.analysis.characterise.line_fit import Line, fit_line
-from radiometer.analysis.characterise.photon_transfer import SMALLEST_VARIANCE_DN2
+from radiometer.analysis.characterise.rounding import PLAIN_FROM
 from radiometer.data import Quantity
 
 _SAME_TEMPERATURE_K = 1.5
@@ -40,7 +40,7 @@ class DarkSignal:
 def dark_signal(dark: Sequence[GroupStatistics], step_dn: int = 1) -> DarkSignal:
     """Return the dark signal of groups of one gain, region and temperature.
 
-    Groups of one frame tell its mean only.
+    Groups of one frame determine its mean only.
 
     Args:
         dark: The groups; at least one of them with two frames or more.
@@ -60,7 +60,7 @@ def dark_signal(dark: Sequence[GroupStatistics], step_dn: int = 1) -> DarkSignal
         first = int(np.argmin(times))
         mean = Quantity(float(means[first]), float(u_means[first]), "DN")
     variance_line, variance = _variance([d for d in dark if d.has_noise])
-    smallest = SMALLEST_VARIANCE_DN2 * step_dn**2
+    smallest = PLAIN_FROM * step_dn**2
     limited = variance.value < smallest
     if limited:  # all that is known is a bound; over [0, bound] the root mean square distance from it is bound/√3
         variance = Quantity(smallest, smallest / math.sqrt(3.0), "DN^2")
@@ -82,7 +82,7 @@ def hidden_noise(step_dn: int = 1) -> str:
         step_dn: Distance between codes in DN.
     """
     return (
-        f"the dark noise is below {SMALLEST_VARIANCE_DN2 * step_dn**2:g} DN², where rounding hides it: sigma_y_dark is "
+        f"the dark noise is below {PLAIN_FROM * step_dn**2:g} DN², where rounding hides it: sigma_y_dark is "
         "the most that it can be; raise the gain to measure it"
     )
 

@@ -33,8 +33,8 @@ class DarkTransfer:
 def dark_transfer(frames: Iterable[NDArray[np.float64]]) -> DarkTransfer | None:
     """Return K in DN/e- from dark frames of one temperature and several exposures, one frame at each being enough.
 
-    Every pixel's signal goes with the mean of all of them, d_ip = a_p + b_p·x_i, so that its fixed pattern falls out
-    with a straight line per pixel. The squares of what is left, averaged over pixels, are the frames' noise variances
+    Every pixel's signal is linear in the mean of all of them, d_ip = a_p + b_p·x_i, so that its fixed pattern falls out
+    with a straight line per pixel. The squared residuals, averaged over pixels, are the frames' noise variances
     mixed by the line: E[r_i²] = Σ_j (I − H)_ij²·σ_j², which is solved for σ_j². Their slope over x is K, whatever the
     read noise is.
 
@@ -75,7 +75,7 @@ def dark_transfer(frames: Iterable[NDArray[np.float64]]) -> DarkTransfer | None:
 def _halves_u(x: NDArray[np.float64], variance: NDArray[np.float64], u: NDArray[np.float64]) -> float:
     """Return what the difference of the slopes below and above the middle leaves uncertain; 0 where one has no slope.
 
-    Source: JCGM 100:2008, 4.3.7: a gain that lies between the two, a rectangular distribution.
+    Source: JCGM 100:2008, 4.3.7: a gain between the two, a rectangular distribution.
     """
     middle = (float(x.min()) + float(x.max())) / 2
     slopes = []

@@ -24,10 +24,10 @@ _LOWEST_ETA_PERCENT, _HIGHEST_ETA_PERCENT = 5.0, 100.0
 def export_descriptor(subject: Subject, result: Characterisation, path: Path) -> list[str]:
     """Write a descriptor file for the frames of a subject, and return what the user must know.
 
-    Exposures stand in ns, light in photons per pixel. Every setting is written as a pair (its first two frames), and
+    Exposures are in ns, light in photons per pixel. Every setting is written as a pair (its first two frames), and
     the bright and dark setting with most frames at one exposure once more as the stack for the spatial figures. The
-    form knows no regions: where only part of the frame was looked at, that part is written to images of its own,
-    into a folder beside the file.
+    form knows no regions: where only part of the frame was looked at, that part is written to separate images, into a
+    folder next to the file.
 
     Args:
         subject: The frames, whose photons must be known.

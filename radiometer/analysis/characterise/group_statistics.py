@@ -105,7 +105,7 @@ def statistics_of_group(
         photons: Mean photons per pixel where known.
 
     Raises:
-        MeasurementError: If there is no frame or a region lies outside them.
+        MeasurementError: If there is no frame or a region is outside them.
     """
     sums: list[_Sums] = []
     for dn in frames:
@@ -183,7 +183,7 @@ def _cut(dn: DigitalNumbers, region: Patch | None) -> DigitalNumbers:
         return dn
     if not region.fits((dn.shape[0], dn.shape[1])):
         raise MeasurementError(
-            f"the region {region.x},{region.y},{region.width},{region.height} does not lie on the frame of "
+            f"the region {region.x},{region.y},{region.width},{region.height} is not on the frame of "
             f"{dn.shape[1]} × {dn.shape[0]} pixels"
         )
     return dn[region.slices]

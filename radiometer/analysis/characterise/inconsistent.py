@@ -21,10 +21,10 @@ _AGREE_SHARE: Final = 1 / 3  # of its distance: how far the neighbours may lie f
 
 
 def contradicting_steps(steps: Sequence[SignalStep]) -> list[tuple[SignalStep, str]]:
-    """Return bright steps whose signal over light lies far off that of their neighbours in light, with a line each.
+    """Return bright steps whose signal over light is far off that of their neighbours in light, with a line each.
 
     A step is off where its signal differs by more than 10 %, ten of its standard uncertainties and 1 % of the largest
-    signal from what its neighbours below and above in light say, while those agree with each other.
+    signal from its neighbours. These are the steps below and above in light, and must agree with each other.
 
     Args:
         steps: Bright steps of one region, any order.
@@ -79,7 +79,7 @@ def _median_slope(x: np.ndarray, y: np.ndarray) -> float:
 
 
 def _beside(index: int, count: int) -> list[int]:
-    """Return as many neighbours below as above; none at the ends, where saturation cannot be told from a mistake."""
+    """Return as many neighbours below as above; none at the ends, where saturation and a mistake look alike."""
     reach = min(_NEIGHBOURS, index, count - 1 - index)
     return [*range(index - reach, index), *range(index + 1, index + reach + 1)]
 

@@ -71,34 +71,31 @@ def _birge(residuals: NDArray[np.float64], dof: int) -> float:
     return math.sqrt(float(residuals @ residuals) / dof) if dof > 0 else 1.0
 
 
-def curve_u(x: ArrayLike, y: ArrayLike, u_y: ArrayLike, *, through_origin: bool = False) -> float:
-    """Return the standard uncertainty that a bend leaves in the slope of a straight line; 0 where none is seen.
+def is_bent(x: ArrayLike, y: ArrayLike, u_y: ArrayLike, *, through_origin: bool = False) -> bool:
+    """Return whether points bend away from a straight line by more than their noise.
 
-    A term in x² is fitted beside the line. Where it stands above three of its standard uncertainties, the local slope
-    (or ratio y/x, where the line is tied to the origin) is known to lie within a range only: a rectangular
-    distribution over that range.
+    A term in x² is fitted as well. The points bend where it lowers χ² by more than 9 and explains more than half of
+    what the straight line leaves above its degrees of freedom. The uncertainties are used as given: scatter of few
+    points about the wrong curve would otherwise hide the bend.
 
     Args:
         x: Abscissae, shape (n,).
         y: Ordinates, shape (n,).
         u_y: Standard uncertainties of y, above 0.
         through_origin: The line is tied to the origin.
-
-    Source: JCGM 100:2008, 4.3.7, for the rectangular distribution.
     """
     xs, ys, u = (np.asarray(v, dtype=np.float64) for v in (x, y, u_y))
     columns = [xs, xs**2] if through_origin else [np.ones_like(xs), xs, xs**2]
     if xs.size <= len(columns):
-        return 0.0
-    scales = np.array([np.abs(column).max() or 1.0 for column in columns])
-    design = np.column_stack(columns) / scales / u[:, np.newaxis]
+        return False
+    design = np.column_stack(columns) / [np.abs(column).max() or 1.0 for column in columns] / u[:, np.newaxis]
     if np.linalg.matrix_rank(design) < len(columns):
-        return 0.0
-    normal = np.linalg.inv(design.T @ design)
-    solution = normal @ design.T @ (ys / u)
-    birge = max(1.0, _birge(design @ solution - ys / u, xs.size - len(columns)))
-    bend, u_bend = float(solution[-1]), float(np.sqrt(normal[-1, -1])) * birge
-    if abs(bend) <= _SEEN_SIGMAS * u_bend:
-        return 0.0
-    reach = float(np.ptp(xs)) * (1.0 if through_origin else 2.0)
-    return abs(bend) / float(scales[-1]) * reach / math.sqrt(12.0)
+        return False
+    straight, curved = (_chi2(design[:, :count], ys / u) for count in (len(columns) - 1, len(columns)))
+    freedom = xs.size - len(columns) + 1
+    return straight - curved > max(_SEEN_SIGMAS**2, (straight - freedom) / 2.0)
+
+
+def _chi2(design: NDArray[np.float64], values: NDArray[np.float64]) -> float:
+    residual = values - design @ np.linalg.lstsq(design, values, rcond=None)[0]
+    return float(residual @ residual)

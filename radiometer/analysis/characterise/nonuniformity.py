@@ -34,7 +34,7 @@ def prnu(bright: GroupStatistics, dark: GroupStatistics) -> Quantity:
 def nonuniformity_by_part(
     bright: GroupStatistics | None, dark: GroupStatistics | None, K: Quantity | None
 ) -> dict[str, Quantity]:
-    """Return DSNU and PRNU of rows, columns and pixels, as far as the pictures tell them.
+    """Return DSNU and PRNU of rows, columns and pixels, as far as the pictures determine them.
 
     Args:
         bright: Bright group of the PRNU; None for no PRNU.

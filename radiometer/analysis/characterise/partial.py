@@ -1,4 +1,4 @@
-"""What frames tell that are too few for a whole characterisation: darks alone, one level of light, single frames."""
+"""Figures from frames that are too few for a whole characterisation: darks alone, one level of light, single frames."""
 
 from __future__ import annotations
 
@@ -86,22 +86,18 @@ def partial_characterisation(
 
 
 def bent(transfer: PhotonTransfer) -> str:
-    """Return the note for a photon transfer that bends: the ratio of variance to mean at its two ends."""
-    used = sorted(transfer.used, key=lambda s: s.signal_dn)
-    third = max(1, len(used) // 3)
-    ends = [
-        float(np.mean([s.photo_variance_dn2 / s.signal_dn for s in part])) for part in (used[:third], used[-third:])
-    ]
+    """Return the note for a photon transfer that bends: the local gains at its two ends."""
+    low, high = transfer.local
     return (
-        f"the photon transfer bends (variance over mean goes from {ends[0]:.3g} to {ends[1]:.3g} DN): there is no one "
-        "gain, and the uncertainty of K holds the range"
+        f"the photon transfer bends: the local gain goes from {low:.3g} to {high:.3g} DN/e-. One K does not describe "
+        "this sensor; the U of K covers that range"
     )
 
 
 def disagreeing_gains(K: Quantity | None, K_dark: Quantity) -> list[str]:
     """Return a note on how the gain from darks compares with that from light; none where there is no light."""
     if K is None:
-        return ["the gain is that of the dark current's shot noise: no pairs of bright frames tell it"]
+        return ["the gain is that of the dark current's shot noise: there are no pairs of bright frames"]
     distance = abs(K.value - K_dark.value) / math.hypot(K.u, K_dark.u)
     word = "agrees with" if distance <= _DOUBTFUL_SIGMAS else "differs from"
     return [
@@ -176,7 +172,7 @@ def _without_darks(
         return [], None, None
     notes.append(
         "no dark frames: the gain is the slope of a free line, and black level, read noise and saturation capacity "
-        "cannot be told from it"
+        "do not follow from it"
     )
     if transfer.line.birge_ratio > 1.5:
         notes.append(

@@ -6,7 +6,7 @@ import math
 
 from radiometer.analysis.characterise.report_plots import further_pictures, story
 from radiometer.analysis.characterise.result import Characterisation
-from radiometer.analysis.characterise.symbols import SYMBOLS
+from radiometer.analysis.characterise.symbols import SYMBOLS, as_printed, upper_limit
 from radiometer.data import Quantity
 from radiometer.reporting.numbers import rounded, unit_text, with_u
 from radiometer.reporting.page import folded, listed, page, paragraph, section, side_by_side, table
@@ -42,7 +42,7 @@ def outcome(result: Characterisation) -> str:
     figures = result.figures
     gain = figures.get("K", figures.get("K_dark"))
     if gain is None or not math.isfinite(gain.value):
-        return "These frames tell no gain: the camera's electrons cannot be counted from them."
+        return "These frames determine no gain: the camera's electrons cannot be counted from them."
     said = [f"One electron is {with_u(gain.value, 2 * gain.u, 'DN')}"]
     if "sigma_d" in figures:
         said.append(f"the camera reads with {_with_u(figures['sigma_d'])} of noise")
@@ -70,7 +70,7 @@ def meaning(result: Characterisation) -> list[str]:
     elif "K_dark" in figures:
         said.append(
             "The gain comes from dark frames alone. Frames of steady, even light from darkness to saturation would "
-            "tell it better, and linearity and saturation with it."
+            "determine it better, and linearity and saturation as well."
         )
     else:
         said.append(
@@ -116,8 +116,9 @@ def _straightness(low: Quantity | None, high: Quantity | None) -> str:
 def _dark(current: Quantity | None, read: Quantity | None) -> str:
     if current is None or not math.isfinite(current.value):
         return ""
-    if current.value <= 2 * current.u:
-        return f"No dark current is seen: {_with_u(current)}."
+    limit = upper_limit("mu_I_mean", current)
+    if limit is not None:
+        return f"No dark current is seen: it is below {limit:.2g} {unit_text(current.unit)} (95 %)."
     when = f"; its noise reaches the read noise at {read.value**2 / current.value:.3g} s" if read is not None else ""
     return f"Every pixel gathers {_with_u(current)} in the dark{when}. Take darks at the exposures of long frames."
 
@@ -130,9 +131,10 @@ def _figures(result: Characterisation) -> str:
     rows = []
     for key, symbol in SYMBOLS.items():
         if key in result.figures:
-            value, expanded = rounded(result.figures[key].value, 2 * result.figures[key].u)
+            value, expanded = as_printed(key, result.figures[key])
+            shown = expanded if expanded.startswith("below") else f"± {expanded}"
             unit = unit_text(result.figures[key].unit)
-            rows.append((symbol.sign.replace("_", " "), symbol.meaning, value, f"± {expanded}", unit))
+            rows.append((symbol.sign.replace("_", " "), symbol.meaning, value, shown, unit))
     return table(("symbol", "figure", "value", "U (k = 2)", "unit"), rows, words=(1, 4))
 
 

@@ -100,7 +100,7 @@ def _used(result: Characterisation) -> NDArray[np.bool_]:
 
 
 def _transfer(axes: Axes, result: Characterisation) -> None:
-    """Draw noise over signal, both logarithmic: read noise lies flat, shot noise rises with the root of the signal."""
+    """Draw noise over signal, both logarithmic: read noise is flat, shot noise rises with the root of the signal."""
     assert result.transfer is not None
     signal = np.array([s.signal_dn for s in result.steps])
     noise = np.sqrt(np.maximum([s.bright.variance_dn2 for s in result.steps], 0.0))

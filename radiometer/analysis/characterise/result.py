@@ -10,6 +10,7 @@ from typing import Any, Final
 from radiometer.analysis.characterise.linearity import Linearity
 from radiometer.analysis.characterise.photon_transfer import PhotonTransfer
 from radiometer.analysis.characterise.steps import SignalStep
+from radiometer.analysis.characterise.symbols import upper_limit
 from radiometer.data import CameraDescription, Provenance, Quantity
 from radiometer.units import gain_factor
 
@@ -28,7 +29,7 @@ class Characterisation:
         transfer: Photon transfer at `gain_db`; None where there is none.
         steps: Bright steps of the main region.
         dark_points: (exposure in s, mean in DN, variance in DN², temperature in °C) of the dark groups.
-        linearity: Linearity; None where too few steps lie in its range.
+        linearity: Linearity; None where too few steps are in its range.
         notes: What a user must know.
         provenance: What it was made from.
     """
@@ -70,7 +71,7 @@ class Characterisation:
         return self.believed.model_copy(update=update)
 
     def to_mapping(self, limits: Mapping[str, Any] | None = None) -> dict[str, Any]:
-        """Return the camera file (`configs/cameras/` form) with the EMVA 1288 figures beside it.
+        """Return the camera file (`configs/cameras/` form) with the EMVA 1288 figures.
 
         Args:
             limits: Limits of the camera, where one was at hand.
@@ -84,7 +85,7 @@ class Characterisation:
             "emva1288": {
                 "standard": "4.0 (linear)",
                 "gain_db": self.gain_db,
-                "figures": {name: _finite(q) for name, q in self.figures.items()},
+                "figures": {name: _figure(name, q) for name, q in self.figures.items()},
                 "K_by_gain": [{"gain_db": g, "K": _finite(q)} for g, q in self.gains.items()],
                 "saturation_limited_by": self.limited_by,
                 "notes": list(self.notes),
@@ -110,6 +111,12 @@ class Characterisation:
         if "mu_I_mean" in self.figures and "dark_current_reference_C" in camera:
             sources["dark_current_reference_C"] = "mean sensor temperature of the dark frames"
         return sources | {key: "as the camera states" for key in limits if key not in sources}
+
+
+def _figure(name: str, quantity: Quantity) -> dict[str, Any]:
+    """Return a figure as a mapping; `below` is its upper limit where its U (k = 2) exceeds 100 %."""
+    limit = upper_limit(name, quantity)
+    return _finite(quantity) | ({} if limit is None else {"below": limit})
 
 
 def _finite(quantity: Quantity) -> dict[str, Any]:

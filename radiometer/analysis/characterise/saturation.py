@@ -80,9 +80,9 @@ def _plateau(last: SignalStep, largest_variance: float) -> Quantity | None:
 
 
 def _spacing_u(steps: Sequence[SignalStep], top: int) -> float:
-    """Return the uncertainty of a largest value that is known to lie between two steps only, taken as rectangular.
+    """Return the uncertainty of a largest value that is known to be between two steps only, taken as rectangular.
 
-    The steps whose variance may be the largest within twice their uncertainties all count, and so do the gaps beside
+    The steps whose variance may be the largest within twice their uncertainties all count, and so do the gaps next to
     them.
     """
     bright = [s.bright for s in steps]

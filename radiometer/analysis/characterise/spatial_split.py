@@ -26,7 +26,7 @@ class SpatialSplit:
 
 @dataclass(frozen=True, slots=True)
 class NoiseLeft:
-    """Temporal variances that are left in a frame average, in DN²: of row means, of column means, of what is left.
+    """Temporal variances that are left in a frame average, in DN²: of row means, of column means, of the residual.
 
     A converter whose rows share noise leaves more in row means than its pixels' noise alone would.
     """
@@ -49,8 +49,8 @@ def split_spatial_variance(average: NDArray[np.float64], noise: NoiseLeft) -> Sp
     """Return the variances of rows, columns and pixels of a frame average of shape (M, N), in DN².
 
     With y = μ + row_m + column_n + pixel_mn the variance of the column averages is s_col² + s_pix²/M, that of the row
-    averages s_row² + s_pix²/N, and what is left when both are taken away has (M − 1)(N − 1) degrees of freedom. From
-    each the temporal noise of its own kind is taken off.
+    averages s_row² + s_pix²/N. The residual after both are subtracted has (M − 1)(N − 1) degrees of freedom. From
+    each the temporal noise of the same kind is subtracted.
 
     Args:
         average: Mean picture of at least 2 × 2 pixels.

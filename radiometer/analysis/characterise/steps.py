@@ -10,6 +10,7 @@ import numpy as np
 
 from radiometer.analysis.characterise.group_statistics import GroupStatistics
 from radiometer.analysis.characterise.line_fit import fit_line
+from radiometer.analysis.characterise.rounding import unrounded_variance
 from radiometer.errors import MeasurementError
 
 _SAME_EXPOSURE_REL = 1e-3
@@ -18,7 +19,7 @@ _SAME_TEMPERATURE_K = 1.5
 
 @dataclass(frozen=True, slots=True)
 class SignalStep:
-    """One bright setting in one region beside its dark one.
+    """One bright setting in one region, with its dark one.
 
     Attributes:
         bright: Statistics of the bright frames.
@@ -27,6 +28,8 @@ class SignalStep:
         u_dark_mean_dn: Its standard uncertainty.
         dark_variance_dn2: Temporal variance of the dark signal in DN².
         u_dark_variance_dn2: Its standard uncertainty.
+        dark_noise_dn2: The same before rounding to whole codes.
+        u_dark_noise_dn2: Its standard uncertainty; alike in all steps.
     """
 
     bright: GroupStatistics
@@ -35,6 +38,8 @@ class SignalStep:
     u_dark_mean_dn: float
     dark_variance_dn2: float
     u_dark_variance_dn2: float
+    dark_noise_dn2: float = 0.0
+    u_dark_noise_dn2: float = 0.0
 
     @property
     def signal_dn(self) -> float:
@@ -52,7 +57,9 @@ class SignalStep:
         return self.bright.variance_dn2 - self.dark_variance_dn2
 
 
-def make_steps(bright: Sequence[GroupStatistics], dark: Sequence[GroupStatistics]) -> list[SignalStep]:
+def make_steps(
+    bright: Sequence[GroupStatistics], dark: Sequence[GroupStatistics], step_dn: int = 1
+) -> list[SignalStep]:
     """Return the bright groups with the dark signal of their exposure, by rising light.
 
     The dark group of the same exposure, gain, region and temperature is used; where there is none, a line through
@@ -61,14 +68,15 @@ def make_steps(bright: Sequence[GroupStatistics], dark: Sequence[GroupStatistics
     Args:
         bright: Bright groups of one gain.
         dark: Dark groups of that gain.
+        step_dn: Distance between codes in DN.
 
     Raises:
-        MeasurementError: If a bright group has no dark group to go with.
+        MeasurementError: If a bright group has no matching dark group.
     """
-    return sorted((_step(group, dark) for group in bright), key=lambda step: (step.bright.region, step.light))
+    return sorted((_step(group, dark, step_dn) for group in bright), key=lambda step: (step.bright.region, step.light))
 
 
-def _step(group: GroupStatistics, dark: Sequence[GroupStatistics]) -> SignalStep:
+def _step(group: GroupStatistics, dark: Sequence[GroupStatistics], step_dn: int) -> SignalStep:
     fitting = [d for d in dark if d.region == group.region and d.has_noise and _same_temperature(d, group)]
     if not fitting:
         raise MeasurementError(
@@ -79,15 +87,14 @@ def _step(group: GroupStatistics, dark: Sequence[GroupStatistics]) -> SignalStep
     level = group.settings.source_level
     light = group.photons if group.photons is not None else exposure * level
     same = [d for d in fitting if math.isclose(d.settings.exposure_s, exposure, rel_tol=_SAME_EXPOSURE_REL)]
+    near = same[0] if same else min(fitting, key=lambda d: abs(d.settings.exposure_s - exposure))
+    noise = unrounded_variance(near.variance_dn2, near.u_variance_dn2, near.mean_dn, near.spatial_variance_dn2, step_dn)
     if same:
-        one = same[0]
-        return SignalStep(group, light, one.mean_dn, one.u_mean_dn, one.variance_dn2, one.u_variance_dn2)
-    return SignalStep(
-        group,
-        light,
-        *_from_line(fitting, exposure, [(d.mean_dn, d.u_mean_dn) for d in fitting]),
-        *_from_line(fitting, exposure, [(d.variance_dn2, d.u_variance_dn2) for d in fitting]),
-    )
+        mean, variance = (near.mean_dn, near.u_mean_dn), (near.variance_dn2, near.u_variance_dn2)
+    else:
+        mean = _from_line(fitting, exposure, [(d.mean_dn, d.u_mean_dn) for d in fitting])
+        variance = _from_line(fitting, exposure, [(d.variance_dn2, d.u_variance_dn2) for d in fitting])
+    return SignalStep(group, light, *mean, *variance, noise.value, noise.u)
 
 
 def _from_line(

@@ -29,7 +29,7 @@ class Subject:
         regions: Where to look; (None,) for the whole frame.
         fluxes: Photon flux of each region; None where unknown.
         notes: What the user must know of how they were chosen.
-        given: Statistics that are known without pictures; they stand for all groups.
+        given: Statistics that are known without pictures; they replace all groups.
         masked_dn: What masked rows read in DN, frame by frame, where files state it.
     """
 
@@ -52,7 +52,7 @@ class Subject:
         """Return the statistics of every group in every region.
 
         Raises:
-            MeasurementError: If a region lies outside the frames.
+            MeasurementError: If a region is outside the frames.
             CaptureError: If a frame is unreadable.
         """
         if self.given:
@@ -98,7 +98,7 @@ def subject_of_capture(capture: CaptureSet, region: Patch | None = None) -> Subj
     """Return the frames of a capture set, in its patches or in one region.
 
     Light must be proportional to exposure × source level: of several f-numbers or patterns the one with most frames
-    is taken, and a note says so. Without dark frames those with the source off stand in for them.
+    is taken, and a note says so. Without dark frames those with the source off replace them.
 
     Raises:
         CaptureError: If a frame is unreadable.
@@ -152,11 +152,11 @@ def _with_dark(groups: list[FrameGroup]) -> tuple[list[FrameGroup], list[str]]:
         replace(g, settings=replace(g.settings, shutter="closed")) if g.settings.source_level == 0 else g
         for g in groups
     ]
-    return darkened, ["frames with the source off were taken for dark ones: light of the room counts as dark signal"]
+    return darkened, ["frames with the source off are treated as dark ones: light of the room counts as dark signal"]
 
 
 def _chosen_patches(patches: tuple[PatchDescription, ...], region: Patch | None) -> tuple[PatchDescription, ...]:
-    """Return all patches that the capture names, or the one region, with its radiance where it lies in a patch."""
+    """Return all patches that the capture names, or the one region, with its radiance where it is in a patch."""
     if region is None:
         return patches
     around = next((p for p in patches if _inside(region, p.patch)), None)

@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+import math
 from typing import Final, NamedTuple
+
+from radiometer.data import Quantity
+from radiometer.reporting.numbers import rounded
 
 
 class Symbol(NamedTuple):
@@ -45,3 +49,23 @@ SYMBOLS: Final[dict[str, Symbol]] = {
     "PRNU_column": Symbol("PRNU_col", "photo response non-uniformity between columns"),
     "PRNU_pixel": Symbol("PRNU_pix", "photo response non-uniformity between pixels"),
 }
+
+_SIGNED: Final = {"LE_min", "LE_max", "mu_y_dark"}  # zero is a value like any other
+
+
+def upper_limit(name: str, figure: Quantity) -> float | None:
+    """Return the value that a figure is below (95 %), where its U (k = 2) exceeds 100 %; None where it is determined.
+
+    Args:
+        name: Key of the figure in `SYMBOLS`.
+        figure: Its value and standard uncertainty.
+    """
+    if name in _SIGNED or not math.isfinite(figure.u) or abs(figure.value) > 2 * figure.u:
+        return None
+    return max(figure.value, 0.0) + 2 * figure.u
+
+
+def as_printed(name: str, figure: Quantity) -> tuple[str, str]:
+    """Return a figure and its U (k = 2) as texts; "not determined" with the upper limit where U exceeds 100 %."""
+    limit = upper_limit(name, figure)
+    return rounded(figure.value, 2 * figure.u) if limit is None else ("not determined", f"below {limit:.2g}")

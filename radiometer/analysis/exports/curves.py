@@ -49,7 +49,7 @@ def write_curves(path: Path, curves: Mapping[str, ResponseCurve]) -> None:
 def read_curves(path: Path, bit_depth: int = 8) -> dict[str, ResponseCurve]:
     """Return the curves of a file by channel: ours (.csv, .yaml), pfstools' (.m) or hdrgen's (.rsp).
 
-    The last two state no uncertainty: `ASSUMED_U_LOG` is taken, and said in the provenance. A CSV file is of the
+    The last two state no uncertainty: `ASSUMED_U_LOG` is taken, and the provenance states it. A CSV file is of the
     channel that its name ends in (`curve-red.csv`), else of "mono".
 
     Args:

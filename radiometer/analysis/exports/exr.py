@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import tempfile
 from pathlib import Path
 from typing import Any
@@ -11,6 +10,7 @@ import numpy as np
 
 import radiometer
 from radiometer.analysis.exports.maps import MapPicture
+from radiometer.data.storage import write_bytes_atomic
 from radiometer.errors import MissingLibrary, OutputError
 
 
@@ -43,18 +43,13 @@ def write_exr(path: Path, picture: MapPicture) -> None:
     }
     file = OpenEXR.File(header, _channels(picture))
     try:
-        handle, temporary = tempfile.mkstemp(prefix=f".{path.name}.", suffix=".exr", dir=path.parent)
-    except OSError as error:
-        raise OutputError(f"cannot write {path}: {error.strerror or error}") from error
-    os.close(handle)
-    try:
-        file.write(temporary)
-        Path(temporary).chmod(0o644)
-        Path(temporary).replace(path)
+        with tempfile.TemporaryDirectory(prefix=f".{path.name}.", dir=path.parent) as folder:
+            whole = Path(folder) / "map.exr"  # the library writes to a name only
+            file.write(str(whole))
+            content = whole.read_bytes()
     except (OSError, RuntimeError) as error:
-        raise OutputError(f"cannot write {path}: {error}") from error
-    finally:
-        Path(temporary).unlink(missing_ok=True)
+        raise OutputError(f"cannot write {path}: {getattr(error, 'strerror', None) or error}") from error
+    write_bytes_atomic(path, content)
 
 
 def _channels(picture: MapPicture) -> dict[str, Any]:

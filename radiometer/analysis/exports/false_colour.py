@@ -29,7 +29,7 @@ def write_false_colour(path: Path, picture: MapPicture) -> None:
 
     Args:
         path: File to write.
-        picture: The map, with the bounds of the scale where they are wanted.
+        picture: The map, with the bounds of the scale where they are requested.
 
     Raises:
         UsageError: If the bounds are not 0 < low < high.

@@ -148,7 +148,7 @@ def sensor_flux(frames: Sequence[Frame], scale: FluxScale, region: Patch | None 
         raise MeasurementError("there is no frame of the lit source with the shutter open")
     if region is not None and not region.fits(lit[0].shape):
         raise MeasurementError(
-            f"the region {region.x},{region.y},{region.width},{region.height} does not lie on the frame of "
+            f"the region {region.x},{region.y},{region.width},{region.height} is not on the frame of "
             f"{lit[0].shape[1]} × {lit[0].shape[0]} pixels"
         )
     whole = _merged(lit, dark, scale)

@@ -1,4 +1,4 @@
-"""Spectra of displays' primaries by type, as sums of lines: what is taken where nobody has measured them.
+"""Spectra of displays' primaries by type, as sums of lines, for displays without a measured spectrum.
 
 Peaks, widths and shares are those usual for the kind (Lee, Liu and Wu 2008, Introduction to Flat Panel Displays; not
 verified line by line); `crt` is the typical CRT of Brainard 1997. Luminous efficacies of single displays scatter about

@@ -41,7 +41,7 @@ def luminous_efficacy_lm_per_w(spectrum: Spectrum, observer: Observer = "photopi
         observer: Whose efficiency; K is 683 lm/W photopic, 1700.05 lm/W scotopic.
 
     Raises:
-        InputError: If the spectrum lies outside the visible range.
+        InputError: If the spectrum is outside the visible range.
     """
     constant = KM_SCOTOPIC_LM_PER_W if observer == "scotopic" else KM_LM_PER_W
     efficacy = constant * spectrum.integral(*luminous_efficiency(observer)) / spectrum.integral()

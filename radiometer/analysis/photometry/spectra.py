@@ -85,8 +85,8 @@ def spectrum(name: str) -> Spectrum:
 
     Args:
         name: "equal_energy", "planck:T" (T in K), "cie_d65", "white_led", "display_red", "display_green",
-            "display_blue" (a display of 1998), "led_b1" … "led_v2" (CIE 015:2018), "cie_a", "cie_fl2", "cie_fl11",
-            "crt_red", "crt_green", "crt_blue", "line:NM" (a monochromatic line), "band:NM,FWHM" (a Gaussian),
+            "display_blue" (a display of 1998). Also "led_b1" … "led_v2" (CIE 015:2018), "cie_a", "cie_fl2", "cie_fl11",
+            "crt_red", "crt_green", "crt_blue". Also "line:NM" (a monochromatic line), "band:NM,FWHM" (a Gaussian),
             "display:TYPE:PRIMARY" (of a display type), or the path of a CSV with the columns
             wavelength in nm and relative power. All but line, band and CSV extend over 380–780 nm.
 

@@ -1,4 +1,4 @@
-"""How far a reading may lie off where nobody states what kind of light it is of."""
+"""The error of a reading whose kind of light is not stated."""
 
 from __future__ import annotations
 
@@ -33,8 +33,8 @@ _HALF_WIDTH_NM: Final = 150.0
 def plausible_responses() -> tuple[Array, tuple[Array, ...]]:
     """Return wavelengths in nm, and responses per watt that a silicon sensor behind a lens may have.
 
-    They count photons with a quantum efficiency that is flat, or falls by a half to 400 and to 700 nm from a peak at
-    500, 550 or 600 nm: what EMVA 1288 data sheets of monochrome sensors show.
+    They count photons with a quantum efficiency that is flat, or falls by a half to 400 and to 700 nm from a peak.
+    The peak is at 500, 550 or 600 nm, as EMVA 1288 data sheets of monochrome sensors show.
     """
     wavelength = np.arange(200.0, 1101.0, 5.0)
     bells = (np.exp(-math.log(2.0) * ((wavelength - peak) / _HALF_WIDTH_NM) ** 2) for peak in _PEAKS_NM)
@@ -42,10 +42,10 @@ def plausible_responses() -> tuple[Array, tuple[Array, ...]]:
 
 
 def unstated_light_u_rel(assumed: str, response: SpectralResponse | None, observer: Observer | None = None) -> float:
-    """Return the relative standard uncertainty of a reading whose light is taken for `assumed` and may be any kind.
+    """Return the relative standard uncertainty of a reading whose light is treated as `assumed` and may be any kind.
 
-    It is the root of the mean square of F − 1, F what the reading would have to be multiplied by: over the kinds of
-    light, and over plausible responses where the camera's is not known.
+    It is the root of the mean square of F − 1, where F is the factor that would correct the reading. The mean is over
+    the kinds of light, and over plausible responses where the camera's is not known.
 
     Args:
         assumed: Name of the spectrum that the reading is made for.

@@ -48,7 +48,7 @@ def worst_deviation(
 
     Args:
         signals: Readings, the reference among them or not.
-        reference: The one that they are held against.
+        reference: The one that they are compared with.
         source_u_rel: Relative standard uncertainty that the source gives to each reading.
         signed: Keep the sign of the largest.
 
@@ -57,7 +57,7 @@ def worst_deviation(
     """
     found = tuple(deviation(one, reference, source_u_rel) for one in signals if one.name != reference.name)
     if not found:
-        raise MeasurementError(f"only step {reference.name!r} was captured; it needs another to be held against")
+        raise MeasurementError(f"only step {reference.name!r} was captured; it needs another to be compared with")
     worst = max(found, key=lambda one: abs(one.value))
     value = worst.value if signed else abs(worst.value)
     return Figure(value, worst.u, worst.degrees_of_freedom, details=found)
@@ -99,7 +99,7 @@ def temperature(signals: Sequence[StepSignal], source_u_rel: float) -> Figure:
     """Return f6: the relative change of the reading for 10 K, from the two steps farthest apart in temperature.
 
     Raises:
-        MeasurementError: If temperatures are not stated or lie nearer than 2 K.
+        MeasurementError: If temperatures are not stated or are nearer than 2 K.
     """
     known = sorted((one for one in signals if one.temperature_c is not None), key=lambda one: one.temperature_c or 0.0)
     if len(known) < 2:
@@ -108,7 +108,7 @@ def temperature(signals: Sequence[StepSignal], source_u_rel: float) -> Figure:
     change = (warm.temperature_c or 0.0) - (cool.temperature_c or 0.0)
     if change < _LEAST_CHANGE_K:
         raise MeasurementError(
-            f"the steps lie {change:.2g} K apart; they need {_LEAST_CHANGE_K:g} K at least, 10 K are good"
+            f"the steps are {change:.2g} K apart; they need {_LEAST_CHANGE_K:g} K at least, 10 K are good"
         )
     plain = deviation(warm, cool, source_u_rel, f"{change:.3g} K")
     per_10 = plain.scaled(_PER_K / change)
@@ -164,7 +164,7 @@ def glare_index(white: StepSignal, black: StepSignal, source_u_rel: float) -> Fi
         plain.u,
         plain.degrees_of_freedom,
         details=(plain,),
-        remarks=("the black patch is taken to give no light of its own",),
+        remarks=("the black patch is assumed to give no light",),
     )
 
 

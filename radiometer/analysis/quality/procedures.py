@@ -31,7 +31,7 @@ class Procedure:
     Attributes:
         name: Folder in the session, and name on the command line.
         symbol: As the field writes it.
-        title: What it tells, in words.
+        title: What it measures, in words.
         definition: Formula, in terms of the reading Y.
         source: Document that defines the index; the definition here is the one found in open literature.
         steps: Captures that the command asks for.
@@ -144,14 +144,18 @@ PROCEDURES: Final = (
         "edge",
         "distance in pixels over which a sharp edge rises from 10 to 90 %",
         f"{IMAGING}; ISO 12233",
-        (ProcedureStep("edge", "one straight, sharp, slightly slanted edge, dark beside bright, through the patch"),),
+        (
+            ProcedureStep(
+                "edge", "one straight, sharp, slightly slanted edge between dark and bright through the patch"
+            ),
+        ),
     ),
     Procedure(
         "smear",
         "smear",
         "smear",
-        "signal in the columns of an overexposed source over that of the columns beside, relative to the source's, "
-        "for a source of a tenth of the picture's height",
+        "signal in the columns of an overexposed source over that of the neighbouring columns, relative to "
+        "the source's, for a source of a tenth of the picture's height",
         IMAGING,
         (ProcedureStep("source", "a small, very bright source in the patch, all else dark"),),
         exposures="overexposed",

@@ -135,7 +135,7 @@ def evaluate(session: Path, how: Evaluation, progress: Callable[[str], None] | N
     captures = {one.name: _captures(session / one.name) for one in PROCEDURES}
     if not any(captures.values()) and _response(how) is None:
         raise InputError(
-            f"{session} holds no capture of any procedure; `radiometer quality plan` tells what they are, and "
+            f"{session} holds no capture of any procedure; `radiometer quality plan` lists them, and "
             f"radiometer quality take {session} PROCEDURE takes them"
         )
     found = []
@@ -217,7 +217,7 @@ def _signals(captures: Mapping[str, CaptureSet], how: Evaluation) -> dict[str, S
 def _in_order(captures: Mapping[str, CaptureSet], how: Evaluation, first: str) -> Figure:
     signals = _signals(captures, how)
     if first not in signals:
-        raise MeasurementError(f"step {first!r} is missing: the others are held against it")
+        raise MeasurementError(f"step {first!r} is missing: the others are compared with it")
     return indices.worst_deviation(list(signals.values()), signals[first], how.source_u_rel)
 
 

@@ -26,7 +26,7 @@ _OWN = frozenset({"repeatability", "source fluctuation"})
 
 @dataclass(frozen=True, slots=True)
 class StepSignal:
-    """What the instrument reads in one step, in radiance or a unit of its own.
+    """The instrument's reading in one step, in radiance or in its unit.
 
     Attributes:
         name: Of the step.
@@ -91,7 +91,7 @@ def step_signal(
         frames: Some of the capture's frames; None for all.
 
     Raises:
-        MeasurementError: If the patch clips in every frame or lies outside of them.
+        MeasurementError: If the patch clips in every frame or is outside of them.
         RadiometerError: If the calibration does not fit.
     """
     header = capture.header
@@ -135,7 +135,7 @@ def deviation(one: StepSignal, reference: StepSignal, source_u_rel: float, label
 
     Args:
         one: The reading.
-        reference: The reading it is held against.
+        reference: The reading it is compared with.
         source_u_rel: Relative standard uncertainty that the source's steadiness gives to each.
         label: Of the deviation; the reading's name by default.
 

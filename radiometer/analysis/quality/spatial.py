@@ -25,7 +25,7 @@ _UNUSABLE: Final = PixelMask.SATURATED | PixelMask.DEFECTIVE
 def uniformity(radiance: RadianceMap) -> Figure:
     """Return 1 − min/max over the means of 10 × 10 tiles of an even source.
 
-    Extremes of noisy means lie apart even where the truth is even. So the tiles are chosen by one half of their pixels
+    Extremes of noisy means differ even where the truth is even. So the tiles are chosen by one half of their pixels
     (as on a chequerboard) and compared by the other half.
     """
     black, white = _tile_means(radiance)
@@ -112,7 +112,7 @@ def _from_edge(across: NDArray[np.float64]) -> tuple[NDArray[np.float64], float]
     step = abs(float(np.median(across[:, -3:]) - np.median(across[:, :3])))
     scatter = float(np.median(np.abs(gradient))) * 1.4826
     if step <= 5.0 * scatter or weight.sum() <= 0.0:
-        raise MeasurementError("there is no clear edge in the patch; it must hold one, dark beside bright")
+        raise MeasurementError("there is no clear edge in the patch; it must hold one between dark and bright")
     place = np.arange(weight.shape[1]) + 0.5
     centres = weight @ place / np.maximum(weight.sum(axis=1), 1e-300)
     rows = np.arange(across.shape[0])
@@ -165,7 +165,9 @@ def smear(frames: RadianceMap, patch: Patch) -> Figure:
         min(patch.x + patch.width + gap, width) : min(patch.x + 2 * patch.width + gap, width),
     ]
     if rows.size < 8 or beside.size < 4:
-        raise MeasurementError("the patch leaves no rows above and below it, or no columns beside it; make it smaller")
+        raise MeasurementError(
+            "the patch leaves no rows above and below it, or no columns left and right of it; make it smaller"
+        )
     below = values[np.ix_(rows, columns)].mean(axis=1) - values[np.ix_(rows, beside)].mean(axis=1)
     lit = values[patch.y : patch.y + patch.height, columns]
     bright = lit > 0.5 * float(np.percentile(lit, 99.0))

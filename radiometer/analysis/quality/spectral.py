@@ -1,4 +1,4 @@
-"""f1′: how far a camera's spectral responsivity lies from V(λ)."""
+"""f1′: how far a camera's spectral responsivity is from V(λ)."""
 
 from __future__ import annotations
 

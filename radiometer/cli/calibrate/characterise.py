@@ -184,8 +184,7 @@ def _write(result: Characterisation, limits: dict[str, Any] | None, output: Path
 def _show(result: Characterisation, output: Path | None, report: Path | None) -> None:
     from rich.table import Table
 
-    from radiometer.analysis.characterise.symbols import SYMBOLS
-    from radiometer.reporting.numbers import rounded
+    from radiometer.analysis.characterise.symbols import SYMBOLS, as_printed
 
     out = console()
     table = Table(title=f"EMVA 1288 figures at {result.gain_db:g} dB", title_justify="left")
@@ -193,7 +192,7 @@ def _show(result: Characterisation, output: Path | None, report: Path | None) ->
         table.add_column(heading, justify="right" if heading in ("value", "U (k = 2)") else "left")
     for key, symbol in SYMBOLS.items():
         if key in result.figures:
-            value, expanded = rounded(result.figures[key].value, 2 * result.figures[key].u)
+            value, expanded = as_printed(key, result.figures[key])
             unit = result.figures[key].unit
             table.add_row(symbol.sign, symbol.meaning, value, expanded, "" if unit == "1" else unit)
     out.print(table)

@@ -219,7 +219,7 @@ def test_progress_counts_every_frame_to_come():
 def test_dark_frames_without_any_shutter_are_refused():
     """The message says what to do."""
     camera = camera_before(CHART, has_shutter=False)
-    with pytest.raises(DeviceError, match="no shutter of its own; cover the lens"):
+    with pytest.raises(DeviceError, match="no shutter; cover the lens"):
         list(take_plan(camera, ExposurePlan((0.01,)), BracketRequest(dark_frames=1)))
 
 

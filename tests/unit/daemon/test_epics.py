@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import math
+from dataclasses import replace
 from datetime import datetime
 
 import numpy as np
@@ -11,10 +12,9 @@ import pytest
 
 from radiometer.daemon.epics import PvaOptions, PvaServer
 from radiometer.daemon.patches import MAIN, PatchLimits
+from radiometer.data import Flag
 from radiometer.errors import UsageError
 from testing.patience import within
-
-pytestmark = pytest.mark.slow  # a network client, whose libraries take seconds to load
 
 
 @pytest.fixture
@@ -110,3 +110,62 @@ def test_prefix_without_letters_is_misuse():
     """A name with blanks could never be found."""
     with pytest.raises(UsageError, match="no prefix"):
         PvaOptions("two words")
+
+
+@pytest.mark.parametrize("name", ["radiance", "u_radiance", "luminance", "u_luminance", "flags"])
+async def test_every_variable_carries_the_alarm(served, station, instrument, eventually, name):
+    """Invalid before a reading and while the camera is lost, none with a sound reading; once it is back none again."""
+    _, client = served
+
+    async def severity():
+        return (await _read(client, name)).alarm.severity
+
+    assert await severity() == 3
+    await station.measure()
+    await eventually(lambda: station.latest is not None)
+    assert await severity() == 0
+    instrument.unplugged = True
+    await eventually(lambda: station.alarms.active)
+    assert await severity() == 3
+    instrument.unplugged = False
+    await eventually(lambda: not station.alarms.active)
+    assert await severity() == 0
+
+
+async def test_a_flagged_reading_is_a_minor_alarm(served, station, instrument, monkeypatch, eventually):
+    """A reading beyond what its calibration was made for counts, with its flags for the operator to read."""
+    _, client = served
+    whole = instrument.measure
+
+    def flagged(settings):
+        found = whole(settings)
+        return replace(found, reading=replace(found.reading, flags=(Flag.DRIFT, Flag.GAIN)))
+
+    monkeypatch.setattr(instrument, "measure", flagged)
+    await station.measure()
+    await eventually(lambda: station.latest is not None)
+    found = await _read(client, "radiance")
+    assert (found.alarm.severity, found.alarm.message) == (1, f"{Flag.DRIFT},{Flag.GAIN}")
+    assert (await _read(client, "flags")).value == f"{Flag.DRIFT},{Flag.GAIN}"
+
+
+@pytest.mark.parametrize(("low", "high"), [(20.0, None), (None, 10.0), (None, None)])
+async def test_only_the_limit_that_is_set_alarms(served, station, eventually, low, high):
+    """An unset limit is NaN without a severity; luminance has no limits; lifting the limit ends the alarm."""
+    _, client = served
+    station.set_limits(MAIN, PatchLimits(low=low, high=high))
+    for _ in range(2):
+        await station.measure()
+    unlimited = (low, high) == (None, None)
+    await eventually(lambda: station.latest if unlimited else station.alarms.active)
+    found = (await _read(client, "radiance")).valueAlarm
+    for limit, severity, value in (
+        (found.lowAlarmLimit, found.lowAlarmSeverity, low),
+        (found.highAlarmLimit, found.highAlarmSeverity, high),
+    ):
+        assert severity == (0 if value is None else 2)
+        assert math.isnan(limit) if value is None else limit == value
+    assert found.active is not unlimited
+    assert not (await _read(client, "luminance")).valueAlarm.active
+    station.set_limits(MAIN, PatchLimits())
+    assert (await _read(client, "radiance")).alarm.severity == 0

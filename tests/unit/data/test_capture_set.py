@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shutil
 
 import cv2
 import numpy as np
@@ -12,6 +13,8 @@ import yaml
 from radiometer.data import CameraDescription, CaptureSet, CaptureSetWriter, Frame, FrameSettings
 from radiometer.errors import CaptureError, OutputError
 
+PORT = {"name": "port", "x": 0, "y": 0, "width": 2, "height": 2}
+STATISTIC = {"exposure_s": 0.01, "mean_dn": 100.0, "variance_dn2": 40.0, "pixels": 48}
 CAMERA = CameraDescription(bit_depth=12, model="BFS-U3-19S4M", serial="22500001")
 
 
@@ -104,7 +107,17 @@ def test_a_folder_that_holds_something_is_not_overwritten(capture):
         (lambda m: m["frames"][1].update(file="a" * 5000), "'aaa+' is no name of a file"),
         (lambda m: m["frames"][1].update(file="a\0.png"), "is no name of a file"),
         (lambda m: m.update(format="radiometer-capture/9"), "this version reads"),
-        (lambda m: m.update(frames=[]), "frames"),
+        (lambda m: m.update(frames=[]), "frames is missing or empty"),
+        (lambda m: m["frames"][1].update(exposure_s=0), "shutter: closed"),
+        (lambda m: m["frames"][1].update(shutter="ajar"), r"frames\.1\.shutter"),
+        (lambda m: m["frames"][1].update(source_level=-0.1), r"source_level = -0\.1"),
+        (lambda m: m["frames"][1].update(f_number=0), "f_number = 0"),
+        (lambda m: m["frames"][1].update(photons=-1), "photons = -1"),
+        (lambda m: m.update(patches=[PORT, PORT]), "patch name 'port' stands twice"),
+        (lambda m: m.update(patches=[PORT | {"width": 0}]), r"patches\.0\.width = 0"),
+        (lambda m: m.update(patches=[PORT | {"x": -1}]), r"patches\.0\.x = -1"),
+        (lambda m: m.update(frames=[], statistics=[STATISTIC]), "statistics of settings and no pictures"),
+        (lambda m: m.update(frames=[], statistics=[STATISTIC | {"clipped_share": 1.1}]), r"clipped_share = 1\.1"),
     ],
 )
 def test_a_wrong_header_is_refused_with_key_and_reason(capture, change, message):
@@ -157,3 +170,45 @@ def test_the_content_hash_notices_one_changed_pixel(capture):
     changed[0, 0] = 101
     cv2.imwrite(str(capture / "frames" / "0001.png"), changed)
     assert CaptureSet.read(capture).content_hash() != before
+
+
+@pytest.mark.parametrize(
+    ("remove", "message"),
+    [
+        (("capture.yaml", "frames"), "it is no capture set"),
+        (("capture.yaml", "frames", ""), "is not a folder"),
+        (("frames/0002.png",), r"0002\.png' does not exist; the capture set is incomplete"),
+    ],
+)
+def test_a_folder_that_lacks_something_is_refused(capture, remove, message):
+    """Nothing of a capture, no folder at all, one frame less: each is said, and none is read as fewer frames."""
+    for name in remove:
+        target = capture / name
+        shutil.rmtree(target) if target.is_dir() else target.unlink()
+    with pytest.raises(CaptureError, match=message):
+        CaptureSet.read(capture)
+
+
+def test_a_pattern_without_a_lit_frame_is_refused(capture):
+    """A bracket of darkness alone is no bracket; the pattern is named."""
+    read = CaptureSet.read(capture)
+    with pytest.raises(CaptureError, match="no frame of pattern 'inverted'"):
+        read.bracket("inverted")
+    assert len(read.bracket("default").frames) == 3
+
+
+def test_a_bias_frame_needs_no_time(capture):
+    """An exposure of 0 s with the shutter closed is read out at once: it is a dark frame."""
+    edit(capture, lambda m: m["frames"][3].update(exposure_s=0))
+    assert CaptureSet.read(capture).read_frame(3).settings.is_dark
+
+
+def test_a_file_that_is_no_picture_is_refused(capture):
+    """Damaged and missing files are told apart, each by its name."""
+    (capture / "frames" / "0001.png").write_bytes(b"\x89PNG" + bytes(200) + b"IEND")
+    read = CaptureSet.read(capture)
+    with pytest.raises(CaptureError, match=r"0001\.png: .*damaged"):
+        read.read_frame(1)
+    (capture / "frames" / "0001.png").unlink()
+    with pytest.raises(CaptureError, match=r"cannot read frame .*0001\.png: No such file"):
+        read.read_frame(1)

@@ -254,3 +254,17 @@ def test_a_png_is_as_large_as_its_pixels_are(tmp_path: Path, bits: int, colour: 
     refuse_large_picture(tmp_path / "a", _png(1000, rows, bits, colour))
     with pytest.raises(CaptureError, match=f"{rows + 1} × 1000"):
         refuse_large_picture(tmp_path / "a", _png(1000, rows + 1, bits, colour))
+
+
+def test_a_tiff_that_states_no_bits_counts_a_byte_for_each_value(tmp_path: Path) -> None:
+    """What says nothing of its depth is not of no size."""
+    tifffile.imwrite(tmp_path / "a.tif", np.zeros((4, 5), np.uint8), byteorder="<")
+    content = bytearray((tmp_path / "a.tif").read_bytes())
+    at = int(struct.unpack_from("<I", content, 4)[0])
+    for number in range(struct.unpack_from("<H", content, at)[0]):
+        tag, kind = struct.unpack_from("<HH", content, at + 2 + 12 * number)
+        if tag in (256, 257, 258):
+            value = 0 if tag == 258 else 60_000
+            struct.pack_into(f"<{'H' if kind == 3 else 'I'}", content, at + 10 + 12 * number, value)
+    with pytest.raises(CaptureError, match="3600 MB"):
+        refuse_large_picture(tmp_path / "a.tif", bytes(content))

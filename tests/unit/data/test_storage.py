@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import errno
 import os
+import stat
 
+import numpy as np
 import pytest
 
-from radiometer.data import storage
+from radiometer.analysis.exports.maps import WRITERS, MapPicture, writer_for
+from radiometer.data import RadianceMap, storage
 from radiometer.data.storage import read_text
 from radiometer.errors import InputError, OutputError
 
@@ -68,3 +71,35 @@ def test_text_is_read_without_an_editor_s_mark(tmp_path):
         read_text(path)
     with pytest.raises(InputError, match=r"cannot read .*no\.csv: No such file"):
         read_text(tmp_path / "no.csv")
+
+
+@pytest.mark.parametrize(("mask", "mode"), [(0o022, 0o644), (0o077, 0o600), (0o002, 0o664)])
+@pytest.mark.parametrize("ending", [".txt", *WRITERS])
+def test_a_file_may_be_read_by_whom_the_user_s_mask_allows(tmp_path, ending, mask, mode):
+    """The owner alone under 077, members of the group too under 002: neither more nor fewer."""
+    before = os.umask(mask)
+    try:
+        write(tmp_path / f"result{ending}")
+    finally:
+        os.umask(before)
+    assert stat.S_IMODE((tmp_path / f"result{ending}").stat().st_mode) == mode
+
+
+@pytest.mark.parametrize("ending", [".txt", *WRITERS])
+def test_a_file_gets_its_name_when_its_content_is_on_the_disk(tmp_path, monkeypatch, ending):
+    """A power cut leaves the old file or the whole new one: what is renamed was flushed before."""
+    path, steps, (fsync, replace) = tmp_path / f"result{ending}", [], (os.fsync, os.replace)
+    monkeypatch.setattr(os, "fsync", lambda file: steps.append(os.fstat(file).st_size) or fsync(file))
+    monkeypatch.setattr(os, "replace", lambda old, new: steps.append(new) or replace(old, new))
+    write(path)
+    assert steps == [path.stat().st_size, path]
+    assert steps[0] > 0
+
+
+def write(path):
+    """Write a text file, or a map of 2 × 2 pixels in the form that the ending names."""
+    if path.suffix == ".txt":
+        return storage.write_text_atomic(path, "text")
+    one = np.ones((2, 2), np.float32)
+    grey = RadianceMap(one, 0.1 * one, np.zeros((2, 2), np.uint8), "relative")
+    return writer_for(path)(path, MapPicture({"mono": grey}))

@@ -100,7 +100,7 @@ def test_image_file_is_scaled_to_the_sensor(tmp_path: Path) -> None:
         ({"kind": "led", "flux_mW": -1}, r"flux_mW = -1: input should be greater than 0"),
         (
             {"kind": "screen", "patches": [{"name": "a", "x": 0, "y": 0, "width": 1, "height": 1, "drive": 2}]},
-            r"patch 'a': a drive lies between 0 and 1",
+            r"patch 'a': a drive is between 0 and 1",
         ),
     ],
 )
@@ -114,7 +114,7 @@ def test_patch_off_the_sensor_is_refused() -> None:
     """A patch that lies partly outside is named with the sensor's size."""
     patch = {"name": "far", "x": 155, "y": 0, "width": 10, "height": 4, "drive": 1.0}
     scene = scene_from_mapping({"kind": "screen", "patches": [patch]})
-    with pytest.raises(ConfigurationError, match=r"'far' .* does not lie on the sensor of 160 × 120 px"):
+    with pytest.raises(ConfigurationError, match=r"'far' .* is not on the sensor of 160 × 120 px"):
         scene.render(160, 120, "default")
 
 

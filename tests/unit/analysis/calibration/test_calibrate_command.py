@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -124,7 +125,26 @@ def test_a_known_luminance_goes_through_the_spectrum(capture, tmp_path):
         (["{capture}", "-o", "/nowhere/cal.yaml"], 1, "/nowhere/cal.yaml"),
         (["{capture}", "-o", "{out}", *METER, "--reference-dn", "5000"], 2, "5000"),
         (["{capture}", "-o", "{out}", *METER, "--reference-dn", "4095"], 2, "4095"),
+        (["{capture}", "-o", "{out}", *METER, "--reference-dn", "64"], 2, "above 64 and below 4095 DN"),
         (["no-such-folder", "-o", "{out}"], 1, "no-such-folder"),
+        (["{capture}", "-o", "{out}", "--camera", "sim"], 2, "not both"),
+        (["{capture}", "-o", "{out}", "--radiance", "1", "--luminance", "1", "--u-rel", "0.1"], 2, "exclude"),
+        (["{capture}", "-o", "{out}", "--f-number", "8"], 2, "f/4"),
+        (["{capture}", "-o", "{out}", "--patch", "1,1,20"], 2, "X,Y,W,H"),
+        (["{capture}", "-o", "{out}", "--patch", "1,1,0,9", "--radiance", "1", "--u-rel", "0.1"], 2, "at least 1"),
+        (["{capture}", "-o", "{out}", "--stated", "glare_u"], 2, "NAME=U"),
+        (["{capture}", "-o", "{out}", "--stated", "glare_u=-0.1"], 2, "0 or more"),
+        (["{capture}", "-o", "{out}", "--stated", "glare_u=inf"], 2, "finite"),
+        (["{capture}", "-o", "{out}", "--dynamic-range", "254,1/2000"], 2, "--response"),
+        (["-o", "{out}", "--response", "{curve}", *METER, "--dynamic-range", "254"], 2, "M,TIME"),
+        (["-o", "{out}", "--response", "{curve}", *METER, "--dynamic-range", "254,1/2000,1,2"], 2, "M,TIME"),
+        (["-o", "{out}", "--response", "{curve}", *METER, "--dynamic-range", "a,1/2000"], 2, "M,TIME"),
+        (["-o", "{out}", "--response", "{curve}", *METER, "--iso", "0"], 2, "--iso"),
+        (["-o", "{out}", "--response", "{curve}", *METER, "--f-number", "-16"], 2, "--f-number"),
+        (["-o", "{out}", "--response", "{curve}", *METER, "--exposure", "0"], 2, "above 0"),
+        (["-o", "{out}", "--response", "{curve}", *METER, "--exposure", "fast"], 2, "1/125"),
+        (["-o", "{out}", "--response", "{curve}", *METER, "--luminance-meter-k", "0"], 1, "above 0"),
+        (["{capture}", "-o", "{out}", "--flat", "{curve}"], 1, "curve.csv"),
     ],
 )
 def test_misuse_is_one_line_and_an_exit_code(words, code, message, capture, curve, tmp_path, capsys):
@@ -208,3 +228,35 @@ def test_the_conditions_of_a_scale_are_kept(rig, capture, tmp_path):
     assert kept.inverse_exposure_per_s > 0.0
     assert 0.0 < kept.level < 1.0
     assert kept.surround == pytest.approx(1.0, rel=0.01)
+
+
+@pytest.mark.parametrize("known", [0, 2])
+def test_of_no_or_several_known_patches_the_user_names_one(rig, tmp_path, known, capsys):
+    """Which source is meant is asked, with their number; nothing is written."""
+    patches = tuple(
+        PatchDescription(name=f"p{k}", x=12 * k, y=0, width=10, height=10, radiance_W_per_sr_m2=5.0, u_rel=0.01)
+        for k in range(known)
+    )
+    with CaptureSetWriter(tmp_path / "capture", rig.description, rig.lens, patches=patches) as writer:
+        writer.add(rig.frame(np.full((24, 24), 5.0), 1e-3, np.random.default_rng(1)))
+    assert run(["calibrate", str(tmp_path / "capture"), "-o", str(tmp_path / "cal.yaml")]) == 2
+    said = capsys.readouterr().err
+    assert "--patch" in said
+    assert f"{known} patches" in said
+    assert not (tmp_path / "cal.yaml").exists()
+
+
+def test_the_scale_holds_for_the_spectrum_that_it_was_made_with(rig, capture, tmp_path):
+    """A scale under 500 nm reads 600 nm light, to which the camera responds twice as much, as half of its numbers."""
+    folder, radiance = capture
+    (tmp_path / "response.csv").write_text("400,0\n500,1\n600,2\n700,3\n")
+    words = ["--spectrum", "line:500", "--spectral-response", str(tmp_path / "response.csv")]
+    assert run(["calibrate", str(folder), *words, "-o", str(tmp_path / "cal.yaml")]) == 0
+    made = Calibration.read(tmp_path / "cal.yaml")
+    frames = rig.frames(np.full((24, 24), radiance), np.random.default_rng(2), (1e-3,) * 5)
+    read = [
+        read_patch(frames, Patch(2, 2, 20, 20), replace(made, spectrum=name), rig.description, rig.lens).radiance.value
+        for name in ("line:500", "line:600")
+    ]
+    assert read[1] / read[0] == pytest.approx(0.5, rel=1e-9)
+    assert read[0] == pytest.approx(radiance, rel=0.01)

@@ -12,7 +12,15 @@ from hypothesis import strategies as st
 
 from radiometer.analysis.calibration import absolute
 from radiometer.analysis.calibration.absolute import MeterSettings
-from radiometer.analysis.calibration.calibrate import KnownSource, scale_by_source, scales_ratio, unscaled_calibration
+from radiometer.analysis.calibration.calibrate import (
+    KnownSource,
+    MeterReading,
+    scale_by_meter,
+    scale_by_source,
+    scaled_calibration,
+    scales_ratio,
+    unscaled_calibration,
+)
 from radiometer.analysis.calibration.flat_field import _refuse_nonsense
 from radiometer.analysis.photometry.spectra import spectrum_from_csv
 from radiometer.analysis.signal import situation
@@ -309,3 +317,31 @@ def test_a_spectral_response_rises_along_its_wavelengths(wavelength_nm, relative
     """Two values of one wavelength are none that light could be weighed by; nor are zeros, or a value too many."""
     with pytest.raises(ValueError, match="wavelengths rising"):
         SpectralResponse(wavelength_nm=wavelength_nm, relative=relative)
+
+
+@pytest.mark.parametrize(
+    ("camera", "lens", "said"),
+    [
+        ({"read_noise_e": None}, {}, "typical values for read_noise_e"),
+        ({}, {}, "response taken as linear above the black level"),
+        ({}, {}, "source spectrum cie_a"),
+        ({}, {"transmittance": None}, "lens transmittance 1"),
+    ],
+)
+def test_a_calibration_says_what_it_assumes(rig, camera, lens, said):
+    """What nobody measured and what the meter cannot know is among the assumptions; what is stated is not."""
+    known = {"transmittance": 0.9}
+
+    def assumed(camera_changes, lens_changes):
+        base = unscaled_calibration(
+            rig.description.model_copy(update=camera_changes),
+            rig.lens.model_copy(update=known | lens_changes),
+            None,
+            "cie_a",
+        )
+        scale = scale_by_meter(base, MeterReading(12.5, MeterSettings(1 / 60, 5.6, 100.0), 2000.0))
+        return scaled_calibration(base, scale, ("a",)).provenance.assumptions
+
+    assert any(one.startswith(said) for one in assumed(camera, lens))
+    if camera or lens:
+        assert not any(one.startswith(said) for one in assumed({}, {}))

@@ -188,7 +188,7 @@ def test_frames_with_the_source_off_stand_in_for_dark_ones(tmp_path: Path) -> No
     plan = _plan(darks=False)
     plan += [replace(one, source_level=0.0) for one in plan]
     result = characterise(subject_of_capture(_capture(tmp_path / "set", plan)))
-    assert any("source off were taken for dark ones" in note for note in result.notes)
+    assert any("source off are treated as dark ones" in note for note in result.notes)
     assert result.figures["K"].value == pytest.approx(1 / 2.6, abs=4 * result.figures["K"].u)
 
 
@@ -228,7 +228,7 @@ def test_averaged_frames_are_refused_as_showing_no_shot_noise(capture: CaptureSe
 
 def test_region_outside_the_frame_is_refused(capture: CaptureSet) -> None:
     """The message gives the region and the size of the frame."""
-    with pytest.raises(MeasurementError, match=r"90,0,40,40 does not lie on the frame of 96 × 72"):
+    with pytest.raises(MeasurementError, match=r"90,0,40,40 is not on the frame of 96 × 72"):
         characterise(subject_of_capture(capture, Patch(90, 0, 40, 40)))
 
 
@@ -345,7 +345,7 @@ def test_without_a_gain_the_report_says_so_and_what_to_take(capture: CaptureSet)
     assert [meaning for meaning in shown if f">{meaning}<" not in whole] == []
     figures = {name: q for name, q in result.figures.items() if name not in ("K", "K_dark")}
     page = datasheet(replace(result, figures=figures))
-    assert "class='outcome'>These frames tell no gain" in page
+    assert "class='outcome'>These frames determine no gain" in page
     assert "Photon transfer" not in page
     assert "radiometer bracket --repeat 2 --darks 2" in page
 

@@ -73,8 +73,8 @@ def test_which_steps_a_photon_transfer_takes(more, counts):
 @pytest.mark.parametrize(("dark", "rounded"), [(0.2399, True), (0.24, False)])
 def test_rounding_hides_the_dark_below_a_quarter_and_the_light_below_a_half(dark, rounded):
     """Then half a DN² in the light is the least that counts, and belongs to it."""
-    signals = np.linspace(10.0, 1000.0, 10)
-    steps = steps_of(0.5 + 0.01 * (signals - 20.0), signals, dark)
+    signals = np.linspace(20.0, 1010.0, 10)
+    steps = steps_of(0.24 + 0.01 * signals, signals, dark)
     found = photon_transfer([changed(steps[0], variance_dn2=0.5), *steps[1:]], 5000.0)
     assert found.rounded is rounded
     less = photon_transfer([changed(steps[0], variance_dn2=0.4999), *steps[1:]], 5000.0)

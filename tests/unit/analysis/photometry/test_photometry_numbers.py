@@ -282,3 +282,13 @@ def test_a_line_is_not_a_band():
 def test_what_has_a_luminance_is_told(name, visible):
     """The red end is seen a little; 850 nm is not."""
     assert photometry.holds_visible_light(spectrum(name)) is visible
+
+
+@pytest.mark.parametrize("kelvin", [1000.0, 2856.0, 6500.0, 50_000.0])
+def test_a_black_body_has_planck_s_law(kelvin):
+    """Power per nm goes as λ⁻⁵/(exp(c₂/λT) − 1) with c₂ = 14.387769 mm·K, by hand, from Wien's end to Rayleigh's."""
+    body = spectrum(f"planck:{kelvin:g}")
+    c2_nm_k = 1.438776877e7
+    at = np.interp([400.0, 550.0, 700.0], body.wavelength_nm, body.power)
+    by_hand = [nm**-5.0 / (math.exp(c2_nm_k / (nm * kelvin)) - 1.0) for nm in (400.0, 550.0, 700.0)]
+    assert at / at[1] == pytest.approx(np.array(by_hand) / by_hand[1], rel=1e-8)

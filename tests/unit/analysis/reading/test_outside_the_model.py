@@ -478,3 +478,48 @@ def test_what_all_pixels_share_grows_with_the_calibration_s_age(rig):
     assert shared(-2.0) == shared(0.0)
     assert math.sqrt(shared(3.0) ** 2 - shared(0.0) ** 2) == pytest.approx(0.03)
     assert shared(3.0, settings * 4) == pytest.approx(shared(3.0)), "the same of each frame: no average makes it less"
+
+
+FAR = {
+    "exposure offset": ({"exposure_u_s": 3e-6}, "inverse_exposure_per_s", (400.0, 1600.0), 3e-6 * 600.0),
+    "temperature": ({"temperature_u_rel_per_k": 1e-3}, "temperature_c", (5.0, 45.0), 0.02),
+    "gain step": ({"gain_step_u_rel": 0.01}, "gain_db", (-6.0, 6.0), 0.01),
+    "linearity": ({"bend_u_rel": 3e-3}, "level", (0.1, 0.9), 3e-3 * 0.4),
+    "stray light": ({"glare_u": 0.01}, "surround", (0.4, 1.6), 0.006),
+}
+
+
+@pytest.mark.parametrize("name", FAR)
+def test_a_calibration_as_far_below_as_above_costs_the_same(rig, name):
+    """Half an open range either way: a term of u acts in both directions, and none takes u away."""
+    stated, condition, apart, expected = FAR[name]
+    base = {"inverse_exposure_per_s": 1e3, "temperature_c": 25.0, "level": 0.5, "surround": 1.0}
+    found = [
+        line(
+            read(rig, calibrated(rig, ScaleConditions(**base | {condition: there}), uncertainties=only(**stated))), name
+        )
+        for there in apart
+    ]
+    assert found == pytest.approx([expected, expected], rel=0.02)
+
+
+@pytest.mark.parametrize(("here", "there"), [(True, False), (False, True)])
+def test_polarised_light_counts_either_way(rig, here, there):
+    """A calibration under polarised light costs a reading of unpolarised light as much as the other way round."""
+    conditions = ScaleConditions(inverse_exposure_per_s=1e3, temperature_c=25.0, polarised=there)
+    calibration = calibrated(rig, conditions, uncertainties=only(polarisation_u_rel=0.004))
+    source = SourceDescription(kind="sphere", polarised=here)
+    assert line(read(rig, calibration, source=source), "polarisation") == pytest.approx(0.004)
+
+
+@pytest.mark.parametrize(("corner_calibrated", "expected"), [(False, 0.6 * 0.36 / 0.64), (True, 0.6 * 0.36)])
+def test_a_falloff_counts_from_the_middle_to_the_corner_and_back(rig, corner_calibrated, expected):
+    """cos⁴α of 0.64 in the corner: what is lost between the two, of what the reading's own place receives."""
+    lens = LensDescription(focal_length_mm=16.0, f_number=4.0)
+    conditions = ScaleConditions(
+        sensitivity=0.64 if corner_calibrated else 1.0, field=1.0 if corner_calibrated else 0.0
+    )
+    calibration = replace(calibrated(rig, conditions, uncertainties=only(falloff_u_rel=0.6)), lens=lens)
+    patch = Patch(5, 5, 2, 2) if corner_calibrated else Patch(11, 11, 1, 1)
+    found = read(rig, calibration, camera=wide(rig), lens=lens, patch=patch)
+    assert line(found, "fall-off") == pytest.approx(expected, rel=0.02)

@@ -1,0 +1,86 @@
+"""Rounding to whole codes: the temporal variance before it, from the variance after it.
+
+Rounding adds 1/12 of a squared code step (Sheppard's correction) as long as the noise before it spreads over several
+codes. Below about 0.5 steps of noise the correction breaks down: the variance after rounding then depends on where
+between two codes the pixels are. This module inverts that dependence and states how far it can be inverted.
+"""
+
+from __future__ import annotations
+
+import math
+from functools import cache
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import ndtr
+
+from radiometer.data import Quantity
+
+SHEPPARD: Final = 1.0 / 12.0  # squared code steps
+PLAIN_FROM: Final = 0.24  # variance after rounding; below it, EMVA 1288 (6.7) gives an upper limit only
+# From here on Sheppard's correction errs by less than (1/π² + 4σ²)·exp(−2π²σ²) = 0.003 squared steps.
+_SHEPPARD_FROM: Final = 0.40
+_SIGMAS: Final = np.concatenate([[1e-3], np.geomspace(0.02, 0.75, 60)])  # noise before rounding, in steps
+_PHASES: Final = np.linspace(-0.5, 0.5, 41)  # places between codes, in steps
+# Pixel distributions are normal to a few per cent only; so is the predicted variance.
+_MODEL_REL: Final = 0.05
+_SEEN_SIGMAS: Final = 2.0
+
+
+def unrounded_variance(
+    variance_dn2: float, u_dn2: float, mean_dn: float, spatial_variance_dn2: float, step_dn: int = 1
+) -> Quantity:
+    """Return the temporal variance in DN² before rounding, with its standard uncertainty.
+
+    Args:
+        variance_dn2: Mean temporal variance of the pixels after rounding.
+        u_dn2: Its standard uncertainty.
+        mean_dn: Mean over pixels and frames; its fraction shows where between two codes the pixels are.
+        spatial_variance_dn2: Variance of the pixels' means, which spreads them over the codes.
+        step_dn: Distance between codes.
+
+    Returns:
+        Sheppard's correction where it holds. Below, the middle of the noise that may have given the measured
+        variance, with a rectangular distribution over its range.
+
+    Source: Widrow, Kollár, Quantization Noise (2008), chapters 4 and 5; EMVA Standard 1288, release 4.0, section 6.7.
+    """
+    squared = float(step_dn) ** 2
+    measured, u = variance_dn2 / squared, u_dn2 / squared
+    if measured >= _SHEPPARD_FROM:
+        return Quantity((measured - SHEPPARD) * squared, u_dn2, "DN^2")
+    spread = math.sqrt(max(spatial_variance_dn2, 0.0)) / step_dn
+    predicted = _predicted(mean_dn / step_dn, spread)
+    tolerance = np.hypot(_SEEN_SIGMAS * u, _MODEL_REL * predicted + 1e-4)
+    fits = np.flatnonzero(np.abs(predicted - measured) <= tolerance)
+    if fits.size == 0:
+        fits = np.array([int(np.argmin(np.abs(predicted - measured)))])
+    # The grid is coarse: the truth may be up to its neighbours.
+    low = _SIGMAS[max(int(fits[0]) - 1, 0)] ** 2
+    high = _SIGMAS[min(int(fits[-1]) + 1, _SIGMAS.size - 1)] ** 2
+    return Quantity((low + high) / 2.0 * squared, (high - low) / math.sqrt(12.0) * squared, "DN^2")
+
+
+def _predicted(mean: float, spread: float) -> NDArray[np.float64]:
+    """Return the mean temporal variance after rounding for each noise before it, in squared steps."""
+    fraction = mean - math.floor(mean + 0.5)
+    # Pixels that spread over a whole step are everywhere between the codes; finer than 0.01 steps makes no difference.
+    known = [_of_pixels(float(sigma), round(min(spread, 1.0), 2)) for sigma in _SIGMAS]
+    return np.array([np.interp(np.interp(fraction, means, _PHASES), _PHASES, variances) for means, variances in known])
+
+
+@cache
+def _of_pixels(sigma: float, spread: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return mean and mean temporal variance after rounding, for each place of the pixels' centre between two codes."""
+    normal = np.linspace(-3.0, 3.0, 61)
+    weights = np.exp(-(normal**2) / 2.0)
+    places = _PHASES[:, np.newaxis] + spread * normal
+    centre = np.round(places)
+    codes = np.arange(-4, 5)
+    within = (places - centre)[..., np.newaxis]
+    share = ndtr((codes + 0.5 - within) / sigma) - ndtr((codes - 0.5 - within) / sigma)
+    mean = share @ codes
+    variance = share @ codes**2 - mean**2
+    weights /= weights.sum()
+    return (mean + centre) @ weights, variance @ weights

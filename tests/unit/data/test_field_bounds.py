@@ -1,0 +1,99 @@
+"""Fields of files, requests and options take what exists in the world, and refuse what their quantity cannot be."""
+
+from __future__ import annotations
+
+import importlib
+import math
+import pkgutil
+import re
+from typing import Annotated
+
+import pytest
+from pydantic import BaseModel, TypeAdapter, ValidationError
+
+import radiometer
+from radiometer.adaptation.protocol import Fixation, FixationCheck, SteadyBleach
+from radiometer.data import CameraDescription, LensDescription, Scale, SourceDescription
+from radiometer.data.capture_set import FrameEntry
+from radiometer.data.validation import ConfigSection, FileSection
+from simulators.effects.lens import Lens
+
+for part in ("adaptation", "bench", "data", "devices"):
+    folder = importlib.import_module(f"{radiometer.__name__}.{part}")
+    for one in pkgutil.iter_modules(folder.__path__):
+        importlib.import_module(f"{folder.__name__}.{one.name}")
+
+
+def models(kind: type[BaseModel]) -> list[type[BaseModel]]:
+    """Return all kinds of section that are declared, of any depth."""
+    return [found for sub in kind.__subclasses__() for found in (sub, *models(sub))]
+
+
+def named(pattern: str) -> list[pytest.param]:
+    """Return the numeric fields whose names match a pattern, as (what takes its values)."""
+    found = []
+    for model in {*models(FileSection), *models(ConfigSection)}:
+        if not model.__module__.startswith(("radiometer.", "simulators.")):
+            continue
+        for name, field in model.model_fields.items():
+            if re.search(pattern, name) and field.annotation in (float, float | None):
+                takes = TypeAdapter(Annotated[field.annotation, *field.metadata])
+                found.append(pytest.param(takes, id=f"{model.__name__}.{name}"))
+    return sorted(found, key=lambda one: str(one.id))
+
+
+def is_taken(takes: TypeAdapter[float], value: float) -> bool:
+    """Tell whether a field takes a value."""
+    try:
+        takes.validate_python(value)
+    except ValidationError:
+        return False
+    return True
+
+
+@pytest.mark.parametrize("takes", named(r"(^|_)u_(rel|dn|s)(_|$)|^u$|^glare_u$"))
+def test_an_uncertainty_may_be_nothing_but_not_less(takes: TypeAdapter[float]) -> None:
+    """0 is what is known exactly; −1e-9 is no standard uncertainty."""
+    assert is_taken(takes, 0.0)
+    assert not is_taken(takes, -1e-9)
+
+
+@pytest.mark.parametrize(
+    "takes", named(r"^(f_number|focal_length_\w+|wavelength_nm|pixel_\w+|full_well_e|validity_days)$")
+)
+def test_a_length_or_capacity_is_above_nothing(takes: TypeAdapter[float]) -> None:
+    """A lens of 0 mm or f/0, a wavelength or pixel of 0 and a validity of no time are mistakes."""
+    assert not is_taken(takes, 0.0)
+    assert not is_taken(takes, -1.0)
+
+
+@pytest.mark.parametrize(
+    ("model", "fields"),
+    [
+        (LensDescription, {"f_number": 0.95, "transmittance": 1.0}),  # f/0.95 lenses are sold for C-mount
+        (LensDescription, {"f_number": 128.0, "focal_length_mm": 1.2, "transmittance": 0.015}),  # with a grey filter
+        (LensDescription, {"magnification": 5.0, "pupil_magnification": 0.25}),
+        (Scale, {"value": 1e-12, "u_rel": 0.0, "method": "known_radiance", "f_number": 0.95, "iso": 12_800.0}),
+        (CameraDescription, {"bit_depth": 1}),
+        (
+            CameraDescription,
+            {"bit_depth": 16, "read_noise_e": 0.0, "quantum_efficiency": 1.0, "dark_current_e_per_s": 0},
+        ),
+        (SourceDescription, {"wavelength_nm": 254.0, "reproducibility_u_rel": 0.0, "flicker_hz": 0.1}),
+        (FrameEntry, {"file": "a.png", "exposure_s": 7200.0, "gain_db": -6.0, "source_level": 0.0}),
+        (FrameEntry, {"file": "a.png", "exposure_s": 1e-6, "temperature_C": -100.0}),
+        (FixationCheck, {"size_deg": 2.0, "temporal_deg": 13.5, "share": 0.3}),
+        (Fixation, {"size_deg": 2.0, "luminance_cd_m2": 10.0}),
+        (SteadyBleach, {"channel": "bleach", "luminance_cd_m2": 10_000.0, "duration_s": 600.0}),
+    ],
+)
+def test_what_exists_is_taken(model: type[BaseModel], fields: dict[str, object]) -> None:
+    """Fast and slow lenses, one and sixteen bits, germicidal lamps, hours of exposure, cooled sensors: as stated."""
+    made = model.model_validate(fields)
+    assert {name: getattr(made, name) for name in fields} == fields
+
+
+def test_a_simulated_lens_may_be_nearly_opaque() -> None:
+    """1 % is a lens behind a grey filter of density 2, for the sun."""
+    assert Lens(transmittance=0.01).transmittance == 0.01
+    assert not math.isclose(Lens().transmittance, 0.01)

@@ -1,0 +1,107 @@
+"""No result depends on the time zone of the machine: a time without a zone is UTC."""
+
+from __future__ import annotations
+
+import datetime as dt
+import json
+import time
+
+import numpy as np
+import pytest
+import tifffile
+
+from radiometer.archive.jobs import captured_at
+from radiometer.daemon.timestamps import iso_time, microseconds, parse_moment
+from radiometer.data import (
+    Calibration,
+    CameraDescription,
+    CaptureHeader,
+    CaptureSet,
+    FrameEntry,
+    LensDescription,
+    Scale,
+    SensorNoise,
+)
+from radiometer.data.provenance import utc_now
+from radiometer.errors import CalibrationError
+from radiometer.importing import open_capture
+from radiometer.importing.columns import stamp_s
+
+NOON_S = 1_767_268_800  # 2026-01-01T12:00:00Z, as `date -u -d @1767268800` has it
+SAME = ["2026-01-01T12:00:00Z", "2026-01-01T12:00:00", "2026-01-01T13:00:00+01:00", "2026-01-02T01:00:00+13:00"]
+
+
+@pytest.fixture(params=["UTC", "Pacific/Auckland", "America/Los_Angeles"], autouse=True)
+def machine_zone(request, monkeypatch):
+    """Set the zone of the machine, ahead of UTC and behind it."""
+    monkeypatch.setenv("TZ", request.param)
+    time.tzset()
+    yield request.param
+    monkeypatch.undo()
+    time.tzset()
+
+
+@pytest.mark.parametrize("text", SAME)
+def test_the_same_moment_is_the_same_number(text, tmp_path):
+    """In a journal's query, a table of another program, and the date of a capture set."""
+    assert microseconds(text) == parse_moment(text) == NOON_S * 1_000_000
+    assert stamp_s(text) == NOON_S
+    header = CaptureHeader(
+        camera=CameraDescription(bit_depth=12), frames=(FrameEntry(file="a.png", exposure_s=1.0),), created=text
+    )
+    assert captured_at(CaptureSet(tmp_path, header)) == NOON_S
+
+
+def test_what_is_written_is_utc():
+    """The end of the text says so, and it is the present to a second."""
+    assert iso_time(NOON_S * 1_000_000) == "2026-01-01T12:00:00.000000Z"
+    assert utc_now().endswith("Z")
+    assert microseconds(utc_now()) / 1e6 == pytest.approx(time.time(), abs=1.0)
+
+
+@pytest.mark.parametrize("text", [text for text in SAME if text != "2026-01-01T12:00:00"])
+def test_a_calibration_s_age_counts_from_its_moment(text):
+    """Valid for one day: 24 h after noon UTC it is not stale, a minute later it is, whatever zone says its date."""
+    calibration = Calibration(
+        camera=CameraDescription(bit_depth=12),
+        lens=LensDescription(),
+        scale=Scale(value=1.0, u_rel=0.0, method="known_radiance"),
+        response=None,
+        noise=SensorNoise.of(CameraDescription(bit_depth=12)),
+        created=text,
+        validity_days=1.0,
+    )
+    day_after = dt.datetime(2026, 1, 2, 12, tzinfo=dt.UTC)
+    assert not calibration.is_stale(day_after)
+    assert calibration.is_stale(day_after + dt.timedelta(minutes=1))
+
+
+def test_a_calibration_file_whose_date_has_no_zone_is_refused(tmp_path):
+    """Its age could be off by a day."""
+    calibration = Calibration(
+        camera=CameraDescription(bit_depth=12),
+        lens=LensDescription(),
+        scale=Scale(value=1.0, u_rel=0.0, method="known_radiance"),
+        response=None,
+        noise=SensorNoise.of(CameraDescription(bit_depth=12)),
+    )
+    calibration.write(tmp_path / "cal.yaml")
+    text = (tmp_path / "cal.yaml").read_text()
+    assert Calibration.read(tmp_path / "cal.yaml").created == calibration.created.replace("Z", "+00:00")
+    (tmp_path / "cal.yaml").write_text(text.replace(calibration.created, calibration.created.rstrip("Z")))
+    with pytest.raises(CalibrationError, match="created"):
+        Calibration.read(tmp_path / "cal.yaml")
+
+
+@pytest.mark.parametrize("text", SAME)
+def test_an_imported_stack_was_taken_when_its_file_says(tmp_path, text):
+    """Two frames of Micro-Manager, the second a minute later: the set's date is that of the first, in UTC."""
+    received = [text, text.replace(":00:00", ":01:00", 1)]
+    with tifffile.TiffWriter(tmp_path / "a_MMStack.ome.tif") as writer:
+        for moment in received:
+            said = json.dumps({"Exposure-ms": 4.0, "ReceivedTime": moment, "BitDepth": 12})
+            picture = np.full((4, 4), 100, np.uint16)
+            writer.write(picture, extratags=[(51123, "s", 0, said, True)], metadata=None, contiguous=False)
+    header = open_capture(tmp_path / "a_MMStack.ome.tif").header
+    assert microseconds(header.created) == NOON_S * 1_000_000
+    assert [entry.timestamp_s for entry in header.frames] == [0.0, 60.0]
