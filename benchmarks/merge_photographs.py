@@ -28,7 +28,7 @@ Array = NDArray[np.float64]
 
 
 def half(bracket: Bracket, parity: int) -> Bracket:
-    return replace(bracket, frames=bracket.light[parity::2])
+    return replace(bracket, light=bracket.light[parity::2])
 
 
 def halves(path: Path) -> tuple[dict[str, tuple[RadianceMap, RadianceMap]], str]:

@@ -278,8 +278,7 @@ def _ranged(
     if curve is None or reference_s is None:
         raise UsageError("--dynamic-range needs --response, and --exposure of the reference photograph")
     points = [
-        RangePoint(dn, time_s if as_printed else exact_exposure_s(time_s), *landed)
-        for dn, time_s, *landed in regions
+        RangePoint(dn, time_s if as_printed else exact_exposure_s(time_s), *landed) for dn, time_s, *landed in regions
     ]
     reference = (curve.log_exposure.size - 1) // 2 if reference_dn is None else reference_dn
     found = dynamic_range(curve, points, reference_s, reference)

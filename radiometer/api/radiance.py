@@ -406,14 +406,21 @@ class _Asked:
         """Return the response as given, by channel."""
         if isinstance(self.response, Response):
             return {one.curve.channel: one.curve for one in self.response.estimates}
-        alone = isinstance(self.response, ResponseCurve | str | os.PathLike | None)
         found: list[tuple[str, ResponseCurve]] = []
-        for one in [self.response] if alone else self.response:
+        for one in _several(self.response):
             if isinstance(one, ResponseCurve):
                 found.append((one.channel, one))
-            elif one is not None:
+            else:
                 found += read_curves(Path(one), bit_depth).items()
         return by_channel(found)
+
+
+def _several(
+    response: ResponseCurve | PathLike | Sequence[ResponseCurve | PathLike] | None,
+) -> Sequence[ResponseCurve | PathLike]:
+    if response is None:
+        return ()
+    return [response] if isinstance(response, ResponseCurve | str | os.PathLike) else response
 
 
 def _of_path(path: Path, asked: _Asked, pattern: str | None, progress: Progress | None) -> Radiance:

@@ -19,7 +19,7 @@ from radiometer.data.drawing import new_axes, picture
 from radiometer.data.storage import write_text_atomic
 from radiometer.errors import UsageError
 from radiometer.photographs.response import ENOUGH_PIXELS
-from radiometer.reconciliation.advice.separable import Separability as SeparabilityPlan
+from radiometer.reconciliation.advice.separability import Separability as SeparabilityPlan
 from radiometer.reconciliation.engine import plan_of, whole_catalogue
 from radiometer.reconciliation.inputs.sources import Done, DoneCapture, reconcile_source
 from radiometer.reconciliation.result import FittedParameter, FoundEffect, ReconcileResult

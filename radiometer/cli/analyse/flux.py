@@ -12,7 +12,8 @@ from radiometer.cli.arguments import ISO_HELP, parse_measured_iso, parse_patch
 from radiometer.cli.console import console, note, significant
 
 if TYPE_CHECKING:
-    from radiometer.api.led_flux import FluxReport, Quantity
+    from radiometer.analysis.flux.report import FluxReport
+    from radiometer.data import Quantity
 
 
 def command(

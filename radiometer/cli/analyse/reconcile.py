@@ -13,7 +13,8 @@ import radiometer as rm
 from radiometer.cli.console import console, note, progress, significant
 
 if TYPE_CHECKING:
-    from radiometer.api.results import FoundEffect, Proposal, ReconcileResult
+    from radiometer.reconciliation import FoundEffect, ReconcileResult
+    from radiometer.reconciliation.propose import Proposal
 
 Written = TypeVar("Written")
 

@@ -364,8 +364,8 @@ def _no_curve(judged: _Judged, bracket: Bracket, names: Sequence[str]) -> str:
     step_dn = dial_step_dn(judged.fitted.samples, judged.fitted.log_exposure)
     return (
         f"These {len(bracket.light)} photographs follow no single tone curve with their exposures: left-out parts of "
-        f"the picture are predicted to {judged.errors[2]:.2g} DN only{_worst(judged, names)}, where a third of a stop is "
-        f"{step_dn:.2g} DN. Another scene or light in some of them, movement, processing that depends on the picture"
+        f"the picture are predicted to {judged.errors[2]:.2g} DN only{_worst(judged, names)}, where a third of a stop "
+        f"is {step_dn:.2g} DN. Another scene or light in some of them, movement, processing that depends on the picture"
         f"{few}."
     )
 

@@ -194,7 +194,7 @@ def test_a_pattern_without_a_lit_frame_is_refused(capture):
     read = CaptureSet.read(capture)
     with pytest.raises(CaptureError, match="no frame of pattern 'inverted'"):
         read.bracket("inverted")
-    assert len(read.bracket("default").frames) == 3
+    assert len(read.bracket("default").light) == 3
 
 
 def test_a_bias_frame_needs_no_time(capture):
