@@ -17,7 +17,7 @@ from radiometer.data import Bracket, Calibration, CameraDescription, LensDescrip
 from radiometer.errors import UsageError
 from radiometer.photographs.iso_record import with_iso_in_reading
 from radiometer.photographs.response import relative_calibration
-from radiometer.photographs.scene import Photographs, prepared
+from radiometer.photographs.scene import Photographs, prepared, with_shutter_doubt
 from radiometer.photographs.stated import with_f_number
 
 
@@ -93,7 +93,8 @@ def measure_photographs(
         camera, lens = known.camera if known else CameraDescription(bit_depth=ready.only.bit_depth), LensDescription()
         bracket = ready.without_absent()
         if known is None:
-            known = relative_calibration(bracket, next(iter(ready.curves.values()), None), camera, lens)[0]
+            curve = next(iter(ready.curves.values()), None)
+            known = with_shutter_doubt(relative_calibration(bracket, curve, camera, lens)[0], ready)
     else:
         if measured_iso or iso is not None:
             raise UsageError("--measured-iso and --iso belong to photographs; frames of a capture set state their gain")

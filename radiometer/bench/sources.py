@@ -110,7 +110,8 @@ def open_source(
 
 
 def _of_capture(path: Path, capture: CaptureSet, report: Callable[[int, int], None] | None) -> Source:
-    doubts = tuple(imported_of(capture).lines()) if capture.store is not None else ()
+    lines = imported_of(capture).lines() if capture.store is not None else ()
+    doubts = tuple(f"{path.name}: {line}" for line in lines)
     return Source(path, _capture_brackets(capture, report), capture.header, doubts=doubts)
 
 

@@ -252,6 +252,19 @@ def has_untold_shutter(photographs: Photographs, curve: ResponseCurve | None) ->
     return photographs.listed is None and shutter_offset_of(curve) is None
 
 
+def with_shutter_doubt(relative: Calibration, photographs: Photographs) -> Calibration:
+    """Return a calibration without a scale whose exposures may be off by a shutter's offset where nothing tells it.
+
+    Args:
+        relative: The calibration, with the response of the photographs.
+        photographs: As read.
+    """
+    if not has_untold_shutter(photographs, relative.response):
+        return relative
+    doubt = relative.uncertainties.model_copy(update={"exposure_u_s": UNTOLD_SHUTTER_U_S})
+    return replace(relative, uncertainties=doubt)
+
+
 def curve_of_channel(curves: Mapping[str, ResponseCurve], channel: str) -> ResponseCurve | None:
     """Return the curve of a channel, or the only one; None where there is none at all.
 
@@ -352,6 +365,7 @@ def merge_photographs(
         else:
             camera = CameraDescription(bit_depth=bracket.bit_depth)
             known, displacement = relative_calibration(bracket, curve, camera, LensDescription())
+            known = with_shutter_doubt(known, photographs)
         found = merge(
             bracket,
             known.camera,
@@ -360,6 +374,7 @@ def merge_photographs(
             absent=photographs.absent,
             without_ghosts=not keep_ghosts,
             displacement_px=displacement.px if displacement else 0.0,
+            doubt_exposures=True,
         )
         found = with_iso_in_map(with_displacement_told(found, displacement), bracket.light)
         further = (*_assumed_of(curve, name), *photographs.assumed.get(name, ()))
