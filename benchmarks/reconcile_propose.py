@@ -33,8 +33,9 @@ from radiometer.reconciliation.fit.state import FitState
 from radiometer.reconciliation.measure.design import Design
 from radiometer.reconciliation.measure.reduce import reduce_frames
 from radiometer.reconciliation.propose import Proposal, propose_law
-from radiometer.reconciliation.propose.effect_file import effect_class, effect_of, round_to
 from radiometer.reconciliation.propose.files import write_files
+from radiometer.reconciliation.propose.law import round_to
+from radiometer.reconciliation.propose.law_effect import effect_class, effect_of
 from simulators.effects.catalogue import CatalogueEffect
 from testing.outside.judge import PLACES
 from testing.outside.session import Hidden, Secret, Session

@@ -25,7 +25,7 @@ import math
 from abc import ABC, abstractmethod
 from dataclasses import MISSING, dataclass, field, fields, replace
 from enum import IntEnum
-from functools import cache
+from functools import lru_cache
 from typing import Any, ClassVar, Final, Self
 
 import numpy as np
@@ -42,6 +42,7 @@ PHOTONS: Final = "photon"
 ELECTRONS: Final = "e-"
 DIGITAL_NUMBER: Final = "DN"
 
+KINDS_KEPT: Final = 2048  # classes of which facts are kept: several times the catalogue; laws make classes without end
 _RELATIVE_STEP: Final = 1e-4
 _LARGEST_FULL_SCALE_DN: Final = 2.0**32  # of any converter that may ever stand in a model file
 
@@ -200,13 +201,13 @@ class Effect(ABC):
         return after
 
 
-@cache
+@lru_cache(maxsize=KINDS_KEPT)
 def _added_by(kind: type[Effect]) -> tuple[str, ...]:
     """Return the variances that an effect adds to, by name: those that it says anything about."""
     return tuple(name for name in Moments.squared if getattr(kind, name) is not getattr(Effect, name))
 
 
-@cache
+@lru_cache(maxsize=KINDS_KEPT)
 def _declared(kind: type[Effect]) -> tuple[Parameter, ...]:
     declared = []
     for entry in fields(kind):

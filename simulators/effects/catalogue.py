@@ -9,7 +9,7 @@ from __future__ import annotations
 from abc import abstractmethod
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from functools import cache
+from functools import lru_cache
 from types import MappingProxyType
 from typing import Any, ClassVar, Final, Literal, Self, cast
 
@@ -17,7 +17,7 @@ import numpy as np
 from scipy.special import ndtri
 
 from radiometer.data import CameraDescription
-from simulators.effects.base import Effect
+from simulators.effects.base import KINDS_KEPT, Effect
 from simulators.effects.context import ExposureContext, Signal
 from simulators.effects.tile_moments import TileMoments
 
@@ -240,7 +240,7 @@ class CatalogueEffect(Effect):
         return True
 
 
-@cache
+@lru_cache(maxsize=KINDS_KEPT)
 def _of_trials(kind: type[CatalogueEffect]) -> tuple[CatalogueEffect, ...]:
     return tuple(kind(**trial) for trial in kind.trials)
 

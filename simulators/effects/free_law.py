@@ -9,13 +9,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, fields
-from functools import cache, lru_cache
+from functools import lru_cache
 from typing import Any, ClassVar, Final, Self, cast
 
 import numpy as np
 from scipy.interpolate import PchipInterpolator
 
-from simulators.effects.base import DIGITAL_NUMBER, ELECTRONS, Moments, parameter
+from simulators.effects.base import DIGITAL_NUMBER, ELECTRONS, KINDS_KEPT, Moments, parameter
 from simulators.effects.catalogue import CatalogueEffect, elapsed_s
 from simulators.effects.context import ExposureContext, Signal, largest
 from simulators.effects.tile_moments import TileMoments
@@ -214,7 +214,7 @@ def _added(name: str, carried: Moments, after: Moments, unweighted: Moments, wei
     return getattr(carried, name) + weight * (there - plain)
 
 
-@cache
+@lru_cache(maxsize=KINDS_KEPT)
 def freed(plain: type[CatalogueEffect], axes: tuple[str, ...]) -> type[FreeLaw]:
     """Return an effect's kind whose law is free along one or two covariates.
 

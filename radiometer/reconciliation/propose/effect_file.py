@@ -1,134 +1,21 @@
-"""Writes a law as an effect of docs/add-an-effect.md: the very class that was fitted, and a test of it."""
+"""Writes a law as an effect file after docs/add-an-effect.md, and a test of it, for the user who exports it."""
 
 from __future__ import annotations
 
-import sys
 import textwrap
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from functools import cache
-from types import ModuleType
 from typing import Any, Final
 
-import numpy as np
-
-from radiometer.reconciliation.propose.grammar import (
-    COVARIATES,
-    FORMS,
-    OF_THE_PICTURE,
-    PER_FRAME,
-    PLACES,
-    SIDE,
-    WHERE,
-    Term,
-)
+from radiometer.reconciliation.propose.grammar import COVARIATES, OF_THE_PICTURE, SIDE, Term
+from radiometer.reconciliation.propose.law import Declared, Law, declared, round_to, trials
 from simulators.chain.law_stages import LINKS, Link
-from simulators.effects.catalogue import CatalogueEffect
-from simulators.effects.context import ExposureContext
 
-_AMPLITUDES: Final = {
-    "1": "amplitude",
-    "s": "amplitude_s",
-    "e-": "amplitude_e",
-    "e- s-1": "amplitude_e_per_s",
-    "DN": "amplitude_dn",
-    "W m-2": "amplitude_w_m2",
-}
 _STATISTICS: Final = {
     False: ('    block = "mean"', '    also = ("slope", "first")'),
     True: ('    block = "variance"', "    acts_by_square = True"),
 }
 SETTINGS: Final = ("exposure_s", "gain_db", "f_number", "temperature_c", "timestamp_s", "source_level")
 _WIDTH: Final = 118
-_NEAR_NOTHING: Final = 0.05
-_WIDEST: Final = 1e3  # times a fitted value: the range of an amplitude
-_NEAR: Final = 0.06  # of the picture's longer side, by which the place of a step moves from where it was tried
-_BESIDE: Final = 3.0  # ranges of a covariate by which a place or a time may lie outside it
-
-
-@dataclass(frozen=True, slots=True)
-class Law:
-    """A link of the chain and one or two terms that are multiplied.
-
-    Attributes:
-        link: Key of the link.
-        terms: The terms; none for a constant.
-    """
-
-    link: str
-    terms: tuple[Term, ...] = ()
-
-    @property
-    def amplitude(self) -> str:
-        """Return the amplitude's name."""
-        return _AMPLITUDES[LINKS[self.link].unit]
-
-    @property
-    def covariates(self) -> tuple[str, ...]:
-        """Return what it goes with, each once; the exposure too where the link goes with it."""
-        own = [name for term in self.terms for name in term.covariates]
-        return tuple(dict.fromkeys(own))
-
-    @property
-    def shown(self) -> str:
-        """Return the moment of a pixel that it changes."""
-        return "variance" if LINKS[self.link].is_noise else "mean"
-
-    @property
-    def where(self) -> str:
-        """Return the covariate that it is listed under."""
-        first = next(iter((*self.covariates, *LINKS[self.link].goes_with)), "signal")
-        return WHERE.get(first, first)
-
-    @property
-    def name(self) -> str:
-        """Return the effect's name, from stage, forms and covariates."""
-        parts = [f"{term.form}_of_{COVARIATES[term.covariate].tag}" for term in self.terms] or ["constant"]
-        return "_".join([self.link, *parts]).replace("spot_of_x", "spot")
-
-    @property
-    def parameters(self) -> dict[str, float]:
-        """Return the parameters of the terms by name."""
-        return {term.parameter(role): value for term in self.terms for role, value in term.values.items()}
-
-    @property
-    def size(self) -> int:
-        """Return the number of parameters, the amplitude among them."""
-        return 1 + len(self.parameters)
-
-    @property
-    def is_steep(self) -> bool:
-        """Tell whether it changes within a tile as no quadratic surface does."""
-        return any(FORMS[term.form].is_steep and set(term.covariates) & set(PLACES) for term in self.terms)
-
-    @property
-    def signal_power(self) -> int | None:
-        """Return the power of the signal with which what it does goes; None where the formula asks for the signal."""
-        if set(self.covariates) & {"signal", "value", *OF_THE_PICTURE}:
-            return None
-        return 0 if LINKS[self.link].adds else 1
-
-    @property
-    def is_sudden(self) -> bool:
-        """Tell whether it jumps along the signal."""
-        return any(term.form == "step" and term.covariate in ("signal", "value") for term in self.terms)
-
-    def formula(self) -> str:
-        """Return the amplitude times the terms as it stands in the file."""
-        return " * ".join([f"self.{self.amplitude}", *(_in_brackets(term) for term in self.terms)])
-
-    def with_parameters(self, values: Mapping[str, float]) -> Law:
-        """Return the law at other parameters, by their names in the effect."""
-        moved = [
-            Term(t.form, t.covariate, t.constants, {role: float(values[t.parameter(role)]) for role in t.values})
-            for t in self.terms
-        ]
-        return Law(self.link, tuple(moved))
-
-
-def _in_brackets(term: Term) -> str:
-    code = term.code()
-    return f"({code})" if code.startswith("1.0 /") else code
 
 
 def effect_source(
@@ -147,10 +34,7 @@ def effect_source(
         source: Where its values come from.
     """
     link = LINKS[law.link]
-    fixed = {term.parameter(role) for term in law.terms for role in FORMS[term.form].fixed}
-    fitted = [law.amplitude, *(name for name in law.parameters if name not in fixed)]
-    per_frame = any(name in PER_FRAME for name in law.covariates)
-    counted = "frame" in law.covariates  # the law itself is of all frames of a series then
+    per_frame, counted = law.is_per_frame, law.is_of_the_series
     helpers = ["CatalogueEffect"]
     helpers += ["elapsed_s"] if "timestamp_s" in law.covariates else []
     helpers += ["over_frames"] if per_frame and not counted and not link.is_noise else []
@@ -170,7 +54,7 @@ def effect_source(
         "",
         "",
         "@dataclass(frozen=True)",
-        f"class {class_name(law)}(CatalogueEffect):",
+        f"class {law.class_name}(CatalogueEffect):",
         *_docstring(_said_law(law), "    ", f"Source: {source}."),
         "",
         f'    name = "{law.name}"',
@@ -184,13 +68,11 @@ def effect_source(
         *([f"    signal_power = {law.signal_power}"] if law.is_steep and law.signal_power is not None else []),
         *(["    is_sudden = True"] if law.is_sudden else []),
         "    trials = (",
-        *_trial(law, amplitude),
-        *_trial(law, -amplitude, _NEAR_NOTHING),
+        *(line for values in trials(law, amplitude) for line in _trial(values)),
         "    )",
-        *_names("fitted", fitted),
+        *_names("fitted", law.fitted),
         '    settles = "another session that goes beyond the ranges of the first"',
-        f'    {law.amplitude}: float = parameter(0.0, "{link.unit}", {_range(amplitude)}, source="fitted")',
-        *(_parameter(term, role) for term in law.terms for role in term.values),
+        *(_parameter(one) for one in declared(law, amplitude)),
         "",
         *_law_lines(law, link),
         "",
@@ -220,14 +102,6 @@ def _names(key: str, names: Sequence[str]) -> list[str]:
     if len(names) == 1:
         return [f'    {key} = ("{names[0]}",)']
     return [f"    {key} = (", *(f'        "{name}",' for name in names), "    )"]
-
-
-def _trial(law: Law, amplitude: float, nearest: float = 0.0) -> list[str]:
-    """Return the lines of a start; a spot's place is not nearer to 0 than a figure: fits step by trials."""
-    places = {name for name in law.parameters if name in ("at_x", "at_y")}
-    own = {n: nearest if n in places and abs(v) < nearest else v for n, v in law.parameters.items()}
-    values = {law.amplitude: round_to(amplitude)} | {name: round_to(value) for name, value in own.items()}
-    return ["        {", *(f'            "{name}": {value!r},' for name, value in values.items()), "        },"]
 
 
 def _law_lines(law: Law, link: Link) -> list[str]:
@@ -265,16 +139,6 @@ def _uses_numpy(law: Law, *, per_frame: bool) -> bool:
     return per_frame or LINKS[law.link].is_noise or "np." in text
 
 
-def class_name(law: Law) -> str:
-    """Return the name of the class."""
-    return "".join(part.capitalize() for part in law.name.split("_"))
-
-
-def round_to(value: float, digits: int = 6) -> float:
-    """Return a value in so many digits; what is nothing beside them is 0."""
-    return float(f"{value:.{digits}g}") if abs(value) > 1e-12 else 0.0
-
-
 def _said_law(law: Law) -> str:
     link = LINKS[law.link]
     plain = law.formula().replace("self.", "").replace("np.", "")
@@ -283,8 +147,7 @@ def _said_law(law: Law) -> str:
 
 def _acting(law: Law, link: Link) -> list[str]:
     """Return the methods of a law of the light, the charge or the signal."""
-    per_frame = any(name in PER_FRAME for name in law.covariates)
-    counted = "frame" in law.covariates  # the law itself is of all frames of a series then
+    per_frame, counted = law.is_per_frame, law.is_of_the_series
     own = "self.law(signal, context)"
     over = "over_frames(lambda frame: self.law(signal, frame), context)"
     return [
@@ -360,80 +223,26 @@ def _drifts() -> list[str]:
     ]
 
 
+def _trial(values: Mapping[str, float]) -> list[str]:
+    return ["        {", *(f'            "{name}": {value!r},' for name, value in values.items()), "        },"]
+
+
+def _parameter(one: Declared) -> str:
+    return (
+        f'    {one.name}: float = parameter({one.default!r}, "{one.unit}", {one.low!r}, {one.high!r}, source="fitted")'
+    )
+
+
 def _usable(law: Law) -> list[str]:
-    needs = {
-        "f_number": "context.settings.f_number",
-        "temperature_C": "context.settings.temperature_c",
-        "since_frame_s": "context.since_frame_s",
-    }
-    known = dict.fromkeys((*law.covariates, *LINKS[law.link].goes_with))
-    lacking = [f"{needs[name]} is not None" for name in known if name in needs]
-    if not lacking:
+    if not law.needs:
         return []
     return [
         "",
         "    @classmethod",
         "    def usable(cls, context: ExposureContext) -> bool:",
-        '        """Tell whether the data know what it goes with."""',
-        f"        return {' and '.join(lacking)}",
+        '        """Return whether the data state what it depends on."""',
+        f"        return {' and '.join(f'context.{path} is not None' for path in law.needs)}",
     ]
-
-
-def _parameter(term: Term, role: str) -> str:
-    value = round_to(term.values[role])
-    name, unit = term.parameter(role), term.unit(role)
-    near = role == "at" and term.covariate in PLACES  # elsewhere others were tried; far off it steps nowhere at all
-    low, high = (round_to(value - _NEAR), round_to(value + _NEAR)) if near else _bounds(role, value)
-    return f'    {name}: float = parameter({value!r}, "{unit}", {low!r}, {high!r}, source="fitted")'
-
-
-def _bounds(role: str, value: float) -> tuple[float, float]:
-    if role in ("tau", "period", "width", "knee"):
-        return round_to(value / 100.0), round_to(value * 100.0)
-    if role == "power":
-        return -6.0, 6.0
-    if role == "steepness":
-        return 0.1, 60.0
-    if role in ("phase", "advance"):
-        return -30.0, 30.0
-    wide = _BESIDE * max(abs(value), 1.0)
-    return round_to(value - wide), round_to(value + wide)
-
-
-def _range(amplitude: float) -> str:
-    wide = round_to(_WIDEST * max(abs(amplitude), 1e-12))
-    return f"{-wide!r}, {wide!r}"
-
-
-_NEEDED: Final[dict[str, ModuleType]] = {}
-
-
-def effect_class(law: Law, amplitude: float) -> type[CatalogueEffect]:
-    """Return the class that the file of a law defines; laws that differ in values alone may have one of their own."""
-    return _class_of(effect_source(law, amplitude), class_name(law))
-
-
-@cache
-def _class_of(text: str, name: str) -> type[CatalogueEffect]:
-    module = ModuleType(f"_law_{len(_NEEDED)}")
-    _NEEDED[module.__name__] = module
-    sys.modules[module.__name__] = module  # dataclasses look their module up
-    exec(compile(text, f"<{module.__name__}>", "exec"), module.__dict__)
-    found: type[CatalogueEffect] = getattr(module, name)
-    return found
-
-
-def effect_of(law: Law, amplitude: float) -> CatalogueEffect:
-    """Return the effect of a law at its parameters."""
-    return effect_class(law, amplitude)(
-        **{law.amplitude: amplitude} | {n: round_to(v) for n, v in law.parameters.items()}
-    )
-
-
-def acted(law: Law, amplitude: float, signal: float, context: ExposureContext) -> float:
-    """Return what a written test holds a law to at a pixel: the signal behind it, of a noise the variance it adds."""
-    found = getattr(effect_of(law, amplitude), law.shown)(np.array([signal]), context)
-    return float(np.ravel(found)[0])
 
 
 def source_of_test(

@@ -13,7 +13,9 @@ from radiometer.data.storage import write_text_atomic, write_yaml_atomic
 from radiometer.errors import OutputError
 from radiometer.reconciliation.advice.next_capture import FORMAT as PLAN_FORMAT
 from radiometer.reconciliation.fit.state import FitState
-from radiometer.reconciliation.propose.effect_file import SETTINGS, acted, round_to, source_of_test
+from radiometer.reconciliation.propose.effect_file import SETTINGS, source_of_test
+from radiometer.reconciliation.propose.law import round_to
+from radiometer.reconciliation.propose.law_effect import acted
 from radiometer.reconciliation.propose.proposal import Proposal
 from radiometer.reconciliation.propose.refuting import refuting_frames
 from simulators.effects.context import ExposureContext, FrameGeometry

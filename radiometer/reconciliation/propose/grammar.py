@@ -7,14 +7,16 @@ phases; the amplitude's unit is that of the stage.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Collection, Iterator, Mapping
 from dataclasses import dataclass, replace
 from itertools import combinations
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 
 from radiometer.reconciliation.measure.design import Array
+from radiometer.reconciliation.propose.formula import Formula, formula
 
 _STEPS: Final = 24  # places of a step that are tried
 _BORDERS: Final = 48  # of a border in the picture
@@ -122,6 +124,11 @@ class Form:
     said: str
     fixed: tuple[str, ...] = ()
     is_steep: bool = False
+
+    @property
+    def formula(self) -> Formula:
+        """Return the function of the covariate `u` (or `x`, `y`, `exposure`), constants and parameters by role."""
+        return formula(re.sub(r"\{(\w+)\}", r"\1", self.code))
 
 
 FORMS: Final = {
@@ -253,14 +260,20 @@ class Term:
 
     def evaluated(self, known: Mapping[str, Array]) -> Array:
         """Return the term's values for values of its covariates by name, which broadcast."""
-        names = {COVARIATES[name].tag: known[name] for name in self.covariates}
-        plain = _Plain({self.parameter(role): value for role, value in self.values.items()})
-        return np.asarray(eval(self.code(), {"np": np, "self": plain} | names), dtype=np.float64)  # our own line
+        return np.asarray(
+            self.value({COVARIATES[name].tag: known[name] for name in self.covariates}, self.values), dtype=np.float64
+        )
 
+    def value(self, known: Mapping[str, Any], values: Mapping[str, float]) -> Any:
+        """Return the form's value.
 
-class _Plain:
-    def __init__(self, values: Mapping[str, float]) -> None:
-        self.__dict__.update(values)
+        Args:
+            known: Values of its covariates by tag.
+            values: Parameters by role.
+        """
+        form = FORMS[self.form]
+        constants = {name: float(f"{value:.6g}") for name, value in self.constants.items()}  # as written
+        return form.formula({"u": known[COVARIATES[self.covariate].tag], **known, **constants, **values})
 
 
 def terms_of(name: str, known: Mapping[str, Array]) -> Iterator[Term]:

@@ -9,8 +9,9 @@ from typing import Any, Final
 import numpy as np
 
 from radiometer.reconciliation.fit.state import FitState
-from radiometer.reconciliation.propose.effect_file import Law, effect_source
+from radiometer.reconciliation.propose.effect_file import effect_source
 from radiometer.reconciliation.propose.grammar import COVARIATES, FORMS
+from radiometer.reconciliation.propose.law import Law
 from radiometer.reconciliation.result import FittedParameter
 from simulators.chain.law_stages import LINKS
 

@@ -20,9 +20,10 @@ from radiometer.reconciliation.fit.candidate_fit import Candidate, FittedCandida
 from radiometer.reconciliation.fit.covariance import fitted_parameters, is_far
 from radiometer.reconciliation.fit.full_fit import FullFits, UnfitError, contenders_of, included
 from radiometer.reconciliation.fit.state import FitState
-from radiometer.reconciliation.propose.effect_file import Law, effect_of, round_to
 from radiometer.reconciliation.propose.first_look import Screened, known_values, screened
 from radiometer.reconciliation.propose.grammar import PLACES, finer, terms_of
+from radiometer.reconciliation.propose.law import Law, round_to
+from radiometer.reconciliation.propose.law_effect import effect_of
 from radiometer.reconciliation.propose.proposal import Proposal, Rival
 from radiometer.reconciliation.search.free_forms import free_forms, worth
 from radiometer.reconciliation.search.screening import best_start

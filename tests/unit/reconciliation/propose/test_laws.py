@@ -3,6 +3,7 @@
 import importlib.util
 import itertools
 import math
+import sys
 from dataclasses import replace
 
 import numpy as np
@@ -10,8 +11,11 @@ import pytest
 
 from radiometer.data import CameraDescription, FrameSettings
 from radiometer.reconciliation.model.tile_context import TileContext
-from radiometer.reconciliation.propose.effect_file import Law, acted, effect_of, effect_source, round_to, source_of_test
+from radiometer.reconciliation.propose.effect_file import effect_source, source_of_test
+from radiometer.reconciliation.propose.formula import formula
 from radiometer.reconciliation.propose.grammar import FORMS, Term, finer, terms_of
+from radiometer.reconciliation.propose.law import Law, round_to
+from radiometer.reconciliation.propose.law_effect import acted, effect_of
 from simulators.chain.law_stages import LINKS
 from simulators.effects import registry
 from simulators.effects.context import ExposureContext, FrameGeometry
@@ -376,3 +380,18 @@ def run(path):
     for row in module.VALUES:
         module.test_the_law_gives_what_was_found(*row)
         module.test_without_its_amplitude_it_does_nothing(*row)
+
+
+@pytest.mark.parametrize("text", ["__import__('os')", "np.load('a')", "signal.__class__", "[signal]", "(lambda: 1)()"])
+def test_a_formula_holds_nothing_but_the_grammar(text):
+    """What is no operator or function of the grammar is refused; it is not run."""
+    with pytest.raises((ValueError, KeyError)):
+        formula(text)({"signal": np.array([1.0])})
+
+
+def test_laws_are_data():
+    """A thousand laws load no module, and are the effect that is written for export."""
+    modules = set(sys.modules)
+    for k in range(1000):
+        effect_of(Law("digital", (Term("step", "exposure_s", {}, {"at": 0.1 + k}),)), 2.0)
+    assert set(sys.modules) == modules

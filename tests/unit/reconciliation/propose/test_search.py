@@ -15,8 +15,9 @@ from radiometer.reconciliation.inputs.sources import DoneCapture
 from radiometer.reconciliation.measure.design import Design
 from radiometer.reconciliation.measure.reduce import reduce_frames
 from radiometer.reconciliation.propose import propose_law, search
-from radiometer.reconciliation.propose.effect_file import Law, effect_of
 from radiometer.reconciliation.propose.grammar import Term
+from radiometer.reconciliation.propose.law import Law
+from radiometer.reconciliation.propose.law_effect import effect_of
 from radiometer.reconciliation.propose.search import _plainest
 from radiometer.reconciliation.result import FoundEffect
 from testing.generator.session import make_session
@@ -161,7 +162,7 @@ def test_it_is_said_in_one_sentence(glow):
     column = "left" if drawn["x_px"] < width / 2 else "right"
     assert glow[0].sentence() == (
         f"adds charge in proportion to exposure, falling off as a Gaussian from the {row} {column} corner: like the "
-        "glow of an amplifier or heat beside the sensor"
+        "glow of an amplifier or heat next to the sensor"
     )
 
 
