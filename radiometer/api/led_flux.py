@@ -27,6 +27,8 @@ from radiometer.errors import UsageError
 from radiometer.importing import imported_of, open_capture
 from radiometer.photographs.scene import prepared
 
+__all__ = ["Flux", "FluxReport", "Quantity", "flux"]
+
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Flux(Result):

@@ -31,6 +31,18 @@ if TYPE_CHECKING:
 
     from radiometer.reconciliation.propose import Proposal
 
+__all__ = [
+    "FoundEffect",
+    "Proposal",
+    "ReconcileResult",
+    "Reconciliation",
+    "Sensor",
+    "Separability",
+    "characterise",
+    "reconcile",
+    "reconcile_plan",
+]
+
 
 @dataclass(frozen=True, eq=False)
 class Sensor:

@@ -91,7 +91,8 @@ _F_NUMBER_UNKNOWN: Final = _refused(
 TABLE: Final[Mapping[str, Mapping[State, Rule]]] = {
     "model": _of_device("model"),
     "serial": _of_device("serial"),
-    "bit depth": _of_device("bit depth"),
+    # Both sides always state it.
+    "bit depth": {state: _of_device("bit depth")[state] for state in (State.EQUAL, State.DIFFERENT)},
     "focal length": {
         State.EQUAL: _KEPT,
         State.DIFFERENT: _refused(

@@ -12,8 +12,7 @@ from radiometer.cli.arguments import ISO_HELP, parse_measured_iso, parse_patch
 from radiometer.cli.console import console, note, significant
 
 if TYPE_CHECKING:
-    from radiometer.analysis.flux.report import FluxReport
-    from radiometer.data import Quantity
+    from radiometer.api.led_flux import FluxReport, Quantity
 
 
 def command(

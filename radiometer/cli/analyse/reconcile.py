@@ -13,8 +13,7 @@ import radiometer as rm
 from radiometer.cli.console import console, note, progress, significant
 
 if TYPE_CHECKING:
-    from radiometer.reconciliation import FoundEffect, ReconcileResult
-    from radiometer.reconciliation.propose import Proposal
+    from radiometer.api.results import FoundEffect, Proposal, ReconcileResult
 
 Written = TypeVar("Written")
 

@@ -1,4 +1,4 @@
-"""`--json` and the function give the same numbers, bit for bit: merge, response, calibrate, flux, measure, reconcile."""
+"""`--json` and functions give the same numbers, bit for bit: merge, response, calibrate, flux, measure, reconcile."""
 
 from __future__ import annotations
 
