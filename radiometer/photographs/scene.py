@@ -47,7 +47,7 @@ from radiometer.photographs.response import (
 )
 from radiometer.photographs.stated import iso_speeds, with_f_number, with_gains, with_iso
 
-# The offset of a shutter that photographs did not tell. The travel of one curtain against the other is adjusted to
+# The offset of a shutter that photographs did not show. The travel of one curtain against the other is adjusted to
 # 0.1 ms (`analysis.response.shutter_offset` names the source), taken as a rectangle: 6 % (k = 1) at 1/1000 s.
 UNTOLD_SHUTTER_U_S: Final = 1e-4 / math.sqrt(3.0)
 
@@ -243,7 +243,7 @@ def times_as_stated(photographs: Photographs) -> str:
 
 
 def has_untold_shutter(photographs: Photographs, curve: ResponseCurve | None) -> bool:
-    """Tell whether exposures are those of a shutter whose offset nothing tells: EXIF's labels, as they are printed.
+    """Tell whether exposures are those of a shutter whose offset is unknown: EXIF's labels, as they are printed.
 
     Args:
         photographs: As read.
@@ -253,7 +253,7 @@ def has_untold_shutter(photographs: Photographs, curve: ResponseCurve | None) ->
 
 
 def with_shutter_doubt(relative: Calibration, photographs: Photographs) -> Calibration:
-    """Return a calibration without a scale whose exposures may be off by a shutter's offset where nothing tells it.
+    """Return a calibration without a scale whose exposures may be off by a shutter's offset where it is unknown.
 
     Args:
         relative: The calibration, with the response of the photographs.

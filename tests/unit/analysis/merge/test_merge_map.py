@@ -356,7 +356,7 @@ def test_a_map_says_what_stray_light_it_may_hold(rig):
 
 
 def test_a_map_says_what_an_offset_of_short_exposures_may_do(rig):
-    """3 µs of 50 µs, under a scale from 1 ms: 5.7 % of the brightest pixels, in u where wanted; long exposures need no word."""
+    """3 µs of 50 µs, under a scale from 1 ms: 5.7 % of the brightest pixels, in u on request."""
     base = rig.calibration()
     conditions = base.scale.conditions.model_copy(update={"inverse_exposure_per_s": 1000.0})
     stated = base.uncertainties.model_copy(update={"exposure_u_s": 3e-6, "glare_u": 0.0})
