@@ -22,6 +22,7 @@ from radiometer.analysis.merge.bracket import merge
 from radiometer.analysis.response.curves import black_of_curve
 from radiometer.bench.sources import open_brackets
 from radiometer.data import Bracket, CameraDescription, Frame, LensDescription, RadianceMap, ResponseCurve
+from radiometer.data.setup import Setup
 from radiometer.photographs.response import recovered_curves, relative_calibration, with_found_times
 
 Array = NDArray[np.float64]
@@ -48,7 +49,7 @@ def maps(folder: Path) -> dict[str, tuple[Bracket, ResponseCurve, RadianceMap]]:
         bracket = with_found_times(raw, curves[channel])
         known, displacement = relative_calibration(bracket, curves[channel], camera, lens)
         px = displacement.px if displacement else 0.0
-        one = merge(bracket, camera, lens, known, without_ghosts=True, displacement_px=px)
+        one = merge(bracket, Setup(camera, lens, known), without_ghosts=True, displacement_px=px)
         found[channel] = (bracket, curves[channel], one)
     return found
 
@@ -97,7 +98,7 @@ def of_unseen(bracket: Bracket, curve: ResponseCurve) -> tuple[RadianceMap, Radi
         half = Bracket.from_frames(bracket.light[first::2], origin=bracket.origin)
         known, displacement = relative_calibration(half, curve, camera, lens)
         px = displacement.px if displacement else 0.0
-        found.append(merge(half, camera, lens, known, without_ghosts=True, displacement_px=px))
+        found.append(merge(half, Setup(camera, lens, known), without_ghosts=True, displacement_px=px))
     return found[0], found[1]
 
 

@@ -16,6 +16,7 @@ from radiometer.analysis.merge.bracket import merge
 from radiometer.bench.sources import open_brackets
 from radiometer.cli.main import run
 from radiometer.data import Bracket, CameraDescription, LensDescription, RadianceMap
+from radiometer.data.setup import Setup
 from radiometer.photographs.alignment import in_one_place
 from radiometer.photographs.response import recovered_curves, relative_calibration, with_found_times
 
@@ -46,9 +47,7 @@ def halves(path: Path) -> tuple[dict[str, tuple[RadianceMap, RadianceMap]], str]
             known, displacement = relative_calibration(bracket, curves[channel], camera, lens)
             maps[channel] = merge(
                 bracket,
-                camera,
-                lens,
-                known,
+                Setup(camera, lens, known),
                 absent=placed.absent[parity::2],
                 without_ghosts=True,
                 displacement_px=displacement.px if displacement else 0.0,

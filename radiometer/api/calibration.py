@@ -37,6 +37,7 @@ from radiometer.data import (
     StatedUncertainties,
 )
 from radiometer.data.iso_speeds import IsoSpeeds
+from radiometer.data.setup import Setup
 from radiometer.devices import CameraPreset
 from radiometer.errors import UsageError
 from radiometer.importing import imported_of, open_capture
@@ -486,7 +487,7 @@ def _flat_field(path: Path, base: Calibration, source_u_rel: float) -> FlatField
     # Without its cos⁴ the lens leaves all of the fall-off to the flat field.
     uncorrected = base.lens.model_copy(update={"vignetting": "none", "focal_length_mm": None})
     bracket = open_capture(path).lit_bracket()
-    even = merge(bracket, base.camera, base.lens, replace(base, lens=uncorrected))
+    even = merge(bracket, Setup(base.camera, base.lens, replace(base, lens=uncorrected)))
     return fit_flat_field(even, base.camera, base.lens, source_u_rel=source_u_rel)
 
 

@@ -14,6 +14,7 @@ from radiometer.api.files import PathLike, Stack, stack_of
 from radiometer.api.result import Progress
 from radiometer.bench.sources import open_source
 from radiometer.data import Bracket, Calibration, CameraDescription, LensDescription, Patch, Provenance, Reading
+from radiometer.data.setup import Setup
 from radiometer.errors import UsageError
 from radiometer.photographs.iso_record import with_iso_in_reading
 from radiometer.photographs.response import relative_calibration
@@ -82,8 +83,6 @@ def measure_photographs(
     if patch is None or channel == "each":
         raise UsageError("--photographs needs --patch X,Y,W,H, and one channel: luminance, red, green or blue")
     known = calibration if isinstance(calibration, Calibration | None) else Calibration.read(Path(calibration))
-    if known is not None and spectrum is not None:
-        known = replace(known, spectrum=spectrum)
     stack = photographs if isinstance(photographs, Stack) else _opened(Path(photographs), channel, progress)
     if stack.photographs:
         ready = prepared(
@@ -100,7 +99,8 @@ def measure_photographs(
             raise UsageError("--measured-iso and --iso belong to photographs; frames of a capture set state their gain")
         bracket, camera, lens = with_f_number(stack.chosen(pattern), f_number), stack.camera, stack.lens
         ready = Photographs({"mono": bracket}, Path(stack.origin), notes=stack.notes)
-    return _reading(bracket, patch, known, camera, lens, ready, spectrum_stated=spectrum is not None, drawn=monte_carlo)
+    where = patch if isinstance(patch, Patch) else Patch(*patch)
+    return _reading(bracket, where, Setup(camera, lens, known, spectrum=spectrum), ready, drawn=monte_carlo)
 
 
 def _opened(path: Path, channel: str, progress: Progress | None) -> Stack:
@@ -111,19 +111,8 @@ def _opened(path: Path, channel: str, progress: Progress | None) -> Stack:
     return stack_of(open_source(path, channel, report=report), str(path))
 
 
-def _reading(
-    bracket: Bracket,
-    patch: Patch | tuple[int, int, int, int],
-    calibration: Calibration | None,
-    camera: CameraDescription,
-    lens: LensDescription,
-    ready: Photographs,
-    *,
-    spectrum_stated: bool,
-    drawn: bool,
-) -> Reading:
-    where = patch if isinstance(patch, Patch) else Patch(*patch)
-    reading = read_patch(bracket, where, calibration, camera, lens, spectrum_stated=spectrum_stated)
+def _reading(bracket: Bracket, patch: Patch, setup: Setup, ready: Photographs, *, drawn: bool) -> Reading:
+    reading = read_patch(bracket, patch, setup)
     reading = with_iso_in_reading(reading, bracket.light)
     origin = reading.provenance or Provenance("maximum-likelihood patch estimate")
     assumed = (*origin.assumptions, *(text for texts in ready.assumed.values() for text in texts))
@@ -134,7 +123,7 @@ def _reading(
         "notes": list(ready.notes),
     }
     if drawn:
-        situation = patch_situation(bracket, where, calibration, camera, lens, spectrum_stated=spectrum_stated)
+        situation = patch_situation(bracket, patch, setup)
         found = propagate_distributions(situation, np.random.default_rng(reading.sequence))
         more["monte_carlo"] = found.to_mapping(reading)
     return replace(reading, provenance=replace(origin, assumptions=assumed), more=more)

@@ -35,6 +35,7 @@ from radiometer.data import (
     SensorNoise,
 )
 from radiometer.data.drawing import new_axes, picture
+from radiometer.data.setup import Setup
 from radiometer.data.storage import refuse_unwritable
 from radiometer.errors import CaptureError, MissingLibrary, UsageError
 from radiometer.importing import imported_of, is_foreign, open_capture
@@ -504,7 +505,7 @@ def _of_capture(
             noise=SensorNoise.of(camera),
             black_level=BlackLevel(dn=next(black for black in stated if black is not None)),
         )
-    return Radiance({"mono": merge_bracket(frames, camera, lens, known)})
+    return Radiance({"mono": merge_bracket(frames, Setup(camera, lens, known))})
 
 
 def _of_photographs(photographs: Photographs, asked: _Asked) -> Radiance:

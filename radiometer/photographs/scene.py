@@ -28,6 +28,7 @@ from radiometer.data import (
     RadianceMap,
     ResponseCurve,
 )
+from radiometer.data.setup import Setup
 from radiometer.errors import UsageError
 from radiometer.photographs.alignment import in_one_place
 from radiometer.photographs.iso_record import with_iso_in_map
@@ -368,9 +369,7 @@ def merge_photographs(
             known = with_shutter_doubt(known, photographs)
         found = merge(
             bracket,
-            known.camera,
-            LensDescription(),
-            replace(known, flat_field=flat) if flat else known,
+            Setup(known.camera, LensDescription(), replace(known, flat_field=flat) if flat else known),
             absent=photographs.absent,
             without_ghosts=not keep_ghosts,
             displacement_px=displacement.px if displacement else 0.0,

@@ -32,6 +32,7 @@ from radiometer.data import (
     SensorNoise,
     SourceDescription,
 )
+from radiometer.data.setup import Setup
 from radiometer.errors import MeasurementError, UsageError
 
 
@@ -122,11 +123,11 @@ def scale_by_source(
         MeasurementError: If the patch is clipped, below the noise or not uniform.
     """
     made = dt.datetime.fromisoformat(base.created)  # a scale has no age when it is made
-    situation = patch_situation(frames, patch, base, base.camera, base.lens, light, made)
+    situation = patch_situation(frames, patch, Setup(base.camera, base.lens, base, light), now=made)
     channel = frames.light[0].extra.get("channel")
     conditions = situation.conditions.model_copy(update={"channel": None if channel is None else str(channel)})
     own = replace(base, scale=base.scale.model_copy(update={"conditions": conditions}))
-    reading = read_patch(frames, patch, own, base.camera, base.lens, source=light, now=made)
+    reading = read_patch(frames, patch, Setup(base.camera, base.lens, own, light), now=made)
     for flag in (Flag.SATURATED, Flag.BELOW_NOISE, Flag.NONUNIFORM):
         if flag in reading.flags:
             raise MeasurementError(

@@ -33,16 +33,14 @@ from radiometer.analysis.signal.lens import falloff_known, known_f_number, lens_
 from radiometer.analysis.signal.situation import common_u_rel, flat_field_for, situation_of, unstated_u_rel
 from radiometer.data import (
     Bracket,
-    Calibration,
-    CameraDescription,
     FoundEffects,
     Frame,
-    LensDescription,
     PixelMask,
     Provenance,
     RadianceMap,
 )
 from radiometer.data.reading import RADIANCE_UNIT, RELATIVE_UNIT
+from radiometer.data.setup import Setup
 from radiometer.errors import MeasurementError
 
 MOST_FRAMES = 64
@@ -51,9 +49,7 @@ _TOLD_REL = 0.001  # an offset of exposures that does less to the brightest pixe
 
 def merge(
     frames: Bracket | Iterable[Frame],
-    camera: CameraDescription,
-    lens: LensDescription,
-    calibration: Calibration | None = None,
+    setup: Setup,
     *,
     absent: Sequence[NDArray[np.bool_]] = (),
     without_ghosts: bool = False,
@@ -67,9 +63,7 @@ def merge(
 
     Args:
         frames: Frames of one unmoving scene, 1 to 64 light ones, in any order of exposure.
-        camera: The camera in use.
-        lens: The lens in use.
-        calibration: The camera's calibration; None gives relative values.
+        setup: Camera, lens and calibration in use; without a calibration values are relative.
         absent: Of a Bracket: where each light frame shows nothing, shape (height, width) each.
         without_ghosts: Of a Bracket: leave out of every pixel the frames that contradict the others there.
         displacement_px: Of a Bracket: standard deviation of a frame's displacement along any direction in pixels.
@@ -80,7 +74,7 @@ def merge(
         CalibrationError: If the calibration is of another camera or lens.
         MeasurementError: If there is no light frame, there are more than 64, or frames do not belong together.
     """
-    merging = StreamingMerge(camera, lens, calibration, doubt_exposures=doubt_exposures)
+    merging = StreamingMerge(setup, doubt_exposures=doubt_exposures)
     if isinstance(frames, Bracket):
         return merging.merge_bracket(frames, absent, without_ghosts=without_ghosts, displacement_px=displacement_px)
     for frame in frames:
@@ -115,27 +109,18 @@ class StreamingMerge:
     the whole under three planes of 32 bits beyond the result, up to 32 frames (four planes for more).
 
     Args:
-        camera: The camera in use.
-        lens: The lens in use.
-        calibration: The camera's calibration; None gives relative values.
+        setup: Camera, lens and calibration in use; without a calibration values are relative.
         doubt_exposures: Count what an offset of all exposures does in the uncertainty of every pixel.
 
     Raises:
         CalibrationError: If the calibration is of another camera or lens.
     """
 
-    def __init__(
-        self,
-        camera: CameraDescription,
-        lens: LensDescription,
-        calibration: Calibration | None,
-        *,
-        doubt_exposures: bool = False,
-    ) -> None:
+    def __init__(self, setup: Setup, *, doubt_exposures: bool = False) -> None:
         self._exposures_in_u = doubt_exposures
-        self._situation = situation_of(calibration, camera, lens)
-        self._calibration, self._camera = calibration, camera
-        self._through_lens = calibration is None or calibration.scale.f_number is not None
+        self._situation = situation_of(setup)
+        self._calibration, self._camera = setup.calibration, setup.camera
+        self._through_lens = setup.calibration is None or setup.calibration.scale.f_number is not None
         self._terms: list[FrameTerms] = []
         self._dark: list[Frame] = []
         self._shape: tuple[int, int] | None = None
@@ -523,7 +508,7 @@ class StreamingMerge:
         return RadianceMap(
             *images,
             unit=RADIANCE_UNIT if calibration is not None and calibration.absolute else RELATIVE_UNIT,
-            u_rel_common=math.hypot(common_u_rel(self._situation, calibration), self._frames_u_rel(numbers)),
+            u_rel_common=math.hypot(common_u_rel(self._situation), self._frames_u_rel(numbers)),
             exposures_s=tuple(sorted({terms.settings.exposure_s for terms in self._terms})),
             provenance=Provenance(
                 "maximum-likelihood merge",

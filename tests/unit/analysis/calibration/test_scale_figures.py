@@ -38,6 +38,7 @@ from radiometer.data import (
     SpectralResponse,
     StatedUncertainties,
 )
+from radiometer.data.setup import Setup
 from radiometer.errors import CalibrationError, InputError, MeasurementError
 
 PATCH = Patch(1, 1, 10, 10)
@@ -95,7 +96,7 @@ def test_a_camera_that_sees_a_colour_better_needs_less_of_it(used, factor):
     """Of photons: at 800 nm a watt gives twice the signal of 400 nm, where the scale was got; it is halved."""
     response = SpectralResponse(wavelength_nm=(100.0, 1000.0), relative=(100.0, 1000.0), source="hand")
     calibration = spectral("line:400", used, response)
-    found = situation.situation_of(calibration, calibration.camera, calibration.lens)
+    found = situation.situation_of(Setup(calibration.camera, calibration.lens, calibration))
     assert found.scale == pytest.approx(2.0 * factor)
     assert any("mismatch factor" in one for one in found.assumptions) is (factor != 1.0)
 
@@ -166,10 +167,11 @@ def test_what_all_readings_of_a_map_share(rig):
         principal_point_px=(8.0, 8.0), radius_px=12.0, coefficients=(0.0, 0.0, 0.0), shape=(16, 16), u_rel=0.1
     )
     calibration = rig.calibration(u_rel=0.2, uncertainties=stated, flat_field=flat)
-    settled = situation.situation_of(calibration, calibration.camera, calibration.lens)
+    settled = situation.situation_of(Setup(calibration.camera, calibration.lens, calibration))
     parts = (0.01, 0.02, 0.2, 0.04, 0.1)
-    assert situation.common_u_rel(settled, calibration) == pytest.approx(math.sqrt(sum(u**2 for u in parts)))
-    assert situation.common_u_rel(settled, None) == pytest.approx(math.hypot(0.01, 0.02))
+    assert situation.common_u_rel(settled) == pytest.approx(math.sqrt(sum(u**2 for u in parts)))
+    alone = replace(settled, setup=Setup(calibration.camera, calibration.lens))
+    assert situation.common_u_rel(alone) == pytest.approx(math.hypot(0.01, 0.02))
     assert situation.flat_field_for(calibration, (16, 16)) is flat
     with pytest.raises(CalibrationError, match="16 × 16"):
         situation.flat_field_for(calibration, (12, 16))

@@ -28,6 +28,7 @@ from radiometer.data import (
     SensorNoise,
     SpectralResponse,
 )
+from radiometer.data.setup import AS_CALIBRATED, Setup
 from radiometer.errors import RadiometerError
 from radiometer.photographs.scene import Photographs, prepared
 
@@ -110,7 +111,11 @@ def reading(quantity: str, there: object, here: object) -> tuple[float, dict[str
     if spectrum is not None:
         known = replace(known, spectrum=spectrum)
     lens = LensDescription(focal_length_mm=stated.get("focal length"))
-    found = read_patch(taken.only, Patch(0, 0, 40, 40), known, camera, lens, spectrum_stated=spectrum is not None)
+    found = read_patch(
+        taken.only,
+        Patch(0, 0, 40, 40),
+        Setup(camera, lens, known, spectrum=AS_CALIBRATED if spectrum is not None else None),
+    )
     return found.radiance.value, {line.name: line.u_rel for line in found.budget}
 
 

@@ -271,7 +271,7 @@ def test_what_all_frames_show_is_left_by_the_largest_displacement():
     for shift, rim in ((7.2, 9), (-7.2, 9), (500.0, 15)):
         alignment = Alignment((still(0.0), still(shift)), 0, (60, 80))
         trimmed = alignment.trimmed(Bracket.from_frames(frames))
-        for one, frame in zip(trimmed, frames, strict=True):
+        for one, frame in zip(trimmed.light, frames, strict=True):
             np.testing.assert_array_equal(one.dn, frame.dn[rim : 60 - rim, rim : 80 - rim])
 
 

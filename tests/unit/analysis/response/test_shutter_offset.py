@@ -26,6 +26,7 @@ from radiometer.analysis.response.shutter_offset import (
 )
 from radiometer.analysis.response.wrong_labels import UNTOLD_OFFSET_S, WrongLabel
 from radiometer.data import CameraDescription, LensDescription, Provenance, ResponseCurve
+from radiometer.data.setup import Setup
 from radiometer.photographs.response import relative_calibration, with_found_times
 from testing.brackets_of_a_shutter import LABELS_S, photographed, plane, scene
 
@@ -328,7 +329,7 @@ def test_maps_are_made_with_it() -> None:
     assert [f.settings.exposure_s for f in timed.light] == pytest.approx(LABELS_S + OFFSET_S, abs=1e-6)
     for frames in (timed, bracket):
         known, _ = relative_calibration(frames, found.curve, camera, lens)
-        radiance = merge(frames, camera, lens, known).radiance
+        radiance = merge(frames, Setup(camera, lens, known)).radiance
         bright, dim = light > 1500.0, light < 20.0
         apart = np.log(radiance / light)
         gaps.append(float(np.median(apart[bright]) - np.median(apart[dim])))
