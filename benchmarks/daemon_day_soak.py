@@ -245,7 +245,7 @@ async def _world(folder: Path, witness: Witness) -> AsyncIterator[_World]:
     publisher = mqtt.MqttPublisher(station, mqtt.MqttTarget("127.0.0.1"))
     publisher.start()
     ports = await scpi.listen_tcp("127.0.0.1", 0), await http.listen("127.0.0.1", 0)
-    station.define_patch("dim", Patch(**PATCHES["dim"][0]))
+    station.patches.define("dim", Patch(**PATCHES["dim"][0]))
     station.set_every(EVERY_S)
     try:
         yield _World(station, camera, box, journal, broker, witness, ports[0], f"http://127.0.0.1:{ports[1]}")
@@ -331,7 +331,7 @@ async def _light(world: _World) -> None:
         turn += 1
         if turn % 40 == 0:
             with contextlib.suppress(DeviceLost):
-                await world.station.set_level("fixation", 0.02 * (turn % 80 == 0))
+                await world.station.light.set_level("fixation", 0.02 * (turn % 80 == 0))
         status, truth = world.station.status(), world.box.truth("fixation")
         shown = status["light"].get("fixation")
         world.witness.count("light looked at")

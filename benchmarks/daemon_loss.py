@@ -111,7 +111,7 @@ async def run_box(cycles: int) -> LossResult:
     with tempfile.TemporaryDirectory() as name:
         async with box_station(Path(name)) as (station, server, _):
             for _ in range(cycles):
-                await station.set_level("fixation", 0.1)
+                await station.light.set_level("fixation", 0.1)
                 server.unplug()
                 told.append(await seconds_until(lambda: bool(station.alarms.active)))
                 server.plug()

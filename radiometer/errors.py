@@ -5,6 +5,8 @@
     │   └── ConfigurationError       a configuration file holds something not allowed
     ├── InputError                   the data handed in cannot be used
     │   ├── CaptureError             a capture set or photograph folder is unfinished or inconsistent
+    │   │   └── DamagedFileError     one file of pictures is damaged or cut short
+    │   ├── UnsettledError           a file states a number whose unit or place is not known; an option settles it
     │   └── CalibrationError         a calibration does not fit the camera or the question
     ├── MeasurementError             the measurement cannot be done with this scene or these frames
     ├── OutputError                  a result cannot be written
@@ -45,6 +47,34 @@ class InputError(RadiometerError):
 
 class CaptureError(InputError):
     """A capture set or photograph folder is unfinished or inconsistent."""
+
+
+class DamagedFileError(CaptureError):
+    """A file of pictures is damaged or cut short; others in the folder may be whole."""
+
+
+class UnsettledError(InputError):
+    """A file states a number whose unit or meaning is not known: the user must settle it."""
+
+    @classmethod
+    def of_unit(
+        cls, where: str, place: str, written: object, unit: str, fact: str, offered: tuple[str, ...]
+    ) -> UnsettledError:
+        """Return the error of a number without a known unit, with the option that settles it.
+
+        Args:
+            where: The file; "" where the message is prefixed by the caller.
+            place: Keyword, tag or column.
+            written: What stands there.
+            unit: The unit as written; "" where there is none.
+            fact: What is stated, such as "exposure".
+            offered: Units that are known.
+        """
+        has = f"in {unit}, which is not one known unit" if unit else "without a unit"
+        return cls(
+            f"{where}{': ' if where else ''}{place} states {str(written).strip()[:40]} {has}. State the unit in the "
+            f"file, or import it with --map {fact}={place}:UNIT (UNIT: {', '.join(offered)})"
+        )
 
 
 class CalibrationError(InputError):

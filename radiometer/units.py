@@ -1,13 +1,23 @@
-"""Conversions between the units of settings, and the exact values behind printed ones."""
+"""Units by their spellings, conversions between those of settings, and the exact values behind printed ones."""
 
 from __future__ import annotations
 
 import math
+import re
+import unicodedata
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from fractions import Fraction
 from typing import Final, cast
 
 PLANCK_J_S: Final = 6.62607015e-34  # SI 2019, exact
 SPEED_OF_LIGHT_M_S: Final = 299_792_458.0  # exact
 BOLTZMANN_J_K: Final = 1.380649e-23  # SI 2019, exact
+BASE_ISO: Final = 100.0  # the ISO speed that counts as 0 dB
+ZERO_CELSIUS_K: Final = 273.15
+_LONGEST_NUMBER: Final = 40  # characters; a fraction of 10^99999999 would fill the memory
+_HUGE_POWER: Final = re.compile(r"[eE][+-]?0*\d{3}")
+_PREFIXES: Final = {"": 1.0, "m": 1e-3, "u": 1e-6, "n": 1e-9, "p": 1e-12, "c": 1e-2, "d": 1e-1, "k": 1e3}
 
 # Printed by half-stop dials alone, though rounded so far that a third of a stop lies as near.
 _HALF_STOPS_ONLY_S: Final = (1.5, 3.0, 1.0 / 3.0)
@@ -64,3 +74,233 @@ def _nearest_step(value: float, steps_per_octave: int) -> float:
     if not (math.isfinite(value) and value > 0):
         raise ValueError(f"{value!r} is not a positive finite number")
     return float(2.0 ** (round(math.log2(value) * steps_per_octave) / steps_per_octave))
+
+
+@dataclass(frozen=True, slots=True)
+class Unit:
+    """A unit of a quantity.
+
+    Attributes:
+        name: How the unit is reported.
+        to_base: Turns a number in this unit into one in the quantity's base unit.
+    """
+
+    name: str
+    to_base: Callable[[float], float]
+
+
+def _times(factor: float, offset: float = 0.0) -> Callable[[float], float]:
+    return lambda value: value * factor + offset
+
+
+def _all(spellings: str, convert: Callable[[float], float]) -> dict[str, Callable[[float], float]]:
+    return dict.fromkeys(spellings.split("|"), convert)
+
+
+def _decibel(reference: float) -> Callable[[float], float]:
+    """Return the gain in dB of amplitude of a factor or speed."""
+    return lambda value: 20.0 * math.log10(value / reference) if value > 0 else math.nan
+
+
+# OME's UnitsTime (schema 2016-06) and the FITS standard 4.0, table 34, are covered. "m" is minute or metre: unknown.
+_TIME: Final = {
+    **{f"{p}s": _times(f) for p, f in _PREFIXES.items()},
+    **_all("sec|secs|second|seconds|sekunden", _times(1.0)),
+    **_all("msec|msecs|millisec|millisecond|milliseconds", _times(1e-3)),
+    **_all("usec|usecs|microsec|microsecond|microseconds", _times(1e-6)),
+    **_all("nsec|nanosecond|nanoseconds", _times(1e-9)),
+    **_all("min|mins|minute|minutes", _times(60.0)),
+    **_all("h|hour|hours", _times(3600.0)),
+    **_all("d|day|days", _times(86_400.0)),
+}
+_TEMPERATURE: Final = {
+    **_all("C|degC|deg C|degree C|degrees C|celsius|degree celsius|degrees celsius|deg celsius", _times(1.0)),
+    **_all("K|kelvin|kelvins|deg K|degK|degrees K", _times(1.0, -ZERO_CELSIUS_K)),
+    **_all("F|degF|deg F|fahrenheit", _times(5.0 / 9.0, -160.0 / 9.0)),
+}
+_GAIN: Final = {
+    **_all("dB|db|DB|decibel|decibels", _times(1.0)),
+    **_all("01dB|01db", _times(0.1)),  # as in column names, where a point is no letter
+    **_all("x|factor|linear", _decibel(1.0)),
+    **_all("iso|ISO", _decibel(BASE_ISO)),
+}
+_CONVERSION: Final = {
+    **_all(
+        "e/DN|e-/DN|e/ADU|e-/ADU|e/adu|e-/adu|E/ADU|el/ADU|el/adu|electron/adu|electron/ADU|electrons/adu|electrons/ADU|"
+        "electrons/DN|electrons per adu|electrons per ADU|photo-electrons per ADU|electrons per DN|e/count|e-/count|"
+        "electron|electrons",
+        _times(1.0),
+    ),
+    **_all("DN/e|DN/e-|ADU/e|ADU/e-|adu/e-|DN/electron|ADU/electron", lambda value: 1.0 / value if value else math.nan),
+}
+_LUMINANCE: Final = {
+    **_all(
+        # "cd" alone: in a column of luminance nothing else can be meant.
+        "cd/m2|cd/m^2|cd|cd m2|cd m-2|cd m^-2|cd*m-2|cd.m-2|cd per m2|cd/sqm|cd/qm|nit|nits|lm/sr/m2|candela/m2",
+        _times(1.0),
+    ),
+    **_all("mcd/m2|mcd m2|mcd m-2|mnit", _times(1e-3)),
+    **_all("kcd/m2|kcd m2", _times(1e3)),
+    **_all("fL|ftL|ft-L|footlambert|footlamberts|foot-lambert", _times(3.4262590996)),  # 1/π cd·ft⁻²
+}
+_WAVELENGTH: Final = {
+    **_all("nm|nanometre|nanometer|nanometres|nanometers", _times(1.0)),
+    **_all("um|micron|microns|micrometre|micrometer", _times(1e3)),
+    **_all("Å|A|angstrom|angstroms|ångström", _times(0.1)),
+    **_all("m", _times(1e9)),
+}
+# Drive levels of a screen as a share of full drive.
+_LEVEL: Final = {
+    **_all("8bit|8 bit|8-bit|0-255|0 255|of 255|/255", _times(1.0 / 255.0)),
+    **_all("10bit|10 bit|10-bit|0-1023", _times(1.0 / 1023.0)),
+    **_all("%|percent|per cent|pct|0-100", _times(0.01)),
+    **_all("share|fraction|0-1|normalised|normalized|of 1", _times(1.0)),
+}
+SPELLINGS: Final[Mapping[str, Mapping[str, Callable[[float], float]]]] = {
+    "exposure": _TIME,
+    "time": _TIME,
+    "temperature": _TEMPERATURE,
+    "gain": _GAIN,
+    "iso": {"ISO": _times(1.0)},
+    "conversion_gain": _CONVERSION,
+    "read_noise": _all("e|e-|electron|electrons|electrons rms|e- rms", _times(1.0)),
+    "f_number": _all("1|f", _times(1.0)),
+    "black_level": _all("DN|ADU|adu|dn|counts", _times(1.0)),
+    "luminance": _LUMINANCE,
+    "wavelength": _WAVELENGTH,
+    "level": _LEVEL,
+    "number": {"1": _times(1.0)},
+    "text": {},
+}
+"""Functions into the base unit by quantity and spelling; base units are s, degC, dB, ISO, e-/DN, e-, DN, cd/m2, nm."""
+_NUMBER: Final = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
+_WRITTEN: Final = re.compile(rf"(?P<prefix>f/)?(?P<number>{_NUMBER}(?:\s*/\s*{_NUMBER})?)\s*(?P<unit>[^\d\s].*)?")
+_COUNTED_UNIT: Final = re.compile(rf"(?P<count>{_NUMBER})\s*(?P<unit>[^\d\s.].*)")
+_BRACKETS: Final = re.compile(r"[\[(<{]([^\])>}]*)[\])>}]")
+
+
+def _normal(spelling: str) -> str:
+    """Return a unit's spelling with one sign for micro (U+00B5 and U+03BC), plain powers and single blanks."""
+    text = unicodedata.normalize("NFKC", spelling).strip().strip(".").replace("μ", "u").replace("µ", "u")
+    text = text.replace("°", "deg ").replace("·", " ").replace("⁻", "-").replace("−", "-").replace("^", "")
+    return re.sub(r"\s+", " ", re.sub(r"\bdeg (?=[CFK]\b)", "deg", text)).strip()
+
+
+def unit_of(spelling: str, quantity: str) -> Unit | None:
+    """Return the unit of a quantity that a spelling names, such as "ms", "0.1dB" or "100 ns"; None where it names none.
+
+    Capital letters count where units differ by them: "Ms" is a megasecond and not known, "SEC" is a second.
+    """
+    text = _normal(spelling)
+    known = SPELLINGS[quantity]
+    for candidate in (text, text.replace("_", "/"), text.replace("_", " ")):
+        if candidate in known:
+            return Unit(spelling.strip(), known[candidate])
+    lower = text.lower()
+    matches = {id(convert): convert for name, convert in known.items() if name.lower() == lower}
+    # Case counts where a prefix (mS, Ms, MS) or a name (A is ångström, a is none) depends on it.
+    by_case = (len(text) == 2 and quantity in ("exposure", "time")) or (len(text) == 1 and quantity == "wavelength")
+    if len(matches) == 1 and not by_case:
+        return Unit(spelling.strip(), next(iter(matches.values())))
+    counted = _COUNTED_UNIT.fullmatch(text)
+    if counted and (inner := unit_of(counted["unit"], quantity)) is not None:
+        count = float(counted["count"])
+        return Unit(spelling.strip(), lambda value: inner.to_base(value * count))
+    return None
+
+
+def heading_parts(heading: str, quantity: str) -> tuple[str, Unit | None, str]:
+    """Return a column's plain name without its unit, the unit where it is known, and the unit as written.
+
+    `exposure_ms`, `Exposure (ms)`, `exposure [µs]`, `t/ms`, `t in ms` and `ms` alone are understood.
+    """
+    bracketed = _BRACKETS.search(heading)
+    if bracketed and bracketed[1].strip():
+        rest = heading[: bracketed.start()] + heading[bracketed.end() :]
+        return plain_name(rest), unit_of(bracketed[1], quantity), bracketed[1].strip()
+    if (whole := unit_of(heading, quantity)) is not None:
+        return "", whole, heading.strip()
+    for separator in (" in ", "/", "_", " ", ",", "-"):
+        name, _, unit_text = heading.partition(separator)
+        while unit_text:
+            if name.strip() and (unit := unit_of(unit_text.strip("_ "), quantity)) is not None:
+                return plain_name(name), unit, unit_text.strip("_ ")
+            more, _, unit_text = unit_text.partition(separator)
+            name = f"{name}{separator}{more}"
+    sign = next((sign for sign in "%‰" if sign in heading), "")  # no letter: a plain name would lose it
+    return plain_name(heading), None, sign
+
+
+def plain_name(name: str) -> str:
+    """Return a name in lower case, with underscores for what is no letter or digit."""
+    text = unicodedata.normalize("NFKC", name.strip()).lower().replace("μ", "u").replace("°", "")
+    return "_".join("".join(c if c.isalnum() else " " for c in text).split())
+
+
+def unit_in_words(comment: str, quantity: str) -> tuple[Unit | None, str]:
+    """Return the unit that a comment names, and its spelling; (None, spelling) where it names several or none known.
+
+    Units are in square brackets (FITS standard 4.0, section 4.3.2), in other brackets, and in words such as
+    "seconds", "in ms", "degrees C", "electrons per ADU". All that a comment names must be one unit.
+    """
+    named: dict[str, Unit] = {}
+    for found in re.finditer(r"[\[(]([^\])]*)[\])]", comment):
+        if (unit := unit_of(found[1], quantity)) is not None:
+            named[found[1].strip()] = unit
+        # A short word in square brackets is a unit by the standard, though one that is not known.
+        elif comment.lstrip().startswith("[") and re.fullmatch(r"\s*[^\W\d_]{1,12}(/[\w-]+)?\s*", found[1]):
+            return None, found[1].strip()
+    text = _normal(comment)
+    spellings = [s for s in SPELLINGS[quantity] if len(s) > 3 or "/" in s or s in _SURE_WORDS]
+    for spelling in sorted(spellings, key=len, reverse=True):
+        pattern = rf"(?<![\w/]){re.escape(spelling)}(?![\w/])"
+        if re.search(pattern, text, re.IGNORECASE if len(spelling) > 3 else 0) and (
+            unit := unit_of(spelling, quantity)
+        ):
+            text = re.sub(pattern, " ", text, flags=re.IGNORECASE)
+            named[spelling] = unit
+    last = re.search(r"\b(in|deg|degrees?)\s+([^\s()\[\]]+)(\s*$)?", text)
+    if last and (unit := unit_of(last[2], quantity)) is not None:
+        named[last[2]] = unit
+    elif last and last[1] == "in" and last[3] is not None and quantity == "exposure":
+        return None, last[2]  # "exposure time in ticks"; a temperature may be "in the dewar"
+    sizes = {unit.to_base(1.0) for unit in named.values()}
+    if len(sizes) == 1:
+        return next(iter(named.items()))[1], next(iter(named))
+    return None, ", ".join(named)
+
+
+_SURE_WORDS: Final = ("ms", "us", "ns", "sec", "dB", "nm", "K", "degC")
+
+
+def unit_names(quantity: str) -> Iterator[str]:
+    """Return the first spelling of each unit, as an offer."""
+    seen: list[float] = []
+    for spelling, convert in SPELLINGS[quantity].items():
+        if (size := convert(2.0)) not in seen:
+            seen.append(size)
+            yield spelling
+
+
+def read_number(text: str) -> tuple[float, str]:
+    """Return a number and the unit after it: "0.004", "1/250 s", "f/8", "12 ms", "0,5".
+
+    Raises:
+        ValueError: If it is no number, or a comma in it may be a decimal mark or part thousands.
+    """
+    cleaned = text.strip().strip("\x00").strip()
+    if re.fullmatch(r"[-+]?\d+,\d+(?:\D.*)?", cleaned):
+        if re.fullmatch(r"[-+]?[1-9]\d{0,2},\d{3}(?:\D.*)?", cleaned):
+            raise ValueError("its comma may be a decimal mark or part thousands")
+        cleaned = cleaned.replace(",", ".", 1)
+    found = _WRITTEN.fullmatch(cleaned)
+    if found is None or len(found["number"]) > _LONGEST_NUMBER or _HUGE_POWER.search(found["number"]):
+        raise ValueError(f"{text.strip()[:_LONGEST_NUMBER]!r} is not understood")
+    number = found["number"].replace(" ", "")
+    try:
+        value = float(Fraction(number)) if "/" in number else float(number)
+    except ZeroDivisionError as error:
+        raise ValueError(f"{number} divides by zero") from error
+    if not math.isfinite(value):
+        raise ValueError(f"{number} is not finite")
+    return value, (found["unit"] or "").strip()

@@ -16,6 +16,7 @@ from radiometer.daemon.bench_light import BenchLight
 from radiometer.daemon.journal import Journal
 from radiometer.daemon.keeper import KeeperTimes
 from radiometer.daemon.station import Station
+from radiometer.devices.exposure_account import MemoryStore
 from radiometer.devices.exposure_ledger import ExposureLedger
 from radiometer.devices.retinal_safety import ChannelOptics
 from simulators.light_box.box import LightBoxTwin
@@ -42,7 +43,9 @@ async def box_station(
     server.start()
 
     def open_box() -> SerialLightBox:
-        return SerialLightBox(BoxLink(SerialLine(str(folder / "box"))), ExposureLedger(OPTICS, time.monotonic))
+        return SerialLightBox(
+            BoxLink(SerialLine(str(folder / "box"))), ExposureLedger(OPTICS, MemoryStore(time.monotonic, ("TWIN0001",)))
+        )
 
     instrument = BenchInstrument(write_small_bench(folder), uncalibrated=True)
     station = Station(instrument, Journal(folder / "journal.sqlite"), box=BenchLight(open_box), times=times)

@@ -12,9 +12,25 @@ from _ctypes import dlclose
 from pathlib import Path
 from zlib import crc32
 
+from simulators.light_box.avr_box import rested_eeprom
+
 HOST = Path(__file__).resolve().parents[1] / "tests" / "unit" / "firmware" / "host"
-SOURCES = ("clock", "uart", "pwm", "light", "limits", "button", "sensors", "text", "events", "commands", "protocol")
+SOURCES = (
+    "clock",
+    "uart",
+    "pwm",
+    "light",
+    "memory",
+    "limits",
+    "button",
+    "sensors",
+    "text",
+    "events",
+    "commands",
+    "protocol",
+)
 SERIAL = "LB000007"
+EEPROM_BYTES = 1024
 FLAGS = ("-O1", "-std=gnu11", "-shared", "-fPIC", "-fshort-enums", "-Wall", "-Wextra", "-Werror", "-DF_CPU=16000000UL")
 
 
@@ -29,6 +45,11 @@ def build(firmware: Path, target: Path, *defines: str) -> Path:
     return target
 
 
+def rested_memory(serial: str = SERIAL) -> bytes:
+    """Return the EEPROM of a box whose buckets are full: its serial number and, at 16, one record of its allowance."""
+    return rested_eeprom(serial).ljust(EEPROM_BYTES, b"\xff")
+
+
 class FirmwareBox:
     """A box that has just been powered; time passes only when the test lets it.
 
@@ -36,13 +57,18 @@ class FirmwareBox:
         library: As `build` made it; copied, for its variables are those of one box.
         copy: Where the copy goes.
         reset_flags: Of the microcontroller: bit 3 watchdog, 2 brown-out, 1 external, 0 power.
+        memory: Content of the EEPROM; that of a rested box where None.
     """
 
-    def __init__(self, library: Path, copy: Path, reset_flags: int = 1, serial: str = SERIAL) -> None:
+    def __init__(
+        self, library: Path, copy: Path, reset_flags: int = 1, serial: str = SERIAL, memory: bytes | None = None
+    ) -> None:
         self._copy = Path(shutil.copy(library, copy))
         self._board = ctypes.CDLL(str(copy))
-        self._board.board_start(serial.encode(), reset_flags)
-        self._board.board_pass.argtypes = [ctypes.c_uint32]
+        self._board.board_start(rested_memory(serial) if memory is None else memory, reset_flags)
+        for name in ("board_pass", "board_pass_watched", "board_cut_after"):
+            getattr(self._board, name).argtypes = [ctypes.c_uint32]
+        self._board.board_memory_writes.restype = ctypes.c_uint32
         self._taken = ctypes.create_string_buffer(65536)
         self._sequence = 0
 
@@ -54,6 +80,29 @@ class FirmwareBox:
     def run(self, ms: int) -> None:
         """Let ms pass."""
         self._board.board_pass(ms)
+
+    def run_watched(self, ms: int) -> list[tuple[float, float]]:
+        """Let ms pass and return how many seconds at full duty each channel gave at the low and the high current."""
+        given = (ctypes.c_double * 12)()
+        self._board.board_pass_watched(ms)
+        self._board.board_take_seconds(given)
+        return [(given[2 * n], given[2 * n + 1]) for n in range(6)]
+
+    @property
+    def memory(self) -> bytes:
+        """Return what the EEPROM holds."""
+        content = ctypes.create_string_buffer(EEPROM_BYTES)
+        self._board.board_memory(content)
+        return content.raw
+
+    @property
+    def memory_writes(self) -> int:
+        """Return how many bytes of the EEPROM were written since power-on."""
+        return int(self._board.board_memory_writes())
+
+    def cut_memory_after(self, count: int) -> None:
+        """Let power fail while the EEPROM is written, after so many bytes more; nothing is written from then on."""
+        self._board.board_cut_after(count)
 
     def send(self, raw: bytes, *, damaged: bool = False) -> None:
         """Hand over bytes, with a framing error if they are damaged."""

@@ -37,6 +37,12 @@ def _quiet_log():
     configure_logging()
 
 
+@pytest.fixture(scope="session", autouse=True)
+def _own_state(tmp_path_factory: pytest.TempPathFactory) -> None:
+    """Keep what programs remember, such as the account of retinal exposure, out of the user's own folder."""
+    os.environ["RADIOMETER_STATE"] = str(tmp_path_factory.mktemp("state"))
+
+
 @pytest.fixture(scope="session")
 def project_root() -> Path:
     """Return the root of the checkout."""

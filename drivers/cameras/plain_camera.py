@@ -14,6 +14,7 @@ from typing import Protocol, Self, TypeVar
 
 from radiometer.data import CameraDescription, Frame, FrameSettings, LensDescription
 from radiometer.data.frame import CameraFile, DigitalNumbers
+from radiometer.data.white_level import WhiteLevel
 from radiometer.devices import (
     AcquisitionCounts,
     CameraCapabilities,
@@ -44,6 +45,7 @@ class Grab:
         temperature_c: Sensor temperature in °C; None where unknown.
         f_number: f-number as the camera states it; None where it does not.
         file: The raw file that the numbers were read from, where the camera wrote one.
+        white_level_dn: Digital number from which the camera says that pixels are saturated; None where it does not.
     """
 
     dn: DigitalNumbers
@@ -55,6 +57,7 @@ class Grab:
     temperature_c: float | None = None
     f_number: float | None = None
     file: CameraFile | None = None
+    white_level_dn: float | None = None
 
 
 class FrameLink(Protocol):
@@ -281,6 +284,7 @@ class PlainCamera:
                 black_level_dn=grab.black_level_dn,
                 temperature_c=grab.temperature_c,
                 timestamp_s=grab.timestamp_s,
+                white_level=None if grab.white_level_dn is None else WhiteLevel.stated(grab.white_level_dn),
             ),
             frame_id=self._frames,
             file=grab.file if roi is None else None,  # a region is not what the file holds

@@ -162,6 +162,7 @@ class TetheredLink:
             black_level_dn=photograph.black_level_dn("green") or 0.0,
             timestamp_s=time.monotonic(),
             f_number=self._f_number(),
+            white_level_dn=photograph.white_level_dn,
             file=file,
         )
 

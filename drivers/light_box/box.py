@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import threading
 from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from types import TracebackType
 from typing import Final, Protocol, Self
@@ -19,7 +20,7 @@ from drivers.light_box.answers import (
 )
 from drivers.light_box.frames import PROTOCOL_VERSIONS, Event
 from drivers.light_box.link import ATTEMPTS, BoxLink, BoxRefusal
-from radiometer.devices.exposure_ledger import ExposureLedger
+from radiometer.devices.exposure_ledger import ExposureLedger, Stimulus
 from radiometer.devices.light_box import (
     FULL_LEVEL,
     ButtonEvent,
@@ -52,6 +53,9 @@ LISTEN_S: Final = 0.02
 BOOT_S: Final = 2.2  # the boot loader's wait, after which the program of an Arduino runs
 FLASH: Final = "flash"  # its name in the account of the exposure
 WRONG_VERSION: Final = 9
+AUDIT_INTERVAL_S: Final = 5.0  # a twentieth of a per mille of the window
+# The box's dead man waits 1 s by its own clock; the rest is what USB adapters and operating systems hold back.
+DARK_AFTER_S: Final = 1.5
 
 
 class RadianceTable(Protocol):
@@ -89,7 +93,7 @@ class SerialLightBox:
     _channels: dict[str, ChannelCapabilities] = field(default_factory=dict)
     _buckets: dict[str, int] = field(default_factory=dict)
     _tended_s: float = -math.inf
-    _flash_over_s: float | None = None
+    _audited_s: float = -math.inf
     _lock: threading.RLock = field(default_factory=threading.RLock)
     _closing: threading.Event = field(default_factory=threading.Event)
     _keeper: threading.Thread | None = None
@@ -142,15 +146,17 @@ class SerialLightBox:
 
     def set_level(self, channel: str, level: Level) -> ChannelState:
         """Light a channel steadily and return its state as read back; raises as LightBox.set_level."""
-        return self._shine("SL", channel, level, math.inf, ())
+        return self._shine("SL", channel, level, (), math.inf, math.inf)
 
     def ramp(self, channel: str, level: Level, duration_s: float) -> ChannelState:
         """Move a channel's level linearly to another within `duration_s`, and stay there."""
-        return self._shine("RA", channel, level, math.inf, (self._milliseconds("duration", duration_s, 600.0),))
+        ms = self._milliseconds("duration", duration_s, 600.0)
+        return self._shine("RA", channel, level, (ms,), math.inf, math.inf, ms / 1000.0)
 
     def pulse(self, channel: str, level: Level, duration_s: float) -> ChannelState:
         """Light a channel for `duration_s`, timed by the box."""
-        return self._shine("PU", channel, level, duration_s, (self._milliseconds("duration", duration_s, 600.0),))
+        ms = self._milliseconds("duration", duration_s, 600.0)
+        return self._shine("PU", channel, level, (ms,), ms / 1000.0, ms / 1000.0)
 
     def blink(self, channel: str, level: Level, on_s: float, off_s: float, count: int = 0) -> ChannelState:
         """Blink a channel `count` times (0: until told otherwise), timed by the box.
@@ -160,8 +166,9 @@ class SerialLightBox:
         """
         if not 0 <= count <= 65535:
             raise SettingOutOfRange(self._name, "number of blinks", count, 0, 65535, "")
-        times = (self._milliseconds("bright time", on_s, 60.0), self._milliseconds("dark time", off_s, 60.0))
-        return self._shine("BL", channel, level, on_s * count if count else math.inf, (*times, count))
+        on_ms, off_ms = self._milliseconds("bright time", on_s, 60.0), self._milliseconds("dark time", off_s, 60.0)
+        bright_s, lasting_s = (ms * count / 1000.0 if count else math.inf for ms in (on_ms, on_ms + off_ms))
+        return self._shine("BL", channel, level, (on_ms, off_ms, count), bright_s, lasting_s)
 
     def foresee(self, channel: str, level: Level, bright_s: float) -> HazardFractions:
         """Return which fractions of the exposure limits a stimulus would use up, without lighting anything.
@@ -203,19 +210,15 @@ class SerialLightBox:
             CalibrationError: If the box's preset says nothing of a flash.
             UsageError: If the box speaks version 1 of the protocol, which has no flash.
         """
-        with self._lock:
-            light = self._flash_light()
-            self._require_flash()
-            radiance = light.exposure_bound_j_sr_m2 / light.duration_s
-            self.ledger.refuse_unsafe(FLASH, radiance, light.duration_s)
-            state = read_flash(self._name, self.link.request("FL"))
-            self.ledger.shine(FLASH, radiance, light.duration_s)
-            self._flash_over_s = self.link.line.now() + light.duration_s
-            return state
+        light = self._flash_light()
+        self._require_flash()
+        radiance = light.exposure_bound_j_sr_m2 / light.duration_s
+        with self._giving(Stimulus(FLASH, radiance, light.duration_s, light.duration_s), "FL") as answer:
+            return read_flash(self._name, answer)
 
     def flash_state(self) -> FlashState:
         """Return what the box allows of its flash. Raises UsageError for a box of protocol version 1."""
-        with self._lock:
+        with self._exchanging():
             self._require_flash()
             return read_flash(self._name, self.link.request("FS"))
 
@@ -264,44 +267,43 @@ class SerialLightBox:
 
     def off(self, channel: str) -> None:
         """Darken one channel."""
-        with self._lock:
+        with self._exchanging():
             self.link.request(f"OF {self._index(channel)}")
             self.ledger.darken(channel)
 
     def safe(self) -> None:
         """Darken every channel; never raises, for the box darkens itself where it cannot be reached."""
         with self._lock:
+            dark_after_s = 0.0
             try:
                 self.link.request("OF *", attempts=ATTEMPTS // 2)
-            except DeviceError:
-                pass  # silent or gone: its dead-man timer ends the light within 1 s
-            finally:
-                for channel in self._channels:
-                    self.ledger.darken(channel)
+            except DeviceError:  # silent or gone: its dead-man timer ends the light
+                self.link.ask_for_darkness()
+                dark_after_s = DARK_AFTER_S
+            self.ledger.darken(within_s=dark_after_s)
 
     def read_channel(self, channel: str) -> ChannelState:
         """Return what a channel is doing."""
-        with self._lock:
+        with self._exchanging():
             fields = self.link.request(f"RB {self._index(channel)}")
             return read_state(self._name, channel, self._buckets[channel], fields)
 
     def status(self) -> LightBoxStatus:
         """Return supply, temperature and error counts."""
-        with self._lock:
+        with self._exchanging():
             return read_status(self._name, self.link.request("ST"))
 
     def synchronise(self) -> ClockEstimate:
         """Compare the clocks once more and return the estimate."""
-        with self._lock:
-            self.link.compare_clocks()
-            self._tended_s = self.link.line.now()
+        with self._exchanging():
+            self._compare_clocks()
             return self.link.clock.estimate()
 
     def buttons(self, timeout_s: float) -> Iterator[ButtonEvent]:
         """Yield presses and releases as they come for `timeout_s`."""
         deadline_s = self.link.line.now() + timeout_s
         while (left_s := deadline_s - self.link.line.now()) > 0:
-            with self._lock:
+            with self._exchanging():
                 self.link.listen(min(left_s, LISTEN_S))
                 self.tend_if_due()
                 found = self.link.take_events()
@@ -312,13 +314,22 @@ class SerialLightBox:
 
     def tend(self) -> None:
         """Let the box know that the host is there, compare the clocks, fetch lost events. Raises DeviceLost."""
-        self.synchronise()
-        if self._flash_over_s is not None and self.link.line.now() >= self._flash_over_s:
-            self.ledger.darken(FLASH)  # what it gave stays in the account
-            self._flash_over_s = None
-        if self.link.take_turned_off():
-            for channel in self._channels:
-                self.ledger.darken(channel)
+        with self._exchanging():
+            self._compare_clocks()
+            if self.link.take_turned_off():
+                self.ledger.darken()
+            if self.link.line.now() - self._audited_s >= AUDIT_INTERVAL_S:
+                self._audited_s = self.link.line.now()
+                if not self.ledger.is_kept():
+                    self.safe()
+                    self.link.give_up(
+                        f"{self._name}: the account of its exposure was lost while it was lit."
+                        " Every channel was darkened; reopen it"
+                    )
+
+    def _compare_clocks(self) -> None:
+        self.link.compare_clocks()
+        self._tended_s = self.link.line.now()
 
     def tend_if_due(self) -> None:
         """Tend the box if a quarter of its dead-man time has passed since it was tended last."""
@@ -357,7 +368,7 @@ class SerialLightBox:
         for index in range(count):
             channel, bucket = read_capabilities(self._name, self.link.request(f"CH {index}"))
             self._channels[channel.name], self._buckets[channel.name] = channel, bucket
-            self.ledger.darken(channel.name)  # a session starts dark, however the one before has ended
+        self.ledger.open(self._identity.serial)  # a session starts dark, however the one before has ended
 
     def _hello(self) -> tuple[str, ...]:
         """Return the answer to HI in the newest version that the box speaks."""
@@ -371,28 +382,72 @@ class SerialLightBox:
 
     def _keep(self) -> None:
         while not self._closing.wait(TEND_INTERVAL_S / 5):
-            with self._lock:
-                try:
+            try:
+                with self._exchanging():
                     self.tend_if_due()
-                except DeviceError:
-                    return  # the link keeps the reason and gives it to the next caller
+            except DeviceError:
+                return  # the link keeps the reason and gives it to the next caller
 
-    def _shine(self, verb: str, channel: str, level: Level, bright_s: float, times: tuple[int, ...]) -> ChannelState:
+    @contextmanager
+    def _exchanging(self) -> Iterator[None]:
+        """Have the box for the block; where it is lost meanwhile, all light counts until the dead man has ended it."""
         with self._lock:
-            index = self._index(channel)
-            drive = self._drive(channel, level)
-            radiance = self._highest_radiance(channel, drive)
-            self.ledger.refuse_unsafe(channel, radiance, bright_s)
-            words = [verb, index, RANGE_LETTERS[drive.current_range], drive.level, *times]
-            self.link.request(" ".join(str(word) for word in words))
-            self.ledger.shine(channel, radiance, bright_s)
+            try:
+                yield
+            except DeviceError:
+                if self.link.fault is not None:
+                    self.link.ask_for_darkness()
+                    self.ledger.darken(within_s=DARK_AFTER_S)
+                raise
+
+    def _shine(
+        self,
+        verb: str,
+        channel: str,
+        level: Level,
+        times: tuple[int, ...],
+        bright_s: float,
+        lasting_s: float,
+        ramp_s: float = 0.0,
+    ) -> ChannelState:
+        index, drive = self._index(channel), self._drive(channel, level)
+        words = " ".join(str(word) for word in (verb, index, RANGE_LETTERS[drive.current_range], drive.level, *times))
+        if drive.level == 0 and not ramp_s:  # darkness needs no account
+            with self._exchanging():
+                self.link.request(words)
+                self.ledger.darken(channel)
+                return self.read_channel(channel)
+        radiance = self._highest_radiance(channel, drive)
+        with self._giving(Stimulus(channel, radiance, bright_s, lasting_s, ramp_s), words):
             state = self.read_channel(channel)
             self._refuse_other_than(drive, state, steady=verb == "SL")
             return state
 
+    @contextmanager
+    def _giving(self, stimulus: Stimulus, words: str) -> Iterator[tuple[str, ...]]:
+        """Enter a stimulus into the account, then have the box for the block with its answer; raises as `request`.
+
+        The box is tended while the account is stored, for the disk may take long.
+        """
+        name = self.ledger.reserve(stimulus)
+        with self._exchanging():
+            if not self.ledger.holds(name):
+                raise DeviceError(f"{self._name}: {stimulus.channel} was darkened before its light began; ask again")
+            try:
+                answer = self.link.request(words)
+            except DeviceError:
+                if self.link.fault is None:  # refused, nothing was changed; else it may be on: see `_exchanging`
+                    self.ledger.withdraw(name)
+                raise
+            self.ledger.begun(name)
+            yield answer
+        self.ledger.settle()
+
     def _refuse_other_than(self, drive: DriveLevel, state: ChannelState, *, steady: bool) -> None:
         if steady and drive.level and state.drive != drive:
             self.safe()
+            brightest = self._highest_radiance(state.channel, DriveLevel(FULL_LEVEL, CurrentRange.HIGH))
+            self.ledger.note(Stimulus(state.channel, brightest, DARK_AFTER_S, DARK_AFTER_S))
             raise DeviceError(f"{self._name}: asked for {drive}, read back {state.drive}; every channel was darkened")
 
     def _drive(self, channel: str, level: Level) -> DriveLevel:
@@ -422,9 +477,8 @@ class SerialLightBox:
         if known is not None:
             return known
         optics = self.ledger.optics[channel]
-        return (
-            optics.radiance_bound_w_sr_m2 * (1.0 if high else optics.low_range_ratio_bound) * drive.level / FULL_LEVEL
-        )
+        duty = max(drive.level / FULL_LEVEL, self._channels[channel].duty(drive.level))  # rounded up at a dim level
+        return optics.radiance_bound_w_sr_m2 * (1.0 if high else optics.low_range_ratio_bound) * duty
 
     def _index(self, channel: str) -> int:
         self.identity  # noqa: B018 (raises unless open)

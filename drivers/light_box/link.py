@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import contextlib
 import secrets
 from collections import deque
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from typing import Final, NoReturn
 
@@ -22,8 +25,9 @@ from drivers.light_box.serial_line import Line, Received
 from radiometer.errors import DeviceError, DeviceLost, DeviceTimeout, UnsafeStimulus
 
 REPLY_TIMEOUT_S: Final = 0.1  # an answer takes 8 ms on the wire; USB adapters hold bytes back for up to 16 ms
-ATTEMPTS: Final = 16  # in sum longer than the box's dead-man time: after the last one every channel is dark
+ATTEMPTS: Final = 16  # 1.6 s: longer than any pause of a busy machine or a USB hub that comes back
 EVENT_SLOTS: Final = 1024
+DARK_SOON: Final = "its light may be on until it goes dark by itself, 1 s after it heard this program last; reopen it"
 
 
 class BoxRefusal(DeviceError):
@@ -89,13 +93,14 @@ class BoxLink:
                 continue
             self._take_times(fields, sent_s, received, request_bytes)
             return
-        self._fail(f"light box on {self.line.name} does not tell its time; its channels are dark by now, reopen it")
+        self.give_up(f"light box on {self.line.name} does not tell its time; {DARK_SOON}")
 
     def listen(self, timeout_s: float) -> None:
         """Take in what comes by itself for `timeout_s`. Raises DeviceLost."""
         deadline_s = self.line.now() + timeout_s
         while True:
-            received = self.line.read_line(max(deadline_s - self.line.now(), 0.0))
+            with self._noting_loss():
+                received = self.line.read_line(max(deadline_s - self.line.now(), 0.0))
             if received is not None:
                 self._take_aside(parse_line(received.text))
             elif self.line.now() >= deadline_s:
@@ -113,6 +118,22 @@ class BoxLink:
         turned_off, self._turned_off = self._turned_off, False
         return turned_off
 
+    @property
+    def fault(self) -> str | None:
+        """Return why nothing can be asked any more until the box is opened again; None where it can."""
+        return self._fault
+
+    def give_up(self, message: str) -> NoReturn:
+        """Take no request any more until the box is opened again. Raises DeviceLost."""
+        self._fault = message
+        raise DeviceLost(message)
+
+    def ask_for_darkness(self) -> None:
+        """Ask for darkness without waiting for an answer: a box may hear what it cannot answer. Never raises."""
+        self._sequence = (self._sequence + 1) % 256
+        with contextlib.suppress(DeviceError):
+            self.line.write(request_line(self._sequence, "OF *"))
+
     def reset(self) -> None:
         """Forget clocks, events and faults, before a new session."""
         self.clock.samples.clear()
@@ -124,14 +145,23 @@ class BoxLink:
         line = request_line(sequence, words)
         for attempt in range(attempts):
             self.retries += attempt > 0
-            sent_s = self.line.write(line)
-            found = self._await_reply(sequence, sent_s + REPLY_TIMEOUT_S)
+            with self._noting_loss():
+                sent_s = self.line.write(line)
+                found = self._await_reply(sequence, sent_s + REPLY_TIMEOUT_S)
             if found is not None:
                 reply, received = found
                 if reply.error:
                     raise self._refusal(words, reply.error)
                 return reply.fields, sent_s, received, len(line)
         raise self._timeout(words, attempts)
+
+    @contextmanager
+    def _noting_loss(self) -> Iterator[None]:
+        try:
+            yield
+        except DeviceLost as lost:
+            self._fault = str(lost)
+            raise
 
     def _await_reply(self, sequence: int, deadline_s: float) -> tuple[Reply, Received] | None:
         while True:
@@ -170,10 +200,10 @@ class BoxLink:
     def _take_times(self, fields: tuple[str, ...], sent_s: float, received: Received, request_bytes: int) -> None:
         times = parse_times(fields)
         if times is None:
-            self._fail(f"light box on {self.line.name} answered TM with {' '.join(fields)!r}; flash its firmware")
+            self.give_up(f"light box on {self.line.name} answered TM with {' '.join(fields)!r}; flash its firmware")
         box_received_s, box_answered_s, latest_event = times
         if self.clock.samples and box_received_s < self.clock.samples[-1].box_received_s:
-            self._fail(self._restarted())
+            self.give_up(self._restarted())
         answer_bytes = len(received.text) + 1
         self.clock.add(
             ClockSample(
@@ -214,7 +244,7 @@ class BoxLink:
     def _timeout(self, words: str, attempts: int) -> DeviceTimeout:
         message = f"light box on {self.line.name} did not answer {words!r} within {attempts * REPLY_TIMEOUT_S:.1f} s"
         if attempts >= ATTEMPTS:
-            self._fault = f"{message}; its channels are dark by now, reopen it"
+            self._fault = f"{message}; {DARK_SOON}"
             return DeviceTimeout(self._fault)
         return DeviceTimeout(message)
 
@@ -224,7 +254,3 @@ class BoxLink:
 
     def _restarted(self) -> str:
         return f"light box on {self.line.name} has restarted; every channel is dark, reopen it"
-
-    def _fail(self, message: str) -> NoReturn:
-        self._fault = message
-        raise DeviceLost(message)

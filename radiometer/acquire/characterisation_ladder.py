@@ -110,7 +110,7 @@ def _signal(camera: Camera, region: Patch, exposure_s: float) -> tuple[float, fl
             f"{frame.shape[1]} × {frame.shape[0]} pixels"
         )
     black = frame.settings.black_level_dn or 0.0
-    return float(frame.dn[region.slices].mean()) - black, frame.full_scale_dn - black
+    return float(frame.dn[region.slices].mean()) - black, frame.saturated_dn - black
 
 
 def _take(camera: Camera, plan: list[tuple[float, int]]) -> Iterator[Frame]:

@@ -43,7 +43,7 @@ class ExposureWindow:
         """
         noise = SensorNoise.of(camera)
         gain = noise.gain_dn_per_e(gain_db)
-        clipping = min(camera.full_scale_dn - black_level_dn, noise.full_well_e * gain)
+        clipping = min(camera.saturated_dn - black_level_dn, noise.full_well_e * gain)
         floor_e2 = noise.read_noise_e**2 + 1.0 / (12.0 * gain**2)
         snr2 = MINIMUM_SNR**2
         lowest_e = (snr2 + math.sqrt(snr2**2 + 4.0 * snr2 * floor_e2)) / 2.0

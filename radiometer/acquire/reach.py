@@ -61,7 +61,7 @@ def assess_reach(frames: Iterable[Frame], camera: CameraDescription, region: Pat
         if cover is None:
             cover = np.zeros(dn.shape, np.uint16)
             saturated, dim = np.ones(dn.shape, np.bool_), np.ones(dn.shape, np.bool_)
-        low, high = black + window.lowest_dn, black + window.clipping_dn * 0.995
+        low, high = black + window.lowest_dn, min(black + window.clipping_dn * 0.995, frame.saturated_dn)
         above, below = dn >= low, dn < high
         cover += above & below
         saturated &= ~below

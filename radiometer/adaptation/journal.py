@@ -10,6 +10,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import IO, Any, Final, Self
 
+from radiometer.data.json_text import json_text
 from radiometer.errors import InputError, OutputError
 
 FORMAT: Final = "radiometer-adaptation/1"
@@ -69,7 +70,7 @@ class RunJournal:
         if self._stream is None:
             raise OutputError(f"{self.path}: the journal is not open")
         try:
-            self._stream.write(json.dumps(event, ensure_ascii=False, allow_nan=False).encode() + b"\n")
+            self._stream.write(json_text(event).encode() + b"\n")
             self._stream.flush()
             if lasting:
                 os.fsync(self._stream.fileno())
@@ -79,7 +80,7 @@ class RunJournal:
         return event
 
     def _compare(self, event: Event, before: Event) -> None:
-        same = json.loads(json.dumps(event)) == before
+        same = json.loads(json_text(event)) == before
         if not same and not event["kind"] == before["kind"] == CHECK:  # a calibration has grown older meanwhile
             raise InputError(
                 f"{self.path}, line {event['sequence'] + 1}: the simulated run is not the same any more "

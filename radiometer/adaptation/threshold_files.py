@@ -6,7 +6,6 @@ threshold falls; 0 dB is 10 000/π cd·m⁻² in OPI's tables (its `dbTocd`).
 
 from __future__ import annotations
 
-import csv
 import math
 import re
 from collections.abc import Sequence
@@ -18,7 +17,9 @@ import numpy as np
 
 from radiometer.adaptation.r_files import is_r_file, read_r_lists
 from radiometer.adaptation.trial_lists import changes_of_answer, column_of_answers, column_of_onsets
+from radiometer.data import text_table
 from radiometer.errors import InputError
+from radiometer.units import unit_of
 
 TIME_WORDS: Final = ("time", "t", "minutes", "min", "minute", "seconds", "sec", "s", "elapsed", "x")
 THRESHOLD_WORDS: Final = (
@@ -74,7 +75,7 @@ def read_table(path: Path) -> TakenTable:
         rows = [[str(value) for value in pair] for pair in zip(*numbers, strict=True)]
         how = [f"a file of R: time and thrs of {name}"]
         return _taken(path, ["time", "thrs"], list(enumerate(rows, 1)), {}, how)
-    text = _text(raw)
+    text = text_table.decode_export(raw)
     lists = _r_lists(text)
     facts: dict[str, str] = {}
     if lists is not None:
@@ -95,15 +96,6 @@ def _raw(path: Path) -> bytes:
         raise InputError(f"cannot read {path}: {error.strerror or error}") from error
 
 
-def _text(raw: bytes) -> str:
-    if raw[:2] in (b"\xff\xfe", b"\xfe\xff"):
-        return raw.decode("utf-16", errors="replace")
-    try:
-        return raw.decode("utf-8-sig")
-    except UnicodeDecodeError:
-        return raw.decode("latin-1")
-
-
 def _r_lists(text: str) -> tuple[list[str], list[str]] | None:
     """Return times and thresholds of a list written by `dput`; None where it is none."""
     found = []
@@ -122,58 +114,14 @@ def _r_lists(text: str) -> tuple[list[str], list[str]] | None:
 
 def _cells(path: Path, text: str) -> tuple[list[str], list[tuple[int, list[str]]], dict[str, str], list[str]]:
     """Return header (empty where there is none), rows of cells with their line numbers, facts and what was taken."""
-    lines = [(number, line.strip()) for number, line in enumerate(text.splitlines(), 1) if line.strip()]
-    comments = [line.strip('"').lstrip("#%! ") for _, line in lines if line.strip('"')[:1] in "#%!"]
-    lines = [(number, line) for number, line in lines if line.strip('"')[:1] not in "#%!"]
-    if not lines:
-        raise InputError(f"{path} is empty; expected columns time_min,log10_threshold")
-    delimiter, name = _delimiter([line for _, line in lines])
-    split = [(number, _split(line, delimiter)) for number, line in lines]
-    facts, how = _facts(comments), [f"columns parted by {name}"]
-    comma = delimiter != "," and any(re.fullmatch(r"[-+]?\d+,\d+([eE][-+]?\d+)?", c) for _, row in split for c in row)
-    if comma:
-        how.append("decimal commas")
-        split = [
-            (n, [c.replace(",", ".") if re.fullmatch(r"[-+]?[\d,eE+-]+", c) else c for c in row]) for n, row in split
-        ]
-    start = next(
-        (n for n, (_, row) in enumerate(split) if _numbers_in(row) >= 2 or (len(row) == 1 and _numbers_in(row))), 0
-    )
-    header = split[start - 1][1] if start else []
-    if not start and not _numbers_in(split[0][1]):
-        header, start = split[0][1], 1
-    body = split[start:]
-    if not header and comments and delimiter is not None:  # the header may itself be a comment
-        said = _split(comments[-1], delimiter)
-        header = said if len(said) == len(body[0][1]) and len(said) > 1 else []
-    if header and body and len(body[0][1]) == len(header) + 1:
-        header = ["row", *header]  # R's write.table names no column for the row names
-    return header, body, facts, how
-
-
-def _delimiter(lines: Sequence[str]) -> tuple[str | None, str]:
-    sample = lines[-min(len(lines), 50) :]
-    for mark, name in ((";", "semicolons"), ("\t", "tabs"), (",", "commas")):
-        if all(mark in line for line in sample):
-            decimal = mark == "," and all(re.fullmatch(r"\s*[-+]?\d+,\d+\s+[-+]?\d+,\d+.*", line) for line in sample)
-            if not decimal:
-                return mark, name
-    return None, "blanks"
-
-
-def _split(line: str, delimiter: str | None) -> list[str]:
-    if delimiter is None:
-        return [cell.strip('"') for cell in line.split()]
-    return [cell.strip().strip('"') for cell in next(csv.reader([line], delimiter=delimiter))]
+    table = text_table.read_table(path, "columns time_min,log10_threshold", text)
+    rows = [(number, list(cells)) for number, cells in table.rows]
+    return list(table.header), rows, _facts(table.comments), [table.how]
 
 
 def _facts(comments: Sequence[str]) -> dict[str, str]:
     pairs = (re.split(r"\s*[:=]\s*", comment, maxsplit=1) for comment in comments)
     return {pair[0].strip().lower(): pair[1].strip() for pair in pairs if len(pair) == 2}
-
-
-def _numbers_in(row: Sequence[str]) -> int:
-    return sum(_number(cell) is not None for cell in row)
 
 
 def _number(cell: str) -> float | None:
@@ -281,14 +229,9 @@ def _position(words: Sequence[str], known: Sequence[str], without: Sequence[int 
 
 def _minutes(times: np.ndarray, word: str, facts: dict[str, str]) -> tuple[np.ndarray, str]:
     said = re.sub(r"[^a-z]+", " ", f"{word} {facts.get('time unit', facts.get('time', ''))}".lower()).split()
-    if any(w in ("ms", "msec", "millisecond", "milliseconds") for w in said):
-        return times / 60_000.0, "time in milliseconds, as its header says"
-    if any(w in ("s", "sec", "secs", "second", "seconds") for w in said):
-        return times / 60.0, "time in seconds, as its header says"
-    if any(w in ("h", "hour", "hours") for w in said):
-        return times * 60.0, "time in hours, as its header says"
-    if any(w in ("min", "mins", "minute", "minutes") for w in said):
-        return times, "time in minutes, as its header says"
+    unit = next((unit for w in said if (unit := unit_of(w, "exposure")) is not None), None)
+    if unit is not None:
+        return times * unit.to_base(1.0) / 60.0, f"time in {unit.name}, as its header states"
     longest = float(times.max())
     if longest >= MILLISECONDS_FROM:
         return times / 60_000.0, f"time in milliseconds, for it goes to {longest:g}"

@@ -11,6 +11,7 @@ from typing import Any, Final, Protocol
 
 from radiometer.api.meter import Meter
 from radiometer.data import Patch, Quantity, Reading
+from radiometer.data.json_text import json_text
 from radiometer.data.reading import Flag
 from radiometer.errors import DeviceError, DeviceLost
 
@@ -85,7 +86,7 @@ class DaemonSource:
         headers = {"Content-Type": "application/json"} | (
             {"Authorization": f"Bearer {self.token}"} if self.token else {}
         )
-        request = urllib.request.Request(f"{self.origin}/measure", json.dumps(asked).encode(), headers)
+        request = urllib.request.Request(f"{self.origin}/measure", json_text(asked).encode(), headers)
         try:
             with urllib.request.urlopen(request, timeout=self.timeout_s) as reply:
                 return reading_of(json.load(reply))

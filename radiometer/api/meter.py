@@ -12,6 +12,7 @@ from radiometer.api.files import PathLike, Stack
 from radiometer.bench.assembly import open_instrument
 from radiometer.bench.instrument import Instrument
 from radiometer.data import Bracket, Calibration, Patch, Reading
+from radiometer.data.pile_up import with_white_levels
 
 PatchLike = Patch | tuple[int, int, int, int]
 
@@ -82,7 +83,7 @@ class Meter:
         """
         camera = self.instrument.camera
         request = BracketRequest(_patch(patch) if patch else None, None, time_limit_s, darks)
-        frames = list(take_plan(camera, plan_for_scene(camera, request), request))
+        frames = with_white_levels(list(take_plan(camera, plan_for_scene(camera, request), request)))
         origin = camera.identity.device_id
         bracket = Bracket.from_frames(frames, origin)
         return Stack({frames[0].settings.pattern: bracket}, camera.description, self.instrument.lens, origin)

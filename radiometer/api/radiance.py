@@ -35,6 +35,7 @@ from radiometer.data import (
     SensorNoise,
 )
 from radiometer.data.drawing import new_axes, picture
+from radiometer.data.pile_up import with_white_levels
 from radiometer.data.setup import Setup
 from radiometer.data.storage import refuse_unwritable
 from radiometer.errors import CaptureError, MissingLibrary, UsageError
@@ -452,8 +453,8 @@ def _reported(progress: Progress, what: str) -> Callable[[int, int], None]:
 def _streamed(
     capture: CaptureSet, indices: Sequence[int], report: Callable[[int, int], None] | None
 ) -> Iterator[Frame]:
-    for done, index in enumerate(indices, start=1):
-        yield capture.read_frame(index)
+    for done, frame in enumerate(capture.read_frames(indices), start=1):
+        yield frame
         if report is not None:
             report(done, len(indices))
 
@@ -463,7 +464,8 @@ def _of_stack(stack: Stack, asked: _Asked, pattern: str | None) -> Radiance:
         if asked.channel or asked.demosaic:
             raise UsageError("channel and demosaic say how a folder is read: give them to read_photographs")
         return _of_photographs(stack.as_photographs(), asked)
-    bracket = stack.chosen(pattern)
+    chosen = stack.chosen(pattern)
+    bracket = Bracket.from_frames(with_white_levels(chosen.every_frame), origin=chosen.origin)
     levels = [frame.settings.black_level_dn for frame in bracket.light]
     return replace(_of_capture(bracket, levels, stack.camera, stack.lens, asked), notes=stack.notes)
 

@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import html
-import json
 from collections.abc import Callable, Mapping
 from typing import Any, Final
 
-from radiometer.data.reading import finite_or_null
+from radiometer.data.json_text import finite_or_null, json_text
 
 # Callbacks that functions take. Progress gets what is done, how much of it is done, and how much there is (None where
 # that is unknown). An ask returns once somebody has done what it asks for. A notice is one line for the user.
@@ -19,7 +18,7 @@ _LONGEST_LIST: Final = 12  # entries of a list that a notebook shows; longer one
 
 
 def unheard(line: str) -> None:
-    """Take a notice that nobody wants to read."""
+    """Drop a notice."""
 
 
 class Result:
@@ -34,7 +33,7 @@ class Result:
 
     def to_json(self) -> str:
         """Return the documented JSON form in one line; what is not finite is null."""
-        return json.dumps(finite_or_null(self.to_mapping()), ensure_ascii=False, allow_nan=False)
+        return json_text(self.to_mapping())
 
     def __repr__(self) -> str:
         """Return name and content in one line."""

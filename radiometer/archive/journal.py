@@ -10,6 +10,7 @@ from types import TracebackType
 from typing import Self
 
 from radiometer.archive.jobs import COLUMNS, Row
+from radiometer.data.json_text import json_text
 from radiometer.data.storage import atomic_file
 from radiometer.errors import OutputError, UsageError
 
@@ -44,7 +45,7 @@ class ResultJournal:
 
     def add(self, finished: list[list[Row]]) -> None:
         """Append the rows of some capture sets, a line each. Raises OutputError if the disk refuses them."""
-        lines = [json.dumps(rows, ensure_ascii=False).encode() + b"\n" for rows in finished if rows]
+        lines = [json_text(rows).encode() + b"\n" for rows in finished if rows]
         if not lines:
             return
         try:

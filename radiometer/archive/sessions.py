@@ -15,7 +15,7 @@ from radiometer.analysis.characterise.dark_figures import typical_rates
 from radiometer.analysis.characterise.frame_groups import groups_of_capture
 from radiometer.data import CaptureSet, Quantity
 from radiometer.data.capture_set import HEADER_NAME
-from radiometer.errors import InputError, MeasurementError, RadiometerError
+from radiometer.errors import InputError, MeasurementError, RadiometerError, UnsettledError
 from radiometer.importing import import_sources
 from radiometer.importing.emva_listing import DESCRIPTOR_NAME
 from radiometer.importing.sources import FITS_SUFFIXES, TIFF_SUFFIXES, as_capture
@@ -70,6 +70,7 @@ def find_sessions(archive: Path) -> list[CaptureSet]:
 
     Raises:
         InputError: If there is none.
+        UnsettledError: If frames state a number without a known unit.
     """
     if not archive.is_dir():
         raise InputError(f"{archive} is no folder; name one that holds capture sets or folders of frames")
@@ -78,6 +79,8 @@ def find_sessions(archive: Path) -> list[CaptureSet]:
     for folder in _foreign_folders(archive, own):
         try:
             several = import_sources(_direct_files(folder))
+        except UnsettledError:
+            raise  # it holds frames, but what they state must be settled first
         except InputError:
             continue  # none of its files is a frame
         for one in several:

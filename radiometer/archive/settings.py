@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import hashlib
-import json
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
+from radiometer.data.json_text import json_text
 from radiometer.data.provenance import source_hash
 
 
@@ -28,7 +28,7 @@ class JobSettings:
 
     def fingerprint(self) -> str:
         """Return a hash of the settings, the calibration's content and the code: equal means the same result."""
-        digest = hashlib.sha256(json.dumps(asdict(self), sort_keys=True).encode())
+        digest = hashlib.sha256(json_text(asdict(self), sort_keys=True, ascii_only=True).encode())
         if self.calibration:
             digest.update(Path(self.calibration).read_bytes())
         digest.update(code_hash().encode())

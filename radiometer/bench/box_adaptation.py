@@ -23,7 +23,7 @@ from radiometer.bench.boxes import LightBoxConfig, OpenedBox, open_light_box
 from radiometer.bench.light_bench import open_light_camera
 from radiometer.data.config_files import shipped_config
 from radiometer.devices.light_box import Radiance
-from radiometer.devices.retinal_safety import HazardFractions, refuse_unsafe
+from radiometer.devices.retinal_safety import HazardFractions
 from radiometer.errors import CalibrationError, MeasurementError, RadiometerError, SettingOutOfRange, UsageError
 from simulators.light_box.box import LightBoxTwin
 from simulators.observers.eye_kinetics import Eye, drawn_amd_eye, drawn_clinical_eye
@@ -53,6 +53,7 @@ class BoxRequest:
         subject: Simulated subject before the simulated box, as `seat_subject` knows them; None for nobody.
         seed: Makes the simulated subject's answers.
         preset: Light-box preset; the reference box's where None.
+        eye: Whose eye looks, such as "S07 right", for the account of its exposure; None where it is not known.
     """
 
     box: str | None = None
@@ -67,6 +68,7 @@ class BoxRequest:
     subject: str | None = None
     seed: int = 0
     preset: Path | None = None
+    eye: str | None = None
 
 
 @contextmanager
@@ -85,7 +87,7 @@ def open_box_stage(protocol: AdaptationProtocol, request: BoxRequest) -> Iterato
         raise UsageError("a simulated subject can only sit before the simulated box: --box sim")
     own = request.box == SIMULATED and request.calibration is None
     file = shipped_config(SIMULATED_CALIBRATION) if own else request.calibration
-    with open_light_box(request.box, calibration=file, preset=request.preset) as opened:
+    with open_light_box(request.box, calibration=file, preset=request.preset, eye=request.eye) as opened:
         if opened.calibration is None:
             raise CalibrationError(
                 f"light box {opened.box.identity.serial} has no calibration: make one with `radiometer light calibrate`"
@@ -238,7 +240,7 @@ def _safe(opened: OpenedBox, lights: BoxLights) -> Finding:
         whole = HazardFractions(sum(one.blue_light for one in used), max(one.thermal for one in used))
         facts |= {"blue_light": float(f"{whole.blue_light:.3g}"), "thermal": float(f"{whole.thermal:.3g}")}
         facts["bleach_w_sr_m2"] = float(f"{lights.bleach.radiance_w_sr_m2:.5g}")
-        refuse_unsafe(f"protocol {protocol.name}", whole, box.ledger.allowed_fraction)
+        box.ledger.refuse_further(f"protocol {protocol.name}", whole)
     except RadiometerError as refusal:
         return Finding("check", facts, _explained(refusal, opened, lights))
     return Finding("check", facts)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 import tempfile
 import time
@@ -21,10 +22,11 @@ from radiometer.data.config_files import shipped_config
 from radiometer.data.light_calibration import LightCalibration
 from radiometer.data.storage import read_yaml
 from radiometer.data.validation import ConfigSection, validate
+from radiometer.devices.exposure_account import AccountStore, FileStore, MemoryStore
 from radiometer.devices.exposure_ledger import ExposureLedger
 from radiometer.devices.light_box import LightBoxIdentity
-from radiometer.devices.retinal_safety import DEFAULT_FRACTION, ChannelOptics, FlashLight
-from radiometer.errors import CalibrationError, ConfigurationError, DeviceInUse, DeviceNotFound, InputError
+from radiometer.devices.retinal_safety import BLUE_WINDOW_S, DEFAULT_FRACTION, ChannelOptics, FlashLight
+from radiometer.errors import CalibrationError, ConfigurationError, DeviceInUse, DeviceNotFound, InputError, UsageError
 from simulators.light_box.box import LightBoxTwin, TwinSettings
 from simulators.light_box.virtual_line import VirtualLine
 
@@ -32,6 +34,7 @@ SIMULATED: Final = "sim"
 SIMULATED_SERIAL: Final = "SIM00001"
 DEFAULT_PRESET: Final = "light_boxes/reference.yaml"
 PORT_VARIABLE: Final = "RADIOMETER_LIGHT_BOX_PORTS"
+STATE_VARIABLE: Final = "RADIOMETER_STATE"
 TEND_SLICE_S: Final = 0.2
 ARDUINO_VENDORS: Final = frozenset({0x2341, 0x2A03})  # Arduino, and its former twin; the box is an Arduino Uno
 BOX_WORDS: Final = ("arduino", "radiometer")
@@ -138,7 +141,10 @@ def candidate_ports() -> list[str]:
     named = [port for port in os.environ.get(PORT_VARIABLE, "").split(os.pathsep) if port]
     folder = simulated_port_folder()
     simulated = sorted(str(link) for link in folder.glob("*") if link.exists()) if is_ours(folder) else []
-    return list(dict.fromkeys([*named, *simulated, *_box_like_ports()]))
+    by_device: dict[str, str] = {}
+    for port in [*named, *simulated, *_box_like_ports()]:  # a device counts once, by the first of its names
+        by_device.setdefault(os.path.realpath(port), port)
+    return list(by_device.values())
 
 
 def _box_like_ports() -> list[str]:
@@ -179,7 +185,7 @@ def find_boxes(ports: list[str] | None = None) -> tuple[list[LightBoxIdentity], 
         mild = ports is None and not _is_named_or_simulated(port)
         if mild and _SILENT.get(port) == _when_plugged(port):
             continue
-        box = _serial_box(port, read_preset(), None)
+        box = _serial_box(port, read_preset(), MemoryStore(time.monotonic))  # it is asked, and gives no light
         box.keep_alive, box.mild = False, mild
         try:
             with box:
@@ -197,9 +203,79 @@ def calibration_file(serial: str) -> Path:
     return Path(base) / "radiometer" / "light_boxes" / f"{serial}.yaml"
 
 
+def exposure_store() -> FileStore:
+    """Return the account of retinal exposure of this user: in RADIOMETER_STATE, else in the XDG state folder."""
+    base = Path(os.environ.get("XDG_STATE_HOME") or Path(".local") / "state")
+    # A relative path begins at the user's home: the same one whatever folder a command runs in.
+    return FileStore(Path.home() / (os.environ.get(STATE_VARIABLE) or base / "radiometer"))
+
+
+def confirm_no_exposure(serial: str) -> None:
+    """Take a person's word that no eye that will look into a light box was exposed in the last 10⁴ s.
+
+    It ends the time for which a box without a history counts as used up. What the account knows to be given stays.
+
+    Args:
+        serial: Serial number of the box.
+
+    Raises:
+        UnsafeStimulus: If the account cannot be stored.
+    """
+    with exposure_store().change() as account:
+        account.confirm(serial)
+
+
+def require_known_box(serial: str | None) -> str:
+    """Return a serial number that the account knows.
+
+    Raises:
+        UsageError: If none is named, or the account does not know it: a box is known once it was opened.
+        UnsafeStimulus: If the account cannot be read.
+    """
+    known = sorted(key.removeprefix("box ") for key in exposure_store().look().given if key.startswith("box "))
+    if serial is None or serial not in known:
+        named = (
+            "name a light box by its serial number" if serial is None else f"the account knows no light box {serial}"
+        )
+        there = f"it knows {', '.join(known)}" if known else "it knows none"
+        raise UsageError(f"{named}: --box SERIAL; {there}. A box is known once a command has opened it")
+    return serial
+
+
+@dataclass(frozen=True, slots=True)
+class ExposureReport:
+    """What the account of retinal exposure holds of a box or an eye.
+
+    Attributes:
+        name: "box SERIAL" or "eye SUBJECT right".
+        blue_light: Fraction of the blue-light limit used up within 10⁴ s, with all that is planned.
+        frees_in_s: Time in s after which all of it has left the window.
+        unknown_for_s: Time in s for which the limit counts as used up, for the history is unknown; 0 where it is known.
+    """
+
+    name: str
+    blue_light: float
+    frees_in_s: float
+    unknown_for_s: float
+
+
+def exposure_reports() -> list[ExposureReport]:
+    """Return what the account holds of every box and eye. Raises UnsafeStimulus if it cannot be read."""
+    account = exposure_store().look()
+    names = {*account.given, *(key for planned in account.planned.values() for key in planned.keys)}
+    reports = []
+    for name in sorted(names):
+        open_blue = sum(planned.blue() for planned in account.planned.values() if name in planned.keys)
+        frees_s = max(account.given.get(name, {}), default=-math.inf) + BLUE_WINDOW_S - account.now_s
+        unknown_s = account.assumed.get(name, (account.now_s, ""))[0] - account.now_s
+        frees_in_s = BLUE_WINDOW_S if open_blue else max(frees_s, 0.0)
+        reports.append(ExposureReport(name, account.blue(name) + open_blue, frees_in_s, unknown_s))
+    return reports
+
+
 @contextmanager
 def open_light_box(
-    name: str | None = None, *, calibration: Path | None = None, preset: Path | None = None
+    name: str | None = None, *, calibration: Path | None = None, preset: Path | None = None, eye: str | None = None
 ) -> Iterator[OpenedBox]:
     """Open a light box for the block; it is dark afterwards.
 
@@ -207,6 +283,7 @@ def open_light_box(
         name: "sim", a serial number or a port; None for the only one that answers.
         calibration: Calibration file; the one kept for its serial number where None.
         preset: Light-box preset; the reference box's where None.
+        eye: Whose eye looks into it, such as "S07 right": its exposure is counted over all boxes. None: not known.
 
     Raises:
         DeviceNotFound: If it does not answer, or several do and none is named.
@@ -215,6 +292,7 @@ def open_light_box(
     """
     config = read_preset(preset)
     opened = _simulated(config) if name == SIMULATED else _real(name, config)
+    opened.box.ledger.eye = eye
     with opened.box as box:
         file = calibration or calibration_file(box.identity.serial)
         known = read_box_calibration(file, box.identity.serial) if calibration or file.is_file() else None
@@ -234,19 +312,17 @@ def read_box_calibration(path: Path, serial: str) -> LightCalibration:
     return calibration
 
 
-def _serial_box(port: str, config: LightBoxConfig, calibration: LightCalibration | None) -> SerialLightBox:
-    line = SerialLine(port)
+def _serial_box(port: str, config: LightBoxConfig, store: AccountStore) -> SerialLightBox:
     return SerialLightBox(
-        BoxLink(line),
-        ExposureLedger(config.optics, line.now, config.allowed_fraction),
-        calibration=calibration,
+        BoxLink(SerialLine(port)),
+        ExposureLedger(config.optics, store, config.allowed_fraction),
         flash=config.flash.light if config.flash else None,
     )
 
 
 def _real(name: str | None, config: LightBoxConfig) -> OpenedBox:
     port = name if name is not None and ("/" in name or Path(name).exists()) else _port_of(name)
-    return OpenedBox(_serial_box(port, config, None), config, None, time.sleep)
+    return OpenedBox(_serial_box(port, config, exposure_store()), config, None, time.sleep)
 
 
 def _port_of(serial: str | None) -> str:
@@ -268,7 +344,7 @@ def _port_of(serial: str | None) -> str:
 def _simulated(config: LightBoxConfig) -> OpenedBox:
     twin = LightBoxTwin(TwinSettings(serial=SIMULATED_SERIAL))
     line = VirtualLine(twin, latency_s=0.0003)
-    ledger = ExposureLedger(config.optics, line.now, config.allowed_fraction)
+    ledger = ExposureLedger(config.optics, MemoryStore(line.now, (SIMULATED_SERIAL,)), config.allowed_fraction)
     flash = config.flash.light if config.flash else None
     box = SerialLightBox(BoxLink(line), ledger, keep_alive=False, flash=flash)
 

@@ -116,7 +116,7 @@ def _halving_ratio(camera: Camera, settings: CameraSettings, black_dn: float) ->
     shorter_s = camera.configure(replace(settings, exposure_s=settings.exposure_s / 2)).exposure_s
     shorter = camera.capture(4)
     lit = longer[0].dn > black_dn + 0.5 * (_high(longer[0]) - black_dn)
-    lit &= longer[0].dn < 0.9 * longer[0].full_scale_dn
+    lit &= longer[0].dn < 0.9 * longer[0].saturated_dn
     bright, dim = (np.array([f.dn[lit].mean() for f in group]) - black_dn for group in (longer[1:], shorter[1:]))
     value = float(dim.mean() / bright.mean()) * (longer_s / shorter_s) / 2
     noise = SensorNoise.of(camera.description)
@@ -135,7 +135,7 @@ def _metered(camera: Camera, black_dn: float) -> CameraSettings | None:
         frame = camera.capture(1)[0] if camera.configure(settings) else None
         if frame is None:
             return None
-        fraction = (_high(frame) - black_dn) / (frame.full_scale_dn - black_dn)
+        fraction = (_high(frame) - black_dn) / (frame.saturated_dn - black_dn)
         if _LIGHT[0] <= fraction <= _LIGHT[1]:
             return settings
         factor = 0.25 if fraction > 0.95 else min(max(0.55 / max(fraction, 1e-4), 0.1), 16.0)

@@ -23,6 +23,7 @@ from radiometer.analysis.calibration.shared import require_camera
 from radiometer.analysis.reading.contributions import PatchSituation
 from radiometer.analysis.reading.reading import patch_situation, read_patch
 from radiometer.data import Bracket, Calibration, Frame, LensDescription, Patch, Reading, SourceDescription
+from radiometer.data.pile_up import with_white_levels
 from radiometer.data.setup import AS_CALIBRATED, Setup
 from radiometer.devices import Camera
 from radiometer.errors import UsageError
@@ -40,8 +41,8 @@ _DARK_MATTERS_REL = 0.003
 
 
 def clipped_part(frame: Frame) -> float:
-    """Return the part of a frame's pixels that stand within 2 % of full scale."""
-    return float(np.mean(frame.dn >= 0.98 * frame.full_scale_dn))
+    """Return the part of a frame's pixels that stand within 2 % of the white level."""
+    return float(np.mean(frame.dn >= 0.98 * frame.saturated_dn))
 
 
 @dataclass(frozen=True, slots=True)
@@ -104,7 +105,7 @@ class Instrument:
         frames = self._unclipped(frames, request, progress)
         darks = self._of_dark(frames)
         frames += [*self._of_surround(frames), *darks]
-        return Bracket.from_frames(frames, origin=self.camera.identity.device_id)
+        return Bracket.from_frames(with_white_levels(frames), origin=self.camera.identity.device_id)
 
     def _unclipped(self, frames: list[Frame], request: BracketRequest, progress: Progress | None) -> list[Frame]:
         """Return the frames, or shorter ones where the light was another than metered: all clip, or some as short.
@@ -122,7 +123,7 @@ class Instrument:
 
     def _clips_unforeseen(self, frames: list[Frame]) -> bool:
         """Tell whether the patch clips in all frames, or in one exposed no longer than one in which it does not."""
-        parts = [(float(np.mean(f.dn[self.patch.slices] >= 0.98 * f.full_scale_dn)), f.settings) for f in frames]
+        parts = [(float(np.mean(f.dn[self.patch.slices] >= 0.98 * f.saturated_dn)), f.settings) for f in frames]
         clear = [settings.exposure_s for part, settings in parts if part < _CLIPS]
         clipped = [settings.exposure_s for part, settings in parts if part >= _CLIPS]
         return bool(clipped) and min(clipped) <= max(clear, default=math.inf) * (1 + 1e-9)

@@ -13,14 +13,13 @@ import numpy as np
 
 from radiometer.analysis.photometry.display_types import CRT, DISPLAY_TYPES
 from radiometer.analysis.photometry.photometry import Observer, luminous_efficacy_lm_per_w
-from radiometer.analysis.photometry.spectra import Spectrum, spectrum
+from radiometer.analysis.photometry.spectra import Spectrum, spectral_columns, spectrum
 from radiometer.bench.assembly import calibration_path, open_bench_camera
 from radiometer.bench.box_holder import darken_held
 from radiometer.bench.cameras import SIMULATED, preset_path
 from radiometer.bench.config import BenchConfig, SimulatedCameraConfig, read_bench
 from radiometer.bench.instrument import Instrument, central_patch
 from radiometer.data import Calibration, Patch, Reading
-from radiometer.data.storage import read_text
 from radiometer.devices import Camera, CameraPreset, CameraSettings, Display
 from radiometer.errors import ConfigurationError, InputError, UsageError
 from radiometer.screen.checks import Flicker, Uniformity, judge_flicker
@@ -132,17 +131,9 @@ def primaries_of(display: str, channels: Sequence[str], primaries: str | None) -
 
 
 def _measured_primaries(path: Path) -> dict[str, Light]:
-    lines = [line.replace(";", ",") for line in read_text(path).splitlines() if line.strip()]
-    rows = [line.split(",") for line in lines if not line.startswith("#")]
-    try:
-        table = np.array(rows[1:], dtype=np.float64)
-    except ValueError as error:
-        raise InputError(f"{path}: expected wavelength_nm,red,green,blue: {error}") from error
-    if table.ndim != 2 or table.shape[0] < 2 or table.shape[1] < 4 or np.any(np.diff(table[:, 0]) <= 0):
-        raise InputError(f"{path}: expected ascending rows of wavelength_nm,red,green,blue")
+    wavelength, columns = spectral_columns(path, {one: (one, one[0], f"rgb_{one[0]}") for one in PRIMARIES})
     return {
-        one: _light_of(Spectrum(f"{path.name}:{one}", table[:, 0], np.maximum(table[:, n + 1], 0.0)))
-        for n, one in enumerate(PRIMARIES)
+        one: _light_of(Spectrum(f"{path.name}:{one}", wavelength, np.maximum(columns[one], 0.0))) for one in PRIMARIES
     }
 
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from radiometer.bench.box_adaptation import places_of, seat_subject
 from radiometer.bench.box_holder import runtime_folder
-from radiometer.bench.boxes import SIMULATED_PORTS, read_preset
+from radiometer.bench.boxes import SIMULATED_PORTS, exposure_store, read_preset
 from radiometer.errors import OutputError, UsageError
 from simulators.light_box.avr_box import AvrBox
 from simulators.light_box.box import LightBoxTwin, TwinSettings
@@ -62,6 +62,7 @@ def served_box(
         UsageError: If a subject is to sit before the firmware, whose LEDs are not simulated, or is unknown.
         OutputError: If the link cannot be made.
         MissingLibrary: If simavr is asked for and not installed.
+        UnsafeStimulus: If the account of its exposure cannot be stored.
     """
     place = link or runtime_folder(SIMULATED_PORTS) / serial
     try:
@@ -71,6 +72,8 @@ def served_box(
     faults_in, faults_out = (LineFaults(corrupt, drop, rng=np.random.default_rng((seed, way))) for way in (0, 1))
     if firmware is not None and subject is not None:
         raise UsageError("a simulated subject sees the LEDs of the twin, not of the firmware: leave out one of them")
+    with exposure_store().change() as account:
+        account.begin(serial)  # a box that is simulated from now on: no eye was before it
     if firmware is not None:
         avr = AvrBox(firmware, serial)
         server = PtyServer(avr, place, faults_in, faults_out)

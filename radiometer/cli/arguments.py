@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from fractions import Fraction
 from typing import Final
 
 from radiometer.data.reading import Patch
 from radiometer.errors import UsageError
+from radiometer.units import read_number, unit_of
 
 
 def parse_patch(text: str) -> Patch:
@@ -32,15 +32,14 @@ def parse_seconds(text: str, option: str) -> float:
     Raises:
         UsageError: If it is no time above 0.
     """
-    scale, number = 1.0, text.strip()
-    for ending, factor in (("us", 1e-6), ("µs", 1e-6), ("ms", 1e-3), ("s", 1.0)):
-        if number.endswith(ending):
-            scale, number = factor, number[: -len(ending)].strip()
-            break
     try:
-        seconds = float(Fraction(number)) * scale if "/" in number else float(number) * scale
-    except (ValueError, ZeroDivisionError) as error:
+        number, spelling = read_number(text)
+    except ValueError as error:
         raise UsageError(f"{option} {text!r}: expected a time such as 0.008, 1/125, 8ms or 500us") from error
+    unit = unit_of(spelling or "s", "exposure")
+    if unit is None:
+        raise UsageError(f"{option} {text!r}: {spelling!r} is no unit of time; use s, ms, us, ns or min")
+    seconds = unit.to_base(number)
     if not (math.isfinite(seconds) and seconds > 0):
         raise UsageError(f"{option} {text!r}: a time must be above 0")
     return seconds

@@ -1,26 +1,33 @@
-"""Measures continuously and on demand, one measurement at a time."""
+"""Measures continuously and on demand, one measurement at a time, each kind in its turn."""
 
 from __future__ import annotations
 
 import asyncio
+import itertools
 import time
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from typing import Final
+from typing import Any, Final, Literal
 
 import structlog
 
 from radiometer.daemon.alarms import Alarms
 from radiometer.daemon.instrument import Measurement, MeasurementSettings, Origin, ServedInstrument
+from radiometer.daemon.journal import JournalError
 from radiometer.daemon.journal_writer import JournalWriter
 from radiometer.daemon.keeper import DeviceKeeper
+from radiometer.daemon.lateness import Lateness
 from radiometer.data import Patch, Reading
-from radiometer.errors import DeviceError, RadiometerError
+from radiometer.errors import DeviceError, RadiometerError, SettingOutOfRange, UsageError
 
 _log = structlog.get_logger(__name__)
 ALARM: Final = "measurement"
+WAVELENGTH_LIMITS_NM: Final = (300.0, 1200.0)
+EVERY_LIMITS_S: Final = (0.0, 86400.0)
 _PAUSE_AFTER_ERROR_S: Final = 0.5
+_JOURNAL_PATIENCE_S: Final = 5.0  # a client is not kept waiting for a journal that is known to be blocked
+_Turn = Literal["shared", "asked", "named"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,15 +40,18 @@ class _Request:
 class Acquisition:
     """Runs the measurements.
 
-    Requests that wait for the same settings share one measurement, so the queue stays as short as the number of
-    different settings asked for. A measurement made with the settings in force belongs to all; any other is the own
-    one of the sessions that asked for it, and its reading says so.
+    There are three kinds: of the patch for all ("shared"), of the patches with names ("named"), and what clients ask
+    for ("asked"). Of the kinds that wait, the one goes next that was served longest ago: none waits for more than two
+    measurements of the others. Requests that wait for the same settings share one measurement. One made with the
+    settings in force belongs to all; any other is the own one of the sessions that asked for it, and its reading
+    carries their names.
 
     Args:
         instrument: The camera with its calibration.
         keeper: Keeps that camera open.
         writer: Commits the readings.
         alarms: Where failures of continuous measurement are reported.
+        lateness: Follows whether the period is kept.
         on_measured: Called with every measurement, what it was made for and its duration in s, before it is committed.
     """
 
@@ -51,10 +61,13 @@ class Acquisition:
         keeper: DeviceKeeper,
         writer: JournalWriter,
         alarms: Alarms,
+        lateness: Lateness,
         on_measured: Callable[[Measurement, Origin, float], None],
     ) -> None:
         self._instrument, self._keeper, self._writer, self._alarms = instrument, keeper, writer, alarms
-        self._on_measured = on_measured
+        self._lateness, self._on_measured = lateness, on_measured
+        self._served = dict[_Turn, int](shared=0, asked=0, named=0)
+        self._turns = itertools.count(1)
         self._requests: dict[MeasurementSettings, _Request] = {}
         self._wake = asyncio.Event()
         self._due_at = 0.0
@@ -76,27 +89,60 @@ class Acquisition:
         return self._every_s
 
     def set_every(self, every_s: float | None) -> None:
-        """Set the period of continuous measurement in s; None stops it."""
+        """Set the period of continuous measurement in s; None stops it. Raises SettingOutOfRange."""
+        if every_s is not None:
+            self._refuse_outside("period", every_s, *EVERY_LIMITS_S, "s")
         self._every_s = every_s
+        self._lateness.follow(every_s)
         self._due_at = time.monotonic()
         if every_s is None:
             self._round.clear()
             self._alarms.clear(ALARM, "continuous measurement was ended")
         self._wake.set()
 
-    async def measure(self, settings: MeasurementSettings, deadline_s: float, session: str = "") -> Reading:
+    def check_settings(self, settings: MeasurementSettings) -> None:
+        """Refuse settings outside the limits. Raises SettingOutOfRange, UsageError (the patch) or DeviceError."""
+        limits = self._instrument.limits
+        if not settings.auto_exposure:
+            self._refuse_outside("exposure time", settings.exposure_s, *limits.exposure_s, "s")
+        self._refuse_outside("gain", settings.gain_db, *limits.gain_db, "dB")
+        if settings.wavelength_nm is not None:
+            self._refuse_outside("wavelength", settings.wavelength_nm, *WAVELENGTH_LIMITS_NM, "nm")
+        if settings.patch is not None and not settings.patch.fits((limits.height, limits.width)):
+            patch = settings.patch
+            raise UsageError(
+                f"patch {patch.x},{patch.y},{patch.width},{patch.height} is not inside the picture of"
+                f" {limits.width} × {limits.height} pixels"
+            )
+
+    async def measure(
+        self, settings: MeasurementSettings | None = None, deadline_s: float = 120.0, session: str = ""
+    ) -> Reading:
         """Return a reading that was begun after this call, committed to the journal.
 
+        One made with other settings than those in force is the session's own: no other client comes to see it.
+
         Args:
-            settings: What to measure with.
+            settings: What to measure with; the settings in force where None.
             deadline_s: Longest wait in s.
             session: Who asks.
 
         Raises:
+            JournalError: If it was measured but cannot be committed now; it waits, and clients see it later.
             DeviceError: If the camera is not there.
             RadiometerError: If the measurement fails.
             TimeoutError: If the deadline passes first.
         """
+        blocked = self._writer.trouble
+        wait_s = min(deadline_s, _JOURNAL_PATIENCE_S) if blocked else deadline_s
+        try:
+            return await self._ask(settings or self.settings, wait_s, session)
+        except TimeoutError as error:
+            if trouble := self._writer.trouble or blocked:
+                raise JournalError(trouble) from error
+            raise
+
+    async def _ask(self, settings: MeasurementSettings, deadline_s: float, session: str) -> Reading:
         if not self._keeper.is_ready:
             raise DeviceError(self._keeper.loss_message())
         request = self._requests.get(settings)
@@ -114,14 +160,23 @@ class Acquisition:
         while True:
             await self._writer.wait_for_room()
             await self._wait_until_needed()
-            if self._requests:
-                request = self._requests.pop(next(iter(self._requests)))
-                await self._serve(request)
-            elif self._round and self._every_s is not None:
+            turn = min(self._waiting(), key=self._served.__getitem__, default=None)
+            if turn is None:
+                continue
+            self._served[turn] = next(self._turns)
+            self._lateness.begun(turn)
+            if turn == "asked":
+                await self._serve(self._requests.pop(next(iter(self._requests))))
+            elif turn == "named":
                 await self._measure_named(self._round.popleft())
-            elif self._is_due():
+            else:
                 self._round.extend(name for name in self.named if name not in self._round)
                 await self._measure_continuously()
+
+    def _waiting(self) -> tuple[_Turn, ...]:
+        """Return the kinds of measurement that wait for their turn."""
+        kinds: dict[_Turn, Any] = {"shared": self._is_due(), "asked": self._requests, "named": self._round}
+        return tuple(kind for kind, waits in kinds.items() if waits)
 
     async def _serve(self, request: _Request) -> None:
         try:
@@ -134,8 +189,10 @@ class Acquisition:
     async def _measure_continuously(self) -> None:
         every_s = self._every_s or 0.0  # clients may change or end it while this measurement runs
         self._due_at = max(self._due_at + every_s, time.monotonic())
+        started = time.monotonic()
         try:
             await self._measure(Origin(self.settings))
+            self._lateness.took(time.monotonic() - started)
             self._alarms.clear(ALARM)
         except DeviceError:
             self._due_at = time.monotonic() + _PAUSE_AFTER_ERROR_S  # the keeper has its alarm up already
@@ -178,11 +235,15 @@ class Acquisition:
         reading = replace(measurement.reading, name=origin.name, session=",".join(origin.sessions))
         return self._writer.submit(reading, origin)
 
+    def _refuse_outside(self, name: str, value: float, low: float, high: float, unit: str) -> None:
+        if not low * (1 - 1e-9) <= value <= high * (1 + 1e-9):
+            raise SettingOutOfRange(self._instrument.identity.model, name, value, low, high, unit)
+
     def _is_due(self) -> bool:
         return self._every_s is not None and self._keeper.is_ready and time.monotonic() >= self._due_at
 
     async def _wait_until_needed(self) -> None:
-        while not (self._requests or self._round or self._is_due()):
+        while not self._waiting():
             self._wake.clear()
             try:
                 async with asyncio.timeout(self._pause_s()):

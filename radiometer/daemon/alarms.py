@@ -4,12 +4,53 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import Final
 
 import structlog
 
 from radiometer.data.provenance import utc_now
 
 _log = structlog.get_logger(__name__)
+
+
+@dataclass(frozen=True, slots=True)
+class AlarmKind:
+    """One of the alarms that the daemon knows.
+
+    Attributes:
+        name: Its name; a word in capitals is to be read as a channel or the name of a patch.
+        cause: When it goes up.
+        end: When it goes down.
+    """
+
+    name: str
+    cause: str
+    end: str
+
+
+KINDS: Final = (
+    AlarmKind("camera", "the camera is lost, late, or fails to measure", "a measurement works, or where the camera was"
+              " lost while idle, it answers again"),
+    AlarmKind("light box", "the light box is lost or late", "it answers again; all channels are dark then"),
+    AlarmKind("light CHANNEL", "a channel is not at the level that was set", "the channel is set anew"),
+    AlarmKind("journal", "the journal cannot be written, or was deleted, moved or replaced", "it is written again"),
+    AlarmKind("measurement", "the shared patch cannot be measured, as where every pixel is saturated",
+              "it was measured, or continuous measurement ended"),
+    AlarmKind("measurement PATCH", "a patch with a name cannot be measured", "it was measured, or was deleted"),
+    AlarmKind("period", "fewer than two thirds of the measurements due in the last 10 s (5 periods, if longer) began",
+              "nine tenths of them began, or another period was set"),
+    AlarmKind("reading", "no reading of the shared patch for 5 periods, 10 s and 3 times its last duration",
+              "a reading of it is in the journal, or continuous measurement ended"),
+    AlarmKind("reading PATCH", "the same for a patch with a name", "a reading of it came, or it was deleted"),
+    AlarmKind("limit PATCH", "two readings in a row are beyond a limit of the patch",
+              "two in a row are back inside by the hysteresis, or the limits or the patch changed"),
+    AlarmKind("calibration", "the calibration could not be read again, and the old one stays in use",
+              "it was read again"),
+    AlarmKind("mqtt", "the broker is away, refuses, or does not acknowledge what is published",
+              "it is connected and has acknowledged everything"),
+    AlarmKind("descriptors", "the system gives no more file descriptors, so that new clients are not served",
+              "a tenth of them is free again"),
+)  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,6 +89,11 @@ class Alarms:
     def active(self) -> tuple[Alarm, ...]:
         """Return the alarms that are up, oldest first."""
         return tuple(self._active.values())
+
+    def message_of(self, name: str) -> str:
+        """Return the message of an alarm; "" where it is not up."""
+        alarm = self._active.get(name)
+        return alarm.message if alarm else ""
 
     def put_up(self, name: str, message: str, *, worse: bool = False) -> None:
         """Put an alarm up; one that is up keeps its time and takes the new message.

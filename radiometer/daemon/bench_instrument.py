@@ -103,13 +103,16 @@ class BenchInstrument:
     def measure(self, settings: MeasurementSettings) -> Measurement:
         """Take a bracket, or frames of a fixed exposure, and return the reading of the patch."""
         camera = self._opened()
+        camera.take_doubts()
         instrument = self._instrument(camera, settings)
         if camera.settings.gain_db != settings.gain_db:
             camera.configure(replace(camera.settings, gain_db=settings.gain_db))
         bracket = instrument.take_bracket() if settings.auto_exposure else self._fixed(camera, settings.exposure_s)
         temperatures = [f.settings.temperature_c for f in bracket.light if f.settings.temperature_c is not None]
         self._temperature_c = temperatures[-1] if temperatures else self._temperature_c
-        return Measurement(instrument.read(bracket), _distinct(bracket), self.check())
+        reading = instrument.read(bracket)
+        reading = replace(reading, flags=tuple(sorted({*reading.flags, *camera.take_doubts()})))
+        return Measurement(reading, _distinct(bracket), self.check())
 
     def self_test(self) -> list[str]:
         """Take one of the shortest frames and look whether it is plausible. Raises DeviceError."""
@@ -151,7 +154,7 @@ class BenchInstrument:
         """Return the patch that the bench file names; None for the middle of the frame."""
         return self._config.patch.patch if self._config.patch else None
 
-    def _opened(self) -> Camera:
+    def _opened(self) -> WatchedCamera:
         if self._camera is None:
             raise DeviceError("the camera is not open")
         return self._camera

@@ -16,6 +16,7 @@ from typing import Any, Final
 import structlog
 
 from radiometer.daemon.hub import Subscription
+from radiometer.daemon.lateness import READING
 from radiometer.daemon.patches import MAIN
 from radiometer.daemon.station import Station
 from radiometer.data import Reading
@@ -133,7 +134,7 @@ class PvaServer:
 
     def _post(self) -> None:
         """Post the latest reading with the alarms that are up now."""
-        reading = self._station.latest
+        reading = self._station.shown.latest
         if reading is None:
             return
         common = {"alarm": self._alarm(reading), "timeStamp": _time_stamp(reading)}
@@ -142,7 +143,7 @@ class PvaServer:
         self._variables["flags"].post({"value": ",".join(reading.flags)} | common)
 
     async def _post_map(self) -> None:
-        measurement, reading = self._station.latest_measurement, self._station.latest
+        measurement, reading = self._station.shown.measurement, self._station.shown.latest
         if not self._watched or measurement is None or reading is None or not measurement.frames:
             return
         from radiometer.daemon.http.picture import composite
@@ -162,7 +163,7 @@ class PvaServer:
     def _number(self, name: str, reading: Reading) -> dict[str, Any]:
         quantity = reading.radiance if name.endswith("radiance") else reading.luminance
         value = math.nan if quantity is None else quantity.u if name.startswith("u_") else quantity.value
-        limits = self._station.watches[MAIN].limits
+        limits = self._station.patches.watches[MAIN].limits
         low, high = (limits.low, limits.high) if name == "radiance" else (None, None)
         alarm = {
             "active": low is not None or high is not None,
@@ -188,10 +189,11 @@ class PvaServer:
         return {"severity": _INVALID, "status": _RECORD_STATUS, "message": "no reading yet"}
 
     def _alarm(self, reading: Reading) -> dict[str, Any]:
-        """Return the alarm: invalid while the camera is lost, major with any alarm, minor with a flag."""
+        """Return the alarm: invalid while no reading can come, major with any alarm, minor with a flag."""
         up = {alarm.name: alarm.message for alarm in self._station.alarms.active}
-        if "camera" in up:
-            return {"severity": _INVALID, "status": _DEVICE_STATUS, "message": up["camera"]}
+        for name in ("camera", READING):  # the value is no longer one of now
+            if name in up:
+                return {"severity": _INVALID, "status": _DEVICE_STATUS, "message": up[name]}
         if up:
             return {"severity": _MAJOR, "status": _DEVICE_STATUS, "message": next(iter(up.values()))}
         if reading.flags:

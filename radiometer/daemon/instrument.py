@@ -85,7 +85,7 @@ class Measurement:
         """Return the longest exposure that hardly clips, else the shortest; None where there are no frames."""
         by_exposure = sorted(self.frames, key=lambda frame: frame.settings.effective_exposure_s)
         for frame in reversed(by_exposure):
-            if (frame.dn >= frame.full_scale_dn).mean() < _CLIPPED_FRACTION:
+            if (frame.dn >= frame.saturated_dn).mean() < _CLIPPED_FRACTION:
                 return frame
         return by_exposure[0] if by_exposure else None
 

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import errno
 import fcntl
-import json
 import math
 import os
 import sqlite3
@@ -20,6 +19,7 @@ from typing import IO, Any, Final, Self
 
 from radiometer.daemon.timestamps import microseconds, now_us
 from radiometer.data import Reading
+from radiometer.data.json_text import json_text
 from radiometer.errors import OutputError
 
 APPLICATION_ID: Final = 0x52414D4A  # "RAMJ": tells `file` and us that this is a radiometer journal
@@ -94,7 +94,10 @@ class Journal:
         self.path = path
         self._max_bytes = max_bytes
         self._connection: sqlite3.Connection | None = None
+        self._file = path  # where symbolic links lead to, once it is open
         self._lock_file: IO[str] | None = None
+        self._descriptor: int | None = None
+        self._last_sequence = 0
         self.newest_at_opening_us: int | None = None
         self.clock_doubt_us = 0
         self._was_open = False
@@ -108,10 +111,10 @@ class Journal:
         """
         if self._connection is not None:
             return
-        self._take_lock()
+        self._take_locks()
         try:
             connection = sqlite3.connect(
-                self.path, timeout=_BUSY_TIMEOUT_S, isolation_level=None, check_same_thread=False
+                self._file, timeout=_BUSY_TIMEOUT_S, isolation_level=None, check_same_thread=False
             )
             try:
                 self._prepare(connection)
@@ -119,10 +122,10 @@ class Journal:
                 connection.close()
                 raise
         except sqlite3.Error as error:
-            self._release_lock()
+            self._release_locks()
             raise self._explain(error) from error
         except OutputError:
-            self._release_lock()
+            self._release_locks()
             raise
         self._connection = connection
         if not self._was_open:
@@ -134,7 +137,7 @@ class Journal:
         if self._connection is not None:
             self._connection.close()
             self._connection = None
-        self._release_lock()
+        self._release_locks()
 
     def __enter__(self) -> Self:
         self.open()
@@ -156,11 +159,17 @@ class Journal:
         numbered: list[Reading] = []
         with self._transaction() as connection:
             (last,) = connection.execute("SELECT value FROM counters WHERE name = 'last_sequence'").fetchone()
+            if last < self._last_sequence:
+                raise JournalError(
+                    f"the content of the journal {self.path} was replaced: its last number is {last}, though"
+                    f" {self._last_sequence} was given already; put the newer file back, or name another with --journal"
+                )
             for sequence, reading in enumerate(readings, start=last + 1):
                 numbered.append(replace(reading, sequence=sequence))
             connection.executemany("INSERT INTO readings VALUES (?, ?, ?, ?, ?, ?, ?)", map(_row, numbered))
             connection.executemany(_ADD_TO_TREND, filter(None, map(_trend_row, numbered)))
             connection.execute("UPDATE counters SET value = ? WHERE name = 'last_sequence'", (last + len(numbered),))
+        self._last_sequence = last + len(numbered)
         return numbered
 
     def note(self, kind: str, message: str) -> None:
@@ -284,17 +293,61 @@ class Journal:
             )
 
     def _transaction(self) -> _Transaction:
+        return _Transaction(self, self._connected())
+
+    def _connected(self) -> sqlite3.Connection:
+        """Return the connection, opened where it is not, to the file at the journal's path."""
         if self._connection is None:
             self.open()
+        self._require_in_place()
         assert self._connection is not None
-        return _Transaction(self, self._connection)
+        return self._connection
+
+    def _require_in_place(self) -> None:
+        """Refuse to write where the file was deleted, moved or replaced: its readers would never find what is written.
+
+        A deleted file is written anew, for all that it held can still be read through the open connection.
+        """
+        assert self._descriptor is not None
+        held = os.fstat(self._descriptor)
+        try:
+            standing = self._file.stat()
+        except OSError:
+            standing = None
+        if standing is not None and os.path.samestat(standing, held):
+            return
+        if standing is None and held.st_nlink == 0:
+            self._write_anew()
+            raise JournalError(f"the journal {self.path} was deleted; it was written anew with all of its readings")
+        happened = "deleted, and another file took its place" if held.st_nlink == 0 else "moved or replaced"
+        remedy = "move that file away" if held.st_nlink == 0 else "put it back, or restart the daemon for a new one"
+        raise JournalError(f"the journal {self.path} was {happened} while the daemon writes it; {remedy}")
+
+    def _write_anew(self) -> None:
+        """Copy the whole journal from the open connection to where its deleted file was, and go on with the copy."""
+        assert self._connection is not None
+        copy = self._file.with_name(self._file.name + ".restored")
+        try:
+            copy.parent.mkdir(parents=True, exist_ok=True)
+            copy.unlink(missing_ok=True)
+            target = sqlite3.connect(copy)
+            try:
+                self._connection.backup(target)
+            finally:
+                target.close()
+            for ending in ("-wal", "-shm"):  # they belong to the deleted file, not to the copy
+                self._file.with_name(self._file.name + ending).unlink(missing_ok=True)
+            copy.rename(self._file)
+        except sqlite3.Error as error:
+            raise self._explain(error) from error
+        except OSError as error:
+            raise JournalError(f"cannot write the journal {self.path} anew: {error.strerror or error}") from error
+        self.close()
+        self.open()
 
     def _execute(self, statement: str) -> None:
-        if self._connection is None:
-            self.open()
-        assert self._connection is not None
         try:
-            self._connection.execute(statement).fetchall()
+            self._connected().execute(statement).fetchall()
         except sqlite3.Error as error:
             raise self._explain(error) from error
 
@@ -310,25 +363,35 @@ class Journal:
         }
         return JournalError(f"cannot write the journal {self.path}: {error}; {ways_out.get(code, 'trying again')}")
 
-    def _take_lock(self) -> None:
+    def _take_locks(self) -> None:
+        """Lock the name of the file, which those of its WAL depend on, and the file itself, whatever it is called.
+
+        The second also finds a hard link. The descriptor stays open as long as the connection: closing it would drop
+        the POSIX locks that SQLite holds on the same file (sqlite.org/howtocorrupt.html, 2.2).
+        """
         try:
-            self.path.parent.mkdir(parents=True, exist_ok=True)
-            lock_file = self.path.with_name(self.path.name + ".lock").open("a", encoding="ascii")
+            self._file = self.path.resolve()
+            self._file.parent.mkdir(parents=True, exist_ok=True)
+            self._lock_file = self._file.with_name(self._file.name + ".lock").open("a", encoding="ascii")
+            fcntl.flock(self._lock_file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            self._descriptor = os.open(self._file, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o644)
+            fcntl.flock(self._descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError as error:
+            self._release_locks()
+            raise OutputError(
+                f"another daemon writes the journal {self.path}; stop it or name another with --journal"
+            ) from error
         except OSError as error:
+            self._release_locks()
             kind = JournalError if error.errno in (errno.ENOSPC, errno.EDQUOT) else OutputError
             raise kind(
                 f"cannot write the journal {self.path}: {error.strerror or error}; name another place with --journal"
             ) from error
-        try:
-            fcntl.flock(lock_file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError as error:
-            lock_file.close()
-            raise OutputError(
-                f"another daemon writes the journal {self.path}; stop it or name another with --journal"
-            ) from error
-        self._lock_file = lock_file
 
-    def _release_lock(self) -> None:
+    def _release_locks(self) -> None:
+        if self._descriptor is not None:
+            os.close(self._descriptor)
+            self._descriptor = None
         if self._lock_file is not None:
             self._lock_file.close()
             self._lock_file = None
@@ -406,6 +469,6 @@ def _row(reading: Reading) -> tuple[int, int, float | None, str, str, str, str]:
         value if math.isfinite(value) else None,
         flags,
         reading.to_json(),
-        json.dumps(budget),
+        json_text(budget),
         stream_of(reading),
     )

@@ -67,6 +67,11 @@ class JournalWriter:
         """Return how many readings wait to be committed."""
         return len(self._waiting)
 
+    @property
+    def trouble(self) -> str:
+        """Return why the journal cannot be written just now; "" where it can."""
+        return self._alarms.message_of(ALARM)
+
     async def open(self) -> None:
         """Open the journal; one that is merely locked or full puts up an alarm and is tried again.
 
@@ -108,6 +113,11 @@ class JournalWriter:
         """Queue what is to be kept of a patch; None forgets it."""
         self._kept_patches[name] = line
         self._work.set()
+
+    @property
+    def has_room(self) -> bool:
+        """Tell whether fewer than `capacity` readings wait."""
+        return self._room.is_set()
 
     async def wait_for_room(self) -> None:
         """Return once fewer than `capacity` readings wait."""

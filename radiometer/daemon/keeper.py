@@ -24,12 +24,15 @@ from radiometer.errors import (
     DeviceTimeout,
     MissingLibrary,
     RadiometerError,
+    SettingOutOfRange,
+    UnsafeStimulus,
 )
 
 _log = structlog.get_logger(__name__)
 _T = TypeVar("_T")
 _LOOK_S = 0.02
 _FIRST_CALL_S = 2.0  # a call never made before may take so long, for nothing is known of it
+_REFUSALS = (SettingOutOfRange, UnsafeStimulus)  # the caller asked for too much; the device is well
 _LOSS = (DeviceLost, DeviceTimeout, DeviceNotFound, DeviceInUse, MissingLibrary)
 
 
@@ -59,6 +62,7 @@ class DeviceState(StrEnum):
 
     READY = "ready"
     OVERDUE = "overdue"  # a call takes longer than it should: the device may be gone
+    FAILING = "failing"  # open, but what failed last has not worked since
     LOST = "lost"
     CLOSED = "closed"
 
@@ -88,6 +92,8 @@ class DeviceKeeper:
         device: The device, not yet open.
         alarms: Where its loss is reported.
         times: Pauses and deadlines.
+        proof: The call that proves that the device does its work, such as "measure". Where it fails, an open port
+            ends no alarm: only that call does, once it works.
         after_open: Called in the event loop after each opening.
         after_check: Called in the event loop with what an idle device reported.
         sleep: Waits for a number of seconds.
@@ -100,13 +106,14 @@ class DeviceKeeper:
         alarms: Alarms,
         *,
         times: KeeperTimes | None = None,
+        proof: str = "",
         after_open: Callable[[], None] = lambda: None,
         after_check: Callable[[DeviceReport], None] = lambda report: None,
         sleep: Callable[[float], Awaitable[None]] = asyncio.sleep,
     ) -> None:
         self.name, self.state, self.report, self.losses = name, DeviceState.CLOSED, DeviceReport(), 0
         self._device, self._alarms, self._after_open, self._sleep = device, alarms, after_open, sleep
-        self._after_check = after_check
+        self._after_check, self._proof, self._failure = after_check, proof, ""
         self._times = times or KeeperTimes()
         self._busy = asyncio.Lock()
         self._trouble = asyncio.Event()
@@ -118,8 +125,8 @@ class DeviceKeeper:
 
     @property
     def is_ready(self) -> bool:
-        """Tell whether the device is open and answering."""
-        return self.state in (DeviceState.READY, DeviceState.OVERDUE)
+        """Tell whether the device is open, so that it can be tried."""
+        return self.state in (DeviceState.READY, DeviceState.OVERDUE, DeviceState.FAILING)
 
     @property
     def stuck_s(self) -> float:
@@ -133,13 +140,14 @@ class DeviceKeeper:
                 await self._in_thread("open", self._device.open)
                 self.report = await self._in_thread("check", self._device.check)
             except DeviceError as error:
-                self._set_lost(error)
+                self._set_lost(error, "open")
                 await self._in_thread("close", self._device.close)
                 return False
-            self.state = DeviceState.READY
+            self.state = DeviceState.FAILING if self._failure else DeviceState.READY
             self._last_used = time.monotonic()
         self._after_open()
-        self._alarms.clear(self.name, f"{self.name} is back" if self.losses else f"{self.name} is open")
+        if not self._failure:
+            self._alarms.clear(self.name, f"{self.name} is back" if self.losses else f"{self.name} is open")
         return True
 
     async def use(self, call: Callable[..., _T], *arguments: object, usual_s: float | None = None) -> _T:
@@ -157,10 +165,18 @@ class DeviceKeeper:
         async with self._busy:
             if not self.is_ready:
                 raise DeviceLost(self.loss_message())
+            name = call.__name__
             try:
-                return await self._in_thread(call.__name__, call, *arguments, usual_s=usual_s)
+                result = await self._in_thread(name, call, *arguments, usual_s=usual_s)
+                self._worked(name)
+                return result
             except _LOSS as error:
-                self._set_lost(error)
+                self._set_lost(error, name)
+                raise
+            except _REFUSALS:
+                raise
+            except DeviceError as error:
+                self._set_failing(error, name)
                 raise
             finally:
                 self._last_used = time.monotonic()
@@ -176,7 +192,8 @@ class DeviceKeeper:
         pause_s = self._times.first_pause_s
         while True:
             if self.is_ready:
-                pause_s = self._times.first_pause_s
+                if self.state is DeviceState.READY:
+                    pause_s = self._times.first_pause_s
                 await self._look_after()
             elif not await self.open_once():
                 await self._sleep(pause_s)
@@ -210,12 +227,31 @@ class DeviceKeeper:
         except DeviceError as error:
             _log.debug("check failed", device=self.name, error=str(error))
 
-    def _set_lost(self, error: Exception) -> None:
-        newly = self.state is not DeviceState.LOST
+    def _set_lost(self, error: Exception, call: str) -> None:
+        newly = self.state in (DeviceState.READY, DeviceState.OVERDUE, DeviceState.CLOSED)
         self.losses += newly
         self.state = DeviceState.LOST
+        self._failure = str(error) if call == self._proof else self._failure
         self._alarms.put_up(self.name, f"{self.name} lost: {error}; trying to reopen it", worse=newly)
         self._trouble.set()
+
+    def _set_failing(self, error: Exception, call: str) -> None:
+        """Note that an open device does not do its work."""
+        if call != self._proof:
+            return
+        newly = self.state in (DeviceState.READY, DeviceState.OVERDUE)
+        self.state, self._failure = DeviceState.FAILING, str(error)
+        message = f"{self.name} is open but fails to {call}: {error}; the alarm ends when it works"
+        self._alarms.put_up(self.name, message, worse=newly)
+
+    def _worked(self, call: str) -> None:
+        """Note that a call returned: the proof ends what the proof began."""
+        if call != self._proof or not self._failure:
+            return
+        self._failure = ""
+        if self.state is DeviceState.FAILING:
+            self.state = DeviceState.READY
+            self._alarms.clear(self.name, f"{self.name} works again")
 
     async def _in_thread(
         self, name: str, call: Callable[..., _T], *arguments: object, usual_s: float | None = None

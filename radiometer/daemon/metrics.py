@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from typing import Final
 
 from prometheus_client import (
@@ -14,6 +14,9 @@ from prometheus_client import (
     ProcessCollector,
     generate_latest,
 )
+
+from radiometer.daemon.keeper import DeviceKeeper, DeviceState
+from radiometer.data import Reading
 
 CONTENT_TYPE: Final = "text/plain; version=0.0.4; charset=utf-8"
 _LATENCY_BUCKETS_S: Final = (0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1, 2, 5, 10, 30, 60, 120)
@@ -91,6 +94,35 @@ class Metrics:
         }
         self._seen: dict[str, int] = {}
         self._failed = 0
+
+    def take_reading(self, reading: Reading) -> None:
+        """Show a reading of the patch for all."""
+        unit = reading.radiance.unit
+        self.radiance.labels(unit).set(reading.radiance.value)
+        self.u_radiance.labels(unit).set(reading.radiance.u)
+        self.exposure_s.set(max(reading.exposures_s, default=0.0))
+        for flag in reading.flags:
+            self.flagged.labels(str(flag)).inc()
+
+    def take_patch_reading(self, reading: Reading) -> None:
+        """Show a reading of a patch with a name."""
+        labels = (reading.name, reading.radiance.unit)
+        self.patch_radiance.labels(*labels).set(reading.radiance.value)
+        self.patch_u_radiance.labels(*labels).set(reading.radiance.u)
+
+    def drop_patch(self, name: str) -> None:
+        """Show a patch no longer: it was moved or deleted."""
+        for gauge in (self.patch_radiance, self.patch_u_radiance):
+            for labels in [key for key in list(gauge._metrics) if key[0] == name]:
+                gauge.remove(*labels)
+
+    def take_devices(self, keepers: Iterable[DeviceKeeper]) -> None:
+        """Show how the devices are doing."""
+        for keeper in keepers:
+            self.device_up.labels(keeper.name).set(keeper.state is DeviceState.READY)
+            self.device_losses.labels(keeper.name).set(keeper.losses)
+            if keeper.report.temperature_c is not None:
+                self.temperature_c.labels(keeper.name).set(keeper.report.temperature_c)
 
     def take_failures(self, count: int) -> None:
         """Add the measurements that have failed since last time; `count` is of all."""

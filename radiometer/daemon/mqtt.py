@@ -4,13 +4,18 @@ from __future__ import annotations
 
 import asyncio
 import json
+import time
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Final
+from urllib.parse import quote
 
 import structlog
 
 from radiometer.daemon.hub import Event, Subscription
+from radiometer.daemon.patches import MAIN
 from radiometer.daemon.station import Station
+from radiometer.data.json_text import json_text
 from radiometer.errors import MissingLibrary, UsageError
 
 _log = structlog.get_logger(__name__)
@@ -18,6 +23,9 @@ ALARM: Final = "mqtt"
 _KEEP_ALIVE_S: Final = 10
 _AT_LEAST_ONCE: Final = 1
 _QUEUED_MESSAGES: Final = 1000
+_ACKNOWLEDGED_WITHIN_S: Final = 10.0  # a healthy broker takes milliseconds; as long as the connection is kept alive
+_LOOK_S: Final = 1.0
+_READING: Final = "reading"
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,8 +65,9 @@ def parse_target(text: str, prefix: str, user: str | None, password: str | None,
 class MqttPublisher:
     """Publishes each reading and state of one instrument.
 
-    Topics under PREFIX/SERIAL, all retained: `reading` (JSON line), `state` ("online"; "offline" is the last will),
-    `status` (alarms and device states as JSON).
+    Topics under PREFIX/SERIAL, all retained: `reading` and `patch/NAME/reading` (JSON lines), `status` (alarms and
+    device states as JSON), `state` ("online"; "offline" is the last will). A retained reading is cleared where it is no
+    longer one: the patch was moved or deleted, the daemon ended, or an earlier one was killed.
 
     Args:
         station: The instrument.
@@ -73,14 +82,17 @@ class MqttPublisher:
         self._mqtt = _library()
         self._client: Any = None
         self._subscription: Subscription | None = None
-        self._task: asyncio.Task[None] | None = None
+        self._tasks: list[asyncio.Task[None]] = []
         self._loop: asyncio.AbstractEventLoop | None = None
+        self._trouble = ""
+        self._waiting: dict[int, float] = {}  # when each message without an acknowledgement was published, by its id
+        self._dropped = 0
+        self._retained: set[str] = set()
 
     @property
     def topic(self) -> str:
         """Return what all topics of this instrument begin with."""
-        serial = self._station.instrument.identity.serial or "unknown"
-        return f"{self.target.prefix}/{''.join(c if c.isalnum() or c in '-_.' else '_' for c in serial)}"
+        return f"{self.target.prefix}/{topic_level(self._station.instrument.identity.serial or 'unknown')}"
 
     def start(self) -> None:
         """Connect in the background, now and whenever the connection is lost, and publish.
@@ -101,24 +113,30 @@ class MqttPublisher:
             client.tls_set()
         client.will_set(f"{self.topic}/state", "offline", qos=_AT_LEAST_ONCE, retain=True)
         client.on_connect, client.on_disconnect = self._connected, self._disconnected
-        client.on_connect_fail = self._not_connected
+        client.on_connect_fail, client.on_publish = self._not_connected, self._acknowledged
+        client.on_message = self._found
         client.connect_async(self.target.host, self.target.port, keepalive=_KEEP_ALIVE_S)
         client.loop_start()
         self._client = client
         self._subscription = self._station.hub.subscribe(_QUEUED_MESSAGES)
-        self._task = asyncio.create_task(self._follow())
+        self._station.on_change.append(self._clear_outdated)
+        self._tasks = [asyncio.create_task(self._follow()), asyncio.create_task(self._look_often())]
 
     def _start_once_known(self) -> None:
         if self._client is None and self._station.instrument.identity.serial:
             self.start()
 
     async def stop(self) -> None:
-        """Say goodbye and disconnect."""
-        if self._task is not None:
-            self._task.cancel()
+        """Clear what is retained, say goodbye and disconnect."""
+        for task in self._tasks:
+            task.cancel()
+        for callback in (self._start_once_known, self._clear_outdated):
+            if callback in self._station.on_change:
+                self._station.on_change.remove(callback)
         if self._client is not None:
-            message = self._client.publish(f"{self.topic}/state", "offline", qos=_AT_LEAST_ONCE, retain=True)
-            await asyncio.to_thread(self._finish, message)
+            for name in (*self._retained, "status"):
+                self._publish(name, "")
+            await asyncio.to_thread(self._finish, self._publish("state", "offline"))
 
     def _finish(self, message: Any) -> None:
         if self._client.is_connected():
@@ -131,21 +149,58 @@ class MqttPublisher:
             assert self._subscription is not None
             event = await self._subscription.next()
             if event is None:
-                if self._station.latest is None or self._client is None:
+                if self._station.shown.latest is None or self._client is None:
                     return
                 self._subscription = self._station.hub.subscribe(_QUEUED_MESSAGES)
-                continue
-            self._publish(_topic_of(event), event.line)
+            elif event.kind == "status" or topic_of(event) in self._current():
+                self._publish(topic_of(event), event.line)
 
-    def _publish(self, name: str, line: str) -> None:
-        self._client.publish(f"{self.topic}/{name}", line, qos=_AT_LEAST_ONCE, retain=True)
+    async def _look_often(self) -> None:
+        while True:
+            self._look()
+            await asyncio.sleep(_LOOK_S)
+
+    def _look(self) -> None:
+        """Put the alarm up where the broker is away or acknowledges nothing; down where all is acknowledged."""
+        if not self._waiting:
+            self._dropped = 0
+        oldest_s = time.monotonic() - min(self._waiting.values(), default=time.monotonic())
+        trouble = self._trouble
+        if not trouble and (oldest_s > _ACKNOWLEDGED_WITHIN_S or self._dropped):
+            trouble = f"MQTT broker {self.target} is connected but has not acknowledged a message for {oldest_s:.0f} s"
+        if not trouble:
+            self._station.alarms.clear(ALARM, "the MQTT broker takes messages again")
+            return
+        lost = f", {self._dropped} were dropped: {_QUEUED_MESSAGES} wait at most" if self._dropped else ""
+        self._station.alarms.put_up(ALARM, f"{trouble}; {len(self._waiting)} messages wait{lost}")
+
+    def _current(self) -> set[str]:
+        """Return the topics whose latest reading is one of what is measured now."""
+        watches = self._station.patches.watches
+        named = {_patch_topic(name) for name, watch in watches.items() if name != MAIN and watch.latest is not None}
+        return named | ({_READING} if self._station.shown.latest is not None else set())
+
+    def _clear_outdated(self) -> None:
+        for name in self._retained - self._current():
+            self._publish(name, "")
+
+    def _publish(self, name: str, line: str) -> Any:
+        """Publish a line to keep, or clear what is kept with an empty one."""
+        message = self._client.publish(f"{self.topic}/{name}", line, qos=_AT_LEAST_ONCE, retain=True)
+        if message.rc == self._mqtt.MQTT_ERR_QUEUE_SIZE:
+            self._dropped += 1
+            return message
+        self._waiting[message.mid] = time.monotonic()
+        if name.endswith(_READING):
+            (self._retained.add if line else self._retained.discard)(name)
+        return message
 
     def _connected(self, client: Any, userdata: Any, flags: Any, reason: Any, properties: Any) -> None:
         """Called in paho's thread."""
         if reason.is_failure:
             self._tell(f"MQTT broker {self.target} refuses: {reason}; look at user, password and TLS")
             return
-        client.publish(f"{self.topic}/state", "online", qos=_AT_LEAST_ONCE, retain=True)
+        client.subscribe(f"{self.topic}/{_patch_topic('+', quoted=True)}", qos=_AT_LEAST_ONCE)
         self._tell("")
 
     def _disconnected(self, client: Any, userdata: Any, flags: Any, reason: Any, properties: Any) -> None:
@@ -157,27 +212,50 @@ class MqttPublisher:
         """Called in paho's thread."""
         self._tell(f"MQTT broker {self.target} does not answer; trying again")
 
+    def _acknowledged(self, client: Any, userdata: Any, mid: int, reason: Any, properties: Any) -> None:
+        """Called in paho's thread."""
+        self._in_loop(lambda: self._waiting.pop(mid, None))
+
+    def _found(self, client: Any, userdata: Any, message: Any) -> None:
+        """Called in paho's thread: a reading that an earlier daemon left behind is cleared if its patch is gone."""
+        if message.retain and message.payload:
+            self._in_loop(lambda: self._left_behind(message.topic.removeprefix(f"{self.topic}/")))
+
+    def _left_behind(self, name: str) -> None:
+        self._retained.add(name)
+        self._clear_outdated()
+
     def _tell(self, trouble: str) -> None:
-        if self._loop is None or self._loop.is_closed():
-            return
-        if trouble:
-            self._loop.call_soon_threadsafe(self._station.alarms.put_up, ALARM, trouble)
-        else:
-            self._loop.call_soon_threadsafe(self._back)
+        self._in_loop(lambda: self._took(trouble))
 
-    def _back(self) -> None:
-        self._station.alarms.clear(ALARM, "the MQTT broker is back")
-        self._publish("status", json.dumps(self._station.status(), ensure_ascii=False))
-        if self._station.latest_line:
-            self._publish("reading", self._station.latest_line)
+    def _in_loop(self, call: Callable[[], object]) -> None:
+        if self._loop is not None and not self._loop.is_closed():
+            self._loop.call_soon_threadsafe(call)
+
+    def _took(self, trouble: str) -> None:
+        self._trouble = trouble
+        self._look()
+        if not trouble:
+            self._publish("state", "online")
+            self._publish("status", json_text(self._station.status()))
+            self._publish(_READING, self._station.shown.line)
 
 
-def _topic_of(event: Event) -> str:
+def topic_level(name: str) -> str:
+    """Return a name as one level of a topic: what is no letter, digit or one of `_.-~` as %XX, so that none coincide.
+
+    Source: RFC 3986, 2.1 (percent-encoding); MQTT 3.1.1, 4.7 forbids only `+`, `#`, `/` and NUL in a level.
+    """
+    return quote(name, safe="")
+
+
+def topic_of(event: Event) -> str:
     """Return the topic of an event below that of the instrument: each patch with a name has its own."""
-    if event.kind == "patch":
-        name = str(json.loads(event.line)["name"])
-        return f"patch/{''.join(c if c.isalnum() or c in '-_.' else '_' for c in name)}/reading"
-    return event.kind
+    return _patch_topic(str(json.loads(event.line)["name"])) if event.kind == "patch" else event.kind
+
+
+def _patch_topic(name: str, *, quoted: bool = False) -> str:
+    return f"patch/{name if quoted else topic_level(name)}/{_READING}"
 
 
 def _library() -> Any:

@@ -9,6 +9,7 @@ from dataclasses import dataclass, field
 from typing import Any, Final
 
 from radiometer.data import Flag, Patch, Reading
+from radiometer.data.json_text import json_text
 from radiometer.errors import UsageError
 
 MAIN: Final = "main"  # stands for the patch that is measured for all where a name is asked for
@@ -120,7 +121,7 @@ class NamedPatch:
         """Return it as one line of JSON."""
         patch = self.patch
         where = {"x": patch.x, "y": patch.y, "width": patch.width, "height": patch.height}
-        return json.dumps({"patch": where, "limits": self.limits.to_mapping()})
+        return json_text({"patch": where, "limits": self.limits.to_mapping()})
 
     @classmethod
     def from_json(cls, name: str, line: str) -> NamedPatch:

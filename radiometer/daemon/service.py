@@ -13,6 +13,7 @@ from typing import Final
 import structlog
 
 from radiometer.daemon import memory
+from radiometer.daemon.descriptors import Descriptors
 from radiometer.daemon.epics import PvaOptions, PvaServer
 from radiometer.daemon.http.server import HttpServer
 from radiometer.daemon.limits import Limits, Network, is_loopback
@@ -80,7 +81,7 @@ class Service:
         self._http = HttpServer(station, limits=options.limits, token=options.token)
         self._mqtt = MqttPublisher(station, options.mqtt) if options.mqtt else None
         self._pva = PvaServer(station, options.pva) if options.pva else None
-        self._stop = asyncio.Event()
+        self._stop, self._descriptors = asyncio.Event(), Descriptors(station.alarms)
         self._reloads: set[asyncio.Task[None]] = set()
         self._housekeeping: asyncio.Task[None] | None = None
 
@@ -94,6 +95,7 @@ class Service:
         for number in (signal.SIGTERM, signal.SIGINT):
             loop.add_signal_handler(number, self._stop.set)
         loop.add_signal_handler(signal.SIGHUP, self._reload)
+        loop.set_exception_handler(self._descriptors.take_error)
         try:
             await self._station.start()
             await self._listen()
@@ -136,6 +138,7 @@ class Service:
             with suppress(TimeoutError):
                 async with asyncio.timeout(period_s):
                     await self._stop.wait()
+            self._descriptors.look()
             if (failure := self._station.failed_task()) is not None:
                 _log.error("a part of the daemon ended", error=repr(failure))
                 raise RadiometerError(f"the daemon ends: {type(failure).__name__}: {failure}") from failure

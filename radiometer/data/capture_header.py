@@ -8,6 +8,7 @@ from pydantic import Field
 
 from radiometer.data.reading import Patch
 from radiometer.data.validation import FileSection
+from radiometer.data.white_level import WhiteLevel
 
 LensHandling = Literal["reseated", "refocused", "iris_reset"]
 
@@ -29,12 +30,26 @@ class CameraDescription(FileSection):
     dark_current_reference_C: float | None = None  # noqa: N815 (the file's key)
     dark_current_doubling_K: float | None = Field(None, gt=0)  # noqa: N815
     black_level_dn: float | None = None
+    white_level_dn: float | None = Field(None, gt=0)  # from which pixels are saturated, where the camera states it
     quantum_efficiency: float | None = Field(None, gt=0, le=1)
 
     @property
     def full_scale_dn(self) -> int:
         """Return the highest digital number, 2**bit_depth − 1."""
         return (1 << self.bit_depth) - 1
+
+    @property
+    def white_level(self) -> WhiteLevel | None:
+        """Return the stated white level, else the highest code where low bits are padding, else None."""
+        highest_code_dn = self.full_scale_dn + 1 - (self.code_step_dn or 1)
+        if self.white_level_dn is not None and self.white_level_dn <= self.full_scale_dn:
+            return WhiteLevel.stated(min(self.white_level_dn, highest_code_dn))
+        return WhiteLevel(highest_code_dn, "assumed", highest_code_dn) if (self.code_step_dn or 1) > 1 else None
+
+    @property
+    def saturated_dn(self) -> int:
+        """Return the digital number from which pixels are saturated as far as this description knows."""
+        return self.full_scale_dn if self.white_level is None else self.white_level.saturated_dn
 
 
 class LensDescription(FileSection):

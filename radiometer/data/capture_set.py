@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal, Protocol, Self
 
@@ -21,6 +21,7 @@ from radiometer.data.capture_header import (
 from radiometer.data.decoding import decoded
 from radiometer.data.frame import MASKED_PIXELS, DigitalNumbers, Frame, FrameSettings
 from radiometer.data.guards import refuse_large_picture
+from radiometer.data.pile_up import streamed_with_white_levels
 from radiometer.data.raw_files import RAW_SUFFIXES, read_raw_colours
 from radiometer.data.storage import read_yaml
 from radiometer.data.validation import FileSection, validate
@@ -211,7 +212,8 @@ class CaptureSet:
             dn = dn.astype(np.uint16)
         masked = (entry.model_extra or {}).get(MASKED_PIXELS)
         extra = {} if masked is None else {MASKED_PIXELS: masked}
-        frame = Frame(dn, bit_depth, entry.settings, frame_id=index, extra=extra)
+        settings = replace(entry.settings, white_level=self.header.camera.white_level)
+        frame = Frame(dn, bit_depth, settings, frame_id=index, extra=extra)
         highest = int(dn.max(initial=0))
         if highest > self.header.camera.full_scale_dn:
             raise CaptureError(
@@ -219,6 +221,18 @@ class CaptureSet:
                 f"{self.header.camera.full_scale_dn} of camera.bit_depth {self.header.camera.bit_depth}"
             )
         return frame
+
+    def read_frames(self, indices: Sequence[int]) -> Iterator[Frame]:
+        """Yield the frames at positions of the header's list with the white level that they show together.
+
+        Args:
+            indices: Positions, in the order in which the frames are yielded; a few are held in memory.
+
+        Raises:
+            CaptureError: As `read_frame`.
+        """
+        settings = [self.header.frames[index].settings for index in indices]
+        return streamed_with_white_levels(settings, lambda place: self.read_frame(indices[place]))
 
     def read_numbers(self, file: str) -> DigitalNumbers:
         """Return the digital numbers of the frame that the header lists under a name.
@@ -229,14 +243,13 @@ class CaptureSet:
         return self.store.read(file) if self.store else read_digital_numbers(self.path / file)
 
     def frames(self) -> Iterator[Frame]:
-        """Yield all frames in the header's order, one in memory at a time.
+        """Yield all frames in the header's order with the white level that they show together, few in memory at a time.
 
         Raises:
             CaptureError: If a file is unreadable or sizes differ.
         """
         shape: tuple[int, int] | None = None
-        for index, entry in enumerate(self.header.frames):
-            frame = self.read_frame(index)
+        for entry, frame in zip(self.header.frames, self.read_frames(range(len(self))), strict=True):
             if shape is not None and frame.shape != shape:
                 raise CaptureError(
                     f"{self.path / entry.file}: is {frame.shape[1]} × {frame.shape[0]} pixels, the frames before "
@@ -285,7 +298,7 @@ class CaptureSet:
             UsageError: If there are several patterns to choose from.
         """
         dark, lit = self.lit_indices(pattern)
-        return Bracket.from_frames([self.read_frame(i) for i in (*dark, *lit)], origin=str(self.path))
+        return Bracket.from_frames(self.read_frames((*dark, *lit)), origin=str(self.path))
 
     def pattern_of(self, pattern: str | None = None) -> str:
         """Return the pattern to read: as chosen, or the only one.

@@ -8,6 +8,7 @@ from typing import Final, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from radiometer.data.white_level import WhiteLevel
 from radiometer.errors import InputError
 from radiometer.units import gain_factor
 
@@ -31,6 +32,7 @@ class FrameSettings:
         pattern: Name of the displayed pattern.
         shutter: "closed" for a dark frame.
         iso: ISO speed of a photograph; None for a machine camera.
+        white_level: From which digital number pixels are saturated; None where only the bit depth is known.
     """
 
     exposure_s: float
@@ -43,6 +45,7 @@ class FrameSettings:
     pattern: str = "default"
     shutter: Shutter = "open"
     iso: float | None = None
+    white_level: WhiteLevel | None = field(default=None, compare=False)  # found from frames, not set
 
     @property
     def is_dark(self) -> bool:
@@ -109,6 +112,12 @@ class Frame:
     def full_scale_dn(self) -> int:
         """Return the highest digital number, 2**bit_depth − 1."""
         return (1 << self.bit_depth) - 1
+
+    @property
+    def saturated_dn(self) -> int:
+        """Return the digital number from which pixels are saturated: the white level, else full scale."""
+        known = self.settings.white_level
+        return self.full_scale_dn if known is None else min(known.saturated_dn, self.full_scale_dn)
 
     @property
     def shape(self) -> tuple[int, int]:

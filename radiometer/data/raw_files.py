@@ -21,23 +21,28 @@ _CELLS: Final = {(2, 2): 2, (6, 6): 3}
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RawColours:
-    """The three colours of a mosaic.
+    """The three colours of a mosaic, or the one of a sensor without filters.
 
     Attributes:
-        values: Shape (height, width, 3), red, green and blue: of the pixels of one colour in a cell the first (at half
-            size for Bayer's mosaic, a third for X-Trans), or of every pixel where interpolated.
-        bit_depth: Bits per value, 9 to 16; numbers at the file's white level are full scale.
+        values: Shape (height, width) of a sensor without filters, else (height, width, 3), red, green and blue: of the
+            pixels of one colour in a cell the first (at half size for Bayer's mosaic, a third for X-Trans), or of every
+            pixel where interpolated.
+        bit_depth: Bits per value, 9 to 16.
+        white_level_dn: White level as the file states it.
         black_levels_dn: Black level of red, green and blue.
     """
 
     values: NDArray[np.uint16]
     bit_depth: int
+    white_level_dn: int
     black_levels_dn: tuple[float, float, float]
 
     @property
     def green(self) -> NDArray[np.uint16]:
-        """Return the green plane: what a frame of a tethered camera consists of."""
-        return np.ascontiguousarray(self.values[..., _LETTERS.index("G")])
+        """Return the green or only plane of a frame without a white level: what reaches it is at full scale."""
+        plane = np.ascontiguousarray(self.values if self.values.ndim == 2 else self.values[..., _LETTERS.index("G")])
+        plane[plane >= self.white_level_dn] = (1 << self.bit_depth) - 1
+        return plane
 
 
 def read_raw_colours(path: Path, *, interpolated: bool = False) -> RawColours:
@@ -49,7 +54,7 @@ def read_raw_colours(path: Path, *, interpolated: bool = False) -> RawColours:
             from a clipped pixel counts as clipped.
 
     Raises:
-        CaptureError: If it is missing, damaged, or its mosaic is neither Bayer's nor X-Trans.
+        CaptureError: If it is missing, damaged, developed, or its mosaic is neither Bayer's nor X-Trans.
         MissingLibrary: If rawpy is not installed.
     """
     try:
@@ -60,32 +65,35 @@ def read_raw_colours(path: Path, *, interpolated: bool = False) -> RawColours:
         ) from error
     try:
         with rawpy.imread(str(path)) as raw:
-            if raw.raw_type != rawpy.RawType.Flat or raw.raw_pattern is None:
+            grey = raw.raw_type == rawpy.RawType.Flat and raw.num_colors == 1
+            if not grey and (raw.raw_type != rawpy.RawType.Flat or raw.raw_pattern is None):
                 raise CaptureError(f"{path}: is not a mosaic of colours, or was developed; develop it to linear TIFF")
             mosaic, pattern = raw.raw_image_visible.copy(), raw.raw_pattern
             white, black = int(raw.white_level), raw.black_level_per_channel
             names = raw.color_desc.decode("ascii", "replace")
-            developed = _developed(raw, rawpy) if interpolated else None
+            developed = _developed(raw, rawpy) if interpolated and not grey else None
     except (rawpy.LibRawError, OSError) as error:
         said = error.args[0] if error.args else error
         told = said.decode("utf-8", "replace") if isinstance(said, bytes) else error
         raise CaptureError(f"{path}: not a readable camera raw file: {told}") from error
-    if pattern.shape not in _CELLS:
+    if not grey and pattern.shape not in _CELLS:
         raise CaptureError(f"{path}: its colour mosaic is neither Bayer's nor X-Trans; develop it to linear TIFF")
     bit_depth = max(9, min(16, int(np.ceil(np.log2(white + 1)))))
+    if grey:
+        values = np.minimum(mosaic, (1 << bit_depth) - 1).astype(np.uint16)
+        return RawColours(values, bit_depth, white, (float(black[0]),) * 3)
     levels = [float(np.mean([black[k] for k in set(pattern.ravel().tolist()) if names[k] == c])) for c in _LETTERS]
     letters = np.array(list(names))[pattern]
     if developed is not None:
         values = developed
         values[_near_clipped(mosaic, letters, white)] = (1 << bit_depth) - 1
-        return RawColours(values, bit_depth, (0.0, 0.0, 0.0))
+        return RawColours(values, bit_depth, white, (0.0, 0.0, 0.0))
     planes = [_plane(mosaic, letters, letter) for letter in _LETTERS]
     if _CELLS[pattern.shape] == 2:  # the green that is read has a black level of its own
         row, column = np.argwhere(letters == "G")[0]
         levels[1] = float(black[pattern[row, column]])
     values = np.minimum(np.stack(planes, axis=2), (1 << bit_depth) - 1).astype(np.uint16)
-    values[values >= white] = (1 << bit_depth) - 1
-    return RawColours(values, bit_depth, (levels[0], levels[1], levels[2]))
+    return RawColours(values, bit_depth, white, (levels[0], levels[1], levels[2]))
 
 
 def _plane(mosaic: NDArray[np.uint16], letters: NDArray[np.str_], letter: str) -> NDArray[np.uint16]:

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import json
 import math
-from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
 from typing import TYPE_CHECKING, Any, Final
 
+from radiometer.data.json_text import finite_or_null, json_text
 from radiometer.data.provenance import Provenance, utc_now
 
 if TYPE_CHECKING:
@@ -43,6 +42,8 @@ class Flag(StrEnum):
     LENS_CHANGED = "lens_changed"
     POLARISATION = "polarisation"
     LINEARITY = "linearity"
+    EXPOSURE_UNCONFIRMED = "exposure_unconfirmed"
+    REPEATED_FRAME = "repeated_frame"
 
 
 @dataclass(frozen=True, slots=True, order=True)
@@ -204,7 +205,7 @@ class Reading:
 
     def to_json(self) -> str:
         """Return the reading as one line of JSON."""
-        return json.dumps(self.to_mapping(), ensure_ascii=False, allow_nan=False)
+        return json_text(self.to_mapping())
 
     def plot(self, axes: Axes | None = None) -> Axes:
         """Draw the largest contributions to the uncertainty as bars.
@@ -244,14 +245,3 @@ def _rounded(value: float, expanded: float) -> str:
         return f"{value:.5g} ± {expanded:.2g}"
     decimals = max(0, 1 - math.floor(math.log10(expanded)))
     return f"{value:.{decimals}f} ± {expanded:.{decimals}f}"
-
-
-def finite_or_null(value: Any) -> Any:
-    """Return a JSON value with every number that is not finite replaced by None: JSON knows no infinity."""
-    if isinstance(value, float) and not math.isfinite(value):
-        return None
-    if isinstance(value, Mapping):
-        return {key: finite_or_null(entry) for key, entry in value.items()}
-    if isinstance(value, list | tuple):
-        return [finite_or_null(entry) for entry in value]
-    return value

@@ -1,13 +1,22 @@
-"""Keeps account of the retinal exposure that a session has planned and given."""
+"""Enters the light of one opened box into the exposure account, and refuses what is too much for an eye."""
 
 from __future__ import annotations
 
 import math
-from collections import deque
-from collections.abc import Callable, Mapping
+import threading
+import uuid
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Final
 
+from radiometer.devices.exposure_account import (
+    Account,
+    AccountStore,
+    Phase,
+    Planned,
+    box_key,
+    eye_key,
+)
 from radiometer.devices.retinal_safety import (
     BLUE_WINDOW_S,
     DEFAULT_FRACTION,
@@ -16,37 +25,81 @@ from radiometer.devices.retinal_safety import (
     hazard_fractions,
     refuse_unsafe,
 )
+from radiometer.errors import UnsafeStimulus
 
-MERGE_S: Final = 10.0  # what ended within this time is kept as one entry, with the later time
+# An Arduino's ceramic resonator runs up to 0.5 % slow (docs/light-box-protocol.md); twice that counts.
+BOX_CLOCK_FACTOR: Final = 1.01
+# A command may be repeated for 1.6 s, each time feeding the dead man, who waits 1 s: the old light may last that long.
+CHANGE_S: Final = 3.0
 
 
 @dataclass(frozen=True, slots=True)
-class _Shone:
-    """Light of one channel: from when, for how many bright seconds (inf: until changed), at which radiance."""
+class Stimulus:
+    """Light of a channel as it is asked for.
 
-    start_s: float
-    bright_s: float
+    Attributes:
+        channel: Name of the channel.
+        radiance_w_sr_m2: Radiance while bright that it stays below, in W·sr⁻¹·m⁻².
+        bright_s: Bright time in s, in sum; `math.inf` where no end is planned.
+        lasting_s: Time in s from its begin to its end, dark times included; `math.inf` where no end is planned.
+        ramp_s: Time in s within which the level moves there from the one before; 0 where it jumps.
+    """
+
+    channel: str
     radiance_w_sr_m2: float
+    bright_s: float
+    lasting_s: float
+    ramp_s: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class _Open:
+    """A stimulus of this opening that the account holds: its channel, highest radiance, and when it is over at last."""
+
+    channel: str
+    radiance_w_sr_m2: float
+    over_s: float
 
 
 @dataclass(slots=True)
 class ExposureLedger:
     """Adds up the blue-light exposure of all channels over 10⁴ s; takes the hottest moment for the thermal limit.
 
-    All channels count as falling on the same place of the retina, and a blinking or ramped channel as bright for the
-    planned time at its highest radiance: both on the safe side.
+    All channels count as falling on the same place of the retina, a blinking channel as bright for the planned time,
+    and a ramp as the higher of its two levels for its whole time.
 
     Attributes:
         optics: Optics of each channel.
-        clock: Returns the time in s; monotonic.
+        store: Keeps the account of all boxes and eyes.
         allowed_fraction: Largest fraction of either limit that may be used up.
+        eye: Whose eye looks into the box; None where it is not known.
     """
 
     optics: Mapping[str, ChannelOptics]
-    clock: Callable[[], float]
+    store: AccountStore
     allowed_fraction: float = DEFAULT_FRACTION
-    _current: dict[str, _Shone] = field(default_factory=dict)
-    _past_blue: deque[tuple[float, float]] = field(default_factory=deque)
+    eye: str | None = None
+    _box: str = ""
+    _open: dict[str, _Open] = field(default_factory=dict)  # by name in the account
+    _dark_s: dict[str, float] = field(default_factory=dict)  # by name: from when on it is dark, where not yet stored
+    _lock: threading.RLock = field(default_factory=threading.RLock)
+
+    def open(self, serial: str) -> None:
+        """Take up the account of a box that has just gone dark; what a program that ended left open is over now.
+
+        An account that cannot be had is no error here, for darkness needs none: every light is refused then.
+        """
+        with self._lock:
+            self._box = serial
+            try:
+                with self.store.change() as account:
+                    account.meet(serial)
+                    for name, planned in list(account.planned.items()):
+                        if planned.box == serial and not self.store.lives(planned.holder):
+                            account.settle(name, account.now_s)
+            except UnsafeStimulus:
+                return  # `reserve` meets the same trouble and reports it
+            self._open, self._dark_s = {}, {}
 
     def refuse_unsafe(self, channel: str, radiance_w_sr_m2: float, bright_s: float) -> None:
         """Raise UnsafeStimulus if a stimulus, with all that was given before, exceeds the allowed fraction.
@@ -56,41 +109,174 @@ class ExposureLedger:
             radiance_w_sr_m2: Highest radiance while bright, in W·sr⁻¹·m⁻².
             bright_s: Planned bright time in s; `math.inf` where no end is planned.
         """
-        now_s = self.clock()
-        others = [n for n in self._current if n != channel]
-        planned = hazard_fractions(self.optics[channel], radiance_w_sr_m2, bright_s)
-        blue = planned.blue_light + self._given_blue(channel, now_s) + self._past_sum(now_s)
-        thermal = planned.thermal
-        for name in others:
-            entry = self._current[name]
-            still = hazard_fractions(self.optics[name], entry.radiance_w_sr_m2, entry.bright_s)
-            blue += still.blue_light
-            thermal += still.thermal
-        refuse_unsafe(f"channel {channel}", HazardFractions(blue, thermal), self.allowed_fraction)
+        with self._lock:
+            account = self._looked_at()
+            planned = self._planned(account, Stimulus(channel, radiance_w_sr_m2, bright_s, math.inf))
+            refusal = self._refusal(account, planned)
+        if refusal is not None:
+            raise refusal
 
-    def shine(self, channel: str, radiance_w_sr_m2: float, bright_s: float) -> None:
-        """Note that a stimulus has started."""
-        self.darken(channel)
-        self._current[channel] = _Shone(self.clock(), bright_s, radiance_w_sr_m2)
+    def refuse_further(self, where: str, used: HazardFractions) -> None:
+        """Raise UnsafeStimulus if fractions of the limits are too much with all that was given before.
 
-    def darken(self, channel: str) -> None:
-        """Note that a channel is dark; what it has given stays in the account for 10⁴ s."""
-        now_s = self.clock()
-        given = self._given_blue(channel, now_s)
-        if self._current.pop(channel, None) is None or given <= 0:
-            return
-        if self._past_blue and now_s - self._past_blue[-1][0] < MERGE_S:
-            given += self._past_blue.pop()[1]
-        self._past_blue.append((now_s, given))
+        Args:
+            where: What is planned, for the message.
+            used: Fractions of the limits that it would use up.
+        """
+        with self._lock:
+            before = self._used(self._looked_at(), channel=None)
+        whole = HazardFractions(used.blue_light + before.blue_light, used.thermal + before.thermal)
+        refuse_unsafe(where, whole, self.allowed_fraction)
 
-    def _given_blue(self, channel: str, now_s: float) -> float:
-        entry = self._current.get(channel)
-        if entry is None:
+    def reserve(self, stimulus: Stimulus) -> str:
+        """Enter a stimulus into the account before it is given, and return its name there.
+
+        Raises:
+            UnsafeStimulus: If it is too much with all that was given before, or cannot be stored; it was not entered.
+        """
+        name = uuid.uuid4().hex
+        with self._lock:
+            with self.store.change() as account:
+                account.meet(self._box)
+                self._settle_known(account)
+                planned = self._planned(account, stimulus)
+                refusal = self._refusal(account, planned)
+                if refusal is None:
+                    account.planned[name] = planned
+            self._dark_s = {}
+            if refusal is not None:
+                raise refusal
+            highest = max(self._before(stimulus, planned.start_s), stimulus.radiance_w_sr_m2)
+            self._open[name] = _Open(stimulus.channel, highest, planned.over_s)
+        return name
+
+    def holds(self, name: str) -> bool:
+        """Tell whether a stimulus that was entered may still begin: nothing has darkened its channel since."""
+        with self._lock:
+            return name in self._open
+
+    def withdraw(self, name: str) -> None:
+        """Take out a stimulus that the box has refused."""
+        with self._lock:
+            self._end({name}, -math.inf)
+            self.settle()
+
+    def begun(self, name: str) -> None:
+        """Note that a stimulus is on; what its channel did before has ended, which `settle` stores."""
+        with self._lock:
+            channel = self._open[name].channel
+            self._end({n for n, known in self._open.items() if known.channel == channel and n != name})
+
+    def note(self, stimulus: Stimulus) -> None:
+        """Enter light that was given without having been asked for. Raises UnsafeStimulus where it cannot be stored."""
+        with self.store.change() as account:
+            name = uuid.uuid4().hex
+            account.planned[name] = self._planned(account, stimulus)
+            account.settle(name, math.inf)
+
+    def darken(self, channel: str | None = None, within_s: float = 0.0) -> None:
+        """Note that a channel (None: all) is dark, or will be within a time in s.
+
+        What it has given stays in the account. Never raises: where that cannot be stored, the account holds the whole
+        plan until it can.
+        """
+        with self._lock:
+            self._end({name for name, known in self._open.items() if channel in (None, known.channel)}, within_s)
+            self.settle()
+
+    def is_kept(self) -> bool:
+        """Tell whether the account still holds what is lit: it may be deleted or damaged meanwhile."""
+        with self._lock:
+            try:
+                account = self.store.look()
+            except UnsafeStimulus:
+                return True  # no other program can read it either, so none gives light at the same time
+            return all(name in account.planned for name, known in self._open.items() if known.over_s > account.now_s)
+
+    def _end(self, names: set[str], within_s: float = 0.0) -> None:
+        now_s = self.store.now_s()
+        for name in names:
+            if self._open.pop(name).over_s > now_s:  # else the account settles it by itself
+                self._dark_s[name] = now_s + within_s
+
+    def settle(self) -> None:
+        """Store what has ended; never raises, for the account holds the whole plan until it can be stored."""
+        with self._lock:
+            if not self._dark_s:
+                return
+            try:
+                with self.store.change() as account:
+                    self._settle_known(account)
+            except UnsafeStimulus:
+                return  # darkness needs no account; the next stimulus stores it
+            self._dark_s = {}
+
+    def _settle_known(self, account: Account) -> None:
+        for name, dark_s in self._dark_s.items():
+            account.settle(name, dark_s)
+
+    def _looked_at(self) -> Account:
+        account = self.store.look()
+        account.meet(self._box)
+        self._settle_known(account)
+        return account
+
+    def _before(self, stimulus: Stimulus, now_s: float) -> float:
+        """Return the highest radiance from which a ramp may set out; 0 for what is no ramp."""
+        if not stimulus.ramp_s:
             return 0.0
-        bright_s = min(entry.bright_s, max(now_s - entry.start_s, 0.0))
-        return hazard_fractions(self.optics[channel], entry.radiance_w_sr_m2, bright_s).blue_light
+        known = self._open.values()
+        return max((k.radiance_w_sr_m2 for k in known if k.channel == stimulus.channel and k.over_s > now_s), default=0)
 
-    def _past_sum(self, now_s: float) -> float:
-        while self._past_blue and now_s - self._past_blue[0][0] >= BLUE_WINDOW_S:
-            self._past_blue.popleft()
-        return math.fsum(blue for _, blue in self._past_blue)
+    def _planned(self, account: Account, stimulus: Stimulus) -> Planned:
+        now_s = account.now_s
+        lights = [(stimulus.radiance_w_sr_m2, stimulus.bright_s)]
+        if stimulus.ramp_s:
+            highest = max(self._before(stimulus, now_s), stimulus.radiance_w_sr_m2)
+            lights.append((highest, stimulus.ramp_s))
+        phases = tuple(self._phase(stimulus.channel, radiance, bright_s) for radiance, bright_s in lights)
+        over_s = now_s + stimulus.lasting_s * BOX_CLOCK_FACTOR + CHANGE_S
+        return Planned(self._box, self.eye, stimulus.channel, self.store.holder, now_s, over_s, phases)
+
+    def _phase(self, channel: str, radiance_w_sr_m2: float, bright_s: float) -> Phase:
+        longest_s = bright_s * BOX_CLOCK_FACTOR
+        optics = self.optics[channel]
+        each_s = hazard_fractions(optics, radiance_w_sr_m2, 1.0).blue_light  # the limits are linear for 100 s at least
+        most = hazard_fractions(optics, radiance_w_sr_m2, math.inf).blue_light
+        return Phase(each_s, most, longest_s, hazard_fractions(optics, radiance_w_sr_m2, longest_s).thermal)
+
+    def _used(self, account: Account, channel: str | None) -> HazardFractions:
+        """Return what counts besides a new stimulus of a channel, in the fuller of the accounts of box and eye."""
+        blue, thermal = [], []
+        for key in [box_key(self._box)] if self.eye is None else [box_key(self._box), eye_key(self.eye)]:
+            others = {name: planned for name, planned in account.planned.items() if key in planned.keys}
+            ending = [p for name, p in others.items() if name in self._open and p.channel == channel]
+            going_on = [p for name, p in others.items() if name not in self._open or p.channel != channel]
+            soon_s = account.now_s + CHANGE_S
+            open_blue = [p.blue(soon_s) for p in ending] + [p.blue() for p in going_on]
+            blue.append(math.fsum([account.blue(key), *open_blue]))
+            thermal.append(math.fsum(p.thermal for p in going_on))
+        return HazardFractions(max(blue), max(thermal))
+
+    def _refusal(self, account: Account, planned: Planned) -> UnsafeStimulus | None:
+        if not planned.blue() and not planned.thermal:
+            return None  # darkness
+        assumed = account.assumed.get(box_key(self._box))
+        if assumed is not None:
+            return _unknown_history(self._box, *assumed, account)
+        used = self._used(account, planned.channel)
+        whole = HazardFractions(planned.blue() + used.blue_light, planned.thermal + used.thermal)
+        try:
+            refuse_unsafe(f"channel {planned.channel}", whole, self.allowed_fraction)
+        except UnsafeStimulus as refusal:
+            return refusal
+        return None
+
+
+def _unknown_history(serial: str, until_s: float, reason: str, account: Account) -> UnsafeStimulus:
+    minutes = math.ceil((until_s - account.now_s) / 60)
+    return UnsafeStimulus(
+        f"light box {serial}: {reason}, so its blue-light limit counts as used up for {minutes} min."
+        f" Wait, or confirm that no eye was exposed in the last {BLUE_WINDOW_S / 3600:.1f} h:"
+        f" radiometer light account --box {serial} --confirm-no-exposure"
+    )

@@ -9,6 +9,7 @@ from radiometer.importing.found import ImportOptions
 from radiometer.importing.record import ImportRecord, imported_of
 from radiometer.importing.sources import (
     copy_into,
+    import_into,
     import_sources,
     is_foreign,
     open_capture,
@@ -19,6 +20,7 @@ __all__ = [
     "ImportOptions",
     "ImportRecord",
     "copy_into",
+    "import_into",
     "import_sources",
     "imported_of",
     "is_foreign",

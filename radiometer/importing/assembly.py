@@ -13,19 +13,19 @@ import numpy as np
 
 from radiometer.data import CameraDescription, CaptureHeader, FrameEntry, LensDescription, SourceDescription
 from radiometer.data.frame import DigitalNumbers
-from radiometer.errors import CaptureError
+from radiometer.errors import CaptureError, DamagedFileError
 from radiometer.importing.found import FoundFrame, ImportOptions
-from radiometer.importing.record import ImportRecord, doubts_about, named, taken_from
+from radiometer.importing.record import ImportRecord, by_wording, doubts_about, not_used_of, taken_from
 
 _LOOKED_AT: Final = 4  # frames whose codes are looked at for padding and clipping
 _FEWEST_CODES: Final = 10  # different ones: all even by chance once in a thousand
 _CODES_FROM: Final = 65_536  # pixels of a frame that show its codes
 _FEWEST_CLIPPED: Final = 4
 _CAMERA_KEYS: Final = (
-    "vendor", "model", "serial", "unit", "band", "wavelength_nm", "binning", "pixel_pitch_um",
+    "vendor", "model", "serial", "unit", "mode", "band", "wavelength_nm", "binning", "pixel_pitch_um",
     "conversion_gain_e_per_dn", "read_noise_e",
 )  # fmt: skip
-_OWN_KEYS: Final = ("vendor", "model", "serial", "band", "binning")  # what a camera is called by among several
+_OWN_KEYS: Final = ("vendor", "model", "serial", "band", "binning", "mode")  # what a camera is called by among several
 _MASKED_SAME_DN: Final = 1.0
 _UNEVEN_PERCENT: Final = 0.5  # of light that a calibration moves, from which it is told
 
@@ -40,12 +40,15 @@ class Assembled:
 
 
 def by_camera(frames: Iterable[FoundFrame]) -> dict[str, list[FoundFrame]]:
-    """Return the frames by camera: maker, model, serial number, band, binning and frame size."""
+    """Return the frames by camera: maker, model, serial number, band, binning, own settings and frame size.
+
+    Frames that state no gain are a separate set where others state one: their gain is unknown, and not 0 dB.
+    """
     keys: dict[tuple[Any, ...], list[FoundFrame]] = {}
     for frame in frames:
-        keys.setdefault((*(frame.camera.get(k) for k in _OWN_KEYS), *frame.shape, frame.camera.get("unit")), []).append(
-            frame
-        )
+        own = [frame.camera.get(k) for k in _OWN_KEYS]
+        key = (*own, *frame.shape, "gain_db" in frame.taken, frame.camera.get("unit"))
+        keys.setdefault(key, []).append(frame)
     titles = _titles(list(keys))
     return dict(zip(titles, keys.values(), strict=True))
 
@@ -89,12 +92,13 @@ def assemble(
         CaptureError: If no frame's exposure is known, or frames of several unknown gains are mixed.
     """
     known = [f for f in frames if f.exposure_known and (f.settings.exposure_s > 0 or f.settings.is_dark)]
-    without = [f.label for f in frames if f not in known]
+    without = by_wording((f.label, _why_no_exposure(f)) for f in frames if f not in known)
     if not known:
         raise CaptureError(
-            f"{root}: no header states an exposure time ({named(without)}); write the frames as a capture set"
+            f"{root}: {'; '.join(without)}. Name it: radiometer import … --map exposure=PLACE:UNIT, "
+            "or --map exposure=NUMBER:UNIT where one number is true of all frames"
         )
-    lines = [*left_out, *([f"{named(without)}: no exposure time is stated"] if without else [])]
+    lines = [*left_out, *without]
     ordered = _plain_patterns(_by_time(known))
     codes = _Codes.of(ordered, options, read, bit_depth)
     camera, disagreeing = _camera(ordered, codes, options)
@@ -105,6 +109,8 @@ def assemble(
         tuple(_missing(ordered, camera)),
         (*doubts_about(ordered), *disagreeing, *codes.doubts, *_black_by_gain(ordered), *_uncorrected(ordered)),
         tuple(lines),
+        not_used_of(frames),
+        options.mapped.words(),
     )
     header = CaptureHeader.model_validate(
         {
@@ -118,6 +124,11 @@ def assemble(
         }
     )
     return Assembled(title, header, {name: frame for name, (frame, _) in entries.items()})
+
+
+def _why_no_exposure(frame: FoundFrame) -> tuple[str, ...]:
+    reported = tuple(doubt for doubt in frame.doubts if "exposure" in doubt)
+    return reported or ("no exposure time is known",)
 
 
 def _by_time(frames: Sequence[FoundFrame]) -> list[FoundFrame]:
@@ -162,9 +173,15 @@ class _Codes:
     @classmethod
     def of(cls, frames: Sequence[FoundFrame], options: ImportOptions, read: Any, stated: int | None) -> _Codes:
         looked = [frames[i] for i in np.unique(np.linspace(0, len(frames) - 1, _LOOKED_AT).astype(int))]
-        pixels: list[DigitalNumbers] = []
+        pixels = list[DigitalNumbers]()
+        damage: DamagedFileError | None = None
         for frame in looked:
-            pixels.append(read(frame, options))
+            try:
+                pixels.append(read(frame, options))
+            except DamagedFileError as error:  # left out and named when the frames are copied
+                damage = error
+        if damage is not None and not pixels:
+            raise damage
         bits = 0
         for dn in pixels:
             bits |= int(np.bitwise_or.reduce(dn, axis=None))
@@ -227,7 +244,25 @@ def _camera(frames: Sequence[FoundFrame], codes: _Codes, options: ImportOptions)
     blacks = {f.settings.black_level_dn for f in frames if f.settings.black_level_dn is not None}
     if len(blacks) == 1:
         facts["black_level_dn"] = blacks.pop()
-    return CameraDescription.model_validate(facts), doubts
+    top_dn, doubtful = _white_level(frames, codes, options)
+    if top_dn is not None:
+        facts["white_level_dn"] = top_dn
+    return CameraDescription.model_validate(facts), [*doubts, *doubtful]
+
+
+def _white_level(frames: Sequence[FoundFrame], codes: _Codes, options: ImportOptions) -> tuple[float | None, list[str]]:
+    """Return the digital number from which the files say that pixels are saturated, and what is doubtful of it."""
+    full_scale = (1 << codes.bit_depth) - 1
+    stated = sorted({f.camera["stated_white_dn"] + options.pedestal for f in frames if "stated_white_dn" in f.camera})
+    if not stated or options.full_scale is not None:  # scaled numbers are none that a header speaks of
+        return None, []
+    lowest, highest = stated[0], stated[-1]
+    if highest > full_scale + options.pedestal:
+        return None, [f"headers state saturation at {highest:g}, above the {full_scale} of the files: not used"]
+    doubts = (
+        [f"headers state saturation from {lowest:g} to {highest:g}: the lowest is taken"] if lowest < highest else []
+    )
+    return (lowest if lowest < full_scale else None), doubts
 
 
 def _lens(frames: Sequence[FoundFrame]) -> LensDescription:

@@ -9,6 +9,7 @@ from typing import Final
 from radiometer.data.guards import is_file
 from radiometer.data.storage import read_text
 from radiometer.errors import InputError
+from radiometer.units import read_number
 
 DESCRIPTOR_NAME: Final = "EMVA1288_Data.txt"
 
@@ -98,13 +99,13 @@ class _Parser:
         return EmvaListing(self._path, *self._format, entries)
 
     def _dispatch(self, command: str, rest: str, where: str) -> None:
-        numbers = rest.replace(",", ".").split()
+        words = rest.split()
         if command == "n":
-            self._format = (int(numbers[0]), int(numbers[1]), int(numbers[2]))
+            self._format = (int(words[0]), int(words[1]), int(words[2]))
         elif command == "b":
-            self._begin(float(numbers[0]), float(numbers[1]))
+            self._begin(read_number(words[0])[0], read_number(words[1])[0])
         elif command == "d":
-            self._begin(float(numbers[0]), 0.0)
+            self._begin(read_number(words[0])[0], 0.0)
         elif command == "i":
             self._add_image(rest, where)
         elif command != "v":

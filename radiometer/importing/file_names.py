@@ -8,21 +8,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
-_UNIT_S: Final = {
-    "ns": 1e-9,
-    "us": 1e-6,
-    "µs": 1e-6,
-    "usec": 1e-6,
-    "ms": 1e-3,
-    "msec": 1e-3,
-    "s": 1.0,
-    "sec": 1.0,
-    "secs": 1.0,
-    "m": 60.0,
-    "min": 60.0,
-}
+from radiometer.units import unit_of
+
 _NUMBER: Final = r"(\d+(?:[.p]\d+)?)"
-_UNITS: Final = "|".join(sorted(_UNIT_S, key=len, reverse=True))
+_UNITS: Final = "ns|us|µs|μs|usec|ms|msec|s|sec|secs|min"
 _MINUTES_AND_SECONDS: Final = re.compile(rf"(?<![\da-z.]){_NUMBER}m{_NUMBER}s(?![a-z])")
 _TIME: Final = re.compile(rf"(?<![\d.]){_NUMBER}({_UNITS})(?![a-z\d])")
 _BARE: Final = re.compile(rf"(?:expos|exposure|exptime|exp){_NUMBER}(?![\d.]*[a-z])")
@@ -60,7 +49,8 @@ def _exposure(words: str) -> tuple[float | None, bool]:
         return 60.0 * _value(both[1]) + _value(both[2]), True
     timed = _TIME.search(words)
     if timed:
-        return _value(timed[1]) * _UNIT_S[timed[2]], True
+        unit = unit_of(timed[2], "exposure")
+        return None if unit is None else unit.to_base(_value(timed[1])), True
     bare = _BARE.search(words)
     return (_value(bare[1]), False) if bare else (None, False)
 
@@ -83,8 +73,8 @@ def contradictions(claims: NameClaims, exposure_s: float | None, *, is_dark: boo
         close = math.isclose(claimed, exposure_s, rel_tol=_SAME_REL, abs_tol=1e-9)
         if not close:
             unit = "s" if claims.exposure_has_unit else "(s?)"
-            found.append(f"the name says {claimed:g} {unit}, the header {exposure_s:g} s: the header is taken")
+            found.append(f"the name states {claimed:g} {unit}, the header {exposure_s:g} s: the header is used")
     if claims.kind and (claims.kind == "dark") != is_dark:
-        said = "dark" if is_dark else "light"
-        found.append(f"the name says {claims.kind}, the header {said}: the header is taken")
+        stated = "dark" if is_dark else "light"
+        found.append(f"the name states {claims.kind}, the header {stated}: the header is used")
     return found

@@ -7,6 +7,7 @@ import math
 import warnings
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
+from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, Final
@@ -16,19 +17,52 @@ from numpy.typing import NDArray
 
 from radiometer.data.frame import FrameSettings
 from radiometer.data.guards import refuse_size
-from radiometer.errors import CaptureError, MissingLibrary
+from radiometer.data.statements import (
+    Place,
+    Statement,
+    StatementMap,
+    first_stated,
+    gain_unit_of_maker,
+    is_unknown,
+    places,
+    text_stated,
+    value_of,
+)
+from radiometer.errors import CaptureError, DamagedFileError, MissingLibrary
 from radiometer.importing.file_bytes import read_bytes
 from radiometer.importing.file_names import claims_of, contradictions
 from radiometer.importing.found import FoundFrame
+from radiometer.units import BASE_ISO, read_number, unit_in_words
 
-# Keys in the order in which they are believed; the first set is the standard's own or the commonest.
-_EXPOSURE: Final = ("EXPTIME", "EXPOSURE", "EXP_TIME", "ITIME", "INTTIME", "EXPTIME1", "TEXP")
-_TEMPERATURE: Final = ("CCD-TEMP", "CCDTEMP", "DET-TEMP", "DETTEMP", "SENSTEMP", "TEMPERAT", "CHIPTEMP", "TEMP")
+Header = Mapping[str, Statement]
+# Places in the order in which they are believed, each with the unit that its definition gives: XPOSURE and TELAPSE by
+# the FITS standard 4.0, table 34; EXPTIME and EXPOSURE by HEASARC's keyword dictionary; EXPOINUS by ZWO's ASICap. The
+# others are in use without a definition: their unit must be stated.
+_EXPOSURE: Final = places("XPOSURE:s EXPTIME:s EXPOSURE:s EXPOINUS:us EXP_TIME ITIME INTTIME EXPTIME1 TEXP EXPOSED")
+_TEMPERATURE: Final = (
+    "CCD-TEMP",
+    "CCDTEMP",
+    "DET-TEMP",
+    "DETTEMP",
+    "SENSTEMP",
+    "TEMPERAT",
+    "CHIPTEMP",
+    "CAMTEMP",
+    "TEMP",
+)
 _SET_TEMPERATURE: Final = ("SET-TEMP", "SETTEMP", "CCD-TSET")
 _TIME: Final = ("DATE-OBS", "DATE-BEG", "DATE_OBS", "DATE")
 _CAMERA_NAME: Final = ("INSTRUME", "CAMERA", "DETECTOR", "DETNAM")
-_ELECTRONS_PER_DN: Final = ("EGAIN", "E-GAIN", "GAINEL", "CCDGAIN")
-_READ_NOISE: Final = ("RDNOISE", "READNOIS", "RON", "READNOISE")
+_ELECTRONS_PER_DN: Final = places("EGAIN:e-/DN E-GAIN:e-/DN GAINEL:e-/DN CCDGAIN:e-/DN")
+_SATURATED_FROM: Final = ("SATURATE", "SATLEVEL")
+_READ_NOISE: Final = places("RDNOISE:e- READNOIS:e- RON:e- READNOISE:e-")
+_F_NUMBER: Final = places("FNUMBER:1 FRATIO:1")
+# Settings that change gain or offset by a maker's steps: frames that differ in one are separate sets.
+_MODE: Final = (
+    "OFFSET", "BLKLEVEL", "READOUTM", "READMODE", "EMGAIN", "EMREALGN", "CONVGAIN", "LOWNOISE", "FULLWELL", "PREAMP",
+)  # fmt: skip
+# Extensions that hold no frames: errors, flags, weights (NASA and ESO use these names).
+_NO_FRAMES: Final = ("ERR", "ERROR", "DQ", "MASK", "VAR", "VARIANCE", "UNCERT", "WHT", "WEIGHT", "BPM")
 _KIND: Final = ("IMAGETYP", "IMAGETYPE", "OBSTYPE", "FRAME", "FRAMETYP", "EXPTYPE", "PICTTYPE", "OBJECT")
 _DARK_WORDS: Final = ("bias", "dark", "zero", "offset")
 _LIGHT_WORDS: Final = ("light", "flat", "object", "science", "lamp", "dome", "sky", "tricolor", "target")
@@ -36,25 +70,44 @@ _PROCESSED_WORDS: Final = (
     "dark subtract", "darksub", "bias subtract", "bias-subtract", "flat field", "flatfield", "flat-field",
     "calibrat", "combine", "averag", "median", "stack", "reduc", "resampl", "overscan correct", "zerocor", "darkcor",
 )  # fmt: skip
-_KELVIN_FROM_C: Final = 150.0  # a temperature above it in a header can only be kelvins
+_KELVINS: Final = (150.0, 400.0)  # without a unit, a number between them can only be kelvins
 _SETTLED_K: Final = 1.0
-_ASI_GAIN_DB: Final = 0.1  # ZWO states its GAIN in tenths of a decibel
+_EXPOSURES_SAME_REL: Final = 0.01  # by which two keywords of the exposure may differ unnoticed
 
 
-def read_fits_headers(path: Path) -> list[FoundFrame]:
+def read_fits_headers(path: Path, mapped: StatementMap = StatementMap()) -> list[FoundFrame]:
     """Return the frames of a FITS file, gzipped or not, without keeping their pixels.
+
+    A picture whose header states an exposure is a frame; of pictures without, the first is. All other units
+    of the file are reported as not used.
+
+    Args:
+        path: The file.
+        mapped: Where the user states that facts stand.
 
     Raises:
         CaptureError: If the file is damaged or truncated, or holds no picture.
+        UnsettledError: If a number has no unit that is known.
         MissingLibrary: If astropy is not installed.
     """
     with _opened(path) as units:
-        unit = _picture(units, path)
-        header = {**_cards(units[0].header), **_cards(unit.header)}
-        shape = tuple(int(n) for n in unit.shape)
-        stored = _stored(unit.header)
-        history = _history(units[0].header) + (_history(unit.header) if unit is not units[0] else "")
-    return _frames(path, header, history, shape, stored)
+        pictures = _pictures(units, path)
+        used = [unit for unit in pictures if _is_frame(unit, mapped)] if len(pictures) > 1 else []
+        used = used if len(used) > 1 else pictures[:1]
+        not_used = tuple(
+            f"unit {n} ({_described(unit)})" for n, unit in enumerate(units) if unit not in used and not _is_empty(unit)
+        )
+        total = sum(_planes(unit) for unit in pictures)
+        frames, first = list[FoundFrame](), 0
+        for unit in pictures:
+            if unit in used:
+                header = {**_cards(units[0].header), **_cards(unit.header)}
+                history = _history(units[0].header) + (_history(unit.header) if unit is not units[0] else "")
+                numbers = range(first, first + _planes(unit))
+                shape = tuple(int(n) for n in unit.shape)
+                frames += _frames(path, header, history, shape, _stored(unit.header), numbers, total, mapped)
+            first += _planes(unit)
+    return [replace(frame, not_used=not_used) for frame in frames]
 
 
 def read_fits_pixels(path: Path, part: int) -> NDArray[Any]:
@@ -62,15 +115,53 @@ def read_fits_pixels(path: Path, part: int) -> NDArray[Any]:
 
     Sixteen-bit integers with BZERO 32768 come as uint16, whole numbers stay whole.
 
+    Args:
+        path: The file.
+        part: Number of the plane, counted over all pictures of the file.
+
     Raises:
         CaptureError: If the file is damaged or truncated.
     """
     with _opened(path) as units:
-        unit = _picture(units, path)
+        for unit in _pictures(units, path):
+            if part < _planes(unit):
+                break
+            part -= _planes(unit)
         refuse_size(path, unit.shape, max(1, abs(int(unit.header.get("BITPIX", 8))) // 8))
         values = np.asarray(unit.data)
     plane = values.reshape(-1, *values.shape[-2:])[part]
     return _unsigned(plane.astype(plane.dtype.newbyteorder("="), copy=False))
+
+
+def _pictures(units: Any, path: Path) -> list[Any]:
+    found = [unit for unit in units if unit.is_image and len(shape := _shape(unit)) in (2, 3) and min(shape) > 0]
+    if not found:
+        raise CaptureError(f"{path}: the FITS file holds no picture of two or three dimensions")
+    return found
+
+
+def _shape(unit: Any) -> tuple[int, ...]:
+    return tuple(getattr(unit, "shape", ()) or ())
+
+
+def _planes(unit: Any) -> int:
+    shape = _shape(unit)
+    return 1 if len(shape) == 2 else int(shape[0])
+
+
+def _is_frame(unit: Any, mapped: StatementMap) -> bool:
+    """Tell whether a unit states an exposure itself and is no map of errors or flags."""
+    names = {*(place.name for place in _EXPOSURE), *(place.name for place in mapped.places.get("exposure", ()))}
+    return any(name in unit.header for name in names) and str(unit.name).upper() not in _NO_FRAMES
+
+
+def _is_empty(unit: Any) -> bool:
+    return unit.is_image and not _shape(unit)
+
+
+def _described(unit: Any) -> str:
+    kind = "picture" if unit.is_image else "table"
+    return f"{unit.name}, {kind}" if unit.name else kind
 
 
 def _unsigned(plane: NDArray[Any]) -> NDArray[Any]:
@@ -99,25 +190,23 @@ def _opened(path: Path) -> Iterator[Any]:
         raise
     # The library raises nearly any built-in error on a damaged header or data unit.
     except (OSError, ValueError, TypeError, KeyError, IndexError, AttributeError, EOFError, AstropyWarning) as error:
-        raise CaptureError(f"{path}: not a readable FITS file (damaged or truncated): {_first(error)}") from error
+        raise DamagedFileError(f"{path}: not a readable FITS file (damaged or truncated): {_first(error)}") from error
     except fits.VerifyError as error:
-        raise CaptureError(f"{path}: its FITS header is damaged: {_first(error)}") from error
+        raise DamagedFileError(f"{path}: its FITS header is damaged: {_first(error)}") from error
 
 
 def _first(error: Exception) -> str:
     return (str(error).strip().splitlines() or [type(error).__name__])[0]
 
 
-def _picture(units: Any, path: Path) -> Any:
-    for unit in units:
-        shape = getattr(unit, "shape", ()) or ()
-        if unit.is_image and len(shape) in (2, 3) and min(shape) > 0:
-            return unit
-    raise CaptureError(f"{path}: the FITS file holds no picture of two or three dimensions")
-
-
-def _cards(header: Any) -> dict[str, Any]:
-    return {key: header[key] for key in header if key not in ("", "HISTORY", "COMMENT")}
+def _cards(header: Any) -> dict[str, Statement]:
+    time_unit = str(header.get("TIMEUNIT", "")).strip()
+    exposures = {place.name for place in _EXPOSURE}
+    return {
+        key: Statement(header[key], time_unit if key in exposures else "", str(header.comments[key]))
+        for key in header
+        if key not in ("", "HISTORY", "COMMENT")
+    }
 
 
 def _history(header: Any) -> str:
@@ -134,59 +223,85 @@ def _stored(header: Any) -> str:
 
 
 def _frames(
-    path: Path, header: Mapping[str, Any], history: str, shape: tuple[int, ...], stored: str
-) -> list[FoundFrame]:
+    path: Path, header: Header, history: str, shape: tuple[int, ...], stored: str, parts: range, total: int,
+    mapped: StatementMap,
+) -> list[FoundFrame]:  # fmt: skip
     taken, doubts = dict[str, str](), list[str]()
-    exposure_s = _exposure(header, taken, doubts)
-    is_dark = _is_dark(path, header, exposure_s, taken, doubts)
+    exposure_s = _exposure(path, header, mapped, taken, doubts)
+    is_dark = _is_dark(path, header, exposure_s, mapped, taken, doubts)
     doubts += contradictions(claims_of(path), exposure_s, is_dark=is_dark)
     doubts += _processing(header, history)
-    name_of_filter = str(header.get("FILTER", "")).strip()
+    gain_db, mode = _gain(path, header, mapped, taken, doubts)
+    filters = text_stated("filter", header, ("FILTER",), mapped, str(path))
+    camera = _camera(path, header, mapped, taken, doubts) | ({"mode": mode} if mode else {})
     settings = FrameSettings(
         exposure_s=exposure_s or 0.0,
-        gain_db=_gain_db(header, taken, doubts),
-        f_number=_positive(header, ("FNUMBER", "FRATIO", "APERTURE"), "f_number", taken),
-        temperature_c=_temperature(header, taken, doubts),
-        timestamp_s=_timestamp(header, taken),
-        pattern=name_of_filter or "default",
+        gain_db=gain_db,
+        f_number=_fact("f_number", "f_number", path, header, _F_NUMBER, mapped, taken, doubts),
+        black_level_dn=_fact("black_level", "black_level_dn", path, header, (), mapped, taken, doubts),
+        temperature_c=_temperature(path, header, mapped, taken, doubts),
+        timestamp_s=_timestamp(header, mapped, taken),
+        pattern=filters[1] if filters else "default",
         shutter="closed" if is_dark else "open",
     )
-    camera = _camera(header, taken)
-    planes = 1 if len(shape) == 2 else shape[0]
-    extra = {"imagetyp": str(header["IMAGETYP"]).strip()} if "IMAGETYP" in header else {}
+    extra = {"imagetyp": str(header["IMAGETYP"].written).strip()} if "IMAGETYP" in header else {}
+    if exposure_s is None:
+        doubts.append(_no_exposure(header))
     return [
         FoundFrame(
-            path, (shape[-2], shape[-1]), stored, settings, part, planes, exposure_s is not None, camera,
+            path, (shape[-2], shape[-1]), stored, settings, part, total, exposure_s is not None, camera,
             taken=taken, doubts=tuple(doubts), extra=extra,
         )
-        for part in range(planes)
+        for part in parts
     ]  # fmt: skip
 
 
-def _exposure(header: Mapping[str, Any], taken: dict[str, str], doubts: list[str]) -> float | None:
-    found = {key: value for key in _EXPOSURE if (value := _number(header.get(key))) is not None and value >= 0}
-    if not found:
+def _fact(
+    fact: str, key: str, path: Path, header: Header, where: tuple[Place, ...], mapped: StatementMap,
+    taken: dict[str, str], doubts: list[str],
+) -> float | None:  # fmt: skip
+    found = first_stated(fact, header, where, mapped, doubts, str(path))
+    if found is None:
         return None
-    key, seconds = next(iter(found.items()))
-    taken["exposure_s"] = key
-    for other, value in found.items():
-        if not math.isclose(value, seconds, rel_tol=0.01, abs_tol=1e-6):
-            doubts.append(f"{key} says {seconds:g} s and {other} {value:g}: {key} is taken")
+    taken[key] = found[0]
+    return found[1]
+
+
+def _exposure(
+    path: Path, header: Header, mapped: StatementMap, taken: dict[str, str], doubts: list[str]
+) -> float | None:
+    seconds = _fact("exposure", "exposure_s", path, header, _EXPOSURE, mapped, taken, doubts)
+    if seconds is None or "(--map)" in taken["exposure_s"]:
+        return seconds
+    key = taken["exposure_s"]
+    for other in _EXPOSURE:
+        if other.name != key and other.unit and other.name in header:
+            value = value_of(header[other.name], "exposure", other.name, [], defined=other.unit, where=str(path))
+            if value is not None and not math.isclose(value, seconds, rel_tol=_EXPOSURES_SAME_REL, abs_tol=1e-6):
+                doubts.append(f"{key} states {seconds:g} s and {other.name} {value:g} s: {key} is used")
     return seconds
 
 
+def _no_exposure(header: Header) -> str:
+    """Return what to say of a header without a known keyword of the exposure: the keywords that may be it."""
+    likely = [key for key in header if any(sign in key for sign in ("EXP", "INTEG", "SHUT", "ITIME", "DURAT"))]
+    offered = f" (perhaps {', '.join(likely)})" if likely else ""
+    return f"no known keyword states the exposure: name it by --map exposure=KEYWORD:UNIT{offered}"
+
+
 def _is_dark(
-    path: Path, header: Mapping[str, Any], exposure_s: float | None, taken: dict[str, str], doubts: list[str]
+    path: Path, header: Header, exposure_s: float | None, mapped: StatementMap, taken: dict[str, str], doubts: list[str]
 ) -> bool:
-    for key in _KIND:
-        words = str(header.get(key, "")).lower()
+    named = text_stated("kind", header, (), mapped, str(path))
+    for key in (named[0],) if named else _KIND:
+        words = str(header[key].written if key in header else named[1] if named else "").lower()
         if any(word in words for word in _DARK_WORDS):
             taken["shutter"] = key
             return "flat" not in words  # a "dark flat" is a dark; a "bias-corrected flat" is not
         if any(word in words for word in _LIGHT_WORDS):
             taken["shutter"] = key
             if exposure_s == 0:
-                doubts.append(f"{key} says {header[key]!s} of an exposure of 0 s: taken for a bias frame")
+                doubts.append(f"{key} states {header[key].written} with an exposure of 0 s: a bias frame is assumed")
                 return True
             return False
     kind = claims_of(path).kind
@@ -200,62 +315,94 @@ def _is_dark(
     return False
 
 
-def _processing(header: Mapping[str, Any], history: str) -> list[str]:
+def _processing(header: Header, history: str) -> list[str]:
     found = []
     said = history.lower()
     words = [word for word in _PROCESSED_WORDS if word in said]
     if words:
         found.append(f"HISTORY speaks of processing ({', '.join(words)}): these may be no raw numbers")
-    status = str(header.get("CALSTAT", "")).strip()
+    status = str(header["CALSTAT"].written).strip() if "CALSTAT" in header else ""
     if status:
         found.append(f"CALSTAT {status}: bias, dark or flat were applied already")
-    combined = _number(header.get("NCOMBINE")) or _number(header.get("SNAPSHOT"))
+    combined = _number(header, "NCOMBINE") or _number(header, "SNAPSHOT")
     if combined and combined > 1:
         found.append(f"{combined:g} frames were combined into it: its noise is not that of one frame")
     return found
 
 
-def _gain_db(header: Mapping[str, Any], taken: dict[str, str], doubts: list[str]) -> float:
-    value = _number(header.get("GAIN"))
-    if value is None or value == 0:
-        return 0.0
-    name = " ".join(str(header.get(key, "")) for key in _CAMERA_NAME)
-    if "ZWO" in name or "ASI" in name:
-        taken["gain_db"] = "GAIN (tenths of a dB)"
-        return _ASI_GAIN_DB * value
-    if any(key in header for key in _ELECTRONS_PER_DN) and value > 10:
-        doubts.append(f"GAIN {value:g} has no unit that is known: it is not taken as a gain")
-    return 0.0
+def _gain(
+    path: Path, header: Header, mapped: StatementMap, taken: dict[str, str], doubts: list[str]
+) -> tuple[float, str]:
+    """Return the gain in dB, 0 where its unit is the camera's own, and all settings of the camera's own units."""
+    where = str(path)
+    found = first_stated("gain", header, (), mapped, doubts, where)
+    own = [key for key in _MODE if key in header] + [place.name for place in mapped.places.get("mode", ())]
+    mode = [f"{key} {header[key].written}" for key in dict.fromkeys(own) if key in header]
+    if found is None and (iso := first_stated("iso", header, places("ISOSPEED:ISO ISO:ISO"), mapped, doubts, where)):
+        taken["gain_db"] = f"{iso[0]} (0 dB at ISO {BASE_ISO:g})"
+        return 20.0 * math.log10(iso[1] / BASE_ISO), ", ".join(mode)
+    if found is None and "GAIN" in header and not _is_conversion(header):
+        name = " ".join(str(header[key].written) for key in _CAMERA_NAME if key in header)
+        unit = gain_unit_of_maker(name)
+        stated = unit_in_words(header["GAIN"].comment, "gain")[0]
+        if unit or stated:
+            found = first_stated("gain", header, (Place("GAIN", unit),), mapped, doubts, where)
+        elif not is_unknown(header["GAIN"].written):
+            mode.insert(0, f"GAIN {header['GAIN'].written}")
+            doubts.append(
+                f"the gain is {header['GAIN'].written} in a unit of the camera's own: it counts as 0 dB of this set; "
+                "name it by --map gain=GAIN:UNIT (dB, 0.1dB, x) to compare gains"
+            )
+    if found is None:
+        return 0.0, ", ".join(mode)
+    taken["gain_db"] = found[0]
+    return found[1], ", ".join(mode)
 
 
-def _temperature(header: Mapping[str, Any], taken: dict[str, str], doubts: list[str]) -> float | None:
-    key = next((k for k in _TEMPERATURE if _number(header.get(k)) is not None), None)
-    if key is None:
-        wanted = next((k for k in _SET_TEMPERATURE if _number(header.get(k)) is not None), None)
-        if wanted is None:
-            return None
-        taken["temperature_C"] = wanted
-        doubts.append(f"only the wanted temperature ({wanted}) is stated, not the one that was reached")
-        return _celsius(float(header[wanted]))
-    taken["temperature_C"] = key
-    celsius = _celsius(float(header[key]))
-    for wanted in _SET_TEMPERATURE:
-        set_c = _number(header.get(wanted))
-        if set_c is not None and abs(_celsius(set_c) - celsius) > _SETTLED_K:
-            doubts.append(f"the sensor was at {celsius:.1f} °C, {wanted} asked for {_celsius(set_c):.1f} °C")
-    return celsius
+def _is_conversion(header: Header) -> bool:
+    """Tell whether GAIN is in electrons per DN, as observatories have it."""
+    unit = str(header["GAINUNIT"].written) if "GAINUNIT" in header else ""
+    return "electron" in unit.lower() or unit_in_words(header["GAIN"].comment, "conversion_gain")[0] is not None
 
 
-def _celsius(value: float) -> float:
-    return value - 273.15 if value > _KELVIN_FROM_C else value
+def _temperature(
+    path: Path, header: Header, mapped: StatementMap, taken: dict[str, str], doubts: list[str]
+) -> float | None:
+    known = _fact("temperature", "temperature_C", path, header, _celsius(header, _TEMPERATURE), mapped, taken, doubts)
+    ignored = list[str]()
+    asked = first_stated("temperature", header, _celsius(header, _SET_TEMPERATURE), StatementMap(), ignored, str(path))
+    if "temperature_C" in taken and _is_kelvin_by_size(header, taken["temperature_C"]):
+        doubts.append(
+            f"{taken['temperature_C']} states {header[taken['temperature_C']].written} without a unit: K is assumed"
+        )
+    if known is None:
+        if asked is not None:
+            taken["temperature_C"] = asked[0]
+            doubts.append(f"only the set temperature ({asked[0]}) is stated, not the one that was reached")
+        return None if asked is None else asked[1]
+    if asked is not None and abs(asked[1] - known) > _SETTLED_K:
+        doubts.append(f"the sensor was at {known:.1f} °C, {asked[0]} asked for {asked[1]:.1f} °C")
+    return known
 
 
-def _timestamp(header: Mapping[str, Any], taken: dict[str, str]) -> float | None:
-    key = next((k for k in _TIME if k in header), None)
+def _celsius(header: Header, keys: tuple[str, ...]) -> tuple[Place, ...]:
+    """Return places of temperatures: in °C as all makers write them, in K where a number can be nothing else."""
+    return tuple(Place(key, "K" if _is_kelvin_by_size(header, key) else "degC") for key in keys if key in header)
+
+
+def _is_kelvin_by_size(header: Header, key: str) -> bool:
+    value = _number(header, key)
+    stated = key in header and unit_in_words(header[key].comment, "temperature")[0] is not None
+    return value is not None and not stated and _KELVINS[0] < value < _KELVINS[1]
+
+
+def _timestamp(header: Header, mapped: StatementMap, taken: dict[str, str]) -> float | None:
+    named = (place.name for place in mapped.places.get("timestamp", ()))
+    key = next((k for k in (*named, *_TIME) if k in header), None)
     if key is None:
         return None
-    said = str(header[key]).strip()
-    clock = str(header.get("TIME-OBS", header.get("UT", ""))).strip()
+    said = str(header[key].written).strip()
+    clock = next((str(header[k].written).strip() for k in ("TIME-OBS", "UT") if k in header), "")
     if "T" not in said and clock:
         said = f"{said}T{clock}"
     try:
@@ -266,48 +413,46 @@ def _timestamp(header: Mapping[str, Any], taken: dict[str, str]) -> float | None
     return moment.replace(tzinfo=moment.tzinfo or UTC).timestamp()
 
 
-def _camera(header: Mapping[str, Any], taken: dict[str, str]) -> dict[str, Any]:
+def _camera(
+    path: Path, header: Header, mapped: StatementMap, taken: dict[str, str], doubts: list[str]
+) -> dict[str, Any]:
     camera: dict[str, Any] = {}
-    name = next((str(header[k]).strip() for k in _CAMERA_NAME if str(header.get(k, "")).strip()), None)
-    if name:
-        camera["model"] = name
-    serial = str(header.get("SERNUM", header.get("CAMSERNO", ""))).strip()
-    if serial:
-        camera["serial"] = serial
-    gain = _positive(header, _ELECTRONS_PER_DN, "conversion_gain_e_per_dn", taken)
-    if gain is None and "electron" in str(header.get("GAINUNIT", "")).lower():
-        gain = _positive(header, ("GAIN",), "conversion_gain_e_per_dn", taken)
-    if gain is not None:
-        camera["conversion_gain_e_per_dn"] = gain
-    noise = _positive(header, _READ_NOISE, "read_noise_e", taken)
-    if noise is not None:
-        camera["read_noise_e"] = noise
-    pitch = _positive(header, ("PIXSIZE1", "XPIXSZ", "PIXSIZE"), "pixel_pitch_um", taken)
-    binning = _number(header.get("XBINNING")) or 1.0
+    for key, fact, words in (("model", "model", _CAMERA_NAME), ("serial", "serial", ("SERNUM", "CAMSERNO"))):
+        if (stated := text_stated(fact, header, words, mapped, str(path))) is not None:
+            camera[key] = stated[1]
+    gains = _ELECTRONS_PER_DN
+    if "GAIN" in header and _is_conversion(header):
+        gains = (*gains, Place("GAIN", "e-/DN"))
+    for key, fact, where in (
+        ("conversion_gain_e_per_dn", "conversion_gain", gains),
+        ("read_noise_e", "read_noise", _READ_NOISE),
+    ):
+        value = _fact(fact, key, path, header, where, mapped, taken, doubts)
+        if value:
+            camera[key] = value
+    pitch = next(((k, v) for k in ("PIXSIZE1", "XPIXSZ", "PIXSIZE") if (v := _number(header, k)) and v > 0), None)
+    binning = _number(header, "XBINNING") or 1.0
     if pitch is not None:
-        camera["pixel_pitch_um"] = pitch
+        taken["pixel_pitch_um"], camera["pixel_pitch_um"] = pitch
         if binning > 1:
             camera["binning"] = int(binning)
-    top = _number(header.get("SATURATE")) or _number(header.get("DATAMAX"))
+    top = _number(header, "SATURATE") or _number(header, "DATAMAX")
     if top is not None and top >= 1:
         camera["stated_top_dn"] = top
+    # DATAMAX is the largest value of this frame's data (FITS standard 4.0, table 22), not where pixels are saturated.
+    place = next((k for k in _SATURATED_FROM if (_number(header, k) or 0.0) >= 1.0), None)
+    if place is not None and unit_in_words(header[place].comment, "read_noise")[0] is not None:
+        doubts.append(f"{place} is in electrons, not in DN: it is not used as the white level")
+    elif place is not None:
+        taken["white_level_dn"], camera["stated_white_dn"] = place, _number(header, place)
     return camera
 
 
-def _positive(header: Mapping[str, Any], keys: tuple[str, ...], fact: str, taken: dict[str, str]) -> float | None:
-    for key in keys:
-        value = _number(header.get(key))
-        if value is not None and value > 0:
-            taken[fact] = key
-            return value
-    return None
-
-
-def _number(value: object) -> float | None:
-    if isinstance(value, bool) or value is None:
+def _number(header: Header, key: str) -> float | None:
+    """Return a keyword's plain number; None where there is none."""
+    if key not in header or is_unknown(header[key].written):
         return None
     try:
-        number = float(value)  # type: ignore[arg-type]  # what a card holds: a number, or words that are none
-    except (TypeError, ValueError):
+        return read_number(str(header[key].written))[0]
+    except ValueError:
         return None
-    return number if math.isfinite(number) else None

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from radiometer.data.frame import DigitalNumbers, FrameSettings
 from radiometer.data.reading import Patch
+from radiometer.data.statements import StatementMap
 from radiometer.errors import CaptureError, UsageError
 
 TOP_DN = 65535  # the highest digital number that a capture set holds
@@ -26,12 +27,14 @@ class ImportOptions:
         sample: Keep every n-th row and column of it, from its first on.
         full_scale: Value of full scale where the files hold 32-bit or floating-point numbers; None refuses them.
         pedestal: Value added before, so that numbers below zero (processed darks) can be held.
+        mapped: Where the user states that facts stand.
     """
 
     crop: Patch | None = None
     sample: int = 1
     full_scale: float | None = None
     pedestal: float = 0.0
+    mapped: StatementMap = field(default_factory=StatementMap)
 
     def __post_init__(self) -> None:
         if self.sample < 1:
@@ -113,6 +116,7 @@ class FoundFrame:
         doubts: What contradicts itself.
         extra: Further facts for the frame's entry.
         photons: Mean photons per pixel; None where unknown.
+        not_used: Units, directories and pages of its file that no frame was made of.
     """
 
     file: Path
@@ -128,6 +132,7 @@ class FoundFrame:
     doubts: tuple[str, ...] = ()
     extra: Mapping[str, Any] = field(default_factory=dict)
     photons: float | None = None
+    not_used: tuple[str, ...] = ()
 
     def doubting(self, *lines: str) -> FoundFrame:
         """Return the frame with further doubts."""

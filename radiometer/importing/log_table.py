@@ -11,8 +11,9 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from radiometer.errors import InputError, UsageError
-from radiometer.importing.columns import TextTable, number, read_table, stamp_s
+from radiometer.data.text_table import TextTable, read_table, stamp_s
+from radiometer.errors import InputError, UnsettledError, UsageError
+from radiometer.units import heading_parts, read_number, unit_of
 
 Array = NDArray[np.float64]
 
@@ -26,7 +27,6 @@ _MAGNITUDES: Final = ("mag", "sqm", "mpsas", "msas")
 _GAP_S: Final = 3.0 * 3600.0  # without a reading: another night
 _DAY_S: Final = 86400.0
 _APART_S: Final = 300.0  # by which readings of a reference in a file of its own may lie from the camera's
-_HIGHEST_DB: Final = 60.0
 _FEWEST_NIGHTS: Final = 3
 _FEWEST_ROWS: Final = 12
 _MOST_PER_NIGHT: Final = 300
@@ -134,7 +134,7 @@ def read_log(path: Path, said: LogColumns | None = None, reference: Path | None 
         InputError: If columns are missing, a value is unusable, or the nights are too few.
     """
     stated = said or LogColumns()
-    table = read_table(path, _NEEDS)
+    table = read_table(path, _NEEDS, named=True)
     places = _places(table, stated, wanted=("value", "exposure", *(() if reference else ("reference",))))
     if reference is not None:
         places.pop("reference", None)
@@ -144,7 +144,7 @@ def read_log(path: Path, said: LogColumns | None = None, reference: Path | None 
     found = _assembled(table, places, columns, stated, assumed)
     if reference is not None:
         found, more = _beside(
-            found, columns, table, read_table(reference, "the times and readings of a reference meter")
+            found, columns, table, read_table(reference, "the times and readings of a reference meter", named=True)
         )
         taken += more
     return _checked(replace(found, taken=tuple(taken)), path, assumed)
@@ -173,16 +173,23 @@ def _is_taken(table: TextTable, name: str, chosen: Mapping[str, str]) -> bool:
 
 
 def _cells(table: TextTable, at: int, key: str) -> list[Any]:
-    read: Callable[[str], Any] = str if key in _TEXT else stamp_s if key == "time" else number
+    read: Callable[[str], Any] = str if key in _TEXT else stamp_s if key == "time" else _number
     found = []
     for line, cells in table.rows:
         try:
             found.append(read(cells[at]))
         except (ValueError, IndexError, ZeroDivisionError) as error:
             raise InputError(
-                f"{table.where(line)}: {table.header[at]}: {error}; leave the row out, or mend it"
+                f"{table.where(line)}: {table.header[at]}: {error}; leave the row out, or correct it"
             ) from error
     return found
+
+
+def _number(text: str) -> float:
+    value, unit = read_number(text)
+    if unit:
+        raise ValueError(f"{text!r} has a unit in the cell; state it in the name of the column")
+    return value
 
 
 def _assembled(
@@ -192,11 +199,18 @@ def _assembled(
         return np.array(columns[key], dtype=np.float64) if key in columns else None
 
     name = {key: table.plain[at] for key, at in places.items()}
+    seconds = heading_parts(table.header[places["exposure"]], "exposure")[1]
+    if seconds is None:
+        assumed.append(f"the exposure {table.header[places['exposure']]!r} has no unit: s is assumed")
     black = column("black")
     value = np.array(columns["value"], dtype=np.float64) - (said.black_dn if black is None else black)
-    exposure = np.array(columns["exposure"], dtype=np.float64) * _seconds(name["exposure"])
+    exposure = np.array(columns["exposure"], dtype=np.float64) * (seconds.to_base(1.0) if seconds else 1.0)
     gain = column("gain")
-    gain_db = np.zeros(value.size) if gain is None else _decibels(gain, name["gain"], said.gain_unit, assumed)
+    gain_db = (
+        np.zeros(value.size)
+        if gain is None
+        else _decibels(gain, table.header[places["gain"]], said.gain_unit, table.path)
+    )
     reference, unit = (np.ones(value.size), "1")
     if "reference" in columns:
         reference, unit = linear(np.array(columns["reference"], dtype=np.float64), name["reference"], assumed)
@@ -219,23 +233,19 @@ def _colour_unit(name: str) -> str:
     return "mired" if "cct" in name or "temperature" in name else "1"
 
 
-def _seconds(name: str) -> float:
-    return 1e-3 if name.endswith("_ms") else 1e-6 if name.endswith("_us") else 1.0
-
-
-def _decibels(gain: Array, name: str, unit: str | None, assumed: list[str]) -> Array:
-    kind = unit or {"gain_db": "db", "gain_x": "x", "gain_linear": "x", "gain_01db": "0.1db", "iso": "iso"}.get(name)
-    if kind is None:
-        kind = "db" if float(gain.max()) <= _HIGHEST_DB else "0.1db"
-        told = "dB" if kind == "db" else "tenths of a dB, as ZWO's cameras count"
-        assumed.append(f"gain is taken as {told}; say --gain-unit db, 0.1db, x or iso where it is not")
-    if kind in ("x", "iso"):
-        if not (gain > 0).all():
-            raise InputError(f"a gain of {gain.min():g} is no factor; say --gain-unit db or 0.1db")
-        return np.asarray(20.0 * np.log10(gain / (100.0 if kind == "iso" else 1.0)))
-    if kind not in ("db", "0.1db"):
-        raise UsageError(f"--gain-unit {unit}: choose db, 0.1db, x or iso")
-    return gain * (0.1 if kind == "0.1db" else 1.0)
+def _decibels(gain: Array, heading: str, chosen: str | None, path: Path) -> Array:
+    """Return gains in dB by the unit that the user or the heading states; a gain that never changes counts as 0 dB."""
+    unit = unit_of(chosen, "gain") if chosen else heading_parts(heading, "gain")[1]
+    if chosen and unit is None:
+        raise UsageError(f"--gain-unit {chosen}: choose db, 0.1db, x or iso")
+    if unit is None:
+        if np.ptp(gain) == 0:
+            return np.zeros_like(gain)
+        raise UnsettledError(f"{path}: the gain {heading!r} has no unit; say --gain-unit db, 0.1db, x or iso")
+    found = np.array([unit.to_base(float(value)) for value in gain])
+    if not np.isfinite(found).all():
+        raise InputError(f"a gain of {gain.min():g} is no factor; say --gain-unit db or 0.1db")
+    return found
 
 
 def linear(reference: Array, name: str, assumed: list[str]) -> tuple[Array, str]:

@@ -8,6 +8,7 @@ pymmcore-plus, `metadata.txt` of Micro-Manager).
 from __future__ import annotations
 
 import json
+import re
 import xml.etree.ElementTree as ElementTree
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -15,12 +16,13 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, Final
 
+from radiometer.data.statements import Statement, StatementMap, value_of
 from radiometer.importing.found import FoundFrame
+from radiometer.units import heading_parts
 
 TAG: Final = 51123  # MicroManagerMetadata; also in the TIFF tag tables of ImageJ and tifffile
 FACT: Final = "acquisition"
 _SIDECARS: Final = ("_frame_metadata.json", "metadata.txt")
-_SECONDS: Final = {"s": 1.0, "ms": 1e-3, "µs": 1e-6, "us": 1e-6, "min": 60.0}
 _LARGEST_TEXT: Final = 50_000_000
 
 
@@ -38,6 +40,8 @@ class PlaneFacts:
         bit_depth: Bits per pixel.
         temperature_c: Sensor temperature in °C.
         camera: Name of the camera.
+        device: Properties of the camera by name.
+        doubts: What is stated as unknown.
     """
 
     source: str
@@ -50,6 +54,11 @@ class PlaneFacts:
     temperature_c: float | None = None
     camera: str | None = None
     device: Mapping[str, Any] = field(default_factory=dict)
+    doubts: tuple[str, ...] = ()
+
+    def header(self) -> dict[str, Statement]:
+        """Return the camera's properties as statements, where a user may point to."""
+        return {name: Statement(value) for name, value in self.device.items()}
 
 
 def planes_of(path: Path, pages: Sequence[Any], ome_xml: str | None) -> list[PlaneFacts | None]:
@@ -64,34 +73,36 @@ def planes_of(path: Path, pages: Sequence[Any], ome_xml: str | None) -> list[Pla
     if any(tagged):
         return tagged
     if ome_xml:
-        planes = _of_ome(ome_xml, len(pages))
+        planes = _of_ome(ome_xml, path, [page.index for page in pages])
         if any(planes):
             return planes
     return [_of_sidecar(path)] if len(pages) == 1 else [None] * len(pages)
 
 
-def completed(frame: FoundFrame, facts: PlaneFacts) -> FoundFrame:
-    """Return a frame with what an acquisition program says of it; that goes before names, after EXIF."""
+def completed(frame: FoundFrame, facts: PlaneFacts, mapped: StatementMap) -> FoundFrame:
+    """Return a frame with what an acquisition program states of it; that goes before names, after EXIF and the user."""
     settings, taken, extra = frame.settings, dict(frame.taken), dict(frame.extra)
-    camera, doubts = dict(frame.camera), list[str]()
+    camera, doubts = dict(frame.camera), list(facts.doubts)
     taken[FACT] = facts.source
     known = frame.exposure_known
-    if facts.exposure_s is not None and not taken.get("exposure_s", "file name").startswith("EXIF"):
+    if facts.exposure_s is not None and taken.get("exposure_s", "file name") == "file name":
         settings, known = replace(settings, exposure_s=facts.exposure_s), True
         taken["exposure_s"] = facts.source
     if facts.timestamp_s is not None:
         settings = replace(settings, timestamp_s=facts.timestamp_s)
         taken["timestamp_s"] = facts.source
-    if facts.temperature_c is not None:
+    if facts.temperature_c is not None and "temperature" not in mapped.places:
         settings = replace(settings, temperature_c=facts.temperature_c)
         taken["temperature_C"] = facts.source
-    if facts.gain_db is not None:
+    if "gain" in mapped.places:
+        pass  # the user's word is in the frame already
+    elif facts.gain_db is not None:
         settings = replace(settings, gain_db=facts.gain_db)
         taken["gain_db"] = facts.source
     elif facts.gain is not None:
         extra["device_gain"] = facts.gain
-        camera["unit"] = f"gain {facts.gain}"  # frames of other gains are another set: their ratio is not known
-        doubts.append(f"the gain is {facts.gain} in a unit of the camera's own: it is taken as 0 dB of this set")
+        camera["mode"] = f"gain {facts.gain}"  # frames of other gains are another set: their ratio is not known
+        doubts.append(f"the gain is {facts.gain} in a unit of the camera's own: it counts as 0 dB of this set")
     if facts.binning is not None:
         camera["binning"] = facts.binning
     if facts.bit_depth is not None:
@@ -115,19 +126,20 @@ def _of_micro_manager(said: Mapping[str, Any], source: str) -> PlaneFacts:
     flat = _flattened(said)
     camera = str(flat.get("Camera") or flat.get("Core-Camera") or "")
     device = {key.removeprefix(f"{camera}-"): value for key, value in flat.items() if key.startswith(f"{camera}-")}
-    elapsed = _number(flat.get("ElapsedTime-ms", flat.get("Time-ms")))
-    received = _stamp(flat.get("ReceivedTime")) if elapsed is None else None
-    exposure = _number(flat.get("Exposure-ms", device.get("Exposure")))
+    doubts = list[str]()
+    elapsed = _value("timestamp", flat.get("ElapsedTime-ms", flat.get("Time-ms")), "ElapsedTime-ms", doubts, "ms")
     return PlaneFacts(
         source,
-        None if exposure is None else 1e-3 * exposure,
-        received if elapsed is None else 1e-3 * elapsed,
-        *_gain(device),
+        # Micro-Manager's core counts exposures in ms (MMCore API, setExposure).
+        _value("exposure", flat.get("Exposure-ms", device.get("Exposure")), "Exposure-ms", doubts, "ms"),
+        _stamp(flat.get("ReceivedTime")) if elapsed is None else elapsed,
+        *_gain(device, doubts),
         _text(flat.get("Binning", device.get("Binning"))),
         _bits(flat.get("BitDepth", device.get("BitDepth"))),
-        _number(device.get("CCDTemperature", device.get("Temperature"))),
+        _celsius(device, doubts),
         camera or None,
-        device,
+        {**flat, **device},
+        tuple(doubts),
     )
 
 
@@ -144,57 +156,109 @@ def _flattened(said: Mapping[str, Any]) -> dict[str, Any]:
     return flat
 
 
-def _of_ome(text: str, count: int) -> list[PlaneFacts | None]:
-    """Return what OME-XML says of the planes of its first image, in the order of the pages."""
+def _of_ome(text: str, path: Path, pages: Sequence[int]) -> list[PlaneFacts | None]:
+    """Return what OME-XML states of the planes of its images, in the order of the pages.
+
+    Args:
+        text: The XML.
+        path: The file, one of perhaps several that the XML describes.
+        pages: Numbers of the directories that are frames.
+    """
+    nothing: list[PlaneFacts | None] = [None] * len(pages)
     if "<!DOCTYPE" in text or len(text) > _LARGEST_TEXT:
-        return [None] * count
+        return nothing
     try:
         root = ElementTree.fromstring(text)
     except ElementTree.ParseError:
-        return [None] * count
-    pixels = next(iter(root.iterfind(".//{*}Image/{*}Pixels")), None)
-    if pixels is None:
-        return [None] * count
-    order = pixels.get("DimensionOrder", "XYCZT")[2:]
-    sizes = {axis: int(pixels.get(f"Size{axis}", "1")) for axis in "CZT"}
-    stated = {
-        _page_of({axis: int(plane.get(f"The{axis}", "0")) for axis in "CZT"}, order, sizes): plane
-        for plane in pixels.iterfind("{*}Plane")
-    }
+        return nothing
     device, camera = _devices(root)
-    bits = _bits(pixels.get("SignificantBits"))
-    begun = _stamp(root.findtext(".//{*}Image/{*}AcquisitionDate"))
-    return [_of_plane(stated.get(n), device, camera, bits, begun) for n in range(count)]
+    found: dict[int, PlaneFacts | None] = {}
+    for image in root.iterfind(".//{*}Image"):
+        pixels = image.find("{*}Pixels")
+        if pixels is None:
+            continue
+        where = _pages_of(pixels, path, max(pages, default=-1) + 1)
+        begun, bits = _stamp(image.findtext("{*}AcquisitionDate")), _bits(pixels.get("SignificantBits"))
+        for plane in pixels.iterfind("{*}Plane"):
+            page = where.get(_place_of(plane, "The"))
+            if page is not None:
+                found.setdefault(page, _of_plane(plane, str(path), device, camera, bits, begun))
+    return [found.get(page) for page in pages]
 
 
-def _page_of(place: Mapping[str, int], order: str, sizes: Mapping[str, int]) -> int:
-    page, step = 0, 1
+def _place_of(element: Any, prefix: str) -> tuple[int, int, int]:
+    return tuple(_whole(element.get(f"{prefix}{axis}"), 0) for axis in "CZT")  # type: ignore[return-value]  # three
+
+
+def _whole(text: str | None, default: int) -> int:
+    return int(text) if text and text.strip().isdigit() else default
+
+
+def _pages_of(pixels: Any, path: Path, count: int) -> dict[tuple[int, int, int], int]:
+    """Return the directory of each place (C, Z, T): as TiffData states it, else by DimensionOrder.
+
+    Source: OME data model, OME-TIFF specification: IFD, First*, PlaneCount and their defaults.
+    """
+    order = pixels.get("DimensionOrder", "XYCZT")[2:]
+    sizes = {axis: max(1, _whole(pixels.get(f"Size{axis}"), 1)) for axis in "CZT"}
+    found: dict[tuple[int, int, int], int] = {}
+    blocks = list(pixels.iterfind("{*}TiffData"))
+    for block in blocks:
+        uuid = block.find("{*}UUID")
+        if uuid is not None and uuid.get("FileName", path.name) != path.name:
+            continue  # a plane of another file
+        first = _whole(block.get("IFD"), 0)
+        several = _whole(block.get("PlaneCount"), 1 if block.get("IFD") is not None else count - first)
+        start = _number_of(_place_of(block, "First"), order, sizes)
+        for n in range(min(several, count - first)):
+            found.setdefault(_place_at(start + n, order, sizes), first + n)
+    return found if blocks else {_place_at(n, order, sizes): n for n in range(count)}
+
+
+def _number_of(place: tuple[int, int, int], order: str, sizes: Mapping[str, int]) -> int:
+    number, step = 0, 1
     for axis in order:
-        page += place[axis] * step
+        number += place["CZT".index(axis)] * step
         step *= sizes[axis]
-    return page
+    return number
+
+
+def _place_at(number: int, order: str, sizes: Mapping[str, int]) -> tuple[int, int, int]:
+    place = {}
+    for axis in order:
+        number, place[axis] = divmod(number, sizes[axis])
+    return place["C"], place["Z"], place["T"]
 
 
 def _of_plane(
-    plane: Any, device: Mapping[str, Any], camera: str | None, bits: int | None, begun: float | None
+    plane: Any, where: str, device: Mapping[str, Any], camera: str | None, bits: int | None, begun: float | None
 ) -> PlaneFacts | None:
-    if plane is None or plane.get("ExposureTime") is None:
+    if plane.get("ExposureTime") is None:
         return None
-    exposure = _number(plane.get("ExposureTime"))
-    after = _number(plane.get("DeltaT"))
-    unit, after_unit = (_SECONDS.get(plane.get(key, "s"), 1.0) for key in ("ExposureTimeUnit", "DeltaTUnit"))
-    stamp = None if after is None else (begun or 0.0) + after * after_unit
+    doubts = list[str]()
+    # The schema (OME 2016-06, Plane) gives s where no unit is stated.
+    exposure = _value(
+        "exposure", plane.get("ExposureTime"), "ExposureTime", doubts, "s", plane.get("ExposureTimeUnit", ""), where
+    )
+    after = _value("timestamp", plane.get("DeltaT"), "DeltaT", doubts, "s", plane.get("DeltaTUnit", ""), where)
     return PlaneFacts(
         "OME-XML",
-        None if exposure is None else exposure * unit,
-        stamp,
-        *_gain(device),
+        exposure,
+        None if after is None else (begun or 0.0) + after,
+        *_gain(device, doubts),
         _text(device.get("Binning")),
         bits,
-        _number(device.get("CCDTemperature", device.get("Temperature"))),
+        _celsius(device, doubts),
         camera,
-        device,
+        {**device, **{f"Plane {name}": value for name, value in plane.attrib.items()}},
+        tuple(doubts),
     )
+
+
+def _value(
+    fact: str, written: Any, place: str, doubts: list[str], defined: str, unit: str = "", where: str = ""
+) -> float | None:
+    return value_of(Statement(written, unit), fact, place, doubts, defined=defined, where=where)
 
 
 def _devices(root: Any) -> tuple[dict[str, Any], str | None]:
@@ -239,26 +303,33 @@ def _of_frame_dict(said: Mapping[str, Any]) -> PlaneFacts:
     camera = str(said.get("camera_device") or "")
     values = [v for v in said.get("property_values", ()) if isinstance(v, Mapping)]
     device = {str(v.get("prop")): v.get("val") for v in values if v.get("dev") == camera}
-    exposure, elapsed = _number(said.get("exposure_ms")), _number(said.get("runner_time_ms"))
+    doubts = list[str]()
     return PlaneFacts(
         "_frame_metadata.json",
-        None if exposure is None else 1e-3 * exposure,
-        None if elapsed is None else 1e-3 * elapsed,
-        *_gain(device),
+        _value("exposure", said.get("exposure_ms"), "exposure_ms", doubts, "ms"),
+        _value("timestamp", said.get("runner_time_ms"), "runner_time_ms", doubts, "ms"),
+        *_gain(device, doubts),
         _text(device.get("Binning")),
         _bits(device.get("BitDepth")),
-        _number(device.get("CCDTemperature")),
+        _celsius(device, doubts),
         camera or None,
         device,
+        tuple(doubts),
     )
 
 
-def _gain(device: Mapping[str, Any]) -> tuple[float | None, str | None]:
+def _celsius(device: Mapping[str, Any], doubts: list[str]) -> float | None:
+    return _value(
+        "temperature", device.get("CCDTemperature", device.get("Temperature")), "CCDTemperature", doubts, "degC"
+    )
+
+
+def _gain(device: Mapping[str, Any], doubts: list[str]) -> tuple[float | None, str | None]:
     """Return (gain in dB, or None where the unit is the device's own; that as text)."""
     for key, value in device.items():
-        plain = key.lower().replace(" ", "")
-        if plain in ("gaindb", "gain(db)", "gain_db", "gain[db]"):
-            return _number(value), None
+        name, unit, spelling = heading_parts(key, "gain")
+        if name == "gain" and unit is not None:
+            return _value("gain", value, key, doubts, "", spelling), None
     return None, _text(device.get("Gain"))
 
 
@@ -267,15 +338,8 @@ def _text(value: Any) -> str | None:
 
 
 def _bits(value: Any) -> int | None:
-    number = _number(str(value).lower().removesuffix("bit").strip("- ")) if value is not None else None
-    return int(number) if number is not None and 1 <= number <= 16 else None
-
-
-def _number(value: Any) -> float | None:
-    try:
-        return None if value is None else float(value)
-    except (TypeError, ValueError):
-        return None
+    digits = re.fullmatch(r"(\d{1,2})(?:\.0*)?[- ]?(?:bits?)?", str(value).strip().lower())
+    return int(digits[1]) if digits and 1 <= int(digits[1]) <= 16 else None
 
 
 def _stamp(text: Any) -> float | None:

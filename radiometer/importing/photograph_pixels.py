@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
@@ -16,11 +17,13 @@ from radiometer.data.frame import DigitalNumbers
 from radiometer.data.guards import refuse_large_picture
 from radiometer.data.raw_files import RAW_SUFFIXES, read_raw_colours
 from radiometer.errors import CaptureError
+from radiometer.importing.exif import count_pictures
 
 CHANNELS: Final = ("red", "green", "blue")
 IMAGE_SUFFIXES: Final = frozenset({".jpg", ".jpeg", ".png", ".tif", ".tiff"})
-_LUMA: Final = (0.299, 0.587, 0.114)  # ITU-R BT.601
+LUMA: Final = (0.299, 0.587, 0.114)  # ITU-R BT.601
 _PNG_START: Final = b"\x89PNG"
+_TIFF_STARTS: Final = (b"II", b"MM")
 _JPEG_SUFFIXES: Final = frozenset({".jpg", ".jpeg"})
 
 
@@ -32,6 +35,7 @@ class Photograph:
         values: Shape (height, width) where grey, else (height, width, 3) in the order red, green, blue.
         bit_depth: Bits per value.
         black_levels_dn: Value of black by channel, in their order, where the file states it.
+        white_level_dn: Value from which pixels are saturated, where the file states it.
         is_raw: Whether the values are the sensor's own, linear.
         full_shape: (height, width) of the file where only a lattice of its pixels was taken.
     """
@@ -39,6 +43,7 @@ class Photograph:
     values: DigitalNumbers
     bit_depth: int
     black_levels_dn: tuple[float, float, float] | None = None
+    white_level_dn: int | None = None
     is_raw: bool = False
     full_shape: tuple[int, int] | None = None
 
@@ -58,7 +63,7 @@ class Photograph:
             return None
         if channel in CHANNELS:
             return self.black_levels_dn[CHANNELS.index(channel)]
-        return float(np.dot(_LUMA, self.black_levels_dn))
+        return float(np.dot(LUMA, self.black_levels_dn))
 
     def plane(self, channel: str) -> DigitalNumbers:
         """Return the values of one channel: "red", "green", "blue", "luminance", or "mono" where grey."""
@@ -68,17 +73,22 @@ class Photograph:
         if channel in CHANNELS:
             return _plane(values[..., CHANNELS.index(channel)])
         full_scale = (1 << self.bit_depth) - 1
-        luma: DigitalNumbers = cv2.cvtColor(values, cv2.COLOR_RGB2GRAY)
-        # A sum is known only where all its parts are; a black part adds next to nothing.
-        luma[_brightest(values) == full_scale] = full_scale
-        return luma
+        return luma_of([values[..., k] for k in range(len(CHANNELS))], (full_scale,) * len(CHANNELS), full_scale)
 
 
-def _brightest(values: Any) -> Any:
-    """Return the largest of a pixel's three values, shape (height, width)."""
-    # Plane by plane: NumPy's maximum over an axis of three takes each pixel by itself, ten times as long.
-    red, green, blue = (values[..., k] for k in range(len(CHANNELS)))
-    return np.maximum(np.maximum(red, green), blue)
+def luma_of(planes: Sequence[Any], saturated_dn: Sequence[int], full_scale_dn: int) -> DigitalNumbers:
+    """Return the luma of red, green and blue; full scale where one of them is saturated.
+
+    Args:
+        planes: Values of red, green and blue, shape (height, width) each.
+        saturated_dn: From which value each of them is saturated.
+        full_scale_dn: The highest value.
+    """
+    luma: DigitalNumbers = cv2.cvtColor(np.dstack(planes), cv2.COLOR_RGB2GRAY)
+    # A sum is known only where all its parts are; a black part adds next to nothing.
+    for plane, end in zip(planes, saturated_dn, strict=True):
+        luma[plane >= end] = full_scale_dn
+    return luma
 
 
 def _plane(values: Any) -> DigitalNumbers:
@@ -153,6 +163,10 @@ def _decode_lossless(path: Path) -> Any:
     if content[:4].tobytes() == _PNG_START and b"IEND" not in content[-16:].tobytes():
         raise CaptureError(f"{path}: the PNG is truncated (no closing chunk); copy it again")
     refuse_large_picture(path, content.tobytes())
+    if content[:2].tobytes() in _TIFF_STARTS and (pictures := count_pictures(path)) > 1:
+        raise CaptureError(
+            f"{path}: holds {pictures} pictures, a photograph is one; `radiometer import` reads them all"
+        )
     image = decoded(content)
     if image is None:
         raise CaptureError(f"{path}: not a readable PNG or TIFF (damaged or truncated); copy it again")
@@ -193,4 +207,4 @@ def _read_raw(path: Path, most_pixels: int | None = None, *, interpolated: bool 
     raw = read_raw_colours(path, interpolated=interpolated)
     shape = (int(raw.values.shape[0]), int(raw.values.shape[1]))
     values = _on_lattice(raw.values, _step(shape, most_pixels))
-    return Photograph(values, raw.bit_depth, raw.black_levels_dn, is_raw=True, full_shape=shape)
+    return Photograph(values, raw.bit_depth, raw.black_levels_dn, raw.white_level_dn, is_raw=True, full_shape=shape)

@@ -7,33 +7,20 @@ import re
 import unicodedata
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
-from fractions import Fraction
 from pathlib import Path
 from typing import Final
 
-from PIL import Image, UnidentifiedImageError
-
 from radiometer.data.storage import read_text
 from radiometer.errors import CaptureError, InputError
-from radiometer.units import exact_exposure_s, exact_f_number
+from radiometer.importing.exif import exposure_of, f_number_of, iso_of, read_exif_header
+from radiometer.units import exact_exposure_s, exact_f_number, heading_parts, read_number, unit_of
 
-_LONGEST_NUMBER: Final = 40
 _GAP: Final = re.compile(r"[,;\s]+")
-_HUGE_POWER: Final = re.compile(r"[eE][+-]?0*\d{3}")
-_TIME: Final = re.compile(r"([-+\d./eE]+)\s*([^\W\d_]*)")
 _DECIMAL_COMMA: Final = re.compile(r"[;\s]+(\d+,\d+)(?![,\d])")
-# Units that may stand behind a time, in s.
-_UNITS_S: Final = {
-    "": 1.0, "s": 1.0, "sec": 1.0, "second": 1.0, "seconds": 1.0, "min": 60.0, "ms": 1e-3, "us": 1e-6, "µs": 1e-6,
-    "μs": 1e-6,
-}  # fmt: skip
-
+_UNITS_OFFERED: Final = "write s, ms, us, ns or min behind the number, or in the heading"
 _NAME_COLUMN: Final = ("file", "name", "filename", "image")
 
 LIST_NAMES: Final = ("exposures.txt", "exposures.csv", "image_list.txt")
-
-# Exif 2.32, section 4.6.3 and 4.6.5.
-_EXIF_IFD, _EXPOSURE_TIME, _F_NUMBER, _ISO = 0x8769, 33434, 33437, 34855
 
 # What third-stop and half-stop shutter dials print, as times or as the denominators of 1/x.
 _DIAL_DENOMINATORS: Final = (
@@ -81,6 +68,7 @@ class PhotographSettings:
         f_number: Exact f-number; None where unknown.
         iso: ISO speed as stated; None where unknown.
         gain_db: Gain beside the ISO speed in dB of amplitude.
+        iso_doubt: Why no speed is known though a tag states one; "" where that is not so.
     """
 
     exposure_s: float
@@ -88,6 +76,7 @@ class PhotographSettings:
     f_number: float | None = None
     iso: float | None = None
     gain_db: float = 0.0
+    iso_doubt: str = ""
 
     def as_printed(self) -> PhotographSettings:
         """Return the settings with the time as it is printed, no stop behind it."""
@@ -106,21 +95,19 @@ def read_exif(path: Path) -> PhotographSettings | None:
     A dial value (1/60 s) is turned into the exact stop behind it (2⁻⁶ s); any other time is taken as it stands. Of a
     camera that states other times as well, none stands for a stop (`as_printed`).
     """
-    try:
-        with Image.open(path) as image:
-            exif = image.getexif()
-            tags = {**exif, **exif.get_ifd(_EXIF_IFD)}
-    except (OSError, UnidentifiedImageError, SyntaxError, ValueError):
-        return None  # unreadable here means unreadable as a picture: reported when its pixels are read
-    nominal = _positive(tags.get(_EXPOSURE_TIME))
-    if nominal is None:
+    header, doubts = read_exif_header(path), list[str]()
+    exposure = exposure_of(header, doubts, str(path))
+    if exposure is None or exposure[1] == 0:
         return None
-    f_number, iso = _positive(tags.get(_F_NUMBER)), tags.get(_ISO)
+    nominal, f_number = exposure[1], f_number_of(header, doubts, str(path))
+    doubts.clear()
+    iso = iso_of(header, doubts, str(path))
     return PhotographSettings(
         exposure_s=exact_exposure_s(nominal) if is_dial_time(nominal) else nominal,
         nominal_exposure_s=nominal,
         f_number=None if f_number is None else exact_f_number(f_number),
-        iso=_positive(iso[0] if isinstance(iso, tuple) else iso),
+        iso=None if iso is None else iso[1],
+        iso_doubt="; ".join(doubts),
     )
 
 
@@ -147,13 +134,13 @@ def read_list(path: Path) -> dict[str, PhotographSettings]:
     for number, line in enumerate(lines, start=1):
         text = line.strip().strip("#").strip()
         words = _words(text, here)
+        where = f"{path}, line {number}"
         if not words[0]:
             continue
         if line.lstrip().startswith("#") or (number == 1 and _is_heading(words)):
             reciprocal |= len(words) > 1 and words[1].lower().startswith(("1/", "shutter_speed"))
-            unit = _unit_of_heading(words) or unit
+            unit = _unit_of_heading(words, where) or unit
             continue
-        where = f"{path}, line {number}"
         if (before := told_in.setdefault(words[0], number)) != number:
             raise CaptureError(f"{where}: names {words[0]!r} again (as line {before} does); leave one of the lines out")
         _refuse_decimal_comma(text, words, where)
@@ -205,12 +192,15 @@ def _is_heading(words: list[str]) -> bool:
     return len(words) > 1 and _number(words[1]) is None and words[0].lower() in _NAME_COLUMN
 
 
-def _unit_of_heading(words: list[str]) -> str:
+def _unit_of_heading(words: list[str], where: str) -> str:
     """Return the unit that a heading gives the second column (`name time_ms`, `file, time (ms)`); "" where none."""
     if words[0].lower() not in _NAME_COLUMN:
         return ""
-    parts = (re.split(r"[_(\[)\]]", word.lower()) for word in words[1:3])
-    return next((part for several in parts for part in several if part in _UNITS_S and part), "")
+    bracketed = len(words) > 2 and words[2][:1] in "(["
+    _, unit, spelling = heading_parts(" ".join(words[1:3]) if bracketed else words[1], "exposure")
+    if unit is None and spelling:
+        raise CaptureError(f"{where}: {spelling!r} is no unit of time; {_UNITS_OFFERED}")
+    return spelling
 
 
 def _settings_of_line(words: list[str], reciprocal: bool, unit: str, where: str) -> PhotographSettings:
@@ -218,7 +208,8 @@ def _settings_of_line(words: list[str], reciprocal: bool, unit: str, where: str)
     if seconds is None or not (math.isfinite(seconds) and seconds > 0):
         shown = words[1] if len(words) > 1 else "nothing"
         raise CaptureError(
-            f"{where}: {shown!r} after {words[0]!r} is no exposure time; expected seconds above 0, such as 0.5 or 1/125"
+            f"{where}: {shown!r} after {words[0]!r} is no exposure time; expected seconds above 0, such as 0.5, "
+            f"1/125 or 20 ms"
         )
     seconds = 1.0 / seconds if reciprocal else seconds
     return PhotographSettings(exposure_s=seconds, nominal_exposure_s=seconds)
@@ -228,27 +219,16 @@ def _time_s(words: list[str], unit: str) -> float | None:
     """Return the time in s of a line whose unit is in the time itself, in the word after it, or in the heading."""
     if len(words) < 2:
         return None
-    after = words[2].lower() if len(words) > 2 and words[2].lower() in _UNITS_S else ""
+    unit_follows = len(words) > 2 and (words[2][:1].isalpha() or unit_of(words[2], "exposure") is not None)
+    after = words[2] if unit_follows else ""
     return _number(words[1], after or unit)
 
 
 def _number(word: str, unit: str = "") -> float | None:
     """Return a time in s, in the given unit where none stands at its end; None where it is no time."""
-    found = _TIME.fullmatch(word)
-    if found is None or len(word) > _LONGEST_NUMBER or _HUGE_POWER.search(word):
-        return None  # a fraction of 10^99999999 would fill the memory
-    own = found.group(2).lower()
-    if own not in _UNITS_S:
-        return None
     try:
-        return float(Fraction(found.group(1))) * _UNITS_S[own or unit]
-    except (ValueError, ZeroDivisionError, OverflowError):
+        value, own = read_number(word)
+    except ValueError:
         return None
-
-
-def _positive(value: object) -> float | None:
-    try:
-        number = float(value)  # type: ignore[arg-type]  # EXIF rationals convert; anything else is refused here
-    except (TypeError, ValueError, ZeroDivisionError):
-        return None
-    return number if math.isfinite(number) and number > 0 else None
+    known = unit_of(own or unit or "s", "exposure")
+    return None if known is None else known.to_base(value)

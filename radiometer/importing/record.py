@@ -21,12 +21,16 @@ class ImportRecord:
         missing: What no file states and analyses would use.
         doubts: What contradicts itself, with the files.
         left_out: Files that could not be used, each with its reason.
+        not_used: Units, directories, pages and columns of the files that nothing was read from.
+        mapped: Where the user stated that facts stand, in the words of `--map`.
     """
 
     taken: tuple[str, ...] = ()
     missing: tuple[str, ...] = ()
     doubts: tuple[str, ...] = ()
     left_out: tuple[str, ...] = ()
+    not_used: tuple[str, ...] = ()
+    mapped: tuple[str, ...] = ()
 
     def to_mapping(self) -> dict[str, list[str]]:
         """Return the mapping that stands under `imported` in the capture set."""
@@ -35,6 +39,8 @@ class ImportRecord:
             "missing": list(self.missing),
             "doubts": list(self.doubts),
             "left_out": list(self.left_out),
+            "not_used": list(self.not_used),
+            "mapped": list(self.mapped),
         }
 
     def lines(self) -> list[str]:
@@ -43,6 +49,7 @@ class ImportRecord:
             *(f"left out: {line}" for line in self.left_out),
             *(f"doubt: {line}" for line in self.doubts),
             *(f"missing: {line}" for line in self.missing),
+            *(f"not used: {line}" for line in self.not_used),
         ]
 
 
@@ -71,11 +78,21 @@ def taken_from(frames: Sequence[FoundFrame]) -> tuple[str, ...]:
 
 def doubts_about(frames: Iterable[FoundFrame]) -> tuple[str, ...]:
     """Return the frames' doubts, those of one wording together, with the files that they are about."""
+    return by_wording((frame.label, frame.doubts) for frame in frames)
+
+
+def not_used_of(frames: Iterable[FoundFrame]) -> tuple[str, ...]:
+    """Return what of the frames' files is not used, with the files."""
+    return by_wording((frame.file.name, frame.not_used) for frame in frames)
+
+
+def by_wording(lines: Iterable[tuple[str, Sequence[str]]]) -> tuple[str, ...]:
+    """Return lines about files, those of one wording together with the names of all that they are about."""
     files: dict[str, list[str]] = {}
-    for frame in frames:
-        for doubt in frame.doubts:
-            files.setdefault(doubt, []).append(frame.label)
-    return tuple(f"{named(labels)}: {doubt}" for doubt, labels in files.items())
+    for label, several in lines:
+        for line in several:
+            files.setdefault(line, []).append(label)
+    return tuple(f"{named(labels)}: {line}" for line, labels in files.items())
 
 
 def named(labels: Sequence[str]) -> str:

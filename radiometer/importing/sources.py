@@ -5,8 +5,9 @@ from __future__ import annotations
 import glob
 import hashlib
 import math
+import shutil
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Final
 
@@ -15,15 +16,24 @@ from numpy.typing import NDArray
 from radiometer.data import CaptureHeader, CaptureSet, CaptureSetWriter, FrameSettings
 from radiometer.data.capture_set import HEADER_NAME, read_digital_numbers, read_header
 from radiometer.data.frame import DigitalNumbers
+from radiometer.data.statements import StatementMap
 from radiometer.data.storage import write_yaml_atomic
-from radiometer.errors import CaptureError, InputError, MissingLibrary, OutputError
+from radiometer.errors import (
+    CaptureError,
+    DamagedFileError,
+    InputError,
+    MissingLibrary,
+    OutputError,
+    UnsettledError,
+    UsageError,
+)
 from radiometer.importing.assembly import Assembled, assemble, by_camera
 from radiometer.importing.emva_listing import EmvaListing, find_descriptor
 from radiometer.importing.file_bytes import kind_of
 from radiometer.importing.fits_files import read_fits_headers, read_fits_pixels
 from radiometer.importing.found import FoundFrame, ImportOptions
 from radiometer.importing.micro_manager import FACT as ACQUISITION
-from radiometer.importing.record import ImportRecord, named
+from radiometer.importing.record import ImportRecord, named, record_in
 from radiometer.importing.statistics_table import is_statistics_table, read_statistics_table
 from radiometer.importing.tiff_files import read_tiff_headers, read_tiff_pixels
 
@@ -120,7 +130,7 @@ def open_capture(path: Path, options: ImportOptions | None = None) -> CaptureSet
     if len(found) > 1:
         cameras = ", ".join(one.title for one in found)
         raise CaptureError(
-            f"{path} holds frames of {len(found)} cameras or bands ({cameras}); take one by a pattern such as "
+            f"{path} holds frames of {len(found)} cameras, bands or gains ({cameras}); take one by a pattern such as "
             "'folder/*_1.tif', or write each as a capture set with `radiometer import`"
         )
     return as_capture(found[0], path, options)
@@ -131,14 +141,19 @@ def as_capture(one: Assembled, path: Path, options: ImportOptions | None = None)
     return CaptureSet(path, one.header, FileStore(dict(one.frames), options or ImportOptions()))
 
 
-def statistics_of(path: Path) -> CaptureHeader | None:
+def statistics_of(path: Path, mapped: StatementMap | None = None) -> CaptureHeader | None:
     """Return the statistics that a table or a capture set without pictures holds; None where a path is neither.
+
+    Args:
+        path: Table or capture set.
+        mapped: Where the user states that facts stand.
 
     Raises:
         CaptureError: If the table is damaged.
+        UnsettledError: If a column has no unit that is known.
     """
     if path.is_file():
-        return read_statistics_table(path) if is_statistics_table(path) else None
+        return read_statistics_table(path, mapped) if is_statistics_table(path, mapped) else None
     if not (path / HEADER_NAME).is_file():
         return None
     header = read_header(path)
@@ -174,7 +189,7 @@ def import_sources(
             f"{named([str(p) for p in paths])}: no FITS or TIFF file, EMVA 1288 descriptor or table of statistics "
             "there; name one, or a folder that holds some"
         )
-    frames, left_out = _found_in(files, report)
+    frames, left_out = _found_in(files, taking.mapped, report)
     root = _common_root(paths)
     sets = []
     for title, several in by_camera(frames).items():
@@ -188,24 +203,92 @@ def import_sources(
     return sets
 
 
-def copy_into(capture: CaptureSet, out: Path, report: Callable[[int, int], None] | None = None) -> CaptureSet:
-    """Write a capture set's frames, as they are taken, as a capture set of its own and return it.
+@dataclass(frozen=True, slots=True)
+class WrittenSet:
+    """A capture set that an import wrote: its folder, its frames or settings, and the record of the import."""
+
+    path: Path
+    frames: int
+    settings: int
+    record: ImportRecord
+
+
+def import_into(
+    sources: Sequence[Path],
+    output: Path,
+    options: ImportOptions | None = None,
+    report: Callable[[int, int], None] | None = None,
+) -> list[WrittenSet]:
+    """Write what files, folders and patterns hold as capture sets: all of them, or none where one cannot be taken.
+
+    A damaged file among others is left out and named in the record.
+
+    Args:
+        sources: What the user names.
+        output: Folder to write; one folder within it per camera where there are several.
+        options: How frames are taken.
+        report: Called with (files read, files in all).
 
     Raises:
         OutputError: If the folder exists already and is not empty, or cannot be written.
-        CaptureError: If a frame is unreadable.
+        CaptureError: If nothing can be read.
+        UnsettledError: If a number has no unit that is known.
+        UsageError: If a table of statistics is named with other sources.
+    """
+    taking = options or ImportOptions()
+    existed = output.exists()
+    if existed and (not output.is_dir() or any(output.iterdir())):
+        raise OutputError(f"{output} exists already and is not empty; name a new folder")
+    table = statistics_of(sources[0], taking.mapped) if sources[0].exists() else None
+    if table is not None:
+        if len(sources) > 1:
+            raise UsageError("a table of statistics is one source; name it alone")
+        write_statistics(table, output)
+        return [WrittenSet(output, 0, len(table.statistics), record_in(table))]
+    found = import_sources(sources, taking, report)
+    try:
+        return [_written(one, output if len(found) == 1 else output / one.title, sources[0], taking) for one in found]
+    except BaseException:
+        shutil.rmtree(output, ignore_errors=True)
+        if existed:
+            output.mkdir(exist_ok=True)
+        raise
+
+
+def _written(one: Assembled, out: Path, source: Path, options: ImportOptions) -> WrittenSet:
+    written = copy_into(as_capture(one, source, options), out)
+    return WrittenSet(out, len(written), 0, record_in(written.header))
+
+
+def copy_into(capture: CaptureSet, out: Path, report: Callable[[int, int], None] | None = None) -> CaptureSet:
+    """Write a capture set's frames, as they are taken, as a capture set and return it.
+
+    A frame whose file is damaged is left out, and the record names it; where all are, that is an error.
+
+    Raises:
+        OutputError: If the folder exists already and is not empty, or cannot be written.
+        CaptureError: If a frame cannot be taken as the options have it, or no file is whole.
     """
     header = capture.header
     known = {"format", "camera", "lens", "source", "patterns", "patches", "frames", "statistics"}
     extra = {key: value for key, value in (header.model_extra or {}).items() if key not in known}
+    damaged = list[DamagedFileError]()
     with CaptureSetWriter(
         out, header.camera, header.lens, header.source, header.patches, header.patterns, extra
     ) as writer:
         for index, entry in enumerate(header.frames):
             further = {"original": entry.file, **(entry.model_extra or {})}
-            writer.add(capture.read_frame(index), photons=entry.photons, **further)
+            try:
+                writer.add(capture.read_frame(index), photons=entry.photons, **further)
+            except DamagedFileError as error:
+                damaged.append(error)
             if report is not None:
                 report(index + 1, len(capture))
+        if len(damaged) == len(header.frames):
+            raise damaged[0]
+        if damaged and "imported" in extra:
+            record = record_in(header)
+            extra["imported"] = replace(record, left_out=(*record.left_out, *map(str, damaged))).to_mapping()
         return writer.finish()
 
 
@@ -237,6 +320,8 @@ def _is_raw_tiff(file: Path) -> bool:
     """Tell whether a TIFF is a camera's raw frame, with facts that photographs do not carry."""
     try:
         first = read_tiff_headers(file)[0]
+    except UnsettledError:
+        return True  # it states something of a camera, though not in a known unit
     except (CaptureError, MissingLibrary):
         return False
     return any(fact in first.taken for fact in _RAW_TIFF_FACTS)
@@ -273,13 +358,13 @@ def _common_root(paths: Sequence[Path]) -> Path:
 
 
 def _found_in(
-    files: Iterable[tuple[Path, bool]], report: Callable[[int, int], None] | None
+    files: Iterable[tuple[Path, bool]], mapped: StatementMap, report: Callable[[int, int], None] | None
 ) -> tuple[list[FoundFrame], list[str]]:
     frames, left_out = list[FoundFrame](), list[str]()
     listed = list(files)
     for number, (file, is_named) in enumerate(listed, start=1):
         try:
-            frames += _headers(file)
+            frames += _headers(file, mapped)
         except CaptureError as error:
             if is_named and len(listed) == 1:
                 raise
@@ -289,12 +374,12 @@ def _found_in(
     return frames, left_out
 
 
-def _headers(file: Path) -> list[FoundFrame]:
+def _headers(file: Path, mapped: StatementMap) -> list[FoundFrame]:
     kind = kind_of(file)
     if kind == "fits":
-        return read_fits_headers(file)
+        return read_fits_headers(file, mapped)
     if kind == "tiff":
-        return read_tiff_headers(file)
+        return read_tiff_headers(file, mapped)
     raise CaptureError(
         f"{file}: not FITS or TIFF by its first bytes, no EMVA 1288 descriptor, and no table of means and variances "
         "over exposure (damaged, or of a kind that is not read)"
@@ -373,6 +458,7 @@ __all__ = [
     "ImportRecord",
     "as_capture",
     "copy_into",
+    "import_into",
     "import_sources",
     "is_foreign",
     "open_capture",

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-import io
 import json
 import math
 import re
@@ -12,17 +10,20 @@ from pathlib import Path
 from typing import Any, Final
 
 from radiometer.data import CameraDescription, CaptureHeader, SettingStatistics, SourceDescription
-from radiometer.errors import CaptureError
+from radiometer.data.statements import Statement, StatementMap, is_unknown, value_of
+from radiometer.data.text_table import decode_export, read_table
+from radiometer.errors import CaptureError, InputError, UnsettledError
 from radiometer.importing.file_bytes import read_bytes
 from radiometer.importing.record import ImportRecord
+from radiometer.units import heading_parts
 
 TABLE_SUFFIXES: Final = (".csv", ".tsv", ".jsonl", ".ndjson", ".json")
 _ASSUMED_PIXELS: Final = 10_000
-_UNIT_S: Final = {"s": 1.0, "sec": 1.0, "ms": 1e-3, "us": 1e-6, "µs": 1e-6, "ns": 1e-9, "min": 60.0}
-_EXPOSURE: Final = re.compile(
-    r"^(?:exposure|exposure_time|exptime|exp|t_exp|texp|integration_time|integration|t_int|shutter_time)"
-    r"(?:_in_file_units)?(?:_(s|sec|ms|us|µs|ns|min))?$"
-)
+# Names of columns without their unit (`heading_parts`), the best first.
+_EXPOSURE: Final = (
+    "exposure", "exposure_time", "exptime", "exp", "t_exp", "texp", "integration_time", "integration", "t_int",
+    "shutter_time", "exposure_in_file_units",
+)  # fmt: skip
 _NAMES: Final[Mapping[str, tuple[str, ...]]] = {
     "mean": ("mean_dn", "mean", "mu", "mu_y", "mean_adu", "avg", "average", "mean_counts", "mean_signal", "signal_dn"),
     "variance": (
@@ -32,13 +33,13 @@ _NAMES: Final[Mapping[str, tuple[str, ...]]] = {
     "sigma": ("std", "std_dn", "sigma", "sigma_dn", "noise", "noise_dn", "rms", "rms_dn", "temporal_std", "stddev"),
     "frames": ("frames", "n_frames", "nframes", "frame_count", "count", "n", "repeats"),
     "pixels": ("pixels", "n_pixels", "npix", "npixels", "pixel_count"),
-    "gain_db": ("gain_db",),
-    "temperature": ("temperature_c", "temp_c", "temperature", "temp", "ccd_temp", "sensor_temperature"),
+    "gain": ("gain",),
+    "temperature": ("temperature", "temp", "ccd_temp", "sensor_temperature"),
     "timestamp": ("timestamp_s", "timestamp", "time_s", "unix_time"),
     "kind": ("shutter", "type", "kind", "frame_type", "imagetyp"),
     "dark": ("dark", "is_dark"),
     "photons": ("photons", "photons_per_pixel", "mu_p"),
-    "level": ("source_level", "level", "led_level", "light_level"),
+    "source_level": ("source_level", "level", "led_level", "light_level"),
     "spatial": ("spatial_variance_dn2", "spatial_variance", "spatial_var"),
     "clipped": ("clipped_share", "sat_frac", "saturated_share", "share_saturated", "share_at_full_scale"),
     "floor": ("floor_share", "share_at_0", "share_at_zero"),
@@ -52,54 +53,68 @@ _PAIR_COLUMNS: Final = (("taken_a", "taken_b"), ("mean_a", "mean_b"), ("file_a",
 Row = Mapping[str, Any]
 
 
-def is_statistics_table(path: Path) -> bool:
+def is_statistics_table(path: Path, mapped: StatementMap | None = None) -> bool:
     """Tell whether a file is a table with a mean and a variance (or standard deviation) per row."""
     if _suffix(path) not in TABLE_SUFFIXES:
         return False
     try:
         heading = _heading(path)
-    except CaptureError:
+    except InputError:
         return False
-    return _has(heading, "mean") and (_has(heading, "variance") or _has(heading, "sigma"))
+    map_of = mapped or StatementMap()
+    has = {fact: _has(heading, fact) or fact in map_of.places for fact in ("mean", "variance", "sigma")}
+    return has["mean"] and (has["variance"] or has["sigma"])
 
 
-def _heading(path: Path) -> list[Row]:
+def _heading(path: Path) -> Sequence[Row]:
     """Return the keys of a table's first row, with its values where it is JSON; what follows may be damaged."""
     text = read_bytes(path).decode("utf-8-sig", "replace")
     lines = [line for line in text.splitlines() if line.strip() and not line.lstrip().startswith("#")]
     if not lines:
         return []
     if _suffix(path) in (".csv", ".tsv"):
-        return [dict.fromkeys(map(_key, lines[0].split(_delimiter(lines[0]))))]
+        # Of a first line alone any separator may be meant: under one of them it names a mean and a variance.
+        return [dict.fromkeys(map(_key, lines[0].split(mark))) for mark in (",", ";", "\t")]
     return _json_rows(text if text.lstrip().startswith("[") else lines[0], path)[:1]
 
 
-def _delimiter(heading: str) -> str:
-    return max(",;\t", key=heading.count)
-
-
-def read_statistics_table(path: Path) -> CaptureHeader:
+def read_statistics_table(path: Path, mapped: StatementMap | None = None) -> CaptureHeader:
     """Return a table's rows as the header of a capture set without pictures.
 
-    Exposures are in s unless the column's name ends in ms, us, ns or min. Without a column of frames, two columns
-    that end in _a and _b tell of pairs.
+    Units stand in the names of the columns, such as exposure_ms. Without a column of frames, two columns that end in
+    _a and _b mean pairs.
+
+    Args:
+        path: CSV, TSV, JSON or JSON lines.
+        mapped: Where the user states that facts stand.
 
     Raises:
         CaptureError: If a row lacks exposure, mean or variance, or a value is no number; the message names the row.
+        UnsettledError: If a column has no unit that is known.
     """
-    rows = _rows(path)
+    map_of = mapped or StatementMap()
+    missing, doubts = list[str](), list[str]()
+    rows, spelled, how = _rows(path)
     if not rows:
         raise CaptureError(f"{path}: the table has no rows")
-    missing, doubts = list[str](), list[str]()
-    exposure, unit_s = _exposure_column(rows, path, doubts)
+    columns = _columns(rows, path, map_of)
     pixels = _pixels(rows, missing, doubts)
-    entries = []
-    for number, row in enumerate(rows, start=1):
-        entries.append(_entry(row, exposure, unit_s, pixels, f"{path}, row {number}"))
+    entries = [
+        _entry(row, columns, spelled, pixels, f"{path}, row {number}", map_of, doubts)
+        for number, row in enumerate(rows, start=1)
+    ]
     bits = _bit_depth(rows, entries, missing)
-    if not _has(rows, "kind") and not _has(rows, "dark"):
-        missing.append("no column says which rows are dark: all are taken with light (but exposures of 0)")
-    record = ImportRecord(_taken(rows, exposure), tuple(missing), tuple(doubts))
+    if "kind" not in columns and "dark" not in columns:
+        missing.append("no column states which rows are dark: all are taken with light (but exposures of 0)")
+    used = {*columns.values(), *(name for name in rows[0] if _SHARE_AT.match(name) or _is_of_pair(name))}
+    left = [name for name in rows[0] if name not in used]
+    record = ImportRecord(
+        (*how, *_taken(rows, columns)),
+        tuple(missing),
+        tuple(dict.fromkeys(doubts)),
+        not_used=(f"{path.name}: columns {', '.join(left)}",) if left else (),
+        mapped=map_of.words(),
+    )
     return CaptureHeader.model_validate(
         {
             "camera": CameraDescription(bit_depth=bits),
@@ -110,34 +125,49 @@ def read_statistics_table(path: Path) -> CaptureHeader:
     )
 
 
+def _columns(rows: Sequence[Row], path: Path, mapped: StatementMap) -> dict[str, str]:
+    """Return the column of each fact: the user's, else the one of a known name, the same in all rows."""
+    found = {}
+    for fact, names in {"exposure": _EXPOSURE, **_NAMES}.items():
+        for place in mapped.places.get(fact, ()):
+            if place.constant is not None or _key(place.name) in rows[0]:
+                found[fact] = place.name if place.constant is not None else _key(place.name)
+                break
+        else:
+            if fact in mapped.demanded:
+                raise UnsettledError(f"{path}: has no column that --map {fact} names; it has {', '.join(rows[0])}")
+            name = _column(rows, fact, names)
+            if name is not None:
+                found[fact] = name
+    if "exposure" not in found:
+        raise CaptureError(
+            f"{path}: no column of exposures (such as exposure_s or exposure_ms); name it: --map exposure=COLUMN:UNIT"
+        )
+    return found
+
+
 def _suffix(path: Path) -> str:
     name = path.name.lower().removesuffix(".gz")
     return Path(name).suffix
 
 
-def _rows(path: Path) -> list[Row]:
+def _rows(path: Path) -> tuple[list[Row], dict[str, str], tuple[str, ...]]:
+    """Return the rows by key, the keys as they are spelled (units depend on case), and how the table was read."""
+    text = decode_export(read_bytes(path))
+    if _suffix(path) not in (".csv", ".tsv"):
+        rows = _json_rows(text, path)
+        spelled = re.findall(r'"((?:[^"\\]|\\.)*)"\s*:', text)
+        return rows, {_key(name): name for name in reversed(spelled)}, ()
     try:
-        text = read_bytes(path).decode("utf-8-sig")
-    except UnicodeDecodeError as error:
-        raise CaptureError(f"{path} is not a text file (byte {error.start} is not UTF-8)") from error
-    if _suffix(path) in (".csv", ".tsv"):
-        return _csv_rows(text, path)
-    return _json_rows(text, path)
-
-
-def _csv_rows(text: str, path: Path) -> list[Row]:
-    lines = [line for line in text.splitlines() if line.strip() and not line.lstrip().startswith("#")]
-    if not lines:
-        return []
-    try:
-        table = csv.DictReader(io.StringIO("\n".join(lines)), delimiter=_delimiter(lines[0]))
-        rows = list(table)
-    except csv.Error as error:
-        raise CaptureError(f"{path}: not a readable table: {error}") from error
-    short = next((n for n, row in enumerate(rows, 1) if None in row or None in row.values()), None)
-    if short is not None:
-        raise CaptureError(f"{path}, row {short}: has not as many cells as the heading (a truncated file?)")
-    return [{_key(k): v for k, v in row.items()} for row in rows]
+        table = read_table(path, "columns of exposure, mean and variance", text, named=True)
+    except InputError as error:
+        raise CaptureError(str(error)) from error
+    keys = [_key(name) for name in table.header]
+    if len(set(keys)) < len(keys):
+        twice = next(name for name in keys if keys.count(name) > 1)
+        raise CaptureError(f"{path}: two columns are called {twice!r}; rename one")
+    rows = [dict(zip(keys, cells, strict=True)) for _, cells in table.rows]
+    return rows, dict(zip(keys, table.header, strict=True)), (table.how,)
 
 
 def _json_rows(text: str, path: Path) -> list[Row]:
@@ -172,36 +202,48 @@ def _key(heading: str) -> str:
     return words.replace("dn_2", "dn2").replace("dn^2", "dn2")
 
 
-def _column(rows: Sequence[Row], fact: str) -> str | None:
-    return next((name for name in _NAMES[fact] if any(name in row for row in rows)), None)
+def _column(rows: Sequence[Row], fact: str, names: Sequence[str] | None = None) -> str | None:
+    """Return the first column of a fact, its unit apart."""
+    for known in names or _NAMES[fact]:
+        for row in rows[:1]:
+            for name in row:
+                if known == name or (fact in _WITH_UNIT and heading_parts(name, fact)[0] == known):
+                    return str(name)
+    return None
+
+
+_WITH_UNIT: Final = ("exposure", "gain", "temperature")
 
 
 def _has(rows: Sequence[Row], fact: str) -> bool:
-    return _column(rows, fact) is not None
+    return any(_column([row], fact) is not None for row in rows)
 
 
-def _exposure_column(rows: Sequence[Row], path: Path, doubts: list[str]) -> tuple[str, float]:
-    for name in rows[0]:
-        found = _EXPOSURE.match(name)
-        if found:
-            if found[1] is None:
-                doubts.append(f"the column {name!r} has no unit: seconds are assumed")
-            return name, _UNIT_S[found[1] or "s"]
-    raise CaptureError(f"{path}: no column of exposures (such as exposure_s or exposure_ms)")
-
-
-def _entry(row: Row, exposure: str, unit_s: float, pixels: int, where: str) -> SettingStatistics:
+def _entry(
+    row: Row,
+    columns: Mapping[str, str],
+    spelled: Mapping[str, str],
+    pixels: int,
+    where: str,
+    mapped: StatementMap,
+    doubts: list[str],
+) -> SettingStatistics:
     def value(fact: str) -> float | None:
-        name = next((n for n in _NAMES[fact] if n in row), None)
-        return None if name is None or row[name] in ("", None) else _number(row[name], where, name)
+        name = columns.get(fact)
+        return None if name is None or name not in row or is_unknown(row[name]) else _number(row[name], where, name)
 
-    exposure_s = _number(row.get(exposure), where, exposure) * unit_s
+    def stated(fact: str, defined: str = "") -> float | None:
+        return _stated(fact, row, columns, spelled, mapped, doubts, where, defined)
+
+    exposure_s = stated("exposure")
     mean, variance, sigma = value("mean"), value("variance"), value("sigma")
+    if exposure_s is None:
+        raise CaptureError(f"{where}: has no exposure ({row.get(columns['exposure'])!r})")
     if mean is None:
         raise CaptureError(f"{where}: has no mean")
     if variance is None and sigma is not None:
         variance = sigma**2
-    if exposure_s < 0 or (variance is not None and variance < 0):
+    if variance is not None and variance < 0:
         raise CaptureError(f"{where}: exposure and variance must be 0 or above")
     frames = int(value("frames") or 2)
     return SettingStatistics.model_validate(
@@ -211,10 +253,10 @@ def _entry(row: Row, exposure: str, unit_s: float, pixels: int, where: str) -> S
             "variance_dn2": variance if frames > 1 else None,
             "frames": frames,
             "pixels": int(value("pixels") or pixels),
-            "gain_db": value("gain_db") or 0.0,
-            "temperature_C": value("temperature"),
+            "gain_db": stated("gain") or 0.0,
+            "temperature_C": stated("temperature", "degC"),
             "timestamp_s": value("timestamp"),
-            "source_level": 1.0 if (level := value("level")) is None else level,
+            "source_level": 1.0 if (level := value("source_level")) is None else level,
             "shutter": "closed" if _is_dark(row, exposure_s, value("photons")) else "open",
             "photons": value("photons"),
             "spatial_variance_dn2": value("spatial"),
@@ -222,6 +264,36 @@ def _entry(row: Row, exposure: str, unit_s: float, pixels: int, where: str) -> S
             "floor_share": value("floor") or 0.0,
         }
     )
+
+
+def _stated(
+    fact: str,
+    row: Row,
+    columns: Mapping[str, str],
+    spelled: Mapping[str, str],
+    mapped: StatementMap,
+    doubts: list[str],
+    where: str,
+    defined: str,
+) -> float | None:
+    """Return a fact in its base unit, by the unit that the user, the cell or the name of the column states."""
+    name = columns.get(fact)
+    if name is None:
+        return None
+    place = next((p for p in mapped.places.get(fact, ()) if name in (p.name, _key(p.name))), None)
+    if place is not None and place.constant is not None:
+        statement = Statement(place.constant, place.unit)
+    else:
+        _, _, spelling = heading_parts(spelled.get(name, name), fact)
+        statement = Statement(row.get(name), place.unit if place and place.unit else spelling)
+    try:
+        return value_of(statement, fact, name, doubts, defined=defined, where=where)
+    except OverflowError as error:
+        raise CaptureError(f"{where}: {name} = {row.get(name)!r} is too large") from error
+
+
+def _is_of_pair(name: str) -> bool:
+    return any(name in pair for pair in _PAIR_COLUMNS)
 
 
 def _clipped(row: Row, value: Callable[[str], float | None], where: str) -> float:
@@ -295,10 +367,9 @@ def _bit_depth(rows: Sequence[Row], entries: Sequence[SettingStatistics], missin
     return bits
 
 
-def _taken(rows: Sequence[Row], exposure: str) -> tuple[str, ...]:
-    found = {fact: _column(rows, fact) for fact in _NAMES}
-    lines = [f"exposure_s from column {exposure}", *(f"{f} from column {name}" for f, name in found.items() if name)]
-    if not found["frames"]:
+def _taken(rows: Sequence[Row], columns: Mapping[str, str]) -> tuple[str, ...]:
+    lines = [f"{'exposure_s' if fact == 'exposure' else fact} from column {name}" for fact, name in columns.items()]
+    if "frames" not in columns:
         pairs = any(all(name in rows[0] for name in pair) for pair in _PAIR_COLUMNS)
         lines.append("frames: 2 of each setting" + (" (columns _a and _b)" if pairs else " assumed"))
     return tuple(lines)

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import io
 import math
-import struct
-from collections.abc import Iterator, Mapping
+import re
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, Final
@@ -14,38 +15,64 @@ from typing import Any, Final
 import numpy as np
 import tifffile
 from numpy.typing import NDArray
+from PIL import Image
 
 from radiometer.data.frame import FrameSettings
 from radiometer.data.guards import refuse_size
-from radiometer.errors import CaptureError
+from radiometer.data.statements import Statement, StatementMap, first_stated, places
+from radiometer.errors import CaptureError, DamagedFileError, UnsettledError
+from radiometer.importing.exif import (
+    DAMAGE,
+    directories,
+    exposure_of,
+    f_number_of,
+    iso_of,
+    numbers_of,
+    statements_of_page,
+)
 from radiometer.importing.file_bytes import read_bytes
 from radiometer.importing.file_names import claims_of, contradictions
 from radiometer.importing.found import FoundFrame
 from radiometer.importing.maker_models import corners_of_plane, fall_off_of, row_exposure_of
 from radiometer.importing.micro_manager import completed, planes_of
 from radiometer.importing.xmp import numbers, read_xmp
+from radiometer.units import BASE_ISO
 
-_EXIF, _XMP, _MAKE, _MODEL, _DESCRIPTION, _DATE_TIME = 34665, 700, 271, 272, 270, 306
-_BLACK_LEVEL, _WHITE_LEVEL, _SERIAL = 50714, 50717, 50735  # DNG 1.7, chapter 4
-_ISO_KEYS: Final = ("ISOSpeed", "PhotographicSensitivity", "ISOSpeedRatings", "RecommendedExposureIndex")
-_BASE_ISO: Final = 100.0
+_XMP, _MAKE, _MODEL, _DATE_TIME = 700, 271, 272, 306
+_WHITE_LEVEL, _SERIAL = 50717, 50735  # DNG 1.7, chapter 4
+# DNG 1.7, chapter 4: BlackLevel is rows × columns × samples of the repeating pattern; the deltas add to it by column
+# and row.
+_BLACK_LEVEL, _BLACK_REPEATS, _BLACK_DELTAS = 50714, 50713, (50715, 50716)
 _DOUBTFUL_BLACK_SHARE: Final = 0.01  # of the stated black level: what masked rows may differ from it unnoticed
 
 
-def read_tiff_headers(path: Path) -> list[FoundFrame]:
-    """Return the frames of a TIFF file, one per page, without keeping their pixels.
+def read_tiff_headers(path: Path, mapped: StatementMap = StatementMap()) -> list[FoundFrame]:
+    """Return the frames of a TIFF file, one per full-size directory, without keeping their pixels.
+
+    Every directory's own tags count, then those of the directory that holds it. Directories of reduced pictures are
+    reported as not used.
+
+    Args:
+        path: The file.
+        mapped: Where the user states that facts stand.
 
     Raises:
         CaptureError: If the file is damaged or truncated, or its pages are not of one channel.
+        UnsettledError: If a number has no unit that is known.
     """
     with _opened(path) as tiff:
-        pages = [page for page in tiff.pages if not _is_reduced(page)]
+        pages, reduced = _full_size(tiff)
         if not pages:
             raise CaptureError(f"{path}: the TIFF holds no page")
-        facts = _facts(pages[0])
-        frames = [_frame(path, page, number, len(pages), facts) for number, page in enumerate(pages)]
-        said = planes_of(path, pages, tiff.ome_metadata if tiff.is_ome else None)
-    return [frame if plane is None else completed(frame, plane) for frame, plane in zip(frames, said, strict=True)]
+        top = [page for page, _ in pages]
+        planes = planes_of(path, top, tiff.ome_metadata if tiff.is_ome else None)
+        stated = _image_j(tiff)
+        frames = []
+        for number, ((page, parents), plane) in enumerate(zip(pages, planes, strict=True)):
+            facts = _facts(page, parents, {**stated, **(plane.header() if plane else {})})
+            frame = _frame(path, page, number, len(pages), facts, mapped)
+            frames.append(frame if plane is None else completed(frame, plane, mapped))
+    return [replace(frame, not_used=reduced) for frame in frames]
 
 
 def read_tiff_pixels(path: Path, part: int) -> NDArray[Any]:
@@ -55,11 +82,48 @@ def read_tiff_pixels(path: Path, part: int) -> NDArray[Any]:
         CaptureError: If the file is damaged or truncated.
     """
     with _opened(path) as tiff:
-        pages = [page for page in tiff.pages if not _is_reduced(page)]
-        _refuse_cut_short(path, pages[part], tiff.filehandle.size)
-        refuse_size(path, pages[part].shape, pages[part].dtype.itemsize)
-        values = pages[part].asarray()
+        page = _full_size(tiff)[0][part][0]
+        _refuse_cut_short(path, page, tiff.filehandle.size)
+        refuse_size(path, page.shape, page.dtype.itemsize)
+        values = _with_pillow(path, page) if page.compression in _OF_PILLOW else page.asarray()
     return np.asarray(values[..., 0] if values.ndim == 3 and values.shape[-1] == 1 else values)
+
+
+# LZW (OpenCV's default) and the JPEG and CCITT kinds: tifffile needs a further library for them, Pillow has them.
+_OF_PILLOW: Final = (2, 3, 4, 5, 7)
+_STRIPS, _TILES = 273, 324  # where the data of a directory begin
+
+
+def _with_pillow(path: Path, page: Any) -> NDArray[Any]:
+    """Return the values of a directory that Pillow decodes; it is found by where its data begin."""
+    image: Any
+    with Image.open(io.BytesIO(read_bytes(path))) as image:
+        for number in range(getattr(image, "n_frames", 1)):
+            image.seek(number)
+            if image.tag_v2.get(_STRIPS, image.tag_v2.get(_TILES, (None,)))[0] == page.dataoffsets[0]:
+                return np.asarray(image).astype(page.dtype, copy=False)
+    raise CaptureError(f"{path}: a directory of this compression is within another; save it without compression")
+
+
+def _full_size(tiff: Any) -> tuple[list[tuple[Any, tuple[Any, ...]]], tuple[str, ...]]:
+    """Return the directories of full-size pictures with those above them, and the others in words."""
+    found = list(directories(tiff))
+    whole = [(page, parents) for page, parents in found if not page.is_reduced]
+    if not whole:  # writers that mark everything as reduced: the first is the picture
+        whole = found[:1]
+    kept = {id(page) for page, _ in whole}
+    return whole, tuple(
+        f"directory {n} (a reduced picture of {page.shape[1]} × {page.shape[0]} pixels)"
+        for n, (page, _) in enumerate(found)
+        if id(page) not in kept
+    )
+
+
+def _image_j(tiff: Any) -> dict[str, Statement]:
+    """Return the "key = value" and "key: value" lines of ImageJ's Info, where a user may point to."""
+    info = str((tiff.imagej_metadata or {}).get("Info", "")) if tiff.is_imagej else ""
+    found = (re.match(r"\s*([^=:]{1,60}?)\s*[=:]\s*(.+)", line) for line in info.splitlines())
+    return {line[1]: Statement(line[2].strip()) for line in found if line}
 
 
 @contextmanager
@@ -68,62 +132,75 @@ def _opened(path: Path) -> Iterator[Any]:
     try:
         with tifffile.TiffFile(io.BytesIO(content)) as tiff:
             yield tiff
-    except CaptureError:
+    except (CaptureError, UnsettledError):
         raise
-    # The library raises nearly any built-in error on damaged tags or data.
-    except (
-        tifffile.TiffFileError, OSError, ValueError, TypeError, KeyError, IndexError, AttributeError, struct.error,
-        RuntimeError, ZeroDivisionError, OverflowError,
-    ) as error:  # fmt: skip
-        said = (str(error).strip().splitlines() or [type(error).__name__])[0]
-        raise CaptureError(f"{path}: not a readable TIFF file (damaged or truncated): {said}") from error
-
-
-def _is_reduced(page: Any) -> bool:
-    return bool(page.is_reduced) and page.index > 0
+    except DAMAGE as error:
+        if "imagecodecs" in str(error):  # what tifffile names where it has no decoder
+            raise CaptureError(f"{path}: its compression is not read ({error}); save it without compression") from error
+        why = (str(error).strip().splitlines() or [type(error).__name__])[0]
+        raise DamagedFileError(f"{path}: not a readable TIFF file (damaged or truncated): {why}") from error
 
 
 def _refuse_cut_short(path: Path, page: Any, size: int) -> None:
     """Refuse a page whose data end beyond the file: decoders would fill what is missing with zeros."""
     ends = [o + c for o, c in zip(page.dataoffsets, page.databytecounts, strict=False)]
     if not ends or max(ends) > size:
-        raise CaptureError(f"{path}: the TIFF is truncated (its data end beyond the file); copy it again")
+        raise DamagedFileError(f"{path}: the TIFF is truncated (its data end beyond the file); copy it again")
 
 
-def _facts(page: Any) -> dict[str, Any]:
-    tags = {int(tag.code): tag.value for tag in page.tags}
-    exif = tags.get(_EXIF)
+@dataclass(frozen=True, slots=True)
+class _Facts:
+    """What a directory states.
+
+    Attributes:
+        tags: Its tags by number.
+        header: Its tags and EXIF by name.
+        further: What else is stated of it (XMP, acquisition programs), where a user may point to.
+        xmp: Its XMP packet.
+    """
+
+    tags: Mapping[int, Any]
+    header: Mapping[str, Statement]
+    further: Mapping[str, Statement]
+    xmp: Mapping[str, tuple[str, ...]]
+
+    def by_user(self, fact: str, mapped: StatementMap, doubts: list[str], where: str) -> tuple[str, float] | None:
+        """Return what the user's place of a fact states; None where there is none."""
+        return first_stated(fact, {**self.further, **self.header}, (), mapped, doubts, where)
+
+
+def _facts(page: Any, parents: Sequence[Any], further: Mapping[str, Statement]) -> _Facts:
+    tags = {int(tag.code): numbers_of(tag) for directory in (*parents, page) for tag in directory.tags}
     packet = tags.get(_XMP, b"")
-    return {
-        "tags": tags,
-        # Some writers put EXIF tags beside the others instead of into their own directory.
-        "exif": {tag.name: tag.value for tag in page.tags} | dict(exif if isinstance(exif, Mapping) else {}),
-        "xmp": read_xmp(packet if isinstance(packet, bytes) else str(packet).encode()),
-    }
+    packet = bytes(packet) if isinstance(packet, bytes | tuple) else str(packet).encode()
+    xmp = read_xmp(packet)
+    more = {name: Statement(" ".join(values)) for name, values in xmp.items()}
+    return _Facts(tags, statements_of_page(page, *parents), {**more, **further}, xmp)
 
 
-def _frame(path: Path, page: Any, number: int, count: int, facts: Mapping[str, Any]) -> FoundFrame:
+def _frame(path: Path, page: Any, number: int, count: int, facts: _Facts, mapped: StatementMap) -> FoundFrame:
     shape = tuple(int(n) for n in page.shape)
     shape = shape[:2] if len(shape) == 3 and shape[2] == 1 else shape
     if len(shape) != 2:
         raise CaptureError(f"{path}: a page of shape {page.shape}; frames need one channel (raw, not in colour)")
     _refuse_cut_short(path, page, page.parent.filehandle.size)
     taken, doubts, extra = dict[str, str](), list[str](), dict[str, Any]()
-    exposure_s = _exposure(facts, path, taken)
+    where = str(path)
+    exposure_s = _exposure(facts, path, mapped, taken, doubts)
     claims = claims_of(path)
     is_dark = claims.kind == "dark"
     if is_dark:
         taken["shutter"] = "file name"
     if taken.get("exposure_s") != "file name":
         doubts += contradictions(claims, exposure_s, is_dark=is_dark)
-    black = _black_level(facts, taken)
+    black = _black_level(facts, mapped, where, taken, doubts)
     doubts += _masked_rows(facts, black, extra)
     settings = FrameSettings(
         exposure_s=exposure_s or 0.0,
-        gain_db=_gain_db(facts["exif"], taken, extra),
-        f_number=_rational(facts["exif"].get("FNumber")),
+        gain_db=_gain_db(facts, mapped, where, taken, doubts, extra),
+        f_number=f_number_of(facts.header, doubts, where),
         black_level_dn=black,
-        temperature_c=_temperature(facts["xmp"], taken),
+        temperature_c=_temperature(facts, mapped, where, taken, doubts),
         timestamp_s=_timestamp(facts, taken),
         shutter="closed" if is_dark else "open",
     )
@@ -134,30 +211,48 @@ def _frame(path: Path, page: Any, number: int, count: int, facts: Mapping[str, A
     )  # fmt: skip
 
 
-def _exposure(facts: Mapping[str, Any], path: Path, taken: dict[str, str]) -> float | None:
-    for key, value in (("ExposureTime", facts["exif"].get("ExposureTime")), ("tag 33434", facts["tags"].get(33434))):
-        seconds = _rational(value)
-        if seconds is not None and seconds >= 0:
-            taken["exposure_s"] = f"EXIF {key}"
-            return seconds
-    claimed = claims_of(path).exposure_s
-    if claimed is not None:
+def _exposure(
+    facts: _Facts, path: Path, mapped: StatementMap, taken: dict[str, str], doubts: list[str]
+) -> float | None:
+    if (named := facts.by_user("exposure", mapped, doubts, str(path))) is not None:
+        taken["exposure_s"] = named[0]
+        return named[1]
+    if (found := exposure_of(facts.header, doubts, str(path))) is not None:
+        taken["exposure_s"] = f"EXIF {found[0]}"
+        return found[1]
+    claims = claims_of(path)
+    if claims.exposure_s is not None and not claims.exposure_has_unit:
+        doubts.append(f"the file's name states {claims.exposure_s:g} without a unit: s is assumed")
+    if claims.exposure_s is not None:
         taken["exposure_s"] = "file name"
-    return claimed
+    return claims.exposure_s
 
 
-def _black_level(facts: Mapping[str, Any], taken: dict[str, str]) -> float | None:
-    value = facts["tags"].get(_BLACK_LEVEL)
-    levels = [_rational(v) for v in (value if isinstance(value, tuple) and len(value) != 2 else (value,))]
-    known = [level for level in levels if level is not None]
-    if not known:
+def _black_level(
+    facts: _Facts, mapped: StatementMap, where: str, taken: dict[str, str], doubts: list[str]
+) -> float | None:
+    """Return the mean black level in DN over the pattern, the rows and the columns."""
+    if (named := facts.by_user("black_level", mapped, doubts, where)) is not None:
+        taken["black_level_dn"] = named[0]
+        return named[1]
+    levels = facts.tags.get(_BLACK_LEVEL)
+    if not isinstance(levels, tuple) or not levels or not np.isfinite(levels).all():
         return None
-    taken["black_level_dn"] = "tag BlackLevel"
-    return float(np.mean(known))
+    repeats = facts.tags.get(_BLACK_REPEATS, (1, 1))
+    if len(set(levels)) > 1 and isinstance(repeats, tuple) and len(levels) % max(1, math.prod(repeats)):
+        doubts.append(f"tag BlackLevel has {len(levels)} values, BlackLevelRepeatDim {repeats}: their mean is used")
+    deltas = [
+        d for code in _BLACK_DELTAS if isinstance(d := facts.tags.get(code), tuple) and np.isfinite(d).all() and d
+    ]
+    spread = [max(values) - min(values) for values in (levels, *deltas)]
+    if max(spread) > 0:
+        doubts.append(f"the black level differs by up to {max(spread):g} DN over the pixels: its mean is used")
+    taken["black_level_dn"] = "tag BlackLevel" + (" with its deltas by row and column" if deltas else "")
+    return float(np.mean(levels) + sum(np.mean(values) for values in deltas))
 
 
-def _masked_rows(facts: Mapping[str, Any], black: float | None, extra: dict[str, Any]) -> list[str]:
-    rows = numbers(facts["xmp"], "DarkRowValue")
+def _masked_rows(facts: _Facts, black: float | None, extra: dict[str, Any]) -> list[str]:
+    rows = numbers(facts.xmp, "DarkRowValue")
     if not rows:
         return []
     masked = float(np.mean(rows))
@@ -170,47 +265,53 @@ def _masked_rows(facts: Mapping[str, Any], black: float | None, extra: dict[str,
     ]
 
 
-def _gain_db(exif: Mapping[str, Any], taken: dict[str, str], extra: dict[str, Any]) -> float:
-    for key in _ISO_KEYS:
-        value = exif.get(key)
-        iso = _rational(value[0] if isinstance(value, tuple) and len(value) == 1 else value)
-        if iso is not None and iso > 0:
-            taken["gain_db"] = f"EXIF {key} (0 dB at ISO {_BASE_ISO:g})"
-            extra["iso"] = iso
-            return 20.0 * math.log10(iso / _BASE_ISO)
-    return 0.0
+def _gain_db(
+    facts: _Facts, mapped: StatementMap, where: str, taken: dict[str, str], doubts: list[str], extra: dict[str, Any]
+) -> float:
+    if (named := facts.by_user("gain", mapped, doubts, where)) is not None:
+        taken["gain_db"] = named[0]
+        return named[1]
+    found = facts.by_user("iso", mapped, doubts, where) or iso_of(facts.header, doubts, where)
+    if found is None:
+        return 0.0
+    taken["gain_db"] = f"EXIF {found[0]} (0 dB at ISO {BASE_ISO:g})"
+    extra["iso"] = found[1]
+    return 20.0 * math.log10(found[1] / BASE_ISO)
 
 
-def _temperature(xmp: Mapping[str, tuple[str, ...]], taken: dict[str, str]) -> float | None:
-    for key in ("SensorTemperature", "ImagerTemperatureC"):
-        value = numbers(xmp, key)
-        if value:
-            taken["temperature_C"] = f"XMP {key}"
-            return value[0]
-    return None
+def _temperature(
+    facts: _Facts, mapped: StatementMap, where: str, taken: dict[str, str], doubts: list[str]
+) -> float | None:
+    known = places("SensorTemperature:degC ImagerTemperatureC:degC")  # of XMP: Parrot, MicaSense
+    if (found := first_stated("temperature", {**facts.header, **facts.further}, known, mapped, doubts, where)) is None:
+        return None
+    taken["temperature_C"] = found[0] if "(--map)" in found[0] else f"XMP {found[0]}"
+    return found[1]
 
 
-def _timestamp(facts: Mapping[str, Any], taken: dict[str, str]) -> float | None:
-    said = facts["exif"].get("DateTimeOriginal") or facts["tags"].get(_DATE_TIME)
+def _timestamp(facts: _Facts, taken: dict[str, str]) -> float | None:
+    header = facts.header
+    said = header["DateTimeOriginal"].written if "DateTimeOriginal" in header else facts.tags.get(_DATE_TIME)
     try:
         moment = datetime.strptime(str(said).strip(), "%Y:%m:%d %H:%M:%S").replace(tzinfo=UTC)
     except ValueError:
         return None
     taken["timestamp_s"] = "EXIF DateTimeOriginal"
-    fraction = str(facts["exif"].get("SubsecTime", "")).strip("\x00 -")
+    fraction = str(header["SubsecTime"].written if "SubsecTime" in header else "").strip("\x00 -")
     return moment.timestamp() + (float(f"0.{fraction}") if fraction.isdigit() else 0.0)
 
 
-def _camera(facts: Mapping[str, Any], taken: dict[str, str]) -> dict[str, Any]:
-    tags, xmp = facts["tags"], facts["xmp"]
+def _camera(facts: _Facts, taken: dict[str, str]) -> dict[str, Any]:
+    tags, xmp = facts.tags, facts.xmp
     camera: dict[str, Any] = {}
     for key, code in (("vendor", _MAKE), ("model", _MODEL), ("serial", _SERIAL)):
         if tags.get(code):
             camera[key] = str(tags[code]).strip("\x00 ")
     white = tags.get(_WHITE_LEVEL)
-    top = _rational(white[0] if isinstance(white, tuple) else white)
-    if top is not None and top > 1:
-        camera["stated_top_dn"] = top
+    top = float(white[0]) if isinstance(white, tuple) and white else 0.0
+    if top > 1:
+        taken["white_level_dn"] = "tag WhiteLevel"
+        camera |= {"stated_top_dn": top, "stated_white_dn": top}
     centre = numbers(xmp, "VignettingCenter")
     if centre and "serial" not in camera:
         # Each unit has a lens calibration of its own, so that it tells units apart where no serial number does.
@@ -222,12 +323,10 @@ def _camera(facts: Mapping[str, Any], taken: dict[str, str]) -> dict[str, Any]:
     return camera
 
 
-def _lens(
-    facts: Mapping[str, Any], shape: tuple[int, ...], exposure_s: float | None, extra: dict[str, Any]
-) -> dict[str, Any]:
+def _lens(facts: _Facts, shape: tuple[int, ...], exposure_s: float | None, extra: dict[str, Any]) -> dict[str, Any]:
     lens: dict[str, Any] = {}
-    model, rows = fall_off_of(facts["xmp"]), row_exposure_of(facts["xmp"])
-    corners = model.corners((shape[0], shape[1])) if model else corners_of_plane(facts["xmp"])
+    model, rows = fall_off_of(facts.xmp), row_exposure_of(facts.xmp)
+    corners = model.corners((shape[0], shape[1])) if model else corners_of_plane(facts.xmp)
     if model:
         lens["maker_fall_off"] = {"centre_px": list(model.centre_px), "coefficients": list(model.coefficients)}
     if corners:
@@ -235,18 +334,7 @@ def _lens(
     if rows and exposure_s:
         lens["maker_row_exposure"] = {"a2_s": rows.a2_s, "a3": rows.a3}
         extra["maker_row_gain_last"] = round(rows.gain_at(shape[0] - 1.0, exposure_s), 4)
-    focal = _rational(facts["exif"].get("FocalLength"))
-    if focal:
-        lens["focal_length_mm"] = focal
+    focal = facts.header["FocalLength"].written if "FocalLength" in facts.header else None
+    if isinstance(focal, int | float) and math.isfinite(focal) and focal > 0:
+        lens["focal_length_mm"] = float(focal)
     return lens
-
-
-def _rational(value: Any) -> float | None:
-    """Return a tag's number: a rational (numerator, denominator) or a plain one; None where it is neither."""
-    if isinstance(value, bytes | str) or value is None:
-        return None
-    try:
-        number = float(value[0]) / float(value[1]) if isinstance(value, tuple) and len(value) == 2 else float(value)
-    except (TypeError, ValueError, ZeroDivisionError, IndexError):
-        return None
-    return number if math.isfinite(number) else None

@@ -16,9 +16,18 @@ import structlog
 
 from radiometer.data import Bracket, Frame, FrameSettings
 from radiometer.data.iso_speeds import IsoSpeeds
+from radiometer.data.pile_up import with_white_levels
 from radiometer.data.raw_files import RAW_SUFFIXES
+from radiometer.data.white_level import WhiteLevel
 from radiometer.errors import CaptureError, UsageError
-from radiometer.importing.photograph_pixels import CHANNELS, IMAGE_SUFFIXES, Photograph, read_photograph
+from radiometer.importing.photograph_pixels import (
+    CHANNELS,
+    IMAGE_SUFFIXES,
+    LUMA,
+    Photograph,
+    luma_of,
+    read_photograph,
+)
 from radiometer.importing.photograph_times import (
     LIST_NAMES,
     LONGEST_OF_DIAL_S,
@@ -34,6 +43,7 @@ from radiometer.photographs.stated import LIST_GAIN, with_gain
 
 _LOG: Final = structlog.get_logger(__name__)
 CHANNEL_CHOICES: Final = (*CHANNELS, "luminance", "each")
+_BITS_OF_PICTURES: Final = 8  # cameras develop JPEG files of 8 bits up to their full scale
 _NAMED: Final = 4  # photographs that a message names
 # So many pixels tell whether two pictures may be copies; so many different numbers make a picture.
 _COMPARED_PIXELS: Final = 60_000
@@ -105,13 +115,19 @@ class PhotographFolder:
         if channel not in CHANNEL_CHOICES:
             raise UsageError(f"there is no channel {channel!r}; choose one of {', '.join(CHANNEL_CHOICES)}")
         frames: dict[str, list[Frame]] = {}
+        by_parts = False
         for done, (name, photograph) in enumerate(self._photographs(most_pixels, interpolated), start=1):
             if report is not None:
                 report(done, len(self.settings))
-            for wanted in _wanted(photograph, channel):
+            # Each colour has its white level, of which a luma shows little.
+            by_parts = channel == "luminance" and not photograph.is_grey and photograph.bit_depth > _BITS_OF_PICTURES
+            for wanted in _wanted(photograph, "each" if by_parts else channel):
                 frames.setdefault(wanted, []).append(self._frame(name, photograph, wanted))
         _refuse_copies(self.path, frames)
-        return [Bracket.from_frames(several, origin=str(self.path)) for several in frames.values()]
+        found = {name: with_white_levels(several) for name, several in frames.items()}
+        if by_parts:
+            found = {channel: [_luminance(colours) for colours in zip(*found.values(), strict=True)]}
+        return [Bracket.from_frames(several, origin=str(self.path)) for several in found.values()]
 
     def _photographs(self, most_pixels: int | None, interpolated: bool) -> Iterator[tuple[str, Photograph]]:
         first: tuple[str, Photograph] | None = None
@@ -133,6 +149,7 @@ class PhotographFolder:
             f_number=known.f_number,
             black_level_dn=photograph.black_level_dn(channel),
             iso=known.iso,
+            white_level=None if photograph.white_level_dn is None else WhiteLevel.stated(photograph.white_level_dn),
         )
         extra: dict[str, float | int | str] = {
             "file": name,
@@ -145,6 +162,19 @@ class PhotographFolder:
             extra[LIST_GAIN] = known.gain_db
         frame = Frame(photograph.plane(channel), photograph.bit_depth, settings, extra=extra)
         return with_gain(frame, self.speeds, [one.iso for one in self.settings.values() if one.iso])
+
+
+def _luminance(colours: Sequence[Frame]) -> Frame:
+    """Return the luma of red, green and blue frames of one photograph, with the lowest of their white levels."""
+    first = colours[0]
+    dn = luma_of([one.dn for one in colours], [one.saturated_dn for one in colours], first.full_scale_dn)
+    blacks = [one.settings.black_level_dn for one in colours]
+    known = [black for black in blacks if black is not None]
+    settings = replace(
+        min(colours, key=lambda one: one.saturated_dn).settings,
+        black_level_dn=float(np.dot(LUMA, known)) if len(known) == len(LUMA) else None,
+    )
+    return replace(first, dn=dn, settings=settings, extra={**first.extra, "channel": "luminance"})
 
 
 def _in_turn(read: Callable[[str], Photograph], names: Iterable[str], ahead: int) -> Iterator[tuple[str, Photograph]]:
@@ -224,7 +254,7 @@ def _absent(listed: Path, absent: list[str], here: set[str]) -> str:
 
 def _with_exif_aperture(path: Path, known: PhotographSettings) -> PhotographSettings:
     exif = read_exif(path)
-    return known if exif is None else replace(known, f_number=exif.f_number, iso=exif.iso)
+    return known if exif is None else replace(known, f_number=exif.f_number, iso=exif.iso, iso_doubt=exif.iso_doubt)
 
 
 def _from_exif(folder: Path) -> dict[str, PhotographSettings]:
@@ -253,6 +283,12 @@ def _from_a_dial(settings: Iterable[PhotographSettings]) -> bool:
 
 def _refuse_unknown_speed(folder: Path, settings: dict[str, PhotographSettings]) -> None:
     """Refuse photographs of several ISO speeds of which some state none: any of them may be theirs."""
+    doubted = [name for name, known in settings.items() if known.iso_doubt]
+    if doubted and len(settings) > 1:
+        raise CaptureError(
+            f"{folder}: {doubted[0]}: {settings[doubted[0]].iso_doubt}. Write the speed into its tag ISOSpeed, or take "
+            "the whole bracket at one lower speed"
+        )
     silent = [name for name, known in settings.items() if not known.iso]
     stated = sorted({known.iso for known in settings.values() if known.iso})
     if silent and len(stated) > 1:

@@ -14,7 +14,7 @@ from radiometer.errors import InputError
 if TYPE_CHECKING:
     from radiometer.analysis.response.displacement import Displacement
     from radiometer.analysis.response.shutter_offset import ShutterOffset
-    from radiometer.data import Bracket, Calibration, RadianceMap, ResponseCurve, SensorNoise
+    from radiometer.data import Bracket, Calibration, RadianceMap, ResponseCurve
 
 # Enough for a response; larger photographs are read on a lattice for it.
 ENOUGH_PIXELS = 1_000_000
@@ -69,12 +69,14 @@ def recovered_curves(
 def in_their_own_depth(brackets: Sequence[Bracket]) -> list[Bracket]:
     """Return linear photographs with the bits that their numbers have, such as 12 in files of 16; others as they are.
 
-    Only then does what clips in an amplified photograph (another ISO speed) clip at the same number as in the others.
+    Alignment and the noise of pixels are judged by shares of full scale.
 
     Args:
         brackets: Of the same photographs, one per channel.
     """
-    ends = [_white_dn(bracket) for bracket in brackets]
+    from radiometer.analysis.response.limits import white_level_dn
+
+    ends = [white_level_dn(bracket) for bracket in brackets]
     depth = min(ends).bit_length()
     highest = max(int(frame.dn.max()) for bracket in brackets for frame in bracket.light)
     if min(ends) != (1 << depth) - 1 or highest > min(ends) or not 8 < depth < brackets[0].bit_depth:
@@ -224,7 +226,7 @@ def relative_calibration(
         line = curve or _straight_line(bracket, black_dn)
         noise = sensor_noise(displacement.noise, line, black_dn)
         if curve is None:
-            noise = replace(noise, full_well_e=_full_well(bracket, black_dn, noise))
+            noise = replace(noise, full_well_e=_BEYOND_THE_CONVERTER * noise.full_well_e)
     known = Calibration(
         camera=camera,
         lens=lens,
@@ -279,32 +281,11 @@ def with_displacement_told(found: RadianceMap, displacement: Displacement | None
     return replace(found, provenance=origin)
 
 
-def _full_well(bracket: Bracket, black_dn: float, noise: SensorNoise) -> float:
-    """Return the full well in e⁻ of a linear sensor: where its numbers end, or beyond the converter's end."""
-    from radiometer.analysis.signal.model import USABLE_FULL_WELL
-
-    white = _white_dn(bracket)
-    if white < bracket.light[0].full_scale_dn:  # such as 12 bits in files of 16
-        # Half a number below, or a rounding of this product may put the end above the number that clips.
-        return (white - 0.5 - black_dn) * noise.conversion_gain_e_per_dn / USABLE_FULL_WELL
-    return _BEYOND_THE_CONVERTER * noise.full_well_e
-
-
-def _white_dn(bracket: Bracket) -> int:
-    """Return the digital number at which photographs clip: full scale, or what many pixels gather at below it."""
-    from radiometer.analysis.response.limits import find_limits
-    from radiometer.errors import MeasurementError
-
-    try:
-        return find_limits([bracket]).saturated_dn
-    except MeasurementError:  # nothing but black and white
-        return bracket.light[0].full_scale_dn
-
-
 def _straight_line(bracket: Bracket, black_dn: float) -> ResponseCurve:
     """Return the response of a linear sensor."""
     import numpy as np
 
+    from radiometer.analysis.response.limits import white_level_dn
     from radiometer.data import ResponseCurve
 
     size = 1 << bracket.bit_depth
@@ -312,7 +293,7 @@ def _straight_line(bracket: Bracket, black_dn: float) -> ResponseCurve:
     g = np.where(signal > 0, np.log(np.maximum(signal, 1e-9) / (size // 2 - black_dn)), -np.inf)
     lowest = int(np.ceil(black_dn)) + max(3, size // 256)
     return ResponseCurve(
-        g, np.where(signal > 0, 0.0, np.inf), valid_dn=(lowest, max(_white_dn(bracket) - 1, lowest + 1))
+        g, np.where(signal > 0, 0.0, np.inf), valid_dn=(lowest, max(white_level_dn(bracket) - 1, lowest + 1))
     )
 
 

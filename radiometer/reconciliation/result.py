@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from typing import Any, Final
 
-from radiometer.data.reading import finite_or_null
+from radiometer.data.json_text import finite_or_null, json_text
 from simulators.effects.catalogue import CatalogueEffect
 from simulators.effects.free_law import FreeLaw
 
@@ -367,4 +366,4 @@ class ReconcileResult:
 
     def to_json(self) -> str:
         """Return the result as one line of JSON."""
-        return json.dumps(self.to_mapping(), ensure_ascii=False, allow_nan=False)
+        return json_text(self.to_mapping())

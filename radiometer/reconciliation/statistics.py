@@ -140,7 +140,7 @@ class Counted:
         noise = np.where(np.isfinite(seen.variance), seen.variance, base.variance)
         root = np.sqrt(noise + np.maximum(np.nan_to_num(base.fixed), 0.0))
         found = (seen.mean - _ZERO_SIGMAS * root > 0) & (
-            seen.mean + _CLIP_SIGMAS * root < design.header.camera.full_scale_dn
+            seen.mean + _CLIP_SIGMAS * root < design.header.camera.saturated_dn
         )
         found &= (seen.high < _FEW) & (seen.low < _FEW) & ~partly_at_the_top(design, seen, base)
         found &= base.mean - _ZERO_SIGMAS * np.sqrt(base.variance + base.fixed) > 0

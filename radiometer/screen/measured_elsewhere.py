@@ -17,9 +17,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from radiometer.data import Provenance
-from radiometer.errors import InputError
+from radiometer.data.statements import StatementMap
+from radiometer.data.text_table import TextTable, finite, read_export, read_table
+from radiometer.errors import InputError, UnsettledError
 from radiometer.screen.calibration import ChannelCurve, ScreenCalibration
 from radiometer.screen.run import Light
+from radiometer.units import heading_parts
 
 Array = NDArray[np.float64]
 # Colorimeters of the i1Display and SpyderX kind are specified to some 4 % on displays they were not matched to.
@@ -41,6 +44,7 @@ class ScreenReadings:
         resolution_cd_m2: Last digit of the file's luminances.
         taken: What was made of the file, in words.
         shape_u_rel: Relative standard uncertainty of each level beyond repeatability.
+        doubts: What the file leaves open and how it was read, in words.
     """
 
     name: str
@@ -49,23 +53,25 @@ class ScreenReadings:
     resolution_cd_m2: float = 0.0
     taken: tuple[str, ...] = ()
     shape_u_rel: float = 0.0
+    doubts: tuple[str, ...] = ()
 
 
-def read_screen_readings(path: Path, white_cd_m2: float | None = None, gamma: float = 2.2) -> ScreenReadings:
+def read_screen_readings(
+    path: Path, white_cd_m2: float | None = None, gamma: float = 2.2, mapped: StatementMap | None = None
+) -> ScreenReadings:
     """Return the readings in a file.
 
     Args:
         path: ArgyllCMS .ti3 or .cal, pacsdisplay uLR, or a table of level and luminance.
         white_cd_m2: Luminance of white, which a .cal does not hold.
         gamma: Exponent that a .cal was made for.
+        mapped: Where the user states that a table has level and luminance.
 
     Raises:
         InputError: If the file cannot be read or holds none of these.
+        UnsettledError: If a table's columns or units are not known.
     """
-    try:
-        text = path.read_text(encoding="utf-8-sig", errors="replace")
-    except OSError as error:
-        raise InputError(f"cannot read {path}: {error.strerror or error}") from error
+    text = read_export(path)
     first = text.lstrip()[:4].upper()
     if first.startswith("CTI3"):
         return _ti3(path, text)
@@ -73,7 +79,7 @@ def read_screen_readings(path: Path, white_cd_m2: float | None = None, gamma: fl
         return _cal(path, text, white_cd_m2, gamma)
     if re.search(r"#[0-9a-fA-F]{6}\b", text):
         return _ulr(path, text)
-    return _table(path, text)
+    return _table(path, text, mapped or StatementMap())
 
 
 def imported(
@@ -274,29 +280,96 @@ def _cal(path: Path, text: str, white_cd_m2: float | None, gamma: float) -> Scre
     )
 
 
-def _table(path: Path, text: str) -> ScreenReadings:
-    """Return the greys of two columns, level (0–255, 0–1 or %) and luminance in cd·m⁻²; others are left out."""
-    pairs, digits = [], 0
-    for line in text.splitlines():
-        cells = [cell.strip().strip('"') for cell in re.split(r"[;,\t]|\s+", line.strip()) if cell.strip()]
-        if line.lstrip().startswith("#") or len(cells) < 2:
-            continue
-        try:
-            pairs.append((float(cells[0]), float(cells[1])))
-        except ValueError:
-            if pairs:
-                raise InputError(f"{path}: expected level and luminance, found {line.strip()!r}") from None
-            continue
-        digits = max(digits, len(cells[1].partition(".")[2]))
-    if len(pairs) < 3:
-        raise InputError(f"{path}: {len(pairs)} rows of level and luminance; three at least are needed")
-    top = max(level for level, _ in pairs)
-    whole = all(float(level).is_integer() for level, _ in pairs)
-    unit = 1.0 if top <= 1.0 else 100.0 if top <= 100.0 and not (whole and top < 100.0) else float(FULL)
-    if top > FULL:
-        raise InputError(f"{path}: level {top:g}; levels are 0 to 255, 0 to 1 or per cent")
-    grey: dict[int, list[float]] = {}
-    for level, luminance in pairs:
-        grey.setdefault(round(level / unit * FULL), []).append(luminance)
-    said = {1.0: "0 to 1", 100.0: "in per cent", 255.0: "0 to 255"}[unit]
-    return ScreenReadings(path.stem, grey, resolution_cd_m2=10.0**-digits, taken=(f"a table, levels {said}",))
+_LEVEL_NAMES: Final = (
+    "level", "levels", "grey_level", "gray_level", "grey", "gray", "grey_value", "gray_value", "digital_level", "dac",
+    "drive", "input", "code", "dn", "stufe", "graustufe", "grauwert", "niveau",
+)  # fmt: skip
+# Of the first three names the unit is cd·m⁻² unless the heading has another; the others are nothing without one.
+_PLAIN_LUMINANCE: Final = ("luminance", "lv", "leuchtdichte")
+_LUMINANCE_NAMES: Final = (*_PLAIN_LUMINANCE, "l", "y", "luminosite", "brightness", "reading", "measured")
+_RGB: Final = ({"r", "red", "rgb_r"}, {"g", "green", "rgb_g"}, {"b", "blue", "rgb_b"})
+
+
+def _table(path: Path, text: str, mapped: StatementMap) -> ScreenReadings:
+    """Return the readings of a table of level (0–255, 0–1 or %) or R, G, B and of luminance in cd·m⁻².
+
+    Columns are found by their names. Without a heading the first is the level and the second the luminance.
+    """
+    table = read_table(path, "columns of level and luminance", text)
+    if len(table.rows) < 3:
+        raise InputError(f"{path}: {len(table.rows)} rows of level and luminance; three at least are needed")
+    doubts = list[str]()
+    light_at = table.find_fact("luminance", _LUMINANCE_NAMES, mapped)
+    level_at = table.find_fact("level", _LEVEL_NAMES, mapped)
+    channels = _rgb_columns(table) if level_at is None else None
+    if not table.header:
+        if table.width != 2:
+            raise InputError(
+                f"{path}: {table.width} columns without a heading; write one, such as level,luminance_cd_m2"
+            )
+        level_at, light_at = 0, 1
+        doubts.append("no heading: the first column is read as the level, the second as the luminance in cd/m²")
+    if light_at is None or (level_at is None and channels is None):
+        lacking = "luminance" if light_at is None else "level"
+        raise UnsettledError(
+            f"{path}: no column is known as the {lacking}; it has {', '.join(table.header)}. Name it: "
+            f"--map {lacking}=COLUMN"
+        )
+    plain = not table.header or heading_parts(table.header[light_at], "luminance")[0] in _PLAIN_LUMINANCE
+    luminance = finite(table.values(light_at, "luminance", doubts, mapped, "cd/m2" if plain else ""), table, light_at)
+    drives = [_drives(table, at, doubts, mapped) for at in (channels or (level_at,) * 3)]
+    groups: dict[str, dict[int, list[float]]] = {name: {} for name in _AXES}
+    for red, green, blue, value in zip(*drives, luminance, strict=True):
+        top = max(red, green, blue)
+        for name, axis in _AXES.items():
+            if all(v == top * on for v, on in zip((red, green, blue), axis, strict=True)):
+                groups[name].setdefault(round(top), []).append(value)
+    left = table.not_used([light_at, *(channels or (level_at,))])
+    return ScreenReadings(
+        path.stem,
+        groups["grey"],
+        {name: levels for name, levels in groups.items() if name != "grey" and len(levels) > 1},
+        resolution_cd_m2=10.0 ** -max(len(cells[light_at].partition(".")[2]) for _, cells in table.rows),
+        taken=(
+            f"a table, {table.how}",
+            f"level from {_heading(table, *(channels or (level_at,)))}, luminance from {_heading(table, light_at)}",
+            *(f"not used: {line}" for line in (*left, *table.preamble)),
+        ),
+        doubts=tuple(dict.fromkeys(doubts)),
+    )
+
+
+def _heading(table: TextTable, *columns: int | None) -> str:
+    return ", ".join(repr(table.header[n]) if table.header else f"column {n + 1}" for n in columns if n is not None)
+
+
+def _rgb_columns(table: TextTable) -> tuple[int, ...] | None:
+    found = [next((n for n, name in enumerate(table.plain) if name in names), None) for names in _RGB]
+    return None if None in found else tuple(n for n in found if n is not None)
+
+
+def _drives(table: TextTable, at: int | None, doubts: list[str], mapped: StatementMap) -> list[float]:
+    """Return a column of levels from 0 to 255, by the unit that its name or the user states, else by its size."""
+    if at is None:
+        raise InputError(f"{table.path}: no column of levels")
+    heading = table.header[at] if table.header else ""
+    stated = mapped.places.get("level")
+    if (stated and stated[0].unit) or heading_parts(heading, "level")[2]:
+        known = finite(table.values(at, "level", doubts, mapped), table, at)
+        return [round(FULL * share, 6) for share in known]
+    raw = finite(table.values(at, "number", doubts), table, at)
+    top, whole = max(raw), all(v.is_integer() for v in raw)
+    if min(raw) < 0 or top > FULL or (top > 100 and not whole):
+        raise UnsettledError(
+            f"{table.path}: levels from {min(raw):g} to {top:g} in {heading or 'the first column'}; levels are "
+            "0 to 255 in whole steps, 0 to 1 or per cent. Name the unit: --map level=COLUMN:UNIT with 8bit, 10bit, "
+            "% or share"
+        )
+    unit = 1.0 if top <= 1.0 else 100.0 if top == 100.0 or not whole else float(FULL)
+    name = {1.0: "0 to 1", 100.0: "per cent", 255.0: "0 to 255"}[unit]
+    if top != FULL:
+        doubts.append(
+            f"levels end at {top:g} and have no unit: they are read as {name}; --map level=COLUMN:UNIT with 8bit, % or "
+            "share settles it"
+        )
+    return [round(v / unit * FULL, 6) for v in raw]

@@ -6,6 +6,7 @@ from collections import deque
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Final
+from zlib import crc32
 
 from simulators.light_box.simavr import SimulatedAvr
 
@@ -24,6 +25,12 @@ TRIGGER: Final = ("B", 0)
 BUTTON: Final = ("D", 2)
 BYTE_CYCLES: Final = 1360  # 10 bits at 117 647 Bd, what the firmware's divider gives
 LAG_S: Final = 0.1
+
+
+def rested_eeprom(serial: str) -> bytes:
+    """Return the beginning of the EEPROM of a box whose buckets are full (docs/light-box-protocol.md, memory)."""
+    record = bytes([1, *[64] * 6, 8])
+    return serial.encode("ascii")[:8].ljust(16, b"\xff") + record + (crc32(record) & 0xFFFF).to_bytes(2, "little")
 
 
 @dataclass(slots=True)
@@ -66,10 +73,13 @@ class AvrBox:
         hex_file: Firmware as `make -C drivers/firmware/light_box` builds it.
         serial: Eight characters for the EEPROM.
         lag_s: Longest step of box time; what the machine cannot keep up with beyond it is given up.
+        memory: Content of the EEPROM; that of a box that has rested where None.
     """
 
-    def __init__(self, hex_file: Path, serial: str = "AVR00001", lag_s: float = LAG_S) -> None:
-        self.avr = SimulatedAvr(hex_file, eeprom=serial.encode("ascii"))
+    def __init__(
+        self, hex_file: Path, serial: str = "AVR00001", lag_s: float = LAG_S, memory: bytes | None = None
+    ) -> None:
+        self.avr = SimulatedAvr(hex_file, eeprom=rested_eeprom(serial) if memory is None else memory)
         self._lag_cycles = round(lag_s * self.avr.frequency_hz)
         self.pins = {name: PinRecord() for name in PINS}
         self.range_pins = {name: PinRecord() for name in RANGE_PINS}
@@ -98,6 +108,11 @@ class AvrBox:
     def run(self, duration_s: float) -> None:
         """Let box time pass."""
         self._run_to(self.avr.cycle + round(duration_s * self.avr.frequency_hz))
+
+    def reset(self) -> None:
+        """Pull the reset line, as opening the port of an Arduino does: the program starts anew, the EEPROM stays."""
+        self._incoming.clear()
+        self.avr.reset()
 
     def press(self, *, pressed: bool = True) -> None:
         """Press or release the button now."""

@@ -93,17 +93,22 @@ class LightBoxTwin:
 
     def __post_init__(self) -> None:
         self.leds = [LedState(self.settings.leds[limits.name]) for limits in self.settings.channels]
+        self.channels = [Channel(limits, limits.bucket) for limits in self.settings.channels]
         self.reset("P")
 
     def reset(self, cause: str = "E") -> None:
-        """Restart the box now: P power, B brown-out, E external, W watchdog. Everything goes dark."""
-        self.channels = [Channel(limits, limits.bucket) for limits in self.settings.channels]
+        """Restart the box now: P power, B brown-out, E external, W watchdog.
+
+        Everything goes dark; buckets and flashes are what the box's memory holds.
+        """
+        for channel in self.channels:
+            channel.restart()
         self._drive_leds()
         self.session, self.reset_cause = False, cause
+        self.flash.reset(self._ms)
         self.bad_lines = self.darkened = self.latest_event = self._ms = self._silent_since_ms = 0
         self.events, self._answered = {}, None
         self.spoken, self._held_since_ms = 2, 0 if self.button else None
-        self.flash.reset()
         self._line.clear()
         self._booted_s = self.time_s
         self.add_event("BO", cause, BOOT_MS)

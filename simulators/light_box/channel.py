@@ -30,6 +30,11 @@ CHANNELS_OF_VERSION = {1: 4, 2: 6}
 PARTNERS = {"bleach": "field", "field": "bleach", "spot_red": "spot_green", "spot_green": "spot_red"}
 
 
+PARTS = 64
+SOON_MS, AHEAD_MS = 256, 512
+PARTS_BEFORE_RAISING = 4
+
+
 @dataclass(slots=True)
 class Channel:
     """State of one channel; `mode` is O, S, R, P or B as on the wire.
@@ -39,10 +44,12 @@ class Channel:
         bucket: Energy units left.
         level: Level driven now.
         high: Whether at the high current.
+        kept: 64ths of the full bucket that the box's memory holds: a reset leaves these. 64 in a box that has rested.
     """
 
     limits: ChannelLimits
     bucket: int
+    kept: int = PARTS
     mode: str = "O"
     high: bool = False
     level: int = 0
@@ -66,6 +73,8 @@ class Channel:
         self.level, self.high, self.bright = level, high, level > 0
         self.left_ms = self.on_ms = on_ms
         self.off_ms, self.blinks_left = off_ms, count
+        if level:
+            self._lower(self.bucket, cost_per_ms(level, high))
 
     def start_ramp(self, target: int, high: bool, duration_ms: int) -> None:
         """Move to a level in a straight line."""
@@ -73,6 +82,12 @@ class Channel:
         self.mode, self.high, self.bright = "R", high, True
         self.level, self.target = self.start_level, target
         self.left_ms = self.on_ms = duration_ms
+        self._lower(self.bucket, cost_per_ms(max(self.start_level, target), high))
+
+    def restart(self) -> None:
+        """Go dark with what the memory holds in the bucket."""
+        self.darken()
+        self.bucket = self.limits.bucket * self.kept // PARTS
 
     def darken(self) -> None:
         """Go dark and forget what was planned."""
@@ -110,15 +125,40 @@ class Channel:
     def _account(self, ms: int) -> bool:
         if not self.bright:
             self.bucket = min(self.limits.bucket, self.bucket + ms * self.limits.refill)
+            self._raise()
             return True
         each = cost_per_ms(self.level, self.high)
-        cost = each * ms
-        if cost > self.bucket:
-            self.bucket %= each  # the whole milliseconds before the last were bright
+        before, cost = self.bucket, each * ms
+        self.bucket = self.bucket - cost if cost <= self.bucket else self.bucket % each
+        while self._lower(before - (before - self._soon(each)) // each * each - each, each):
+            pass  # the memory falls at the first ms at which it is due, again and again on the way
+        if cost > before:  # the whole milliseconds before the last were bright
             self.darken()
             return False
-        self.bucket -= cost
         return True
+
+    def _soon(self, each: int) -> int:
+        """Return the units below which the memory is lowered."""
+        return self.limits.bucket * self.kept // PARTS + SOON_MS * each
+
+    def _lower(self, units: int, each: int) -> bool:
+        """Lower the memory where a bucket of `units` is due for it, and was reached; tell whether it was."""
+        if not self.kept or not self.bucket <= units < self._soon(each):
+            return False
+        self.kept = self._parts(max(units - AHEAD_MS * each, 0))
+        return True
+
+    def _raise(self) -> None:
+        if self.kept >= PARTS - 1:
+            return
+        while (there := self._parts(self.bucket)) >= self.kept + PARTS_BEFORE_RAISING:
+            self.kept = min(there - 1, self.kept + PARTS_BEFORE_RAISING - 1)
+        if self.bucket == self.limits.bucket:
+            self.kept = max(self.kept, PARTS - 1)
+
+    def _parts(self, units: int) -> int:
+        """Return the 64ths, short of all, that are at most so many units."""
+        return min(PARTS - 1, ((units + 1) * PARTS - 1) // self.limits.bucket)
 
     def _ramp(self) -> None:
         passed = self.on_ms - self.left_ms

@@ -64,7 +64,7 @@ class Commands:
         self.box.spoken = version
         self.box.darken_all()
         self.box.session = True
-        return ["radiometer-light-box", version, "2.0", self.box.settings.serial, self._channel_count]
+        return ["radiometer-light-box", version, "2.1", self.box.settings.serial, self._channel_count]
 
     @property
     def _channel_count(self) -> int:

@@ -16,24 +16,26 @@ class Flash:
 
     Attributes:
         exposure_j_sr_m2: Radiant exposure of one flash at the eye, in J·sr⁻¹·m⁻².
-        fired_ms: Box times of the flashes since power-on.
+        fired_ms: Box times of the flashes since the start.
     """
 
     exposure_j_sr_m2: float = 100.0
     fired_ms: list[int] = field(default_factory=list)
     _left: int = IN_A_ROW
     _refilled_ms: int = 0
+    _gap_ms: int = 0  # after a restart
 
-    def reset(self) -> None:
-        """Forget what was fired: the box has restarted."""
+    def reset(self, now_ms: int) -> None:
+        """Restart with the flashes that the box's memory holds; where some are missing, the least gap begins anew."""
+        self.state(now_ms)
         self.fired_ms.clear()
-        self._left, self._refilled_ms = IN_A_ROW, 0
+        self._refilled_ms, self._gap_ms = 0, GAP_MS if self._left < IN_A_ROW else 0
 
     def state(self, now_ms: int) -> tuple[int, int]:
         """Return how many flashes are left and after how many ms one may be fired."""
         while self._left < IN_A_ROW and now_ms - self._refilled_ms >= REFILL_MS:
             self._left, self._refilled_ms = self._left + 1, self._refilled_ms + REFILL_MS
-        wait_ms = max(0, self.fired_ms[-1] + GAP_MS - now_ms) if self.fired_ms else 0
+        wait_ms = max(0, (self.fired_ms[-1] + GAP_MS if self.fired_ms else self._gap_ms) - now_ms)
         return self._left, wait_ms
 
     def fire(self, now_ms: int) -> bool:

@@ -87,7 +87,8 @@ class PtyServer:
             os.set_blocking(self._master, False)
             if self.link is not None:
                 self.link.unlink(missing_ok=True)
-                self.link.symlink_to(os.ttyname(self._slave))
+                # Through this process: if it is killed the link leads nowhere, and never to another program's terminal.
+                self.link.symlink_to(f"/proc/{os.getpid()}/fd/{self._slave}")
 
     def unplug(self) -> None:
         """Take the pseudo-terminal away, as a pulled cable does; the device goes on running."""

@@ -79,6 +79,10 @@ class SimulatedAvr:
         if self._state.value == _CRASHED:
             raise InputError("the program crashed in simavr")
 
+    def reset(self) -> None:
+        """Reset the microcontroller; what its EEPROM holds stays."""
+        self._library.avr_reset(self._avr)
+
     def send_byte(self, byte: int) -> None:
         """Hand a byte to the UART's receiver, as if its stop bit had just come."""
         self._library.avr_raise_irq(self._uart, byte)
@@ -168,6 +172,7 @@ def _load() -> Any:
         "avr_make_mcu_by_name": ([ctypes.c_char_p], pointer),
         "avr_init": ([pointer], ctypes.c_int),
         "avr_run": ([pointer], ctypes.c_int),
+        "avr_reset": ([pointer], None),
         "avr_loadcode": ([pointer, ctypes.c_char_p, word, word], None),
         "avr_io_getirq": ([pointer, word, ctypes.c_int], pointer),
         "avr_raise_irq": ([pointer, word], None),

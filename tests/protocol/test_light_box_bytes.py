@@ -17,8 +17,8 @@ def framed(body: str) -> bytes:
 
 # requests to make first, request, answer without its checksum
 EXCHANGES = [
-    ([], "#01 HI 1", "=01 OK radiometer-light-box 1 2.0 LB000007 4"),
-    ([], "#01 HI 2", "=01 OK radiometer-light-box 2 2.0 LB000007 6"),
+    ([], "#01 HI 1", "=01 OK radiometer-light-box 1 2.1 LB000007 4"),
+    ([], "#01 HI 2", "=01 OK radiometer-light-box 2 2.1 LB000007 6"),
     ([], "#02 CH 0", "=02 OK bleach 0 1024 1953 65535 60000 47000000 78"),
     ([], "#03 CH 1", "=03 OK spot 453 8192 1953 65535 60000 846000000 1410"),
     ([], "#04 CH 2", "=04 OK spot_red 640 8192 1953 65535 60000 846000000 1410"),
@@ -152,7 +152,7 @@ def test_garbage_before_a_request_does_not_harm(talker):
     """A request starts at its #, whatever came before."""
     body = "#01 HI 1"
     assert talker.tell(b"\x00\xff=07 OK #12 SL" + framed(body)) == framed(
-        "=01 OK radiometer-light-box 1 2.0 LB000007 4"
+        "=01 OK radiometer-light-box 1 2.1 LB000007 4"
     )
 
 

@@ -16,12 +16,12 @@ PINS = ("bleach", "spot", "spot_red", "fixation")
 
 @pytest.fixture
 def avr(light_box_hex: Path) -> AvrBox:
-    """Return the firmware, powered for 10 ms."""
+    """Return the firmware, powered for 20 ms: it reads its EEPROM first."""
     try:
         box = AvrBox(light_box_hex)
     except MissingLibrary as missing:
         pytest.skip(str(missing))
-    box.run(0.01)
+    box.run(0.02)
     box.take_sent()
     return box
 
@@ -181,13 +181,13 @@ def test_flashes_in_a_row_are_limited(small_bucket_hex):
 
     def ask(body: str) -> bytes:
         avr.send(f"{body}*{crc32(body.encode()):08X}\n".encode())
-        avr.run(0.02)
+        avr.run(0.05)  # the EEPROM is written before the flash is fired: 37 ms at most
         return avr.take_sent()
 
     ask("#00 HI 2")
     assert b"OK 1 5000" in ask("#01 FL")
     for number in range(10):
-        avr.run(0.46)
+        avr.run(0.43)
         ask(f"#1{number} TM")
     assert b"ER 06" in ask("#20 FL")
     avr.run(0.3)
@@ -210,3 +210,31 @@ def test_bucket_runs_dry_and_says_so(avr, ask):
         ask(f"#{number + 16:02X} TM")
     after = int(ask("#03 RB 0").split()[6].split(b"*")[0])
     assert (before - after) / (20 * 0.512 * 1000) == pytest.approx(60000 // 256 + 1, rel=0.01)
+
+
+def test_opening_the_port_gives_no_energy_back(small_bucket_hex):
+    """Half of the field's 0.75 s given, then a reset: the bucket holds no more, the flash is remembered."""
+    avr = AvrBox(small_bucket_hex)
+    avr.run(0.05)
+
+    def ask(body: str, wait_s: float = 0.06) -> bytes:
+        avr.send(f"{body}*{crc32(body.encode()):08X}\n".encode())
+        avr.run(wait_s)
+        return avr.take_sent()
+
+    def bucket() -> int:
+        ask("#00 HI 2")
+        return int(ask("#01 RB 5").split()[6].split(b"*")[0])
+
+    full = bucket()
+    assert b"OK 1 5000" in ask("#02 FL")
+    ask("#03 PU 5 H 60000 400", 0.45)
+    before = bucket()
+    assert before < 0.6 * full
+    avr.reset()
+    avr.run(0.05)
+    avr.take_sent()
+    after = bucket()
+    dark_units = 0.3 * 1000 * 118  # refilled since `before` was read
+    assert 0 < after <= before + dark_units
+    assert b"OK 1 " in ask("#04 FS")

@@ -6,8 +6,8 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[2]
 UNIT = ROOT / "tests" / "unit"
-# Firmware is no package.
-OTHERS = {"firmware"}
+# Firmware is no package; reports are of all readers together.
+OTHERS = {"firmware", "reports"}
 # Folders of files that a test compiles or reads.
 WITHOUT_TESTS = {"host", "recorded"}
 

@@ -27,12 +27,12 @@ def test_a_camera_on_the_wire_is_lost_and_found() -> None:
 async def test_the_light_box_is_set_through_its_driver(tmp_path: Path) -> None:
     """A level reaches the LED; above the channel's range it is refused; stopping leaves the box dark."""
     async with box_station(tmp_path) as (station, _, twin):
-        assert set(station.levels) >= set(OPTICS)
-        level = await station.set_level("spot", 0.25)
+        assert set(station.light.levels) >= set(OPTICS)
+        level = await station.light.set_level("spot", 0.25)
         assert level == pytest.approx(0.25, abs=1e-4)
         await seconds_until(lambda: abs(twin.duty("spot") - 0.25) < 0.01)
         with pytest.raises(SettingOutOfRange):
-            await station.set_level("spot", 1.5)
+            await station.light.set_level("spot", 1.5)
     assert twin.duty("spot") == 0.0
 
 
@@ -41,16 +41,16 @@ async def test_a_light_box_is_unplugged_and_replugged_twenty_times(tmp_path: Pat
     """Each loss is told and refuses levels, each return is noticed, and the levels are known to be dark then."""
     async with box_station(tmp_path, QUICK) as (station, server, _):
         for _ in range(20):
-            await station.set_level("fixation", 0.1)
+            await station.light.set_level("fixation", 0.1)
             server.unplug()
             await seconds_until(lambda: [alarm.name for alarm in station.alarms.active] == ["light box"])
             with pytest.raises(DeviceError):
-                await station.set_level("fixation", 0.2)
+                await station.light.set_level("fixation", 0.2)
             server.plug()
             await seconds_until(lambda: not station.alarms.active)
-            assert set(station.levels.values()) == {0.0}
-        assert station.box_keeper is not None
-        assert station.box_keeper.losses == 20
+            assert set(station.light.levels.values()) == {0.0}
+        assert station.light.keeper is not None
+        assert station.light.keeper.losses == 20
 
 
 def test_serve_drives_the_simulated_box(tmp_path: Path) -> None:

@@ -258,3 +258,69 @@ async def _shown_panels(browser: Browser, daemon: DaemonProcess, count: int) -> 
     await _shown_size(browser, daemon, SIZES[0])
     await browser.wait_for(f"document.querySelectorAll('.panel canvas').length === {count}")
     await browser.evaluate("document.querySelector('[data-span=\"86400\"]').click()")
+
+
+# What every object of JavaScript inherits, and names that look like numbers: a person may give a patch any of them.
+_INHERITED = ("constructor", "__proto__", "toString", "hasOwnProperty", "valueOf", "isPrototypeOf", "7", "0.5", "null")
+_BARS = """
+JSON.stringify([...document.querySelectorAll("#panels, #panels *, main, body")].filter((e) => e.clientWidth
+  && /auto|scroll/.test(getComputedStyle(e).overflow)
+  && (e.scrollWidth > e.clientWidth || e.scrollHeight > e.clientHeight)).map((e) => e.id || e.className))"""
+
+
+async def test_patches_of_any_name_and_number_leave_the_page_whole(daemon: DaemonProcess, tmp_path: Path) -> None:
+    """Each has its row, its value and its panel; values go on changing, no panel has a scroll bar, nothing fails."""
+    try:
+        async with headless(tmp_path / "profile", SIZES[0]) as browser:
+            for count, name in enumerate(_INHERITED, start=3):
+                daemon.post("/patches", {"name": name, "patch": {"x": 95, "y": 80, "width": 8, "height": 8}})
+                if count not in (3, 4, 7, 2 + len(_INHERITED)):
+                    continue
+                for size in (SIZES[0], (1280, 800), SIZES[1]):
+                    await _shown_size(browser, daemon, size)
+                    await browser.wait_for(f"document.querySelectorAll('.panel canvas').length === {count}")
+                    assert await _json(browser, _BARS) == []
+            read = "[...document.querySelectorAll('.patch-row > span')].every((e) => /±/.test(e.textContent))"
+            await browser.wait_for(f"document.querySelectorAll('.patch-row').length === {count} && {read}")
+            number = "+document.getElementById('freshness').textContent.match(/#(\\d+)/)[1]"
+            before = await browser.evaluate(number)
+            await browser.wait_for(f"{number} > {before}")
+            assert not await browser.evaluate("document.getElementById('alarms').textContent.includes('This page')")
+            assert browser.errors == []
+    finally:
+        for name in set(_INHERITED) & set(daemon.get("/status")["patches"]):
+            daemon.post("/patches/delete", {"name": name})
+
+
+@pytest.mark.parametrize(
+    "gone", ["/page.js", "/trends.js", "/response.js", "/uplot.js", "/page.css", "/status", "/events"]
+)
+async def test_lights_off_works_whatever_else_of_the_page_does_not(
+    daemon: DaemonProcess, tmp_path: Path, gone: str
+) -> None:
+    """One part that cannot be loaded stops no other; the button is seen and darkens the box."""
+    daemon.post("/light", {"channel": "spot", "level": 0.001})
+    async with headless(tmp_path / "profile", SIZES[0]) as browser:
+        await browser.command("Network.setBlockedURLs", urls=[f"*{gone}*"])
+        await _shown_size(browser, daemon, SIZES[0])
+        await browser.wait_for("document.getElementById('lights-off')?.checkVisibility()")
+        if gone in ("/trends.js", "/response.js", "/uplot.js", "/events"):
+            await browser.wait_for("/±/.test(document.getElementById('expanded').textContent)")
+            await browser.wait_for("!!document.querySelector('#lights output')")
+        await asyncio.sleep(0.5)  # until the script is there, whose answer is looked for
+        await browser.evaluate("document.getElementById('lights-off').click()")
+        await browser.wait_for("document.getElementById('lights-said').textContent === 'all channels are off'")
+    assert set(daemon.get("/status")["light"].values()) == {0.0}
+
+
+async def test_a_level_that_cannot_be_known_is_not_shown_as_dark(tmp_path: Path) -> None:
+    """While the daemon is gone, the level of each channel is unknown and the button is lit."""
+    with DaemonProcess(tmp_path, "--every", "0.3", "--box", "sim") as running:
+        running.post("/light", {"channel": "spot", "level": 0.001})
+        async with headless(tmp_path / "profile", SIZES[0]) as browser:
+            await _shown_size(browser, running, SIZES[0])
+            spot = "document.querySelector('#lights [data-channel=spot] output')?.textContent"
+            await browser.wait_for(f"{spot} === '0.1 %'")
+            running.kill()
+            await browser.wait_for(f"{spot} === 'unknown'")
+            assert await browser.evaluate("document.getElementById('lights-off').classList.contains('lit')")

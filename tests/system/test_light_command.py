@@ -23,6 +23,7 @@ def surroundings(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> dict[str, s
     """Keep data and ports of this test apart from the user's."""
     monkeypatch.setenv("XDG_DATA_HOME", str(tmp_path / "data"))
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
+    monkeypatch.setenv("RADIOMETER_STATE", str(tmp_path / "state"))
     return dict(os.environ)
 
 
@@ -118,3 +119,57 @@ def test_no_box_is_said(surroundings, capsys):
     code = run(["light", "status", "--box", "NONE0001"])
     assert code == 1
     assert "--box sim" in capsys.readouterr().err
+
+
+def test_light_of_separate_commands_adds_up_until_it_is_refused(served, capsys, tmp_path):
+    """1 % of the limit is allowed, each command gives 0.5 %: the third is refused, and `light off` is not."""
+    preset = tmp_path / "bright.yaml"
+    preset.write_text(
+        "allowed_fraction: 0.01\n"
+        "channels:\n  field: {peak_nm: null, subtense_deg: 1, radiance_bound_W_per_sr_m2: 6500}\n",
+        encoding="utf-8",
+    )
+    light = ["--level", "30000", "--duration", "4s", "--preset", str(preset), "--box", served]
+    pulse = ["light", "pulse", "field", *light]
+    assert [run(pulse) for _ in range(3)] == [0, 0, 1]
+    assert "of the blue-light exposure limit" in capsys.readouterr().err
+    assert run(["light", "off"]) == 0
+    assert run(["light", "account", "--box", "CLI00001", "--json"]) == 0
+    (report,) = json.loads(capsys.readouterr().out.splitlines()[-1])
+    assert report["blue_light"] == pytest.approx(2 * 0.406 * 6500 * 30000 / 65535 * 4.0 / 1e6, rel=0.05)
+
+
+def test_a_lost_account_stops_light_until_it_is_confirmed(served, capsys):
+    """The message gives the command that confirms; with it the same light is given; darkness needs none."""
+    account = Path(os.environ["RADIOMETER_STATE"]) / "exposure-account.json"
+    account.write_bytes(account.read_bytes()[:-9])
+    light = ["light", "set", "spot", "--level", "100", "--for", "0.1", "--box", served]
+    assert run(light) == 1
+    error = capsys.readouterr().err
+    assert "was damaged" in error
+    assert run(["light", "off", "--box", served]) == 0
+    way_out = error.partition("radiometer light account")[2].split()
+    assert run(["light", "account", *way_out]) == 0
+    assert run(light) == 0
+    assert run(["light", "account", "--confirm-no-exposure"]) == 2
+
+
+@pytest.mark.parametrize("end", [signal.SIGTERM, signal.SIGKILL])
+def test_a_simulated_box_that_was_ended_leaves_no_port(surroundings, project_root, capsys, end):
+    """Another one of the same serial number is found as the only one, and darkened."""
+    words = [sys.executable, "-m", "radiometer", "simulate", "box", "--serial", "CLI00002"]
+    boxes = []
+    for _ in range(2):
+        boxes.append(subprocess.Popen(words, cwd=project_root, env=surroundings, stdout=subprocess.PIPE))
+        assert boxes[-1].stdout is not None
+        boxes[-1].stdout.readline()
+        if len(boxes) == 1:
+            boxes[0].send_signal(end)
+            boxes[0].communicate(timeout=within(20))
+            assert run(["light", "status"]) == 1
+    try:
+        assert run(["light", "off"]) == 0
+        assert "CLI00002: dark" in capsys.readouterr().out
+    finally:
+        boxes[1].kill()
+        boxes[1].communicate()

@@ -8,7 +8,7 @@
 #include <stdint.h>
 
 #define PROTOCOL_VERSION 2 /* version 1 is spoken too, with its four channels */
-#define FIRMWARE_VERSION "2.0"
+#define FIRMWARE_VERSION "2.1"
 #define BOX_KIND "radiometer-light-box"
 
 #define BAUD_RATE 115200UL

@@ -5,11 +5,18 @@
 #include "button.h"
 #include "config.h"
 #include "limits.h"
+#include "memory.h"
 #include "protocol.h"
 #include "pwm.h"
 
 #define DARKENED_BY_SILENCE 0x80
 #define DARKENED_BY_BUTTON 0x40
+
+/* The memory is lowered when light may reach what it holds within the first of these times, to what the second leaves:
+ * writing takes 37 ms at most. It is raised when so many parts more are there, for a cell bears 100 000 writes. */
+#define SOON_MS 256UL
+#define AHEAD_MS 512UL
+#define PARTS_BEFORE_RAISING 4
 
 typedef struct {
     char mode;
@@ -29,24 +36,112 @@ static channel_t channels[CHANNELS];
 static uint16_t silent_ms;
 static uint16_t held_ms;  /* how long the button has been closed */
 static uint8_t open_ms;   /* how long its contact has been open: a bounce does not end a hold */
-static uint8_t flashes_left = FLASHES_IN_A_ROW;
+static allowance_t kept;          /* as the EEPROM has it */
+static uint32_t floors[CHANNELS]; /* the same in energy units: no bucket goes below while the EEPROM says so */
+static uint8_t flashes_left;
 static uint8_t trigger_ms;      /* left of the flash's trigger */
 static uint16_t flash_wait_ms;  /* left until the next flash may be fired */
 static uint32_t flash_refill_ms;
 static volatile uint8_t darkened;
 
+static uint32_t units_of(uint8_t n, uint8_t parts)
+{
+    uint32_t full = channel_limits[n].bucket;
+    return full / PARTS * parts + full % PARTS * parts / PARTS;
+}
+
+/* The most parts, short of all, that are at most so many units. */
+static uint8_t parts_within(uint8_t n, uint32_t units)
+{
+    uint32_t parts = units / (channel_limits[n].bucket / PARTS);
+    if (parts >= PARTS)
+        parts = PARTS - 1;
+    while (parts && units_of(n, (uint8_t)parts) > units)
+        parts--;
+    return (uint8_t)parts;
+}
+
 void light_init(void)
 {
     pwm_init();
-    for (uint8_t n = 0; n < CHANNELS; n++) {
+    for (uint8_t n = 0; n < CHANNELS; n++)
         channels[n].mode = 'O';
-        channels[n].bucket = channel_limits[n].bucket;
+}
+
+/* A reset, however short or long, leaves in each bucket what the EEPROM holds: less than there was, never more. */
+void light_remember(void)
+{
+    memory_read(&kept);
+    ATOMIC_BLOCK(ATOMIC_RESTORESTATE)
+    {
+        for (uint8_t n = 0; n < CHANNELS; n++)
+            channels[n].bucket = floors[n] = units_of(n, kept.parts[n]);
+        flashes_left = kept.flashes;
+        flash_wait_ms = flashes_left < FLASHES_IN_A_ROW ? FLASH_GAP_MS : 0;
     }
+}
+
+/* Writes the memory. What rises binds the buckets before it is written, what falls frees them after that. */
+static void keep(const allowance_t *next)
+{
+    for (uint8_t n = 0; n < CHANNELS; n++)
+        if (next->parts[n] > kept.parts[n])
+            ATOMIC_BLOCK(ATOMIC_RESTORESTATE) { floors[n] = units_of(n, next->parts[n]); }
+    memory_write(next);
+    kept = *next;
+    for (uint8_t n = 0; n < CHANNELS; n++)
+        ATOMIC_BLOCK(ATOMIC_RESTORESTATE) { floors[n] = units_of(n, kept.parts[n]); }
+}
+
+/* What the memory should hold of a channel that spends so much per ms: 0 in darkness. */
+static uint8_t parts_to_keep(uint8_t n, uint32_t bucket, uint32_t cost)
+{
+    uint8_t parts = kept.parts[n], there;
+    if (cost)
+        return parts && bucket < floors[n] + cost * SOON_MS
+                   ? parts_within(n, bucket > cost * AHEAD_MS ? bucket - cost * AHEAD_MS : 0)
+                   : parts;
+    there = parts_within(n, bucket);
+    if (bucket == channel_limits[n].bucket && parts < PARTS - 1)
+        return PARTS - 1;
+    return there >= parts + PARTS_BEFORE_RAISING ? there - 1 : parts;
 }
 
 static uint16_t cost_per_ms(uint8_t range, uint16_t level)
 {
     return range == HIGH_RANGE ? (level >> 8) + 1 : 1;
+}
+
+/* Makes room in the memory for light that is about to begin. */
+static void make_room(uint8_t n, uint8_t range, uint16_t level)
+{
+    allowance_t next = kept;
+    uint32_t bucket;
+    ATOMIC_BLOCK(ATOMIC_RESTORESTATE) { bucket = channels[n].bucket; }
+    next.parts[n] = parts_to_keep(n, bucket, cost_per_ms(range, level));
+    if (next.parts[n] != kept.parts[n])
+        keep(&next);
+}
+
+void light_keep(void)
+{
+    allowance_t next = kept;
+    bool changed = false;
+    for (uint8_t n = 0; n < CHANNELS; n++) {
+        uint32_t bucket;
+        uint16_t cost;
+        ATOMIC_BLOCK(ATOMIC_RESTORESTATE)
+        {
+            const channel_t *c = &channels[n];
+            bucket = c->bucket;
+            cost = c->bright ? cost_per_ms(c->range, c->level) : 0;
+        }
+        next.parts[n] = parts_to_keep(n, bucket, cost);
+        changed |= next.parts[n] != kept.parts[n];
+    }
+    ATOMIC_BLOCK(ATOMIC_RESTORESTATE) { next.flashes = flashes_left; }
+    if (changed || next.flashes != kept.flashes)
+        keep(&next);
 }
 
 static void drive(uint8_t n)
@@ -80,6 +175,8 @@ static uint8_t refuse(const stimulus_t *wanted, uint32_t bright_ms)
 
 static void start(const stimulus_t *wanted, char mode)
 {
+    if (wanted->level)
+        make_room(wanted->channel, wanted->range, wanted->level);
     ATOMIC_BLOCK(ATOMIC_RESTORESTATE)
     {
         channel_t *c = &channels[wanted->channel];
@@ -127,6 +224,7 @@ uint8_t light_ramp(const stimulus_t *wanted)
         return error;
     if (before.mode != 'O' && before.range != wanted->range)
         return ERROR_RANGE_CHANGE;
+    make_room(wanted->channel, wanted->range, wanted->level > before.level ? wanted->level : before.level);
     ATOMIC_BLOCK(ATOMIC_RESTORESTATE)
     {
         channel_t *c = &channels[wanted->channel];
@@ -178,17 +276,28 @@ channel_state_t light_state(uint8_t channel)
 
 uint8_t light_flash(void)
 {
+    allowance_t next = kept;
     uint8_t error = ERROR_ENERGY;
     ATOMIC_BLOCK(ATOMIC_RESTORESTATE)
     {
+        if (held_ms >= HELD_OFF_MS)
+            error = ERROR_HELD;
+        else if (flashes_left && flash_wait_ms == 0)
+            error = 0;
+        next.flashes = flashes_left ? flashes_left - 1 : 0;
+    }
+    if (error)
+        return error;
+    keep(&next);
+    ATOMIC_BLOCK(ATOMIC_RESTORESTATE)
+    {
+        flashes_left = next.flashes;
+        flash_wait_ms = FLASH_GAP_MS;
         if (held_ms >= HELD_OFF_MS) {
             error = ERROR_HELD;
-        } else if (flashes_left && flash_wait_ms == 0) {
-            flashes_left--;
-            flash_wait_ms = FLASH_GAP_MS;
+        } else {
             trigger_ms = FLASH_TRIGGER_MS;
             pwm_trigger(true);
-            error = 0;
         }
     }
     return error;
@@ -256,7 +365,7 @@ static void advance_blink(uint8_t n, channel_t *c)
 static void spend(uint8_t n, channel_t *c)
 {
     uint16_t cost = cost_per_ms(c->range, c->level);
-    if (c->bucket < cost) {
+    if (c->bucket < cost || c->bucket - cost < floors[n]) {
         extinguish(n);
         darkened |= (uint8_t)(1 << n);
     } else {

@@ -22,6 +22,8 @@ typedef struct {
 } channel_state_t;
 
 void light_init(void);
+/* Fills the buckets, empty till then, from the EEPROM; takes 7 ms, with interrupts on. */
+void light_remember(void);
 /* Each returns 0 or an error code of protocol.h; on an error the channel is left as it was. */
 uint8_t light_steady(const stimulus_t *wanted);
 uint8_t light_ramp(const stimulus_t *wanted);
@@ -40,6 +42,8 @@ void light_flash_state(uint8_t *left, uint16_t *wait_ms);
 /* Returns and clears the reason for which the box itself went dark: bit n: bucket of channel n empty, bit 6: button held,
  * bit 7: dead man. */
 uint8_t light_take_darkened(void);
+/* Keeps in the EEPROM what a reset must not forget; called by the main loop. */
+void light_keep(void);
 /* One millisecond has passed; called by the clock's interrupt. */
 void light_tick(void);
 

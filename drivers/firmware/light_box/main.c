@@ -32,6 +32,7 @@ int main(void)
     wdt_enable(WDTO_250MS);
     sei();
     protocol_init(reset_flags);
+    light_remember();
     set_sleep_mode(SLEEP_MODE_IDLE);
     for (;;) {
         wdt_reset();

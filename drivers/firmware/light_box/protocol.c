@@ -103,6 +103,7 @@ void protocol_poll(void)
     char *end;
     while (uart_read(&byte))
         take(byte);
+    light_keep();
     commands_watch_light();
     events_watch_button();
     while ((end = events_next(text)) != 0)

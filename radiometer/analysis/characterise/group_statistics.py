@@ -92,7 +92,7 @@ def statistics_of_group(
     frames: Iterable[DigitalNumbers],
     settings: FrameSettings,
     regions: tuple[Patch | None, ...],
-    full_scale_dn: int,
+    saturated_dn: int,
     photons: float | None = None,
 ) -> list[GroupStatistics]:
     """Return the statistics of every region of the frames of one setting; frames are held one at a time.
@@ -101,7 +101,7 @@ def statistics_of_group(
         frames: Frames of one size; one alone has no temporal variance.
         settings: Their setting.
         regions: Where to look; None for the whole frame.
-        full_scale_dn: Highest digital number.
+        saturated_dn: Digital number from which pixels are saturated.
         photons: Mean photons per pixel where known.
 
     Raises:
@@ -112,7 +112,7 @@ def statistics_of_group(
         if not sums:
             sums = [_Sums(_cut(dn, region).shape) for region in regions]
         for region, entry in zip(regions, sums, strict=True):
-            entry.add(_cut(dn, region), full_scale_dn)
+            entry.add(_cut(dn, region), saturated_dn)
     if not sums:
         raise MeasurementError(f"there is no frame at exposure {settings.exposure_s:g} s")
     return [entry.statistics(settings, photons, number) for number, entry in enumerate(sums)]
@@ -131,7 +131,7 @@ class _Sums:
         self._clipped = 0
         self._at_zero = 0
 
-    def add(self, dn: DigitalNumbers, full_scale_dn: int) -> None:
+    def add(self, dn: DigitalNumbers, saturated_dn: int) -> None:
         values = dn.astype(np.float64)
         self.count += 1
         self._sum += values
@@ -139,7 +139,7 @@ class _Sums:
         self._means.append(float(values.mean()))
         self._row_means.append(values.mean(axis=1))
         self._column_means.append(values.mean(axis=0))
-        self._clipped += int(np.count_nonzero(dn >= full_scale_dn))
+        self._clipped += int(np.count_nonzero(dn >= saturated_dn))
         self._at_zero += values.size - int(np.count_nonzero(dn))
 
     def statistics(self, settings: FrameSettings, photons: float | None, region: int) -> GroupStatistics:

@@ -61,7 +61,7 @@ class Subject:
         for group in self.groups:
             frames = group.read(self.camera.full_scale_dn)
             for one in statistics_of_group(
-                frames, group.settings, self.regions, self.camera.full_scale_dn, group.photons
+                frames, group.settings, self.regions, self.camera.saturated_dn, group.photons
             ):
                 found.append(self._with_photons(one))
         return found

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import io
-import json
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +12,7 @@ from numpy.typing import NDArray
 
 import radiometer
 from radiometer.analysis.exports.maps import MapPicture
+from radiometer.data.json_text import json_text
 from radiometer.data.storage import write_bytes_atomic
 
 
@@ -43,7 +43,7 @@ def write_tiff(path: Path, picture: MapPicture) -> None:
             tiff.write(
                 values if picture.is_colour else values[..., 0],
                 photometric="rgb" if picture.is_colour else "minisblack",
-                description=json.dumps(facts, ensure_ascii=True),
+                description=json_text(facts, ascii_only=True),
                 software=f"radiometer {radiometer.__version__}",
                 metadata=None,
             )

@@ -231,7 +231,7 @@ def _background(whole: _Map, off: _Map | None, region: Patch | None) -> tuple[ND
 def _thesis(frame: Frame, scale: FluxScale, region: Patch | None) -> tuple[float, float, float]:
     """Return exposure, flux by (2.13), and the share of pixels at 0 or full scale that it leaves out."""
     dn = frame.dn if region is None else frame.dn[region.slices]
-    kept = (dn > 0) & (dn < frame.full_scale_dn)
+    kept = (dn > 0) & (dn < frame.saturated_dn)
     exposure = scale.model.table(frame.settings)[dn[kept]] * scale.joule_per_m2
     flux = float(exposure.sum()) / frame.settings.exposure_s * scale.pixel_area_m2
     return frame.settings.exposure_s, flux, 1.0 - float(kept.mean())

@@ -235,16 +235,15 @@ def aligned(bracket: Bracket, alignment: Alignment) -> tuple[Bracket, list[NDArr
 
 def _moved(frame: Frame, to_frame: Array) -> tuple[Any, NDArray[np.bool_]]:
     size, flags = (frame.shape[1], frame.shape[0]), cv2.WARP_INVERSE_MAP
-    top = frame.full_scale_dn
+    top, white = frame.full_scale_dn, frame.saturated_dn
     values = frame.dn.astype(np.float32)
     smooth = cv2.warpAffine(values, to_frame, size, flags=flags | cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE)
     dn = np.clip(np.rint(smooth), 0, top).astype(frame.dn.dtype)
     # A number stands for "clipped" only where all that it is read from clips.
-    for end in (0, top):
-        clipped = (frame.dn == end).astype(np.float32)
-        share = cv2.warpAffine(clipped, to_frame, size, flags=flags | cv2.INTER_LINEAR)
+    for end, clipped in ((0, frame.dn == 0), (top, frame.dn >= white)):
+        share = cv2.warpAffine(clipped.astype(np.float32), to_frame, size, flags=flags | cv2.INTER_LINEAR)
         dn[share > 0.999] = end
-    near = cv2.dilate((frame.dn == top).astype(np.uint8), np.ones((2 * _SUPPORT_PX + 1,) * 2, np.uint8))
+    near = cv2.dilate((frame.dn >= white).astype(np.uint8), np.ones((2 * _SUPPORT_PX + 1,) * 2, np.uint8))
     near = cv2.warpAffine(near, to_frame, size, flags=flags | cv2.INTER_NEAREST)
     outside = cv2.warpAffine(
         np.ones(frame.shape, np.float32), to_frame, size, flags=flags | cv2.INTER_LINEAR, borderValue=0.0

@@ -41,6 +41,7 @@ from radiometer.data import (
 )
 from radiometer.data.reading import RADIANCE_UNIT, RELATIVE_UNIT
 from radiometer.data.setup import Setup
+from radiometer.data.white_level import white_level_notes
 from radiometer.errors import MeasurementError
 
 MOST_FRAMES = 64
@@ -500,6 +501,7 @@ class StreamingMerge:
         self._doubt_falloff(*images[:2])
         repair_defects(*images, calibration.defects if calibration else ())
         numbers = {terms.settings.f_number or self._situation.lens.f_number for terms in self._terms}
+        white = white_level_notes(terms.settings.white_level for terms in self._terms)
         self._doubt_exposures(*images[:2])
         of_time = self._exposure_offset()
         in_u = of_time if self._exposures_in_u else ()
@@ -512,8 +514,12 @@ class StreamingMerge:
             exposures_s=tuple(sorted({terms.settings.exposure_s for terms in self._terms})),
             provenance=Provenance(
                 "maximum-likelihood merge",
-                assumptions=(*self._situation.assumptions, *in_u, *not_in_u),
-                parameters={"frames": len(self._terms), "dark_frames": len(self._dark)},
+                assumptions=(*self._situation.assumptions, *white, *in_u, *not_in_u),
+                parameters={
+                    "frames": len(self._terms),
+                    "dark_frames": len(self._dark),
+                    "saturated_dn": sorted({terms.high_dn for terms in self._terms}),
+                },
             ),
             not_in_u=not_in_u,
         )

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import math
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -13,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from radiometer.analysis.photometry.display_types import primary_spectrum
-from radiometer.data.storage import read_text
+from radiometer.data.text_table import TextTable, finite, read_table
 from radiometer.errors import InputError
 from radiometer.units import BOLTZMANN_J_K, PLANCK_J_S, SPEED_OF_LIGHT_M_S
 
@@ -147,38 +148,87 @@ def _planck(name: str, temperature_k: float) -> Spectrum:
     return Spectrum(name, wavelength, power / power.max())
 
 
-def spectrum_from_csv(path: Path) -> Spectrum:
-    """Return the spectrum, or the spectral response, in a CSV of wavelength in nm and relative value.
+_WAVELENGTH_NAMES: Final = (
+    "wavelength", "wavelengths", "lambda", "wl", "wave", "wellenlange", "wellenlänge", "longueur_d_onde", "λ",
+)  # fmt: skip
+
+
+def spectral_columns(
+    path: Path, names: Mapping[str, Sequence[str]]
+) -> tuple[NDArray[np.float64], dict[str, NDArray[np.float64]]]:
+    """Return (wavelengths in nm, rising; values by name) of a table of text.
+
+    Columns are found by their names; a single quantity may have any name where it is the only one next to the
+    wavelength. Without a heading the wavelength comes first, then the quantities in the order of the names.
 
     Args:
-        path: File; a heading, comments after # and semicolons are allowed.
+        path: The table; any separator, decimal points or commas.
+        names: Names of columns by quantity.
+
+    Raises:
+        InputError: If the file cannot be read, a column is missing or ambiguous, or its numbers are no spectrum.
+    """
+    form = f"wavelength_nm,{','.join(names)}"
+    table = read_table(path, form)
+    places = _places(table, names, form)
+    doubts = list[str]()
+    columns = {
+        name: np.array(finite(table.values(at, quantity, doubts, defined=unit), table, at))
+        for name, (at, quantity, unit) in places.items()
+    }
+    wavelength = columns.pop("wavelength")
+    if wavelength.size < 2:
+        raise InputError(f"{path}: expected at least two lines of {form}")
+    if np.any(np.diff(wavelength) <= 0):
+        raise InputError(f"{path}: wavelengths must rise from line to line")
+    if wavelength[0] < 100.0 or wavelength[-1] > 5000.0:
+        raise InputError(f"{path}: wavelengths run from {wavelength[0]:g} to {wavelength[-1]:g}; they must be in nm")
+    return wavelength, columns
+
+
+def _places(table: TextTable, names: Mapping[str, Sequence[str]], form: str) -> dict[str, tuple[int, str, str]]:
+    """Return column, fact and defined unit by quantity."""
+    if not table.header:
+        if table.width != 1 + len(names):
+            raise InputError(f"{table.path}: {table.width} columns without a heading; expected the columns {form}")
+        return {
+            name: (n, *kind)
+            for n, (name, kind) in enumerate(
+                {"wavelength": ("wavelength", "nm"), **dict.fromkeys(names, ("number", "1"))}.items()
+            )
+        }
+    first = table.find_fact("wavelength", _WAVELENGTH_NAMES)
+    if first is None:
+        raise InputError(
+            f"{table.path}: expected two numbers per line or more, and no column is known as the wavelength; it has "
+            f"{', '.join(table.header)}: call it wavelength_nm"
+        )
+    found = {"wavelength": (first, "wavelength", "nm")}
+    others = [n for n in range(table.width) if n != first and not table.is_index(n)]
+    for name, aliases in names.items():
+        at = table.find(aliases)
+        if at is None and len(names) == 1 and len(others) == 1:
+            at = others[0]
+        if at is None:
+            raise InputError(
+                f"{table.path}: no column is known as {name}; it has {', '.join(table.header)}: keep the columns {form}"
+            )
+        found[name] = (at, "number", "1")
+    return found
+
+
+def spectrum_from_csv(path: Path) -> Spectrum:
+    """Return the spectrum, or the spectral response, in a table of wavelength in nm and relative value.
+
+    Args:
+        path: File; a heading, comments after #, any separator and decimal commas are allowed.
 
     Raises:
         InputError: If the file cannot be read, or its numbers are no spectrum.
     """
-    lines = read_text(path).splitlines()
-    rows = [line.replace(";", ",").split(",")[:2] for line in lines if line.strip() and not line.startswith("#")]
-    if rows and not _is_number(rows[0][0]):
-        rows = rows[1:]
-    try:
-        numbers = np.array(rows, dtype=np.float64)
-    except ValueError as error:
-        raise InputError(
-            f"{path}: expected two numbers per line, wavelength in nm and relative power: {error}"
-        ) from error
-    if numbers.ndim != 2 or numbers.shape[0] < 2 or numbers.shape[1] != 2:
-        raise InputError(f"{path}: expected at least two lines of wavelength in nm and relative power")
-    wavelength, power = numbers.T
-    if np.any(np.diff(wavelength) <= 0) or np.any(power < 0) or not power.any() or not np.all(np.isfinite(numbers)):
-        raise InputError(f"{path}: wavelengths must rise and powers be 0 or more, not all 0")
-    if wavelength[0] < 100.0 or wavelength[-1] > 5000.0:
-        raise InputError(f"{path}: wavelengths run from {wavelength[0]:g} to {wavelength[-1]:g}; they must be in nm")
+    names = ("relative_power", "power", "relative", "value", "intensity", "radiance", "spd", "response", "responsivity")
+    wavelength, columns = spectral_columns(path, {"relative_power": names})
+    power = columns["relative_power"]
+    if np.any(power < 0) or not power.any():
+        raise InputError(f"{path}: powers must be 0 or more, not all 0")
     return Spectrum(str(path), wavelength, power)
-
-
-def _is_number(text: str) -> bool:
-    try:
-        float(text)
-    except ValueError:
-        return False
-    return True

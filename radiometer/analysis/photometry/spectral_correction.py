@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import math
 from pathlib import Path
 from typing import Final
@@ -10,7 +9,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from radiometer.analysis.photometry.spectra import Spectrum, spectrum
+from radiometer.analysis.photometry.spectra import Spectrum, spectral_columns, spectrum
 from radiometer.errors import InputError
 
 # Quantum efficiencies of silicon sensors vary by about a fifth between 450 and 650 nm (EMVA 1288 data sheets).
@@ -56,16 +55,10 @@ def _gaussian(peak_nm: float, fwhm_nm: float) -> Spectrum:
 
 
 def _read(path: Path, grid_nm: NDArray[np.float64], lights: tuple[Spectrum, ...]) -> NDArray[np.float64]:
-    try:
-        with path.open(encoding="utf-8", newline="") as stream:
-            rows = [(float(row["wavelength_nm"]), float(row["responsivity"])) for row in csv.DictReader(stream)]
-    except OSError as error:
-        raise InputError(f"cannot read {path}: {error.strerror or error}") from error
-    except (KeyError, TypeError, ValueError) as error:
-        raise InputError(f"{path}: expected columns wavelength_nm,responsivity with numbers") from error
-    known = np.array(sorted(rows)).reshape(-1, 2)
-    wavelength_nm, values = known[:, 0], known[:, 1]
-    if len(rows) < 2 or wavelength_nm[0] > 420 or wavelength_nm[-1] < 680 or values.min() < 0:
+    names = ("responsivity", "relative_responsivity", "response", "relative", "value")
+    wavelength_nm, columns = spectral_columns(path, {"responsivity": names})
+    values = columns["responsivity"]
+    if wavelength_nm[0] > 420 or wavelength_nm[-1] < 680 or values.min() < 0:
         raise InputError(f"{path}: the responsivity must be 0 or more and reach from 420 to 680 nm at least")
     for light in lights:
         _refuse_beyond(path, light, float(wavelength_nm[0]), float(wavelength_nm[-1]))

@@ -39,6 +39,7 @@ from radiometer.data import (
 )
 from radiometer.data.reading import LUMINANCE_UNIT, RADIANCE_UNIT, RELATIVE_UNIT
 from radiometer.data.setup import Setup
+from radiometer.data.white_level import white_level_notes
 from radiometer.errors import MeasurementError
 
 
@@ -259,7 +260,10 @@ def _reading(situation: PatchSituation, patch: Patch, sequence: int) -> Reading:
         time=situation.now.astimezone(dt.UTC).isoformat(timespec="microseconds").replace("+00:00", "Z"),
         provenance=Provenance(
             "maximum-likelihood patch estimate",
-            assumptions=settled.assumptions,
+            assumptions=(
+                *settled.assumptions,
+                *white_level_notes(one.settings.white_level for one in situation.frames),
+            ),
             parameters={
                 "frames": situation.shown.light_frames,
                 "frames_used": len(situation.frames),

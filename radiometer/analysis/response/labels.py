@@ -142,9 +142,9 @@ def _pairwise_rise(bracket: Bracket) -> NDArray[np.float64]:
     Where two frames have hardly such a pixel in common, the rise of the whole picture stands in.
     """
     step = max(1, int(np.sqrt(np.prod(bracket.shape) / _COMPARED_PIXELS)))
-    full_scale = bracket.light[0].full_scale_dn
     pixels = np.array([frame.dn[::step, ::step].ravel().astype(np.float32) for frame in bracket.light])
-    inside = (pixels > 0) & (pixels < full_scale)
+    inside = (pixels > 0) & (pixels < min(frame.saturated_dn for frame in bracket.light))
+    full_scale = bracket.light[0].full_scale_dn
     count = len(bracket.light)
     rise = np.zeros((count, count))
     for i in range(count):

@@ -11,12 +11,13 @@ from numpy.typing import NDArray
 
 from radiometer.data.bracket import Bracket
 from radiometer.data.frame import Frame
+from radiometer.data.pile_up import with_white_levels
 from radiometer.errors import MeasurementError
 
-# A clipping level gathers whatever lies beyond it: its count stands out from so many neighbours by this factor.
+# Black gathers whatever is below it: its count stands out from so many neighbours by this factor.
 _PILE_UP, _NEIGHBOURS = 8.0, 8
-# Fog and knees hold still while the exposure grows: over this many frames, by this factor in all, to this share of full
-# scale, with this share of the picture in the peak.
+# Fog holds still while the exposure grows: over this many frames, by this factor in all, to this share of full scale,
+# with this share of the picture in the peak.
 _STILL_FRAMES, _STILL_GROWTH, _STILL_SHARE, _PEAK_SHARE = 3, 3.0, 1.0 / 128.0, 0.05
 # A signal below 3 widths would grow by less than one behind the square root of a tripled exposure.
 _CLEAR = 3
@@ -38,11 +39,10 @@ class ValueLimits:
 def find_limits(brackets: Sequence[Bracket]) -> ValueLimits:
     """Return the black and saturation level of brackets taken with one camera.
 
-    Saturation is full scale, or lower where the highest value that occurs gathers far more pixels than those just
-    below it (a sensor or film that saturates before the converter does), with those below it that do so too (noise
-    behind the clipping). Black is 0, the stated black level, or the lowest value in the same way. Besides, a value at
-    which much of the shortest frames stands still while their exposure grows is black (the fog of a film, a black
-    level that nobody stated), and one of the longest is white.
+    Saturation is the lowest white level that the frames of a bracket show or state. Black is 0, the stated black
+    level, or the lowest value where it gathers far more pixels than those next above it. Besides, a value at which
+    much of the shortest frames stands still while their exposure grows is black: the fog of a film, or a black level
+    that is not stated.
 
     Raises:
         MeasurementError: If every value of every frame is clipped.
@@ -53,29 +53,27 @@ def find_limits(brackets: Sequence[Bracket]) -> ValueLimits:
         for frame in bracket.light:
             histogram += np.bincount(frame.dn.ravel(), minlength=full_scale + 1)[: full_scale + 1]
     stated = [f.settings.black_level_dn for b in brackets for f in b.light if f.settings.black_level_dn]
-    stills = [_stands_still(bracket, full_scale) for bracket in brackets]
-    black = max(_floor(histogram), int(np.ceil(max(stated))) if stated else 0, *(low for low, _ in stills))
-    saturated = min(_ceiling(histogram), *(high for _, high in stills))
+    fog = max(_fog(bracket, full_scale) for bracket in brackets)
+    black = max(_floor(histogram), int(np.ceil(max(stated))) if stated else 0, fog)
+    saturated = min(white_level_dn(bracket) for bracket in brackets)
     if saturated - black < 4 or histogram[black + 1 : saturated].sum() == 0:
         raise MeasurementError(_all_clipped(histogram, full_scale))
     return ValueLimits(black, saturated)
 
 
-def _stands_still(bracket: Bracket, full_scale: int) -> tuple[int, int]:
-    """Return the commonest value of the shortest frames and of the longest where it does not move with the exposure.
+def white_level_dn(bracket: Bracket) -> int:
+    """Return the lowest digital number from which frames of a bracket are saturated."""
+    return min(frame.saturated_dn for frame in with_white_levels(bracket.light))
 
-    Where it moves, 0 and full scale.
-    """
+
+def _fog(bracket: Bracket, full_scale: int) -> int:
+    """Return the commonest value of the shortest frames where it does not move with the exposure, else 0."""
     times = bracket.effective_exposures_s
     shortest = max(_STILL_FRAMES, int(np.searchsorted(times, _STILL_GROWTH * times[0])) + 1)
-    longest = max(_STILL_FRAMES, len(times) - int(np.searchsorted(times, times[-1] / _STILL_GROWTH, "right")) + 1)
-    low, high, most = 0, full_scale, len(bracket.light) // 2
-    if shortest <= most:
-        low = _common_peak(bracket.light[:shortest], full_scale) or 0
-    if longest <= most:
-        high = _common_peak(bracket.light[-longest:], full_scale) or full_scale
-    middle = (full_scale + 1) // 2
-    return (low if low < middle else 0), (high if high > middle else full_scale)
+    if shortest > len(bracket.light) // 2:
+        return 0
+    low = _common_peak(bracket.light[:shortest], full_scale) or 0
+    return low if low < (full_scale + 1) // 2 else 0
 
 
 def _common_peak(frames: Sequence[Frame], full_scale: int) -> int | None:
@@ -93,25 +91,16 @@ def _common_peak(frames: Sequence[Frame], full_scale: int) -> int | None:
     return max(peaks) if clear and max(peaks) - min(peaks) <= width else None
 
 
-def _ceiling(histogram: NDArray[np.int64]) -> int:
-    """Return the lowest of the values that pile up below the highest one; full scale where none does."""
-    top = int(np.flatnonzero(histogram)[-1])
-    # What is noisy behind the clipping (a scan, a compressed picture) gathers at several values, not at one.
-    piled = itertools.takewhile(lambda value: _piles_up(histogram, value, -1), range(top, 0, -1))
-    return min(piled, default=histogram.size - 1)
-
-
 def _floor(histogram: NDArray[np.int64]) -> int:
     """Return the highest of the values that pile up above the lowest one; 0 where none does."""
     bottom = int(np.flatnonzero(histogram)[0])
-    piled = itertools.takewhile(lambda value: _piles_up(histogram, value, 1), range(bottom, histogram.size - 1))
+    piled = itertools.takewhile(lambda value: _piles_up(histogram, value), range(bottom, histogram.size - 1))
     return max(piled, default=0)
 
 
-def _piles_up(histogram: NDArray[np.int64], value: int, inwards: int) -> bool:
-    """Tell whether far more pixels have a value than those next to it on the inner side, +1 or -1."""
-    ends = sorted((value + inwards, value + _NEIGHBOURS * inwards))
-    neighbours = histogram[max(ends[0], 0) : ends[1] + 1]
+def _piles_up(histogram: NDArray[np.int64], value: int) -> bool:
+    """Tell whether far more pixels have a value than those next above it."""
+    neighbours = histogram[value + 1 : value + _NEIGHBOURS + 1]
     return bool(neighbours.size) and bool(histogram[value] > _PILE_UP * max(float(neighbours.mean()), 1.0))
 
 

@@ -47,19 +47,21 @@ class SignalModel:
         return int(self.signal.size - 1)
 
     def saturation_dn(self, settings: FrameSettings, *, within_data: bool = True) -> float:
-        """Return the digital number from which a frame clips: the converter's end, or the full well's if lower.
+        """Return the digital number from which a frame clips: its white level, or the full well's end if lower.
 
         Args:
             settings: Of the frame.
             within_data: Count numbers above those that the response curve has data for as clipped too.
         """
+        white = settings.white_level
+        end = float(self.full_scale_dn if white is None else min(self.full_scale_dn, white.saturated_dn))
         if not self.linear and within_data:
-            return float(min(self.full_scale_dn, self.valid_dn[1] + 1))
+            return min(end, self.valid_dn[1] + 1.0)
         if not (self.linear and self.saturation_known):
-            return float(self.full_scale_dn)
+            return end
         black = self.black_of(settings)
         well = black + USABLE_FULL_WELL * self.noise.full_well_e * self.noise.gain_dn_per_e(settings.gain_db)
-        return float(min(self.full_scale_dn, well))
+        return min(end, well)
 
     def black_of(self, settings: FrameSettings) -> float:
         """Return the black level in DN of a frame: its own where it states one."""

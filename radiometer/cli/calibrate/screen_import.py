@@ -31,25 +31,35 @@ def import_command(
         float | None, typer.Option(min=1e-6, help="Luminance of white in cd/m², which a .cal does not hold.")
     ] = None,
     gamma: Annotated[float, typer.Option(min=0.1, max=10.0, help="Exponent that a .cal was made for.")] = 2.2,
+    mapped: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--map", help="Column of a table and its unit: level=drive:8bit, luminance=Y:cd/m2; or a YAML file."
+        ),
+    ] = None,
     json: Annotated[bool, typer.Option("--json", help="Report as one JSON object on standard output.")] = False,
 ) -> None:
     """Make a screen calibration of measurements made elsewhere, with their uncertainty."""
     from dataclasses import replace
 
     from radiometer.bench.screen import lights
+    from radiometer.data.statements import StatementMap
     from radiometer.screen.calibration import LUMINANCE
     from radiometer.screen.measured_elsewhere import imported, read_screen_readings
 
-    readings = read_screen_readings(file, white_luminance, gamma)
+    readings = read_screen_readings(file, white_luminance, gamma, StatementMap.parse(mapped or ()))
     if name is not None:
         readings = replace(readings, name=name)
     found = imported(readings, lights(white, primaries), meter_u_rel, file.name)
     found.write(out)
     if json:
-        print(json_module.dumps({"file": str(out), **found.to_mapping()}, allow_nan=False))
+        report = {"taken": list(readings.taken), "doubts": list(readings.doubts)}
+        print(json_module.dumps({"file": str(out), **report, **found.to_mapping()}, allow_nan=False))
         return
-    for said in readings.taken:
-        note(f"taken: {said}")
+    for line in readings.taken:
+        note(f"taken: {line}")
+    for line in readings.doubts:
+        note(f"doubt: {line}")
     left_out = sorted(set(readings.primaries) - set(found.channels))
     if left_out:
         note(f"{', '.join(left_out)} left out: their spectra are not known; --primaries names a display type or a CSV")

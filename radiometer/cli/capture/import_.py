@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json as json_module
-import shutil
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -11,12 +10,9 @@ import typer
 
 from radiometer.cli.arguments import parse_patch
 from radiometer.cli.console import note, progress_bar
-from radiometer.errors import OutputError, UsageError
 
 if TYPE_CHECKING:
-    from radiometer.data import CaptureHeader
-    from radiometer.importing import ImportOptions, ImportRecord
-    from radiometer.importing.assembly import Assembled
+    from radiometer.importing.sources import WrittenSet
 
 
 def command(
@@ -35,77 +31,45 @@ def command(
     pedestal: Annotated[
         float, typer.Option(help="Value added to every pixel, where numbers go below zero (processed frames).")
     ] = 0.0,
+    mapped: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--map",
+            help="Where a fact stands, and its unit: exposure=IMG_EXP:ms, gain=GAIN:0.1dB, or a YAML file of such.",
+        ),
+    ] = None,
     json: Annotated[bool, typer.Option("--json", help="One JSON object on standard output.")] = False,
 ) -> None:
     """Turn frames and tables of any laboratory into capture sets.
 
-    Says what was taken from where, what is missing, and what is doubted: a file called 1 s whose header says 60 s, a
-    black level tag that the masked rows contradict. Frames of several cameras or bands become a capture set each, in
-    folders of their names.
+    Reports what was taken from where, what is missing, what is doubted and what of the files is not used. A number
+    without a known unit stops the import; --map settles it. Frames of several cameras, bands or gains of unknown unit
+    become a capture set each, in folders of their names.
     """
-    from radiometer.importing import ImportOptions, statistics_of
+    from radiometer.data.statements import StatementMap
+    from radiometer.importing import ImportOptions, import_into
 
-    options = ImportOptions(parse_patch(crop) if crop else None, sample, full_scale, pedestal)
-    table = statistics_of(sources[0]) if sources[0].exists() else None
-    if table is not None and len(sources) > 1:
-        raise UsageError("a table of statistics is a source of its own; name it alone")
-    _refuse_existing(output)
-    sets = _from_table(table, output) if table is not None else _from_files(sources, options, output, shown=not json)
+    options = ImportOptions(
+        parse_patch(crop) if crop else None, sample, full_scale, pedestal, StatementMap.parse(mapped or ())
+    )
+    with progress_bar(shown=not json) as bar:
+        task = bar.add_task("reading headers", total=None)
+        sets = import_into(sources, output, options, lambda done, total: bar.update(task, completed=done, total=total))
     if json:
-        print(json_module.dumps({"capture_sets": sets}, ensure_ascii=False))
+        print(json_module.dumps({"capture_sets": [_summary(one) for one in sets]}, ensure_ascii=False))
         return
     for one in sets:
-        _show(one)
+        _show(_summary(one))
 
 
-def _refuse_existing(output: Path) -> None:
-    if output.exists() and (not output.is_dir() or any(output.iterdir())):
-        raise OutputError(f"{output} exists already and is not empty; name a new folder")
-
-
-def _from_table(header: CaptureHeader, output: Path) -> list[dict[str, Any]]:
-    from radiometer.importing.record import record_in
-    from radiometer.importing.sources import write_statistics
-
-    write_statistics(header, output)
-    return [_summary(output, 0, len(header.statistics), record_in(header))]
-
-
-def _from_files(sources: list[Path], options: ImportOptions, output: Path, *, shown: bool) -> list[dict[str, Any]]:
-    from radiometer.importing import import_sources
-
-    with progress_bar(shown=shown) as bar:
-        task = bar.add_task("reading headers", total=None)
-        found = import_sources(sources, options, lambda done, total: bar.update(task, completed=done, total=total))
-        existed = output.exists()
-        try:
-            return [
-                _copied(one, output if len(found) == 1 else output / one.title, sources[0], options) for one in found
-            ]
-        except BaseException:
-            # Of several cameras all are written or none.
-            shutil.rmtree(output, ignore_errors=True)
-            if existed:
-                output.mkdir(exist_ok=True)
-            raise
-
-
-def _copied(one: Assembled, out: Path, source: Path, options: ImportOptions) -> dict[str, Any]:
-    from radiometer.importing import copy_into, imported_of
-    from radiometer.importing.sources import as_capture
-
-    written = copy_into(as_capture(one, source, options), out)
-    return _summary(out, len(written), 0, imported_of(written))
-
-
-def _summary(path: Path, frames: int, settings: int, record: ImportRecord) -> dict[str, Any]:
-    counted = {"frames": frames} if frames else {"settings": settings}
-    return {"path": str(path), **counted, **record.to_mapping()}
+def _summary(one: WrittenSet) -> dict[str, Any]:
+    counted = {"frames": one.frames} if one.frames else {"settings": one.settings}
+    return {"path": str(one.path), **counted, **one.record.to_mapping()}
 
 
 def _show(one: dict[str, Any]) -> None:
     what = f"{one['frames']} frames" if "frames" in one else f"statistics of {one['settings']} settings"
     note(f"{one['path']}: {what}")
-    for title in ("taken", "missing", "doubts", "left_out"):
+    for title in ("mapped", "taken", "missing", "doubts", "not_used", "left_out"):
         for line in one[title]:
             note(f"  {title.replace('_', ' ')}: {line}")

@@ -43,6 +43,8 @@ _FLAG_MEANING = {
     "drift": "the calibration's age rules the uncertainty: calibrate again",
     "lens_changed": "what was done to the lens since calibration rules the uncertainty",
     "polarisation": "the light's polarisation rules the uncertainty",
+    "exposure_unconfirmed": "the camera states another exposure time than it was given: the value may be off as much",
+    "repeated_frame": "the camera delivered the same frame again: the value may be an old one",
     "linearity": "the signal is far from the calibration's level, and the sensor was taken as linear",
 }
 

@@ -97,8 +97,9 @@ def run(
     file = out or Path(f"{subject}-{chosen.name}.jsonl")
     wanted, controls = Watching(page or page_port > 0, page_port, audio, json, slow), Controls(linger_s=slow)
     seen = camera is not None or bench is not None
+    whose = f"{subject} {eye}"
     box_request = BoxRequest(
-        box, calibration, white, fixation, accept_stale, seen, camera, bench, room, simulate, seed, preset
+        box, calibration, white, fixation, accept_stale, seen, camera, bench, room, simulate, seed, preset, whose
     )
     with (
         _stage(chosen, box_request, _Screen(screen, display, port, eye)) as (stage, checks),

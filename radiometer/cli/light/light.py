@@ -10,6 +10,7 @@ import typer
 
 from radiometer.cli.arguments import parse_seconds
 from radiometer.cli.console import console, note
+from radiometer.cli.light.light_account import account
 from radiometer.cli.light.light_calibrate import calibrate
 from radiometer.cli.light.light_report import status_report, tell_event, tell_state, tell_status
 from radiometer.errors import DeviceError, UsageError
@@ -182,6 +183,7 @@ def watch_buttons(
 
 
 app.command()(calibrate)
+app.command()(account)
 
 
 def _level(radiance: float | None, level: int | None, low: bool) -> Level:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import itertools
-import json
 from dataclasses import replace
 from typing import Any, Final
 
@@ -11,7 +10,7 @@ import numpy as np
 from aiohttp import web
 
 from radiometer.daemon.http.requests import LightBody, MeasureBody, SettingsBody, read_body
-from radiometer.daemon.http.route import STATION, Route
+from radiometer.daemon.http.route import STATION, Route, json_reply
 from radiometer.daemon.metrics import CONTENT_TYPE
 from radiometer.daemon.station import Station
 from radiometer.errors import UsageError
@@ -28,8 +27,8 @@ async def measure(request: web.Request) -> web.Response:
     changes = (await read_body(request, MeasureBody)).changes()
     settings = replace(station.settings, **changes)
     if changes:
-        station.check_settings(settings)
-    reading = await station.measure(settings, _MEASURING_DEADLINE_S, f"http-{next(_NUMBERS)}")
+        station.acquisition.check_settings(settings)
+    reading = await station.acquisition.measure(settings, _MEASURING_DEADLINE_S, f"http-{next(_NUMBERS)}")
     return web.Response(text=reading.to_json() + "\n", content_type="application/json")
 
 
@@ -41,39 +40,40 @@ async def change_settings(request: web.Request) -> web.Response:
         station.configure(**changes)
     if "every_s" in body.model_fields_set:
         station.set_every(body.every_s)
-    return _json(station.status())
+    return json_reply(station.status())
 
 
 async def set_light(request: web.Request) -> web.Response:
     """Set a channel of the light box. Raises UsageError for a channel that there is not."""
     station = request.app[STATION]
     body = await read_body(request, LightBody)
-    if station.box is not None and body.channel not in station.box.channels:
-        raise UsageError(f"there is no channel {body.channel[:40]!r}; there are: {', '.join(station.box.channels)}")
-    level = await station.set_level(body.channel, body.level)
-    return _json({"channel": body.channel, "level": level})
+    if station.light.box is not None and body.channel not in station.light.box.channels:
+        channels = ", ".join(station.light.box.channels)
+        raise UsageError(f"there is no channel {body.channel[:40]!r}; there are: {channels}")
+    level = await station.light.set_level(body.channel, body.level)
+    return json_reply({"channel": body.channel, "level": level})
 
 
 async def switch_off(request: web.Request) -> web.Response:
     """Darken every channel of the light box and reply the levels."""
     station = request.app[STATION]
-    await station.lights_off()
-    return _json({"light": dict(station.levels)})
+    await station.light.off()
+    return json_reply({"light": dict(station.light.levels)})
 
 
 async def show_status(request: web.Request) -> web.Response:
     """Reply the state of everything."""
-    return _json(request.app[STATION].status())
+    return json_reply(request.app[STATION].status())
 
 
 async def show_response(request: web.Request) -> web.Response:
     """Reply the response curve, thinned out to what a plot can show."""
     curve = request.app[STATION].instrument.response
     if curve is None:
-        return _json(_linear_curve())
+        return json_reply(_linear_curve())
     numbers = np.unique(np.linspace(0, curve.log_exposure.size - 1, _CURVE_POINTS).astype(int))
     finite = numbers[np.isfinite(curve.log_exposure[numbers])]
-    return _json(
+    return json_reply(
         {
             "dn": finite.tolist(),
             "log_exposure": curve.log_exposure[finite].tolist(),
@@ -94,10 +94,9 @@ def _linear_curve() -> dict[str, Any]:
 
 
 async def show_health(request: web.Request) -> web.Response:
-    """Reply 200 while nothing is wrong, 503 while an alarm is up."""
-    station = request.app[STATION]
-    alarms = [alarm.name for alarm in station.alarms.active]
-    return _json({"status": "alarm" if alarms else "ok", "alarms": alarms}, status=503 if alarms else 200)
+    """Reply 200 while nothing is wrong at this moment, 503 with names where something is."""
+    alarms = request.app[STATION].troubles()
+    return json_reply({"status": "alarm" if alarms else "ok", "alarms": alarms}, status=503 if alarms else 200)
 
 
 async def show_metrics(request: web.Request) -> web.Response:
@@ -105,11 +104,6 @@ async def show_metrics(request: web.Request) -> web.Response:
     station: Station = request.app[STATION]
     station.refresh_metrics()
     return web.Response(body=station.metrics.render(), headers={"Content-Type": CONTENT_TYPE})
-
-
-def _json(content: Any, status: int = 200) -> web.Response:
-    text = json.dumps(content, ensure_ascii=False) + "\n"
-    return web.Response(text=text, content_type="application/json", status=status)
 
 
 ROUTES: Final = (

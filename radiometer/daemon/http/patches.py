@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import asyncio
 import itertools
-import json
 from typing import Any, Final
 
 from aiohttp import web
@@ -12,7 +11,7 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from radiometer.daemon.http.readings import stream_asked
 from radiometer.daemon.http.requests import LimitsBody, PatchBody, read_body, read_query
-from radiometer.daemon.http.route import QUERIES, STATION, QueryParameter, Route
+from radiometer.daemon.http.route import QUERIES, STATION, QueryParameter, Route, json_reply
 from radiometer.daemon.journal_reader import JournalReader, TrendPoint
 from radiometer.daemon.patches import PatchLimits
 from radiometer.daemon.timestamps import now_us, parse_moment
@@ -67,17 +66,17 @@ async def change_patch(request: web.Request) -> web.Response:
     body = await read_body(request, NamedPatchBody)
     limits = PatchLimits(**body.limits.model_dump()) if body.limits else None
     if body.patch is not None:
-        station.define_patch(body.name, Patch(**body.patch.model_dump()))
+        station.patches.define(body.name, Patch(**body.patch.model_dump()))
     if limits is not None:
-        station.set_limits(body.name, limits)
-    return _json(station.status())
+        station.patches.set_limits(body.name, limits)
+    return json_reply(station.status())
 
 
 async def delete_patch(request: web.Request) -> web.Response:
     """Measure a patch no longer and reply the state."""
     station = request.app[STATION]
-    station.delete_patch((await read_body(request, NameBody)).name)
-    return _json(station.status())
+    station.patches.delete((await read_body(request, NameBody)).name)
+    return json_reply(station.status())
 
 
 async def show_trend(request: web.Request) -> web.Response:
@@ -97,7 +96,7 @@ async def show_trend(request: web.Request) -> web.Response:
     reader = JournalReader(station.journal_path, deadline_s=_QUERY_DEADLINE_S)
     async with request.app[QUERIES]:
         found = await asyncio.to_thread(reader.trend, stream, since_us, until_us, points)
-    return _json({"since": since_us / 1e6, "until": until_us / 1e6, "coverage_factor": _COVERAGE_FACTOR,
+    return json_reply({"since": since_us / 1e6, "until": until_us / 1e6, "coverage_factor": _COVERAGE_FACTOR,
                   **trend_columns(found, station.acquisition.every_s)})  # fmt: skip
 
 
@@ -143,18 +142,14 @@ async def show_events(request: web.Request) -> web.Response:
     since_us = parse_moment(query["since"]) if "since" in query else None
     until_us = parse_moment(query["until"]) if "until" in query else None
     reader = JournalReader(request.app[STATION].journal_path, deadline_s=5.0)
-    return _json(await asyncio.to_thread(reader.events, since_us, limit, until_us))
+    return json_reply(await asyncio.to_thread(reader.events, since_us, limit, until_us))
 
 
 async def add_remark(request: web.Request) -> web.Response:
     """Keep a remark of a person among the events."""
     body = await read_body(request, RemarkBody)
     request.app[STATION].annotate(body.message)
-    return _json({"kind": "remark", "message": " ".join(body.message.split())})
-
-
-def _json(content: Any) -> web.Response:
-    return web.Response(text=json.dumps(content, ensure_ascii=False) + "\n", content_type="application/json")
+    return json_reply({"kind": "remark", "message": " ".join(body.message.split())})
 
 
 ROUTES: Final = (

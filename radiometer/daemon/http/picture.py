@@ -68,7 +68,7 @@ def composite(measurement: Measurement, response: ResponseCurve | None, sequence
 
 def _signal(frame: Frame, response: ResponseCurve | None) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
     """Return the exposure per s (up to a constant) and where the frame clips."""
-    clipped = frame.dn >= frame.full_scale_dn * 0.98
+    clipped = frame.dn >= frame.saturated_dn * 0.98
     if response is not None and response.log_exposure.size > frame.full_scale_dn:
         linear = np.exp(np.nan_to_num(response.log_exposure, nan=-30.0, neginf=-30.0, posinf=30.0))
         signal = linear.astype(np.float32)[frame.dn]
@@ -184,9 +184,9 @@ async def show_frame(request: web.Request) -> web.Response:
     if scale not in ("log", "linear", "auto") or colours not in _MAPS:
         raise UsageError(f"scale must be log, linear or auto; map must be one of {', '.join(_MAPS)}")
     station = request.app[STATION]
-    if station.pictured is None or not station.pictured[0].frames:
+    if station.shown.pictured is None or not station.shown.pictured[0].frames:
         raise web.HTTPNotFound(text="there is no picture yet; POST /measure makes one")
-    measurement, reading = station.pictured
+    measurement, reading = station.shown.pictured
     response = station.instrument.response
 
     def work() -> tuple[bytes, dict[str, str]]:

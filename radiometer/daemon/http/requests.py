@@ -31,7 +31,7 @@ class PatchBody(BaseModel):
 class LimitsBody(BaseModel):
     """Between which radiances a patch should stay."""
 
-    model_config = ConfigDict(extra="forbid")
+    model_config = ConfigDict(extra="forbid", allow_inf_nan=False)
     low: float | None = Field(None, description="Lowest radiance that is well; null for no bound.")
     high: float | None = Field(None, description="Highest; null for no bound.")
     hysteresis_rel: float = Field(
@@ -42,7 +42,7 @@ class LimitsBody(BaseModel):
 class MeasureBody(BaseModel):
     """Settings of one measurement; what is left out stays as it is."""
 
-    model_config = ConfigDict(extra="forbid")
+    model_config = ConfigDict(extra="forbid", allow_inf_nan=False)
     patch: PatchBody | None = Field(None, description="Where to read; null is the middle of the picture.")
     auto_exposure: bool = Field(True, description="Let exposures follow the scene.")
     exposure_s: float = Field(0.01, description="Exposure time in s; switches automatic exposure off.")
@@ -70,7 +70,7 @@ class SettingsBody(MeasureBody):
 class LightBody(BaseModel):
     """Level of one light channel."""
 
-    model_config = ConfigDict(extra="forbid")
+    model_config = ConfigDict(extra="forbid", allow_inf_nan=False)
     channel: str
     level: float = Field(description="0 (off) to 1.")
 

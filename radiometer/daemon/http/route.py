@@ -5,13 +5,14 @@ from __future__ import annotations
 import asyncio
 from collections.abc import Awaitable, Callable
 from dataclasses import dataclass
-from typing import Final
+from typing import Any, Final
 
 from aiohttp import web
 from pydantic import BaseModel
 
 from radiometer.daemon.limits import Limits
 from radiometer.daemon.station import Station
+from radiometer.data.json_text import json_text
 
 Handler = Callable[[web.Request], Awaitable[web.StreamResponse]]
 STATION: Final = web.AppKey("station", Station)
@@ -53,3 +54,8 @@ class Route:
     body: type[BaseModel] | None = None
     schema: str = ""
     public: bool = False
+
+
+def json_reply(content: Any, status: int = 200) -> web.Response:
+    """Return content as a reply of one line of JSON."""
+    return web.Response(text=json_text(content) + "\n", content_type="application/json", status=status)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import asyncio
 import hmac
-import json
 from collections.abc import Awaitable, Callable, Sequence
 from typing import Final
 from urllib.parse import urlsplit
@@ -13,7 +12,7 @@ import structlog
 from aiohttp import web
 from aiohttp.typedefs import Middleware
 
-from radiometer.daemon.http.route import STATION, Route
+from radiometer.daemon.http.route import STATION, Route, json_reply
 from radiometer.daemon.journal import JournalError
 from radiometer.daemon.limits import TokenBucket, is_loopback
 from radiometer.daemon.places import Places
@@ -37,8 +36,7 @@ _HEADERS: Final = {
 
 def error_reply(status: int, message: str) -> web.Response:
     """Return an error as JSON."""
-    text = json.dumps({"error": {"status": status, "message": message}}, ensure_ascii=False) + "\n"
-    return web.Response(text=text, status=status, content_type="application/json")
+    return json_reply({"error": {"status": status, "message": message}}, status)
 
 
 def status_of(error: Exception) -> int:

@@ -12,9 +12,10 @@ import structlog
 from aiohttp import web
 from aiohttp.http_exceptions import HttpProcessingError
 
+from radiometer.daemon.descriptors import listen
 from radiometer.daemon.http import control, patches, picture, readings
 from radiometer.daemon.http.openapi import description
-from radiometer.daemon.http.route import LIMITS, QUERIES, STATION, Route
+from radiometer.daemon.http.route import LIMITS, QUERIES, STATION, Route, json_reply
 from radiometer.daemon.http.security import guard, report_errors
 from radiometer.daemon.limits import Limits, is_loopback
 from radiometer.daemon.places import Places
@@ -27,6 +28,9 @@ _PAGE: Final = {
     "/": ("index.html", "text/html"),
     "/page.css": ("page.css", "text/css"),
     "/page.js": ("page.js", "text/javascript"),
+    "/lights.js": ("lights.js", "text/javascript"),
+    "/server.js": ("server.js", "text/javascript"),
+    "/text.js": ("text.js", "text/javascript"),
     "/trends.js": ("trends.js", "text/javascript"),
     "/response.js": ("response.js", "text/javascript"),
     "/uplot.js": ("uplot/uPlot.esm.js", "text/javascript"),
@@ -91,7 +95,7 @@ class HttpServer:
             )
         await self._runner.setup()
         try:
-            self._server = await asyncio.get_running_loop().create_server(self._accept, address, port)
+            self._server = await listen(self._accept, address, port)
         except OSError as error:
             raise OutputError(f"cannot listen for HTTP on {address}:{port}: {error.strerror or error}") from error
         return int(self._server.sockets[0].getsockname()[1])
@@ -176,7 +180,7 @@ def application(
 
 
 async def _show_openapi(request: web.Request) -> web.Response:
-    return web.json_response(description(ROUTES))
+    return json_reply(description(ROUTES))
 
 
 def _page_route(path: str, name: str, kind: str) -> Route:

@@ -7,12 +7,13 @@ from collections.abc import Callable
 from dataclasses import replace
 from typing import Final
 
+from radiometer.daemon.acquisition import EVERY_LIMITS_S
 from radiometer.daemon.scpi import formats
 from radiometer.daemon.scpi.command import Call, Command, Handler, Outcome
 from radiometer.daemon.scpi.errors import ScpiError, scpi_error
 from radiometer.daemon.scpi.parameters import Boolean, Choice, Number, ParameterLimits
 from radiometer.daemon.scpi.session import Session
-from radiometer.daemon.station import EVERY_LIMITS_S, Station
+from radiometer.daemon.station import Station
 from radiometer.data import Patch, Reading
 
 GROUP: Final = "Measuring"
@@ -48,7 +49,7 @@ def patch_from(call: Call) -> Patch | None:
         raise ScpiError(-109, "a patch is x,y,width,height, or CENTer")
     patch = Patch(*call.values)
     station = call.session.station
-    station.check_settings(replace(station.settings, patch=patch))
+    station.acquisition.check_settings(replace(station.settings, patch=patch))
     return patch
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any, Final
 
+from radiometer.daemon.acquisition import WAVELENGTH_LIMITS_NM
 from radiometer.daemon.patches import DEFAULT_HYSTERESIS_REL, PatchLimits
 from radiometer.daemon.scpi import formats
 from radiometer.daemon.scpi.command import Call, Command, Handler, Outcome
@@ -12,7 +13,7 @@ from radiometer.daemon.scpi.errors import ScpiError
 from radiometer.daemon.scpi.measure_commands import GROUP as MEASURING
 from radiometer.daemon.scpi.measure_commands import PATCH_PARAMETERS, patch_from
 from radiometer.daemon.scpi.parameters import Boolean, Choice, Number, ParameterLimits, Text
-from radiometer.daemon.station import WAVELENGTH_LIMITS_NM, Station
+from radiometer.daemon.station import Station
 from radiometer.data import Patch
 
 SENSE: Final = "Settings of the camera (shared by all clients)"
@@ -107,7 +108,7 @@ def _summary(key: str) -> Handler:
 
 
 def _channel(call: Call) -> str:
-    channels = call.session.station.box.channels if call.session.station.box else ()
+    channels = call.session.station.light.box.channels if call.session.station.light.box else ()
     if not channels:
         raise ScpiError(-241, "no light box is configured")
     if not 1 <= call.channel <= len(channels):
@@ -116,18 +117,18 @@ def _channel(call: Call) -> str:
 
 
 async def _set_level(call: Call) -> None:
-    await call.session.station.set_level(_channel(call), call.values[0])
+    await call.session.station.light.set_level(_channel(call), call.values[0])
 
 
 def _ask_level(call: Call) -> str:
     station, channel = call.session.station, _channel(call)
-    if not station.light_is_confirmed:
+    if not station.light.is_confirmed:
         raise ScpiError(-230, f"the level of {channel} is not confirmed: the light box does not answer")
-    return formats.number(station.levels[channel])
+    return formats.number(station.light.levels[channel])
 
 
 async def _lights_off(call: Call) -> None:
-    await call.session.station.lights_off()
+    await call.session.station.light.off()
 
 
 def _set_output(call: Call) -> Outcome:
@@ -138,22 +139,22 @@ def _set_output(call: Call) -> Outcome:
 
 def _ask_output(call: Call) -> str:
     station = call.session.station
-    if not station.light_is_confirmed:
+    if not station.light.is_confirmed:
         raise ScpiError(-230, "the light box does not answer")
-    return str(int(any(station.levels.values())))
+    return str(int(any(station.light.levels.values())))
 
 
 def _define_patch(call: Call) -> None:
     name, *place = call.values
     if "CENTer" in place:
         raise ScpiError(-224, "a patch with a name is x,y,width,height")
-    call.session.station.define_patch(name, Patch(*place))
+    call.session.station.patches.define(name, Patch(*place))
 
 
 def _set_limits(call: Call) -> None:
     low, high = (None if value == "NONE" else value for value in call.values[1:3])
     hysteresis = call.values[3] if len(call.values) > 3 else DEFAULT_HYSTERESIS_REL
-    call.session.station.set_limits(call.values[0], PatchLimits(low, high, hysteresis))
+    call.session.station.patches.set_limits(call.values[0], PatchLimits(low, high, hysteresis))
 
 
 def _ask_limits(call: Call) -> str:
@@ -166,18 +167,18 @@ def _ask_limits(call: Call) -> str:
 
 
 def _fetch_patch(call: Call) -> str:
-    reading = call.session.station.latest_of(call.values[0])
+    reading = call.session.station.patches.latest_of(call.values[0])
     if reading is None:
         raise ScpiError(-230, f"there is no reading of patch {call.values[0][:40]} yet")
     return formats.reading_elements(reading, call.session.function, call.session.elements)
 
 
 def _patch_names(call: Call) -> str:
-    return ",".join(formats.string(name) for name in call.session.station.watches)
+    return ",".join(formats.string(name) for name in call.session.station.patches.watches)
 
 
 def _catalogue(call: Call) -> str:
-    channels = call.session.station.box.channels if call.session.station.box else ()
+    channels = call.session.station.light.box.channels if call.session.station.light.box else ()
     return ",".join(map(formats.string, channels)) or formats.string("")
 
 
@@ -203,7 +204,7 @@ COMMANDS: Final = (
             do=_define_patch, parameters=(Text("name"), *PATCH_PARAMETERS), example='SENS:PATC:DEF "lamp",1,2,3,4;CAT?',
             group=SENSE),
     Command("SENSe:PATCh:DELete", "Measures a patch with a name no longer; its readings stay.",
-            do=lambda call: call.session.station.delete_patch(call.values[0]), parameters=(Text("name"),),
+            do=lambda call: call.session.station.patches.delete(call.values[0]), parameters=(Text("name"),),
             example='SENS:PATC:DEF "gone",1,2,3,4;DEL "gone"', group=SENSE),
     Command("SENSe:PATCh:CATalog", 'Names the patches; "main" is the one for all.', ask=_patch_names, reply='"name",…',
             example="SENS:PATC:CAT?", group=SENSE),

@@ -15,6 +15,7 @@ from typing import Any, Final
 
 import structlog
 
+from radiometer.daemon.descriptors import listen
 from radiometer.daemon.limits import Limits, Network, TokenBucket, is_allowed, is_loopback
 from radiometer.daemon.places import Places
 from radiometer.daemon.scpi.errors import ScpiError
@@ -173,7 +174,7 @@ class ScpiConnection(asyncio.Protocol):
         self._resume = None
         assert self.session is not None
         for _ in range(_MESSAGES_AT_ONCE):
-            if not self._messages or self._cannot_write or self._transport is None:
+            if not self._messages or self._cannot_write or self._is_ending():
                 break
             if (pause_s := self._vetting_pause_s() or self._bucket.take()) > 0:
                 self._resume = asyncio.get_running_loop().call_later(pause_s, self._work)
@@ -304,7 +305,7 @@ class ScpiServer:
                 " (addresses or networks), or stay on 127.0.0.1"
             )
         try:
-            server = await asyncio.get_running_loop().create_server(lambda: ScpiConnection(self), address, port)
+            server = await listen(lambda: ScpiConnection(self), address, port)
         except OSError as error:
             raise OutputError(f"cannot listen for SCPI on {address}:{port}: {error.strerror or error}") from error
         self._servers.append(server)

@@ -71,12 +71,12 @@ class Session:
 
     def update_status(self) -> None:
         """Bring the condition registers up to date and latch what rose."""
-        station, reading = self.station, self.station.latest
+        station, reading = self.station, self.station.shown.latest
         operation = bits.CONTINUOUS * (station.acquisition.every_s is not None)
         operation |= bits.MEASURING * (self.pending is not None or station.acquisition.busy)
         self.status.operation.update(operation)
         flags = set(reading.flags) if reading else set()
-        box_lost = station.box_keeper is not None and station.box_keeper.state is not DeviceState.READY
+        box_lost = station.light.keeper is not None and station.light.keeper.state is not DeviceState.READY
         questionable = bits.CALIBRATION * bool(flags & _CALIBRATION_FLAGS)
         questionable |= bits.CAMERA_LOST * (station.camera.state is not DeviceState.READY)
         questionable |= bits.BOX_LOST * box_lost
@@ -94,7 +94,7 @@ class Session:
         if self.pending is not None and not self.pending.done():
             raise ScpiError(-213, "a measurement is pending; ABORt ends it")
         settings = self._settings()
-        task = asyncio.create_task(self.station.measure(settings, MEASURING_DEADLINE_S, self.name))
+        task = asyncio.create_task(self.station.acquisition.measure(settings, MEASURING_DEADLINE_S, self.name))
         task.add_done_callback(lambda done: self._finished(done, settings))
         self.pending = task
         return task
@@ -132,7 +132,7 @@ class Session:
         if self._held is None:
             own = self._own_if_current()
             everybodys = self.own_patch is None and (self.station.acquisition.every_s is not None or own is None)
-            self._held = self.station.latest if everybodys else own
+            self._held = self.station.shown.latest if everybodys else own
         if self._held is None:
             raise ScpiError(-230, "there is no reading yet of this session's patch; READ? makes one")
         return self._held
@@ -158,7 +158,7 @@ class Session:
     def measurement(self) -> Measurement | None:
         """Return the frames behind the reading that this session would fetch; None where they are no longer held."""
         own = self._held or (self._own_if_current() if self.own_patch is not None else None)
-        return self.station.measurement_of(own)
+        return self.station.shown.measurement_of(own)
 
     def _execute_from(
         self, units: tuple[Unit, ...], index: int, path: str, error: ScpiError | None
@@ -234,7 +234,7 @@ class Session:
                     -250
                     if alarm.name == "journal"
                     else -200
-                    if alarm.name.split()[0] in ("measurement", "limit")
+                    if alarm.name.split()[0] in ("measurement", "limit", "period", "reading")
                     else -240
                 )
                 self.status.push(ScpiError(number, alarm.message))

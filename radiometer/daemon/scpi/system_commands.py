@@ -15,6 +15,7 @@ from radiometer.daemon.scpi.errors import ScpiError
 from radiometer.daemon.scpi.parameters import Choice, Number, ParameterLimits
 from radiometer.daemon.station import Station
 from radiometer.data import Frame
+from radiometer.data.json_text import json_text
 
 if TYPE_CHECKING:
     from radiometer.daemon.scpi.status import Register
@@ -73,7 +74,7 @@ def _devices(call: Call) -> str:
 
 
 def _state(call: Call) -> str:
-    return formats.block(json.dumps(call.session.station.status(), ensure_ascii=False).encode())
+    return formats.block(json_text(call.session.station.status()).encode())
 
 
 def _headers(call: Call) -> str:
@@ -160,7 +161,7 @@ COMMANDS: Final = (
             example="SYST:VERS?", group=SYSTEM),
     Command("SYSTem:ALARm", "Lists the alarms that are up.", ask=_alarms, reply='"alarm",…', example="SYST:ALAR?",
             group=SYSTEM),
-    Command("SYSTem:DEVice", "Lists the devices, each ready, overdue, lost or closed.", ask=_devices,
+    Command("SYSTem:DEVice", "Lists the devices, each ready, overdue, failing, lost or closed.", ask=_devices,
             reply='"device: state",…', example="SYST:DEV?", group=SYSTEM),
     Command("SYSTem:STATe", "Replies the state of everything as JSON in a block, as GET /status does.", ask=_state,
             reply="block", example="SYST:STAT?", group=SYSTEM),

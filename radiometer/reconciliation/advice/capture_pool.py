@@ -85,7 +85,7 @@ class CapturePool:
         pixels = np.array([tile.width * tile.height for tile in design.tiles])
         light = np.maximum(first.mean - np.nan_to_num(design.black_level_dn)[:, None], 0.0)
         noise2 = first.variance / (pixels * FRAMES) + (_PATCH_U_REL**2 + self.state.tau**2) * light**2
-        top = _CLIPPED * design.header.camera.full_scale_dn
+        top = _CLIPPED * design.header.camera.saturated_dn
         clear = (first.mean < top) & (second.mean < top)
         # What a new pattern scatters into the patches is known only if none of it clips.
         unseen = design.pattern_index >= len(self.state.design.patterns)

@@ -17,11 +17,11 @@ from typing import Any, Final
 import numpy as np
 
 from radiometer.data.storage import write_text_atomic, write_yaml_atomic
+from radiometer.data.text_table import column_for, read_table
 from radiometer.errors import InputError
-from radiometer.importing.columns import column_for, positive, read_table
 from radiometer.reconciliation.measure.design import Array
 from radiometer.reconciliation.result import FittedParameter, FoundEffect, Limit, ReconcileResult, Verdict
-from radiometer.units import exact_exposure_s, exact_f_number
+from radiometer.units import exact_exposure_s, exact_f_number, read_number, unit_of
 
 _GAP_UNIT: Final = "standard deviation of ln K within a source"
 _COINCIDENCE: Final = 2e-3  # rows that agree to this, though printed values scatter by more, are no chance
@@ -99,7 +99,7 @@ def read_meter_table(path: Path) -> tuple[MeterRow, ...]:
     Raises:
         InputError: If a column is missing or a value is no positive number; the message gives the line.
     """
-    table = read_table(path, f"the columns {_NEEDS}")
+    table = read_table(path, f"the columns {_NEEDS}", named=True)
     place = {key: column_for(table, _ALIASES, key, _NEEDS) for key in _ALIASES}
     named = next(
         (i for i, name in enumerate(table.plain) if name in ("screen", "source", "scene", "target", "name")), None
@@ -253,9 +253,20 @@ def _table(rows: Sequence[MeterRow]) -> list[dict[str, Any]]:
     ]
 
 
+def _positive(text: str, key: str) -> float:
+    """Return a number above zero: 0.004, 1/250, 4 ms, f/8. Raises ValueError."""
+    value, unit = read_number(text)
+    if unit and key == "time":
+        known = unit_of(unit, "exposure")
+        value = known.to_base(value) if known else math.nan
+    if not value > 0:
+        raise ValueError(f"{text!r} is not above zero, or has a unit that is not known")
+    return value
+
+
 def _row(cells: Sequence[str], place: Mapping[str, int], named: int | None, where: str) -> MeterRow:
     try:
-        luminance, f_number, seconds, iso = (positive(cells[place[key]]) for key in _ALIASES)
+        luminance, f_number, seconds, iso = (_positive(cells[place[key]], key) for key in _ALIASES)
     except (ValueError, IndexError, ZeroDivisionError) as error:
         raise InputError(f"{where}: {error}; expected positive numbers, times as 0.004 or 1/250") from error
     source = cells[named].strip() if named is not None else f"{luminance:g} cd/m2"

@@ -67,4 +67,4 @@ class PatternImages:
 def _coarse(frame: Frame, cell: int, shape: tuple[int, ...]) -> tuple[Array, NDArray[np.bool_]]:
     """Return the mean of each coarse cell in DN, and whether one of its pixels is clipped."""
     mean, largest = coarse_cells(frame.dn, cell, *shape)
-    return mean, largest >= frame.full_scale_dn
+    return mean, largest >= frame.saturated_dn

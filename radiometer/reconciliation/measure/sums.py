@@ -94,7 +94,7 @@ class CaptureSums:
     def add(self, frame: Frame) -> None:
         """Add a frame."""
         self._make_room(max(frame.full_scale_dn, int(frame.dn.max(initial=0))) + 1)
-        good, nearly_full = ~self.defects, _NEARLY_FULL * frame.full_scale_dn
+        good, nearly_full = ~self.defects, _NEARLY_FULL * frame.saturated_dn
         mean = np.empty(self.low.size)
         for number, group in enumerate(self.groups):
             index = group.index

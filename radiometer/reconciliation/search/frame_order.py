@@ -72,7 +72,7 @@ class FrameLight:
             black_dn = self._black.get(index, 0.0)
             self._light[index] = np.array(means) - black_dn
             if not (self._design.uniform or self._design.header.frames[index].settings.is_dark):
-                self.structures[index] = FineStructure.of(frame.dn, black_dn, frame.full_scale_dn)
+                self.structures[index] = FineStructure.of(frame.dn, black_dn, frame.saturated_dn)
         return frame
 
     def of_tiles(self, frames: tuple[int, ...]) -> Array:

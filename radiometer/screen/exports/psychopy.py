@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import datetime as dt
-import json
 from typing import Any
 
 import numpy as np
 
+from radiometer.data.json_text import json_text
 from radiometer.screen.calibration import LUMINANCE, ChannelCurve, ScreenCalibration
 
 _PELLI_ZHANG = 4  # PsychoPy's number for a + (b + k·x)^γ
@@ -46,7 +46,7 @@ def to_psychopy_json(calibration: ScreenCalibration) -> str:
         "distance": None,
         "usebits": False,
     }
-    return json.dumps({when.strftime("%Y_%m_%d %H:%M"): entry}, indent=2, ensure_ascii=False) + "\n"
+    return json_text({when.strftime("%Y_%m_%d %H:%M"): entry}, indent=2) + "\n"
 
 
 def _grid_row(curve: ChannelCurve) -> list[float]:

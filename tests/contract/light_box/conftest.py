@@ -14,6 +14,7 @@ import pytest
 from drivers.light_box.box import SerialLightBox
 from drivers.light_box.link import BoxLink
 from drivers.light_box.serial_line import SerialLine
+from radiometer.devices.exposure_account import MemoryStore
 from radiometer.devices.exposure_ledger import ExposureLedger
 from radiometer.devices.retinal_safety import ChannelOptics
 from radiometer.errors import MissingLibrary
@@ -73,7 +74,10 @@ def firmware(project_root: Path, tmp_path_factory: pytest.TempPathFactory) -> Pa
 
 
 def _driver(server: PtyServer, clock: Callable[[], float] = time.monotonic) -> SerialLightBox:
-    return SerialLightBox(BoxLink(SerialLine(server.port, clock=clock)), ExposureLedger(OPTICS, clock))
+    return SerialLightBox(
+        BoxLink(SerialLine(server.port, clock=clock)),
+        ExposureLedger(OPTICS, MemoryStore(clock, ("TWIN0001", "AVR00001"))),
+    )
 
 
 def _twin_rig(link: Path) -> Rig:

@@ -213,7 +213,9 @@ def test_killed_host_leaves_the_bleach_dark(rig, project_root: Path):
         "from radiometer.devices.exposure_ledger import ExposureLedger;"
         "from radiometer.devices.retinal_safety import ChannelOptics;"
         "optics=dict.fromkeys(['bleach','spot','spot_red','fixation'],ChannelOptics(None,0.0,60.0,5.0));"
-        f"box=SerialLightBox(BoxLink(SerialLine({rig.server.port!r})),ExposureLedger(optics,time.monotonic));"
+        "from radiometer.devices.exposure_account import MemoryStore;"
+        "store=MemoryStore(time.monotonic,('TWIN0001','AVR00001'));"
+        f"box=SerialLightBox(BoxLink(SerialLine({rig.server.port!r})),ExposureLedger(optics,store));"
         "box.open();box.set_level('bleach',DriveLevel(50000));print('on',flush=True);time.sleep(60)"
     )
     host = subprocess.Popen([sys.executable, "-c", script], stdout=subprocess.PIPE, cwd=project_root)

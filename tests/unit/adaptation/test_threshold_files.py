@@ -83,7 +83,7 @@ def test_it_says_what_it_took(tmp_path):
     [
         ("", "empty"),
         ("a,b\n1,2\n", "no column time_min"),
-        ("# a Tuesday\n1\n" + 50 * "2;1\n", "expected columns time_min,log10_threshold"),
+        ("# a Tuesday\n1\n" + 50 * "2;1\n", "line 2: cells: 1; most lines have 2"),
         ("time_min,log10_threshold\n1,x\n", "line 2"),
         ("time_min,threshold_cd_m2\n1,5\n2,-1\n", "must be above 0"),
         ("time_min,log10_threshold\n1,NA\n", "no thresholds"),

@@ -190,7 +190,7 @@ class ScpiMachine(RuleBasedStateMachine):
             return
         assert self.station.failed_task() is None, repr(self.station.failed_task())
         if self.instrument.openings:
-            self.station.check_settings(self.station.settings)
+            self.station.acquisition.check_settings(self.station.settings)
         every_s = self.station.acquisition.every_s
         assert every_s is None or 0.0 <= every_s <= 86400.0
         assert all(0.0 <= level <= 1.0 for level in self.box.levels.values())
@@ -234,7 +234,7 @@ class ScpiMachine(RuleBasedStateMachine):
                 self.station.reset()
                 while True:
                     try:
-                        await self.station.measure()
+                        await self.station.acquisition.measure()
                         break
                     except DeviceError:
                         await asyncio.sleep(0.01)

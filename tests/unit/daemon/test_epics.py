@@ -40,8 +40,8 @@ async def test_client_reads_the_reading(served, station, eventually):
     before = await _read(client, "radiance")
     assert math.isnan(before.value)
     assert (before.alarm.severity, before.alarm.message) == (3, "no reading yet")
-    reading = await station.measure()
-    await eventually(lambda: station.latest is not None)
+    reading = await station.acquisition.measure()
+    await eventually(lambda: station.shown.latest is not None)
     found = await _read(client, "radiance")
     assert found.getID().startswith("epics:nt/NTScalar")
     assert found.value == reading.radiance.value == 17.0
@@ -60,10 +60,10 @@ async def test_client_reads_the_reading(served, station, eventually):
 async def test_alarms_and_limits_are_epics_own(served, station, instrument, eventually):
     """Limits of the patch are those of display and alarm; a broken limit is major, a lost camera invalid."""
     _, client = served
-    await station.measure()
-    station.set_limits(MAIN, PatchLimits(low=1.0, high=10.0))
+    await station.acquisition.measure()
+    station.patches.set_limits(MAIN, PatchLimits(low=1.0, high=10.0))
     for _ in range(2):
-        await station.measure()
+        await station.acquisition.measure()
     await eventually(lambda: station.alarms.active)
     found = await _read(client, "radiance")
     assert (found.display.limitLow, found.display.limitHigh) == (1.0, 10.0)
@@ -83,7 +83,7 @@ async def test_map_is_an_nt_nd_array(served, station, eventually):
     seen = []
     watching = await asyncio.to_thread(client.monitor, "lab:4711:map", seen.append)
     await eventually(lambda: server._watched)
-    reading = await station.measure()
+    reading = await station.acquisition.measure()
     await eventually(lambda: seen)
     found = seen[-1]
     assert found.getID().startswith("epics:nt/NTNDArray")
@@ -121,8 +121,8 @@ async def test_every_variable_carries_the_alarm(served, station, instrument, eve
         return (await _read(client, name)).alarm.severity
 
     assert await severity() == 3
-    await station.measure()
-    await eventually(lambda: station.latest is not None)
+    await station.acquisition.measure()
+    await eventually(lambda: station.shown.latest is not None)
     assert await severity() == 0
     instrument.unplugged = True
     await eventually(lambda: station.alarms.active)
@@ -142,8 +142,8 @@ async def test_a_flagged_reading_is_a_minor_alarm(served, station, instrument, m
         return replace(found, reading=replace(found.reading, flags=(Flag.DRIFT, Flag.GAIN)))
 
     monkeypatch.setattr(instrument, "measure", flagged)
-    await station.measure()
-    await eventually(lambda: station.latest is not None)
+    await station.acquisition.measure()
+    await eventually(lambda: station.shown.latest is not None)
     found = await _read(client, "radiance")
     assert (found.alarm.severity, found.alarm.message) == (1, f"{Flag.DRIFT},{Flag.GAIN}")
     assert (await _read(client, "flags")).value == f"{Flag.DRIFT},{Flag.GAIN}"
@@ -153,11 +153,11 @@ async def test_a_flagged_reading_is_a_minor_alarm(served, station, instrument, m
 async def test_only_the_limit_that_is_set_alarms(served, station, eventually, low, high):
     """An unset limit is NaN without a severity; luminance has no limits; lifting the limit ends the alarm."""
     _, client = served
-    station.set_limits(MAIN, PatchLimits(low=low, high=high))
+    station.patches.set_limits(MAIN, PatchLimits(low=low, high=high))
     for _ in range(2):
-        await station.measure()
+        await station.acquisition.measure()
     unlimited = (low, high) == (None, None)
-    await eventually(lambda: station.latest if unlimited else station.alarms.active)
+    await eventually(lambda: station.shown.latest if unlimited else station.alarms.active)
     found = (await _read(client, "radiance")).valueAlarm
     for limit, severity, value in (
         (found.lowAlarmLimit, found.lowAlarmSeverity, low),
@@ -167,5 +167,5 @@ async def test_only_the_limit_that_is_set_alarms(served, station, eventually, lo
         assert math.isnan(limit) if value is None else limit == value
     assert found.active is not unlimited
     assert not (await _read(client, "luminance")).valueAlarm.active
-    station.set_limits(MAIN, PatchLimits())
+    station.patches.set_limits(MAIN, PatchLimits())
     assert (await _read(client, "radiance")).alarm.severity == 0

@@ -67,7 +67,7 @@ async def test_measure_replies_the_documented_reading(
     assert reply.status == 200
     (line,) = JournalReader(station.journal_path).lines(ReadingFilter(stream="own"))
     assert reading == json.loads(line)
-    assert station.latest is None
+    assert station.shown.latest is None
     assert (reading["patch"], reading["radiance"]["value"]) == (body["patch"], 4.0)
     assert station.settings.patch is None
 
@@ -82,7 +82,7 @@ async def test_history_comes_in_three_forms(
 ) -> None:
     """Array, lines and CSV hold the same readings."""
     for _ in range(3):
-        await station.measure()
+        await station.acquisition.measure()
     async with session.get(f"{base}/readings", params={"format": form, "limit": "2"}) as reply:
         assert count(await reply.text()) == 2
 
@@ -90,7 +90,7 @@ async def test_history_comes_in_three_forms(
 async def test_history_filters(base: str, session: aiohttp.ClientSession, station: Station) -> None:
     """`limit` keeps the newest, `after` begins with the oldest above it."""
     for _ in range(5):
-        await station.measure()
+        await station.acquisition.measure()
 
     async def numbers(query: str) -> list[int]:
         async with session.get(f"{base}/readings?{query}") as reply:
@@ -145,7 +145,7 @@ async def test_wrong_bodies_are_refused_and_change_nothing(
         async with session.post(base + path, data=body, headers={"Content-Type": "application/json"}) as reply:
             assert reply.status == status, await reply.text()
     assert station.settings == before
-    assert station.latest is None
+    assert station.shown.latest is None
 
 
 async def test_the_stream_replays_and_follows_without_gap(
@@ -153,7 +153,7 @@ async def test_the_stream_replays_and_follows_without_gap(
 ) -> None:
     """A client that reconnects with Last-Event-ID gets every reading once, in order."""
     station.set_every(0.005)
-    while station.latest is None or station.latest.sequence < 10:
+    while station.shown.latest is None or station.shown.latest.sequence < 10:
         await asyncio.sleep(0.01)
     numbers: list[int] = []
     async with session.get(f"{base}/readings/stream", headers={"Last-Event-ID": "3"}) as reply:
@@ -168,11 +168,11 @@ async def test_the_stream_replays_and_follows_without_gap(
 
 async def test_the_stream_as_json_lines(base: str, session: aiohttp.ClientSession, station: Station) -> None:
     """Each line is a reading."""
-    await station.measure()
+    await station.acquisition.measure()
     async with session.get(f"{base}/readings/stream", params={"format": "jsonl", "after": "0"}) as reply:
         line = await asyncio.wait_for(reply.content.readline(), within(20.0))
-    assert station.latest is not None
-    assert json.loads(line) == station.latest.to_mapping()
+    assert station.shown.latest is not None
+    assert json.loads(line) == station.shown.latest.to_mapping()
 
 
 async def test_a_loss_is_pushed_to_listeners(
@@ -198,7 +198,7 @@ async def test_metrics_hold_what_an_operator_watches(
     base: str, session: aiohttp.ClientSession, station: Station, eventually: Eventually
 ) -> None:
     """Readings, latency, exposure, lost packets, retries, temperature, queue depth."""
-    await station.measure()
+    await station.acquisition.measure()
     await eventually(lambda: station.camera.report.counters.get("frames"))
     async with session.get(f"{base}/metrics") as reply:
         text = await reply.text()
@@ -248,7 +248,7 @@ async def test_the_description_covers_every_route(base: str, session: aiohttp.Cl
 )
 async def test_every_get_route_answers(base: str, session: aiohttp.ClientSession, station: Station, path: str) -> None:
     """Status 200, the content type that the table says, and the security headers."""
-    await station.measure()
+    await station.acquisition.measure()
     (route,) = [entry for entry in ROUTES if (entry.method, entry.path) == ("GET", path)]
     async with session.get(base + path) as reply:
         assert reply.status == 200
@@ -410,7 +410,7 @@ async def test_head_is_answered_like_get_without_a_body(
     base: str, session: aiohttp.ClientSession, station: Station, path: str
 ) -> None:
     """Status and content type of GET, no body, also where GET would stream for ever."""
-    await station.measure()
+    await station.acquisition.measure()
     (route,) = [entry for entry in ROUTES if (entry.method, entry.path) == ("GET", path)]
     async with asyncio.timeout(within(20)), session.head(base + path) as reply:
         assert (reply.status, reply.content_type) == (200, route.reply)
@@ -431,7 +431,7 @@ async def test_the_table_is_the_whole_range(
     """readings.csv without a limit holds every reading of the range, in pieces; a limit still limits."""
     monkeypatch.setattr("radiometer.daemon.http.readings._REPLAY_ROWS", 3)
     for _ in range(8):
-        await station.measure()
+        await station.acquisition.measure()
     for form, header in (("csv", 1), ("jsonl", 0)):
         async with session.get(f"{base}/readings?format={form}") as reply:
             assert len((await reply.text()).splitlines()) == 8 + header
@@ -453,11 +453,11 @@ async def test_without_a_picture_there_is_none(base: str, session: aiohttp.Clien
 
 async def test_a_moved_patch_leaves_the_picture(base: str, session: aiohttp.ClientSession, station: Station) -> None:
     """The picture shows the whole frame: it is still the latest one while the first reading of the new place is due."""
-    await station.measure()
+    await station.acquisition.measure()
     async with session.get(base + "/frame.png") as reply:
         before = await reply.read()
     station.configure(patch=Patch(4, 4, 8, 8))
-    assert station.latest is None
+    assert station.shown.latest is None
     async with session.get(base + "/frame.png") as reply:
         assert (reply.status, await reply.read()) == (200, before)
 

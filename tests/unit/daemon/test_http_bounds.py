@@ -42,7 +42,7 @@ async def test_a_number_is_taken_up_to_its_bounds(
 ) -> None:
     """The lowest and highest are served, one less and one more are refused by name with both bounds."""
     monkeypatch.setattr(picture, "render", lambda *_, **__: (b"", {}))
-    await station.measure()
+    await station.acquisition.measure()
     for number in (low, high):
         assert (await handler(asking(station, **{name: str(number)}))).status == 200
     for number in (low - 1, high + 1):

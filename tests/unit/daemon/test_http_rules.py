@@ -219,7 +219,7 @@ async def test_what_a_measurement_ends_in_is_said_as_json(
     async def failing(*_: object, **__: object) -> None:
         raise error
 
-    monkeypatch.setattr(station, "measure", failing)
+    monkeypatch.setattr(station.acquisition, "measure", failing)
     server = HttpServer(station, limits=Limits(http_requests_per_s=1e4))
     base = f"http://127.0.0.1:{await server.listen('127.0.0.1', 0)}"
     async with aiohttp.ClientSession() as session:

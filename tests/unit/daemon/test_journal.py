@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import io
 import json
+import shutil
 import sqlite3
 from collections.abc import Callable
 from pathlib import Path
@@ -269,3 +270,71 @@ def test_a_journal_that_is_not_there_is_not_made_by_reading(tmp_path: Path) -> N
     with pytest.raises(InputError, match="radiometer serve"):
         JournalReader(tmp_path / "j.sqlite").lines(ReadingFilter())
     assert list(tmp_path.iterdir()) == []
+
+
+def _sequences(path: Path) -> list[int]:
+    return [json.loads(line)["sequence"] for line in JournalReader(path).lines(ReadingFilter())]
+
+
+@pytest.mark.parametrize("endings", [("",), ("", "-wal", "-shm"), ("", "-wal", "-shm", ".lock")])
+def test_a_deleted_journal_is_written_anew_with_all_that_it_held(
+    tmp_path: Path, make_reading: Callable[..., Reading], endings: tuple[str, ...]
+) -> None:
+    """The next commit fails and says so; the one after it goes on with the next number, and nothing is missing."""
+    path = tmp_path / "j.sqlite"
+    with Journal(path) as journal:
+        for _ in range(3):
+            journal.append([make_reading()] * 5)
+        for ending in endings:
+            path.with_name(path.name + ending).unlink()
+        with pytest.raises(JournalError, match="deleted"):
+            journal.append([make_reading()])
+        assert journal.append([make_reading()])[0].sequence == 16
+        assert _sequences(path) == list(range(1, 17))
+    with Journal(path) as journal:
+        assert journal.append([make_reading()])[0].sequence == 17
+
+
+def test_a_moved_journal_takes_no_reading_until_it_is_back(
+    tmp_path: Path, make_reading: Callable[..., Reading]
+) -> None:
+    """Neither does one in whose place another file was put, moved there or copied over it."""
+    path, elsewhere, other = tmp_path / "j.sqlite", tmp_path / "moved.sqlite", tmp_path / "other.sqlite"
+    with Journal(other) as early:
+        early.append([make_reading()] * 2)
+    with Journal(path) as journal:
+        journal.append([make_reading()] * 5)
+        path.rename(elsewhere)
+        with pytest.raises(JournalError, match="moved"):
+            journal.append([make_reading()])
+        shutil.copy(other, path)
+        with pytest.raises(JournalError, match="replaced"):
+            journal.append([make_reading()])
+        elsewhere.rename(path)
+        assert journal.append([make_reading()])[0].sequence == 6
+        path.unlink()
+        shutil.copy(other, path)
+        with pytest.raises(JournalError, match="another file took its place"):
+            journal.append([make_reading()])
+        path.unlink()
+        with pytest.raises(JournalError, match="anew"):
+            journal.append([make_reading()])
+        assert journal.append([make_reading()])[0].sequence == 7
+    assert _sequences(path) == list(range(1, 8))
+
+
+@pytest.mark.parametrize("link", ["symlink_to", "hardlink_to"])
+def test_two_daemons_on_one_journal_are_refused_whatever_its_name(
+    tmp_path: Path, make_reading: Callable[..., Reading], link: str
+) -> None:
+    """A link to it, symbolic or hard, is the same journal; the first goes on."""
+    (tmp_path / "elsewhere").mkdir()
+    alias = tmp_path / "elsewhere" / "alias.sqlite"
+    with Journal(tmp_path / "j.sqlite") as journal:
+        journal.append([make_reading()])
+        getattr(alias, link)(tmp_path / "j.sqlite")
+        with pytest.raises(OutputError, match="another daemon"):
+            Journal(alias).open()
+        assert journal.append([make_reading()])[0].sequence == 2
+    with Journal(alias) as journal:
+        assert journal.append([make_reading()])[0].sequence == 3

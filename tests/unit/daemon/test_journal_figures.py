@@ -350,18 +350,19 @@ async def test_a_patch_is_kept_although_nothing_else_is_to_be_written(tmp_path: 
         (sqlite3.SQLITE_BUSY | 2 << 8, JournalError, "close that program"),
     ],
 )  # fmt: skip
-def test_what_sqlite_refuses_is_told_with_its_way_out(tmp_path: Path, code: int, kind: type, said: str) -> None:
-    """A statement outside a transaction that fails is an error of the journal, by the first byte of SQLite's code."""
+def test_what_sqlite_refuses_is_told_with_its_way_out(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, code: int, kind: type, said: str
+) -> None:
+    """It is an error of the journal, by the first byte of SQLite's code."""
 
-    def refuse(statement: str) -> None:
+    def refuse(*_: object, **__: object) -> None:
         error = sqlite3.OperationalError("refused")
         error.sqlite_errorcode = code
         raise error
 
-    journal = Journal(tmp_path / "j.sqlite")
-    journal._connection = SimpleNamespace(execute=refuse)  # type: ignore[assignment]
+    monkeypatch.setattr(sqlite3, "connect", refuse)
     with pytest.raises(OutputError, match=said) as refusal:
-        journal._execute("PRAGMA incremental_vacuum(1)")
+        Journal(tmp_path / "j.sqlite").open()
     assert type(refusal.value) is kind
 
 

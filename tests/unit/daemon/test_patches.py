@@ -18,7 +18,7 @@ from radiometer.daemon.http.patches import trend_columns
 from radiometer.daemon.http.server import HttpServer
 from radiometer.daemon.journal import Journal
 from radiometer.daemon.journal_reader import JournalReader, TrendPoint
-from radiometer.daemon.mqtt import _topic_of
+from radiometer.daemon.mqtt import topic_level, topic_of
 from radiometer.daemon.patches import NamedPatch, PatchLimits, PatchWatch, check_name
 from radiometer.daemon.station import Station
 from radiometer.daemon.timestamps import iso_time, microseconds
@@ -36,7 +36,9 @@ async def test_a_patch_with_a_name_is_measured_beside_the_shared_one(
     """Each period gives one reading of each; FETC? and FETC:PATC? keep them apart, and so do stream and figures."""
     listener = station.hub.subscribe()
     await client.send('SENS:PATC:DEF "lamp",5,6,7,8;:TRIG:TIM 0.02')
-    await eventually(lambda: "lamp" in station.watches and station.watches["lamp"].latest and station.latest)
+    await eventually(
+        lambda: "lamp" in station.patches.watches and station.patches.watches["lamp"].latest and station.shown.latest
+    )
     await eventually(lambda: listener._queue.qsize() > 12)
     for _ in range(10):
         assert float((await client.ask("FETC?")).split(",")[0]) == 17.0
@@ -49,7 +51,7 @@ async def test_a_patch_with_a_name_is_measured_beside_the_shared_one(
     assert shown == {("reading", 16), ("patch", 5)}
     assert b'radiometer_patch_radiance{patch="lamp",unit="W sr-1 m-2"} 6.0' in station.metrics.render()
     assert b'radiometer_radiance{unit="W sr-1 m-2"} 17.0' in station.metrics.render()
-    assert {_topic_of(e) for e in events if e is not None and e.kind in ("reading", "patch")} == {
+    assert {topic_of(e) for e in events if e is not None and e.kind in ("reading", "patch")} == {
         "reading",
         "patch/lamp/reading",
     }
@@ -61,15 +63,15 @@ async def test_patches_and_limits_outlive_a_restart(instrument: Any, tmp_path: P
         station = Station(instrument, Journal(tmp_path / "j.sqlite"))
         await station.start()
         if turn == 0:
-            station.define_patch("lamp", LAMP)
-            station.define_patch("gone", LAMP)
-            station.delete_patch("gone")
-            station.set_limits("lamp", PatchLimits(1.0, 2.0, 0.05))
-            station.set_limits("main", PatchLimits(high=3.0))
+            station.patches.define("lamp", LAMP)
+            station.patches.define("gone", LAMP)
+            station.patches.delete("gone")
+            station.patches.set_limits("lamp", PatchLimits(1.0, 2.0, 0.05))
+            station.patches.set_limits("main", PatchLimits(high=3.0))
         else:
             assert station.acquisition.named == {"lamp": LAMP}
-            assert station.watches["lamp"].limits == PatchLimits(1.0, 2.0, 0.05)
-            assert station.watches["main"].limits == PatchLimits(None, 3.0)
+            assert station.patches.watches["lamp"].limits == PatchLimits(1.0, 2.0, 0.05)
+            assert station.patches.watches["main"].limits == PatchLimits(None, 3.0)
         await station.stop()
 
 
@@ -176,13 +178,13 @@ def test_an_alarm_names_the_limit_that_was_passed(
 async def test_wrong_patches_are_refused(station: Station) -> None:
     """Outside the picture, too many, unknown, upside down: each with its reason, and nothing is changed."""
     for number in range(12):
-        station.define_patch(f"p{number}", LAMP)
-    station.define_patch("p3", replace(LAMP, x=1))  # moving one is not another one
+        station.patches.define(f"p{number}", LAMP)
+    station.patches.define("p3", replace(LAMP, x=1))  # moving one is not another one
     for call, said in (
-        (lambda: station.define_patch("one more", LAMP), "12 patches"),
-        (lambda: station.define_patch("p1", Patch(60, 0, 10, 10)), "not inside"),
-        (lambda: station.delete_patch("nobody"), "no patch"),
-        (lambda: station.delete_patch("main"), "not deleted"),
+        (lambda: station.patches.define("one more", LAMP), "12 patches"),
+        (lambda: station.patches.define("p1", Patch(60, 0, 10, 10)), "not inside"),
+        (lambda: station.patches.delete("nobody"), "no patch"),
+        (lambda: station.patches.delete("main"), "not deleted"),
         (lambda: PatchLimits(2.0, 1.0), "below the high"),
         (lambda: PatchLimits(hysteresis_rel=0.9), "hysteresis"),
     ):
@@ -271,7 +273,7 @@ async def test_http_serves_patches_trends_and_remarks(station: Station, eventual
         assert (await post("/patches", {"name": "../x", "patch": place}))[0] == 400
         assert (await post("/patches", {"name": "lamp", "limits": {"low": 3, "high": 2}}))[0] == 400
         station.set_every(0.02)
-        await eventually(lambda: station.watches["lamp"].latest)
+        await eventually(lambda: station.patches.watches["lamp"].latest)
         async with session.get(f"{base}/trend", params={"stream": "patch lamp", "since": "10min"}) as reply:
             trend = await reply.json()
         assert (trend["unit"], trend["value"][0]) == ("W sr-1 m-2", 6.0)
@@ -309,3 +311,12 @@ def test_a_low_limit_is_the_mirror_of_a_high_one(
     above, below = (make_reading(radiance=Quantity(v, 0.1, "W sr-1 m-2")) for v in (value, -value))
     assert high.breach(above, standing=standing) == ("high" if outside else "")
     assert low.breach(below, standing=standing) == ("low" if outside else "")
+
+
+@given(names=st.lists(st.text(" ._-+aB1", min_size=1, max_size=8), min_size=2, unique=True))
+def test_no_two_patches_share_a_topic(names: list[str]) -> None:
+    """Each name is one level of its own, without wildcards; a plain name stays as it is."""
+    levels = [topic_level(name) for name in names]
+    assert len(set(levels)) == len(names)
+    assert not any(sign in level for level in levels for sign in "+#/ ")
+    assert topic_level("lamp_1.b-c") == "lamp_1.b-c"

@@ -207,8 +207,8 @@ async def test_the_json_of_a_reading_is_the_documented_line(client: Any, station
     """FETC:JSON? is the journal's line in a block."""
     reply = await client.ask("READ?;:FETC:JSON?")
     line = reply[reply.index("{") :]
-    assert station.latest is not None
-    assert json.loads(line) == station.latest.to_mapping()
+    assert station.shown.latest is not None
+    assert json.loads(line) == station.shown.latest.to_mapping()
 
 
 async def test_light_levels_are_set_by_number(client: Any, box: Any) -> None:
@@ -235,7 +235,7 @@ async def test_a_blocked_journal_is_a_mass_storage_error(
     client: Any, station: Station, eventually: Eventually, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A reading that cannot be committed is not shown: -250 in its stead."""
-    monkeypatch.setattr("radiometer.daemon.station._JOURNAL_PATIENCE_S", 0.2)
+    monkeypatch.setattr("radiometer.daemon.acquisition._JOURNAL_PATIENCE_S", 0.2)
     other = sqlite3.connect(station.journal_path, isolation_level=None)
     other.execute("BEGIN EXCLUSIVE")
     await client.send("INIT")
@@ -293,7 +293,7 @@ async def test_a_client_that_takes_no_replies_is_dropped(station: Station, event
     """Replies that are not read stop the execution, then end the connection; memory stays bounded."""
     server = ScpiServer(station, limits=Limits(stuck_s=0.3, reply_bytes_waiting=10_000))
     port = await server.listen_tcp("127.0.0.1", 0)
-    await station.measure()
+    await station.acquisition.measure()
     _, writer = await asyncio.open_connection("127.0.0.1", port, limit=1024)
     writer.write(b"TRAC:DATA? IMAG\n" * 5000)
     await eventually(lambda: len(server.connections) == 1)

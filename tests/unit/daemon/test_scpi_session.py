@@ -77,7 +77,7 @@ async def test_flags_of_the_latest_reading_are_bits(session, station, instrument
         return replace(measurement, reading=replace(measurement.reading, flags=flags))
 
     monkeypatch.setattr(instrument, "measure", flagged)
-    await station.measure()
+    await station.acquisition.measure()
     found = int(await ask(session, "STAT:QUES:COND?"))
     assert found & (CALIBRATION | FLAGGED) == bits
     assert found & BOX_LOST == 0
@@ -323,13 +323,13 @@ async def test_who_waits_for_a_measurement_that_is_given_up_is_told(session):
 async def test_a_measurement_has_two_minutes(session, station, monkeypatch):
     """READ? gives it no less and no more: a camera that is silent for longer is a trouble that is told."""
     given_s = []
-    measure = station.measure
+    measure = station.acquisition.measure
 
     async def timed(settings, deadline_s, name):
         given_s.append(deadline_s)
         return await measure(settings, deadline_s, name)
 
-    monkeypatch.setattr(station, "measure", timed)
+    monkeypatch.setattr(station.acquisition, "measure", timed)
     await ask(session, "READ?")
     assert given_s == [120.0]
 

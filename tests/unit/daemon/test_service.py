@@ -6,6 +6,8 @@ import asyncio
 import os
 import signal
 import stat
+import subprocess
+import sys
 from collections.abc import Awaitable, Callable
 from pathlib import Path
 from types import SimpleNamespace
@@ -18,6 +20,7 @@ from radiometer.daemon.limits import parse_networks
 from radiometer.daemon.service import Service, ServiceOptions
 from radiometer.daemon.station import Station
 from radiometer.errors import CalibrationError, OutputError, RadiometerError
+from testing.patience import within
 from tests.unit.daemon.conftest import QUICK, FakeBox, FakeInstrument
 
 Eventually = Callable[..., Awaitable[None]]
@@ -256,3 +259,12 @@ async def test_hearing_from_other_machines_needs_a_list(tmp_path: Path) -> None:
     service, *_ = fresh(tmp_path, scpi_address="0.0.0.0")
     with pytest.raises(RadiometerError, match=r"--scpi-allow \(addresses or networks\), or stay on 127\.0\.0\.1"):
         await service._listen()
+
+
+@pytest.mark.slow
+def test_the_daemon_starts_without_what_it_does_not_need() -> None:
+    """scipy.stats takes longer to load than all the daemon's own modules; nothing of the daemon asks for it."""
+    words = "import radiometer.daemon.service, radiometer.daemon.bench_instrument, radiometer.daemon.bench_light"
+    code = f"import sys; {words}; print(sorted({{'scipy.stats', 'pandas', 'matplotlib', 'numba'}} & set(sys.modules)))"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=within(60))
+    assert done.stdout == "[]\n"

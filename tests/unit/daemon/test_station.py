@@ -8,15 +8,13 @@ import sqlite3
 import threading
 import time
 from collections.abc import Awaitable, Callable
+from dataclasses import replace
+from itertools import pairwise
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import pytest
 
-from radiometer.daemon import station as station_module
-from radiometer.daemon.acquisition import Acquisition
-from radiometer.daemon.alarms import Alarms
 from radiometer.daemon.journal import Journal, JournalError
 from radiometer.daemon.journal_reader import JournalReader, ReadingFilter
 from radiometer.daemon.keeper import DeviceState
@@ -24,7 +22,16 @@ from radiometer.daemon.state import identity_mapping
 from radiometer.daemon.station import Station
 from radiometer.data import Patch
 from radiometer.devices import CameraIdentity
-from radiometer.errors import DeviceError, MeasurementError, OutputError, SettingOutOfRange, UsageError
+from radiometer.errors import (
+    DeviceError,
+    DeviceLost,
+    DeviceTimeout,
+    MeasurementError,
+    OutputError,
+    RadiometerError,
+    SettingOutOfRange,
+    UsageError,
+)
 from testing.patience import within
 
 Eventually = Callable[..., Awaitable[None]]
@@ -32,29 +39,29 @@ Eventually = Callable[..., Awaitable[None]]
 
 async def test_a_reading_is_in_the_journal_when_it_is_seen(station: Station) -> None:
     """What `measure` returns can be read from the file at that moment."""
-    reading = await station.measure()
+    reading = await station.acquisition.measure()
     assert JournalReader(station.journal_path).lines(ReadingFilter()) == [reading.to_json()]
-    assert station.latest == reading
+    assert station.shown.latest == reading
 
 
 async def test_continuous_measurement_keeps_its_period(station: Station, eventually: Eventually) -> None:
     """One reading at once and one a period: never more, however long the machine lets it wait."""
     begun = time.monotonic()
     station.set_every(0.05)
-    await eventually(lambda: station.latest is not None and station.latest.sequence >= 10)
+    await eventually(lambda: station.shown.latest is not None and station.shown.latest.sequence >= 10)
     assert time.monotonic() - begun > 8.5 * 0.05
 
 
 async def test_on_demand_goes_before_continuous(station: Station, instrument: Any) -> None:
     """A request is served although measuring runs as fast as it goes."""
     station.set_every(0.0)
-    reading = await station.measure(station.configure(patch=Patch(1, 2, 3, 4)), 20.0)
+    reading = await station.acquisition.measure(station.configure(patch=Patch(1, 2, 3, 4)), 20.0)
     assert reading.patch == Patch(1, 2, 3, 4)
 
 
 async def test_requests_for_the_same_settings_share_a_measurement(station: Station, instrument: Any) -> None:
     """Fifty clients that ask at once cost at most two measurements."""
-    readings = await asyncio.gather(*(station.measure() for _ in range(50)))
+    readings = await asyncio.gather(*(station.acquisition.measure() for _ in range(50)))
     assert len({reading.sequence for reading in readings}) <= 2
     assert len(instrument.measured) <= 2
 
@@ -74,17 +81,17 @@ async def test_a_lost_camera_is_reported_and_reopened(
 ) -> None:
     """Loss puts the alarm up and fails requests at once; the return clears it, and measuring goes on."""
     station.set_every(0.01)
-    await eventually(lambda: station.latest)
+    await eventually(lambda: station.shown.latest)
     instrument.unplugged = True
     await eventually(lambda: station.camera.state is DeviceState.LOST)
     assert [alarm.name for alarm in station.alarms.active] == ["camera"]
     with pytest.raises(DeviceError, match="unplugged"):
-        await station.measure()
+        await station.acquisition.measure()
     instrument.unplugged = False
     await eventually(lambda: not station.alarms.active)
-    assert station.latest is not None
-    last = station.latest.sequence
-    await eventually(lambda: station.latest is not None and station.latest.sequence > last)
+    assert station.shown.latest is not None
+    last = station.shown.latest.sequence
+    await eventually(lambda: station.shown.latest is not None and station.shown.latest.sequence > last)
     assert station.camera.losses == 1
 
 
@@ -93,7 +100,7 @@ async def test_a_camera_that_does_not_return_is_told_before_it_gives_up(
 ) -> None:
     """While a call hangs the alarm is up; once answers come in time again it goes, and no loss is counted."""
     instrument.let_go, instrument.late_at = threading.Event(), time.monotonic() + 0.2
-    measuring = asyncio.create_task(station.measure())
+    measuring = asyncio.create_task(station.acquisition.measure())
     await eventually(lambda: station.camera.state is DeviceState.OVERDUE)
     assert "has not answered" in station.alarms.active[0].message
     instrument.let_go.set()
@@ -109,7 +116,7 @@ async def test_a_late_camera_that_turns_out_lost_is_announced_again(
     """Listeners hear of the delay, then of the loss, as two events."""
     instrument.let_go, instrument.late_at = threading.Event(), time.monotonic() + 0.1
     listener = station.hub.subscribe()
-    measuring = asyncio.create_task(station.measure())
+    measuring = asyncio.create_task(station.acquisition.measure())
     await eventually(lambda: station.camera.state is DeviceState.OVERDUE)
     instrument.unplugged = True
     instrument.let_go.set()
@@ -139,7 +146,7 @@ async def test_a_camera_that_is_absent_at_start_is_waited_for(
     assert [alarm.name for alarm in station.alarms.active] == ["camera"]
     instrument.unplugged = False
     await eventually(lambda: station.camera.is_ready)
-    assert (await station.measure()).sequence == 1
+    assert (await station.acquisition.measure()).sequence == 1
     await station.stop()
 
 
@@ -147,14 +154,14 @@ async def test_a_light_box_that_comes_back_is_known_to_be_dark(
     station: Station, box: Any, eventually: Eventually
 ) -> None:
     """Levels set before the loss are not believed after it."""
-    assert await station.set_level("red", 0.5) == 0.5
+    assert await station.light.set_level("red", 0.5) == 0.5
     box.unplugged = True
     await eventually(lambda: [alarm.name for alarm in station.alarms.active] == ["light box"])
     with pytest.raises(DeviceError):
-        await station.set_level("red", 0.7)
+        await station.light.set_level("red", 0.7)
     box.unplugged = False
     await eventually(lambda: not station.alarms.active)
-    assert station.levels == {"white": 0.0, "red": 0.0}
+    assert station.light.levels == {"white": 0.0, "red": 0.0}
 
 
 async def test_a_driver_bug_counts_as_loss(station: Station, instrument: Any, eventually: Eventually) -> None:
@@ -163,7 +170,7 @@ async def test_a_driver_bug_counts_as_loss(station: Station, instrument: Any, ev
     station.set_every(0.01)
     await eventually(lambda: station.camera.losses > 0)
     del instrument.measure
-    await eventually(lambda: station.latest)
+    await eventually(lambda: station.shown.latest)
 
 
 async def test_failed_measurements_put_an_alarm_up(station: Station, instrument: Any, eventually: Eventually) -> None:
@@ -182,10 +189,10 @@ async def test_a_locked_journal_holds_readings_back(station: Station, eventually
     other.execute("BEGIN EXCLUSIVE")
     station.set_every(0.02)
     await eventually(lambda: any(alarm.name == "journal" for alarm in station.alarms.active))
-    assert station.latest is None
+    assert station.shown.latest is None
     other.execute("ROLLBACK")
     other.close()
-    await eventually(lambda: station.latest is not None and not station.alarms.active)
+    await eventually(lambda: station.shown.latest is not None and not station.alarms.active)
     station.set_every(None)
     await eventually(lambda: station.writer.depth == 0)
     numbers = [json.loads(line)["sequence"] for line in JournalReader(station.journal_path).lines(ReadingFilter())]
@@ -206,8 +213,8 @@ async def test_measuring_pauses_when_too_much_waits(
     await asyncio.sleep(0.3)
     measured, waiting = len(instrument.measured), station.writer.depth
     assert waiting <= 21
-    assert station.latest is not None
-    assert station.latest.sequence + waiting == measured
+    assert station.shown.latest is not None
+    assert station.shown.latest.sequence + waiting == measured
     await eventually(lambda: any("paused" in alarm.message for alarm in station.alarms.active))
     await station.stop()
 
@@ -224,7 +231,7 @@ async def test_a_listener_that_falls_behind_is_cut_off(station: Station) -> None
     """Its queue does not grow; the others go on."""
     slow, quick = station.hub.subscribe(2), station.hub.subscribe(64)
     for _ in range(5):
-        await station.measure()
+        await station.acquisition.measure()
     assert slow.closed
     assert await slow.next() is None
     assert not quick.closed
@@ -253,17 +260,17 @@ async def test_ending_continuous_measurement_while_it_fails_ends_nothing_else(
     await eventually(lambda: not station.acquisition.busy)
     assert (station.failed_task(), station.alarms.active) == (None, ())
     instrument.failing = False
-    assert (await station.measure(deadline_s=within(20.0))).sequence == 1
+    assert (await station.acquisition.measure(deadline_s=within(20.0))).sequence == 1
 
 
 async def test_what_is_counted_of_measurements(station: Station, instrument: Any) -> None:
     """Three readings are three committed and three measured, each with its time; a failure is one, and no reading."""
     instrument.measure_s = 0.01
     for _ in range(3):
-        await station.measure()
+        await station.acquisition.measure()
     instrument.failing = True
     with pytest.raises(MeasurementError):
-        await station.measure()
+        await station.acquisition.measure()
     station.refresh_metrics()
     station.refresh_metrics()  # another look counts nothing twice
     names = ("readings_total", "commit_seconds_count", "measurement_seconds_count", "measurement_failures_total")
@@ -272,15 +279,6 @@ async def test_what_is_counted_of_measurements(station: Station, instrument: Any
     measuring = station.metrics.registry.get_sample_value("radiometer_measurement_seconds_sum")
     assert measuring is not None
     assert measuring >= 3 * 0.01
-
-
-async def test_a_daemon_tells_how_long_it_runs_to_a_tenth_of_a_second(
-    station: Station, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """12.34 s after its start it says 12.3."""
-    now = SimpleNamespace(monotonic=lambda: station.started + 12.34, perf_counter=time.perf_counter)
-    monkeypatch.setattr(station_module, "time", now)
-    assert station.status()["uptime_s"] == 12.3
 
 
 def test_a_hexadecimal_serial_number_is_told_in_decimal_too() -> None:
@@ -299,90 +297,85 @@ async def test_another_period_clears_no_alarm_and_its_end_does(station: Station)
     assert station.alarms.active == ()
 
 
-async def test_after_a_lost_camera_the_next_turn_waits(station: Station, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Half a second from now, and no alarm besides the camera's own; a failed measurement waits for its period too."""
-    acquisition = station.acquisition
-
-    async def lost(origin: object) -> None:
-        raise DeviceError("unplugged")
-
-    async def failed(origin: object) -> None:
-        raise MeasurementError("too bright")
-
-    acquisition._every_s = 0.01
-    for attempt, alarms in ((lost, []), (failed, ["measurement"])):
-        monkeypatch.setattr(acquisition, "_measure", attempt)
-        before = time.monotonic()
-        await acquisition._measure_continuously()
-        assert before + 0.5 <= acquisition._due_at <= time.monotonic() + 0.5
-        assert [alarm.name for alarm in station.alarms.active] == alarms
-    acquisition._every_s = None
-
-
-async def test_when_measuring_ends_no_patch_waits_for_its_turn(make_acquisition: Callable[..., Acquisition]) -> None:
-    """Patches with a name that were still to come in the period are dropped: the loop would turn on them for ever."""
-    acquisition = make_acquisition(is_ready=True)
-    acquisition.set_every(60.0)
-    acquisition._round.extend(["lamp", "wall"])
-    acquisition.set_every(None)
-    waiting = asyncio.ensure_future(acquisition._wait_until_needed())
-    await asyncio.sleep(0)
-    over = waiting.done()
-    waiting.cancel()
-    assert not over
-
-
-async def test_a_camera_that_is_back_is_measured_with_within_a_tenth_of_a_second(
-    make_acquisition: Callable[..., Acquisition],
+async def test_nobody_waits_long_for_a_journal_that_is_known_to_be_blocked(
+    station: Station, eventually: Eventually
 ) -> None:
-    """While it is away it is looked for as often; else the loop sleeps until the next turn, or until it is woken."""
-    away, there = make_acquisition(is_ready=False), make_acquisition(is_ready=True)
-    assert there._pause_s() is None
-    for acquisition in (away, there):
-        acquisition.set_every(60.0)
-        acquisition._due_at = time.monotonic() + 50.0
-    assert 0.0 < (away._pause_s() or 0.0) <= 0.1
-    assert there._pause_s() == pytest.approx(50.0, abs=5.0)
+    """Five seconds at most instead of two minutes, and the error names the journal's trouble."""
+    other = sqlite3.connect(station.journal_path, isolation_level=None)
+    other.execute("BEGIN EXCLUSIVE")
+    station.annotate("a remark that cannot be kept")
+    await eventually(lambda: station.writer.trouble)
+    asked = time.monotonic()
+    with pytest.raises(JournalError, match="locked"):
+        await station.acquisition.measure()
+    assert 4.9 < time.monotonic() - asked < 60.0
+    other.execute("ROLLBACK")
+    other.close()
+
+
+async def test_no_kind_of_measurement_waits_for_more_than_two_of_the_others(
+    station: Station, instrument: Any, eventually: Eventually
+) -> None:
+    """Clients that ask without end for patches of their own, and patches with names, leave the shared one its turn."""
+    shared, named = Patch(16, 12, 32, 24), {f"p{k}": Patch(k, 0, 2, 2) for k in range(3)}
+    station.configure(patch=shared)
+    for name, patch in named.items():
+        station.patches.define(name, patch)
+
+    async def ask_for_ever(x: int) -> None:
+        while True:
+            await station.acquisition.measure(replace(station.settings, patch=Patch(x, 20, 2, 2)), 60.0, f"client-{x}")
+
+    clients = [asyncio.create_task(ask_for_ever(x)) for x in range(20, 24)]
+    await asyncio.sleep(0)
+    station.set_every(0.0)
+    await eventually(lambda: len(instrument.measured) > 90)
+    station.set_every(None)
+    for one in clients:
+        one.cancel()
+    kinds = ["shared" if s.patch == shared else "named" if s.patch in named.values() else "asked"
+             for s in instrument.measured[10:90]]  # fmt: skip
+    for kind in ("shared", "named", "asked"):
+        turns = [k for k, one in enumerate(kinds) if one == kind]
+        assert max(later - earlier for earlier, later in pairwise([-1, *turns, len(kinds)])) <= 3
+    assert {s.patch for s in instrument.measured} >= {
+        shared,
+        *named.values(),
+        *(Patch(x, 20, 2, 2) for x in range(20, 24)),
+    }
 
 
 @pytest.mark.parametrize(
-    ("trouble", "deadline_s", "waited_s", "told"),
-    [
-        ("", 120.0, 120.0, TimeoutError),
-        ("", 2.0, 2.0, TimeoutError),
-        ("the disk is full", 120.0, 5.0, JournalError),
-        ("the disk is full", 2.0, 2.0, JournalError),
-    ],
+    "error", [DeviceLost("gone"), DeviceTimeout("late"), DeviceError("exposure of 0 s"), KeyError(1)]
 )
-async def test_nobody_waits_long_for_a_journal_that_is_known_to_be_blocked(
-    station: Station,
-    monkeypatch: pytest.MonkeyPatch,
-    trouble: str,
-    deadline_s: float,
-    waited_s: float,
-    told: type[Exception],
+async def test_a_camera_that_fails_at_every_measurement_is_an_alarm_until_a_reading_comes(
+    station: Station, instrument: Any, eventually: Eventually, error: Exception
 ) -> None:
-    """Five seconds at most, and the journal's trouble is told; for a measurement as long as the client allows."""
-    asked: list[float] = []
+    """However it fails, and however often its port opens again: never "ready", one alarm, a handful of events."""
+    measure = instrument.measure
+    failures = 0
 
-    async def measure(settings: object, wait_s: float, session: str) -> None:
-        asked.append(wait_s)
-        raise TimeoutError
+    def fail(settings: object) -> None:
+        nonlocal failures
+        failures += 1
+        raise error
 
-    monkeypatch.setattr(station, "_journal_trouble", lambda: trouble)
-    monkeypatch.setattr(station.acquisition, "measure", measure)
-    with pytest.raises(told, match=trouble or None):
-        await station.measure(deadline_s=deadline_s)
-    assert asked == [waited_s]
-
-
-@pytest.fixture
-def make_acquisition() -> Callable[..., Acquisition]:
-    """Return a maker of acquisitions that nothing drives, of a camera that is ready or not."""
-
-    def make(*, is_ready: bool) -> Acquisition:
-        keeper: Any = SimpleNamespace(is_ready=is_ready)
-        absent: Any = None
-        return Acquisition(absent, keeper, absent, Alarms(lambda *_: None), lambda *_: None)
-
-    return make
+    instrument.measure = fail
+    fail.__name__ = "measure"
+    station.set_every(0.01)
+    await eventually(lambda: failures)
+    await eventually(lambda: station.alarms.active)
+    seen = set()
+    while failures < 5:
+        await asyncio.sleep(0.005)
+        seen.add((str(station.camera.state), *station.troubles()))
+    assert seen <= {("failing", "camera"), ("lost", "camera")}
+    with pytest.raises(RadiometerError):
+        await station.acquisition.measure()
+    instrument.measure = measure
+    await eventually(lambda: station.shown.latest)
+    await eventually(lambda: station.troubles() == [])
+    reader = JournalReader(station.journal_path)
+    await eventually(lambda: [event["kind"] for event in reader.events()][-1:] == ["cleared"])
+    assert len(reader.events()) <= 3
+    assert station.camera.losses <= 1

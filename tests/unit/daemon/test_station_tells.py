@@ -19,10 +19,14 @@ LAMP = Patch(1, 2, 3, 4)
 
 CHANGES: dict[str, tuple[Callable[[Station], Any], Callable[[dict[str, Any]], Any], Any]] = {
     "settings": (lambda s: s.configure(gain_db=6.0), lambda status: status["settings"]["gain_db"], 6.0),
-    "a patch": (lambda s: s.define_patch("lamp", LAMP), lambda status: status["patches"]["lamp"]["patch"]["width"], 3),
-    "no patch": (lambda s: s.delete_patch("old"), lambda status: "old" in status["patches"], False),
+    "a patch": (
+        lambda s: s.patches.define("lamp", LAMP),
+        lambda status: status["patches"]["lamp"]["patch"]["width"],
+        3,
+    ),
+    "no patch": (lambda s: s.patches.delete("old"), lambda status: "old" in status["patches"], False),
     "limits": (
-        lambda s: s.set_limits("old", PatchLimits(high=2.0)),
+        lambda s: s.patches.set_limits("old", PatchLimits(high=2.0)),
         lambda status: status["patches"]["old"]["limits"]["high"],
         2.0,
     ),
@@ -37,7 +41,7 @@ CHANGES: dict[str, tuple[Callable[[Station], Any], Callable[[dict[str, Any]], An
 async def test_every_change_is_told_once_with_the_state_after_it(station: Station, what: str) -> None:
     """Each listener within the program is called, and each subscriber has one line of the new state."""
     change, look, expected = CHANGES[what]
-    station.define_patch("old", LAMP)
+    station.patches.define("old", LAMP)
     subscription, called = station.hub.subscribe(), []
     station.on_change.append(lambda: called.append(1))
     change(station)
@@ -52,7 +56,7 @@ async def test_every_change_is_told_once_with_the_state_after_it(station: Statio
 async def test_light_that_is_set_is_told(station: Station) -> None:
     """The new level is in the state that the subscriber gets."""
     subscription = station.hub.subscribe()
-    assert await station.set_level("red", 0.25) == 0.25
+    assert await station.light.set_level("red", 0.25) == 0.25
     event = await subscription.next()
     assert event is not None
     assert json.loads(event.line)["light"] == {"white": 0.0, "red": 0.25}
@@ -77,33 +81,33 @@ async def test_what_is_at_a_limit_is_allowed_and_what_is_beyond_is_not(
 
 async def test_levels_are_0_to_1(station: Station, box: Any) -> None:
     """Full and dark are levels; what is beyond is refused before it reaches the box."""
-    assert [await station.set_level("red", level) for level in (1.0, 0.0)] == [1.0, 0.0]
+    assert [await station.light.set_level("red", level) for level in (1.0, 0.0)] == [1.0, 0.0]
     for level in (-0.01, 1.01):
         with pytest.raises(SettingOutOfRange):
-            await station.set_level("red", level)
+            await station.light.set_level("red", level)
     assert box.levels["red"] == 0.0
 
 
 async def test_settings_as_at_first_forget_a_reading_of_another_patch_only(station: Station) -> None:
     """A reset that measures the same keeps what was measured; one that moves the patch has no reading yet."""
     station.configure(gain_db=6.0)
-    reading = await station.measure()
+    reading = await station.acquisition.measure()
     station.reset()
-    assert (station.latest, station.settings) == (reading, MeasurementSettings())
+    assert (station.shown.latest, station.settings) == (reading, MeasurementSettings())
     station.configure(patch=LAMP)
-    moved = await station.measure()
-    assert station.latest == moved
+    moved = await station.acquisition.measure()
+    assert station.shown.latest == moved
     station.reset()
-    assert (station.latest, station.latest_line, station.latest_measurement) == (None, "", None)
+    assert (station.shown.latest, station.shown.line, station.shown.measurement) == (None, "", None)
 
 
 async def test_without_a_box_no_light_is_believed(instrument: Any, tmp_path: Any) -> None:
     """A station that has none says so, of one channel and of all, and shows none in its state."""
     alone = Station(instrument, Journal(tmp_path / "journal.sqlite"))
-    for call in (alone.set_level("red", 0.0), alone.lights_off()):
+    for call in (alone.light.set_level("red", 0.0), alone.light.off()):
         with pytest.raises(DeviceLost, match="no light box"):
             await call
-    assert (alone.light_is_confirmed, alone.status()["light"], list(alone.status()["devices"])) == (
+    assert (alone.light.is_confirmed, alone.status()["light"], list(alone.status()["devices"])) == (
         False,
         {},
         ["camera"],
@@ -149,7 +153,7 @@ async def test_gauges_show_the_latest_reading(station: Station, make_reading: Ca
 
 async def test_an_alarm_that_turns_round_is_told_again(station: Station, make_reading: Callable[..., Reading]) -> None:
     """From above the high limit to below the low one without a time between: the alarm stands and is announced anew."""
-    station.set_limits("main", PatchLimits(1.0, 2.0))
+    station.patches.set_limits("main", PatchLimits(1.0, 2.0))
     for number, value in enumerate((3.0, 3.0, 0.5, 0.5, 0.5)):
         station._publish(make_reading(radiance=Quantity(value, 0.01, "1"), sequence=number + 1), None, 0.0)
     (alarm,) = station.alarms.active

@@ -2,11 +2,22 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
 from typing import Any
 from unittest.mock import MagicMock
 
+import pytest
+
+from radiometer.daemon import bench_instrument
+from radiometer.daemon.bench_instrument import BenchInstrument
+from radiometer.daemon.instrument import MeasurementSettings
 from radiometer.daemon.watched_camera import WatchedCamera
+from radiometer.data import Flag, Frame
 from radiometer.devices import Camera, CameraSettings
+from radiometer.errors import DeviceError
+from testing.daemon_process import write_small_bench
 
 
 class _Camera:
@@ -54,6 +65,7 @@ def test_it_is_a_camera() -> None:
 def test_every_call_reaches_the_camera_and_what_it_returns_comes_back() -> None:
     """Nothing is held back, exchanged or made up: each member is the camera's own, with the arguments given."""
     camera = MagicMock()
+    camera.capture.return_value, camera.stream.return_value = [], iter([])
     watched: Any = WatchedCamera(camera)
     for name in ("identity", "capabilities", "settings", "description", "lens", "counts"):
         assert getattr(watched, name) is getattr(camera, name)
@@ -61,7 +73,7 @@ def test_every_call_reaches_the_camera_and_what_it_returns_comes_back() -> None:
     camera.settings = wanted
     assert watched.configure(wanted) is camera.configure.return_value
     assert watched.capture(2) is camera.capture.return_value
-    assert watched.stream() is camera.stream.return_value
+    assert list(watched.stream()) == []
     watched.set_shutter(closed=True)
     with watched as entered:
         assert entered is watched
@@ -71,3 +83,67 @@ def test_every_call_reaches_the_camera_and_what_it_returns_comes_back() -> None:
     camera.configure.assert_called_once_with(wanted)
     camera.capture.assert_called_once_with(2)
     camera.set_shutter.assert_called_once_with(closed=True)
+
+
+def _instrument(folder: Path, monkeypatch: pytest.MonkeyPatch, tamper: Callable[[Frame], Frame]) -> BenchInstrument:
+    """Return the simulated bench whose camera's frames come tampered with, open."""
+    genuine = bench_instrument.open_camera
+
+    def open_camera(*arguments: Any) -> Any:
+        camera = genuine(*arguments)
+        capture = camera.capture
+        camera.capture = lambda count=1: [tamper(frame) for frame in capture(count)]
+        return camera
+
+    monkeypatch.setattr(bench_instrument, "open_camera", open_camera)
+    instrument = BenchInstrument(write_small_bench(folder))
+    instrument.open()
+    return instrument
+
+
+def _repeating() -> Callable[[Frame], Frame]:
+    first: list[Frame] = []
+
+    def tamper(frame: Frame) -> Frame:
+        first.append(frame)
+        return replace(frame, dn=first[0].dn)
+
+    return tamper
+
+
+def _stating(factor: float) -> Callable[[Frame], Frame]:
+    return lambda f: replace(f, settings=replace(f.settings, exposure_s=factor * f.settings.exposure_s))
+
+
+@pytest.mark.parametrize("auto", [True, False])
+@pytest.mark.parametrize(
+    ("tamper", "flags"),
+    [
+        (_stating(1.0), set()),
+        (_stating(1.01), set()),
+        (_stating(0.5), {Flag.EXPOSURE_UNCONFIRMED}),
+        (_stating(2.0), {Flag.EXPOSURE_UNCONFIRMED}),
+        (_repeating(), {Flag.REPEATED_FRAME}),
+    ],
+)
+def test_a_camera_that_cannot_be_believed_flags_the_reading(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, tamper: Callable[[Frame], Frame], flags: set[Flag], auto: bool
+) -> None:
+    """Another exposure time than was set, one frame for ever: each reading says so; an honest one never does."""
+    instrument = _instrument(tmp_path, monkeypatch, tamper)
+    settings = MeasurementSettings(instrument.default_patch(), auto_exposure=auto, exposure_s=0.01)
+    for _ in range(2):
+        found = set(instrument.measure(settings).reading.flags)
+        assert found & {Flag.EXPOSURE_UNCONFIRMED, Flag.REPEATED_FRAME} == flags
+    instrument.close()
+
+
+@pytest.mark.parametrize("factor", [0.0, -1.0, float("nan"), float("inf")])
+def test_an_impossible_exposure_time_is_reported(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, factor: float
+) -> None:
+    """It is no reading without a word: the error names the exposure time."""
+    instrument = _instrument(tmp_path, monkeypatch, _stating(factor))
+    with pytest.raises(DeviceError, match="exposure time"):
+        instrument.measure(MeasurementSettings(instrument.default_patch()))
+    instrument.close()

@@ -68,7 +68,7 @@ async def test_without_the_token_nothing_but_the_public_is_served(station: Stati
                     assert (reply.status == 401) is (not route.public), (route.path, given)
         async with session.get(f"{base}/status", headers={"Authorization": f"Bearer {TOKEN}"}) as reply:
             assert reply.status == 200
-    assert station.latest is None
+    assert station.shown.latest is None
     await server.close()
 
 
@@ -83,5 +83,5 @@ async def test_another_site_changes_nothing(station: Station, box: Any, path: st
                 assert reply.status == 403
         async with session.get(f"{base}/status", headers={"Host": "evil.example"}) as reply:
             assert reply.status == 403
-    assert (station.latest, set(box.levels.values())) == (None, {0.0})
+    assert (station.shown.latest, set(box.levels.values())) == (None, {0.0})
     await server.close()

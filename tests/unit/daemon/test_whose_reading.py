@@ -12,12 +12,10 @@ from pathlib import Path
 from typing import Any
 
 import aiohttp
-import pytest
 
 from radiometer.daemon.http.server import HttpServer
 from radiometer.daemon.journal import _SCHEMA, Journal
 from radiometer.daemon.journal_reader import JournalReader, ReadingFilter, to_csv
-from radiometer.daemon.mqtt import MqttPublisher, MqttTarget
 from radiometer.daemon.station import Station
 from radiometer.data import Flag, Patch, Reading
 
@@ -40,12 +38,12 @@ async def test_another_clients_patch_is_never_fetched(connect: Any, station: Sta
 async def test_a_one_off_enters_no_shared_interface(station: Station, connect: Any, eventually: Eventually) -> None:
     """Stream, latest value, picture, figures and history of all stay those of the shared patch."""
     listener = station.hub.subscribe()
-    await station.measure(station.configure(patch=Patch(ALL_X, 1, 2, 3)))
-    shared = station.latest_measurement
+    await station.acquisition.measure(station.configure(patch=Patch(ALL_X, 1, 2, 3)))
+    shared = station.shown.measurement
     client = await connect()
     assert float((await client.ask(f"MEAS:RAD? {OTHER_X},1,2,3")).split(",")[0]) == 1.0 + OTHER_X
-    assert station.latest is not None
-    assert (station.latest.patch.x, station.latest_measurement) == (ALL_X, shared)
+    assert station.shown.latest is not None
+    assert (station.shown.latest.patch.x, station.shown.measurement) == (ALL_X, shared)
     events = [await listener.next() for _ in range(listener._queue.qsize())]
     readings = [json.loads(event.line) for event in events if event is not None and event.kind == "reading"]
     assert [reading["patch"]["x"] for reading in readings] == [ALL_X]
@@ -59,11 +57,11 @@ async def test_a_one_off_stays_out_of_history_and_stream_of_http(station: Statio
     server = HttpServer(station)
     base = f"http://127.0.0.1:{await server.listen('127.0.0.1', 0)}"
     async with aiohttp.ClientSession() as session:
-        await station.measure()
+        await station.acquisition.measure()
         body = {"patch": {"x": OTHER_X, "y": 1, "width": 2, "height": 3}}
         async with session.post(f"{base}/measure", json=body) as reply:
             own = await reply.json()
-        await station.measure()
+        await station.acquisition.measure()
 
         async def numbers(query: str) -> list[int]:
             async with session.get(f"{base}/readings{query}") as reply:
@@ -86,7 +84,9 @@ async def test_a_one_off_stays_out_of_history_and_stream_of_http(station: Statio
 async def test_two_that_ask_for_one_patch_share_the_measurement(station: Station, instrument: Any) -> None:
     """The reading names both, and no third one."""
     wanted = station.settings.__class__(patch=Patch(OTHER_X, 1, 2, 3))
-    first, second = await asyncio.gather(station.measure(wanted, session="a"), station.measure(wanted, session="b"))
+    first, second = await asyncio.gather(
+        station.acquisition.measure(wanted, session="a"), station.acquisition.measure(wanted, session="b")
+    )
     assert (first, first.session, len(instrument.measured)) == (second, "a,b", 1)
 
 
@@ -94,8 +94,8 @@ async def test_what_is_measured_with_the_settings_in_force_belongs_to_all(connec
     """READ? without a patch of its own is everybody's reading: the page shows it."""
     client = await connect()
     await client.ask("READ?")
-    assert station.latest is not None
-    assert station.latest.session == ""
+    assert station.shown.latest is not None
+    assert station.shown.latest.session == ""
 
 
 async def test_a_moved_patch_has_no_reading_yet(client: Any, station: Station) -> None:
@@ -115,12 +115,12 @@ async def test_a_patch_moved_while_measuring_is_not_believed(
 ) -> None:
     """The reading in hand when the patch moves is kept, but is nobody's latest."""
     instrument.let_go = threading.Event()
-    begun = asyncio.create_task(station.measure())
+    begun = asyncio.create_task(station.acquisition.measure())
     await eventually(lambda: station.acquisition.busy)
     station.configure(patch=Patch(ALL_X, 1, 2, 3))
     instrument.let_go.set()
     assert (await begun).patch.x == 16
-    assert station.latest is None
+    assert station.shown.latest is None
 
 
 async def test_each_session_gets_the_picture_of_its_reading(connect: Any, instrument: Any) -> None:
@@ -132,18 +132,6 @@ async def test_each_session_gets_the_picture_of_its_reading(connect: Any, instru
     await a.ask(f"MEAS:RAD? {OTHER_X + 1},1,2,3")
     await b.send("TRAC:SIZE?")
     assert (await b.ask("SYST:ERR?")).startswith("-230")  # its frames are gone; another's are not given in their stead
-
-
-async def test_mqtt_publishes_the_shared_patch_only(station: Station) -> None:
-    """What reaches the broker is what the hub tells, and the retained reading is the shared one."""
-    pytest.importorskip("paho.mqtt.client")
-    publisher = MqttPublisher(station, MqttTarget("127.0.0.1"))
-    sent: list[tuple[str, str]] = []
-    publisher._client = type("Client", (), {"publish": lambda self, topic, line, **_: sent.append((topic, line))})()
-    await station.measure()
-    await station.measure(station.settings.__class__(patch=Patch(OTHER_X, 1, 2, 3)), session="b")
-    publisher._back()
-    assert [json.loads(line)["sequence"] for topic, line in sent if topic.endswith("/reading")] == [1]
 
 
 def test_the_journal_of_the_version_before_is_taken_over(tmp_path: Path, make_reading: Callable[..., Reading]) -> None:

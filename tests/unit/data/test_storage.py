@@ -11,7 +11,7 @@ import pytest
 
 from radiometer.analysis.exports.maps import WRITERS, MapPicture, writer_for
 from radiometer.data import RadianceMap, storage
-from radiometer.data.storage import read_text
+from radiometer.data.storage import read_text, read_yaml
 from radiometer.errors import InputError, OutputError
 
 
@@ -103,3 +103,22 @@ def write(path):
     one = np.ones((2, 2), np.float32)
     grey = RadianceMap(one, 0.1 * one, np.zeros((2, 2), np.uint8), "relative")
     return writer_for(path)(path, MapPicture({"mono": grey}))
+
+
+@pytest.mark.parametrize(
+    ("text", "key", "line"),
+    [
+        ("limit: 1\nlimit: 2\n", "limit", 2),
+        ("channels:\n  spot: {bound: 1}\n  field: {bound: 2}\n  spot: {bound: 3}\n", "spot", 4),
+        ("flash: {bound: 1, duration: 2, bound: 3}\n", "bound", 1),
+        ("a: 1\n'a': 2\n", "a", 2),
+    ],
+)
+def test_a_key_that_occurs_twice_is_refused(tmp_path, text, key, line):
+    """Of two bounds for one channel neither is chosen; what an anchor brings in may be replaced."""
+    file = tmp_path / "preset.yaml"
+    file.write_text(text, encoding="utf-8")
+    with pytest.raises(InputError, match=rf"line {line}, .* key '{key}' occurs twice"):
+        read_yaml(file)
+    file.write_text("base: &base {bound: 1}\nspot: {<<: *base, bound: 2}\n", encoding="utf-8")
+    assert read_yaml(file)["spot"] == {"bound": 2}

@@ -23,9 +23,9 @@ from radiometer.data import (
     SensorNoise,
 )
 from radiometer.data.provenance import utc_now
+from radiometer.data.text_table import stamp_s
 from radiometer.errors import CalibrationError
 from radiometer.importing import open_capture
-from radiometer.importing.columns import stamp_s
 
 NOON_S = 1_767_268_800  # 2026-01-01T12:00:00Z, as `date -u -d @1767268800` has it
 SAME = ["2026-01-01T12:00:00Z", "2026-01-01T12:00:00", "2026-01-01T13:00:00+01:00", "2026-01-02T01:00:00+13:00"]

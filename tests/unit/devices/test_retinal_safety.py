@@ -7,7 +7,6 @@ import math
 import numpy as np
 import pytest
 
-from radiometer.devices.exposure_ledger import ExposureLedger
 from radiometer.devices.retinal_safety import (
     ChannelOptics,
     HazardFractions,
@@ -94,55 +93,6 @@ def test_not_a_number_is_refused():
         refuse_unsafe("spot", HazardFractions(math.nan, 0.0), 0.1)
 
 
-class Clock:
-    """A clock that the test turns."""
-
-    now_s = 0.0
-
-    def __call__(self) -> float:
-        return self.now_s
-
-
-def ledger(clock: Clock) -> ExposureLedger:
-    """Return an account of two large sources with B = 1, a tenth of the limit allowed."""
-    return ExposureLedger({"a": NARROW, "b": NARROW}, clock)
-
-
-def test_repeated_pulses_add_up_over_ten_thousand_seconds():
-    """Nine pulses of one per cent each and a second one go through, the eleventh does not, until time has passed."""
-    clock = Clock()
-    account = ledger(clock)
-    for _ in range(10):
-        account.refuse_unsafe("a", 1000.0, 9.99)
-        account.shine("a", 1000.0, 9.99)
-        clock.now_s += 20.0
-        account.darken("a")
-    with pytest.raises(UnsafeStimulus):
-        account.refuse_unsafe("a", 1000.0, 9.99)
-    clock.now_s += 1e4 + 200
-    account.refuse_unsafe("a", 1000.0, 9.99)
-
-
-def test_channels_that_shine_together_add_up():
-    """Two channels at 6 % each exceed a tenth."""
-    account = ledger(Clock())
-    account.refuse_unsafe("a", 6.0, math.inf)
-    account.shine("a", 6.0, math.inf)
-    with pytest.raises(UnsafeStimulus):
-        account.refuse_unsafe("b", 6.0, math.inf)
-    account.darken("a")
-    account.refuse_unsafe("b", 6.0, math.inf)
-
-
-def test_light_ended_early_counts_only_for_its_time():
-    """A steady light of 8 % per 10⁴ s that is darkened after 10 s leaves next to nothing."""
-    clock = Clock()
-    account = ledger(clock)
-    account.shine("a", 8.0, math.inf)
-    clock.now_s = 10.0
-    account.refuse_unsafe("a", 9.9, math.inf)
-
-
 @pytest.mark.parametrize("bright_s", [1e-6, 1e-5, 0.1, 5.0, 10.0, 1e3])
 @pytest.mark.parametrize("alpha_rad", [1e-3, 0.02, 0.5])
 def test_hazards_grow_with_the_radiance_and_never_fall_with_time(alpha_rad, bright_s):
@@ -207,49 +157,3 @@ def test_a_spectrum_is_one_in_all_and_white_has_two_fifths_of_its_power_in_blue(
     pump = white - 0.6 * phosphor
     assert pump.sum() == pytest.approx(0.4)
     assert pump @ wavelength_nm / 0.4 == pytest.approx(450.0, abs=0.1)
-
-
-@pytest.mark.parametrize("pause_s", [0.5, 4.9, 5.1, 600.0])
-def test_an_account_loses_nothing_by_keeping_neighbours_together(pause_s):
-    """Five pulses of 1 %: whatever lies between, five per cent are used up: 5 % more are let through, 5.1 % are not."""
-    clock = Clock()
-    account = ledger(clock)
-    for _ in range(5):
-        account.shine("a", 2000.0, 5.0)  # ends within 10 s of the one before, or later
-        clock.now_s += 5.0
-        account.darken("a")
-        clock.now_s += pause_s
-    account.refuse_unsafe("b", 1000.0, 49.9)
-    with pytest.raises(UnsafeStimulus):
-        account.refuse_unsafe("b", 1000.0, 50.1)
-
-
-def test_what_was_given_counts_for_ten_thousand_seconds_from_its_end():
-    """8 % in one pulse: a second one has to wait until the first is older than that, to the second."""
-    clock = Clock()
-    account = ledger(clock)
-    account.shine("a", 1000.0, 80.0)
-    clock.now_s = 80.0
-    account.darken("a")
-    account.darken("a")  # dark already: nothing more is noted
-    for now_s, refused in ((10_079.0, True), (10_080.0, False)):
-        clock.now_s = now_s
-        if refused:
-            with pytest.raises(UnsafeStimulus):
-                account.refuse_unsafe("a", 1000.0, 80.0)
-        else:
-            account.refuse_unsafe("a", 1000.0, 80.0)
-
-
-def test_light_that_goes_on_counts_for_all_that_it_will_give_and_its_own_for_what_it_gave():
-    """Another channel of 6 % counts whole from its start; a channel's own light ends where a new one begins."""
-    clock = Clock()
-    account = ledger(clock)
-    account.shine("a", 600.0, 100.0)
-    clock.now_s = 50.0
-    account.refuse_unsafe("a", 600.0, 116.0)  # 3 % given and 6.96 % to come
-    with pytest.raises(UnsafeStimulus):
-        account.refuse_unsafe("a", 600.0, 117.0)
-    account.refuse_unsafe("b", 600.0, 16.0)  # beside 3 % given and 6 % that were planned there is no more than 1 %
-    with pytest.raises(UnsafeStimulus):
-        account.refuse_unsafe("b", 600.0, 68.0)

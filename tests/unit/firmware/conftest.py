@@ -29,12 +29,14 @@ def libraries(project_root: Path, tmp_path_factory: pytest.TempPathFactory) -> d
 
 @pytest.fixture
 def power(libraries: dict[str, Path], tmp_path: Path) -> Iterator[Callable[..., FirmwareBox]]:
-    """Return a function that powers a box: `whole` or `small`, and the cause of the reset."""
+    """Return a function that powers a box: `whole` or `small`, the cause of the reset, and its memory."""
     boxes: list[FirmwareBox] = []
     numbers = itertools.count()
 
-    def powered(kind: str = "whole", reset_flags: int = 1, serial: str = "LB000007") -> FirmwareBox:
-        boxes.append(FirmwareBox(libraries[kind], tmp_path / f"{next(numbers)}.so", reset_flags, serial))
+    def powered(
+        kind: str = "whole", reset_flags: int = 1, serial: str = "LB000007", memory: bytes | None = None
+    ) -> FirmwareBox:
+        boxes.append(FirmwareBox(libraries[kind], tmp_path / f"{next(numbers)}.so", reset_flags, serial, memory))
         return boxes[-1]
 
     yield powered

@@ -56,17 +56,26 @@ waits = st.sampled_from([0, 0, 1, 2, 3, 5, 9, 21, 60, 400, 999, 1000, 1500, 5000
 raw = st.sampled_from(
     [b"#01 TM*00000000\n", b"\n", b"\r\n", b"junk", b"#0x TM*12345678\n", b"x" * 70 + b"\n", b"#01 TM\n", b"#", b"*\n"]
 )
-presses = st.sampled_from(["press", "release"])
+presses = st.sampled_from(["press", "release", "reset"])
 steps = st.lists(st.one_of(requests, lit, lit, waits, raw, presses), min_size=4, max_size=30)
 
 
 class Pair:
     """A firmware box and a twin that are told the same at the same time."""
 
-    def __init__(self, box, kind):
-        self.box, self.ms, self.sequence, self.pressed_ms = box, 0, 0, None
+    def __init__(self, power, kind):
+        self.power, self.kind, self.box = power, kind, power(kind)
+        self.ms, self.sequence, self.pressed_ms = 0, 0, None
         channels = SMALL if kind == "small" else REFERENCE_CHANNELS
         self.twin = LightBoxTwin(TwinSettings(serial=SERIAL, channels=channels))
+        self.pass_ms(1)
+
+    def reset(self):
+        """Pull the reset line of both, their contacts open: what the memories hold is all that stays."""
+        self.turn(False)
+        self.agree()
+        self.box = self.power(self.kind, reset_flags=2, memory=self.box.memory)
+        self.twin.reset("E")
         self.pass_ms(1)
 
     def pass_ms(self, ms):
@@ -108,8 +117,7 @@ class Pair:
 @example(steps=["SL 0 H 20000", "press"])  # dark in the midst of a wait, its budget spent to the rest
 def test_firmware_and_twin_say_and_do_the_same(power, kind, steps):
     """Any mixture of requests, damaged lines, waiting and pressing: every byte, every duty, every bucket agree."""
-    box = power(kind)
-    pair = Pair(box, kind)
+    pair = Pair(power, kind)
     pair.agree()
     pair.ask("HI 2")
     for step in steps:
@@ -117,6 +125,8 @@ def test_firmware_and_twin_say_and_do_the_same(power, kind, steps):
             pair.pass_ms(step)
         elif isinstance(step, bytes):
             pair.send(step)
+        elif step == "reset":
+            pair.reset()
         elif step in ("press", "release"):
             pair.turn(step == "press")
         else:

@@ -159,3 +159,20 @@ def test_no_exposure_anywhere_is_an_error(write_fits):
     """Without an exposure a frame says nothing; the message names it."""
     with pytest.raises(CaptureError, match=r"a\.fits"):
         open_capture(write_fits("a.fits", PICTURE, IMAGETYP="flat"))
+
+
+@pytest.mark.parametrize(
+    ("cards", "white_dn"),
+    [
+        ({"SATURATE": 50_000}, 50_000), ({"SATLEVEL": 50_000.0}, 50_000), ({"DATAMAX": 9_000}, None),
+        ({"SATURATE": (50_000, "saturation level [e-]")}, None), ({"SATURATE": 200_000}, None),
+    ],
+)  # fmt: skip
+def test_a_stated_saturation_is_the_white_level(tmp_path, write_fits, cards, white_dn):
+    """SATURATE in DN; DATAMAX is the largest value of one frame, and electrons or numbers beyond 16 bits are none."""
+    dn = np.full((20, 30), 9_000, np.uint16)
+    for k, seconds in enumerate((1.0, 2.0)):
+        write_fits(f"f/{k}.fits", dn + np.uint16(k), EXPTIME=seconds, IMAGETYP="Light", **cards)
+    camera = open_capture(tmp_path / "f").header.camera
+    assert camera.white_level_dn == white_dn
+    assert camera.saturated_dn == (white_dn or 65_535)

@@ -51,11 +51,12 @@ def test_raw_file_gives_the_sensors_values(tmp_path):
 
 
 def test_raw_white_level_counts_as_saturated(tmp_path):
-    """Values at the file's white level, here below 2^12 − 1, are full scale."""
+    """Values at the file's white level, here below 2^12 − 1, are saturated."""
     pytest.importorskip("rawpy")
     _write_dng(tmp_path / "a.dng", scale=10.0, white=3800)
     (tmp_path / "exposures.txt").write_text("a.dng 0.5\n")
-    assert int(read_photographs(tmp_path, "blue")[0].light[0].dn.max()) == 4095
+    frame = read_photographs(tmp_path, "blue")[0].light[0]
+    assert frame.saturated_dn == int(frame.dn.max()) == 3800
 
 
 def test_damaged_raw_file_is_named(tmp_path):

@@ -56,9 +56,9 @@ def test_one_frame_has_no_temporal_variance(tmp_path):
 
 
 def test_a_table_cut_in_half_names_its_row(tmp_path):
-    """The row that lacks cells is named."""
+    """The line that lacks cells is named."""
     path = table(tmp_path, "exposure_s,mean,variance\n1,10,3\n2,2")
-    with pytest.raises(CaptureError, match="row 2"):
+    with pytest.raises(CaptureError, match="line 3"):
         statistics_of(path)
 
 

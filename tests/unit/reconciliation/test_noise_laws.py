@@ -248,7 +248,7 @@ def test_a_frame_stands_out_of_the_scatter_of_all_others(apart: float, out: tupl
 @pytest.mark.parametrize(("level", "inside"), [(4084.9, True), (4085.0, False), (8.1, True), (8.0, False)])
 def test_a_tile_is_inside_where_five_sigma_fit_below_the_top_and_four_above_nought(level: float, inside: bool) -> None:
     """Noise of 2 DN and full scale of 4095: neither bound itself; and less than a thousandth clips at either end."""
-    camera = SimpleNamespace(full_scale_dn=4095.0)
+    camera = SimpleNamespace(saturated_dn=4095.0)
     design: Any = SimpleNamespace(header=SimpleNamespace(camera=camera), uniform=True)
     whole = np.full((1, 1), level)
     base: Any = SimpleNamespace(variance=np.full((1, 1), 4.0), fixed=np.zeros((1, 1)), mean=np.full((1, 1), 2000.0))

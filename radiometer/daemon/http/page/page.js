@@ -1,17 +1,34 @@
 // The page: follows the stream of readings, shows state and picture, changes settings.
-import { drawRamp, drawResponse } from "/response.js";
-import { TrendPanel, superscript, timeText, unitText } from "/trends.js";
+import { ask } from "/server.js";
+import { own, superscript, timeText, unitText } from "/text.js";
 
 const $ = (id) => document.getElementById(id);
 const root = document.documentElement;
-const state = { status: null, curve: undefined, span: 3600, end: null, latest: {}, events: [], frame: null, busy: false, drag: null, last: 0, heard: 0, online: false };
+const state = { status: null, curve: undefined, span: 3600, end: null, latest: new Map(), faults: new Map(), events: [], frame: null, busy: false, drag: null, last: 0, heard: 0, online: false };
 const panels = new Map();
 const EVENTS_KEPT = 300;
 const MEANING = {
   saturated: "pixels clip: the value is a lower bound", below_noise: "not above the noise: an upper limit",
   extrapolated: "beyond the measured part of the response curve", flicker: "exposures disagree: the light flickers or moves",
   stale_calibration: "the calibration is too old", uncalibrated: "relative values: no calibration", nonuniform: "the patch is not uniform",
+  exposure_unconfirmed: "the camera states another exposure time than it was given", repeated_frame: "the camera delivered the same frame again",
 };
+
+// ---- parts ----------------------------------------------------------------------------------------------------------
+// Each part is drawn by itself: one that fails is named among the alarms, stops no other, and is tried again.
+function part(name, draw) {
+  try {
+    draw();
+    if (state.faults.delete(name)) showAlarms();
+  } catch (error) {
+    console.warn(name, error);
+    state.faults.set(name, `This page cannot show ${name}: ${error.message}. Reload it; the daemon itself goes on.`);
+    showAlarms();
+  }
+}
+const missing = (name) => () => { throw new Error(`${name} could not be loaded`); };
+const { TrendPanel } = await import("/trends.js").catch(() => ({ TrendPanel: missing("trends.js") }));
+const { drawRamp, drawResponse } = await import("/response.js").catch(() => ({ drawRamp: missing("response.js"), drawResponse: missing("response.js") }));
 
 // ---- numbers -------------------------------------------------------------------------------------------------------
 function written(value, U) {
@@ -25,23 +42,6 @@ const said = (message) => message.replace(/\b(W|sr|m)(-[12])\b/g, (_, letter, po
 const ago = (s) => (s < 2 ? "now" : s < 90 ? `${Math.round(s)} s ago` : s < 5400 ? `${Math.round(s / 60)} min ago` : `${Math.round(s / 3600)} h ago`);
 
 // ---- server --------------------------------------------------------------------------------------------------------
-async function ask(path, options = {}) {
-  const token = sessionStorage.getItem("token"), headers = { ...(options.headers || {}) };
-  if (token) headers.Authorization = `Bearer ${token}`;
-  if (options.json !== undefined) { headers["Content-Type"] = "application/json"; options.body = JSON.stringify(options.json); options.method = "POST"; }
-  const reply = await fetch(path, { ...options, headers, cache: "no-store" });
-  if (reply.status === 401) { await askToken(); return ask(path, options); }
-  if (!reply.ok) throw new Error((await reply.json().catch(() => null))?.error?.message || `${path}: ${reply.status}`);
-  return reply;
-}
-let asking = null;
-function askToken() {
-  asking ??= new Promise((done) => {
-    $("ask-token").showModal();
-    $("ask-token").addEventListener("close", () => { sessionStorage.setItem("token", $("token").value); asking = null; done(); }, { once: true });
-  });
-  return asking;
-}
 async function send(path, json) {
   try {
     const reply = await ask(path, { json });
@@ -63,11 +63,11 @@ async function follow() {
       const reader = reply.body.pipeThrough(new TextDecoderStream()).getReader();
       let rest = "";
       for (;;) {
-        const { value, done } = await Promise.race([reader.read(), new Promise((_, fail) => setTimeout(() => fail(new Error("silent")), 40000))]);
+        const { value, done } = await Promise.race([reader.read(), new Promise((_, fail) => setTimeout(() => fail(new Error("silent")), 20000))]);
         if (done) break;
         const parts = (rest + value).split("\n\n");
         rest = parts.pop();
-        parts.forEach(take);
+        parts.forEach((block) => part("what the daemon sends", () => take(block)));
       }
     } catch { /* shown by setOnline; tried again below */ }
     setOnline(false);
@@ -79,20 +79,27 @@ function take(block) {
   if (!fields.data) return;
   const content = JSON.parse(fields.data);
   if (fields.event === "status") showStatus(content);
-  else if (fields.event === "patch") { note(content); showPatches(); freshTrends(); }
+  else if (fields.event === "patch") { note(content); part("the patches", showPatches); freshTrends(); }
   else { note(content); showReading(content); }
 }
 function setOnline(online) {
   state.online = online;
   showAlarms();
+  part("the lights", showLights);
 }
 
 // ---- readings ------------------------------------------------------------------------------------------------------
 function note(reading) {
-  state.latest[reading.name || "main"] = reading;
+  state.latest.set(reading.name || "main", reading);
   state.last = Math.max(state.last, reading.sequence);
 }
 function showReading(reading) {
+  part("the reading", () => showValue(reading));
+  part("the patches", showPatches);
+  freshTrends();
+  part("the picture", refreshPicture);
+}
+function showValue(reading) {
   const { value, u, unit } = reading.radiance, k = reading.coverage_factor, U = (u || 0) * k, w = written(value, U);
   state.heard = Date.parse(reading.time);
   $("value").textContent = w.value + w.power;
@@ -106,16 +113,13 @@ function showReading(reading) {
   $("flags").replaceChildren(...(reading.flags.length ? reading.flags : [""]).map((flag) => {
     const chip = document.createElement("span");
     chip.textContent = flag ? flag.replace("_", " ") : "no flags";
-    chip.title = MEANING[flag] || "";
+    chip.title = own(MEANING, flag) || "";
     chip.className = flag ? "" : "clean";
     return chip;
   }));
   document.title = `${w.value}${w.power} ${unitText(unit)} · radiometer`;
   const live = document.querySelector(".live");
   live.classList.remove("fresh"); void live.offsetWidth; live.classList.add("fresh");
-  showPatches();
-  freshTrends();
-  refreshPicture();
 }
 
 // ---- trends --------------------------------------------------------------------------------------------------------
@@ -143,7 +147,7 @@ async function refreshTrends() {
   trendsDue = Date.now() + Math.max(1500, Math.min(60000, state.span * 2));
   const names = Object.keys(state.status?.patches || { main: null }), [since, until] = windowShown();
   for (const [name, panel] of panels) if (!names.includes(name)) { panel.remove(); panels.delete(name); }
-  for (const name of names) if (!panels.has(name)) panels.set(name, new TrendPanel($("panels"), name, hovered));
+  part("the trends", () => { for (const name of names) if (!panels.has(name)) panels.set(name, new TrendPanel($("panels"), name, hovered)); });
   const iso = (at) => encodeURIComponent(new Date(at * 1000).toISOString());
   $("export").href = `/readings?format=csv&stream=all&since=${iso(since)}&until=${iso(until)}`;
   $("window").textContent = state.end === null ? "" : `${timeText(since, 7201)} to ${timeText(until, 7201)}`;
@@ -154,7 +158,7 @@ async function refreshTrends() {
     try {
       const stream = encodeURIComponent(name === "main" ? "main" : `patch ${name}`), points = Math.max(200, Math.min(2000, Math.round($("panels").clientWidth)));
       const columns = await (await ask(`/trend?stream=${stream}&since=${iso(since)}&until=${iso(until)}&points=${points}`)).json();
-      panels.get(name)?.show(columns, [since, until], state.status?.patches?.[name]?.limits, events);
+      panels.get(name)?.show(columns, [since, until], own(state.status?.patches, name)?.limits, events);
     } catch { /* the next turn tries again */ }
   }));
 }
@@ -193,15 +197,15 @@ function patchRow(name) {
   row.dataset.patch = name;
   button.type = "button";
   button.setAttribute("aria-label", `Limits of ${name}`);
-  button.addEventListener("click", () => askLimits(name, state.status?.patches?.[name]?.limits || { low: null, high: null }));
+  button.addEventListener("click", () => askLimits(name, own(state.status?.patches, name)?.limits || { low: null, high: null }));
   row.append(document.createElement("b"), document.createElement("span"), button);
   return row;
 }
 function showPatches() {
-  const patches = state.status?.patches || {}, units = new Set(Object.keys(patches).map((name) => state.latest[name]?.radiance.unit).filter(Boolean));
+  const patches = state.status?.patches || {}, units = new Set(Object.keys(patches).map((name) => state.latest.get(name)?.radiance.unit).filter(Boolean));
   $("patch-unit").textContent = units.size === 1 ? unitText([...units][0]) : "";
   const rows = Object.entries(patches).map(([name, entry]) => {
-    const row = patchRow(name), [title, value, button] = row.children, reading = state.latest[name], { low, high } = entry.limits;
+    const row = patchRow(name), [title, value, button] = row.children, reading = state.latest.get(name), { low, high } = entry.limits;
     row.className = `patch-row${entry.breached ? " bad" : ""}`;
     title.textContent = `${entry.breached ? "▲ " : ""}${name === "main" ? "patch" : name}`;
     value.textContent = reading ? quantity(reading.radiance.value, (reading.radiance.u || 0) * reading.coverage_factor, units.size > 1 ? reading.radiance.unit : "").trim() : "no reading yet";
@@ -230,7 +234,7 @@ $("limits").addEventListener("close", async () => {
   const number = (id) => ($(id).value === "" ? null : +$(id).value);
   let status = null;
   if ($("limits").returnValue === "save") status = await send("/patches", { name: limited, limits: { low: number("limit-low"), high: number("limit-high") } });
-  if ($("limits").returnValue === "delete") { status = await send("/patches/delete", { name: limited }); delete state.latest[limited]; }
+  if ($("limits").returnValue === "delete") { status = await send("/patches/delete", { name: limited }); state.latest.delete(limited); }
   if (status) { showStatus(status); freshTrends(true); }
 });
 $("name-patch").addEventListener("submit", async (event) => {
@@ -260,7 +264,7 @@ function showEvents() {
     t.dateTime = event.time; const today = day.toDateString() === new Date().toDateString();
     t.textContent = today ? day.toLocaleTimeString([], { hour12: false }) : `${day.toLocaleDateString([], { day: "numeric", month: "short" })} ${day.toLocaleTimeString([], { hour12: false, hour: "2-digit", minute: "2-digit" })}`;
     t.title = day.toLocaleString([], { hour12: false });
-    kind.className = `kind is-${event.kind}`; kind.textContent = KINDS[event.kind] || event.kind;
+    kind.className = `kind is-${event.kind}`; kind.textContent = own(KINDS, event.kind) || event.kind;
     text.textContent = said(event.message);
     row.append(t, kind, text);
     return row;
@@ -281,7 +285,8 @@ setInterval(() => {
 // ---- state ---------------------------------------------------------------------------------------------------------
 function showAlarms() {
   const alarms = state.status ? state.status.alarms : [];
-  const all = state.online ? alarms : [{ message: "No connection to the daemon; trying again.", since: null }];
+  const faults = [...state.faults.values()].map((message) => ({ message, since: null }));
+  const all = [...(state.online ? alarms : [{ message: "No connection to the daemon; trying again.", since: null }]), ...faults];
   const told = JSON.stringify(all);
   if ($("alarms").dataset.told === told) return;  // said once, not at every reading, to whoever listens to the page
   $("alarms").dataset.told = told;
@@ -295,25 +300,35 @@ function showAlarms() {
 }
 function showStatus(status) {
   state.status = status;
-  const { instrument, settings, calibration } = status;
+  showAlarms();
+  part("the lights", showLights);
+  part("the devices", showDevices);
+  part("the patches", showPatches);
+  part("the exposure", showSettings);
+  part("the calibration", showCalibration);
+  part("the picture", placePatch);
+  refreshEvents();
+  if (Object.keys(status.patches || {}).sort().join() !== [...panels.keys()].sort().join()) freshTrends(true);
+  if (state.curve === undefined) loadCurve();
+}
+function showDevices() {
+  const { instrument, devices, software, clock_jump } = state.status;
   $("who").textContent = `${instrument.vendor} ${instrument.model} · ${instrument.serial}${instrument.serial_also && ` (${instrument.serial_also})`}`;
-  $("software").textContent = status.software;
-  $("devices").replaceChildren(...Object.entries(status.devices).map(([name, device]) => deviceRow(name, device)));
-  lightRows(status.light, status.light_limits || {});
-  $("clock-note").textContent = status.clock_jump ? `${status.clock_jump.message.split(",")[0]} · ` : "";
-  showPatches();
-  if (Object.keys(status.patches || {}).join() !== [...panels.keys()].join()) freshTrends(true);
-  const fields = [["auto", "checked", settings.auto_exposure], ["continuous", "checked", status.every_s !== null], ["period", "value", status.every_s ?? $("period").value],
+  $("software").textContent = software;
+  $("devices").replaceChildren(...Object.entries(devices).map(([name, device]) => deviceRow(name, device)));
+  $("clock-note").textContent = clock_jump ? `${clock_jump.message.split(",")[0]} · ` : "";
+}
+function showSettings() {
+  const { settings, every_s } = state.status;
+  const fields = [["auto", "checked", settings.auto_exposure], ["continuous", "checked", every_s !== null], ["period", "value", every_s ?? $("period").value],
     ["exposure", "value", +(settings.exposure_s * 1000).toPrecision(6)], ["gain", "value", settings.gain_db], ["wavelength", "value", settings.wavelength_nm ?? ""]];
   for (const [id, property, value] of fields) if (document.activeElement !== $(id)) $(id)[property] = value;
   $("exposure").disabled = settings.auto_exposure;
-  const made = calibration.created ? `made ${calibration.created.slice(0, 10)}` : "";
+}
+function showCalibration() {
+  const { calibration } = state.status, made = calibration.created ? `made ${calibration.created.slice(0, 10)}` : "";
   $("calibration").textContent = calibration.source ? [calibration.source, made].filter(Boolean).join(" · ") : "no calibration: values are relative";
-  showAlarms();
-  refreshEvents();
-  placePatch();
   $("calibration").title = (calibration.assumptions || []).map((a) => `assumed: ${a}`).join("\n");
-  if (state.curve === undefined) loadCurve();
 }
 function deviceRow(name, device) {
   const row = document.createElement("div"), b = document.createElement("b"), s = document.createElement("span"), facts = document.createElement("span");
@@ -326,41 +341,37 @@ function deviceRow(name, device) {
   row.append(b, facts, s);
   return row;
 }
-function lightRows(levels, limits) {
-  const box = $("lights"), names = Object.keys(levels), percent = (level) => `${+(100 * level).toPrecision(level < 0.1 ? 2 : 3)} %`;
-  $("lights-off").hidden = !names.length;
-  const lit = names.some((name) => levels[name] !== 0);
-  $("lights-off").classList.toggle("lit", lit);
-  if (box.children.length !== names.length) {
-    box.replaceChildren(...names.map((name) => {
-      const row = document.createElement("label"), slider = document.createElement("input"), text = document.createElement("span"), shown = document.createElement("output");
-      row.className = "light"; text.textContent = name.replace("_", " "); slider.type = "range"; slider.min = 0; slider.name = name;
-      slider.addEventListener("input", () => { shown.textContent = percent(+slider.value); });
-      slider.addEventListener("change", () => send("/light", { channel: name, level: +slider.value }));
-      row.append(text, slider, shown);
-      return row;
-    }));
-  }
-  names.forEach((name, i) => {
-    const [, slider, shown] = box.children[i].children, most = limits[name] ?? 1;
-    slider.max = Math.max(most, levels[name] || 0); slider.step = most / 200;
+// A level is shown only while the daemon is there and the box confirms it; else it is unknown, and "Lights off" lit.
+function showLights() {
+  const levels = state.status?.light || {}, limits = state.status?.light_limits || {}, box = $("lights"), names = Object.keys(levels);
+  const percent = (level) => `${+(100 * level).toPrecision(level < 0.1 ? 2 : 3)} %`;
+  const shown = new Map(names.map((name) => [name, state.online ? levels[name] : null]));
+  $("lights-off").classList.toggle("lit", [...shown.values()].some((level) => level !== 0));
+  if ([...box.children].map((row) => row.dataset.channel).join("\n") !== names.join("\n")) box.replaceChildren(...names.map((name) => lightRow(name, percent)));
+  [...shown].forEach(([name, level], i) => {
+    const [, slider, output] = box.children[i].children, most = own(limits, name) ?? 1;
+    slider.max = Math.max(most, level || 0); slider.step = most / 200 || "any";
     slider.title = `at most ${percent(most)}: what the box and the account of the eye's exposure accept now`;
-    slider.disabled = levels[name] === null;
+    slider.disabled = level === null;
     if (document.activeElement === slider && slider.matches(":active")) return;
-    slider.value = levels[name] ?? 0;
-    shown.textContent = levels[name] === null ? "unknown" : percent(levels[name]);
+    slider.value = level ?? 0;
+    output.textContent = level === null ? "unknown" : percent(level);
   });
 }
-const lightsOff = async () => { await send("/light/off", {}); };
-$("lights-off").addEventListener("click", lightsOff);
-document.addEventListener("keydown", (event) => {
-  if (event.key.toLowerCase() === "o" && !event.ctrlKey && !event.metaKey && !event.altKey && !event.target.closest("input, dialog")) lightsOff();
-});
+function lightRow(name, percent) {
+  const row = document.createElement("label"), slider = document.createElement("input"), text = document.createElement("span"), output = document.createElement("output");
+  row.className = "light"; row.dataset.channel = name; text.textContent = name.replace("_", " "); slider.type = "range"; slider.min = 0; slider.name = name;
+  slider.addEventListener("input", () => { output.textContent = percent(+slider.value); });
+  slider.addEventListener("change", () => send("/light", { channel: name, level: +slider.value }));
+  row.append(text, slider, output);
+  return row;
+}
 async function loadCurve() {
   state.curve = null;
   try { state.curve = await (await ask("/response")).json(); } catch { /* none in use */ }
-  drawResponse($("response"), state.curve);
+  part("the response", showResponse);
 }
+const showResponse = () => drawResponse($("response"), state.curve || null);
 
 // ---- picture and patch ---------------------------------------------------------------------------------------------
 let waiting = false;
@@ -472,11 +483,11 @@ function setTheme(theme) {
   document.querySelectorAll(".themes button").forEach((b) => b.setAttribute("aria-pressed", b.dataset.theme === theme));
   document.querySelector('meta[name="theme-color"]').content = getComputedStyle(root).getPropertyValue("--ground").trim();
   for (const panel of panels.values()) panel.plot.redraw();
-  drawResponse($("response"), state.curve || null);
+  part("the response", showResponse);
   if (state.frame) refreshPicture();
 }
 document.querySelectorAll(".themes button").forEach((b) => b.addEventListener("click", () => setTheme(b.dataset.theme)));
-new ResizeObserver(() => { drawResponse($("response"), state.curve || null); }).observe($("response").parentElement);
+new ResizeObserver(() => part("the response", showResponse)).observe($("response").parentElement);
 document.addEventListener("visibilitychange", () => { if (!document.hidden && waiting) refreshPicture(); });
 
 // One column, or three: the cards lie in the order in which they are seen, so that the tab key follows it.

@@ -1,6 +1,6 @@
 // The response curve and the ramp of the false colours, on a canvas.
 
-import { css } from "/trends.js";
+import { css } from "/text.js";
 
 export function prepared(canvas) {
   const ratio = window.devicePixelRatio || 1, box = canvas.getBoundingClientRect();

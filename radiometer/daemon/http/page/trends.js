@@ -1,17 +1,9 @@
 // The course of each patch over time: one panel of uPlot per patch, one time axis for all of them.
 import uPlot from "/uplot.js";
+import { css, timeText, unitText } from "/text.js";
 
-export const css = (name) => getComputedStyle(document.documentElement).getPropertyValue(name).trim();
 const DAY = 86400;
 const sync = uPlot.sync("time");
-
-export const timeText = (at, span) => new Date(at * 1000).toLocaleString([], {
-  hour12: false, hour: "2-digit", minute: "2-digit", ...(span <= 7200 ? { second: "2-digit" } : {}), ...(span > 7200 ? { day: "numeric", month: "short" } : {}),
-});
-
-const POWERS = { "-": "⁻", 0: "⁰", 1: "¹", 2: "²", 3: "³", 4: "⁴", 5: "⁵", 6: "⁶", 7: "⁷", 8: "⁸", 9: "⁹" };
-export const superscript = (n) => String(n).replace(/./g, (c) => POWERS[c]);
-export const unitText = (unit) => unit.replace(/([a-zA-Z])(-?\d+)/g, (_, letter, power) => letter + superscript(power));
 
 function axisTimes(u, splits) {
   const span = u.scales.x.max - u.scales.x.min, step = splits.length > 1 ? splits[1] - splits[0] : span;

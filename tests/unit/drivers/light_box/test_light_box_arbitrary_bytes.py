@@ -14,6 +14,7 @@ from drivers.light_box.frames import Event, Reply, parse_event_fields, parse_lin
 from drivers.light_box.link import BoxLink
 from drivers.light_box.serial_line import ReceivedLine
 from radiometer.devices import DriveLevel
+from radiometer.devices.exposure_account import MemoryStore
 from radiometer.devices.exposure_ledger import ExposureLedger
 from radiometer.devices.retinal_safety import ChannelOptics
 from radiometer.errors import DeviceError
@@ -93,7 +94,7 @@ def test_what_one_wrong_byte_makes_of_a_reply_is_never_another_reply(sequence, c
 def test_opening_on_a_babbling_line_ends_in_a_named_error(lines):
     """Whatever comes, opening ends with a DeviceError within its deadline."""
     line = BabblingLine(lines)
-    box = SerialLightBox(BoxLink(line), ExposureLedger(OPTICS, line.now), keep_alive=False)
+    box = SerialLightBox(BoxLink(line), ExposureLedger(OPTICS, MemoryStore(line.now, ("TWIN0001",))), keep_alive=False)
     try:
         box.open()
     except DeviceError:
@@ -107,7 +108,7 @@ def test_opening_on_a_babbling_line_ends_in_a_named_error(lines):
 def test_open_box_on_babble_never_reports_what_was_not_said(answers):
     """An open driver that gets undamaged nonsense raises a DeviceError or has read its own level back."""
     line = BabblingLine([])
-    box = SerialLightBox(BoxLink(line), ExposureLedger(OPTICS, line.now), keep_alive=False)
+    box = SerialLightBox(BoxLink(line), ExposureLedger(OPTICS, MemoryStore(line.now, ("TWIN0001",))), keep_alive=False)
     twin = LightBoxTwin()
     prepare(box, line, twin)
     line.lines.extend(sealed(f"={number:02X} {word} ".encode() + noise) for number, word, noise in answers)

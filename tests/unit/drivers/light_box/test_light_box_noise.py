@@ -10,6 +10,7 @@ import pytest
 from drivers.light_box.box import SerialLightBox
 from drivers.light_box.link import BoxLink
 from radiometer.devices import CurrentRange, DriveLevel
+from radiometer.devices.exposure_account import MemoryStore
 from radiometer.devices.exposure_ledger import ExposureLedger
 from radiometer.devices.retinal_safety import ChannelOptics
 from radiometer.errors import DeviceError, DeviceLost
@@ -26,7 +27,13 @@ def bench(seed: int, **faults: float) -> tuple[LightBoxTwin, VirtualLine, Serial
     rng = np.random.default_rng(seed)
     twin = LightBoxTwin(TwinSettings())
     line = VirtualLine(twin, LineFaults(**faults, rng=rng), latency_s=0.0003, rng=rng)
-    return twin, line, SerialLightBox(BoxLink(line, _sequence=0), ExposureLedger(OPTICS, line.now), keep_alive=False)
+    return (
+        twin,
+        line,
+        SerialLightBox(
+            BoxLink(line, _sequence=0), ExposureLedger(OPTICS, MemoryStore(line.now, ("TWIN0001",))), keep_alive=False
+        ),
+    )
 
 
 @pytest.mark.long
@@ -141,7 +148,9 @@ def test_press_times_over_forty_minutes_with_a_fast_clock():
     rng = np.random.default_rng(18)
     twin = LightBoxTwin(TwinSettings(clock_ppm=200.0))
     line = VirtualLine(twin, latency_s=0.0008, least_latency_s=0.0002, rng=rng)
-    box = SerialLightBox(BoxLink(line, _sequence=0), ExposureLedger(OPTICS, line.now), keep_alive=False)
+    box = SerialLightBox(
+        BoxLink(line, _sequence=0), ExposureLedger(OPTICS, MemoryStore(line.now, ("TWIN0001",))), keep_alive=False
+    )
     box.open()
     presses_s = line.now() + 1.0 + np.cumsum(rng.uniform(1.0, 7.0, 590))
     for press_s in presses_s:

@@ -21,7 +21,11 @@ volatile uint8_t UCSR0A, UCSR0B, UCSR0C, UDR0, ADMUX, ADCSRA, MCUSR;
 #define SENT_SIZE 65536u
 static char sent[SENT_SIZE];
 static uint32_t sent_size;
-static char eeprom[8];
+#define EEPROM_SIZE 1024u
+static char eeprom[EEPROM_SIZE];
+static uint32_t eeprom_writes;
+static uint32_t cut_after = UINT32_MAX; /* power fails after so many bytes more */
+static double seconds[6][2]; /* at full duty, for each channel and current */
 static uint16_t adc[2];
 
 void TIMER0_COMPA_vect(void);
@@ -34,6 +38,19 @@ void USART_UDRE_vect(void);
 void eeprom_read_block(void *target, const void *address, size_t size)
 {
     memcpy(target, eeprom + (size_t)address, size);
+}
+
+void eeprom_update_block(const void *source, void *address, size_t size)
+{
+    for (size_t n = 0; n < size && cut_after; n++, cut_after--) {
+        char *cell = eeprom + (size_t)address + n;
+        eeprom_writes += *cell != ((const char *)source)[n];
+        *cell = ((const char *)source)[n];
+    }
+}
+
+void eeprom_busy_wait(void)
+{
 }
 
 void board_serve_interrupts(void)
@@ -54,9 +71,9 @@ static void poll(void)
     board_serve_interrupts();
 }
 
-void board_start(const char *serial, uint8_t reset_flags)
+void board_start(const char *memory, uint8_t reset_flags)
 {
-    memcpy(eeprom, serial, sizeof eeprom);
+    memcpy(eeprom, memory, sizeof eeprom);
     light_init();
     clock_init();
     uart_init();
@@ -64,8 +81,25 @@ void board_start(const char *serial, uint8_t reset_flags)
     sensors_init();
     TCNT0 = 2;
     protocol_init(reset_flags);
+    light_remember();
     poll();
     TCNT0 = 0;
+}
+
+void board_outputs(uint32_t steps[4]);
+
+/* What the pins show: output, select line and current switch say which LED is lit and how. */
+static void watch_light(void)
+{
+    static const uint8_t high[6] = {4, 5, 6, 7, PC4, PC5}; /* D4 to D7, A4, A5 */
+    uint32_t steps[4];
+    board_outputs(steps);
+    for (int n = 0; n < 4; n++) {
+        bool other = (n == 2 && (PORTC & _BV(PC2))) || (n == 0 && (PORTC & _BV(PC3)));
+        int channel = !other ? n : n == 2 ? 4 : 5;
+        uint8_t port = channel < 4 ? PORTD : PORTC;
+        seconds[channel][(port & _BV(high[channel])) != 0] += steps[n] / (n == 0 || n == 3 ? 2048.0 : 8192.0) / 1000;
+    }
 }
 
 void board_pass(uint32_t ms)
@@ -74,6 +108,36 @@ void board_pass(uint32_t ms)
         TIMER0_COMPA_vect();
         poll();
     }
+}
+
+/* The same, noting the light; a level that a command sets within a ms counts for all of it. */
+void board_pass_watched(uint32_t ms)
+{
+    while (ms--) {
+        watch_light();
+        board_pass(1);
+    }
+}
+
+void board_take_seconds(double target[12])
+{
+    memcpy(target, seconds, sizeof seconds);
+    memset(seconds, 0, sizeof seconds);
+}
+
+void board_memory(char *target)
+{
+    memcpy(target, eeprom, sizeof eeprom);
+}
+
+uint32_t board_memory_writes(void)
+{
+    return eeprom_writes;
+}
+
+void board_cut_after(uint32_t bytes)
+{
+    cut_after = bytes;
 }
 
 void board_send(const char *bytes, uint32_t size, bool damaged)

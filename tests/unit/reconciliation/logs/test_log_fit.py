@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from radiometer.cli.main import run
-from radiometer.errors import InputError, UsageError
+from radiometer.errors import InputError, UnsettledError, UsageError
 from radiometer.importing.log_table import LogColumns, read_log
 from radiometer.reconciliation.logs.log_fit import fit_log
 from testing.sky_log import Camera, sky_log, write
@@ -126,11 +126,12 @@ def test_units_of_columns_are_taken_by_their_names(tmp_path):
     assert log.reference[0] == pytest.approx(1.08e-3)
     assert log.reference[10] / log.reference[0] == pytest.approx(10 ** (-0.4))
     assert log.nights == 3
-    path.write_text("\n".join([head.replace("gain_x", "gain"), *lines[1:]]).replace(",10,", ",200,"), encoding="utf-8")
-    assert read_log(path).gain_db[0] == pytest.approx(20.0)
-    assert any("tenths of a dB" in line for line in read_log(path).assumptions)
-    assert read_log(path, LogColumns(gain_unit="iso")).gain_db[0] == pytest.approx(6.0206, abs=1e-3)
-    assert read_log(path, LogColumns(black_dn=100.0)).value[0] == 900.0
+    changing = [line.replace(",10,", f",{200 + 10 * n},") for n, line in enumerate(lines[1:])]
+    path.write_text("\n".join([head.replace("gain_x", "gain"), *changing]), encoding="utf-8")
+    with pytest.raises(UnsettledError, match="--gain-unit"):
+        read_log(path)
+    for unit, first_db in (("iso", 6.0206), ("0.1db", 20.0), ("db", 200.0)):
+        assert read_log(path, LogColumns(gain_unit=unit)).gain_db[0] == pytest.approx(first_db, abs=1e-3)
 
 
 def test_nights_are_split_at_gaps_and_at_noon(tmp_path):

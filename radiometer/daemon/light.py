@@ -1,0 +1,121 @@
+"""The light box as clients see it: levels as the box itself states them, and an alarm where they are not as set."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, Final
+
+from radiometer.daemon.alarms import Alarms
+from radiometer.daemon.instrument import DeviceReport, LightSource
+from radiometer.daemon.journal_writer import JournalWriter
+from radiometer.daemon.keeper import DeviceKeeper, DeviceState, KeeperTimes
+from radiometer.errors import DeviceError, DeviceLost, SettingOutOfRange
+
+_TOLERANCE: Final = 1e-6  # levels are 16-bit numbers, read back as such
+
+
+class Light:
+    """Owns the light box, where there is one.
+
+    Args:
+        box: The box; None for none.
+        alarms: Where loss, and light that is not as set, are reported.
+        writer: Notes in the journal when light goes on and off.
+        times: Pauses and deadlines of looking after it.
+        changed: Called after every change.
+    """
+
+    def __init__(
+        self,
+        box: LightSource | None,
+        alarms: Alarms,
+        writer: JournalWriter,
+        times: KeeperTimes | None,
+        changed: Callable[[], None],
+    ) -> None:
+        self.box, self._alarms, self._writer, self._changed = box, alarms, writer, changed
+        self.levels: dict[str, float] = {}
+        self.keeper = (
+            DeviceKeeper("light box", box, alarms, times=times, after_open=self._opened, after_check=self._reported)
+            if box
+            else None
+        )
+
+    @property
+    def is_confirmed(self) -> bool:
+        """Tell whether the levels are those that the box itself states: a lost one may do anything."""
+        return self.keeper is not None and self.keeper.state is DeviceState.READY
+
+    async def set_level(self, channel: str, level: float) -> float:
+        """Set a channel's level, 0 to 1, and return it as read back.
+
+        Raises:
+            SettingOutOfRange: If the level is outside 0 to 1.
+            DeviceLost: If there is no box or it is lost.
+        """
+        box, keeper = self._present()
+        if not 0.0 <= level <= 1.0:
+            raise SettingOutOfRange(box.name, f"level of {channel}", level, 0.0, 1.0, "")
+        before = self.levels.get(channel, 0.0)
+        self.levels[channel] = await keeper.use(box.set_level, channel, level)
+        if bool(before) != bool(self.levels[channel]):
+            self._writer.note("light", f"{channel} lit at {level:.4g}" if level else f"{channel} switched off")
+        self._alarms.clear(light_alarm(channel), f"{channel} was set anew")
+        self._changed()
+        return self.levels[channel]
+
+    async def off(self) -> None:
+        """Darken every channel, whatever is known of it; each is tried although another failed.
+
+        Raises:
+            DeviceLost: If there is no box, or it is lost: it is dark by itself 1 s after it was.
+            DeviceError: If a channel could not be darkened.
+        """
+        box, _ = self._present()
+        failure: DeviceError | None = None
+        for channel in box.channels:
+            try:
+                await self.set_level(channel, 0.0)
+            except DeviceError as error:
+                failure = error
+        if failure is not None:
+            raise failure
+
+    def to_mapping(self) -> dict[str, Any]:
+        """Return levels (null where the box does not confirm them), their limits, and whether they are confirmed."""
+        confirmed = self.is_confirmed
+        return {
+            "light": {channel: level if confirmed else None for channel, level in self.levels.items()},
+            "light_limits": dict(getattr(self.box, "level_limits", {}) or {}),
+            "light_confirmed": confirmed,
+        }
+
+    def _present(self) -> tuple[LightSource, DeviceKeeper]:
+        if self.box is None or self.keeper is None:
+            raise DeviceLost("no light box is configured; name one in the bench file")
+        return self.box, self.keeper
+
+    def _opened(self) -> None:
+        """A box that comes back is dark: the levels set before are gone, and must not be believed."""
+        self.levels = dict.fromkeys(self.box.channels, 0.0) if self.box else {}
+
+    def _reported(self, report: DeviceReport) -> None:
+        """Take over what the box says that it does; light that is not as it was set is an alarm."""
+        for channel, level in (report.levels or {}).items():
+            believed = self.levels.get(channel, 0.0)
+            if abs(level - believed) <= _TOLERANCE:
+                continue
+            self.levels[channel] = level
+            message = (
+                f"{channel} was set to {believed:.4g} and went dark by itself: its energy budget is used up, its button"
+                " was held, or another program asked for darkness"
+                if level == 0.0
+                else f"{channel} is at {level:.4g} where {believed:.4g} was set"
+            )
+            self._alarms.put_up(light_alarm(channel), message)
+            self._changed()
+
+
+def light_alarm(channel: str) -> str:
+    """Return the name of the alarm that a channel is not as it was set."""
+    return f"light {channel}"

@@ -1,0 +1,145 @@
+"""The patches that are measured: where each is, its latest reading, its limits, and the alarms of these."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from typing import Any
+
+from radiometer.daemon.acquisition import ALARM as MEASUREMENT_ALARM
+from radiometer.daemon.acquisition import Acquisition
+from radiometer.daemon.alarms import Alarms
+from radiometer.daemon.journal_writer import JournalWriter
+from radiometer.daemon.lateness import Lateness
+from radiometer.daemon.metrics import Metrics
+from radiometer.daemon.patches import MAIN, MOST_PATCHES, NamedPatch, PatchLimits, PatchWatch, check_name
+from radiometer.daemon.state import patch_mapping
+from radiometer.data import Patch, Reading
+from radiometer.errors import UsageError
+
+
+class PatchBook:
+    """Owns the patch that is measured for all and those with names.
+
+    Args:
+        acquisition: Measures them.
+        lateness: Expects their readings.
+        writer: Keeps them in the journal.
+        alarms: Where a broken limit is reported.
+        metrics: Their figures.
+        changed: Called after every change.
+    """
+
+    def __init__(
+        self,
+        acquisition: Acquisition,
+        lateness: Lateness,
+        writer: JournalWriter,
+        alarms: Alarms,
+        metrics: Metrics,
+        changed: Callable[[], None],
+    ) -> None:
+        self._acquisition, self._lateness, self._writer = acquisition, lateness, writer
+        self._alarms, self._metrics, self._changed = alarms, metrics, changed
+        self.watches: dict[str, PatchWatch] = {MAIN: PatchWatch()}
+
+    def define(self, name: str, patch: Patch) -> None:
+        """Measure a patch with a name from now on, in addition to the one for all; one of that name is moved.
+
+        Raises:
+            UsageError: If the name cannot be one, the patch is not inside the picture, or there are too many.
+        """
+        check_name(name)
+        acquisition = self._acquisition
+        acquisition.check_settings(replace(acquisition.settings, patch=patch))
+        if name not in acquisition.named and len(acquisition.named) >= MOST_PATCHES:
+            raise UsageError(f"there are {MOST_PATCHES} patches with names already; delete one first")
+        limits = self.watches[name].limits if name in self.watches else PatchLimits()
+        self._metrics.drop_patch(name)
+        self.watches[name] = PatchWatch(limits)
+        acquisition.named[name] = patch
+        self._lateness.expect(name)
+        self._keep(name)
+        self._alarms.clear(limit_alarm(name), "the patch was moved")
+        self._writer.note("patch", f"{name} is {patch.x},{patch.y},{patch.width},{patch.height}")
+        self._changed()
+
+    def delete(self, name: str) -> None:
+        """Measure a patch no longer; its readings stay in the journal. Raises UsageError if there is none."""
+        self._watch(name)
+        if name == MAIN:
+            raise UsageError(f"{MAIN!r} is the patch that is measured for all; it can be moved, not deleted")
+        del self.watches[name], self._acquisition.named[name]
+        self._metrics.drop_patch(name)
+        self._lateness.forget(name)
+        self._writer.keep_patch(name, None)
+        for alarm in (limit_alarm(name), f"{MEASUREMENT_ALARM} {name}"):
+            self._alarms.clear(alarm, "the patch was deleted")
+        self._writer.note("patch", f"{name} was deleted")
+        self._changed()
+
+    def set_limits(self, name: str, limits: PatchLimits) -> None:
+        """Alarm where a patch leaves its limits. Raises UsageError if there is no such patch."""
+        self._watch(name).limit(limits)
+        self._metrics.limit_alarm.labels(name).set(0)
+        self._keep(name)
+        self._alarms.clear(limit_alarm(name), "the limits were set anew")
+        shown = " to ".join("none" if value is None else f"{value:g}" for value in (limits.low, limits.high))
+        self._writer.note("patch", f"limits of {name}: {shown}")
+        self._changed()
+
+    def latest_of(self, name: str) -> Reading | None:
+        """Return the latest reading of a patch, "main" for the one for all. Raises UsageError if there is no such."""
+        return self._watch(name).latest
+
+    def take(self, name: str, reading: Reading) -> None:
+        """Take a committed reading of a patch: it is its latest, and may break its limits."""
+        self._lateness.came(name)
+        watch = self.watches[name]
+        if not watch.take(reading):
+            return
+        self._metrics.limit_alarm.labels(name).set(bool(watch.breached))
+        if watch.breached:
+            self._alarms.put_up(limit_alarm(name), watch.message(name), worse=True)
+        else:
+            self._alarms.clear(limit_alarm(name), f"patch {name} is within its limits again")
+
+    def forget_main(self) -> None:
+        """Forget the readings of the patch for all: it is another place, or another wavelength, now."""
+        self.watches[MAIN] = PatchWatch(self.watches[MAIN].limits)
+        self._alarms.clear(limit_alarm(MAIN), "the patch was moved")
+
+    def restore(self, kept: Mapping[str, str]) -> None:
+        """Take over what the journal has kept of patches, as lines of JSON by name."""
+        for name, line in kept.items():
+            named = NamedPatch.from_json(name, line)
+            self.watches[name] = PatchWatch(named.limits)
+            if name != MAIN:
+                self._acquisition.named[name] = named.patch
+                self._lateness.expect(name)
+
+    def to_mapping(self) -> dict[str, Any]:
+        """Return place, limits and broken limit by name."""
+        return {name: self._mapping_of(name) for name in self.watches}
+
+    def _mapping_of(self, name: str) -> dict[str, Any]:
+        watch, patch = self.watches[name], self._acquisition.named.get(name, self._acquisition.settings.patch)
+        return {
+            "patch": patch_mapping(patch) if patch else None,
+            "limits": watch.limits.to_mapping(),
+            "breached": watch.breached,
+        }
+
+    def _watch(self, name: str) -> PatchWatch:
+        if name not in self.watches:
+            raise UsageError(f"there is no patch {name[:40]!r}; there are: {', '.join(self.watches)}")
+        return self.watches[name]
+
+    def _keep(self, name: str) -> None:
+        patch = self._acquisition.named.get(name, Patch(0, 0, 0, 0))  # of the one for all only its limits are kept
+        self._writer.keep_patch(name, NamedPatch(name, patch, self.watches[name].limits).to_json())
+
+
+def limit_alarm(name: str) -> str:
+    """Return the name of the alarm that a patch is beyond a limit."""
+    return f"limit {name}"

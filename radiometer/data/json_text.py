@@ -1,0 +1,44 @@
+"""The one writer of JSON: a number that is not finite becomes null, because JSON has no NaN and no infinity."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping
+from typing import Any
+
+
+def json_text(content: Any, *, indent: int | None = None, sort_keys: bool = False, ascii_only: bool = False) -> str:
+    """Return content as JSON that every reader accepts.
+
+    Args:
+        content: Mappings, sequences, numbers (numpy's too), text, booleans and None.
+        indent: Blanks per level; None writes one line.
+        sort_keys: Whether keys are sorted.
+        ascii_only: Whether characters beyond ASCII are escaped.
+
+    Raises:
+        TypeError: If a value is none of these.
+    """
+    return json.dumps(  # noqa: TID251 (the one place)
+        finite_or_null(content),
+        indent=indent,
+        sort_keys=sort_keys,
+        ensure_ascii=ascii_only,
+        allow_nan=False,
+    )
+
+
+def finite_or_null(value: Any) -> Any:
+    """Return a JSON value with every number that is not finite replaced by None, and numpy's numbers by Python's."""
+    if isinstance(value, str | bool | int | None):
+        return value
+    if isinstance(value, float):
+        return float(value) if math.isfinite(value) else None
+    if isinstance(value, Mapping):
+        return {key: finite_or_null(entry) for key, entry in value.items()}
+    if isinstance(value, list | tuple):
+        return [finite_or_null(entry) for entry in value]
+    if hasattr(value, "tolist"):  # arrays and numbers of numpy
+        return finite_or_null(value.tolist())
+    return value

@@ -1,0 +1,481 @@
+"""Stores how much light retinas were given, per light box and per eye, in a file that outlives every program.
+
+A stimulus is entered before it is given and settled when it is over. What is open counts whole until then, so that a
+program that ends at any point leaves an account that is never below what an eye received.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import fcntl
+import hashlib
+import json
+import math
+import os
+import time
+import uuid
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Final, Protocol
+
+from radiometer.data.storage import write_text_atomic
+from radiometer.devices.retinal_safety import BLUE_WINDOW_S
+from radiometer.errors import OutputError, UnsafeStimulus
+
+FORMAT: Final = "radiometer-exposure-account/1"
+FILE_NAME: Final = "exposure-account.json"
+BIN_S: Final = 50.0  # what ends within it is one entry that expires with its end: 201 entries hold any history
+MOST_BYTES: Final = 4_000_000  # a thousand boxes and eyes with full histories take a tenth of it
+LOCK_PATIENCE_S: Final = 0.5  # below the box's dead-man time: a wait for the lock darkens no other channel
+LOCK_LOOK_S: Final = 0.005
+# Steps of the wall clock below this at a restart are corrections of a drifting clock; time counts as standing still.
+CLOCK_STEP_S: Final = 60.0
+_BOOT_ID: Final = Path("/proc/sys/kernel/random/boot_id")
+_MACHINE_ID: Final = Path("/etc/machine-id")
+_UNKNOWN_BOOT: Final = uuid.uuid4().hex  # where the system names no boot, each program counts as a new one
+
+
+@dataclass(frozen=True, slots=True)
+class Moment:
+    """A time by the two clocks of a machine.
+
+    Attributes:
+        boot: Which start of the machine `uptime_s` counts from.
+        uptime_s: Time since that start in s, also while the machine slept; it cannot be set.
+        wall_s: Time of day as Unix time in s; may be set to anything.
+        machine: Which computer it is.
+    """
+
+    boot: str
+    uptime_s: float
+    wall_s: float
+    machine: str = ""
+
+
+def machine_moment() -> Moment:
+    """Return the present time by this machine's clocks."""
+    try:
+        boot = _BOOT_ID.read_text(encoding="ascii").strip()
+    except OSError:
+        boot = _UNKNOWN_BOOT
+    try:
+        machine = _MACHINE_ID.read_text(encoding="ascii", errors="replace").strip()
+    except OSError:
+        machine = ""
+    return Moment(boot, time.clock_gettime(time.CLOCK_BOOTTIME), time.time(), machine)
+
+
+def process_name(pid: int) -> str:
+    """Return a name that no other process of this boot has: its number and when it was started (proc(5), field 22)."""
+    try:
+        status = Path(f"/proc/{pid}/stat").read_text(encoding="ascii", errors="replace")
+    except OSError:
+        return ""
+    return f"{pid} {status.rpartition(')')[2].split()[19]}"
+
+
+@dataclass(frozen=True, slots=True)
+class Phase:
+    """Light of one radiance within a stimulus, in fractions of the exposure limits.
+
+    Attributes:
+        blue_per_s: Fraction of the blue-light limit that a bright second uses up.
+        blue_most: Fraction that it uses up at most, however long it is bright.
+        bright_s: Planned bright time in s; `math.inf` where no end is planned.
+        thermal: Fraction of the thermal limit.
+    """
+
+    blue_per_s: float
+    blue_most: float
+    bright_s: float
+    thermal: float
+
+    def blue(self, bright_s: float = math.inf) -> float:
+        """Return the fraction of the blue-light limit for at most so many bright seconds of it."""
+        lit_s = min(bright_s, self.bright_s)
+        return min(self.blue_per_s * lit_s, self.blue_most) if self.blue_per_s else 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class Planned:
+    """A stimulus that was entered and is not settled.
+
+    Attributes:
+        box: Serial number of the light box.
+        eye: Whose eye looks; None where it is not known.
+        channel: Channel of the box.
+        holder: The program that entered it.
+        start_s: When it was entered, by the uptime of the account's boot.
+        over_s: When the box has ended it by itself at the latest; `math.inf` where no end is planned.
+        phases: Its light; all phases count as beginning at `start_s`.
+    """
+
+    box: str
+    eye: str | None
+    channel: str
+    holder: str
+    start_s: float
+    over_s: float
+    phases: tuple[Phase, ...]
+
+    def blue(self, until_s: float = math.inf) -> float:
+        """Return the fraction of the blue-light limit that it has used up at most, if it is dark from `until_s` on."""
+        return math.fsum(phase.blue(max(until_s - self.start_s, 0.0)) for phase in self.phases)
+
+    @property
+    def thermal(self) -> float:
+        """Return the fraction of the thermal limit of its hottest phase."""
+        return max((phase.thermal for phase in self.phases), default=0.0)
+
+    @property
+    def keys(self) -> tuple[str, ...]:
+        """Return the names of the accounts that it counts in."""
+        return (box_key(self.box),) if self.eye is None else (box_key(self.box), eye_key(self.eye))
+
+
+def box_key(serial: str) -> str:
+    """Return the name of a light box's account."""
+    return f"box {serial}"
+
+
+def eye_key(eye: str) -> str:
+    """Return the name of an eye's account."""
+    return f"eye {eye}"
+
+
+@dataclass(slots=True)
+class Account:
+    """What is known of all boxes and eyes at a moment.
+
+    Attributes:
+        moment: When it was brought up to date; times below are uptimes of its boot.
+        given: For each box and eye, the end of an interval of BIN_S and the blue-light fraction given in it.
+        assumed: Boxes whose history is unknown: until when their limit counts as used up, and why.
+        planned: What is open, by its name.
+        reason: Why the history of a box that it does not know is unknown.
+    """
+
+    moment: Moment
+    given: dict[str, dict[float, float]] = field(default_factory=dict)
+    assumed: dict[str, tuple[float, str]] = field(default_factory=dict)
+    planned: dict[str, Planned] = field(default_factory=dict)
+    reason: str = "this computer has no account of its light"
+
+    @property
+    def now_s(self) -> float:
+        """Return the uptime at which it was brought up to date, in s."""
+        return self.moment.uptime_s
+
+    def meet(self, serial: str) -> None:
+        """Take up a box; one that the account does not know counts as used up for the window from now on."""
+        key = box_key(serial)
+        if key not in self.given:
+            self.given[key] = {}
+            self.assumed[key] = self.now_s + BLUE_WINDOW_S, self.reason
+
+    def begin(self, serial: str) -> None:
+        """Take up a box that was just made, as simulated ones are; a box that is known keeps its history."""
+        self.given.setdefault(box_key(serial), {})
+
+    def confirm(self, serial: str) -> None:
+        """Take a person's word that no eye was exposed within the window; what is known to be given stays."""
+        self.given.setdefault(box_key(serial), {})
+        self.assumed.pop(box_key(serial), None)
+
+    def settle(self, name: str, dark_s: float) -> None:
+        """Turn what was planned into what was given, knowing that it is dark from an uptime on."""
+        planned = self.planned.pop(name, None)
+        if planned is not None:
+            self._give(planned, planned.blue(dark_s), min(dark_s, planned.over_s))
+
+    def blue(self, key: str) -> float:
+        """Return the fraction of the blue-light limit that was given within the window, without what is open."""
+        return math.fsum(self.given.get(key, {}).values())
+
+    def advance(self, moment: Moment) -> bool:
+        """Bring the account to a later moment; return False where it was written after that, or by another computer.
+
+        Within a boot the uptime counts, which cannot be set. Across boots the time that passed is the wall clock's or
+        the uptime of the new boot, whichever is less: how long the machine was off is not known.
+        """
+        before = self.moment
+        if moment.machine != before.machine:  # neither its uptime nor its wall clock can be compared with ours
+            return False
+        if moment.boot == before.boot:
+            if moment.uptime_s < before.uptime_s:
+                return False
+            self.moment = moment
+        else:
+            passed_s = min(moment.uptime_s, moment.wall_s - before.wall_s)
+            if not passed_s > -CLOCK_STEP_S:
+                return False
+            self._change_boot(moment, max(passed_s, 0.0))
+        self._tidy()
+        return True
+
+    def _change_boot(self, moment: Moment, passed_s: float) -> None:
+        later_s = moment.uptime_s - passed_s - self.moment.uptime_s
+        self.moment = moment
+        self.given = {key: {end_s + later_s: blue for end_s, blue in bins.items()} for key, bins in self.given.items()}
+        self.assumed = {key: (until_s + later_s, why) for key, (until_s, why) in self.assumed.items()}
+        for planned in self.planned.values():  # how long it shone is unknown: it counts whole, and as just ended
+            self._give(planned, planned.blue(), moment.uptime_s)
+        self.planned = {}
+
+    def _tidy(self) -> None:
+        """Settle what the box has ended by itself and forget what is older than the window."""
+        for name in [name for name, planned in self.planned.items() if planned.over_s <= self.now_s]:
+            self.settle(name, math.inf)
+        oldest_s = self.now_s - BLUE_WINDOW_S
+        for key, bins in list(self.given.items()):
+            kept = {end_s: blue for end_s, blue in bins.items() if end_s > oldest_s}
+            if kept or key.startswith("box "):  # a box stays known; an eye that was not exposed is like a new one
+                self.given[key] = kept
+            else:
+                del self.given[key]
+        self.assumed = {key: known for key, known in self.assumed.items() if known[0] > self.now_s}
+
+    def _give(self, planned: Planned, blue: float, end_s: float) -> None:
+        if blue <= 0.0:
+            return
+        end_s = math.ceil(end_s / BIN_S) * BIN_S
+        for key in planned.keys:
+            bins = self.given.setdefault(key, {})
+            bins[end_s] = bins.get(end_s, 0.0) + blue
+
+
+class AccountStore(Protocol):
+    """Where an account is kept."""
+
+    @property
+    def holder(self) -> str:
+        """Return the name of this program in the account."""
+        ...
+
+    def lives(self, holder: str) -> bool:
+        """Tell whether another program that entered light still runs."""
+        ...
+
+    def now_s(self) -> float:
+        """Return the present uptime in s."""
+        ...
+
+    def look(self) -> Account:
+        """Return the account as it is now, to read. Raises UnsafeStimulus where it cannot be had."""
+        ...
+
+    def change(self) -> contextlib.AbstractContextManager[Account]:
+        """Return a block that holds the account for itself and stores it at its end.
+
+        Raises:
+            UnsafeStimulus: If it cannot be locked, read or stored; then nothing was changed.
+        """
+        ...
+
+
+@dataclass(slots=True)
+class MemoryStore:
+    """The account of a simulated box whose world ends with the program.
+
+    Attributes:
+        clock: Simulated time in s.
+        boxes: Serial numbers of the boxes of that world: no eye was before them.
+    """
+
+    clock: Callable[[], float]
+    boxes: tuple[str, ...] = ()
+    holder: str = "this program"
+    _account: Account | None = None
+
+    def lives(self, holder: str) -> bool:
+        """Return False: there is no other program in this world."""
+        return False
+
+    def now_s(self) -> float:
+        """Return the simulated time in s."""
+        return self.clock()
+
+    def look(self) -> Account:
+        """Return the account as it is now."""
+        moment = Moment("simulated", self.clock(), self.clock())
+        if self._account is None:
+            self._account = Account(moment)
+            for serial in self.boxes:
+                self._account.begin(serial)
+        self._account.advance(moment)
+        return self._account
+
+    @contextmanager
+    def change(self) -> Iterator[Account]:
+        """Let the block change the account."""
+        yield self.look()
+
+
+@dataclass(frozen=True, slots=True)
+class FileStore:
+    """The account in a folder: read, changed and written whole while the folder is locked.
+
+    A file that is missing, damaged or from the future is an account that knows no box: see `Account.meet`.
+
+    Attributes:
+        folder: Holds the file; made where missing.
+        moment: Returns the present time.
+        sleep: Waits between two looks at a lock.
+        holder: Name of this program.
+        running: Tells whether the program of a name still runs.
+    """
+
+    folder: Path
+    moment: Callable[[], Moment] = machine_moment
+    sleep: Callable[[float], None] = time.sleep
+    holder: str = field(default_factory=lambda: process_name(os.getpid()))
+    running: Callable[[str], bool] = lambda name: process_name(int(name.partition(" ")[0])) == name
+
+    def lives(self, holder: str) -> bool:
+        """Tell whether another program that entered light still runs."""
+        return holder != self.holder and self.running(holder)
+
+    @property
+    def path(self) -> Path:
+        """Return the file."""
+        return self.folder / FILE_NAME
+
+    def now_s(self) -> float:
+        """Return the present uptime in s."""
+        return self.moment().uptime_s
+
+    def look(self) -> Account:
+        """Return the account as it is now, to read; the file is whole at any time, so no lock is needed."""
+        return self._read()
+
+    @contextmanager
+    def change(self) -> Iterator[Account]:
+        """Lock the folder, let the block change the account, and store it on the disk before going on."""
+        folder = self._locked()
+        try:
+            for abandoned in self.folder.glob(f".{FILE_NAME}.*"):  # of programs that ended while they wrote
+                abandoned.unlink(missing_ok=True)
+            account = self._read()
+            yield account
+            self._write(account, folder)
+        finally:
+            os.close(folder)
+
+    def _locked(self) -> int:
+        """Return the folder, open and locked: a lock file might be deleted while it is locked, a folder in use not."""
+        waited_s = 0.0
+        try:
+            self.folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+            folder = os.open(self.folder, os.O_RDONLY | os.O_DIRECTORY)
+        except OSError as error:
+            raise self._unusable(error) from error
+        try:
+            while True:
+                try:
+                    fcntl.flock(folder, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                    break
+                except BlockingIOError:
+                    if waited_s >= LOCK_PATIENCE_S:
+                        raise UnsafeStimulus(
+                            f"another program holds the exposure account {self.path}, so no light is given;"
+                            " end that program, or try again"
+                        ) from None
+                    self.sleep(LOCK_LOOK_S)
+                    waited_s += LOCK_LOOK_S
+            if not os.path.samestat(os.fstat(folder), self.folder.stat()):
+                raise OSError(f"{self.folder} was replaced meanwhile")
+        except OSError as error:
+            os.close(folder)
+            raise self._unusable(error) from error
+        except UnsafeStimulus:
+            os.close(folder)
+            raise
+        return folder
+
+    def _read(self) -> Account:
+        try:
+            with self.path.open("rb") as stream:
+                content = stream.read(MOST_BYTES + 1)
+        except FileNotFoundError:
+            return Account(self.moment())
+        except OSError as error:
+            raise self._unusable(error) from error
+        moment = self.moment()  # after the reading: else what was written meanwhile would be from the future
+        account = parse_account(content)
+        if account is None:
+            return Account(moment, reason=f"the exposure account {self.path} was damaged")
+        if not account.advance(moment):
+            return Account(moment, reason=f"the exposure account {self.path} was from the future or another computer")
+        return account
+
+    def _write(self, account: Account, folder: int) -> None:
+        try:
+            write_text_atomic(self.path, render_account(account))
+            os.fsync(folder)
+        except (OSError, OutputError) as error:
+            raise self._unusable(error) from error
+
+    def _unusable(self, error: Exception) -> UnsafeStimulus:
+        reason = getattr(error, "strerror", None) or error
+        return UnsafeStimulus(
+            f"the exposure account {self.path} cannot be kept ({reason}), so no light is given;"
+            " free its disk, or set RADIOMETER_STATE to a folder of your own"
+        )
+
+
+def render_account(account: Account) -> str:
+    """Return the account as a line of JSON and a line with its SHA-256."""
+    body = json.dumps(  # noqa: TID251 (a number that is none is an error here, not null)
+        {
+            "format": FORMAT,
+            "moment": [account.moment.boot, account.moment.uptime_s, account.moment.wall_s, account.moment.machine],
+            "given": {key: sorted(bins.items()) for key, bins in account.given.items()},
+            "assumed": account.assumed,
+            "planned": {name: _planned_to_json(planned) for name, planned in account.planned.items()},
+        },
+        ensure_ascii=True,
+        allow_nan=False,
+    )
+    return f"{body}\n{hashlib.sha256(body.encode('ascii')).hexdigest()}\n"
+
+
+def parse_account(content: bytes) -> Account | None:
+    """Return the account that a file holds; None where it is damaged or of another form."""
+    body, _, checksum = content.partition(b"\n")
+    if len(content) > MOST_BYTES or checksum != hashlib.sha256(body).hexdigest().encode("ascii") + b"\n":
+        return None
+    try:
+        known = json.loads(body)
+        if known["format"] != FORMAT:
+            return None
+        boot, uptime_s, wall_s, machine = known["moment"]
+        return Account(
+            Moment(str(boot), float(uptime_s), float(wall_s), str(machine)),
+            {key: {float(end_s): float(blue) for end_s, blue in bins} for key, bins in known["given"].items()},
+            {key: (float(until_s), str(why)) for key, (until_s, why) in known["assumed"].items()},
+            {name: _planned_from_json(entry) for name, entry in known["planned"].items()},
+        )
+    except (ValueError, KeyError, TypeError, AttributeError, RecursionError):
+        return None
+
+
+def _planned_to_json(planned: Planned) -> list[Any]:
+    phases = [[p.blue_per_s, p.blue_most, _none_if_endless(p.bright_s), p.thermal] for p in planned.phases]
+    times = [planned.start_s, _none_if_endless(planned.over_s)]
+    return [planned.box, planned.eye, planned.channel, planned.holder, *times, phases]
+
+
+def _planned_from_json(entry: list[Any]) -> Planned:
+    box, eye, channel, holder, start_s, over_s, phases = entry
+    known = tuple(Phase(float(a), float(b), _endless_if_none(c), float(d)) for a, b, c, d in phases)
+    return Planned(box, eye, channel, holder, float(start_s), _endless_if_none(over_s), known)
+
+
+def _none_if_endless(time_s: float) -> float | None:
+    return time_s if math.isfinite(time_s) else None
+
+
+def _endless_if_none(time_s: float | None) -> float:
+    return math.inf if time_s is None else float(time_s)

@@ -1,0 +1,189 @@
+"""EXIF and TIFF tags of a file as statements by their names, from whatever directory."""
+
+from __future__ import annotations
+
+import math
+import struct
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any, Final
+
+import tifffile
+from PIL import Image, UnidentifiedImageError
+
+from radiometer.data.raw_files import RAW_SUFFIXES
+from radiometer.data.statements import Statement, StatementMap, first_stated, places
+
+Header = Mapping[str, Statement]
+
+EXIF_DIRECTORY: Final = 34665
+# Exif 2.32, sections 4.6.3 and 4.6.5, and DNG 1.7, chapter 4: names by code, for writers' libraries differ in them.
+_NAMES: Final = {
+    33434: "ExposureTime", 33437: "FNumber", 34855: "PhotographicSensitivity", 34865: "StandardOutputSensitivity",
+    34866: "RecommendedExposureIndex", 34867: "ISOSpeed", 36867: "DateTimeOriginal", 37377: "ShutterSpeedValue",
+    37386: "FocalLength", 37521: "SubsecTimeOriginal", 50713: "BlackLevelRepeatDim", 50714: "BlackLevel",
+    50715: "BlackLevelDeltaH", 50716: "BlackLevelDeltaV",
+}  # fmt: skip
+_ALIASES: Final = {"ISOSpeedRatings": "PhotographicSensitivity"}
+_RATIONALS: Final = (5, 10)  # TIFF types RATIONAL and SRATIONAL: pairs of numerator and denominator
+_EXPOSURE: Final = places("ExposureTime:s")
+# Exif 2.3, annex G: 65535 in the 16-bit tag means "more"; the speed is then in one of the others.
+_ISO: Final = places(
+    "PhotographicSensitivity:ISO RecommendedExposureIndex:ISO ISOSpeed:ISO StandardOutputSensitivity:ISO"
+)
+_F_NUMBER: Final = places("FNumber:1")
+_LARGEST_APEX: Final = 32.0  # 2³² s and 2⁻³² s: no shutter has them
+DAMAGE: Final = (
+    tifffile.TiffFileError, OSError, ValueError, TypeError, KeyError, IndexError, AttributeError, struct.error,
+    RuntimeError, ZeroDivisionError, OverflowError,
+)  # fmt: skip
+"""What tifffile raises on damaged tags or data: nearly any built-in error."""
+
+
+def statements_of_page(page: Any, *parents: Any) -> dict[str, Statement]:
+    """Return by name and by "tag NUMBER" what a TIFF directory states, then what only those above it state."""
+    found: dict[str, Statement] = {}
+    for directory in (page, *parents):
+        for tag in directory.tags:
+            if tag.code == EXIF_DIRECTORY and isinstance(tag.value, Mapping):
+                for name, value in tag.value.items():
+                    found.setdefault(_ALIASES.get(str(name), str(name)), Statement(_of_exif(value)))
+                continue
+            statement = Statement(_single(numbers_of(tag)))
+            own_name = _ALIASES.get(str(tag.name), str(tag.name))
+            found.setdefault(_NAMES.get(int(tag.code), own_name), statement)
+            found.setdefault(f"tag {tag.code}", statement)
+    return found
+
+
+def numbers_of(tag: Any) -> Any:
+    """Return a tag's numbers as its type has them: a tuple, rationals divided; its text where it is text."""
+    value = tag.value
+    if isinstance(value, str | bytes | Mapping):
+        return value
+    flat = tuple(value) if isinstance(value, tuple | list) else (value,)
+    if int(tag.dtype) in _RATIONALS:
+        return tuple(_divided(*flat[n : n + 2]) for n in range(0, len(flat) - 1, 2))
+    return flat
+
+
+def _divided(numerator: float, denominator: float) -> float:
+    return numerator / denominator if denominator else math.nan
+
+
+def _single(value: Any) -> Any:
+    """Return the one number of a tag; several as text, which is no number."""
+    if isinstance(value, tuple):
+        return value[0] if len(value) == 1 else " ".join(map(str, value))
+    return value.decode("latin-1", "replace") if isinstance(value, bytes) else value
+
+
+def _of_exif(value: Any) -> Any:
+    """Return a value of the EXIF directory, of which tifffile keeps no type: pairs are rationals there."""
+    if isinstance(value, tuple) and len(value) == 2 and all(isinstance(v, int) for v in value):
+        return _divided(*value)
+    return _single(value)
+
+
+def exposure_of(header: Header, doubts: list[str], where: str) -> tuple[str, float] | None:
+    """Return where the exposure in s stands, and the exposure; None where it is unknown.
+
+    Without ExposureTime, ShutterSpeedValue is read, which is −log2 of the exposure in s (Exif 2.32, annex C: APEX).
+    """
+    found = first_stated("exposure", header, _EXPOSURE, StatementMap(), doubts, where)
+    speed = first_stated("number", header, places("ShutterSpeedValue"), StatementMap(), [], where)
+    if found is None and speed is not None and abs(speed[1]) < _LARGEST_APEX:
+        return speed[0], float(2.0 ** -speed[1])
+    return found
+
+
+def iso_of(header: Header, doubts: list[str], where: str) -> tuple[str, float] | None:
+    """Return where the ISO speed stands, and the speed; None, and doubts, where it is unknown."""
+    reported = list[str]()
+    found = first_stated("iso", header, _ISO, StatementMap(), reported, where)
+    if found is None:
+        doubts += reported
+    return found
+
+
+def f_number_of(header: Header, doubts: list[str], where: str) -> float | None:
+    """Return the f-number; None where it is unknown."""
+    found = first_stated("f_number", header, _F_NUMBER, StatementMap(), doubts, where)
+    return None if found is None else found[1]
+
+
+def read_exif_header(path: Path) -> dict[str, Statement]:
+    """Return the tags of a photograph: JPEG, PNG, TIFF or camera raw file; empty where it has none or is damaged.
+
+    All directories of a TIFF and of raw files built on it count, for the mosaic may be in one and EXIF in another.
+    Pillow finds EXIF in other files, and LibRaw in raw files that neither reads (CR3, RAF, ORF, RW2).
+    """
+    found = _of_tiff(path) or _of_pillow(path)
+    if "ExposureTime" not in found and path.suffix.lower() in RAW_SUFFIXES:
+        found = _of_libraw(path) | found
+    return found
+
+
+def directories(tiff: Any) -> Iterator[tuple[Any, tuple[Any, ...]]]:
+    """Yield every directory of a TIFF with those above it: pages, and the directories within them."""
+    for page in tiff.pages:
+        whole = page.aspage()
+        yield whole, ()
+        for inner in whole.pages or ():
+            yield inner.aspage(), (whole,)
+
+
+def count_pictures(path: Path) -> int:
+    """Return how many full-size pictures a TIFF holds; 1 of any other file."""
+    try:
+        with tifffile.TiffFile(path) as tiff:
+            return max(1, sum(not page.is_reduced for page, _ in directories(tiff)))
+    except DAMAGE:
+        return 1  # reported when its pixels are read
+
+
+def _of_tiff(path: Path) -> dict[str, Statement]:
+    try:
+        with tifffile.TiffFile(path) as tiff:
+            pages = [page for page, _ in directories(tiff)]
+            return statements_of_page(*pages) if pages else {}
+    except DAMAGE:
+        return {}
+
+
+def _of_pillow(path: Path) -> dict[str, Statement]:
+    try:
+        with Image.open(path) as image:
+            exif = image.getexif()
+            tags = {**exif, **exif.get_ifd(EXIF_DIRECTORY)}
+    except (OSError, UnidentifiedImageError, SyntaxError, ValueError):
+        return {}  # unreadable here means unreadable as a picture: reported when its pixels are read
+    return {_NAMES.get(code, f"tag {code}"): Statement(_plain(value)) for code, value in tags.items()}
+
+
+def _plain(value: Any) -> Any:
+    """Return a value of Pillow's: its rationals as numbers, one of a tuple as itself."""
+    single = _single(value) if isinstance(value, tuple) else value
+    try:
+        return float(single) if not isinstance(single, str | bytes) else single
+    except (TypeError, ValueError, ZeroDivisionError):
+        return None
+
+
+def _of_libraw(path: Path) -> dict[str, Statement]:
+    try:
+        import rawpy
+    except ImportError:
+        return {}  # reported when its pixels are read
+    try:
+        with rawpy.imread(str(path)) as raw:
+            other = getattr(raw, "other", None)  # from rawpy 0.26 on
+    except (rawpy.LibRawError, OSError):
+        return {}
+    stated = {
+        "ExposureTime": getattr(other, "shutter_speed", 0.0),
+        "FNumber": getattr(other, "aperture", 0.0),
+        "PhotographicSensitivity": getattr(other, "iso_speed", 0.0),
+    }
+    # LibRaw has 32-bit numbers and 0 for "unknown".
+    return {name: Statement(float(f"{value:.7g}")) for name, value in stated.items() if value and value > 0}

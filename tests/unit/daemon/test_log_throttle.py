@@ -1,0 +1,48 @@
+"""A flood of log lines that say the same is ten lines a minute and a count; what is said once is always written."""
+
+from __future__ import annotations
+
+import logging
+
+import pytest
+import structlog
+from structlog.testing import capture_logs
+
+from radiometer.daemon.log_throttle import LogThrottle
+
+
+@pytest.mark.parametrize("library", [False, True])
+def test_a_flood_is_ten_lines_a_minute_and_a_count(library: bool) -> None:
+    now = [0.0]
+    throttle = LogThrottle(clock=lambda: now[0])
+    lines: list[str] = []
+
+    def say(text: str) -> None:
+        if library:
+            record = logging.LogRecord("asyncio", logging.WARNING, "", 0, text, None, None)
+            lines.extend([record.getMessage()] if throttle.filter(record) else [])
+        else:
+            try:
+                lines.append(str(throttle(None, "warning", {"event": text})))
+            except structlog.DropEvent:
+                return
+
+    for second in range(61):
+        now[0] = float(second)
+        for _ in range(1000):
+            say("client refused")
+        say(f"alarm {second}")
+    assert sum("client refused" in line for line in lines) == 20
+    assert sum("59990" in line for line in lines) == 1
+    assert sum("alarm" in line for line in lines) == 61
+
+
+def test_an_installed_throttle_still_lets_events_through() -> None:
+    before = structlog.get_config()["processors"]
+    try:
+        LogThrottle().install()
+        with capture_logs() as events:
+            structlog.get_logger().warning("once")
+        assert [event["event"] for event in events] == ["once"]
+    finally:
+        structlog.configure(processors=before)

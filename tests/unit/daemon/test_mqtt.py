@@ -1,0 +1,146 @@
+"""What a broker is given: each patch as long as it is measured; and what happens where it acknowledges nothing."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+from collections.abc import AsyncIterator, Awaitable, Callable
+from contextlib import suppress
+from dataclasses import replace
+from typing import Any
+
+import pytest
+
+from radiometer.daemon import mqtt
+from radiometer.daemon.mqtt import MqttPublisher, MqttTarget
+from radiometer.daemon.station import Station
+from radiometer.data import Patch
+
+pytest.importorskip("paho.mqtt.client")
+Eventually = Callable[..., Awaitable[None]]
+LAMP = Patch(5, 6, 7, 8)
+
+
+class Broker:
+    """As much of MQTT 3.1.1 as one publisher needs, on a loopback socket; deaf, it acknowledges nothing."""
+
+    def __init__(self) -> None:
+        self.retained: dict[str, bytes] = {}
+        self.published: list[tuple[str, bytes]] = []
+        self.deaf = False
+        self._unanswered: list[Callable[[], None]] = []
+
+    def hear(self) -> None:
+        """Acknowledge what was published while deaf, and all from now on."""
+        self.deaf = False
+        for answer in self._unanswered:
+            answer()
+        self._unanswered.clear()
+
+    async def serve(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        with suppress(asyncio.IncompleteReadError, ConnectionError):
+            while True:
+                kind, length, shift = (await reader.readexactly(1))[0], 0, 0
+                while True:
+                    digit = (await reader.readexactly(1))[0]
+                    length, shift = length | (digit & 127) << shift, shift + 7
+                    if digit < 128:
+                        break
+                self._take(kind, await reader.readexactly(length), writer)
+        writer.close()
+
+    def _take(self, kind: int, body: bytes, writer: asyncio.StreamWriter) -> None:
+        if kind >> 4 == 1:
+            writer.write(b"\x20\x02\x00\x00")
+        elif kind >> 4 == 8:
+            writer.write(b"\x90\x03" + body[:2] + b"\x01")
+            for topic, payload in self.retained.items():
+                name = topic.encode()
+                content = len(name).to_bytes(2, "big") + name + payload
+                writer.write(b"\x31" + _varint(len(content)) + content)
+        elif kind >> 4 == 3:
+            end = 2 + int.from_bytes(body[:2], "big")
+            topic, identity, payload = body[2:end].decode(), body[end : end + 2], body[end + 2 :]
+            self.published.append((topic, payload))
+            self.retained[topic] = payload
+            if not payload:
+                del self.retained[topic]
+            answer = lambda: writer.write(b"\x40\x02" + identity)  # noqa: E731
+            self._unanswered.append(answer) if self.deaf else answer()
+        elif kind >> 4 == 12:
+            writer.write(b"\xd0\x00")
+
+
+def _varint(number: int) -> bytes:
+    return bytes([number]) if number < 128 else bytes([number & 127 | 128]) + _varint(number >> 7)
+
+
+@pytest.fixture
+async def broker() -> AsyncIterator[tuple[Broker, int]]:
+    """Return a broker and its port."""
+    made = Broker()
+    server = await asyncio.start_server(made.serve, "127.0.0.1", 0)
+    yield made, server.sockets[0].getsockname()[1]
+    server.close()
+
+
+@pytest.fixture
+async def published(station: Station, broker: tuple[Broker, int]) -> AsyncIterator[tuple[Broker, MqttPublisher]]:
+    """Return a broker that held readings of an earlier daemon, and a publisher that has reached it."""
+    made, port = broker
+    made.retained["radiometer/4711/patch/gone/reading"] = b"{}"
+    publisher = MqttPublisher(station, MqttTarget("127.0.0.1", port))
+    publisher.start()
+    yield made, publisher
+    await publisher.stop()
+
+
+async def test_each_patch_is_retained_as_long_as_it_is_measured(
+    station: Station, published: tuple[Broker, MqttPublisher], eventually: Eventually
+) -> None:
+    """What an earlier daemon left, what was deleted, moved or ended is cleared; a client's own is never published."""
+    broker, publisher = published
+    station.patches.define("a b", LAMP)
+    station.patches.define("a_b", replace(LAMP, x=6))
+    station.set_every(0.01)
+    base = "radiometer/4711/"
+    topics = {base + name for name in ("reading", "patch/a%20b/reading", "patch/a_b/reading", "state", "status")}
+    await eventually(lambda: set(broker.retained) == topics)
+    await station.acquisition.measure(replace(station.settings, patch=Patch(40, 1, 2, 3)), session="b")
+    assert json.loads(broker.retained[base + "patch/a%20b/reading"])["patch"]["x"] == LAMP.x
+    station.patches.delete("a b")
+    await eventually(lambda: set(broker.retained) == topics - {base + "patch/a%20b/reading"})
+    station.set_every(None)
+    await eventually(lambda: not station.acquisition.busy)
+    station.configure(patch=LAMP)
+    await eventually(lambda: set(broker.retained) == {base + name for name in ("patch/a_b/reading", "state", "status")})
+    await publisher.stop()
+    await eventually(lambda: broker.retained == {base + "state": b"offline"})
+    read = [json.loads(line) for topic, line in broker.published if topic.endswith("/reading") and line]
+    assert 40 not in {reading["patch"]["x"] for reading in read}
+
+
+async def test_a_broker_that_acknowledges_nothing_is_an_alarm_until_it_has(
+    station: Station,
+    published: tuple[Broker, MqttPublisher],
+    eventually: Eventually,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Connected is not enough: what waits, and what was dropped for want of room, is in the alarm."""
+    broker, _ = published
+    monkeypatch.setattr(mqtt, "_ACKNOWLEDGED_WITHIN_S", 0.3)
+    await eventually(lambda: broker.retained.get("radiometer/4711/state") == b"online")
+    broker.deaf = True
+    await station.acquisition.measure()
+
+    def message() -> Any:
+        return next((alarm.message for alarm in station.alarms.active if alarm.name == "mqtt"), "")
+
+    await eventually(lambda: "has not acknowledged" in message())
+    for number in range(1200):
+        station.annotate(f"remark {number}")
+        if number % 100 == 0:
+            await asyncio.sleep(0.01)
+    await eventually(lambda: "were dropped" in message())
+    broker.hear()
+    await eventually(lambda: not message())

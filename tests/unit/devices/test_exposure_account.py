@@ -1,0 +1,347 @@
+"""The account of retinal exposure: adds up over programs, starts and clocks; what is not known counts as used up."""
+
+from __future__ import annotations
+
+import fcntl
+import math
+import multiprocessing
+import os
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from radiometer.devices.exposure_account import FileStore, MemoryStore, Moment, parse_account, render_account
+from radiometer.devices.exposure_ledger import ExposureLedger, Stimulus
+from radiometer.devices.retinal_safety import ChannelOptics
+from radiometer.errors import UnsafeStimulus
+
+# B = 1 over the whole line: 1000 W·sr⁻¹·m⁻² use up 0.1 % of the blue-light limit in each second.
+BLUE = ChannelOptics(437.5, 0.5, 40.0, 1000.0)
+SLOW = 1.01  # the box's clock may be so much slower: planned times count as so much longer
+WINDOW_S = 1e4
+
+
+class Clock:
+    """Both clocks of a computer, turned by the test."""
+
+    def __init__(self) -> None:
+        self.boot, self.uptime_s, self.wall_s, self.machine = 0, 5000.0, 1.7e9, "one"
+
+    def __call__(self) -> Moment:
+        return Moment(f"boot {self.boot}", self.uptime_s, self.wall_s, self.machine)
+
+    def wait(self, duration_s: float) -> None:
+        self.uptime_s += duration_s
+        self.wall_s += duration_s
+
+    def reboot(self, off_s: float = 30.0) -> None:
+        self.boot, self.uptime_s, self.wall_s = self.boot + 1, 30.0, self.wall_s + off_s
+
+
+class Desk:
+    """A folder with an account that knows box LB000001, and programs that open it."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder, self.clock, self.living = folder, Clock(), set[str]()
+        with self.store("setup").change() as account:
+            account.begin("LB000001")
+
+    @property
+    def file(self) -> Path:
+        return self.folder / "exposure-account.json"
+
+    def store(self, program: str) -> FileStore:
+        return FileStore(self.folder, self.clock, self.clock.wait, program, lambda name: name in self.living)
+
+    def open(self, serial: str = "LB000001", eye: str | None = None, program: str = "one") -> ExposureLedger:
+        ledger = ExposureLedger({"a": BLUE, "b": BLUE}, self.store(program), eye=eye)
+        ledger.open(serial)
+        return ledger
+
+    def pulse(self, ledger: ExposureLedger, seconds: float, radiance: float = 1000.0, channel: str = "a") -> None:
+        self.light(ledger, Stimulus(channel, radiance, seconds, seconds))
+
+    def light(self, ledger: ExposureLedger, stimulus: Stimulus) -> None:
+        ledger.begun(ledger.reserve(stimulus))
+        ledger.settle()
+
+
+@pytest.fixture
+def desk(tmp_path: Path) -> Desk:
+    return Desk(tmp_path)
+
+
+def test_pulses_add_up_over_openings_and_leave_after_the_window(desk):
+    """Nine pulses of 1 % by nine programs are let through; another 2 % are not, until 10⁴ s and at most 50 s more."""
+    for _ in range(9):
+        desk.pulse(desk.open(), 10.0 / SLOW)
+        desk.clock.wait(60.0)
+    with pytest.raises(UnsafeStimulus, match="blue-light"):
+        desk.pulse(desk.open(), 20.0 / SLOW)
+    desk.clock.wait(WINDOW_S - 9 * 60.0 + 10.0)
+    with pytest.raises(UnsafeStimulus):
+        desk.pulse(desk.open(), 20.0 / SLOW)
+    desk.clock.wait(60.0)
+    desk.pulse(desk.open(), 20.0 / SLOW)
+
+
+def test_a_killed_program_s_light_counts_until_the_box_is_known_dark(desk):
+    """Steady light of 9 % in 10⁴ s: the next opening after 100 s finds 0.09 % given, not 9 %."""
+    desk.pulse(desk.open(), math.inf, 9.0)
+    desk.clock.wait(100.0)
+    desk.pulse(desk.open(), 99.0 / SLOW)
+    desk.clock.wait(110.0)
+    with pytest.raises(UnsafeStimulus):
+        desk.pulse(desk.open(), 1.0)
+
+
+def test_a_program_that_lives_keeps_its_light_in_the_account_whoever_opens_a_box_of_the_same_number(desk):
+    """Two boxes may have one serial number: 6 % planned by the first leave no 5 % to the second."""
+    desk.living.add("one")
+    desk.pulse(desk.open(), math.inf, 6.0)
+    with pytest.raises(UnsafeStimulus):
+        desk.pulse(desk.open(program="two"), 50.0)
+    desk.living.clear()
+    desk.pulse(desk.open(program="two"), 50.0)
+
+
+@pytest.mark.parametrize("step_s", [-1e7, -3600.0, 3600.0, 1e7])
+def test_setting_the_clock_changes_nothing(desk, step_s):
+    """8 % given just now stay 8 % whatever the wall clock shows."""
+    desk.pulse(desk.open(), 80.0)
+    desk.clock.wait(90.0)
+    desk.clock.wall_s += step_s
+    with pytest.raises(UnsafeStimulus):
+        desk.pulse(desk.open(), 30.0)
+    desk.clock.wait(WINDOW_S + 100.0)
+    desk.pulse(desk.open(), 30.0)
+
+
+def test_after_a_restart_of_the_computer_only_its_uptime_counts(desk):
+    """Switched off for a year by the clock that anybody can set: what was given counts until 10⁴ s of uptime."""
+    desk.pulse(desk.open(), 80.0)
+    desk.clock.wait(90.0)
+    desk.open()
+    desk.clock.reboot(off_s=3e7)
+    with pytest.raises(UnsafeStimulus):
+        desk.pulse(desk.open(), 30.0)
+    desk.clock.wait(WINDOW_S + 30.0)
+    desk.pulse(desk.open(), 30.0)
+
+
+def test_light_that_was_on_when_the_computer_went_down_counts_whole(desk):
+    """How long steady light of 9 % in 10⁴ s shone is not known: all of it counts."""
+    desk.pulse(desk.open(), math.inf, 9.0)
+    desk.clock.reboot()
+    with pytest.raises(UnsafeStimulus):
+        desk.pulse(desk.open(), 15.0)
+
+
+def harm(desk: Desk, kind: str) -> None:
+    content = desk.file.read_bytes()
+    if kind == "missing":
+        desk.file.unlink()
+    elif kind == "cut":
+        desk.file.write_bytes(content[:-20])
+    elif kind == "edited":
+        desk.file.write_bytes(content.replace(b"1000.0", b"0010.0").replace(b"0.001", b"0.000"))
+    elif kind == "endless":
+        desk.file.write_bytes(b"x" * 5_000_000)
+    elif kind == "from the future":
+        account = parse_account(content)
+        assert account is not None
+        account.moment = replace(account.moment, uptime_s=account.moment.uptime_s + 3600.0)
+        desk.file.write_text(render_account(account), encoding="ascii")
+    elif kind == "of another boot, from the future":
+        desk.clock.reboot(off_s=-1e6)
+    elif kind == "of another computer":
+        desk.clock.boot, desk.clock.machine = 7, "another"
+
+
+@pytest.mark.parametrize(
+    "kind",
+    [
+        "missing",
+        "cut",
+        "edited",
+        "endless",
+        "from the future",
+        "of another boot, from the future",
+        "of another computer",
+    ],
+)
+def test_an_account_that_cannot_be_believed_counts_as_used_up_until_the_window_is_over(desk, kind):
+    """Every light is refused with the way out, darkness is not; after 10⁴ s it is let through again."""
+    desk.pulse(desk.open(), 80.0)
+    harm(desk, kind)
+    for _ in range(2):
+        ledger = desk.open()
+        ledger.darken()
+        with pytest.raises(UnsafeStimulus, match=r"light account --box LB000001 --confirm-no-exposure"):
+            desk.pulse(ledger, 0.001, 0.001)
+        desk.clock.wait(4900.0)
+    desk.clock.wait(300.0)
+    desk.pulse(desk.open(), 90.0)
+
+
+def test_a_confirmation_ends_what_is_assumed_and_leaves_what_is_known(desk):
+    """After it a lost account counts as empty; 8 % that were given since then stay."""
+    harm(desk, "missing")
+    desk.open()
+    for _ in range(2):
+        with desk.store("confirmation").change() as account:
+            account.confirm("LB000001")
+        ledger = desk.open()
+    desk.pulse(ledger, 80.0)
+    desk.clock.wait(90.0)
+    with desk.store("confirmation").change() as account:
+        account.confirm("LB000001")
+    with pytest.raises(UnsafeStimulus, match="blue-light"):
+        desk.pulse(desk.open(), 30.0)
+
+
+def test_a_box_that_this_computer_has_never_seen_counts_as_used_up(desk):
+    """Another computer may have lit it a minute ago."""
+    with pytest.raises(UnsafeStimulus, match="no account of its light"):
+        desk.pulse(desk.open("LB000002"), 0.001, 0.001)
+    desk.clock.wait(WINDOW_S)
+    desk.pulse(desk.open("LB000002"), 50.0)
+
+
+def test_an_eye_carries_its_exposure_from_box_to_box(desk):
+    """6 % in one box and 6 % in another are too much for one eye, and not for the other eye."""
+    with desk.store("setup").change() as account:
+        account.begin("LB000002")
+    desk.pulse(desk.open("LB000001", "S07 right"), 60.0)
+    desk.clock.wait(100.0)
+    with pytest.raises(UnsafeStimulus, match="blue-light"):
+        desk.pulse(desk.open("LB000002", "S07 right"), 60.0)
+    desk.pulse(desk.open("LB000002", "S07 left"), 60.0)
+
+
+@pytest.mark.parametrize(("before", "after"), [(900.0, 0.0), (0.0, 9.0), (500.0, 5.0)])
+def test_a_ramp_counts_as_the_higher_of_its_levels(desk, before, after):
+    """A ramp of 60 s from or to 900 W·sr⁻¹·m⁻²: 60 s of it are given, besides what stays on."""
+    ledger = desk.open()
+    if before:
+        desk.pulse(ledger, 30.0, before)
+    desk.light(ledger, Stimulus("a", after, math.inf, math.inf, ramp_s=60.0))
+    desk.clock.wait(100.0)
+    ledger.darken("a")
+    given = max(before, after) * 60.0 * SLOW + after * 100.0
+    left_s = 100.0 - given / 1000.0
+    desk.pulse(ledger, (left_s - 0.1) / SLOW, channel="b")
+    desk.clock.wait(200.0)
+    with pytest.raises(UnsafeStimulus):
+        desk.pulse(ledger, 0.2, channel="b")
+
+
+def test_thermal_limits_of_lights_together_add_up(desk):
+    """Two channels at 6 % of the thermal limit each are more than the tenth."""
+    ledger = desk.open()
+    six_percent = 0.06 * 50_000 / (10.0 * 0.1)  # R = 10, α capped at 100 mrad, 1 s
+    desk.pulse(ledger, 1.0, six_percent)
+    with pytest.raises(UnsafeStimulus, match="thermal"):
+        desk.pulse(ledger, 1.0, six_percent, channel="b")
+
+
+def test_what_still_shines_counts_to_its_planned_end(desk):
+    """50 s under way count whole when another channel is asked for; their own channel's next light ends them."""
+    ledger = desk.open()
+    desk.pulse(ledger, 50.0)
+    desk.clock.wait(10.0)
+    with pytest.raises(UnsafeStimulus):
+        ledger.refuse_unsafe("b", 1000.0, 50.0)
+    ledger.refuse_unsafe("b", 1000.0, 48.0)
+    ledger.refuse_unsafe("a", 1000.0, 86.0)  # 10 s given, and at most 3 s until the old light has gone
+    with pytest.raises(UnsafeStimulus):
+        ledger.refuse_unsafe("a", 1000.0, 89.0)
+
+
+def test_another_program_that_holds_the_account_stops_light_within_a_second_and_never_darkness(desk):
+    """The way out is named; the wait is shorter than the box's dead-man time; what ended meanwhile is stored later."""
+    ledger = desk.open()
+    desk.pulse(ledger, math.inf, 9.0)
+    folder = os.open(desk.folder, os.O_RDONLY)
+    fcntl.flock(folder, fcntl.LOCK_EX)
+    begun_s = desk.clock.uptime_s
+    ledger.darken()
+    with pytest.raises(UnsafeStimulus, match=r"another program holds .* end that program"):
+        desk.pulse(ledger, 1.0)
+    assert desk.clock.uptime_s - begun_s < 2.0
+    os.close(folder)
+    desk.pulse(ledger, 90.0)
+
+
+def test_a_folder_that_takes_no_file_stops_light_and_never_darkness(tmp_path):
+    """The message names the file, the reason and RADIOMETER_STATE."""
+    blocked = tmp_path / "file"
+    blocked.write_text("no folder")
+    ledger = ExposureLedger({"a": BLUE}, FileStore(blocked / "state", Clock()))
+    ledger.open("LB000001")
+    ledger.darken()
+    with pytest.raises(UnsafeStimulus, match=r"exposure-account.json cannot be kept .* RADIOMETER_STATE"):
+        ledger.reserve(Stimulus("a", 1.0, 1.0, 1.0))
+
+
+def _take_three_percent(folder: Path, start: object, taken: object) -> None:
+    ledger = ExposureLedger({"a": BLUE}, FileStore(folder), eye="S07 right")
+    ledger.open(f"LB{os.getpid():06d}")
+    start.wait()  # type: ignore[attr-defined]
+    try:
+        ledger.reserve(Stimulus("a", 300.0, 99.0, 99.0))
+        taken.put(1)  # type: ignore[attr-defined]
+    except UnsafeStimulus:
+        taken.put(0)  # type: ignore[attr-defined]
+
+
+def test_of_six_programs_at_once_three_get_three_percent_each(tmp_path, monkeypatch):
+    """Six boxes before one eye, all asked at the same moment."""
+    monkeypatch.setattr(
+        "radiometer.devices.exposure_account.Account.meet", lambda account, serial: account.begin(serial)
+    )
+    context = multiprocessing.get_context("fork")
+    start, taken = context.Event(), context.Queue()
+    programs = [context.Process(target=_take_three_percent, args=(tmp_path, start, taken)) for _ in range(6)]
+    for program in programs:
+        program.start()
+    start.set()
+    answers = [taken.get(timeout=60) for _ in programs]
+    for program in programs:
+        program.join()
+    assert sum(answers) == 3
+
+
+doses = st.lists(
+    st.tuples(st.sampled_from("ab"), st.floats(0.1, 50.0), st.floats(0.5, 300.0), st.floats(0.0, 4000.0)),
+    min_size=1,
+    max_size=8,
+)
+
+
+@settings(max_examples=60, deadline=None)
+@given(doses)
+def test_the_account_is_the_sum_over_the_last_ten_thousand_seconds(given_doses):
+    """Whatever was shone, in whichever channel: the rest is a tenth less Σ L·t / 10⁶ of the window, to 50 s."""
+    clock = Clock()
+    ledger = ExposureLedger({"a": BLUE, "b": BLUE, "c": BLUE}, MemoryStore(lambda: clock.uptime_s, ("LB000001",)))
+    ledger.open("LB000001")
+    ended = []
+    for channel, radiance, seconds, pause in given_doses:
+        name = ledger.reserve(Stimulus(channel, radiance, math.inf if radiance < 0.5 else seconds, seconds))
+        ledger.begun(name)
+        clock.wait(seconds)
+        ledger.darken(channel)
+        ended.append((clock.uptime_s, radiance * seconds))
+        clock.wait(pause)
+    for slack_s, factor, refused in ((50.0, 0.98, False), (0.0, 1.02, True)):
+        inside = sum(dose for when, dose in ended if clock.uptime_s - when < WINDOW_S + slack_s)
+        left = 1e5 - inside
+        if not refused and left > 100.0:
+            ledger.refuse_unsafe("c", left * factor / SLOW / 9000.0, 9000.0)
+        if refused:
+            with pytest.raises(UnsafeStimulus):
+                ledger.refuse_unsafe("c", (max(left, 0.0) * factor + 1.0) / 9000.0, 9000.0)

@@ -1,0 +1,190 @@
+"""Small files as public reports have them: right ones of other people's programs that were once misread."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import tifffile
+from astropy.io import fits
+from PIL import Image
+from PIL.TiffImagePlugin import IFDRational
+
+SECONDS = (0.01, 0.02, 0.05, 0.1)
+_MATRIX = (1, 1, 0, 1, 0, 1, 0, 1, 1, 1, 0, 1, 0, 1, 0, 1, 1, 1)
+
+
+def fits_frames(
+    folder: Path, cards: Callable[[float], dict[str, Any]], *, level: float = 1e5, dark: float = 0.0, **kind: Any
+) -> Path:
+    """Write pairs of light and dark frames at four exposures: e⁻/s of light and of dark current above 100 DN.
+
+    The gain is 0.5 DN/e⁻ and the noise 5 e⁻.
+    """
+    folder.mkdir(exist_ok=True)
+    rng = np.random.default_rng(1)
+    scale, black = kind.pop("scale", 0.5), kind.pop("black", 100)
+    for seconds in SECONDS:
+        for name, rate in (("Light1", level + dark), ("Light2", level + dark), ("Dark1", dark), ("Dark2", dark)):
+            electrons = rng.poisson(rate * seconds, (48, 48)) + rng.normal(0.0, 5.0, (48, 48))
+            unit = fits.PrimaryHDU(np.rint(black + scale * electrons).clip(0, 65_535).astype(np.uint16))
+            for key, value in {"IMAGETYP": name[:-1], "INSTRUME": "CAM", **kind, **cards(seconds)}.items():
+                unit.header[key.replace("_", "-")] = value
+            unit.writeto(folder / f"{name}_{scale}_{black}_{seconds}.fits")
+    return folder
+
+
+def tiff(path: Path, pages: Sequence[Any], tags: Sequence[Sequence[Any]], **options: Any) -> Path:
+    """Write a TIFF, each page with separate tags."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with tifffile.TiffWriter(path) as writer:
+        for page, own in zip(pages, tags, strict=True):
+            writer.write(
+                np.asarray(page, np.uint16), extratags=own, metadata=None, contiguous=False,
+                **{"photometric": "minisblack", **options},
+            )  # fmt: skip
+    return path
+
+
+def flat(level: float, seed: int = 0) -> Any:
+    """Return an even picture of a level in DN with noise of 4 DN."""
+    return np.rint(np.random.default_rng(seed).normal(level, 4.0, (48, 64)))
+
+
+def exposure_tag(seconds: float) -> tuple[Any, ...]:
+    """Return the EXIF tag ExposureTime as a rational."""
+    return (33434, "2I", 1, (round(seconds * 1e6), 1_000_000), True)
+
+
+def black_level(folder: Path, *forms: tuple[Any, ...]) -> Path:
+    """Write frames of a black level of 256 DN, stated as the tags say."""
+    for seconds in SECONDS:
+        tiff(folder / f"l_{seconds}.tif", [flat(256 + 2e4 * seconds)], [[exposure_tag(seconds), *forms]])
+    return folder
+
+
+def ome(path: Path, unit: str, per_ms: float, places: Sequence[tuple[int, int]], sizes: tuple[int, int]) -> Path:
+    """Write an OME-TIFF of 5, 10, 20, 40 ms: 2 DN per ms above 100 DN; pages are where TiffData states them."""
+    data, planes = "", ""
+    for page, ((c, t), ms) in enumerate(zip(places, (5, 10, 20, 40), strict=True)):
+        data += f'<TiffData FirstC="{c}" FirstT="{t}" FirstZ="0" IFD="{page}" PlaneCount="1"/>'
+        planes += f'<Plane TheZ="0" TheC="{c}" TheT="{t}" ExposureTime="{ms * per_ms}" ExposureTimeUnit="{unit}"/>'
+    xml = (
+        '<?xml version="1.0" encoding="UTF-8"?><OME xmlns="http://www.openmicroscopy.org/Schemas/OME/2016-06">'
+        '<Image ID="Image:0"><Pixels ID="Pixels:0" DimensionOrder="XYZCT" Type="uint16" SizeX="64" SizeY="48" '
+        f'SizeZ="1" SizeC="{sizes[0]}" SizeT="{sizes[1]}">{data}{planes}</Pixels></Image></OME>'
+    )
+    pages = np.stack([flat(100 + 2 * ms) for ms in (5, 10, 20, 40)]).astype(np.uint16)
+    tifffile.imwrite(path, pages, description=xml.encode(), metadata=None, photometric="minisblack")
+    return path
+
+
+def screen(path: Path, heading: str, row: Callable[[int, int, float], str], *, comma: bool = False) -> Path:
+    """Write a table of a screen of 0.2 + 230·(level/255)^2.2 cd/m² in steps of 15 levels."""
+    lines = [row(i, n, 0.2 + 230 * (n / 255) ** 2.2) for i, n in enumerate(range(0, 256, 15), 1)]
+    path.write_text("\n".join([heading, *(line.replace(".", ",") if comma else line for line in lines)]) + "\n")
+    return path
+
+
+def white_led(path: Path, heading: str, separator: str, *, comma: bool) -> Path:
+    """Write the relative spectrum of a white LED."""
+    lines = [heading]
+    for nm in range(380, 781, 5):
+        power = 0.9 * math.exp(-0.5 * ((nm - 450) / 10) ** 2) + 0.75 * math.exp(-0.5 * ((nm - 560) / 55) ** 2)
+        lines.append(f"{nm}{separator}" + f"{power:.4f}".replace(".", "," if comma else "."))
+    path.write_text("\n".join(lines) + "\n")
+    return path
+
+
+def photographs(folder: Path) -> Path:
+    """Write JPEGs of gamma 2.2 at ISO 25600 to 102400; the last stands as 65535 in the 16-bit tag."""
+    folder.mkdir(exist_ok=True)
+    rng = np.random.default_rng(4)
+    scene = np.exp(np.linspace(np.log(0.003), np.log(3), 128))[None, :] * np.linspace(1, 1.5, 96)[:, None]
+    for n, (stops, iso) in enumerate(((10, 25_600), (10, 51_200), (10, 102_400), (8, 102_400), (6, 102_400))):
+        light = scene * 2.0 ** (10 - stops) * iso / 102_400 / 4
+        dn = 255 * np.clip(light, 0, 1) ** (1 / 2.2) + rng.normal(0, 0.5, light.shape)
+        exif = Image.Exif()
+        tags = exif.get_ifd(0x8769)
+        tags[33434], tags[34855], tags[0x8830], tags[0x8832] = IFDRational(1, 2**stops), min(iso, 65_535), 2, iso
+        Image.fromarray(dn.clip(0, 255).round().astype(np.uint8)).save(folder / f"p{n}.jpg", quality=98, exif=exif)
+    return folder
+
+
+def raw_photographs(folder: Path, photometric: int = 32803) -> Path:
+    """Write two DNG of 1/100 and 1/25 s whose picture is in the first directory; 34892 is LinearRaw of one sample."""
+    for n, (over, scale) in enumerate(((100, 1.0), (25, 4.0))):
+        dn = np.rint(np.random.default_rng(n).normal(64 + scale * np.linspace(10, 800, 96) * np.ones((64, 1)), 5.0))
+        tags = [
+            (50706, "B", 4, (1, 4, 0, 0), True), (50708, "s", 0, "Test Camera", True), (50714, "H", 1, 64, True),
+            (50717, "I", 1, 4095, True), (33434, "2I", 1, (1, over), True),
+        ]  # fmt: skip
+        if photometric == 32803:
+            tags += [
+                (33421, "H", 2, (2, 2), True), (33422, "B", 4, (0, 1, 1, 2), True), (50721, "2i", 9, _MATRIX, True),
+                (50728, "2I", 3, (1, 1) * 3, True), (50778, "H", 1, 21, True),
+            ]  # fmt: skip
+            tiff(folder / f"p{n}.dng", [dn], [tags], photometric=photometric)
+        else:
+            path = tiff(folder / f"p{n}.dng", [dn], [tags])
+            with tifffile.TiffFile(path, mode="r+b") as file:
+                file.pages[0].tags[262].overwrite(photometric)
+    return folder
+
+
+def ramp_bracket(folder: Path, top: int, step: int = 1, **cards: Any) -> Path:
+    """Write FITS frames and darks of a ramp of 800 000 DN/s above 500 DN that saturates at a digital number."""
+    folder.mkdir(exist_ok=True)
+    rng = np.random.default_rng(6)
+    ramp = np.linspace(0.02, 1, 96)[None, :] * np.ones((64, 1))
+    for n, seconds in enumerate((1 / 256, 1 / 64, 1 / 16, 1 / 4)):
+        for kind, rate in (("Light", 8e5), ("Dark", 0.0)):
+            mean = rate * seconds * ramp
+            dn = np.minimum(500 + rng.normal(mean, np.sqrt(0.5 * mean + 9)), top)
+            unit = fits.PrimaryHDU((np.floor(dn / step) * step).clip(0, 65_535).astype(np.uint16))
+            unit.header.update(EXPTIME=seconds, IMAGETYP=kind, **cards)
+            unit.writeto(folder / f"{kind}{n}.fits")
+    return folder
+
+
+def raw_ramp(folder: Path, spread_dn: float, strays: int) -> Path:
+    """Write DNG of a ramp of 240 000 DN/s in green whose sensor saturates at 15 780 DN, the tag stating 16 383."""
+    rng = np.random.default_rng(3)
+    times = (1 / 256, 1 / 64, 1 / 16, 1 / 4)
+    colour = np.ones((128, 192))
+    colour[0::2, 0::2], colour[1::2, 1::2] = 0.5, 0.3
+    for n, seconds in enumerate(times):
+        mean = 240_000 * seconds * np.linspace(0.02, 1, 192)[None, :] * colour
+        dn = 600 + rng.normal(mean, np.sqrt(0.3 * mean + 9))
+        dn = np.minimum(dn, 15_780 + rng.normal(0.0, spread_dn, dn.shape))
+        full = np.flatnonzero(dn.ravel() >= 15_779)
+        if full.size > strays:
+            dn.ravel()[rng.choice(full, strays, replace=False)] = rng.integers(15_780, 16_180, strays)
+        tags = [
+            (50706, "B", 4, (1, 4, 0, 0), True), (50708, "s", 0, "Test Camera", True), (33421, "H", 2, (2, 2), True),
+            (33422, "B", 4, (0, 1, 1, 2), True), (50714, "H", 1, 600, True), (50717, "I", 1, 16_383, True),
+            (50721, "2i", 9, _MATRIX, True), (50728, "2I", 3, (1, 1) * 3, True), (50778, "H", 1, 21, True),
+        ]  # fmt: skip
+        tiff(folder / f"p{n}.dng", [np.rint(dn).clip(0, 16_383)], [tags], photometric=32803)
+    (folder / "exposures.txt").write_text("".join(f"p{n}.dng {seconds}\n" for n, seconds in enumerate(times)))
+    return folder
+
+
+def steady_log(path: Path, seed: int) -> Path:
+    """Write six nights of a camera that lacks nothing, whose exposure keeps the value at 30 000 DN ± 0.5 %."""
+    rng = np.random.default_rng(seed)
+    lines = ["utc,adu,exposure_s,gain_db,sqm"]
+    for night in range(6):
+        phase, base = rng.uniform(0, 6), rng.uniform(19.5, 21)
+        for k in range(45):
+            magnitude = base + 0.5 * math.sin(k / 9 + phase) + rng.normal(0, 0.01)
+            light = 10.8e4 * 10 ** (-0.4 * magnitude)
+            seconds = round(0.0015 / light, 3)
+            value = 2e7 * light * seconds * (1 + rng.normal(0, 0.005))
+            stamp = f"2026-03-{1 + night:02d}T{20 + k * 8 // 60 % 4:02d}:{k * 8 % 60:02d}:00"
+            lines.append(f"{stamp},{value:.1f},{seconds:.6g},0,{magnitude:.2f}")
+    path.write_text("\n".join(lines) + "\n")
+    return path

@@ -1,0 +1,266 @@
+"""Public reports of misread files, one line each: the report, the input, the right value.
+
+Values are those the input was made with. A refusal is right where the file leaves the value open.
+"""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+import tifffile
+
+from radiometer.cli.main import run
+from radiometer.data import CaptureSet, ResponseCurve
+from radiometer.screen.calibration import LUMINANCE, ScreenCalibration
+from tests.unit.reports import inputs
+
+# Not corrected yet: darks in a calibration, white levels below full scale, logs that show nothing.
+OPEN = pytest.mark.xfail(reason="known to be wrong", strict=False)
+SHORTS, RATIONALS = (50713, "H", 2, (2, 2), True), (50714, "2I", 4, (256, 1) * 4, True)
+SERIES, CHANNELS_FIRST = [(0, t) for t in range(4)], [(0, 0), (0, 1), (1, 0), (1, 1)]
+
+
+def imported(source: Path, out: Path, *words: str) -> CaptureSet:
+    """Return what `radiometer import` writes of a source."""
+    assert run(["import", str(source), "-o", str(out), *words]) == 0
+    return CaptureSet.read(out)
+
+
+TIMES = {
+    "sunpy/sunpy/pull/4882 TIMEUNIT": lambda p: inputs.fits_frames(p, lambda s: {"EXPTIME": 1e3 * s, "TIMEUNIT": "ms"}),
+    "sunpy/sunpy/issues/6513 XPOSURE": lambda p: inputs.fits_frames(p, lambda s: {"XPOSURE": s}),
+    "nfo.edu EXPTIME in ms": lambda p: inputs.fits_frames(p, lambda s: {"EXPTIME": (1e3 * s, "exposure time in ms")}),
+    "AstroDMx EXPOINUS": lambda p: inputs.fits_frames(p, lambda s: {"EXPOINUS": round(1e6 * s)}),
+    "haraldk/TwelveMonkeys/issues/412": lambda p: inputs.tiff(
+        p / "s.tif",
+        [inputs.flat(256 + 2e4 * s) for s in inputs.SECONDS],
+        [[inputs.exposure_tag(s)] for s in inputs.SECONDS],
+    ),
+}
+
+
+@pytest.mark.parametrize("make", TIMES.values(), ids=TIMES)
+def test_exposures_have_the_unit_that_the_file_states(make, tmp_path):
+    """10, 20, 50 and 100 ms, each page and file its own."""
+    found = imported(make(tmp_path / "in"), tmp_path / "out")
+    assert sorted({e.exposure_s for e in found.header.frames}) == pytest.approx(inputs.SECONDS)
+
+
+@pytest.mark.parametrize(
+    ("unit", "per_ms", "places", "sizes"),
+    [
+        ("\u00b5s", 1e3, SERIES, (1, 4)),
+        ("\u03bcs", 1e3, SERIES, (1, 4)),  # jkroso/parse-duration/issues/13, dustin/go-humanize/pull/144
+        ("ns", 1e6, SERIES, (1, 4)),  # ome/bioformats/issues/3560
+        ("ms", 1, CHANNELS_FIRST, (2, 2)),  # ome/ZarrReader/pull/31
+    ],
+)
+def test_exposures_of_ome_planes_are_those_of_their_pages(unit, per_ms, places, sizes, tmp_path):
+    """Page n has 100 DN + 2 DN per ms of its exposure."""
+    found = imported(inputs.ome(tmp_path / "a.ome.tif", unit, per_ms, places, sizes), tmp_path / "out")
+    for index, entry in enumerate(found.header.frames):
+        level = float(found.read_frame(index).dn.mean())
+        assert entry.exposure_s == pytest.approx((level - 100.0) / 2000.0, rel=0.03)
+
+
+@pytest.mark.parametrize(
+    "forms",
+    [
+        [SHORTS, (50714, "H", 4, (256,) * 4, True)],
+        [SHORTS, RATIONALS],  # timothybrooks/hdr-plus/issues/58
+        [(50713, "H", 2, (1, 2), True), (50714, "H", 2, (256, 256), True)],  # darktable-org/rawspeed/pull/216
+        [(50714, "2I", 1, (0, 1), True), (50716, "2i", 48, (256, 1) * 48, True)],  # dnglab/dnglab/issues/820
+        [(50714, "I", 1, 200, True), (50715, "2i", 64, (56, 1) * 64, True)],
+    ],
+)
+def test_black_levels_of_all_forms_of_dng(forms, tmp_path):
+    """256 DN, as shorts, rationals, one or several, with deltas by row or column."""
+    found = imported(inputs.black_level(tmp_path / "in", *forms), tmp_path / "out")
+    assert {e.black_level_dn for e in found.header.frames} == {256.0}
+
+
+@pytest.mark.parametrize(
+    ("cards", "other", "differing"),
+    [
+        ({"GAIN": 0, "OFFSET": 10}, {"GAIN": 60, "OFFSET": 10}, "GAIN_60"),  # deepskystacker/DSS/issues/56
+        ({"GAIN": 0, "OFFSET": 10}, {"GAIN": 0, "OFFSET": 50}, "OFFSET_50"),
+        ({"READOUTM": "High Gain"}, {"READOUTM": "Low Noise"}, "Low_Noise"),  # indilib/indi-3rdparty/issues/1380
+    ],
+)
+def test_settings_of_unknown_unit_are_never_pooled(cards, other, differing, tmp_path, capsys):
+    """Frames of two gains or offsets are two sets; what needs one set refuses them by name."""
+    folder = inputs.fits_frames(tmp_path / "in", lambda s: {"EXPTIME": s, **cards})
+    inputs.fits_frames(folder, lambda s: {"EXPTIME": s, **other}, scale=2.0, black=500)
+    assert run(["characterise", str(folder)]) == 1
+    assert differing in capsys.readouterr().err
+    assert run(["import", str(folder), "-o", str(tmp_path / "out")]) == 0
+    levels = sorted(float(np.median(CaptureSet.read(one).read_frame(0).dn)) for one in (tmp_path / "out").iterdir())
+    assert len(levels) == 2
+
+
+SCREENS = {
+    "point": ("level,luminance", lambda i, n, v: f"{n},{v:.3f}", False),
+    "jasp-stats/jasp-issues/issues/3608": ("Stufe;Leuchtdichte", lambda i, n, v: f"{n};{v:.3f}", True),
+    "running number": ("No,level,Lv (cd/m2)", lambda i, n, v: f"{i},{n},{v:.3f}", False),
+    "pkgforge-dev/Anylinux-AppImages/issues/390": ("R,G,B,cd/m2", lambda i, n, v: f"{n},{n},{n},{v:.3f}", False),
+    "swapped": ("luminance,level", lambda i, n, v: f"{v:.3f},{n}", False),
+    "millicandela": ("level\tL [mcd/m2]", lambda i, n, v: f"{n}\t{1e3 * v:.1f}", False),
+}
+
+
+@pytest.mark.parametrize("form", SCREENS.values(), ids=SCREENS)
+def test_tables_of_a_screen_are_read_by_their_headings(form, tmp_path):
+    """Black 0.20, level 120 at 43.9 and white 230.2 cd/m²."""
+    heading, row, comma = form
+    file = inputs.screen(tmp_path / "s.csv", heading, row, comma=comma)
+    assert run(["screen", "import", str(file), "-o", str(tmp_path / "s.yaml")]) == 0
+    curve = ScreenCalibration.read(tmp_path / "s.yaml").channel("grey")
+    expected = [0.2 + 230 * (n / 255) ** 2.2 for n in (0, 120, 255)]
+    assert [curve.at(n, LUMINANCE).value for n in (0, 120, 255)] == pytest.approx(expected, rel=1e-2)
+
+
+@pytest.mark.parametrize(
+    ("heading", "separator", "comma"), [("wavelength_nm,relative", ",", False), ("nm;relativ", ";", True)]
+)
+def test_a_spectrum_is_the_same_in_either_decimal_mark(heading, separator, comma, tmp_path, capsys):
+    """114.6 cd/m² of the simulated bench with both (Open-Systems-Pharmacology/MoBi/issues/210)."""
+    file = inputs.white_led(tmp_path / "s.csv", heading, separator, comma=comma)
+    assert run(["measure", "--camera", "sim", "--spectrum", str(file)]) == 0
+    assert float(re.search(r"luminance +([\d.]+)", capsys.readouterr().out)[1]) == pytest.approx(114.6, abs=0.3)
+
+
+def test_the_iso_speed_65535_means_more(tmp_path):
+    """ln H of gamma 2.2 to 0.02 (darktable-org/rawspeed/issues/276); read as the speed, 65535 puts it off by 0.6."""
+    folder = inputs.photographs(tmp_path / "p")
+    assert run(["response", str(folder), "-o", str(tmp_path / "curve.csv")]) == 0
+    curve = ResponseCurve.read(tmp_path / "curve.csv")
+    dn = np.array([10, 30, 60, 200, 240])
+    expected = 2.2 * np.log(dn / 128.0)
+    found = curve.log_exposure[dn] - curve.log_exposure[128]
+    assert found == pytest.approx(expected, abs=0.02)
+
+
+@pytest.mark.parametrize("photometric", [32803, 34892])
+def test_raw_photographs_with_exif_in_the_first_directory(photometric, tmp_path):
+    """1/100 and 1/25 s (RawTherapee/RawTherapee/issues/5391); one colour per pixel, or one sample without filters."""
+    folder = inputs.raw_photographs(tmp_path / "p", photometric)
+    assert run(["merge", str(folder), "-o", str(tmp_path / "o.tiff")]) == 0
+
+
+def test_lzw_compression_is_read(tmp_path):
+    """OpenCV packs TIFF by LZW unless asked not to; the pixels are the same."""
+    picture = inputs.flat(900.0).astype(np.uint16)
+    path = tmp_path / "exp10ms.tif"
+    cv2.imwrite(str(path), picture)
+    found = imported(path, tmp_path / "out")
+    assert np.array_equal(found.read_frame(0).dn, picture)
+    assert found.header.frames[0].exposure_s == pytest.approx(0.01)
+
+
+def test_a_damaged_file_of_a_folder_is_named_and_the_others_are_imported(tmp_path, capsys):
+    """Whether its directory or its packed data are damaged."""
+    for n in range(4):
+        cv2.imwrite(str(tmp_path / f"exp{n + 1}ms.tif"), inputs.flat(900.0, n).astype(np.uint16))
+    folder = tmp_path / "in"
+    folder.mkdir()
+    for file in tmp_path.glob("*.tif"):
+        file.rename(folder / file.name)
+    packed = bytearray((folder / "exp2ms.tif").read_bytes())
+    packed[100:3000] = b"\xff" * 2900
+    (folder / "exp2ms.tif").write_bytes(packed)
+    (folder / "exp3ms.tif").write_bytes(packed[:60])
+    assert len(imported(folder, tmp_path / "out").header.frames) == 2
+    shown = capsys.readouterr().err
+    assert "left out" in shown
+    assert all(name in shown for name in ("exp2ms.tif", "exp3ms.tif"))
+
+
+def test_a_stack_among_photographs_is_not_read_by_its_first_page(tmp_path, capsys):
+    """Its pages may have other exposures (haraldk/TwelveMonkeys/issues/412): the command that reads all is named."""
+    for n in range(2):
+        pages = [inputs.flat(256 + 2e4 * s) for s in inputs.SECONDS]
+        inputs.tiff(tmp_path / "p" / f"{n}.tif", pages, [[inputs.exposure_tag(s)] for s in inputs.SECONDS])
+    assert run(["merge", str(tmp_path / "p"), "-o", str(tmp_path / "o.tiff")]) == 1
+    assert "radiometer import" in capsys.readouterr().err
+
+
+def test_the_picture_of_a_raw_file_may_be_within_another_directory(tmp_path):
+    """A small colour picture comes first, with EXIF; the sensor's picture is in a directory of it."""
+    colour = np.zeros((24, 32, 3), np.uint8)
+    with tifffile.TiffWriter(tmp_path / "a.dng.tif") as writer:
+        exposure = [inputs.exposure_tag(0.04)]
+        writer.write(colour, photometric="rgb", subfiletype=1, subifds=1, metadata=None, extratags=exposure)
+        raw = inputs.flat(900.0).astype(np.uint16)
+        black = [(50714, "H", 1, 256, True)]
+        writer.write(raw, photometric="minisblack", subfiletype=0, metadata=None, extratags=black)
+    found = imported(tmp_path / "a.dng.tif", tmp_path / "out")
+    assert np.array_equal(found.read_frame(0).dn, raw)
+    assert (found.header.frames[0].exposure_s, found.header.frames[0].black_level_dn) == (0.04, 256.0)
+
+
+@pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "utf-16", "cp1252"])
+def test_tables_are_read_in_the_encodings_of_meters_and_spreadsheets(encoding, tmp_path):
+    """The ² of cd/m² is one byte in Windows-1252, two in the others."""
+    file = inputs.screen(tmp_path / "s.csv", "level;Lv (cd/m²)", lambda i, n, v: f"{n};{v:.3f}", comma=True)
+    file.write_text(file.read_text(encoding="utf-8"), encoding=encoding)
+    assert run(["screen", "import", str(file), "-o", str(tmp_path / "s.yaml")]) == 0
+    curve = ScreenCalibration.read(tmp_path / "s.yaml").channel("grey")
+    assert curve.at(255, LUMINANCE).value == pytest.approx(230.2, rel=1e-3)
+
+
+@OPEN
+def test_dark_frames_of_a_set_count_when_it_is_calibrated(tmp_path, capsys):
+    """The frames that were calibrated at 1 W·sr⁻¹·m⁻² read 1.00 (DaveStrickland/AstroPhotography/issues/5)."""
+    folder = inputs.fits_frames(tmp_path / "f", lambda s: {"EXPTIME": s}, level=44_000.0, dark=4_000.0)
+    words = ["--patch", "10,10,20,20", "--f-number", "4"]
+    calibration = str(tmp_path / "cal.yaml")
+    scale = ["--radiance", "1", "--u-rel", "0.01", "--black-level", "100", "-o", calibration]
+    assert run(["calibrate", str(folder), *words, *scale]) == 0
+    capsys.readouterr()
+    assert run(["measure", "--photographs", str(folder), "--calibration", calibration, *words]) == 0
+    assert float(re.search(r"radiance +([\d.]+)", capsys.readouterr().out)[1]) == pytest.approx(1.0, abs=0.01)
+
+
+BRACKETS = {
+    "full scale": lambda p: inputs.ramp_bracket(p, 65_535),
+    "panoptes/POCS/issues/899 14 bits": lambda p: inputs.ramp_bracket(
+        p, 65_532, 4, INSTRUME="ZWO ASI294MM Pro", GAIN=0
+    ),
+    "EtalumaSupport/LumaViewPro/issues/730": lambda p: inputs.ramp_bracket(
+        p, 65_520, 16, INSTRUME="ZWO ASI178MM", GAIN=0
+    ),
+    "legacysurvey/legacypipe/issues/627": lambda p: inputs.ramp_bracket(p, 50_000, SATURATE=50_000),
+}
+
+
+@pytest.mark.parametrize("make", BRACKETS.values(), ids=BRACKETS)
+def test_frames_that_saturate_below_their_container_are_merged_right(make, tmp_path):
+    """800 000 DN/s at the right end, within 1 % from the darkest column to the brightest."""
+    imported(make(tmp_path / "in"), tmp_path / "set")
+    assert run(["merge", str(tmp_path / "set"), "-o", str(tmp_path / "o.tiff")]) == 0
+    found = tifffile.imread(tmp_path / "o.tiff", key=0).mean(axis=0)
+    assert found[2:] == pytest.approx((8e5 * np.linspace(0.02, 1, 96))[2:], rel=0.01)
+
+
+@pytest.mark.parametrize(("spread_dn", "strays"), [(0.0, 0), (0.0, 40), (1.0, 0)])
+def test_a_raw_file_that_saturates_below_its_white_level(spread_dn, strays, tmp_path):
+    """240 000 DN/s within 1 %, whatever is above the sensor's end (jcelaya/hdrmerge/issues/126)."""
+    folder = inputs.raw_ramp(tmp_path / "p", spread_dn, strays)
+    assert run(["merge", str(folder), "--channel", "green", "-o", str(tmp_path / "o.tiff")]) == 0
+    found = tifffile.imread(tmp_path / "o.tiff", key=0).mean(axis=0)
+    expected = (240_000 * np.linspace(0.02, 1, 192))[1::2][: found.size]
+    assert found[4:] == pytest.approx(expected[4:], rel=0.01)
+
+
+@OPEN
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_a_log_whose_value_hardly_moves_names_no_effect(seed, tmp_path, capsys):
+    """A value of 30 000 DN ± 0.5 % shows neither a black level nor a bend: none is found, and none is ± inf."""
+    assert run(["log-fit", str(inputs.steady_log(tmp_path / "nights.csv", seed)), "--no-control"]) == 0
+    shown = capsys.readouterr().out
+    assert "Found what was missing" not in shown
+    assert "inf" not in shown

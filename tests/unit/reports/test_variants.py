@@ -1,0 +1,382 @@
+"""Damaged and ambiguous variants of files: no reader gives a wrong value without reporting a doubt.
+
+Each reader gets files whose units, columns, separators, pages and tags are exchanged at random. What comes out is the
+value that the file was made with, or the file is refused, or a doubt is reported.
+"""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import tifffile
+from astropy.io import fits
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from radiometer.analysis.photometry.spectra import spectrum_from_csv
+from radiometer.errors import RadiometerError
+from radiometer.importing import import_sources, statistics_of
+from radiometer.importing.photograph_times import read_exif, read_list
+from radiometer.importing.record import record_in
+from radiometer.screen.measured_elsewhere import read_screen_readings
+
+# Written down anew and not taken from the product: what each spelling means in s. None: no unit of time.
+TIME_UNITS = {
+    "s": 1.0, "sec": 1.0, "Seconds": 1.0, "ms": 1e-3, "msec": 1e-3, "milliseconds": 1e-3, "us": 1e-6, "\u00b5s": 1e-6,
+    "\u03bcs": 1e-6, "ns": 1e-9, "min": 60.0, "h": 3600.0, "100ns": 1e-7, "Ms": None, "MS": None, "ticks": None,
+    "m": None, "dB": None,
+}  # fmt: skip
+LUMINANCE_UNITS = {
+    "cd/m2": 1.0, "cd/m\u00b2": 1.0, "nit": 1.0, "mcd/m2": 1e-3, "fL": 3.4262591, "lx": None, "%": None, "V": None,
+}  # fmt: skip
+LEVEL_UNITS = {"8bit": 255.0, "10bit": 1023.0, "%": 100.0, "percent": 100.0, "share": 1.0, "steps": None}
+EXPOSURES = (0.02, 0.5, 3.0)
+SAME_REL = 0.01
+
+
+@dataclass(frozen=True)
+class Read:
+    """What a reader gives: values by name, and what it doubts."""
+
+    values: dict[str, Any]
+    doubts: tuple[str, ...] = ()
+
+
+def check(truth: dict[str, Any], read: Callable[[], Read]) -> None:
+    """Check that a file is refused, doubted, or read as it was made; what is unknown may be missing."""
+    try:
+        found = read()
+    except RadiometerError as error:
+        found = Read({"lines of the message": len(str(error).splitlines())})
+        truth = {"lines of the message": 1}
+    for name, value in truth.items():
+        given_value = found.values.get(name)
+        if given_value is not None and not found.doubts:
+            assert given_value == pytest.approx(value, rel=SAME_REL, abs=1e-9), (name, found)
+
+
+def of_import(path: Path) -> Read:
+    """Return what an import of a file gives, frame by frame."""
+    found = import_sources([path])
+    frames = [entry for one in found for entry in one.header.frames]
+    records = [record_in(one.header) for one in found]
+    values = {f"exposure {n}": e.exposure_s for n, e in enumerate(frames)}
+    values |= {f"black {n}": e.black_level_dn for n, e in enumerate(frames)}
+    values |= {f"temperature {n}": e.temperature_C for n, e in enumerate(frames)}
+    values |= {f"gain {n}": e.gain_db for n, e in enumerate(frames)}
+    doubts = tuple(line for one in records for line in (*one.doubts, *one.left_out))
+    return Read(values, doubts)
+
+
+@st.composite
+def fits_variant(draw: st.DrawFn) -> tuple[dict[str, Any], Callable[[Path], Callable[[], Read]]]:
+    """Return a FITS header whose exposure, temperature and gain have some unit, stated somewhere or nowhere."""
+    seconds, celsius = draw(st.sampled_from(EXPOSURES)), -5.0
+    key = draw(st.sampled_from(["XPOSURE", "EXPTIME", "EXPOSURE", "EXPOINUS", "ITIME", "IMG_EXP"]))
+    own = {"EXPOINUS": 1e-6}.get(key, 1.0 if key in ("XPOSURE", "EXPTIME", "EXPOSURE") else None)
+    ways = draw(st.sets(st.sampled_from(["TIMEUNIT", "[unit]", "in words"]), max_size=2))
+    ascii_units = sorted(unit for unit in TIME_UNITS if unit.isascii())
+    units = {way: draw(st.sampled_from(ascii_units)) for way in sorted(ways)}
+    factors = {TIME_UNITS[unit] for unit in units.values()} or {own}
+    # Where the file contradicts itself or has no unit, the number is anything: what matters is that it is not believed.
+    factor = factors.pop() if len(factors) == 1 else None
+    cards: dict[str, Any] = {"IMAGETYP": "Light", "INSTRUME": draw(st.sampled_from(["CAM", "ZWO ASI178MM", "QHY268M"]))}
+    bracket = f"[{units['[unit]']}]" if "[unit]" in units else ""
+    words = f"exposure in {units['in words']}" if "in words" in units else ""
+    comment = f"{bracket} {words}".strip()
+    number = seconds / factor if factor else draw(st.floats(0.1, 1000.0))
+    cards[key] = (number, comment)
+    if "TIMEUNIT" in units:
+        cards["TIMEUNIT"] = units["TIMEUNIT"]
+    kelvin, kelvin_comment = draw(
+        st.sampled_from([(0.0, ""), (273.15, "[K] sensor"), (273.15, ""), (0.0, "degrees C")])
+    )
+    cards["CCD-TEMP"] = (draw(st.sampled_from([celsius + kelvin, 999.0, -999.0])), kelvin_comment)
+    gain, gain_db, gain_comment = draw(
+        st.sampled_from([(None, 0.0, ""), (120, 12.0, "[0.1dB]"), (12.0, 12.0, "[dB]"), (4.0, 0.0, "e-/ADU")])
+    )
+    if gain is not None:
+        cards["GAIN"] = (gain, gain_comment)
+    truth = {"exposure 0": seconds if factor else -1.0, "temperature 0": celsius, "gain 0": gain_db}
+
+    def made(folder: Path) -> Callable[[], Read]:
+        unit = fits.PrimaryHDU(np.random.default_rng(0).integers(500, 900, (16, 16)).astype(np.uint16))
+        for name, value in cards.items():
+            unit.header[name] = value
+        unit.writeto(folder / "a.fits")
+        return lambda: of_import(folder / "a.fits")
+
+    return truth, made
+
+
+@st.composite
+def tiff_variant(draw: st.DrawFn) -> tuple[dict[str, Any], Callable[[Path], Callable[[], Read]]]:
+    """Return a stack whose pages, in any order, state exposure and black level in tags of some type, or not at all."""
+    pages = draw(st.permutations(EXPOSURES))
+    black = draw(st.sampled_from([64, 256]))
+    tags = []
+    for seconds in pages:
+        numerator, denominator = round(seconds * 1000), 1000
+        exposure = draw(
+            st.sampled_from(
+                [
+                    (33434, "2I", 1, (numerator, denominator), True), (33434, "f", 1, seconds, True),
+                    (33434, "d", 1, seconds, True), (33434, "s", 0, f"{numerator}/{denominator}", True),
+                    (33434, "2I", 1, (0, 0), True), (33434, "2I", 1, (4_294_967_295, 1), True), None,
+                ]
+            )
+        )  # fmt: skip
+        level = draw(
+            st.sampled_from(
+                [
+                    [(50714, "H", 1, black, True)], [(50714, "2I", 4, (black, 1) * 4, True)],
+                    [(50713, "H", 2, (1, 2), True), (50714, "H", 2, (black, black), True)],
+                    [(50714, "2I", 1, (0, 1), True), (50716, "2i", 16, (black, 1) * 16, True)],
+                    [(50714, "2I", 1, (0, 0), True)], [(50714, "f", 1, float(black), True)],
+                ]
+            )
+        )  # fmt: skip
+        tags.append([*([exposure] if exposure else []), *level])
+    stated = [seconds for seconds, own in zip(pages, tags, strict=True) if _states_exposure(own)]
+    truth = {f"exposure {n}": seconds for n, seconds in enumerate(stated)}
+    truth |= {f"black {n}": float(black) for n in range(len(pages))}
+
+    def made(folder: Path) -> Callable[[], Read]:
+        with tifffile.TiffWriter(folder / "a.tif") as writer:
+            for own in tags:
+                page = np.random.default_rng(0).integers(500, 900, (16, 16)).astype(np.uint16)
+                writer.write(page, photometric="minisblack", extratags=own, metadata=None, contiguous=False)
+        return lambda: of_import(folder / "a.tif")
+
+    return truth, made
+
+
+def _states_exposure(tags: list[Any]) -> bool:
+    return any(tag[0] == 33434 and tag[3] not in ((0, 0), (4_294_967_295, 1)) for tag in tags)
+
+
+@st.composite
+def ome_variant(draw: st.DrawFn) -> tuple[dict[str, Any], Callable[[Path], Callable[[], Read]]]:
+    """Return an OME-TIFF whose pages have some order, stated by TiffData or by DimensionOrder, in some unit."""
+    spelling = draw(st.sampled_from(sorted(TIME_UNITS)))
+    factor = TIME_UNITS[spelling]
+    order = draw(st.sampled_from(["XYZCT", "XYZTC", "XYTCZ", "XYCTZ"]))
+    places = draw(st.permutations([(c, t) for c in range(2) for t in range(2)]))
+    by_block = draw(st.booleans())
+    exposures = (0.005, 0.01, 0.02, 0.04)
+    if not by_block:  # the order of the pages follows from DimensionOrder alone
+        first = order[2:].replace("Z", "")[0]
+        places = [(n % 2, n // 2) if first == "C" else (n // 2, n % 2) for n in range(4)]
+    blocks = "".join(
+        f'<TiffData FirstC="{c}" FirstT="{t}" FirstZ="0" IFD="{n}" PlaneCount="1"/>' for n, (c, t) in enumerate(places)
+    )
+    planes = [
+        f'<Plane TheZ="0" TheC="{c}" TheT="{t}" ExposureTime="{s / (factor or 1):.9g}" ExposureTimeUnit="{spelling}"/>'
+        for (c, t), s in zip(places, exposures, strict=True)
+    ]
+    body = (blocks if by_block else "") + "".join(draw(st.permutations(planes)))
+    xml = (
+        '<?xml version="1.0" encoding="UTF-8"?><OME xmlns="http://www.openmicroscopy.org/Schemas/OME/2016-06"><Image '
+        f'ID="Image:0"><Pixels ID="Pixels:0" DimensionOrder="{order}" Type="uint16" SizeX="16" SizeY="16" SizeZ="1" '
+        f'SizeC="2" SizeT="2">{body}</Pixels></Image></OME>'
+    )
+    truth = {f"exposure {n}": s if factor else -1.0 for n, s in enumerate(exposures)}
+
+    def made(folder: Path) -> Callable[[], Read]:
+        pages = np.random.default_rng(0).integers(500, 900, (4, 16, 16)).astype(np.uint16)
+        tifffile.imwrite(folder / "a.ome.tif", pages, description=xml.encode(), metadata=None, photometric="minisblack")
+        return lambda: of_import(folder / "a.ome.tif")
+
+    return truth, made
+
+
+def _table(draw: st.DrawFn, columns: dict[str, list[str]], more: dict[str, list[str]], *, named: bool = False) -> str:
+    """Return a table with its columns permuted, further ones between them, any separator and decimal mark."""
+    found = columns | {name: more[name] for name in draw(st.sets(st.sampled_from(sorted(more)), max_size=2))}
+    names = draw(st.permutations(sorted(found)))
+    marks = [(",", False), (";", False), (";", True), ("\t", True), ("\t", False), (",", True)]
+    separator, comma = draw(st.sampled_from(marks))
+    rows = [separator.join(cells) for cells in zip(*(found[name] for name in names), strict=True)]
+    rows = [row.replace(".", ",") for row in rows] if comma else rows
+    before = draw(st.sampled_from([[], ["# a remark"], ["Export of 2026"]]))
+    heading = draw(st.sampled_from([[separator.join(names)]] * 4 + ([] if named else [[]])))
+    return "\n".join([*before, *heading, *rows]) + "\n"
+
+
+def _heading(draw: st.DrawFn, name: str, unit: str) -> str:
+    return draw(st.sampled_from([f"{name} ({unit})", f"{name} [{unit}]", f"{name}_{unit}"])) if unit else name
+
+
+@st.composite
+def screen_variant(draw: st.DrawFn) -> tuple[dict[str, Any], Callable[[Path], Callable[[], Read]]]:
+    """Return a table of a screen with levels and luminances in some unit."""
+    unit, level_unit = draw(st.sampled_from(["", *LUMINANCE_UNITS])), draw(st.sampled_from(["", *LEVEL_UNITS]))
+    factor, full = LUMINANCE_UNITS.get(unit, 1.0), LEVEL_UNITS.get(level_unit, 255.0)
+    levels = list(range(0, 256, 15))
+    light = [0.2 + 230 * (n / 255) ** 2.2 for n in levels]
+    columns = {
+        _heading(draw, draw(st.sampled_from(["level", "Stufe", "grey level"])), level_unit): [
+            f"{n * (full or 300.0) / 255:.6g}" for n in levels
+        ],
+        _heading(draw, draw(st.sampled_from(["luminance", "Lv", "Leuchtdichte"])), unit): [
+            f"{v / (factor or 1.0):.6g}" for v in light
+        ],
+    }
+    more = {"No": [str(n) for n in range(1, 19)], "x": ["0.3127"] * 18, "y_chromaticity": ["0.329"] * 18}
+    text = _table(draw, columns, more)
+    known = factor is not None and full is not None
+    truth = {str(n): v if known else -1.0 for n, v in zip(levels, light, strict=True)}
+
+    def made(folder: Path) -> Callable[[], Read]:
+        (folder / "s.csv").write_text(text)
+
+        def read() -> Read:
+            found = read_screen_readings(folder / "s.csv")
+            assert set(found.grey) == set(levels) or found.doubts
+            return Read({str(n): float(np.mean(v)) for n, v in found.grey.items()}, found.doubts)
+
+        return read
+
+    return truth, made
+
+
+@st.composite
+def spectrum_variant(draw: st.DrawFn) -> tuple[dict[str, Any], Callable[[Path], Callable[[], Read]]]:
+    """Return a table of a spectrum, its wavelengths in nm, µm or another unit."""
+    unit, factor = draw(st.sampled_from([("nm", 1.0), ("\u00b5m", 1e3), ("um", 1e3), ("cm-1", None), ("", 1.0)]))
+    grid = list(range(400, 701, 10))
+    more = {"index": [str(n) for n in range(31)], "dark": ["12.5"] * 31}
+    power = [float(np.exp(-0.5 * ((nm - 560) / 40) ** 2)) + 0.001 for nm in grid]
+    columns = {
+        _heading(draw, draw(st.sampled_from(["wavelength", "Lambda", "wl"])), unit): [
+            f"{nm / (factor or 1):.6g}" for nm in grid
+        ],
+        draw(st.sampled_from(["power", "relative", "relativ"])): [f"{v:.6f}" for v in power],
+    }
+    text = _table(draw, columns, more, named=unit not in ("", "nm"))
+
+    def made(folder: Path) -> Callable[[], Read]:
+        (folder / "s.csv").write_text(text)
+
+        def read() -> Read:
+            found = spectrum_from_csv(folder / "s.csv")
+            mean = float(found.wavelength_nm @ found.power / found.power.sum())
+            return Read({"mean": mean, "peak": float(found.power.max())})
+
+        return read
+
+    mean = float(np.array(grid) @ power / np.sum(power))
+    return {"mean": mean if factor else -1.0, "peak": max(power)}, made
+
+
+@st.composite
+def statistics_variant(draw: st.DrawFn) -> tuple[dict[str, Any], Callable[[Path], Callable[[], Read]]]:
+    """Return a table of means and variances over exposure in some unit."""
+    unit = draw(st.sampled_from(["", *TIME_UNITS]))
+    factor = TIME_UNITS.get(unit)
+    columns = {
+        _heading(draw, draw(st.sampled_from(["exposure", "exptime", "integration_time"])), unit): [
+            f"{s / (factor or 1.0):.7g}" for s in EXPOSURES
+        ],
+        "mean": ["120.5", "600.25", "3100.5"],
+        "variance": ["14.5", "60.125", "310.5"],
+    }
+    more = {"row": ["1", "2", "3"], "remark": ["a", "b", "c"], "max": ["130.5", "640.5", "3300.5"]}
+    text = _table(draw, columns, more)
+    truth = {f"exposure {n}": s if factor else -1.0 for n, s in enumerate(EXPOSURES)}
+    truth |= {f"mean {n}": v for n, v in enumerate((120.5, 600.25, 3100.5))}
+
+    def made(folder: Path) -> Callable[[], Read]:
+        (folder / "t.csv").write_text(text)
+
+        def read() -> Read:
+            header = statistics_of(folder / "t.csv")
+            if header is None:
+                return Read({})
+            values = {f"exposure {n}": e.exposure_s for n, e in enumerate(header.statistics)}
+            values |= {f"mean {n}": e.mean_dn for n, e in enumerate(header.statistics)}
+            return Read(values, record_in(header).doubts)
+
+        return read
+
+    return truth, made
+
+
+@st.composite
+def list_variant(draw: st.DrawFn) -> tuple[dict[str, Any], Callable[[Path], Callable[[], Read]]]:
+    """Return a list of exposure times with units behind the numbers, in the heading, or nowhere."""
+    unit = draw(st.sampled_from(["", *TIME_UNITS]))
+    factor = TIME_UNITS.get(unit, 1.0)
+    separator = draw(st.sampled_from([" ", ",", ";", "\t", ", "]))
+    comma, in_heading = draw(st.booleans()), draw(st.booleans())
+    lines = [separator.join(["file", f"time ({unit})" if unit else "time"])] if in_heading else []
+    for n, seconds in enumerate(EXPOSURES):
+        number = f"{seconds / (factor or 1.0):.9g}"
+        behind = f" {unit}" if unit and not in_heading else ""
+        lines.append(f"p{n}.jpg{separator}{number.replace('.', ',') if comma else number}{behind}")
+    truth = {f"p{n}.jpg": s if factor else -1.0 for n, s in enumerate(EXPOSURES)}
+
+    def made(folder: Path) -> Callable[[], Read]:
+        (folder / "exposures.txt").write_text("\n".join(lines) + "\n", encoding="utf-8")
+        return lambda: Read({n: one.exposure_s for n, one in read_list(folder / "exposures.txt").items()})
+
+    return truth, made
+
+
+@st.composite
+def exif_variant(draw: st.DrawFn) -> tuple[dict[str, Any], Callable[[Path], Callable[[], Read]]]:
+    """Return a photograph whose ISO speed is in one or more tags, 65535 and 0 among them."""
+    speed = draw(st.sampled_from([400, 102_400]))
+    tags = [(33434, "2I", 1, (7, 1000), True)]
+    for code in draw(st.permutations([34855, 34866, 34867])):
+        kind, value = draw(st.sampled_from([("I", speed), ("H", 65_535), ("H", 0), ("I", 4_294_967_295), ("", 0)]))
+        if code == 34855 and kind == "I":
+            kind, value = "H", min(speed, 65_535)
+        if kind:
+            tags.append((code, kind, 1, value, True))
+
+    def made(folder: Path) -> Callable[[], Read]:
+        page = np.random.default_rng(0).integers(5, 200, (16, 16)).astype(np.uint8)
+        tifffile.imwrite(folder / "p.tif", page, photometric="minisblack", extratags=tags, metadata=None)
+
+        def read() -> Read:
+            found = read_exif(folder / "p.tif")
+            return (
+                Read({})
+                if found is None
+                else Read(
+                    {"s": found.nominal_exposure_s, "iso": found.iso}, (found.iso_doubt,) if found.iso_doubt else ()
+                )
+            )
+
+        return read
+
+    return {"s": 0.007, "iso": float(speed)}, made
+
+
+READERS = {
+    "FITS": fits_variant(), "TIFF": tiff_variant(), "OME-TIFF": ome_variant(), "screen table": screen_variant(),
+    "spectrum table": spectrum_variant(), "table of statistics": statistics_variant(),
+    "list of exposures": list_variant(), "EXIF": exif_variant(),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("examples", [12, pytest.param(300, marks=pytest.mark.long)])
+@pytest.mark.parametrize("variants", READERS.values(), ids=READERS)
+def test_no_variant_gives_a_wrong_value_in_silence(variants, examples):
+    """The value the file was made with, a refusal in one line, or a doubt."""
+
+    @settings(max_examples=examples, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+    @given(variants)
+    def hold(variant: Any) -> None:
+        truth, made = variant
+        with tempfile.TemporaryDirectory() as folder:
+            check(truth, made(Path(folder)))
+
+    hold()
