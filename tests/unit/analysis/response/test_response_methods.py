@@ -20,7 +20,7 @@ def test_method_gives_the_response_back(make_stack, inner_error, method, respons
     """ln H over 5–95 % scatters by less than 0.5 %, and every step between two frames has its uncertainty."""
     bracket = make_stack(response, bit_depth=8)
     found = METHODS[method]([bracket])
-    assert found.exposure_ratios.shape == found.u_exposure_ratios.shape == (len(bracket.frames) - 1,)
+    assert found.exposure_ratios.shape == found.u_exposure_ratios.shape == (len(bracket.light) - 1,)
     assert np.all(found.u_exposure_ratios >= 0.0)
     curve = found.curve
     assert np.std(inner_error(curve, response)) < 0.005
