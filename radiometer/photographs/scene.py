@@ -105,6 +105,11 @@ class Photographs:
         """Return the photographs with further notes; None is no note."""
         return replace(self, notes=(*self.notes, *(text for text in texts if text)))
 
+    def assuming(self, text: str) -> Photographs:
+        """Return the photographs with a further assumption about all channels, which is noted as well."""
+        assumed = {name: (*self.assumed.get(name, ()), text) for name in self.brackets}
+        return replace(self, assumed=assumed).noted(text)
+
     def thinned(self) -> Photographs:
         """Return a lattice of pixels that is enough for a response."""
         return self.each(lambda one: one.thinned(ENOUGH_PIXELS))
@@ -187,15 +192,17 @@ def prepared(
     taken = photographs.each(lambda one: with_iso(one, iso))
     speeds = iso_speeds(measured_iso, calibration)
     taken = taken.each(lambda one: with_f_number(with_gains(one, speeds), f_number))
+    of_speed: str | None = None
     if calibration is not None:
         for bracket in taken.brackets.values():
-            require_photograph(calibration, bracket.light[0])
+            of_speed = require_photograph(calibration, bracket.light[0])
     elif linear:
         taken = _in_their_own_depth(taken)
     taken = taken.placed(align)
     if calibration is not None:
         held = calibration.found.exposure_offset_s != 0.0  # a model's offset takes the place of the response's
-        return with_offset(taken, {} if held else dict.fromkeys(taken.brackets, calibration.response))
+        timed = with_offset(taken, {} if held else dict.fromkeys(taken.brackets, calibration.response))
+        return timed if of_speed is None else timed.assuming(of_speed)
     if curves:
         given = {name: curve_of_channel(curves, name) for name in taken.brackets}
         return with_offset(replace(taken, curves={k: v for k, v in given.items() if v is not None}), given)

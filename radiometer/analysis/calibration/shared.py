@@ -34,10 +34,11 @@ class State(StrEnum):
 class Handling(StrEnum):
     """What is done about it.
 
-    A corrected reading carries the uncertainty of the correction in its budget as well.
+    An assumption is named in the result. A corrected reading carries the uncertainty of the correction in its budget.
     """
 
     KEPT = "kept"
+    ASSUMED = "assumed"
     CORRECTED = "corrected"
     WIDENED = "widened"
     REFUSED = "refused"
@@ -116,9 +117,10 @@ TABLE: Final[Mapping[str, Mapping[State, Rule]]] = {
     "ISO speed": {
         State.EQUAL: _KEPT,
         State.DIFFERENT: Rule(Handling.CORRECTED, "numbers go as the ISO speed", "gain step"),
-        State.READING_SILENT: _refused(
-            "the calibration holds at ISO {there}, the photographs state no ISO speed: without it the radiance could "
-            "be wrong by any factor; give --iso S"
+        State.READING_SILENT: Rule(
+            Handling.ASSUMED,
+            "the photographs state no ISO speed: treated as taken at ISO {there}, as the calibration; --iso S states "
+            "another",
         ),
         State.CALIBRATION_SILENT: _refused(
             "the calibration does not say at which ISO speed its scale holds, the photographs were taken at ISO "
@@ -237,21 +239,27 @@ def require_lens(calibration: Calibration, lens: LensDescription) -> None:
     settle("focal length", mine, theirs, equal=near)
 
 
-def require_photograph(calibration: Calibration, frame: Frame) -> None:
+def require_photograph(calibration: Calibration, frame: Frame) -> str | None:
     """Refuse a photograph in another colour than the calibration's, or of an ISO speed that cannot be compared.
+
+    Returns what is assumed of its ISO speed, None where nothing is.
 
     Args:
         calibration: The calibration; of a relative one the colour alone counts.
         frame: One of the photographs, with what is stated of it.
 
     Raises:
-        CalibrationError: If one side does not state its ISO speed.
+        CalibrationError: If the calibration does not state its ISO speed, and the photograph does.
         UsageError: If colours differ.
     """
     require_channel(calibration, frame)
-    if calibration.absolute:
-        # Equal speeds or not: the gain that the frame carries holds their ratio.
-        settle("ISO speed", calibration.scale.iso, frame.settings.iso)
+    if not calibration.absolute:
+        return None
+    # Equal speeds or not: the gain that the frame carries holds their ratio.
+    there, here = calibration.scale.iso, frame.settings.iso
+    if settle("ISO speed", there, here) is not Handling.ASSUMED:
+        return None
+    return TABLE["ISO speed"][state_of(there, here)].reason.format(there=_shown(there))
 
 
 def require_channel(calibration: Calibration, frame: Frame) -> None:

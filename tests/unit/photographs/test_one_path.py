@@ -124,11 +124,10 @@ def test_photographs_of_another_iso_read_right(tmp_path, calibrated, iso):
     assert any(line.name == "gain step" and line.u_rel > 0 for line in reading.budget) == (iso == 400)
 
 
-def test_a_speed_that_one_side_does_not_state_is_refused_with_the_way_out(tmp_path, calibrated):
-    """Photographs without a speed, and a scale without one: neither can be compared; --iso states it."""
+def test_a_speed_that_one_side_does_not_state_is_assumed_or_refused(tmp_path, calibrated):
+    """Photographs without a speed are treated as the calibration's, in words; a scale without one is refused."""
     silent = photographs(tmp_path / "silent", np.full((40, 60), 0.2), iso=None, times_s=TIMES_S[1:4])
-    with pytest.raises(CalibrationError, match="give --iso S"):
-        rm.merge(silent, calibration=calibrated)
+    assert any("treated as taken at ISO 100" in one for one in rm.merge(silent, calibration=calibrated).assumptions)
     stated = rm.measure_photographs(silent, (4, 4, 50, 30), calibration=calibrated, iso=100, spectrum="equal_energy")
     assert stated.radiance.value == pytest.approx(0.2, rel=0.03)
     unknown = replace(calibrated, scale=calibrated.scale.model_copy(update={"iso": None}))
