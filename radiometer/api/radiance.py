@@ -37,7 +37,7 @@ from radiometer.data import (
 from radiometer.data.drawing import new_axes, picture
 from radiometer.data.pile_up import with_white_levels
 from radiometer.data.setup import Setup
-from radiometer.data.storage import refuse_unwritable
+from radiometer.data.storage import check_outputs
 from radiometer.errors import CaptureError, MissingLibrary, UsageError
 from radiometer.importing import imported_of, is_foreign, open_capture
 from radiometer.photographs.alignment import ALIGN_CHOICES
@@ -365,7 +365,7 @@ def merge(
     files = tuple(Path(one) for one in ([out] if isinstance(out, str | os.PathLike) else out))
     for file in files:
         writer_for(file)
-        refuse_unwritable(file)
+    check_outputs(*files, force=True)
     known = calibration if isinstance(calibration, Calibration | None) else Calibration.read(Path(calibration))
     beside = files[0] if files else None
     asked = _Asked(

@@ -23,7 +23,7 @@ from radiometer.bench.sources import open_source
 from radiometer.data import Bracket, ResponseCurve
 from radiometer.data.drawing import new_axes, picture
 from radiometer.data.iso_speeds import IsoSpeeds
-from radiometer.data.storage import refuse_unwritable
+from radiometer.data.storage import check_outputs
 from radiometer.errors import MeasurementError, UsageError
 from radiometer.photographs.iso_record import with_iso_speeds
 from radiometer.photographs.response import ENOUGH_PIXELS
@@ -161,6 +161,7 @@ def recover_response(
     align: str = "auto",
     output: PathLike | None = None,
     plot: PathLike | None = None,
+    force: bool = True,
     progress: Progress | None = None,
 ) -> Response:
     """Recover a camera's response g(M) = ln H from brackets of one unmoving scene each, with its uncertainty.
@@ -179,6 +180,7 @@ def recover_response(
         align: Photographs from the hand: "auto" (where they moved), "on", or "off".
         output: Curve to write: .csv, .yaml, .m or .rsp.
         plot: Picture to draw: .png, .pdf or .svg.
+        force: Replace files that exist.
         progress: Called as the work goes on.
 
     Raises:
@@ -192,7 +194,7 @@ def recover_response(
             f"--known-ratio is for methods that find the ratios themselves: --method {' or '.join(RATIO_METHODS)}"
         )
     target, drawn = (Path(one) if one is not None else None for one in (output, plot))
-    _refuse_targets(target, drawn)
+    _refuse_targets(target, drawn, names, force=force)
     several = [sources] if isinstance(sources, Stack | Bracket | str | os.PathLike) else list(sources)
     notes: list[str] = []
     found: dict[str, list[Bracket]] = {}
@@ -215,15 +217,17 @@ def recover_response(
     return Response(tuple(estimates), tuple(files), drawn, tuple(notes))
 
 
-def _refuse_targets(output: Path | None, plot: Path | None) -> None:
+def _refuse_targets(output: Path | None, plot: Path | None, methods: Sequence[str], *, force: bool) -> None:
     """Refuse what cannot be written before the work is done, not after."""
     if output is not None and output.suffix.lower() not in _SUFFIXES:
         raise UsageError(f"cannot write {output}: a curve's ending must be one of {', '.join(_SUFFIXES)}")
     if plot is not None:
         check_plot_name(plot)
-    for target in (output, plot):
-        if target is not None:
-            refuse_unwritable(target)
+    check_outputs(output, plot, force=force)
+    if output is not None:  # several curves carry channel and method in their files' names
+        parts = ["", *(f"-{channel}" for channel in ("red", "green", "blue"))]
+        names = [f"{part}{method}" for part in parts for method in ("", *(f"-{name}" for name in methods))]
+        check_outputs(*(output.with_stem(output.stem + name) for name in names if name), force=force)
 
 
 def _read(

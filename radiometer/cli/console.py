@@ -5,9 +5,10 @@ from __future__ import annotations
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from radiometer.errors import DeviceError
+from radiometer.reporting.plain_text import printable
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -17,13 +18,20 @@ if TYPE_CHECKING:
 def console(*, to_stderr: bool = False) -> Console:
     """Return a console; colour only on a terminal, and never under NO_COLOR."""
     from rich.console import Console
+    from rich.text import Text
 
-    return Console(stderr=to_stderr, highlight=False, soft_wrap=True)
+    class PlainConsole(Console):
+        """A console whose texts cannot steer the terminal: remarks and serial numbers come from outside."""
+
+        def render_str(self, text: str, **how: Any) -> Text:
+            return super().render_str(printable(text), **how)
+
+    return PlainConsole(stderr=to_stderr, highlight=False, soft_wrap=True)
 
 
 def note(message: str) -> None:
     """Say something beside the result, on standard error."""
-    print(message, file=sys.stderr)
+    print(printable(message), file=sys.stderr)
 
 
 @contextmanager

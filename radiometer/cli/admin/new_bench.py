@@ -10,7 +10,8 @@ import typer
 
 from radiometer.cli.arguments import parse_patch
 from radiometer.cli.console import note
-from radiometer.errors import OutputError, UsageError
+from radiometer.cli.outputs import writes
+from radiometer.errors import UsageError
 
 _QUESTIONS: Final = {
     "camera": "Camera: serial number, id or address; sim for a simulated one",
@@ -23,8 +24,9 @@ _SIMULATED: Final = {"kind": "simulated", "preset": "BFS-U3-19S4M"}
 _EVEN_FIELD: Final = {"kind": "uniform", "radiance_W_per_sr_m2": 0.3}
 
 
+@writes("output")
 def command(
-    output: Annotated[Path, typer.Argument(metavar="FILE", help="Bench file to write (.yaml); must not exist.")],
+    output: Annotated[Path, typer.Argument(metavar="FILE", help="Bench file to write (.yaml).")],
     camera: Annotated[str | None, typer.Option(help=f"{_QUESTIONS['camera']}.")] = None,
     focal_length: Annotated[str | None, typer.Option(help=f"{_QUESTIONS['focal_length']}.")] = None,
     f_number: Annotated[str | None, typer.Option(help=f"{_QUESTIONS['f_number']}.")] = None,
@@ -35,8 +37,6 @@ def command(
 
     What an option answers is not asked. Without a terminal, questions without an answer count as empty.
     """
-    if output.exists():
-        raise OutputError(f"{output} exists already; name another file, or move it away")
     if output.suffix not in (".yaml", ".yml"):
         raise UsageError(f"{output}: a bench file's name must end in .yaml")
     which = _answer("camera", camera)

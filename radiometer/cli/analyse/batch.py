@@ -11,9 +11,11 @@ import typer
 
 from radiometer.cli.arguments import parse_patch
 from radiometer.cli.console import note, progress_bar
+from radiometer.cli.outputs import writes
 from radiometer.errors import UsageError
 
 
+@writes()
 def command(
     archive: Annotated[str, typer.Argument(help="Folder of capture sets, at any depth, or a glob.")],
     do: Annotated[str, typer.Option(help="merge, response, measure, characterise or reconcile.")] = "measure",
@@ -28,19 +30,23 @@ def command(
     ] = None,
     maps: Annotated[Path | None, typer.Option(help="Folder for radiance maps (Zarr), with --do merge.")] = None,
     json: Annotated[bool, typer.Option("--json", help="Summary as JSON on standard output.")] = False,
+    force: Annotated[bool, typer.Option("--force", help="Replace a table whose journal is missing.")] = False,
 ) -> int:
     """Do one job on every capture set of an archive and write one table of results.
 
     What the table holds already of the same captures, settings and code is not done again. A capture set that
     fails becomes a row with its error and does not stop the rest. Ctrl-C leaves a usable table.
     """
+    from radiometer.api.outputs import check_outputs
     from radiometer.archive.discovery import find_captures
     from radiometer.archive.jobs import JOBS
+    from radiometer.archive.journal import journal_of
     from radiometer.archive.run import run_batch
     from radiometer.archive.settings import JobSettings
 
     if do not in JOBS:
         raise UsageError(f"--do {do!r}: there is no such job; there are {', '.join(JOBS)}")
+    check_outputs(out, force=force or journal_of(out).exists())
     region = parse_patch(patch) if patch else None
     captures, unfinished = find_captures(archive)
     settings = JobSettings(

@@ -11,9 +11,11 @@ import radiometer as rm
 from radiometer.cli.analyse.merge_report import show_map_report
 from radiometer.cli.arguments import F_NUMBER_HELP, ISO_HELP, UNSTATED_ISO_HELP, parse_bounds, parse_measured_iso
 from radiometer.cli.console import note, progress
+from radiometer.cli.outputs import writes
 from radiometer.errors import UsageError
 
 
+@writes("out")
 def command(
     path: Annotated[Path, typer.Argument(help="Capture set, or folder of photographs.")],
     out: Annotated[

@@ -11,6 +11,7 @@ import typer
 
 from radiometer.cli.arguments import parse_patch
 from radiometer.cli.console import console, note, progress_bar
+from radiometer.cli.outputs import writes
 from radiometer.errors import DeviceError, UsageError
 
 if TYPE_CHECKING:
@@ -149,6 +150,7 @@ def _exposures(planned: ExposurePlan, wanted: Procedure, device: Camera, repeat:
 
 
 @app.command("report")
+@writes("out")
 def report(
     session: Annotated[Path, typer.Argument(help="Folder of the session.")],
     calibration: Annotated[

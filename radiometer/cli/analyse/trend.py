@@ -9,12 +9,14 @@ from typing import TYPE_CHECKING, Annotated, Final
 import typer
 
 from radiometer.cli.console import console, note
+from radiometer.cli.outputs import writes
 from radiometer.errors import InputError
 
 if TYPE_CHECKING:
     from radiometer.archive.trend import Trend
 
 
+@writes("report")
 def command(
     results: Annotated[Path, typer.Argument(help="Table written by `radiometer batch --do measure`.")],
     quantity: Annotated[str, typer.Option(help="Quantity to follow.")] = "radiance",

@@ -11,12 +11,14 @@ import radiometer as rm
 from radiometer.cli.arguments import ISO_HELP, parse_measured_iso, parse_patch, parse_seconds
 from radiometer.cli.calibrate.report import show_report
 from radiometer.cli.console import note, progress
+from radiometer.cli.outputs import writes
 from radiometer.errors import UsageError
 
 if TYPE_CHECKING:
     from radiometer import Patch
 
 
+@writes("out")
 def command(
     capture: Annotated[Path | None, typer.Argument(help="Capture set or photographs of the known source.")] = None,
     out: Annotated[Path | None, typer.Option("--out", "-o", help="Calibration file to write.")] = None,

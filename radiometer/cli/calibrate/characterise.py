@@ -15,6 +15,7 @@ import typer
 
 from radiometer.cli.arguments import parse_patch
 from radiometer.cli.console import console, note, progress_bar
+from radiometer.cli.outputs import writes
 from radiometer.errors import DeviceError, UsageError
 
 if TYPE_CHECKING:
@@ -24,6 +25,7 @@ if TYPE_CHECKING:
     from radiometer.devices import Camera, CameraCapabilities
 
 
+@writes("output", "report", "emva_descriptor", folder="keep")
 def command(
     capture: Annotated[
         Path | None, typer.Argument(help="Capture set, or EMVA 1288 descriptor file; or else --camera.")

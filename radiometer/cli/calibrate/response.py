@@ -14,6 +14,7 @@ import radiometer as rm
 from radiometer.api.response import DEFAULT_METHOD, METHODS, ResponseEstimate, median_uncertainty
 from radiometer.cli.arguments import ISO_HELP, parse_known_ratios, parse_measured_iso
 from radiometer.cli.console import note, progress
+from radiometer.cli.outputs import writes
 
 _METHOD_HELP = f"Method: {', '.join(METHODS)}, or all."
 _RATIO_HELP = (
@@ -25,6 +26,7 @@ _CHANNEL_HELP = "Channel of colour photographs: luminance, red, green, blue, or 
 _LN_2 = math.log(2.0)
 
 
+@writes("output")
 def command(
     paths: Annotated[list[Path], typer.Argument(metavar="PATH...", help="Capture sets or folders of photographs.")],
     output: Annotated[
@@ -48,6 +50,7 @@ def command(
     align: Annotated[
         str, typer.Option(help="Photographs from the hand: auto (where they moved), on, or off.", metavar="auto|on|off")
     ] = "auto",
+    force: Annotated[bool, typer.Option("--force", help="Replace output files that exist.")] = False,
     as_json: Annotated[bool, typer.Option("--json", help="Print the result as one JSON object.")] = False,
 ) -> None:
     """Recover the camera response g(M) = ln H from brackets of exposures, with its uncertainty.
@@ -65,6 +68,7 @@ def command(
             align=align,
             output=output,
             plot=_plot_path(plot, output),
+            force=force,
             progress=shown,
         )
     for text in found.notes:

@@ -12,6 +12,7 @@ import typer
 from radiometer.cli.arguments import parse_patch
 from radiometer.cli.calibrate.screen_import import register
 from radiometer.cli.console import console, note, progress_bar, significant
+from radiometer.cli.outputs import writes
 from radiometer.errors import UsageError
 
 if TYPE_CHECKING:
@@ -30,6 +31,7 @@ app = typer.Typer(
 
 
 @app.command()
+@writes("out")
 def calibrate(
     out: Annotated[Path, typer.Option("--out", "-o", help="Calibration file to write.")] = Path("screen.yaml"),
     display: Annotated[str, typer.Option(help="browser, or a simulated one: lcd, pwm_lcd, oled.")] = "browser",
@@ -57,8 +59,10 @@ def calibrate(
     argyll: Annotated[bool, typer.Option("--argyll", help="Print spotread's line for every level measured.")] = False,
     seed: Annotated[int, typer.Option(min=0, help="Seed of the random order.")] = 1,
     json: Annotated[bool, typer.Option("--json", help="Report as one JSON object on standard output.")] = False,
+    force: Annotated[bool, typer.Option("--force", help="Replace output files that exist.")] = False,
 ) -> None:
     """Measure which level of a screen gives which radiance and luminance, with uncertainty."""
+    from radiometer.api.outputs import check_outputs
     from radiometer.bench.screen import lights, open_screen_bench, primaries_of
     from radiometer.screen.calibration_run import Options, calibrate_screen
     from radiometer.screen.plan import parse_levels
@@ -74,6 +78,7 @@ def calibrate(
         pixel_mm=pixel_mm,
     )
     kinds = _export_kinds(export)
+    check_outputs(*_export_files(kinds, out), force=force)
     where = parse_patch(patch) if patch else None
     lamps = lights(white, primaries_of(display, options.channels, primaries))
 
@@ -127,19 +132,23 @@ def level(
 
 
 @app.command("export")
+@writes()
 def export_command(
     calibration: Annotated[Path, typer.Argument(help="Screen calibration file.")],
     kinds: Annotated[str, typer.Argument(help="psychopy,ti3,csv,inverse,vcgt,cal or some of them.")],
     out: Annotated[Path | None, typer.Option("--out", "-o", help="Folder; beside the calibration by default.")] = None,
+    force: Annotated[bool, typer.Option("--force", help="Replace output files that exist.")] = False,
 ) -> None:
     """Write a calibration in the forms of other programs."""
+    from radiometer.api.outputs import check_outputs
     from radiometer.screen import ScreenCalibration
 
     chosen = _export_kinds(kinds)
     if not chosen:
         raise UsageError("name at least one form: psychopy,ti3,csv,inverse,vcgt,cal")
-    known = ScreenCalibration.read(calibration)
-    for written in _write_exports(known, chosen, (out or calibration.parent) / calibration.name):
+    base = (out or calibration.parent) / calibration.name
+    check_outputs(*_export_files(chosen, base), force=force)
+    for written in _write_exports(ScreenCalibration.read(calibration), chosen, base):
         console().print(f"wrote {written}")
 
 
@@ -154,14 +163,18 @@ def _export_kinds(text: str) -> list[str]:
 
 
 def _write_exports(calibration: ScreenCalibration, kinds: list[str], beside: Path) -> list[Path]:
-    from radiometer.screen.exports import EXPORTS, write_export
+    from radiometer.screen.exports import write_export
 
-    written = []
-    for kind in kinds:
-        path = beside.with_suffix(EXPORTS[kind][1])
+    files = _export_files(kinds, beside)
+    for kind, path in zip(kinds, files, strict=True):
         write_export(calibration, kind, path)
-        written.append(path)
-    return written
+    return files
+
+
+def _export_files(kinds: list[str], base: Path) -> list[Path]:
+    from radiometer.screen.exports import EXPORTS
+
+    return [base.with_suffix(EXPORTS[kind][1]) for kind in kinds]
 
 
 def _page_warnings(opened: ScreenBench) -> list[str]:

@@ -9,6 +9,7 @@ from typing import Annotated
 import typer
 
 from radiometer.cli.console import console, note, significant
+from radiometer.cli.outputs import writes
 
 
 def register(app: typer.Typer) -> None:
@@ -16,6 +17,7 @@ def register(app: typer.Typer) -> None:
     app.command("import")(import_command)
 
 
+@writes("out")
 def import_command(
     file: Annotated[Path, typer.Argument(help="ArgyllCMS .ti3 or .cal, pacsdisplay uLR, or a table: level, cd/m².")],
     out: Annotated[Path, typer.Option("--out", "-o", help="Calibration file to write.")] = Path("screen.yaml"),

@@ -11,6 +11,7 @@ import typer
 
 from radiometer.cli.arguments import parse_patch, parse_seconds
 from radiometer.cli.console import note, progress_bar, shutter_by_hand
+from radiometer.cli.outputs import writes
 from radiometer.errors import DeviceError, UsageError
 
 if TYPE_CHECKING:
@@ -21,6 +22,7 @@ if TYPE_CHECKING:
     from radiometer.devices import Camera
 
 
+@writes(folder="out")
 def command(
     out: Annotated[Path, typer.Argument(help="Folder to create.")],
     camera: Annotated[

@@ -10,11 +10,13 @@ import typer
 
 from radiometer.cli.arguments import parse_patch
 from radiometer.cli.console import note, progress_bar
+from radiometer.cli.outputs import writes
 
 if TYPE_CHECKING:
     from radiometer.importing.sources import WrittenSet
 
 
+@writes(folder="output")
 def command(
     sources: Annotated[
         list[Path],

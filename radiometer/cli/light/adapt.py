@@ -10,6 +10,7 @@ import typer
 
 from radiometer.cli.console import console, note
 from radiometer.cli.light.adapt_run import register
+from radiometer.cli.outputs import writes
 from radiometer.errors import MeasurementError, UsageError
 
 app = typer.Typer(
@@ -31,6 +32,7 @@ def adapt() -> None:
 
 
 @app.command()
+@writes("report", "csv")
 def fit(
     data: Annotated[
         Path,

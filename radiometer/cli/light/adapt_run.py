@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from radiometer.cli.console import console, note
+from radiometer.cli.outputs import writes
 from radiometer.errors import UsageError
 
 if TYPE_CHECKING:
@@ -30,6 +31,7 @@ def register(app: typer.Typer) -> None:
     app.command("bleach")(bleach)
 
 
+@writes("csv")
 def run(
     protocol: Annotated[str, typer.Argument(help="Protocol file, or the name of a shipped one (`adapt protocols`).")],
     subject: Annotated[str, typer.Option(help="Pseudonym of the subject.")],
@@ -72,6 +74,9 @@ def run(
     page_port: Annotated[int, typer.Option(min=0, max=65535, help="Port of that page; 0 for any free one.")] = 0,
     audio: Annotated[bool, typer.Option("--audio", help="Sound prompts: on the page, else by the bell.")] = False,
     json: Annotated[bool, typer.Option("--json", help="Each event and the outcome as JSON lines.")] = False,
+    force: Annotated[
+        bool, typer.Option("--force", help="Replace tables that exist; a journal is never replaced.")
+    ] = False,
 ) -> None:
     """Run a dark-adaptation test; where the journal exists, take it up where it ends.
 
@@ -84,6 +89,7 @@ def run(
     from radiometer.adaptation.protocol import read_protocol
     from radiometer.adaptation.run import run_test
     from radiometer.adaptation.run_facts import facts_of
+    from radiometer.api.outputs import check_outputs
     from radiometer.bench.box_adaptation import SIMULATED, BoxRequest
     from radiometer.cli.keys import listening
     from radiometer.cli.light.adapt_watch import Watching, watchers
@@ -95,6 +101,8 @@ def run(
         raise UsageError(f"--eye {eye}: right or left")
     chosen = read_protocol(protocol)
     file = out or Path(f"{subject}-{chosen.name}.jsonl")
+    resumed = file.exists()
+    check_outputs(None if resumed else file, csv or file.with_suffix(".csv"), force=force or resumed)
     wanted, controls = Watching(page or page_port > 0, page_port, audio, json, slow), Controls(linger_s=slow)
     seen = camera is not None or bench is not None
     whose = f"{subject} {eye}"

@@ -13,7 +13,7 @@ from radiometer.cli.console import console, note
 from radiometer.cli.light.light_account import account
 from radiometer.cli.light.light_calibrate import calibrate
 from radiometer.cli.light.light_report import status_report, tell_event, tell_state, tell_status
-from radiometer.errors import DeviceError, UsageError
+from radiometer.errors import DeviceError, DeviceNotFound, UsageError
 
 if TYPE_CHECKING:
     from radiometer.bench.boxes import OpenedBox
@@ -119,29 +119,22 @@ def off(
     box: Box = None,
     json: Json = False,
 ) -> None:
-    """Darken the box, or one channel; also while another program, such as the daemon, holds the box.
+    """Darken every box that can be reached, or one of them, or one channel; also while another program holds it.
 
-    A program that holds it darkens all of it. The button of the box does so too, held for 3 s.
+    A program that holds a box, such as the daemon, darkens all of it. The button of the box does so too, held for 3 s.
     """
-    from radiometer.bench.box_holder import ask_for_darkness, held_boxes
-    from radiometer.bench.boxes import SIMULATED, open_light_box
+    from radiometer.bench.boxes import darken, nothing_answers
 
-    held = [entry for entry in held_boxes() if box in (None, entry.serial, entry.port)] if box != SIMULATED else []
-    for entry in held:
-        ask_for_darkness(entry)
-        told = {"box": entry.serial, "darkened_by": entry.pid}
-        text = f"light box {entry.serial}: dark, by process {entry.pid}, which holds it"
-        print(json_module.dumps(told)) if json else console().print(text)
-    if held:
-        return
-    with open_light_box(box) as opened:
-        if channel is not None:
-            opened.box.off(channel)
-        dark = {name: opened.box.read_channel(name).drive.level == 0 for name in opened.box.channels}
-        if json:
-            print(json_module.dumps({"box": opened.box.identity.serial, "dark": dark}))
-        else:
-            console().print(f"light box {opened.box.identity.serial}: dark")
+    dark, failures = darken(box, channel)
+    for one in dark:
+        how = {"dark": one.dark} if one.darkened_by is None else {"darkened_by": one.darkened_by}
+        by = f", by process {one.darkened_by}, which holds it" if one.darkened_by is not None else ""
+        text = f"light box {one.serial}: dark{by}"
+        print(json_module.dumps({"box": one.serial, **how})) if json else console().print(text)
+    if failures:
+        raise DeviceError("; ".join(map(str, failures)))
+    if not dark:
+        raise DeviceNotFound(nothing_answers(box))
 
 
 @app.command()

@@ -10,12 +10,14 @@ import typer
 
 from radiometer.cli.arguments import parse_patch
 from radiometer.cli.console import console, note, progress_bar
+from radiometer.cli.outputs import writes
 from radiometer.errors import UsageError
 
 if TYPE_CHECKING:
     from radiometer.data.light_calibration import LightCalibration
 
 
+@writes("out")
 def calibrate(
     channel: Annotated[list[str] | None, typer.Option(help="Channel to calibrate; may be repeated; all.")] = None,
     box: Annotated[str | None, typer.Option("--box", help="sim, a serial number or a port.")] = None,
@@ -34,12 +36,14 @@ def calibrate(
     preset: Annotated[Path | None, typer.Option(help="Light-box preset with safety bounds.")] = None,
     out: Annotated[Path | None, typer.Option("--out", "-o", help="File to write; the box's own by default.")] = None,
     json: Annotated[bool, typer.Option("--json", help="JSON on standard output.")] = False,
+    force: Annotated[bool, typer.Option("--force", help="Replace output files that exist.")] = False,
 ) -> None:
     """Measure each channel's radiance over its levels with the camera, on both current ranges.
 
     Levels come in random order, each after it has settled; the dark reading is taken off, a reference level measured
     in between tells the drift. What is written makes `radiometer light set spot --radiance 0.01` work.
     """
+    from radiometer.api.outputs import check_outputs
     from radiometer.bench.boxes import calibration_file, open_light_box
     from radiometer.bench.light_bench import SurveyRequest, open_light_camera, survey_box
 
@@ -51,6 +55,11 @@ def calibrate(
     ):
         channels = tuple(channel or opened.box.channels)
         _refuse_unknown(channels, tuple(opened.box.channels))
+        file = out or calibration_file(opened.box.identity.serial)
+        if out is None:
+            file.parent.mkdir(parents=True, exist_ok=True)
+            known = opened.calibration.channels if opened.calibration else {}
+            check_outputs(file, force=force or not set(channels) & set(known))  # the other channels of the file stay
         task = bar.add_task("calibrating", total=None)
         request = SurveyRequest(channels, points_per_decade, seed, responsivity, spectral_u_rel)
         found = survey_box(
@@ -59,9 +68,6 @@ def calibrate(
             request,
             lambda name, done, total: bar.update(task, description=name, completed=done, total=total),
         )
-        file = out or calibration_file(opened.box.identity.serial)
-    if out is None:
-        file.parent.mkdir(parents=True, exist_ok=True)
     found.write(file)
     _tell(found, channels, file, json=json)
 

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from radiometer.cli.console import console, note
+from radiometer.cli.outputs import writes
 from radiometer.errors import UsageError
 
 if TYPE_CHECKING:
@@ -18,6 +19,7 @@ if TYPE_CHECKING:
 _SHOWN = 20
 
 
+@writes("plot")
 def command(
     file: Annotated[Path | None, typer.Argument(help="Journal file; the daemon's default one if left out.")] = None,
     journal: Annotated[Path | None, typer.Option(help="Journal file, named as for `radiometer serve`.")] = None,
@@ -126,7 +128,8 @@ def _summary(readings: list[dict[str, Any]]) -> str:
 def _show_events(reader: JournalReader, since_us: int | None, limit: int) -> None:
     out = console()
     for event in reader.events(since_us, limit):
-        out.print(f"{event['time'][:23].replace('T', ' ')}  {event['kind']:<11} {event['message']}", markup=False)
+        message = " ".join(event["message"].split())  # one line each, whatever a remark holds
+        out.print(f"{event['time'][:23].replace('T', ' ')}  {event['kind']:<11} {message}", markup=False)
 
 
 def _show_budget(reader: JournalReader, sequence: int) -> None:
@@ -140,9 +143,12 @@ def _show_budget(reader: JournalReader, sequence: int) -> None:
 def _draw(readings: list[dict[str, Any]], target: Path) -> None:
     """Draw the readings with a band of their expanded uncertainty, flagged ones marked."""
     import datetime as dt
+    from io import BytesIO
 
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
+
+    from radiometer.data.storage import write_bytes_atomic
 
     defined = [r for r in readings if None not in (r["radiance"]["value"], r["radiance"]["u"])]
     if not defined:
@@ -165,4 +171,6 @@ def _draw(readings: list[dict[str, Any]], target: Path) -> None:
     axes.set_xlabel("time (UTC)")
     axes.grid(alpha=0.25)
     axes.legend(frameon=False)
-    figure.savefig(target, dpi=150)
+    content = BytesIO()
+    figure.savefig(content, format=target.suffix.lower()[1:], dpi=150)
+    write_bytes_atomic(target, content.getvalue())

@@ -11,7 +11,7 @@ import typer
 
 from radiometer.cli.arguments import parse_patch
 from radiometer.cli.console import note
-from radiometer.errors import ConfigurationError, UsageError
+from radiometer.errors import ConfigurationError
 
 if TYPE_CHECKING:
     from radiometer.daemon.service import ServiceOptions
@@ -137,8 +137,6 @@ def _token(token_file: Path | None) -> str | None:
         token = token_file.read_text(encoding="utf-8").strip()
     except (OSError, UnicodeDecodeError) as error:
         raise ConfigurationError(f"cannot read the token file {token_file}: {error}") from error
-    if len(token) < 16:
-        raise UsageError(f"the token in {token_file} has {len(token)} characters; use 16 or more: openssl rand -hex 24")
     return token
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import select
+import signal
 import sys
 import time
 from pathlib import Path
@@ -57,6 +58,7 @@ def command(
         subject=subject,
         filter_density=filter_density,
     )
+    signal.signal(signal.SIGTERM, signal.default_int_handler)  # its end takes the port's link away as Ctrl-C does
     with made.server as server:
         print(server.port, flush=True)
         print(f"light box {serial} is served; stop with Ctrl-C", file=sys.stderr, flush=True)

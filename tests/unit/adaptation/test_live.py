@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +12,7 @@ from radiometer.adaptation.journal import Event, RunJournal
 from radiometer.adaptation.live import LiveState, running_fit
 from radiometer.adaptation.prompts import Prompter, prompts_after
 from radiometer.adaptation.protocol import read_protocol
-from radiometer.cli.light.adapt_live import _Terminal, live_curve, live_lines
+from radiometer.cli.light.adapt_live import live_curve, live_lines
 from radiometer.cli.light.terminal_chart import TerminalChart
 from simulators.observers.subject import SubjectCurve
 
@@ -155,7 +154,8 @@ def test_lost_fixation_is_announced_until_a_light_in_the_blind_spot_is_missed(st
     assert (told["catches"], told["points"], told["missed"]) == (0, [], [])
     assert "fixation lost 2/2   lapses 1/1   FIXATION LOST" in "\n".join(live_lines(state, running_fit([]), 60))
     state.take(_event("trial", 430.0, of="blind_spot", seen=False, **look))
-    assert not state.to_mapping()["fixation_lost"]
+    told = state.to_mapping()
+    assert (told["fixation"], told["fixation_lost"]) == ([2, 3], False)
 
 
 @pytest.mark.parametrize(
@@ -201,14 +201,3 @@ def test_without_a_terminal_each_event_is_a_line(event: Event, line: str, capsys
     with live_curve(read_protocol("classic"), []) as tell:
         tell(event)
     assert " ".join(capsys.readouterr().out.split()) == line
-
-
-def test_the_terminal_shows_the_running_curve() -> None:
-    """In a terminal what the journal held counts too: phase, time in the dark, and the counts of points."""
-    known = [_event("start", 0.0, subject="S1"), _event("bleach", 0.1), _event("dark", 120.0)]
-    screen = _Terminal(read_protocol("classic"))
-    for event in (*known, _trial(150, -1.0), _trial(180, -1.5), _trial(200, None)):
-        screen.take(event)
-    shown = str(screen.render())
-    assert re.search(r"^1:\d\d in the dark   look at the red mark\n", shown)
-    assert "2 thresholds   1 not seen   0 catches   0 false presses" in shown

@@ -114,6 +114,7 @@ def test_channel_of_another_colour_is_refused(quick: AdaptationProtocol) -> None
     assert "505 nm" in str(refusal(changed(quick, "spot", peak_nm=505.0)))
 
 
+@pytest.mark.slow
 def test_dark_room_is_measured_by_the_camera(quick: AdaptationProtocol) -> None:
     """In the dark the reading is 0 within its uncertainty; at 0.01 cd/m² it is that, and refused."""
     dark = findings(quick, BoxRequest("sim", measure_room=True))[-1]

@@ -9,7 +9,6 @@ from typing import Any
 
 import pytest
 
-from radiometer.daemon import probe
 from radiometer.daemon.http.server import HttpServer
 from radiometer.daemon.probe import check_daemon
 from radiometer.daemon.scpi.server import ScpiServer
@@ -71,9 +70,9 @@ def test_a_stranger_on_the_port_is_named(reply: bytes) -> None:
     assert "--scpi-port" in finding.cure
 
 
-def test_one_that_says_nothing_is_not_waited_for_long(monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.slow  # waits in real time
+def test_one_that_says_nothing_is_not_waited_for_long() -> None:
     """A program that takes the call and is silent is a stranger, not nobody."""
-    monkeypatch.setattr(probe, "_PATIENCE_S", 0.01)
     with socket.create_server(("127.0.0.1", 0)) as silent:
         port = int(silent.getsockname()[1])
         assert check_daemon(port, port).health is Health.WARNING

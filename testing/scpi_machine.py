@@ -20,8 +20,8 @@ from radiometer.daemon.scpi.session import Session
 from radiometer.daemon.scpi.table import command_table
 from radiometer.daemon.station import Station
 from radiometer.errors import DeviceError
+from testing.fake_station import QUICK, FakeBox, FakeInstrument
 from testing.patience import within
-from tests.unit.daemon.conftest import QUICK, FakeBox, FakeInstrument
 
 TABLE = command_table()
 SESSIONS = 3
