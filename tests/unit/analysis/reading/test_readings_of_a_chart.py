@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from radiometer.data.setup import Setup
 from radiometer.analysis.reading.reading import read_patch
 from radiometer.data import (
     BlackLevel,
@@ -101,7 +102,7 @@ def gamma_calibration() -> Calibration:
 def read(frames: list[Frame], patch: Patch = MIDDLE, given: Calibration | None = None, **options: Any) -> Reading:
     given = given or calibration()
     lens = options.pop("lens", LENS)
-    return read_patch(Bracket.from_frames(frames), patch, given, given.camera, lens, now=NOW, **options)
+    return read_patch(Bracket.from_frames(frames), patch, Setup(given.camera, lens, given), now=NOW, **options)
 
 
 def lens(**changes: Any) -> LensDescription:
