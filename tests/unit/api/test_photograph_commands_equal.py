@@ -98,7 +98,7 @@ def test_the_command_prints_what_the_function_returns(name, desk, monkeypatch, c
     monkeypatch.setattr(reading, "dt", _Stopped(moment))
     words, function = CASES[name]
     capsys.readouterr()
-    assert run([*words, "--json"]) == 0
+    assert run([*words, *(["--force"] if "-o" in words else []), "--json"]) == 0
     printed = json.loads(capsys.readouterr().out)
     found = function()
     assert _compared(json.loads(found.to_json())) == _compared(printed)

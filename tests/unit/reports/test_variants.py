@@ -142,7 +142,7 @@ def tiff_variant(draw: st.DrawFn) -> tuple[dict[str, Any], Callable[[Path], Call
                 ]
             )
         )  # fmt: skip
-        tags.append([*([exposure] if exposure else []), *level].light)
+        tags.append([*([exposure] if exposure else []), *level])
     stated = [seconds for seconds, own in zip(pages, tags, strict=True) if _states_exposure(own)]
     truth = {f"exposure {n}": seconds for n, seconds in enumerate(stated)}
     truth |= {f"black {n}": float(black) for n in range(len(pages))}
