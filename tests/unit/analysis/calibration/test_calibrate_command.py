@@ -213,7 +213,7 @@ def test_a_spectrum_that_nobody_states_is_known_to_43_percent(capture, tmp_path,
 def test_stated_uncertainties_reach_the_file(capture, tmp_path, capsys):
     """What the user knows better takes the default's place; a name that there is not is refused with all names."""
     folder, _ = capture
-    command = ["calibrate", str(folder), "-o", str(tmp_path / "cal.yaml")]
+    command = ["calibrate", str(folder), "-o", str(tmp_path / "cal.yaml"), "--force"]
     assert run([*command, "--stated", "glare_u=0.002"]) == 0
     assert Calibration.read(tmp_path / "cal.yaml").uncertainties.glare_u == 0.002
     assert run([*command, "--stated", "glare=0.002"]) == 2
