@@ -45,10 +45,10 @@ class Session:
     def __init__(self, station: Station, table: CommandTable, reply_bytes: int = _REPLY_BYTES) -> None:
         self.station, self.table, self.reply_bytes = station, table, reply_bytes
         self.name = f"scpi-{next(_NUMBERS)}"
-        self.status = Status()
+        self.status: Status = Status()
         self.function = "RADiance"
         self.elements: tuple[str, ...] = _DEFAULT_ELEMENTS
-        self.big_endian = True
+        self.big_endian: bool = True
         self.own_patch: tuple[Patch | None] | None = None  # (None,) is the middle; None the shared patch
         self.pending: asyncio.Task[Reading] | None = None
         self._own: Reading | None = None

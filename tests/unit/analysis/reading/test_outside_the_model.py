@@ -11,7 +11,6 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from radiometer.data.setup import Setup
 from radiometer.analysis.calibration.calibrate import KnownSource, scale_by_source
 from radiometer.analysis.reading.contributions import local_scatter
 from radiometer.analysis.reading.outside import conditions_of, frame_u_rel, stray_light
@@ -547,7 +546,9 @@ def test_four_equal_contributions_have_the_interval_of_the_guide_s_additive_mode
     conditions = ScaleConditions(inverse_exposure_per_s=1e3, temperature_c=24.0, gain_db=6.0)
     calibration = calibrated(rig, conditions, uncertainties=stated, validity_days=3650.0)
     later = NOON + dt.timedelta(days=365.25)
-    situation = patch_situation(frames, Patch(0, 0, 120, 120), Setup(rig.description, rig.lens, calibration, None), now=later)
+    situation = patch_situation(
+        frames, Patch(0, 0, 120, 120), Setup(rig.description, rig.lens, calibration, None), now=later
+    )
     found = propagate_distributions(situation, np.random.default_rng(1), 200_000)
     assert found.u / found.mean == pytest.approx(2.0e-3, rel=0.01)
     low, high = found.low / found.mean - 1.0, found.high / found.mean - 1.0

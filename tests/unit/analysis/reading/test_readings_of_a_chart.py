@@ -12,7 +12,6 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from radiometer.data.setup import Setup
 from radiometer.analysis.reading.reading import read_patch
 from radiometer.data import (
     BlackLevel,
@@ -31,6 +30,7 @@ from radiometer.data import (
     ScaleConditions,
     SensorNoise,
 )
+from radiometer.data.setup import Setup
 
 NOW = dt.datetime(2026, 3, 1, 12, tzinfo=dt.UTC)
 SIZE = (24, 30)  # rows, columns

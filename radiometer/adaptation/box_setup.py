@@ -7,8 +7,6 @@ import math
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
-from pathlib import Path
 from typing import Final
 
 import numpy as np
@@ -16,19 +14,17 @@ import numpy as np
 from radiometer.adaptation.box_stage import FIXATION, BoxLights, BoxStage
 from radiometer.adaptation.checks import Check, Finding, judge_age
 from radiometer.adaptation.protocol import AdaptationProtocol, FlashBleach
+from radiometer.adaptation.request import RunRequest
+from radiometer.adaptation.room import measured_room
 from radiometer.analysis.photometry.photometry import luminous_efficacy_lm_per_w
 from radiometer.analysis.photometry.spectra import spectrum
-from radiometer.bench.adaptation_room import measured_room
-from radiometer.bench.boxes import LightBoxConfig, OpenedBox, open_light_box
+from radiometer.bench.boxes import OpenedBox, open_light_box
 from radiometer.bench.light_bench import open_light_camera
+from radiometer.bench.seated_subject import places_of, seat_subject
 from radiometer.data.config_files import shipped_config
 from radiometer.devices.light_box import Radiance
 from radiometer.devices.retinal_safety import HazardFractions
 from radiometer.errors import CalibrationError, MeasurementError, RadiometerError, SettingOutOfRange, UsageError
-from simulators.light_box.box import LightBoxTwin
-from simulators.observers.eye_kinetics import Eye, drawn_amd_eye, drawn_clinical_eye
-from simulators.observers.observer import Habits, Observer
-from simulators.observers.observer_at_box import ObserverAtBox
 
 SIMULATED: Final = "sim"
 SIMULATED_CALIBRATION: Final = "calibrations/simulated-box.yaml"
@@ -36,43 +32,8 @@ PEAK_TOLERANCE_NM: Final = 10.0
 PLACE_TOLERANCE_DEG: Final = 1.0
 
 
-@dataclass(frozen=True, slots=True)
-class BoxRequest:
-    """Which box to run a test on, and how.
-
-    Attributes:
-        box: "sim", a serial number or a port; None for the only one that answers.
-        calibration: Light calibration; the box's own where None.
-        white: Spectrum of the bleaching light; what light there is in the room counts as of the same.
-        fixation_w_sr_m2: Radiance of the red mark; the protocol's luminance where None, 0 for none.
-        accept_stale: Go on with a calibration that is older than the protocol allows.
-        measure_room: Measure the dark room with a camera.
-        camera: Camera for that, by name; the bench's own where None.
-        bench: Bench file of that camera.
-        room_cd_m2: Luminance of the simulated room.
-        subject: Simulated subject before the simulated box, as `seat_subject` knows them; None for nobody.
-        seed: Makes the simulated subject's answers.
-        preset: Light-box preset; the reference box's where None.
-        eye: Whose eye looks, such as "S07 right", for the account of its exposure; None where it is not known.
-    """
-
-    box: str | None = None
-    calibration: Path | None = None
-    white: str = "white_led"
-    fixation_w_sr_m2: float | None = None
-    accept_stale: bool = False
-    measure_room: bool = False
-    camera: str | None = None
-    bench: Path | None = None
-    room_cd_m2: float = 0.0
-    subject: str | None = None
-    seed: int = 0
-    preset: Path | None = None
-    eye: str | None = None
-
-
 @contextmanager
-def open_box_stage(protocol: AdaptationProtocol, request: BoxRequest) -> Iterator[tuple[BoxStage, list[Check]]]:
+def open_box_stage(request: RunRequest) -> Iterator[tuple[BoxStage, list[Check]]]:
     """Open a light box as a stage for the block, with its checks; it is dark and released afterwards.
 
     Raises:
@@ -81,9 +42,10 @@ def open_box_stage(protocol: AdaptationProtocol, request: BoxRequest) -> Iterato
         DeviceError: If the box cannot be opened.
         InputError: If the spectrum is unknown.
     """
+    protocol = request.protocol
     if protocol.spot.device != "light_box":
         raise UsageError(f"protocol {protocol.name} shows its spot on a screen; choose one for the light box")
-    if request.subject is not None and request.box != SIMULATED:
+    if request.simulate is not None and request.box != SIMULATED:
         raise UsageError("a simulated subject can only sit before the simulated box: --box sim")
     own = request.box == SIMULATED and request.calibration is None
     file = shipped_config(SIMULATED_CALIBRATION) if own else request.calibration
@@ -92,18 +54,19 @@ def open_box_stage(protocol: AdaptationProtocol, request: BoxRequest) -> Iterato
             raise CalibrationError(
                 f"light box {opened.box.identity.serial} has no calibration: make one with `radiometer light calibrate`"
             )
-        if opened.twin is not None and request.subject is not None:
-            seated = seat_subject(opened.twin, request.subject, request.seed, protocol.spot.filter_density)
+        if opened.twin is not None and request.simulate is not None:
+            seated = seat_subject(opened.twin, request.simulate, request.seed, protocol.spot.filter_density)
             seated.places = places_of(opened.config)
             seated.dilate(protocol.bleach.pupil_mm)
-        lights = _lights(protocol, request, opened)
+        lights = _lights(request, opened)
         clock = opened.box.link.line.now  # the clock that the button's times are given on
         stage = BoxStage(opened.box, lights, clock, opened.wait, None if opened.twin else time.time)
         yield stage, _checks(opened, lights, request, shipped=own)
 
 
-def _lights(protocol: AdaptationProtocol, request: BoxRequest, opened: OpenedBox) -> BoxLights:
+def _lights(request: RunRequest, opened: OpenedBox) -> BoxLights:
     """Return what the eye makes of the box's lights. Raises InputError for an unknown spectrum."""
+    protocol = request.protocol
     white, spot = spectrum(request.white), spectrum(f"line:{protocol.spot.peak_nm:g}")
     mark_w_sr_m2 = request.fixation_w_sr_m2
     if mark_w_sr_m2 is None:
@@ -154,70 +117,27 @@ def _blind_spot_w_sr_m2(protocol: AdaptationProtocol, opened: OpenedBox) -> floa
     return check.luminance_cd_m2 / luminous_efficacy_lm_per_w(spectrum(f"line:{peak_nm:g}"))
 
 
-def places_of(preset: LightBoxConfig) -> dict[str, tuple[float, float]]:
-    """Return where the channels with an opening of their own stand, in degrees temporal of and above the mark."""
-    known = preset.channels
-    return {name: (c.place.temporal_deg, -c.place.below_deg) for name, c in known.items() if c.place is not None}
-
-
-def seat_subject(twin: LightBoxTwin, behaviour: str, seed: int, filter_density: float) -> ObserverAtBox:
-    """Seat a simulated subject before a simulated box and return it.
-
-    Args:
-        twin: The simulated box.
-        behaviour: "steady", "never" (presses), "always" (presses), "leaves" (after 10 min), "wanders" (looks away in
-            two blinks of five); "healthy" and "amd" have eyes drawn from published rod intercepts.
-        seed: Makes the answers.
-        filter_density: Optical density of the filter before the spot.
-
-    Raises:
-        UsageError: If the behaviour is unknown.
-    """
-    habits = {
-        "steady": Habits(),
-        "never": Habits(lapses=1.0, false_alarms=0.0),
-        "always": Habits(),
-        "leaves": Habits(),
-        "wanders": Habits(fixation_losses=0.4),
-        "healthy": Habits(),
-        "amd": Habits(),
-    }
-    if behaviour not in habits:
-        raise UsageError(f"simulated subject {behaviour!r}: choose {', '.join(habits)}")
-    rng = np.random.default_rng(seed)
-    drawn = {"healthy": drawn_clinical_eye, "amd": drawn_amd_eye}.get(behaviour)
-    subject = ObserverAtBox(
-        Observer(drawn(rng) if drawn else Eye(), habits[behaviour], rng),
-        twin,
-        filter_density=filter_density,
-        leaves_after_min=10.0 if behaviour == "leaves" else float("inf"),
-        taps=behaviour == "always",
-    )
-    subject.sit_down()
-    return subject
-
-
-def _checks(opened: OpenedBox, lights: BoxLights, request: BoxRequest, *, shipped: bool) -> list[Check]:
+def _checks(opened: OpenedBox, lights: BoxLights, request: RunRequest, *, shipped: bool) -> list[Check]:
     checks: list[Check] = [lambda: _safe(opened, lights)]
     if not shipped:  # the simulated box does not age
-        checks.append(lambda: _young(opened, lights.protocol, accept_stale=request.accept_stale))
+        checks.append(lambda: _young(opened, request))
     if request.measure_room:
-        checks.append(lambda: _dark(opened, lights.protocol, request))
+        checks.append(lambda: _dark(opened, request))
     return checks
 
 
-def _young(opened: OpenedBox, protocol: AdaptationProtocol, *, accept_stale: bool) -> Finding:
+def _young(opened: OpenedBox, request: RunRequest) -> Finding:
     assert opened.calibration is not None
     what, now = f"light box {opened.calibration.box_serial}", dt.datetime.now(dt.UTC)
-    return judge_age(what, opened.calibration.created, protocol, now, accept_stale=accept_stale)
+    return judge_age(what, opened.calibration.created, request.protocol, now, accept_stale=request.accept_stale)
 
 
-def _dark(opened: OpenedBox, protocol: AdaptationProtocol, request: BoxRequest) -> Finding:
+def _dark(opened: OpenedBox, request: RunRequest) -> Finding:
     """Return what the camera reads of the dark field. Raises DeviceError, CalibrationError, UsageError."""
     opened.box.safe()
     ambient_w_sr_m2 = request.room_cd_m2 / luminous_efficacy_lm_per_w(spectrum(request.white), "photopic")
     with open_light_camera(opened, request.camera, request.bench, None, None, ambient_w_sr_m2) as instrument:
-        return measured_room(instrument, protocol, request.white)
+        return measured_room(instrument, request.protocol, request.white)
 
 
 def _safe(opened: OpenedBox, lights: BoxLights) -> Finding:

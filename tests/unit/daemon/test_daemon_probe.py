@@ -9,8 +9,8 @@ from typing import Any
 
 import pytest
 
+from radiometer.bench.daemon_probe import check_daemon
 from radiometer.daemon.http.server import HttpServer
-from radiometer.daemon.probe import check_daemon
 from radiometer.daemon.scpi.server import ScpiServer
 from radiometer.daemon.station import Station
 from radiometer.devices import Health

@@ -7,13 +7,14 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import Final
 
 import numpy as np
 
-from radiometer.adaptation.checks import Check, Finding, judge_age
+from radiometer.adaptation.checks import Check, judge_age
 from radiometer.adaptation.protocol import AdaptationProtocol
+from radiometer.adaptation.request import RunRequest
+from radiometer.adaptation.room import room_by_camera
 from radiometer.adaptation.screen_levels import SpotLevels, within_reach
 from radiometer.adaptation.screen_stage import ScreenStage
 from radiometer.bench.box_holder import darken_held
@@ -113,59 +114,43 @@ def _drive(code: Code) -> tuple[float, float, float]:
 
 @contextmanager
 def open_screen_stage(
-    protocol: AdaptationProtocol,
-    calibration: Path | None,
-    *,
-    display: str = BROWSER,
-    subject: str | None = None,
-    port: int = 0,
-    announce: Callable[[str], None] = lambda url: None,
-    seed: int = 0,
-    eye: str = "right",
-    accept_stale: bool = False,
-    room: Callable[[], Finding] | None = None,
+    request: RunRequest, announce: Callable[[str], None] = lambda url: None
 ) -> Iterator[tuple[ScreenStage, list[Check]]]:
     """Open a calibrated screen as a stage for the block, with its checks.
 
     Args:
-        protocol: A protocol whose spot is on a screen.
-        calibration: The screen's calibration.
-        display: "browser", or "lcd", "pwm_lcd", "oled" for a simulated one.
-        subject: Simulated subject before a simulated display: "steady", "never", "always", "leaves", "wanders".
-        port: Port of the page; 0 for any free one.
+        request: A run whose protocol shows its spot on a screen.
         announce: Called with the page's address.
-        seed: Makes the simulated subject's answers.
-        eye: "right" or "left".
-        accept_stale: Go on with a calibration that is older than the protocol allows.
-        room: Checks the dark room; None where no camera does.
 
     Raises:
-        UsageError: If protocol, display and subject do not go together, or no calibration is named.
+        UsageError: If protocol, display and subject exclude each other, or no calibration is named.
         CalibrationError: If the calibration is too old or does not hold what the protocol needs.
         ConfigurationError: If the screen does not reach what the protocol asks for.
         DeviceError: If the page cannot be shown.
     """
-    if calibration is None:
+    protocol, display, subject = request.protocol, request.display, request.simulate
+    if request.screen is None:
         raise UsageError(f"protocol {protocol.name} needs a calibrated screen: --screen FILE of `screen calibrate`")
-    known = ScreenCalibration.read(calibration)
-    age = judge_age(f"screen {known.name}", known.created, protocol, dt.datetime.now(dt.UTC), accept_stale=accept_stale)
+    known = ScreenCalibration.read(request.screen)
+    now = dt.datetime.now(dt.UTC)
+    age = judge_age(f"screen {known.name}", known.created, protocol, now, accept_stale=request.accept_stale)
     if age.refusal is not None:
         raise age.refusal
-    checks: list[Check] = [lambda: age, *([room] if room else [])]
+    checks: list[Check] = [lambda: age, *([lambda: room_by_camera(request)] if request.measure_room else [])]
     reached = within_reach(protocol, SpotLevels.of(known, protocol.spot.channel, protocol.spot.filter_density))
     if display == BROWSER:
         if subject is not None:
             raise UsageError("a simulated subject sees simulated displays only: --display lcd, pwm_lcd or oled")
-        with _browser(port, announce) as screen:
+        with _browser(request.port, announce) as screen:
             viewing = _viewing(protocol, known, None)
             screen.show(ScreenPicture())  # nothing but black while the room is looked at
-            yield ScreenStage(screen, known, reached, viewing, time.monotonic, time.time, eye), checks
+            yield ScreenStage(screen, known, reached, viewing, time.monotonic, time.time, request.eye), checks
     elif display in SIMULATED_DISPLAYS:
         watcher = _watcher(display, subject, protocol.spot.filter_density)
         with watcher.display:
             viewing = _viewing(protocol, known, _SIMULATED_PIXEL_MM)
-            before, now_s = ObservedScreen(watcher, viewing, seed, eye), watcher.display.clock.now_s
-            yield ObservedStage(before, known, reached, viewing, now_s, eye=eye), checks
+            before, now_s = ObservedScreen(watcher, viewing, request.seed, request.eye), watcher.display.clock.now_s
+            yield ObservedStage(before, known, reached, viewing, now_s, eye=request.eye), checks
     else:
         raise UsageError(f"display {display!r} is unknown; choose {BROWSER}, {', '.join(SIMULATED_DISPLAYS)}")
 

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Final
 
 from radiometer.adaptation.checks import Finding, judge_room
 from radiometer.adaptation.protocol import AdaptationProtocol
+from radiometer.adaptation.request import RunRequest
 from radiometer.analysis.photometry.photometry import luminous_efficacy_lm_per_w
 from radiometer.analysis.photometry.spectra import spectrum
 from radiometer.bench.assembly import open_instrument
@@ -36,7 +36,7 @@ def measured_room(instrument: Instrument, protocol: AdaptationProtocol, white: s
     return judge_room(radiance.value * lm_per_w, radiance.u * lm_per_w, protocol)
 
 
-def room_by_camera(protocol: AdaptationProtocol, camera: str | None, bench: Path | None, white: str) -> Finding:
+def room_by_camera(request: RunRequest) -> Finding:
     """Open a camera, measure the dark field, and close it again; raises as `measured_room` and `open_instrument`."""
-    with open_instrument(bench, camera) as instrument:
-        return measured_room(instrument, protocol, white)
+    with open_instrument(request.bench, request.camera) as instrument:
+        return measured_room(instrument, request.protocol, request.white)

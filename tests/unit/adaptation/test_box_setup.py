@@ -9,9 +9,10 @@ from typing import Any
 
 import pytest
 
+from radiometer.adaptation.box_setup import SIMULATED_CALIBRATION, open_box_stage
 from radiometer.adaptation.checks import Finding, judge_age, judge_room
 from radiometer.adaptation.protocol import AdaptationProtocol, FlashBleach, read_protocol
-from radiometer.bench.box_adaptation import SIMULATED_CALIBRATION, BoxRequest, open_box_stage
+from radiometer.adaptation.request import RunRequest
 from radiometer.bench.served_box import served_box
 from radiometer.data.config_files import shipped_config
 from radiometer.data.light_calibration import LightCalibration
@@ -32,9 +33,14 @@ def quick() -> AdaptationProtocol:
     return read_protocol("quick")
 
 
-def findings(protocol: AdaptationProtocol, request: BoxRequest) -> list[Finding]:
+def before_box(protocol: AdaptationProtocol, **asked: Any) -> RunRequest:
+    """Return the request of a run before the simulated box."""
+    return RunRequest(protocol, box="sim", **asked)
+
+
+def findings(protocol: AdaptationProtocol, **asked: Any) -> list[Finding]:
     """Return what the checks of a simulated box find."""
-    with open_box_stage(protocol, request) as (_, checks):
+    with open_box_stage(before_box(protocol, **asked)) as (_, checks):
         return [check() for check in checks]
 
 
@@ -43,9 +49,9 @@ def changed(protocol: AdaptationProtocol, section: str, **values: Any) -> Adapta
     return protocol.model_copy(update={section: getattr(protocol, section).model_copy(update=values)})
 
 
-def refusal(protocol: AdaptationProtocol, request: BoxRequest | None = None) -> RadiometerError:
+def refusal(protocol: AdaptationProtocol, **asked: Any) -> RadiometerError:
     """Return why a test would not begin."""
-    refused = [f.refusal for f in findings(protocol, request or BoxRequest("sim")) if f.refusal is not None]
+    refused = [f.refusal for f in findings(protocol, **asked) if f.refusal is not None]
     assert refused
     return refused[0]
 
@@ -53,7 +59,7 @@ def refusal(protocol: AdaptationProtocol, request: BoxRequest | None = None) -> 
 @pytest.mark.parametrize("name", ["classic", "quick", "led-only", "questplus"])
 def test_shipped_protocols_are_within_the_limits_of_eye_and_box(name: str) -> None:
     """Every one for the box can be run on the reference box, the flash too; the journal gets the hazard fractions."""
-    (safety,) = findings(read_protocol(name), BoxRequest("sim"))
+    (safety,) = findings(read_protocol(name))
     assert safety.refusal is None
     assert 0 < safety.facts["blue_light"] < safety.facts["allowed_fraction"]
 
@@ -74,8 +80,8 @@ def test_own_calibration_of_a_box_is_checked_for_its_age(tmp_path: Path, quick: 
     """The check is made on the file that the levels come from."""
     old = replace(LightCalibration.read(shipped_config(SIMULATED_CALIBRATION)), created="2020-01-01T00:00:00Z")
     old.write(tmp_path / "old.yaml")
-    assert isinstance(refusal(quick, BoxRequest("sim", tmp_path / "old.yaml")), CalibrationError)
-    accepted = findings(quick, BoxRequest("sim", tmp_path / "old.yaml", accept_stale=True))
+    assert isinstance(refusal(quick, calibration=tmp_path / "old.yaml"), CalibrationError)
+    accepted = findings(quick, calibration=tmp_path / "old.yaml", accept_stale=True)
     assert [finding.refusal for finding in accepted] == [None, None]
 
 
@@ -95,7 +101,7 @@ def test_bleach_longer_than_the_firmware_allows_is_refused_before_it_begins() ->
 
 def test_bleach_beyond_the_exposure_limit_is_refused(quick: AdaptationProtocol) -> None:
     """With a ten-thousandth of the limit allowed, the flash (3.4e-4 of it) is refused by IEC 62471's name."""
-    with open_box_stage(quick, BoxRequest("sim")) as (stage, checks):
+    with open_box_stage(before_box(quick)) as (stage, checks):
         stage.box.ledger.allowed_fraction = 1e-4  # type: ignore[attr-defined]
         refused = checks[0]().refusal
     assert isinstance(refused, UnsafeStimulus)
@@ -117,10 +123,10 @@ def test_channel_of_another_colour_is_refused(quick: AdaptationProtocol) -> None
 @pytest.mark.slow
 def test_dark_room_is_measured_by_the_camera(quick: AdaptationProtocol) -> None:
     """In the dark the reading is 0 within its uncertainty; at 0.01 cd/m² it is that, and refused."""
-    dark = findings(quick, BoxRequest("sim", measure_room=True))[-1]
+    dark = findings(quick, measure_room=True)[-1]
     assert dark.refusal is None
     assert abs(dark.facts["luminance_cd_m2"]) < 3 * dark.facts["u_cd_m2"]
-    lit = findings(quick, BoxRequest("sim", measure_room=True, room_cd_m2=0.01))[-1]
+    lit = findings(quick, measure_room=True, room_cd_m2=0.01)[-1]
     assert isinstance(lit.refusal, MeasurementError)
     # The simulated camera was calibrated at another wavelength than that of the room: 1 % of quantum efficiency.
     assert lit.facts["luminance_cd_m2"] == pytest.approx(0.01, abs=3 * lit.facts["u_cd_m2"] + 0.0001)
@@ -134,16 +140,16 @@ def test_room_must_be_shown_to_be_dark(quick: AdaptationProtocol, value: float, 
 
 def test_simulated_subject_sits_before_the_simulated_box_only(quick: AdaptationProtocol) -> None:
     """No box is opened for the refusal."""
-    with pytest.raises(UsageError, match="--box sim"), open_box_stage(quick, BoxRequest("LB1", subject="steady")):
+    with pytest.raises(UsageError, match="--box sim"), open_box_stage(RunRequest(quick, box="LB1", simulate="steady")):
         pass
 
 
 def test_red_mark_has_the_protocols_luminance(quick: AdaptationProtocol) -> None:
     """0.1 cd/m² at the channel's 640 nm (119.5 lm/W, V = 0.175) unless a radiance is stated."""
-    with open_box_stage(quick, BoxRequest("sim")) as (stage, _):
+    with open_box_stage(before_box(quick)) as (stage, _):
         assert stage.lights.fixation_w_sr_m2 == pytest.approx(0.1 / (683 * 0.175), rel=1e-3)
         assert stage.facts()["u_scale_log10"] == pytest.approx(0.01127 / 2.3026, abs=1e-4)  # 1.127 % shared by all
-    with open_box_stage(quick, BoxRequest("sim", fixation_w_sr_m2=0.0)) as (stage, _):
+    with open_box_stage(before_box(quick, fixation_w_sr_m2=0.0)) as (stage, _):
         assert stage.lights.fixation_w_sr_m2 == 0.0
 
 
@@ -157,7 +163,7 @@ def test_served_box_has_its_subject_before_the_twin_only(tmp_path: Path) -> None
 
 def test_light_in_the_blind_spot_is_as_bright_as_the_mark(quick: AdaptationProtocol) -> None:
     """0.1 cd/m² at 640 nm (119.5 lm/W); the reference box has it 15.5° temporal."""
-    with open_box_stage(quick, BoxRequest("sim")) as (stage, _):
+    with open_box_stage(before_box(quick)) as (stage, _):
         assert stage.checks_fixation
         assert stage.lights.blind_spot_w_sr_m2 == pytest.approx(0.1 / (683 * 0.175), rel=1e-3)
         assert "no_fixation_check" not in stage.facts()
@@ -187,7 +193,7 @@ def test_box_whose_red_light_stands_elsewhere_says_that_fixation_is_not_checked(
     tmp_path: Path, quick: AdaptationProtocol, stated: str, why: str
 ) -> None:
     """The test is run all the same, and the journal tells why."""
-    with open_box_stage(quick, BoxRequest("sim", preset=_preset(tmp_path / "p.yaml", stated))) as (stage, _):
+    with open_box_stage(before_box(quick, preset=_preset(tmp_path / "p.yaml", stated))) as (stage, _):
         assert not stage.checks_fixation
         assert why in str(stage.facts()["no_fixation_check"])
 
