@@ -74,14 +74,6 @@ def significant(value: float, u: float) -> str:
     return f"{value:.{max(0, magnitude + decimals)}e}"
 
 
-@contextmanager
-def progress(*, shown: bool = True) -> Iterator[Callable[[str, int, int | None], None]]:
-    """Show a progress bar while the block runs; yield what takes the progress of a function of the library."""
-    with progress_bar(shown=shown) as bar:
-        task = bar.add_task("", total=None)
-        yield lambda what, done, total: bar.update(task, description=what, completed=done, total=total)
-
-
 def asker() -> Callable[[str], None] | None:
     """Return what asks at the terminal for something to be done by hand; None where there is no terminal."""
     if not sys.stdin.isatty():
