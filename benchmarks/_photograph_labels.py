@@ -53,7 +53,7 @@ class Labels:
     def look_at(self, colours: Sequence[RealStack]) -> None:
         """Count a scene as it is, each plane and all together, and with labels made wrong; four frames or more."""
         brackets = [bracket for colour in colours for bracket in _planes(colour)]
-        if len(brackets[0]) < 4:
+        if len(brackets[0].light) < 4:
             return
         name = f"{colours[0].camera} {colours[0].scene}".strip()
         known = [(bracket, plane) for bracket in brackets for plane in _sampled(bracket)]
@@ -73,7 +73,7 @@ class Labels:
             self.dark += [name]
             return
         rng = np.random.default_rng(1000 * self.draw + self.scenes)
-        frames = len(brackets[0])
+        frames = len(brackets[0].light)
         rows = np.sum([np.bincount(plane.samples.frame, minlength=frames) for _, plane in known], axis=0)
         for _ in range(_LIES):
             which = int(rng.choice(np.flatnonzero(rows >= _LEAST_ROWS * np.median(rows))))
@@ -84,11 +84,11 @@ class Labels:
         self, brackets: Sequence[Bracket], which: int, stops: float, name: str, clean: ShutterOffset | None
     ) -> None:
         # What the scene as it is says of its shutter is true of its exposures whatever a label says.
-        seconds = brackets[0].frames[which].settings.exposure_s
+        seconds = brackets[0].light[which].settings.exposure_s
         true = 2.0**-stops * (1.0 + (clean.seconds / seconds if clean else 0.0))
         relabelled = [_relabelled(bracket, which, 2.0**stops) for bracket in brackets]
-        stated_s = 2.0**stops * brackets[0].frames[which].settings.exposure_s
-        place = [frame.settings.exposure_s for frame in relabelled[0]].index(stated_s)
+        stated_s = 2.0**stops * brackets[0].light[which].settings.exposure_s
+        place = [frame.settings.exposure_s for frame in relabelled[0].light].index(stated_s)
         planes = [plane for bracket in relabelled for plane in _sampled(bracket)]
         exposures = find_exposures(planes)
         found = [exposures.of_printed(label, planes[0].samples.exposures_s) for label in exposures.wrong]
@@ -129,9 +129,9 @@ def _told(label: WrongLabel) -> str:
 
 def _showing(brackets: Sequence[Bracket]) -> int:
     """Return how many frames show something in one of the colours."""
-    shown = np.zeros(len(brackets[0]), bool)
+    shown = np.zeros(len(brackets[0].light), bool)
     for bracket in brackets:
-        shown |= [np.mean((f.dn >= LOWEST_DN) & (f.dn <= HIGHEST_DN)) >= _LEAST_SHOWN for f in bracket]
+        shown |= [np.mean((f.dn >= LOWEST_DN) & (f.dn <= HIGHEST_DN)) >= _LEAST_SHOWN for f in bracket.light]
     return int(shown.sum())
 
 
@@ -143,7 +143,7 @@ def _planes(stack: RealStack) -> list[Bracket]:
         Bracket.from_frames(
             [
                 Frame(np.ascontiguousarray(f.dn[row::2, column::2]), f.bit_depth, f.settings, extra=f.extra)
-                for f in stack.bracket
+                for f in stack.bracket.light
             ],
             origin=stack.bracket.origin,
         )
@@ -161,7 +161,7 @@ def _sampled(bracket: Bracket) -> list[Plane]:
 
 
 def _relabelled(bracket: Bracket, which: int, factor: float) -> Bracket:
-    frames = list(bracket)
+    frames = list(bracket.light)
     settings = replace(frames[which].settings, exposure_s=factor * frames[which].settings.exposure_s)
     frames[which] = replace(frames[which], settings=settings)
     return Bracket.from_frames(frames, origin=bracket.origin)

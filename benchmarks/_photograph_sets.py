@@ -136,7 +136,7 @@ def _photographs(folder: Path, camera: str) -> Iterator[RealStack]:
     }[camera]
     nothing = np.empty(0)
     for bracket in open_brackets(place, "each"):
-        yield RealStack(camera, str(bracket.frames[0].extra["channel"]), "", _thinned(bracket), nothing, nothing)
+        yield RealStack(camera, str(bracket.light[0].extra["channel"]), "", _thinned(bracket), nothing, nothing)
 
 
 def _thinned(bracket: Bracket, most: int = 150_000) -> Bracket:
@@ -145,7 +145,7 @@ def _thinned(bracket: Bracket, most: int = 150_000) -> Bracket:
     if step == 1:
         return bracket
     frames = [
-        Frame(np.ascontiguousarray(f.dn[::step, ::step]), f.bit_depth, f.settings, extra=f.extra) for f in bracket
+        Frame(np.ascontiguousarray(f.dn[::step, ::step]), f.bit_depth, f.settings, extra=f.extra) for f in bracket.light
     ]
     return Bracket.from_frames(frames, origin=bracket.origin)
 

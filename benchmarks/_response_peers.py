@@ -21,7 +21,7 @@ Peer = Callable[[Bracket], Array]
 
 def opencv(make: Callable[[], object]) -> Peer:
     def recover(bracket: Bracket) -> Array:
-        images = [np.repeat(frame.dn[..., None], 3, axis=2) for frame in bracket]
+        images = [np.repeat(frame.dn[..., None], 3, axis=2) for frame in bracket.light]
         times = bracket.effective_exposures_s.astype(np.float32)
         curve = make().process(images, times)  # type: ignore[attr-defined]
         with np.errstate(divide="ignore"):
@@ -46,7 +46,7 @@ def colour_hdri_debevec() -> Peer | None:
 
     def recover(bracket: Bracket) -> Array:
         stack = ImageStack()
-        for frame in bracket:
+        for frame in bracket.light:
             stack.append(Image(None, frame.dn[..., None] / 255.0, Metadata(1.0, frame.settings.exposure_s, 100.0)))
         curve = camera_response_functions_Debevec1997(stack, normalise=False)
         with np.errstate(divide="ignore"):
@@ -62,7 +62,7 @@ def pfstools_robertson() -> Peer | None:
     def recover(bracket: Bracket) -> Array:
         with tempfile.TemporaryDirectory() as name:
             folder, lines = Path(name), []
-            for number, frame in enumerate(bracket):
+            for number, frame in enumerate(bracket.light):
                 cv2.imwrite(str(folder / f"{number}.ppm"), np.repeat(frame.dn[..., None], 3, axis=2))
                 lines.append(f"{number}.ppm {1.0 / frame.settings.exposure_s} 1 100\n")
             (folder / "stack.hdrgen").write_text("".join(lines))

@@ -258,7 +258,7 @@ def reading(condition: Condition, seed: int) -> tuple[Reading, float]:
     bench, _ = instrument(world, condition.lens, rng, pattern, **more)
     taken = bench.take_bracket()
     if condition.frames is not None:
-        taken = Bracket.from_frames(list(taken.frames)[: condition.frames])
+        taken = Bracket.from_frames(list(taken.light)[: condition.frames])
     return bench.read(taken), world.radiance
 
 

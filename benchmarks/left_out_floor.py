@@ -36,8 +36,8 @@ def scores(bracket: Bracket, recover: Recover) -> tuple[float, float]:
     """Return the mean size of the error of left-out frames in DN, with their times as stated and with a factor free."""
     stated, free = [], []
     for k in _LEFT_OUT:
-        rest = Bracket.from_frames([f for i, f in enumerate(bracket) if i != k], origin=bracket.origin)
-        found, frame = recover(rest), bracket.frames[k]
+        rest = Bracket.from_frames([f for i, f in enumerate(bracket.light) if i != k], origin=bracket.origin)
+        found, frame = recover(rest), bracket.light[k]
         seconds = found.seconds(frame)
         stated.append(predicted(rest, frame.dn, seconds, found))
         factors = (predicted(rest, frame.dn, seconds * by, found) for by in _FACTORS)
@@ -48,13 +48,13 @@ def scores(bracket: Bracket, recover: Recover) -> tuple[float, float]:
 def simulated(bracket: Bracket, g: Array, rng: np.random.Generator) -> Bracket:
     """Return frames of the same scene through a response, with the real residuals' size and random signs."""
     total, weights = np.zeros(bracket.shape), np.zeros(bracket.shape)
-    for frame in bracket:
+    for frame in bracket.light:
         hat = np.clip(np.minimum(frame.dn - 8.0, 250.0 - frame.dn) / 121.0, 0.0, 1.0)
         total += hat * (g[frame.dn] - np.log(frame.settings.effective_exposure_s))
         weights += hat
     log_radiance = np.where(weights > 0.0, total / np.maximum(weights, 1e-9), np.median(total[weights > 0.0]))
     frames = []
-    for frame in bracket:
+    for frame in bracket.light:
         expected = dn_at(g, (log_radiance + np.log(frame.settings.effective_exposure_s)).ravel()).reshape(bracket.shape)
         residual, tone = frame.dn - expected, np.clip(expected, 0, 255).astype(int) // _TONE_DN
         for one in np.unique(tone):

@@ -52,8 +52,8 @@ def stack(bit_depth: int) -> Bracket:
 
 def opencv_debevec(bracket: Bracket) -> Callable[[], object]:
     """Return OpenCV's recovery (70 samples) of the same frames at 8 bit, which is all it takes."""
-    pictures = [cv2.merge([(f.dn >> (f.bit_depth - 8)).astype(np.uint8)] * 3) for f in bracket.frames]
-    times = np.array([f.settings.exposure_s for f in bracket.frames], np.float32)
+    pictures = [cv2.merge([(f.dn >> (f.bit_depth - 8)).astype(np.uint8)] * 3) for f in bracket.light]
+    times = np.array([f.settings.exposure_s for f in bracket.light], np.float32)
     return lambda: cv2.createCalibrateDebevec().process(pictures, times)
 
 

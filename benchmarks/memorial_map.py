@@ -22,6 +22,7 @@ from radiometer.analysis.merge.bracket import merge
 from radiometer.analysis.response.curves import black_of_curve
 from radiometer.bench.sources import open_brackets
 from radiometer.data import Bracket, CameraDescription, Frame, LensDescription, RadianceMap, ResponseCurve
+from radiometer.data.setup import Setup
 from radiometer.photographs.response import recovered_curves, relative_calibration, with_found_times
 
 Array = NDArray[np.float64]
@@ -44,11 +45,11 @@ def maps(folder: Path) -> dict[str, tuple[Bracket, ResponseCurve, RadianceMap]]:
         curves, _ = recovered_curves(brackets, Path(beside) / "map.exr", lambda _: None)
     camera, lens, found = CameraDescription(bit_depth=8), LensDescription(), {}
     for raw in brackets:
-        channel = str(raw.frames[0].extra["channel"])
+        channel = str(raw.light[0].extra["channel"])
         bracket = with_found_times(raw, curves[channel])
         known, displacement = relative_calibration(bracket, curves[channel], camera, lens)
         px = displacement.px if displacement else 0.0
-        one = merge(bracket, camera, lens, known, without_ghosts=True, displacement_px=px)
+        one = merge(bracket, Setup(camera, lens, known), without_ghosts=True, displacement_px=px)
         found[channel] = (bracket, curves[channel], one)
     return found
 
@@ -57,7 +58,7 @@ def of_file(bracket: Bracket, values: Array, frames: slice, dn: int) -> float:
     """Return ln of the exposure that the file gives a digital number in some frames: median of their pixels, or NaN."""
     logs = [
         np.log(values[shown] * frame.settings.exposure_s)
-        for frame in bracket.frames[frames]
+        for frame in bracket.light[frames]
         for shown in [(np.abs(frame.dn.astype(int) - dn) <= _HALF_BIN) & (values > 0)]
     ]
     every = np.concatenate(logs)
@@ -94,19 +95,19 @@ def of_unseen(bracket: Bracket, curve: ResponseCurve) -> tuple[RadianceMap, Radi
     """Return the maps of the odd and of the even frames."""
     camera, lens, found = CameraDescription(bit_depth=8), LensDescription(), []
     for first in (0, 1):
-        half = Bracket.from_frames(bracket.frames[first::2], origin=bracket.origin)
+        half = Bracket.from_frames(bracket.light[first::2], origin=bracket.origin)
         known, displacement = relative_calibration(half, curve, camera, lens)
         px = displacement.px if displacement else 0.0
-        found.append(merge(half, camera, lens, known, without_ghosts=True, displacement_px=px))
+        found.append(merge(half, Setup(camera, lens, known), without_ghosts=True, displacement_px=px))
     return found[0], found[1]
 
 
 def prediction_row(channel: str, values: Array, bracket: Bracket, curve: ResponseCurve, ours: RadianceMap) -> str:
     """Return how well the file, our map, and our maps of half the frames predict frames; the halves the other half."""
     odd, even = of_unseen(bracket, curve)
-    frames = list(bracket)
+    frames = list(bracket.light)
     good = (ours.mask == 0) & (odd.mask == 0) & (even.mask == 0) & (values > 0)
-    toe = good & (bracket.frames[-1].dn < _CLEAR_OF_TOE_DN)
+    toe = good & (bracket.light[-1].dn < _CLEAR_OF_TOE_DN)
     of_file, of_ours = (predicted_dn(one, frames, good) for one in (values, ours.radiance.astype(np.float64)))
     file_half, unseen = [], []
     for first, half in ((1, odd), (0, even)):
@@ -130,7 +131,7 @@ def rims(bracket: Bracket) -> NDArray[np.bool_]:
         bracket: Red.
     """
     found = np.zeros(bracket.shape, bool)
-    for frame in bracket:
+    for frame in bracket.light:
         _, label = cv2.connectedComponents((frame.dn == 0).astype(np.uint8))
         edges = np.unique(np.concatenate([label[0], label[-1], label[:, 0], label[:, -1]]))
         found |= np.isin(label, edges[edges > 0])
@@ -140,8 +141,8 @@ def rims(bracket: Bracket) -> NDArray[np.bool_]:
 def by_hat(bracket: Bracket, curve: ResponseCurve) -> Array:
     """Return ln of the map that our curve gives with Debevec and Malik's weights in place of ours; NaN where none."""
     total, weights = np.zeros(bracket.shape), np.zeros(bracket.shape)
-    full_scale, black = bracket.frames[0].full_scale_dn, black_of_curve(curve)
-    for frame in bracket:
+    full_scale, black = bracket.light[0].full_scale_dn, black_of_curve(curve)
+    for frame in bracket.light:
         dn = frame.dn.astype(np.float64)
         hat = np.maximum(np.minimum(dn - black, full_scale - dn), 0.0)
         total += hat * (curve.log_exposure[frame.dn] - np.log(frame.settings.exposure_s))
@@ -159,7 +160,7 @@ def row(
     good = (ours.mask == 0) & (values > 0)
     gap = np.log(ours.radiance[good] / values[good])
     gap -= np.median(gap)
-    clear = bracket.frames[-1].dn[good] >= _CLEAR_OF_TOE_DN
+    clear = bracket.light[-1].dn[good] >= _CLEAR_OF_TOE_DN
     hat = by_hat(bracket, curve)[good] - np.log(values[good])
     hat, picture = hat[clear & np.isfinite(hat)], ~rim[good]
     inner = gap[clear] - np.median(gap[clear])

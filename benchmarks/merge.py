@@ -30,6 +30,7 @@ from radiometer.data import (
     SensorNoise,
     StatedUncertainties,
 )
+from radiometer.data.setup import Setup
 
 HEIGHT, WIDTH, FRAMES = 1240, 1616, 16
 _TURNS, _LOOKED_UP_AT_ONCE = 25, 1024
@@ -115,15 +116,15 @@ def speed_and_memory() -> list[str]:
     response = np.maximum(np.arange(256, dtype=np.float32) - 4, 0.05).reshape(256, 1, 1)
     peer = cv2.createMergeDebevec()
     begun = time.perf_counter()
-    merge(bracket, CAMERA, LENS, CALIBRATION)
+    merge(bracket, Setup(CAMERA, LENS, CALIBRATION))
     first = time.perf_counter() - begun
     least = indispensable(bracket)
     theirs, ours, streaming, curved, reading, summing, copying, *rest = alternately(
         [
             lambda: peer.process(eight, EXPOSURES_S.astype(np.float32), response),
-            lambda: merge(bracket, CAMERA, LENS, CALIBRATION),
-            lambda: merge(iter(frames), CAMERA, LENS, CALIBRATION),
-            lambda: merge(behind_a_curve, CURVED.camera, CURVED.lens, CURVED),
+            lambda: merge(bracket, Setup(CAMERA, LENS, CALIBRATION)),
+            lambda: merge(iter(frames), Setup(CAMERA, LENS, CALIBRATION)),
+            lambda: merge(behind_a_curve, Setup(CURVED.camera, CURVED.lens, CURVED)),
             lambda: [int(frame.dn.max()) for frame in frames],
             lambda: [int(frame.dn.sum()) for frame in frames],
             lambda: [frame.dn.copy() for frame in frames],
@@ -204,7 +205,7 @@ def look_up_all(slots: Any, records: Any, found: Any) -> None:  # pragma: no cov
 
 def indispensable(bracket: Bracket) -> dict[str, Callable[[], object]]:
     """Return what no merge of these sums goes without, each alone: reading, looking up, touching the result."""
-    numbers = [frame.dn.ravel() for frame in bracket]
+    numbers = [frame.dn.ravel() for frame in bracket.light]
     used = sum((one < 4095).astype(np.uint64) << np.uint64(k) for k, one in enumerate(numbers))
     slots = np.unique(used, return_inverse=True)[1].astype(np.uint64)
     records, found = np.random.default_rng(3).random((256, 24)), np.empty(_LOOKED_UP_AT_ONCE)
@@ -224,7 +225,7 @@ def indispensable(bracket: Bracket) -> dict[str, Callable[[], object]]:
 def peak_planes() -> float:
     numbers = np.full((HEIGHT, WIDTH), 500, np.uint16)
     tracemalloc.start()
-    merging = StreamingMerge(CAMERA, LENS, CALIBRATION)
+    merging = StreamingMerge(Setup(CAMERA, LENS, CALIBRATION))
     for exposure_s in EXPOSURES_S:
         settings = FrameSettings(float(exposure_s), f_number=4.0, black_level_dn=BLACK_DN)
         merging.add(Frame(numbers.copy(), 12, settings))
@@ -247,9 +248,7 @@ def statistics() -> list[str]:
     truth = np.geomspace(BRIGHTEST_E_PER_S, BRIGHTEST_E_PER_S * 1e-6, columns)
     found = merge(
         Bracket.from_frames(frames_of(np.tile(truth, (rows_of_pixels, 1)), np.random.default_rng(2))),
-        CAMERA,
-        LENS,
-        CALIBRATION,
+        Setup(CAMERA, LENS, CALIBRATION),
     )
     # The scale is per sr of the lens at its f-number.
     electrons = GAIN_E_PER_DN * lens_factor_sr(LENS, LENS.f_number)

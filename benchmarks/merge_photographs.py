@@ -16,6 +16,7 @@ from radiometer.analysis.merge.bracket import merge
 from radiometer.bench.sources import open_brackets
 from radiometer.cli.main import run
 from radiometer.data import Bracket, CameraDescription, LensDescription, RadianceMap
+from radiometer.data.setup import Setup
 from radiometer.photographs.alignment import in_one_place
 from radiometer.photographs.response import recovered_curves, relative_calibration, with_found_times
 
@@ -28,7 +29,7 @@ Array = NDArray[np.float64]
 
 
 def half(bracket: Bracket, parity: int) -> Bracket:
-    return replace(bracket, frames=bracket.frames[parity::2])
+    return replace(bracket, light=bracket.light[parity::2])
 
 
 def halves(path: Path) -> tuple[dict[str, tuple[RadianceMap, RadianceMap]], str]:
@@ -41,14 +42,12 @@ def halves(path: Path) -> tuple[dict[str, tuple[RadianceMap, RadianceMap]], str]
             curves, _ = recovered_curves(common, Path(folder) / "map.exr", lambda _: None)
         maps = {}
         for whole in placed.brackets:
-            channel = str(whole.frames[0].extra["channel"])
+            channel = str(whole.light[0].extra["channel"])
             bracket = with_found_times(half(whole, parity), curves[channel])
             known, displacement = relative_calibration(bracket, curves[channel], camera, lens)
             maps[channel] = merge(
                 bracket,
-                camera,
-                lens,
-                known,
+                Setup(camera, lens, known),
                 absent=placed.absent[parity::2],
                 without_ghosts=True,
                 displacement_px=displacement.px if displacement else 0.0,

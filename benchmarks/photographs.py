@@ -128,18 +128,18 @@ def left_out_dn(stack: RealStack, recover: Recover, failures: type[Exception]) -
     NaN for few frames, and where the program fails.
     """
     bracket, errors = stack.bracket, []
-    count = len(bracket)
+    count = len(bracket.light)
     if count < 3:
         return float("nan")
     chosen = np.unique(np.linspace(0, count - 1, min(count, _LEFT_OUT)).round().astype(int))
     for k in chosen:
-        rest = Bracket.from_frames([f for i, f in enumerate(bracket) if i != k], origin=bracket.origin)
+        rest = Bracket.from_frames([f for i, f in enumerate(bracket.light) if i != k], origin=bracket.origin)
         try:
             found = recover(rest)
         except failures as error:
             print(f"no curve without frame {k} of {stack.camera} {stack.name}: {error}")
             return float("nan")
-        errors.append(predicted(rest, bracket.frames[k].dn, found.seconds(bracket.frames[k]), found))
+        errors.append(predicted(rest, bracket.light[k].dn, found.seconds(bracket.light[k]), found))
     return float(np.mean(np.abs(np.concatenate(errors))))
 
 
@@ -156,7 +156,7 @@ def predicted(rest: Bracket, dn: Array, seconds: float, recovered: Recovered) ->
     limits = find_limits([rest])
     total = np.zeros(dn[::step, ::step].shape)
     weights = np.zeros_like(total)
-    for frame in rest:
+    for frame in rest.light:
         value = frame.dn[::step, ::step]
         clear = np.minimum(value - (limits.black_dn + _CLEAR_OF_BLACK), limits.saturated_dn - _CLEAR_OF_WHITE - value)
         hat = np.clip(clear / _HALF_HAT, 0.0, 1.0)
@@ -170,11 +170,11 @@ def predicted(rest: Bracket, dn: Array, seconds: float, recovered: Recovered) ->
 
 def odd_even_z(stack: RealStack) -> float:
     """Return the rms difference of the curves of odd and of even frames over what both state; NaN for few frames."""
-    if len(stack.bracket) < 6:
+    if len(stack.bracket.light) < 6:
         return float("nan")
     try:
         halves = [
-            METHODS["auto"]([Bracket.from_frames(stack.bracket.frames[k::2], origin=stack.bracket.origin)]).curve
+            METHODS["auto"]([Bracket.from_frames(stack.bracket.light[k::2], origin=stack.bracket.origin)]).curve
             for k in (0, 1)
         ]
     except RadiometerError as error:

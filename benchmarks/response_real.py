@@ -64,7 +64,7 @@ def residual(bracket: Bracket, estimate: ResponseEstimate, curve: Array | None) 
     if curve is None:
         times = times + np.array(estimate.details["log_time_errors"])
         curve = g_all(estimate.curve.log_exposure[INNER])
-    pixels = np.array([frame.dn[::37, ::37].ravel() for frame in bracket])
+    pixels = np.array([frame.dn[::37, ::37].ravel() for frame in bracket.light])
     log_radiance = curve[pixels] - times[:, None]
     enough = np.isfinite(log_radiance).sum(axis=0) >= 2
     chosen = log_radiance[:, enough]

@@ -106,8 +106,19 @@ _HOMES = {
     ),
     "radiometer.api.results": (
         "Reconciliation",
+        "Separability",
         "reconcile",
+        "reconcile_plan",
     ),
+    "radiometer.api.calibration": (
+        "Calibrated",
+        "calibrate",
+    ),
+    "radiometer.api.led_flux": (
+        "Flux",
+        "flux",
+    ),
+    "radiometer.api.photographs": ("measure_photographs",),
     "radiometer.api.screen": (
         "CalibratedScreen",
         "ScreenLevel",
@@ -172,6 +183,8 @@ if TYPE_CHECKING:
     from radiometer.api.archive import batch as batch
     from radiometer.api.archive import passport as passport
     from radiometer.api.archive import trend as trend
+    from radiometer.api.calibration import Calibrated as Calibrated
+    from radiometer.api.calibration import calibrate as calibrate
     from radiometer.api.capture import BracketReport as BracketReport
     from radiometer.api.capture import bracket as bracket
     from radiometer.api.devices import Devices as Devices
@@ -186,6 +199,8 @@ if TYPE_CHECKING:
     from radiometer.api.files import read_photographs as read_photographs
     from radiometer.api.importing import Imported as Imported
     from radiometer.api.importing import import_capture as import_capture
+    from radiometer.api.led_flux import Flux as Flux
+    from radiometer.api.led_flux import flux as flux
     from radiometer.api.light import BoxStatus as BoxStatus
     from radiometer.api.light import ButtonPress as ButtonPress
     from radiometer.api.light import CalibratedBox as CalibratedBox
@@ -204,6 +219,7 @@ if TYPE_CHECKING:
     from radiometer.api.logs import log_fit as log_fit
     from radiometer.api.meter import Meter as Meter
     from radiometer.api.meter import open as open
+    from radiometer.api.photographs import measure_photographs as measure_photographs
     from radiometer.api.quality import QualityPlan as QualityPlan
     from radiometer.api.quality import QualityReport as QualityReport
     from radiometer.api.quality import quality_plan as quality_plan
@@ -216,7 +232,9 @@ if TYPE_CHECKING:
     from radiometer.api.response import Response as Response
     from radiometer.api.response import recover_response as recover_response
     from radiometer.api.results import Reconciliation as Reconciliation
+    from radiometer.api.results import Separability as Separability
     from radiometer.api.results import reconcile as reconcile
+    from radiometer.api.results import reconcile_plan as reconcile_plan
     from radiometer.api.screen import CalibratedScreen as CalibratedScreen
     from radiometer.api.screen import ScreenLevel as ScreenLevel
     from radiometer.api.screen import screen_calibrate as screen_calibrate

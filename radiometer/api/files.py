@@ -4,20 +4,19 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from radiometer.bench.sources import open_brackets
-from radiometer.data import Bracket, CameraDescription, CaptureHeader, LensDescription
+from radiometer.bench.sources import Source, open_source
+from radiometer.data import Bracket, CameraDescription, LensDescription, PatchDescription, SourceDescription
 from radiometer.data.capture_set import HEADER_NAME
 from radiometer.data.drawing import new_axes, picture
 from radiometer.data.frame import DigitalNumbers
-from radiometer.data.storage import read_yaml
-from radiometer.data.validation import validate
 from radiometer.errors import CaptureError, UsageError
+from radiometer.photographs.scene import Photographs
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -25,7 +24,7 @@ if TYPE_CHECKING:
 PathLike = str | os.PathLike[str]
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Stack:
     """Frames of one camera: one bracket per displayed pattern or colour channel.
 
@@ -36,7 +35,7 @@ class Stack:
         (3, ['red', 'green', 'blue'])
         >>> stack["green"]
         <Stack photographs: green: 3 frames of 96 × 64 pixels, 8 bits, 0.02 to 0.08 s>
-        >>> stack["green"].bracket.frames[0].dn.shape
+        >>> stack["green"].bracket.light[0].dn.shape
         (64, 96)
 
     Attributes:
@@ -44,12 +43,22 @@ class Stack:
         camera: The camera as it was described.
         lens: The lens as it was described.
         origin: Where the frames came from.
+        source: The light as it was described.
+        patches: Regions of the scene as they were described.
+        photographs: Whether they are photographs: their response and their exposures are not those of a bench camera.
+        listed: Name of the list that gives the exposures of photographs; None where EXIF does.
+        notes: What is missing and what is doubted of the files.
     """
 
     brackets: dict[str, Bracket]
     camera: CameraDescription
     lens: LensDescription
     origin: str
+    source: SourceDescription = field(default_factory=SourceDescription)
+    patches: tuple[PatchDescription, ...] = ()
+    photographs: bool = False
+    listed: str | None = None
+    notes: tuple[str, ...] = ()
 
     def __len__(self) -> int:
         """Return the number of brackets."""
@@ -61,7 +70,7 @@ class Stack:
 
     def __getitem__(self, name: str) -> Stack:
         """Return the stack of one pattern or channel alone. Raises KeyError for one that is not there."""
-        return Stack({name: self.brackets[name]}, self.camera, self.lens, self.origin)
+        return replace(self, brackets={name: self.brackets[name]})
 
     @property
     def bracket(self) -> Bracket:
@@ -76,6 +85,36 @@ class Stack:
             )
         return next(iter(self.brackets.values()))
 
+    def as_photographs(self) -> Photographs:
+        """Return what the path of photographs takes."""
+        return Photographs(self.brackets, Path(self.origin), self.listed, notes=self.notes)
+
+    def chosen(self, pattern: str | None = None) -> Bracket:
+        """Return the bracket of one pattern at the source's highest level.
+
+        Args:
+            pattern: Name of a displayed pattern; None takes the only one.
+
+        Raises:
+            CaptureError: If there is no such pattern.
+            UsageError: If there are several to choose from.
+        """
+        there = tuple(dict.fromkeys(one.light[0].settings.pattern for one in self.brackets.values()))
+        if pattern is None and len(there) > 1:
+            raise UsageError(f"{self.origin}: holds {len(there)} patterns ({', '.join(there)}): choose one")
+        wanted = there[0] if pattern is None else pattern
+        lit = [one for one in self.brackets.values() if one.light[0].settings.pattern == wanted]
+        if not lit:
+            raise CaptureError(
+                f"{self.origin}: holds no lit frame of pattern {wanted!r}; there are: {', '.join(sorted(there))}"
+            )
+        levels = [one.light[0].settings.source_level for one in lit]
+        if levels.count(max(levels)) > 1:
+            raise UsageError(
+                f"{self.origin} holds {len(self.brackets)} brackets; choose one: stack[{next(iter(self.brackets))!r}]"
+            )
+        return lit[levels.index(max(levels))]
+
     def plot(self, axes: Axes | None = None) -> Axes:
         """Draw the digital numbers over the effective exposure: median, and the middle 98 % of the pixels.
 
@@ -84,11 +123,11 @@ class Stack:
         """
         where = axes if axes is not None else new_axes()
         for name, bracket in self.brackets.items():
-            exposures = [frame.settings.effective_exposure_s for frame in bracket.frames]
-            low, middle, high = np.transpose([np.percentile(_thinned(one.dn), (1, 50, 99)) for one in bracket.frames])
+            exposures = [frame.settings.effective_exposure_s for frame in bracket.light]
+            low, middle, high = np.transpose([np.percentile(_thinned(one.dn), (1, 50, 99)) for one in bracket.light])
             (line,) = where.plot(exposures, middle, "o-", markersize=3, label=name)
             where.fill_between(exposures, low, high, color=line.get_color(), alpha=0.2, linewidth=0)
-            where.axhline(bracket.frames[0].full_scale_dn, color="black", linewidth=0.8, linestyle=":")
+            where.axhline(bracket.light[0].full_scale_dn, color="black", linewidth=0.8, linestyle=":")
         where.set_xscale("log")
         where.set_xlabel("exposure time × gain in s")
         where.set_ylabel("digital number (DN); dotted: full scale")
@@ -102,11 +141,11 @@ class Stack:
         """Return size, number of frames and exposures in one line."""
         parts = []
         for name, bracket in self.brackets.items():
-            times = [frame.settings.exposure_s for frame in bracket.frames]
+            times = [frame.settings.exposure_s for frame in bracket.light]
             height, width = bracket.shape
-            dark = f" + {len(bracket.dark_frames)} dark" if bracket.dark_frames else ""
+            dark = f" + {len(bracket.dark)} dark" if bracket.dark else ""
             parts.append(
-                f"{name}: {len(bracket)}{dark} frames of {width} × {height} pixels, {bracket.bit_depth} bits, "
+                f"{name}: {len(bracket.light)}{dark} frames of {width} × {height} pixels, {bracket.bit_depth} bits, "
                 f"{min(times):.4g} to {max(times):.4g} s"
             )
         return f"<Stack {self.origin}: {'; '.join(parts)}>"
@@ -130,16 +169,22 @@ def read(path: PathLike, channel: str = "luminance") -> Stack:
     Raises:
         CaptureError: If the folder is missing, empty, unfinished or inconsistent.
     """
-    folder = Path(path)
-    brackets = open_brackets(folder, channel)
-    header = folder / HEADER_NAME
-    if header.exists():
-        said = validate(CaptureHeader, read_yaml(header), str(header), CaptureError)
-        return Stack({_name(one): one for one in brackets}, said.camera, said.lens, str(path))
-    depth = brackets[0].bit_depth
-    return Stack(
-        {_name(one): one for one in brackets}, CameraDescription(bit_depth=depth), LensDescription(), str(path)
-    )
+    return stack_of(open_source(Path(path), channel), str(path))
+
+
+def stack_of(found: Source, origin: str) -> Stack:
+    """Return what was read of files as a stack.
+
+    Args:
+        found: As read.
+        origin: As the user named it.
+    """
+    brackets = {_name(one): one for one in found.brackets}
+    header = found.header
+    if header is None:
+        camera = CameraDescription(bit_depth=found.brackets[0].bit_depth)
+        return Stack(brackets, camera, LensDescription(), origin, photographs=True, listed=found.listed)
+    return Stack(brackets, header.camera, header.lens, origin, header.source, tuple(header.patches), notes=found.doubts)
 
 
 def read_photographs(path: PathLike, channel: str = "each") -> Stack:
@@ -171,7 +216,7 @@ def _thinned(dn: DigitalNumbers) -> DigitalNumbers:
 
 
 def _name(bracket: Bracket) -> str:
-    settings, extra = bracket.frames[0].settings, bracket.frames[0].extra
+    settings, extra = bracket.light[0].settings, bracket.light[0].extra
     if "channel" in extra:
         return str(extra["channel"])
     return settings.pattern if settings.source_level == 1.0 else f"{settings.pattern} at {settings.source_level:g}"

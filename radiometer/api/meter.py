@@ -29,7 +29,7 @@ class Meter:
         ...     stack = meter.bracket(darks=1)
         ...     meter
         <Meter FLIR BFS-U3-19S4M 22500001, patch 40,24 16 × 16, uncalibrated>
-        >>> relative.radiance.unit, relative.patch.width, len(stack.bracket.dark_frames) > 0
+        >>> relative.radiance.unit, relative.patch.width, len(stack.bracket.dark) > 0
         ('relative', 32, True)
 
     Attributes:

@@ -2,31 +2,65 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import os
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from radiometer.analysis.exports.maps import MapPicture, writer_for
+from radiometer.analysis.exports.curves import read_curves
+from radiometer.analysis.exports.maps import MapPicture, in_luminance, writer_for
 from radiometer.analysis.merge.bracket import merge as merge_bracket
+from radiometer.analysis.photometry.spectra import spectrum as spectrum_of
 from radiometer.analysis.response.curves import black_of_curve
-from radiometer.api.files import PathLike, Stack
+from radiometer.api.files import PathLike, Stack, stack_of
 from radiometer.api.response import Response
-from radiometer.data import BlackLevel, Bracket, Calibration, PixelMask, RadianceMap, Scale, SensorNoise
+from radiometer.api.result import Progress, Result
+from radiometer.bench.sources import is_photographs, open_source
+from radiometer.data import (
+    BlackLevel,
+    Bracket,
+    Calibration,
+    CameraDescription,
+    CaptureSet,
+    Frame,
+    LensDescription,
+    PixelMask,
+    RadianceMap,
+    ResponseCurve,
+    Scale,
+    SensorNoise,
+)
 from radiometer.data.drawing import new_axes, picture
 from radiometer.data.pile_up import with_white_levels
-from radiometer.errors import MissingLibrary, UsageError
+from radiometer.data.setup import Setup
+from radiometer.data.storage import check_outputs
+from radiometer.errors import CaptureError, MissingLibrary, UsageError
+from radiometer.importing import imported_of, is_foreign, open_capture
+from radiometer.photographs.alignment import ALIGN_CHOICES
+from radiometer.photographs.scene import (
+    Photographs,
+    by_channel,
+    curve_of_channel,
+    falloff_of,
+    merge_photographs,
+    prepared,
+)
 
 if TYPE_CHECKING:
     import xarray
     from matplotlib.axes import Axes
 
+# What a response can be given as: as recovered, a curve, a file of one or several curves, or several of these.
+ResponseLike = Response | ResponseCurve | PathLike | Sequence[ResponseCurve | PathLike]
 
-@dataclass(frozen=True, eq=False)
-class Radiance:
-    """Radiance per pixel.
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Radiance(Result):
+    """Radiance per pixel: one map, or one for each colour of photographs.
 
     Examples:
         >>> import radiometer as rm
@@ -40,10 +74,38 @@ class Radiance:
         >>> radiance.write("map.exr")
 
     Attributes:
-        map: Values, uncertainties, mask and provenance as the merge gave them.
+        maps: Values, uncertainties, masks and provenance by channel; "mono" where there is one of no colour.
+        files: Files that they were written to.
+        responses: Files that a recovered response is kept in.
+        alignment: How photographs lay to each other, in a sentence; None where that was not asked.
+        falloff: What fall-off was taken out, in a sentence; None where none was.
+        notes: What a user should know, a sentence each.
+        bounds: Lowest and highest value of the false colours; None takes those of the picture.
     """
 
-    map: RadianceMap
+    maps: Mapping[str, RadianceMap]
+    files: tuple[Path, ...] = ()
+    responses: tuple[Path, ...] = ()
+    alignment: str | None = None
+    falloff: str | None = None
+    notes: tuple[str, ...] = ()
+    bounds: tuple[float, float] | None = None
+
+    def __getitem__(self, channel: str) -> Radiance:
+        """Return one channel alone. Raises KeyError for one that is not there."""
+        return replace(self, maps={channel: self.maps[channel]})
+
+    @property
+    def map(self) -> RadianceMap:
+        """Return the only map.
+
+        Raises:
+            UsageError: If there are several.
+        """
+        if len(self.maps) != 1:
+            names = ", ".join(self.maps)
+            raise UsageError(f"there is a map for each of {names}; choose one: radiance[{next(iter(self.maps))!r}]")
+        return next(iter(self.maps.values()))
 
     @property
     def value(self) -> NDArray[np.float32]:
@@ -52,7 +114,7 @@ class Radiance:
 
     @property
     def u(self) -> NDArray[np.float32]:
-        """Return the standard uncertainty of each pixel's own, in `unit`; `u_rel_common` is beside it."""
+        """Return the standard uncertainty of each pixel's own, in `unit`; `u_rel_common` comes on top."""
         return self.map.u_radiance
 
     @property
@@ -62,24 +124,59 @@ class Radiance:
 
     @property
     def unit(self) -> str:
-        """Return "W sr-1 m-2", or "relative"."""
-        return self.map.unit
+        """Return "W sr-1 m-2", "cd m-2", or "relative"."""
+        return self.picture.unit
 
     @property
     def u_rel_common(self) -> float:
         """Return the relative standard uncertainty that all pixels share."""
         return self.map.u_rel_common
 
+    @property
+    def assumptions(self) -> tuple[str, ...]:
+        """Return what was assumed; what not all channels share has its channel's name before it."""
+        texts = {name: one.provenance.assumptions for name, one in self.maps.items()}
+        shared = [
+            text for text in self.picture.first.provenance.assumptions if all(text in one for one in texts.values())
+        ]
+        own = [f"{name}: {text}" for name, some in texts.items() for text in some if text not in shared]
+        return (*shared, *own)
+
+    @property
+    def picture(self) -> MapPicture:
+        """Return the maps as what is written to files."""
+        return MapPicture(self.maps, self.bounds)
+
     def write(self, path: PathLike) -> None:
         """Write .exr, .hdr, .tiff or .png by the ending. Raises UsageError for another, OutputError if it fails."""
         target = Path(path)
-        writer_for(target)(target, MapPicture({"mono": self.map}))
+        writer_for(target)(target, self.picture)
+
+    def to_mapping(self) -> dict[str, Any]:
+        """Return the documented JSON form: figures of the only or the green channel, and of each by its name."""
+        found = self.picture.first
+        return {
+            "files": [str(file) for file in self.files],
+            "width": found.shape[1],
+            "height": found.shape[0],
+            "channels": list(self.maps),
+            "unit": self.unit,
+            "exposures_s": list(found.exposures_s),
+            **_figures(found),
+            "by_channel": {name: _figures(one) for name, one in self.maps.items()},
+            "iso": found.provenance.parameters.get("iso", []),
+            "assumptions": list(self.assumptions),
+            "notes": list(self.notes),
+            "responses": [str(file) for file in self.responses],
+            "alignment": self.alignment,
+            "falloff": self.falloff,
+        }
 
     def to_xarray(self) -> xarray.Dataset:
         """Return an xarray.Dataset with `radiance`, its two uncertainties and `mask`: units and flags as in CF.
 
-        `u_radiance` is each pixel's own, `u_common` what all share; how they hang together stands in their attributes
-        as obsarray reads it (`unc_comps`, `err_corr_…`). `to_netcdf(…, engine="h5netcdf")` keeps all of it.
+        `u_radiance` is each pixel's own, `u_common` what all share; their attributes state how errors of pixels are
+        correlated, as obsarray reads it (`unc_comps`, `err_corr_…`). `to_netcdf(…, engine="h5netcdf")` keeps all of it.
 
         Raises:
             MissingLibrary: If xarray is not installed.
@@ -103,16 +200,16 @@ class Radiance:
         )
 
     def plot(self, axes: Axes | None = None) -> Axes:
-        """Draw the map in logarithmic false colours; what is not good is left white.
+        """Draw the only or the green map in logarithmic false colours; what is not good is left white.
 
         Args:
             axes: Where to draw; a new figure by default.
         """
         from matplotlib.colors import LogNorm
 
-        where = axes if axes is not None else new_axes()
-        lost = (self.mask & (PixelMask.SATURATED | PixelMask.BELOW_NOISE)) != 0
-        shown = np.ma.masked_where(lost | (self.value <= 0), self.value)
+        where, found = axes if axes is not None else new_axes(), self.picture.first
+        lost = (found.mask & (PixelMask.SATURATED | PixelMask.BELOW_NOISE)) != 0
+        shown = np.ma.masked_where(lost | (found.radiance <= 0), found.radiance)
         low, high = (float(shown.min()), float(shown.max())) if shown.count() else (None, None)
         drawn = where.imshow(shown, norm=LogNorm(low, high), cmap="viridis")
         figure: Any = where.figure
@@ -121,18 +218,35 @@ class Radiance:
 
     def __repr__(self) -> str:
         """Return size, range and share of good pixels in one line."""
-        height, width = self.map.shape
-        good = self.mask == 0
-        if not good.any():
-            return f"<Radiance {width} × {height} pixels in {self.unit}: no good pixel>"
-        low, high = float(self.value[good].min()), float(self.value[good].max())
-        return (
-            f"<Radiance {width} × {height} pixels in {self.unit}: {low:.4g} to {high:.4g}, "
-            f"{100 * good.mean():.3g} % good, {100 * self.u_rel_common:.2g} % common>"
-        )
+        height, width = self.picture.first.shape
+        names = "" if len(self.maps) == 1 else f" of {', '.join(self.maps)}"
+        return f"<Radiance{names} {width} × {height} pixels in {self.unit}: {_told(self.picture.first)}>"
 
     def _repr_html_(self) -> str:
         return picture(self.plot, repr(self))
+
+
+def _told(found: RadianceMap) -> str:
+    good = found.mask == 0
+    if not good.any():
+        return "no good pixel"
+    low, high = float(found.radiance[good].min()), float(found.radiance[good].max())
+    return f"{low:.4g} to {high:.4g}, {100 * good.mean():.3g} % good, {100 * found.u_rel_common:.2g} % common"
+
+
+def _figures(found: RadianceMap) -> dict[str, Any]:
+    sound = found.mask & (PixelMask.SATURATED | PixelMask.BELOW_NOISE) == 0
+    values = found.radiance[sound]
+    low, middle, high = (float(v) for v in np.percentile(values, (0, 50, 100))) if values.size else (0.0, 0.0, 0.0)
+    counts = {flag.name.lower(): int(np.count_nonzero(found.mask & flag)) for flag in PixelMask if flag.name}
+    return {
+        "values": {"lowest": low, "median": middle, "highest": high},
+        "median_u_rel": float(np.median(found.u_radiance[sound] / np.abs(values))) if values.size else None,
+        "u_rel_common": found.u_rel_common,
+        "pixels": {"good": int(np.count_nonzero(found.mask == 0)), **counts},
+        "displacement_px": found.provenance.parameters.get("displacement_px"),
+        "displacement_u_px": found.provenance.parameters.get("displacement_u_px"),
+    }
 
 
 def _variables(radiance: Radiance) -> dict[str, Any]:
@@ -180,12 +294,31 @@ def _axis(name: str) -> dict[str, str]:
 
 
 def merge(
-    stack: Stack,
-    response: Response | None = None,
+    source: Stack | PathLike,
+    response: ResponseLike | None = None,
     *,
     calibration: Calibration | PathLike | None = None,
+    channel: str | None = None,
+    pattern: str | None = None,
+    measured_iso: Mapping[float, float] | None = None,
+    iso: float | None = None,
+    f_number: float | None = None,
+    linear: bool = False,
+    demosaic: bool = False,
+    align: str = "auto",
+    keep_ghosts: bool = False,
+    vignetting: PathLike | None = None,
+    lens: str | None = None,
+    luminance: bool = False,
+    spectrum: str | None = None,
+    scale: tuple[float, float] | None = None,
+    out: PathLike | Sequence[PathLike] = (),
+    progress: Progress | None = None,
 ) -> Radiance:
     """Merge a bracket into radiance per pixel, by maximum likelihood over the frames that do not clip there.
+
+    The response of photographs is recovered from them where none is given. They are treated as proportional to light
+    only where they are camera raw files, or with `linear`.
 
     Examples:
         >>> import radiometer as rm
@@ -196,35 +329,203 @@ def merge(
         'W sr-1 m-2'
 
     Args:
-        stack: Frames of one unmoving scene.
-        response: The camera's response: relative values. Without it, and without a calibration, the camera counts as
-            linear above its black level.
+        source: Frames of one unmoving scene: a stack, a capture set, or a folder of photographs.
+        response: The camera's response, for relative values.
         calibration: Calibration, or its file: values in W·sr⁻¹·m⁻².
+        channel: Of a folder of colour photographs: "luminance", "red", "green", "blue" or "each"; by default each
+            where no calibration and no response of one channel is given, else luminance.
+        pattern: Displayed pattern of a capture set that holds several.
+        measured_iso: Of photographs: real ISO speed by stated one.
+        iso: ISO speed of photographs that state none.
+        f_number: f-number of frames that state none.
+        linear: Photographs are proportional to light above black.
+        demosaic: Take camera raw files at full size, missing colours filled in: for pictures.
+        align: Photographs from the hand: "auto" (where they moved), "on", or "off".
+        keep_ghosts: Average what moved instead of taking it from the frames that agree.
+        vignetting: Fall-off of photographs: "lensfun", or the file of a calibration with a flat field.
+        lens: Name of the lens for lensfun; EXIF's by default.
+        luminance: Return cd·m⁻² instead of W·sr⁻¹·m⁻².
+        spectrum: Spectrum for the luminance; the calibration's by default.
+        scale: Lowest and highest value of the false colours; the picture's by default.
+        out: Files to write: .exr, .hdr, .tiff or .png. A recovered response is kept beside the first.
+        progress: Called as the work goes on.
 
     Raises:
-        CalibrationError: If the calibration is of another camera or lens.
-        UsageError: If both response and calibration are given, or the stack holds several brackets.
+        CalibrationError: If the calibration does not fit camera, lens or frames.
+        CaptureError: If the frames are missing or inconsistent.
+        MeasurementError: If photographs hold no response.
+        UsageError: If arguments exclude each other.
     """
-    if response is not None and calibration is not None:
-        raise UsageError("a calibration holds a response of its own; give one of both")
+    if calibration is not None and response is not None:
+        raise UsageError("--calibration holds a response curve of its own; leave --response out")
+    if linear and response is not None:
+        raise UsageError("--linear photographs need no response curve; leave --response out")
+    if align not in ALIGN_CHOICES:
+        raise UsageError(f"--align {align}: choose one of {', '.join(ALIGN_CHOICES)}")
+    files = tuple(Path(one) for one in ([out] if isinstance(out, str | os.PathLike) else out))
+    for file in files:
+        writer_for(file)
+    check_outputs(*files, force=True)
     known = calibration if isinstance(calibration, Calibration | None) else Calibration.read(Path(calibration))
-    bracket = stack.bracket
-    if response is not None:
-        known = _without_scale(response, stack, bracket)
-    shown = Bracket.from_frames(with_white_levels([*bracket.dark_frames, *bracket.frames]), origin=bracket.origin)
-    return Radiance(merge_bracket(shown, stack.camera, stack.lens, known))
-
-
-def _without_scale(response: Response, stack: Stack, bracket: Bracket) -> Calibration:
-    stated = (bracket.frames[0].settings.black_level_dn, stack.camera.black_level_dn, black_of_curve(response.curve))
-    return Calibration(
-        camera=stack.camera,
-        lens=stack.lens,
-        scale=Scale(value=1.0, u_rel=0.0, method="relative"),
-        response=response.curve,
-        noise=SensorNoise.of(stack.camera),
-        black_level=BlackLevel(dn=next(black for black in stated if black is not None)),
+    beside = files[0] if files else None
+    asked = _Asked(
+        known, response, channel, dict(measured_iso or {}), iso, f_number, linear, demosaic, align, keep_ghosts,
+        None if vignetting is None else str(vignetting), lens, beside,
+    )  # fmt: skip
+    found = (
+        _of_stack(source, asked, pattern)
+        if isinstance(source, Stack)
+        else _of_path(Path(source), asked, pattern, progress)
     )
+    if luminance:
+        light = spectrum_of(spectrum or (known.spectrum if known else "equal_energy"))
+        found = replace(found, maps={name: in_luminance(one, light) for name, one in found.maps.items()})
+    found = replace(found, bounds=scale, files=files)
+    for file in files:
+        found.write(file)
+    return found
+
+
+@dataclass(frozen=True, slots=True)
+class _Asked:
+    """What `merge` was asked for, as its arguments."""
+
+    calibration: Calibration | None
+    response: ResponseLike | None
+    channel: str | None
+    measured_iso: dict[float, float]
+    iso: float | None
+    f_number: float | None
+    linear: bool
+    demosaic: bool
+    align: str
+    keep_ghosts: bool
+    vignetting: str | None
+    lens: str | None
+    beside: Path | None
+
+    def curves(self, bit_depth: int) -> dict[str, ResponseCurve]:
+        """Return the response as given, by channel."""
+        if isinstance(self.response, Response):
+            return {one.curve.channel: one.curve for one in self.response.estimates}
+        found: list[tuple[str, ResponseCurve]] = []
+        for one in _several(self.response):
+            if isinstance(one, ResponseCurve):
+                found.append((one.channel, one))
+            else:
+                found += read_curves(Path(one), bit_depth).items()
+        return by_channel(found)
+
+
+def _several(
+    response: ResponseCurve | PathLike | Sequence[ResponseCurve | PathLike] | None,
+) -> Sequence[ResponseCurve | PathLike]:
+    if response is None:
+        return ()
+    return [response] if isinstance(response, ResponseCurve | str | os.PathLike) else response
+
+
+def _of_path(path: Path, asked: _Asked, pattern: str | None, progress: Progress | None) -> Radiance:
+    """Return the maps of a capture set, its frames in memory one at a time, or of a folder of photographs."""
+    if is_photographs(path):
+        by_colour = asked.calibration is None and not set(asked.curves(8)) - {"red", "green", "blue"}
+        channel = asked.channel or ("each" if by_colour else "luminance")
+        report = None if progress is None else _reported(progress, "reading")
+        read = open_source(path, channel, report=report, interpolated=asked.demosaic)
+        return _of_photographs(stack_of(read, str(path)).as_photographs(), asked)
+    if not (is_foreign(path) or path.is_dir()):
+        what = "is not a folder" if path.exists() else "does not exist"
+        raise CaptureError(f"{path} {what}; give a capture set or a folder of photographs")
+    capture = open_capture(path)
+    notes = tuple(imported_of(capture).lines()) if capture.store is not None else ()
+    dark, lit = capture.lit_indices(pattern)
+    shown = None if progress is None else _reported(progress, "merging")
+    frames = _streamed(capture, (*dark, *lit), shown)
+    found = _of_capture(frames, [capture.header.frames[i].settings.black_level_dn for i in lit], capture.header.camera,
+                        capture.header.lens, asked)  # fmt: skip
+    return replace(found, notes=tuple(f"{path.name}: {line}" for line in notes))
+
+
+def _reported(progress: Progress, what: str) -> Callable[[int, int], None]:
+    return lambda done, total: progress(what, done, total)
+
+
+def _streamed(
+    capture: CaptureSet, indices: Sequence[int], report: Callable[[int, int], None] | None
+) -> Iterator[Frame]:
+    for done, frame in enumerate(capture.read_frames(indices), start=1):
+        yield frame
+        if report is not None:
+            report(done, len(indices))
+
+
+def _of_stack(stack: Stack, asked: _Asked, pattern: str | None) -> Radiance:
+    if stack.photographs:
+        if asked.channel or asked.demosaic:
+            raise UsageError("channel and demosaic say how a folder is read: give them to read_photographs")
+        return _of_photographs(stack.as_photographs(), asked)
+    chosen = stack.chosen(pattern)
+    bracket = Bracket.from_frames(with_white_levels(chosen.every_frame), origin=chosen.origin)
+    levels = [frame.settings.black_level_dn for frame in bracket.light]
+    return replace(_of_capture(bracket, levels, stack.camera, stack.lens, asked), notes=stack.notes)
+
+
+def _of_capture(
+    frames: Bracket | Iterator[Frame],
+    levels: Sequence[float | None],
+    camera: CameraDescription,
+    lens: LensDescription,
+    asked: _Asked,
+) -> Radiance:
+    """Return the map of a capture set: dark frames first, then light ones.
+
+    Args:
+        frames: The frames.
+        levels: Black level in DN that each light frame states.
+        camera: As the capture set describes it.
+        lens: As the capture set describes it.
+        asked: What is asked for.
+    """
+    if asked.vignetting:
+        raise UsageError("--vignetting belongs to photographs; a capture set takes its calibration's flat field")
+    if asked.measured_iso or asked.iso is not None:
+        raise UsageError("--measured-iso and --iso belong to photographs; frames of a capture set state their gain")
+    if asked.f_number is not None:
+        if lens.f_number is not None:
+            raise UsageError(f"--f-number: the capture set states f/{lens.f_number:.4g} itself; leave it out")
+        lens = lens.model_copy(update={"f_number": asked.f_number})
+    known = asked.calibration
+    curve = curve_of_channel(asked.curves(camera.bit_depth), "mono")
+    if known is None and curve is not None:
+        # The frames' own statement comes first: it was read back from the device, the camera's is a data sheet's.
+        stated = (*levels, camera.black_level_dn, black_of_curve(curve))
+        known = Calibration(
+            camera=camera,
+            lens=lens,
+            scale=Scale(value=1.0, u_rel=0.0, method="relative"),
+            response=curve,
+            noise=SensorNoise.of(camera),
+            black_level=BlackLevel(dn=next(black for black in stated if black is not None)),
+        )
+    return Radiance({"mono": merge_bracket(frames, Setup(camera, lens, known))})
+
+
+def _of_photographs(photographs: Photographs, asked: _Asked) -> Radiance:
+    depth = next(iter(photographs.brackets.values())).bit_depth
+    flat, falloff = falloff_of(photographs, asked.vignetting, asked.lens, asked.calibration)
+    ready = prepared(
+        photographs,
+        calibration=asked.calibration,
+        curves=asked.curves(depth),
+        linear=asked.linear,
+        measured_iso=asked.measured_iso,
+        iso=asked.iso,
+        f_number=asked.f_number,
+        align=asked.align,
+        beside=asked.beside,
+    )
+    maps = merge_photographs(ready, asked.calibration, flat, keep_ghosts=asked.keep_ghosts)
+    return Radiance(maps, (), ready.files, ready.alignment, falloff, ready.notes)
 
 
 def _meaning(flag: PixelMask) -> str:

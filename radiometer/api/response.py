@@ -2,29 +2,44 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+import os
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from radiometer.analysis.response.estimate import ResponseEstimate, median_uncertainty
-from radiometer.analysis.response.labels import refuse_lying_labels
-from radiometer.analysis.response.methods import DEFAULT_METHOD, METHODS, method_names
-from radiometer.api.files import PathLike, Stack
+from radiometer.analysis.exports.curves import CURVE_SUFFIXES, write_curves
+from radiometer.analysis.exports.response_plot import check_plot_name, draw_responses
+from radiometer.analysis.response.auto import recover_colours_auto
+from radiometer.analysis.response.compare import compare_methods
+from radiometer.analysis.response.estimate import ResponseEstimate, median_uncertainty, telling
+from radiometer.analysis.response.methods import DEFAULT_METHOD, METHODS, RATIO_METHODS, method_names
+from radiometer.api.files import PathLike, Stack, stack_of
+from radiometer.api.result import Progress, Result
+from radiometer.bench.sources import open_source
 from radiometer.data import Bracket, ResponseCurve
 from radiometer.data.drawing import new_axes, picture
-from radiometer.errors import UsageError
+from radiometer.data.iso_speeds import IsoSpeeds
+from radiometer.data.storage import check_outputs
+from radiometer.errors import MeasurementError, UsageError
+from radiometer.photographs.iso_record import with_iso_speeds
+from radiometer.photographs.response import ENOUGH_PIXELS
+from radiometer.photographs.scene import Photographs, refuse_lying_photographs
+from radiometer.photographs.stated import with_gains
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
+__all__ = ["DEFAULT_METHOD", "METHODS", "Response", "ResponseEstimate", "median_uncertainty", "recover_response"]
+_SUFFIXES: Final = (".csv", ".yaml", ".yml", *CURVE_SUFFIXES)
 
-@dataclass(frozen=True, eq=False)
-class Response:
-    """How digital numbers follow from exposure.
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Response(Result):
+    """How digital numbers follow from exposure: one curve, or one per colour and method.
 
     Examples:
         >>> import radiometer as rm
@@ -36,10 +51,35 @@ class Response:
         'digital number M (DN)'
 
     Attributes:
-        estimate: The curve with all diagnostics.
+        estimates: The curves with all diagnostics.
+        files: Files that they were written to.
+        plot_file: File that they were drawn in; None where none was.
+        notes: What a user should know, a sentence each.
     """
 
-    estimate: ResponseEstimate
+    estimates: tuple[ResponseEstimate, ...]
+    files: tuple[Path, ...] = ()
+    plot_file: Path | None = None
+    notes: tuple[str, ...] = ()
+
+    def __getitem__(self, channel: str) -> Response:
+        """Return the curves of one channel. Raises KeyError for one that is not there."""
+        found = tuple(one for one in self.estimates if one.curve.channel == channel)
+        if not found:
+            raise KeyError(channel)
+        return replace(self, estimates=found)
+
+    @property
+    def estimate(self) -> ResponseEstimate:
+        """Return the only curve with all diagnostics.
+
+        Raises:
+            UsageError: If there are several.
+        """
+        if len(self.estimates) != 1:
+            there = ", ".join(f"{one.curve.channel} by {one.method}" for one in self.estimates)
+            raise UsageError(f"there are {len(self.estimates)} curves ({there}); choose one channel and one method")
+        return self.estimates[0]
 
     @property
     def curve(self) -> ResponseCurve:
@@ -63,6 +103,17 @@ class Response:
             raise UsageError(f"{path}: the name must end in .csv")
         self.curve.write(target)
 
+    def to_mapping(self) -> dict[str, Any]:
+        """Return the documented JSON form."""
+        return {
+            "format": "radiometer-response-result/1",
+            "curves": [estimate.to_mapping() for estimate in self.estimates],
+            "disagreements": [found.to_mapping() for found in compare_methods(self.estimates)],
+            "files": [str(file) for file in self.files],
+            "plot": None if self.plot_file is None else str(self.plot_file),
+            "notes": list(self.notes),
+        }
+
     def plot(self, axes: Axes | None = None) -> Axes:
         """Draw ln H over the digital number with its k = 2 band, where the data support it.
 
@@ -70,31 +121,50 @@ class Response:
             axes: Where to draw; a new figure by default.
         """
         where = axes if axes is not None else new_axes()
-        low, high = self.curve.valid_dn or (0, self.log_exposure.size - 1)
-        dn = np.arange(low, high + 1)
-        g, u = self.log_exposure[low : high + 1], self.u[low : high + 1]
-        (line,) = where.plot(dn, g, label=f"{self.estimate.method}, {self.curve.channel}")
-        where.fill_between(dn, g - 2 * u, g + 2 * u, color=line.get_color(), alpha=0.2, linewidth=0)
+        for estimate in self.estimates:
+            curve = estimate.curve
+            low, high = curve.valid_dn or (0, curve.log_exposure.size - 1)
+            dn = np.arange(low, high + 1)
+            g, u = curve.log_exposure[low : high + 1], curve.u_log_exposure[low : high + 1]
+            (line,) = where.plot(dn, g, label=f"{estimate.method}, {curve.channel}")
+            where.fill_between(dn, g - 2 * u, g + 2 * u, color=line.get_color(), alpha=0.2, linewidth=0)
+        absolute = any(estimate.curve.absolute for estimate in self.estimates)
         where.set_xlabel("digital number M (DN)")
-        where.set_ylabel("ln H  (J m⁻²)" if self.curve.absolute else "ln H, relative to the middle value")
+        where.set_ylabel("ln H  (J m⁻²)" if absolute else "ln H, relative to the middle value")
         where.grid(visible=True, alpha=0.3)
         return where
 
     def __repr__(self) -> str:
         """Return method, depth, range and median uncertainty in one line."""
-        valid = self.curve.valid_dn or (0, self.log_exposure.size - 1)
-        u = 100 * median_uncertainty(self.curve)
-        return (
-            f"<Response by {self.estimate.method}: {self.curve.channel}, {self.curve.bit_depth} bits, "
-            f"DN {valid[0]} to {valid[1]}, median u {u:.2g} %>"
-        )
+        return f"<Response {'; '.join(map(_told, self.estimates))}>"
 
     def _repr_html_(self) -> str:
         return picture(self.plot, repr(self))
 
 
-def recover_response(stacks: Stack | Bracket | Sequence[Stack | Bracket], method: str = DEFAULT_METHOD) -> Response:
-    """Recover a camera's response from brackets of one unmoving scene each.
+def _told(estimate: ResponseEstimate) -> str:
+    curve = estimate.curve
+    valid = curve.valid_dn or (0, curve.log_exposure.size - 1)
+    return (
+        f"by {estimate.method}: {curve.channel}, {curve.bit_depth} bits, DN {valid[0]} to {valid[1]}, "
+        f"median u {100 * median_uncertainty(curve):.2g} %"
+    )
+
+
+def recover_response(
+    sources: Stack | Bracket | PathLike | Sequence[Stack | Bracket | PathLike],
+    method: str = DEFAULT_METHOD,
+    *,
+    channel: str = "luminance",
+    known_ratio: Mapping[int, float] | None = None,
+    measured_iso: Mapping[float, float] | None = None,
+    align: str = "auto",
+    output: PathLike | None = None,
+    plot: PathLike | None = None,
+    force: bool = True,
+    progress: Progress | None = None,
+) -> Response:
+    """Recover a camera's response g(M) = ln H from brackets of one unmoving scene each, with its uncertainty.
 
     Examples:
         >>> import radiometer as rm
@@ -102,17 +172,150 @@ def recover_response(stacks: Stack | Bracket | Sequence[Stack | Bracket], method
         <Response by linear_spline: ..., 12 bits, DN ... to ..., median u ... %>
 
     Args:
-        stacks: One or several; all of one camera and channel, fitted jointly.
-        method: "auto", "debevec1997", "mitsunaga1999", "robertson1999" or "linear_spline".
+        sources: Stacks, brackets, capture sets or folders of photographs; one or several of one camera, fitted jointly.
+        method: "auto", "debevec1997", "mitsunaga1999", "robertson1999", "linear_spline", or "all".
+        channel: Of folders of colour photographs: "luminance", "red", "green", "blue" or "each".
+        known_ratio: Exposure ratio by the index of the shorter of two frames, for methods that find ratios themselves.
+        measured_iso: Of photographs: real ISO speed by stated one.
+        align: Photographs from the hand: "auto" (where they moved), "on", or "off".
+        output: Curve to write: .csv, .yaml, .m or .rsp.
+        plot: Picture to draw: .png, .pdf or .svg.
+        force: Replace files that exist.
+        progress: Called as the work goes on.
 
     Raises:
-        UsageError: If there is no such method, or a stack holds several channels.
+        CaptureError: If the frames are missing or inconsistent.
         MeasurementError: If the frames do not determine a curve.
+        UsageError: If there is no such method, channel or form of file.
     """
-    if method_names(method) != [method]:
-        raise UsageError(f"one method at a time: {', '.join(METHODS)}")
-    several = stacks if isinstance(stacks, Sequence) else [stacks]
-    brackets = [one if isinstance(one, Bracket) else one.bracket for one in several]
-    for bracket in brackets:
-        refuse_lying_labels(bracket)
-    return Response(METHODS[method](brackets))
+    names, ratios = method_names(method), dict(known_ratio or {})
+    if ratios and not set(names) & set(RATIO_METHODS):
+        raise UsageError(
+            f"--known-ratio is for methods that find the ratios themselves: --method {' or '.join(RATIO_METHODS)}"
+        )
+    target, drawn = (Path(one) if one is not None else None for one in (output, plot))
+    _refuse_targets(target, drawn, names, force=force)
+    several = [sources] if isinstance(sources, Stack | Bracket | str | os.PathLike) else list(sources)
+    notes: list[str] = []
+    found: dict[str, list[Bracket]] = {}
+    for one in several:
+        for name, bracket in _read(one, channel, dict(measured_iso or {}), align, progress, notes.append):
+            found.setdefault(name, []).append(bracket)
+    joint: Sequence[ResponseEstimate | None] = [None] * len(found)
+    if DEFAULT_METHOD in names and len(found) > 1:
+        if progress is not None:
+            progress("recovering the response of all colours together", 0, None)
+        joint = recover_colours_auto(list(found.values()))
+    estimates = [
+        with_iso_speeds(estimate, *found.values())
+        for brackets, known in zip(found.values(), joint, strict=True)
+        for estimate in _recovered(brackets, names, ratios, known, progress, notes.append)
+    ]
+    files = _written(estimates, target) if target is not None else []
+    if drawn is not None:
+        draw_responses(estimates, drawn)
+    return Response(tuple(estimates), tuple(files), drawn, tuple(notes))
+
+
+def _refuse_targets(output: Path | None, plot: Path | None, methods: Sequence[str], *, force: bool) -> None:
+    """Refuse what cannot be written before the work is done, not after."""
+    if output is not None and output.suffix.lower() not in _SUFFIXES:
+        raise UsageError(f"cannot write {output}: a curve's ending must be one of {', '.join(_SUFFIXES)}")
+    if plot is not None:
+        check_plot_name(plot)
+    check_outputs(output, plot, force=force)
+    if output is not None:  # several curves carry channel and method in their files' names
+        parts = ["", *(f"-{channel}" for channel in ("red", "green", "blue"))]
+        names = [f"{part}{method}" for part in parts for method in ("", *(f"-{name}" for name in methods))]
+        check_outputs(*(output.with_stem(output.stem + name) for name in names if name), force=force)
+
+
+def _read(
+    source: Stack | Bracket | PathLike,
+    channel: str,
+    measured_iso: dict[float, float],
+    align: str,
+    progress: Progress | None,
+    note: Callable[[str], None],
+) -> list[tuple[str, Bracket]]:
+    """Return the brackets of a source with their colour channels; photographs in one place."""
+    if isinstance(source, Bracket):
+        taken, by_hand = Photographs({_channel(source): source}, Path(source.origin)), False
+    else:
+        stack = source if isinstance(source, Stack) else _opened(Path(source), channel, measured_iso, progress)
+        taken, by_hand = stack.as_photographs(), stack.photographs
+    if by_hand:
+        taken = taken.thinned().each(lambda one: with_gains(one, IsoSpeeds(measured_iso)))
+    refuse_lying_photographs(taken)
+    placed = taken.placed(align if by_hand else "off")  # a camera on a bench stands still
+    if placed.absent:
+        note(f"{taken.folder}: {placed.alignment}")
+    if unused := sum(len(one.dark) for one in placed.brackets.values()):
+        note(f"{taken.folder}: {unused} dark frames are not used; the lowest value of the light frames is black")
+    return [(_channel(bracket), bracket) for bracket in placed.common.values()]
+
+
+def _opened(path: Path, channel: str, measured_iso: dict[float, float], progress: Progress | None) -> Stack:
+    def report(done: int, total: int) -> None:
+        if progress is not None:
+            progress(f"reading {path.name}", done, total)
+
+    speeds = IsoSpeeds(measured_iso)
+    return stack_of(open_source(path, channel, report=report, speeds=speeds, most_pixels=ENOUGH_PIXELS), str(path))
+
+
+def _channel(bracket: Bracket) -> str:
+    return str(bracket.light[0].extra.get("channel", "mono"))
+
+
+def _recovered(
+    brackets: Sequence[Bracket],
+    names: Sequence[str],
+    known_ratios: Mapping[int, float],
+    with_other_colours: ResponseEstimate | None,
+    progress: Progress | None,
+    note: Callable[[str], None],
+) -> Iterator[ResponseEstimate]:
+    """Yield the estimate of every method; that of the default is given where it was made with other colours."""
+    for done, name in enumerate(names):
+        if progress is not None:
+            progress("recovering the response", done, len(names))
+        try:
+            if name == DEFAULT_METHOD and with_other_colours is not None:
+                yield telling(with_other_colours, brackets[0].origin)
+            elif name in RATIO_METHODS and known_ratios:
+                yield telling(RATIO_METHODS[name](brackets, known_ratios=known_ratios), brackets[0].origin)
+            else:
+                yield telling(METHODS[name](brackets), brackets[0].origin)
+        except MeasurementError as error:
+            if len(names) == 1 or name == DEFAULT_METHOD:
+                raise
+            note(f"{name} gives no curve: {error}")
+
+
+def _written(estimates: Sequence[ResponseEstimate], output: Path) -> list[Path]:
+    """Write one curve under the given name, several with channel and method in theirs."""
+    if output.suffix.lower() in CURVE_SUFFIXES:
+        return _written_for_others(estimates, output)
+    channels = {estimate.curve.channel for estimate in estimates}
+    methods = {estimate.method for estimate in estimates}
+    files = []
+    for estimate in estimates:
+        parts = [output.stem]
+        parts += [estimate.curve.channel] if len(channels) > 1 else []
+        parts += [estimate.method] if len(methods) > 1 else []
+        target = output.with_name("-".join(parts) + output.suffix)
+        estimate.curve.write(target)
+        files.append(target)
+    return files
+
+
+def _written_for_others(estimates: Sequence[ResponseEstimate], output: Path) -> list[Path]:
+    """Write the channels of each method into one file of another program's form."""
+    methods = list(dict.fromkeys(estimate.method for estimate in estimates))
+    files = []
+    for method in methods:
+        target = output.with_name(f"{output.stem}-{method}{output.suffix}") if len(methods) > 1 else output
+        write_curves(target, {one.curve.channel: one.curve for one in estimates if one.method == method})
+        files.append(target)
+    return files

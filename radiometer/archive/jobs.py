@@ -14,6 +14,7 @@ import numpy as np
 
 from radiometer.archive.settings import JobSettings
 from radiometer.data import Calibration, CaptureSet, Patch
+from radiometer.data.setup import AS_CALIBRATED, Setup
 from radiometer.errors import MeasurementError, RadiometerError
 
 Row = dict[str, Any]
@@ -71,7 +72,9 @@ def measure(capture_set: CaptureSet, settings: JobSettings) -> list[Row]:
     frames = list(capture_set.frames())
     rows: list[Row] = []
     for name, patch in _patches(capture_set, settings, frames[0].shape):
-        reading = read_patch(frames, patch, calibration, header.camera, header.lens, spectrum_stated=stated)
+        reading = read_patch(
+            frames, patch, Setup(header.camera, header.lens, calibration, spectrum=AS_CALIBRATED if stated else None)
+        )
         shared = {"patch": name, "flags": " ".join(map(str, reading.flags))}
         rows.append({**shared, "quantity": "radiance", **reading.radiance.to_mapping()})
         if reading.luminance:
@@ -108,7 +111,7 @@ def merge(capture_set: CaptureSet, settings: JobSettings) -> list[Row]:
 
     header = capture_set.header
     calibration = Calibration.read(Path(settings.calibration)) if settings.calibration else None
-    merged = merge_frames(capture_set.bracket(), header.camera, header.lens, calibration)
+    merged = merge_frames(capture_set.bracket(), Setup(header.camera, header.lens, calibration))
     if settings.maps:
         write_map(merged, Path(settings.maps) / f"{capture_set.path.name}-{capture_set.content_hash()[:12]}.zarr")
     good = merged.mask == 0

@@ -19,10 +19,12 @@ from radiometer.acquire.bracketing import (
     take_plan,
 )
 from radiometer.acquire.exposure_plan import STEADY_SHORT_FRAMES, ExposurePlan, steadied
+from radiometer.analysis.calibration.shared import require_camera
 from radiometer.analysis.reading.contributions import PatchSituation
 from radiometer.analysis.reading.reading import patch_situation, read_patch
 from radiometer.data import Bracket, Calibration, Frame, LensDescription, Patch, Reading, SourceDescription
 from radiometer.data.pile_up import with_white_levels
+from radiometer.data.setup import AS_CALIBRATED, Setup
 from radiometer.devices import Camera
 from radiometer.errors import UsageError
 
@@ -71,7 +73,7 @@ class Instrument:
 
     def __post_init__(self) -> None:
         if self.calibration is not None:
-            self.calibration.require_camera(self.camera.description)
+            require_camera(self.calibration, self.camera.description)
         refuse_outside(self.patch, self.camera)
 
     def at(self, patch: Patch) -> Instrument:
@@ -161,18 +163,17 @@ class Instrument:
 
     def read(self, bracket: Bracket, *, sequence: int = 0) -> Reading:
         """Return the radiance of the patch in frames already taken. Raises CalibrationError if it does not fit."""
-        camera = self.camera.description
-        return read_patch(
-            bracket, self.patch, self.calibration, camera, self.lens,
-            source=self.source, spectrum_stated=self.spectrum_stated, sequence=sequence,
-        )  # fmt: skip
+        return read_patch(bracket, self.patch, self.setup, sequence=sequence)
 
     def situation(self, bracket: Bracket) -> PatchSituation:
         """Return what a reading of frames is made from. Raises CalibrationError if the calibration does not fit."""
-        camera = self.camera.description
-        return patch_situation(
-            bracket, self.patch, self.calibration, camera, self.lens, self.source, spectrum_stated=self.spectrum_stated
-        )
+        return patch_situation(bracket, self.patch, self.setup)
+
+    @property
+    def setup(self) -> Setup:
+        """Return camera, lens and calibration in use, and the light."""
+        spectrum = AS_CALIBRATED if self.spectrum_stated else None
+        return Setup(self.camera.description, self.lens, self.calibration, self.source, spectrum)
 
     @property
     def lens(self) -> LensDescription:

@@ -3,19 +3,45 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
-from radiometer.data import Bracket, CaptureSet, FlatField, Frame
+from radiometer.data import Bracket, CaptureHeader, CaptureSet, Frame
 from radiometer.data.capture_set import HEADER_NAME
 from radiometer.data.iso_speeds import IsoSpeeds
 from radiometer.errors import CaptureError
-from radiometer.importing import is_foreign, open_capture
+from radiometer.importing import imported_of, is_foreign, open_capture
 from radiometer.importing.photograph_times import find_list
 from radiometer.photographs.folder import image_files, read_photographs
 
 _NAMED = 4  # folders that a message names
 _UNREAD = frozenset({".heic", ".heif", ".avif", ".webp", ".jxl", ".jp2", ".bmp", ".gif"})
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Source:
+    """What a user has on disk.
+
+    Attributes:
+        path: Where it is.
+        brackets: Of a capture set one per displayed pattern and source level, of photographs one per channel.
+        header: What a capture set states of camera, lens and source; None of photographs.
+        listed: Name of the list that gives the exposures of photographs; None where EXIF does.
+        doubts: What is missing and what is doubted of files that are read where they are.
+    """
+
+    path: Path
+    brackets: list[Bracket]
+    header: CaptureHeader | None = None
+    listed: str | None = None
+    doubts: tuple[str, ...] = ()
+
+
+def is_photographs(path: Path) -> bool:
+    """Tell whether a path is a folder of photographs: neither a capture set nor files of another kind."""
+    if not path.is_dir() or (path / HEADER_NAME).exists() or is_foreign(path):
+        return False
+    return bool(image_files(path)) or not (path / "frames").is_dir()
 
 
 def open_brackets(
@@ -27,7 +53,22 @@ def open_brackets(
     most_pixels: int | None = None,
     interpolated: bool = False,
 ) -> list[Bracket]:
-    """Return the brackets in a capture set, a folder of photographs, or files of a laboratory (FITS, raw TIFF, EMVA).
+    """Return the brackets of what a user has on disk; see `open_source`."""
+    return open_source(
+        path, channel, report=report, speeds=speeds, most_pixels=most_pixels, interpolated=interpolated
+    ).brackets
+
+
+def open_source(
+    path: Path,
+    channel: str = "luminance",
+    *,
+    report: Callable[[int, int], None] | None = None,
+    speeds: IsoSpeeds | None = None,
+    most_pixels: int | None = None,
+    interpolated: bool = False,
+) -> Source:
+    """Return what is in a capture set, a folder of photographs, or files of a laboratory (FITS, raw TIFF, EMVA).
 
     Every frame carries its file's name in `extra["file"]`. A capture set gives one bracket per displayed pattern; a
     folder of colour photographs one of the wanted channel, or three for "each".
@@ -47,48 +88,31 @@ def open_brackets(
     """
     if is_foreign(path):
         (speeds or IsoSpeeds()).refuse_unstated(str(path), set())
-        return _capture_brackets(open_capture(path), report)
+        return _of_capture(path, open_capture(path), report)
     if not path.exists():
         raise CaptureError(f"{path} does not exist; give a capture set or a folder of photographs")
     if not path.is_dir():
         raise CaptureError(f"{path} is not a folder; give a capture set or a folder of photographs")
     if (path / HEADER_NAME).exists():
         (speeds or IsoSpeeds()).refuse_unstated(str(path), set())
-        return _capture_brackets(CaptureSet.read(path), report)
+        return _of_capture(path, CaptureSet.read(path), report)
     if (path / "frames").is_dir() and not image_files(path):
         CaptureSet.read(path)  # raises: the capture was not finished
     if not any(path.iterdir()):
         raise CaptureError(f"{path} is empty; give a capture set or a folder of photographs")
     if not image_files(path) and find_list(path) is None:
         raise CaptureError(f"{path} holds neither {HEADER_NAME} nor photographs; {_instead(path)}")
-    return read_photographs(
+    listing = find_list(path)
+    brackets = read_photographs(
         path, channel, report=report, speeds=speeds, most_pixels=most_pixels, interpolated=interpolated
     )
+    return Source(path, brackets, listed=listing.name if listing else None)
 
 
-def exposure_list(path: Path) -> str | None:
-    """Return the name of the list that gives the exposures of a folder of photographs; None where EXIF does."""
-    listing = find_list(path)
-    return listing.name if listing else None
-
-
-def lensfun_falloff(path: Path, bracket: Bracket, lens: str | None = None) -> tuple[FlatField, str]:
-    """Return the fall-off of the lens of a folder of photographs by lensfun's database, and from what it was taken.
-
-    Args:
-        path: The folder.
-        bracket: The photographs in it.
-        lens: Name of the lens in place of the EXIF record's.
-
-    Raises:
-        CaptureError: If the EXIF record does not say what it takes.
-        InputError: If the database does not know camera or lens.
-        MissingLibrary: If lensfunpy is not installed.
-    """
-    from radiometer.photographs.lens_profile import lensfun_flat_field, read_lens_record
-
-    record = read_lens_record(path / str(bracket.frames[0].extra["file"]), lens)
-    return lensfun_flat_field(record, bracket.shape)
+def _of_capture(path: Path, capture: CaptureSet, report: Callable[[int, int], None] | None) -> Source:
+    lines = imported_of(capture).lines() if capture.store is not None else ()
+    doubts = tuple(f"{path.name}: {line}" for line in lines)
+    return Source(path, _capture_brackets(capture, report), capture.header, doubts=doubts)
 
 
 def _capture_brackets(capture: CaptureSet, report: Callable[[int, int], None] | None) -> list[Bracket]:

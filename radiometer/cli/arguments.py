@@ -4,20 +4,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import replace
 from typing import TYPE_CHECKING, Final, overload
 
 import radiometer as rm
 from radiometer.errors import UsageError
-from radiometer.units import exact_f_number, read_number, unit_of
-
-# Printed f-numbers lie this near to the exact stop behind them.
-_SAME_STOP_REL: Final = 0.03
+from radiometer.units import read_number, unit_of
 
 if TYPE_CHECKING:
     from radiometer import Patch
-    from radiometer.data import Bracket, Calibration
-    from radiometer.data.iso_speeds import IsoSpeeds
 
 _LONGEST_BARE_EXPOSURE_S: Final = 30.0  # the longest time that shutters offer; 60 and more are meant as 1/60 …
 _F_NUMBERS: Final = (0.5, 256.0)  # the least that a lens in air can have, and a pinhole's
@@ -161,30 +155,7 @@ def parse_bounds(text: str, option: str) -> tuple[float, float]:
 F_NUMBER_HELP: Final = "f-number (1 of a lens whose iris cannot change) where the frames or the bench do not state it."
 
 
-def with_f_number(bracket: Bracket, f_number: float | None) -> Bracket:
-    """Return the bracket with an f-number stated by hand for the frames that do not state theirs.
-
-    Raises:
-        UsageError: If it is not above 0, or frames state another one.
-    """
-    if f_number is None:
-        return bracket
-    if not (math.isfinite(f_number) and f_number > 0):
-        raise UsageError(f"--f-number {f_number:g}: must be above 0")
-    other = {n for frame in bracket if (n := frame.settings.f_number) and abs(n / f_number - 1.0) > _SAME_STOP_REL}
-    if other:
-        raise UsageError(f"--f-number {f_number:g}: the frames state f/{min(other):.4g} themselves; leave it out")
-    exact = exact_f_number(f_number)
-    number = exact if abs(exact / f_number - 1.0) < _SAME_STOP_REL else f_number
-    from radiometer.data import Bracket
-
-    frames = (
-        frame if frame.settings.f_number else replace(frame, settings=replace(frame.settings, f_number=number))
-        for frame in (*bracket.frames, *bracket.dark_frames)
-    )
-    return Bracket.from_frames(frames, origin=bracket.origin)
-
-
+UNSTATED_ISO_HELP: Final = "Photographs: ISO speed of those that state none."
 ISO_HELP: Final = "Photographs: ISO speed stated as STATED is really REAL, such as 200=136; may be repeated."
 
 
@@ -197,34 +168,14 @@ def parse_measured_iso(words: Sequence[str] | None) -> dict[float, float]:
     return _pairs(words, "--measured-iso", "STATED=REAL with speeds above 0, such as 200=136", 0.0)
 
 
-def parse_iso_speeds(words: Sequence[str] | None, calibration: Calibration | None) -> IsoSpeeds:
-    """Return the ISO speeds that were measured, beside the one at which a calibration's scale holds.
-
-    Raises:
-        UsageError: If a word is not two numbers above 0, or a speed is given twice.
-    """
-    from radiometer.data.iso_speeds import IsoSpeeds
-
-    measured = parse_measured_iso(words)
-    if calibration is None:
-        return IsoSpeeds(measured)
-    return IsoSpeeds(measured, calibration.scale.iso, calibration.scale.iso_stated)
-
-
-def parse_known_ratios(words: Sequence[str] | None, methods: Sequence[str]) -> dict[int, float]:
+def parse_known_ratios(words: Sequence[str] | None) -> dict[int, float]:
     """Return known exposure ratios by the index of the pair of frames, from words such as "3=2.0".
 
     Raises:
-        UsageError: If a word is no whole number and ratio above 1, a pair is given twice, or no method takes ratios.
+        UsageError: If a word is no whole number and ratio above 1, or a pair is given twice.
     """
-    from radiometer.analysis.response.methods import RATIO_METHODS
-
     expected = "PAIR=RATIO with a whole number from 0 and a ratio above 1, such as 3=2.0"
     found = _pairs(words, "--known-ratio", expected, 1.0)
-    if found and not set(methods) & set(RATIO_METHODS):
-        raise UsageError(
-            f"--known-ratio is for methods that find the ratios themselves: --method {' or '.join(RATIO_METHODS)}"
-        )
     if any(pair != int(pair) or pair < 0 for pair in found):
         raise UsageError(f"--known-ratio: expected {expected}")
     return {int(pair): ratio for pair, ratio in found.items()}

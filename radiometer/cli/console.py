@@ -51,6 +51,14 @@ def progress_bar(*, shown: bool = True) -> Iterator[Progress]:
         yield bar
 
 
+@contextmanager
+def progress(*, shown: bool = True) -> Iterator[Callable[[str, int, int | None], None]]:
+    """Show a progress bar while the block runs; yield what takes the progress of a function of the library."""
+    with progress_bar(shown=shown) as bar:
+        task = bar.add_task("", total=None)
+        yield lambda what, done, total: bar.update(task, description=what, completed=done, total=total)
+
+
 def significant(value: float, u: float) -> str:
     """Return a value with as many digits as its standard uncertainty allows: two digits of u."""
     import math
@@ -64,14 +72,6 @@ def significant(value: float, u: float) -> str:
     if -4 <= magnitude < 6 and 0 <= decimals <= 9:
         return f"{value:.{decimals}f}"
     return f"{value:.{max(0, magnitude + decimals)}e}"
-
-
-@contextmanager
-def progress(*, shown: bool = True) -> Iterator[Callable[[str, int, int | None], None]]:
-    """Show a progress bar while the block runs; yield what takes the progress of a function of the library."""
-    with progress_bar(shown=shown) as bar:
-        task = bar.add_task("", total=None)
-        yield lambda what, done, total: bar.update(task, description=what, completed=done, total=total)
 
 
 def asker() -> Callable[[str], None] | None:

@@ -7,6 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from radiometer.analysis.calibration.shared import require_camera
 from radiometer.analysis.photometry.spectra import spectrum
 from radiometer.bench.assembly import calibration_path, stated_source, states_spectrum
 from radiometer.bench.cameras import open_camera
@@ -107,7 +108,7 @@ class BenchInstrument:
         if camera.settings.gain_db != settings.gain_db:
             camera.configure(replace(camera.settings, gain_db=settings.gain_db))
         bracket = instrument.take_bracket() if settings.auto_exposure else self._fixed(camera, settings.exposure_s)
-        temperatures = [f.settings.temperature_c for f in bracket.frames if f.settings.temperature_c is not None]
+        temperatures = [f.settings.temperature_c for f in bracket.light if f.settings.temperature_c is not None]
         self._temperature_c = temperatures[-1] if temperatures else self._temperature_c
         reading = instrument.read(bracket)
         reading = replace(reading, flags=tuple(sorted({*reading.flags, *camera.take_doubts()})))
@@ -132,7 +133,7 @@ class BenchInstrument:
         """Read the calibration file again and return one line that names it. Raises CalibrationError."""
         fresh = self._read_calibration()
         if fresh is not None and self._camera is not None:
-            fresh.require_camera(self._camera.description)
+            require_camera(fresh, self._camera.description)
         self._calibration = fresh
         return f"{self._path.name}, made {fresh.created}" if self._path and fresh else "no calibration in use"
 
@@ -188,4 +189,4 @@ class BenchInstrument:
 
 def _distinct(bracket: Bracket) -> tuple[Frame, ...]:
     """Return one frame per exposure: what a picture needs."""
-    return tuple({frame.settings.effective_exposure_s: frame for frame in bracket.frames}.values())
+    return tuple({frame.settings.effective_exposure_s: frame for frame in bracket.light}.values())

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
-from typing import Self
+from typing import TYPE_CHECKING, NoReturn, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,18 +14,20 @@ from radiometer.data.frame import DigitalNumbers, Frame
 from radiometer.errors import InputError
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
 class Bracket:
     """Frames of one scene, all of one size and bit depth, from the shortest effective exposure to the longest.
 
+    A bracket is not iterable: `light` and `dark` say which frames are meant.
+
     Attributes:
-        frames: Light frames, at least one.
-        dark_frames: Frames with the shutter closed, possibly none.
+        light: Frames with the shutter open, at least one.
+        dark: Frames with the shutter closed, possibly none.
         origin: Where the frames came from, for messages and provenance.
     """
 
-    frames: tuple[Frame, ...]
-    dark_frames: tuple[Frame, ...] = ()
+    light: tuple[Frame, ...]
+    dark: tuple[Frame, ...] = ()
     origin: str = ""
 
     @classmethod
@@ -42,10 +44,10 @@ class Bracket:
 
     def __post_init__(self) -> None:
         where = self.origin or "bracket"
-        if not self.frames:
+        if not self.light:
             raise InputError(f"{where}: holds no frame with the shutter open")
-        first = self.frames[0]
-        for frame in (*self.frames, *self.dark_frames):
+        first = self.light[0]
+        for frame in self.every_frame:
             if frame.shape != first.shape:
                 raise InputError(
                     f"{where}: frames differ in size ({frame.shape[1]} × {frame.shape[0]} beside "
@@ -71,27 +73,46 @@ class Bracket:
 
         return replace(
             self,
-            frames=tuple(lattice(frame) for frame in self.frames),
-            dark_frames=tuple(lattice(frame) for frame in self.dark_frames),
+            light=tuple(lattice(frame) for frame in self.light),
+            dark=tuple(lattice(frame) for frame in self.dark),
         )
 
-    def __len__(self) -> int:
-        return len(self.frames)
+    if not TYPE_CHECKING:  # a type checker must find a loop over a bracket, not believe that it ends in an error
 
-    def __iter__(self) -> Iterator[Frame]:
-        return iter(self.frames)
+        def __iter__(self) -> NoReturn:
+            """Raise TypeError: whoever loops over a bracket would lose its dark frames without notice."""
+            raise TypeError("a Bracket is not iterable: loop over bracket.light, bracket.dark or bracket.every_frame")
+
+    @property
+    def every_frame(self) -> tuple[Frame, ...]:
+        """Return dark and light frames, the dark ones first."""
+        return (*self.dark, *self.light)
+
+    def with_light(self, light: Iterable[Frame]) -> Bracket:
+        """Return the bracket with other light frames, sorted by exposure, and its own dark frames."""
+        return self.from_frames((*self.dark, *light), origin=self.origin)
+
+    def __repr__(self) -> str:
+        """Return number, size, bits and exposure times of the frames in one line, no pixels."""
+        times = [frame.settings.exposure_s for frame in self.light]
+        height, width = self.shape
+        dark = f" + {len(self.dark)} dark" if self.dark else ""
+        return (
+            f"<Bracket {self.origin}: {len(self.light)}{dark} frames of {width} × {height} pixels, "
+            f"{self.bit_depth} bits, {min(times):.4g} to {max(times):.4g} s>"
+        )
 
     @property
     def bit_depth(self) -> int:
         """Return the bits per pixel."""
-        return self.frames[0].bit_depth
+        return self.light[0].bit_depth
 
     @property
     def shape(self) -> tuple[int, int]:
         """Return (height, width) in pixels."""
-        return self.frames[0].shape
+        return self.light[0].shape
 
     @property
     def effective_exposures_s(self) -> NDArray[np.float64]:
         """Return exposure time × gain factor of every light frame in s, ascending."""
-        return np.array([f.settings.effective_exposure_s for f in self.frames])
+        return np.array([f.settings.effective_exposure_s for f in self.light])

@@ -23,7 +23,6 @@ from radiometer.data.capture_header import CameraDescription, LensDescription
 from radiometer.data.provenance import Provenance, utc_now
 from radiometer.data.response_curve import ResponseCurve
 from radiometer.data.sensor_noise import SensorNoise
-from radiometer.data.serials import same_serial
 from radiometer.data.storage import read_yaml, write_yaml_atomic
 from radiometer.data.validation import FileSection, validate
 from radiometer.errors import CalibrationError
@@ -81,45 +80,6 @@ class Calibration:
     def absolute(self) -> bool:
         """Tell whether readings come out in W·sr⁻¹·m⁻²."""
         return self.scale.method != "relative"
-
-    def require_camera(self, camera: CameraDescription) -> None:
-        """Refuse a camera that this calibration does not belong to.
-
-        Args:
-            camera: The camera in use. What either side does not know is not compared, the bit depth always is.
-
-        Raises:
-            CalibrationError: If model, serial number or bit depth differ.
-        """
-        checks = (
-            ("model", self.camera.model, camera.model),
-            ("serial", self.camera.serial, camera.serial),
-            ("bit depth", self.camera.bit_depth, camera.bit_depth),
-        )
-        for name, mine, theirs in checks:
-            if mine is None or theirs is None or (name == "serial" and same_serial(str(mine), str(theirs))):
-                continue
-            if mine != theirs:
-                raise CalibrationError(
-                    f"the calibration is of another camera: its {name} is {mine!s}, the camera's is {theirs!s}; "
-                    "use this camera's own calibration, or make one with `radiometer calibrate`"
-                )
-
-    def require_lens(self, lens: LensDescription) -> None:
-        """Refuse a lens of another focal length than the calibration was made with.
-
-        Args:
-            lens: The lens in use; a focal length that either side does not know is not compared.
-
-        Raises:
-            CalibrationError: If the focal lengths differ by more than 1 %.
-        """
-        mine, theirs = self.lens.focal_length_mm, lens.focal_length_mm
-        if mine is not None and theirs is not None and abs(mine / theirs - 1.0) > 0.01:
-            raise CalibrationError(
-                f"the calibration was made with a lens of {mine:g} mm, the one in use has {theirs:g} mm; "
-                "calibrate with the lens in use"
-            )
 
     def is_stale(self, now: dt.datetime) -> bool:
         """Tell whether the calibration is older at `now` (with time zone) than its validity."""

@@ -26,6 +26,7 @@ class ScaleConditions(FileSection):
         field: Distance of the patch from the axis over that of a corner.
         surround: Mean radiance of the whole picture over that of the patch.
         polarised: Whether the source was polarised; None where unknown.
+        channel: Colour of photographs that it was read in, such as "green"; None where there is none.
     """
 
     inverse_exposure_per_s: float = Field(0.0, ge=0)
@@ -36,6 +37,7 @@ class ScaleConditions(FileSection):
     field: float = Field(0.0, ge=0)
     surround: float = Field(1.0, ge=0)
     polarised: bool | None = None
+    channel: str | None = None
 
 
 class Scale(FileSection):

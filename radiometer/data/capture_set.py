@@ -26,7 +26,7 @@ from radiometer.data.raw_files import RAW_SUFFIXES, read_raw_colours
 from radiometer.data.reader_limits import bounded_reader
 from radiometer.data.storage import read_yaml
 from radiometer.data.validation import FileSection, validate
-from radiometer.errors import CaptureError
+from radiometer.errors import CaptureError, UsageError
 
 FORMAT = "radiometer-capture/1"
 HEADER_NAME = "capture.yaml"
@@ -265,11 +265,60 @@ class CaptureSet:
         Raises:
             CaptureError: If there is no such frame.
         """
-        wanted = self.header.patterns[0] if pattern is None and self.header.patterns else pattern
+        wanted = self.pattern_of(pattern)
         chosen = [f for f in self.frames() if f.settings.is_dark or f.settings.pattern == wanted]
         if not any(not f.settings.is_dark for f in chosen):
             raise CaptureError(f"{self.path}: holds no frame of pattern {wanted!r} with the shutter open")
         return Bracket.from_frames(chosen, origin=str(self.path))
+
+    def lit_indices(self, pattern: str | None = None) -> tuple[tuple[int, ...], tuple[int, ...]]:
+        """Return the indices of the dark frames, and of a pattern's frames at the source's highest level by exposure.
+
+        Args:
+            pattern: Name of a displayed pattern; None takes the only one.
+
+        Raises:
+            CaptureError: If there is no lit frame of that pattern.
+            UsageError: If there are several patterns to choose from.
+        """
+        entries, wanted = self.header.frames, self.pattern_of(pattern)
+        dark = tuple(i for i, entry in enumerate(entries) if entry.shutter == "closed")
+        lit = [i for i, e in enumerate(entries) if e.shutter == "open" and e.pattern == wanted and e.source_level > 0]
+        if not lit:
+            there = ", ".join(sorted({entry.pattern for entry in entries}))
+            raise CaptureError(f"{self.path}: holds no lit frame of pattern {wanted!r}; there are: {there}")
+        level = max(entries[i].source_level for i in lit)
+        lit = [i for i in lit if entries[i].source_level == level]
+        return dark, tuple(sorted(lit, key=lambda i: entries[i].settings.effective_exposure_s))
+
+    def lit_bracket(self, pattern: str | None = None) -> Bracket:
+        """Return the frames of `lit_indices` in memory: what is known of a patch holds at the source's highest level.
+
+        Raises:
+            CaptureError: If there is no lit frame of that pattern, or a frame is unreadable.
+            UsageError: If there are several patterns to choose from.
+        """
+        dark, lit = self.lit_indices(pattern)
+        return Bracket.from_frames(self.read_frames((*dark, *lit)), origin=str(self.path))
+
+    def pattern_of(self, pattern: str | None = None) -> str:
+        """Return the pattern to read: as chosen, or the only one.
+
+        Args:
+            pattern: Name of a displayed pattern; None takes the only one.
+
+        Raises:
+            UsageError: If there are several to choose from.
+        """
+        lit = [one for one in self.header.frames if one.shutter == "open" and one.source_level > 0]
+        there = tuple(dict.fromkeys(one.pattern for one in lit))
+        if pattern is not None:
+            return pattern
+        if len(there) > 1:
+            raise UsageError(
+                f"{self.path}: holds {len(there)} patterns ({', '.join(there)}): choose one with --pattern NAME"
+            )
+        return there[0] if there else self.header.patterns[0] if self.header.patterns else "default"
 
     def content_hash(self) -> str:
         """Return the SHA-256 of the header and all frame files, in hexadecimal."""

@@ -30,7 +30,8 @@ class IsoSpeeds:
     def gain_db(self, stated: float, in_use: Iterable[float]) -> float:
         """Return the gain in dB of amplitude that a speed stands for.
 
-        Real speeds are compared where this one was measured; else stated ones, where the reference's is known.
+        Real speeds are compared where this one was measured; else stated ones, where the reference's is known. A
+        speed that is only stated is compared with a real reference where nothing else is known of it.
 
         Args:
             stated: Speed that a photograph states, above 0.
@@ -40,6 +41,8 @@ class IsoSpeeds:
             return 20.0 * math.log10(self.measured[stated] / self.reference)
         if self.reference_stated is not None:
             return 20.0 * math.log10(stated / self.reference_stated)
+        if self.reference is not None:
+            return 20.0 * math.log10(stated / self.reference)
         return 20.0 * math.log10(self.real(stated) / min(self.real(one) for one in in_use))
 
     def refuse_unstated(self, where: str, in_use: set[float]) -> None:

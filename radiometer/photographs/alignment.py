@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final
 
 from radiometer.errors import UsageError
@@ -30,18 +30,6 @@ class Placed:
     absent: list[Any]
     sentence: str | None
 
-    def without_absent(self) -> Bracket:
-        """Return the first bracket with what a frame does not show at full scale, as if it clipped there."""
-        bracket = self.brackets[0]
-        if not self.absent:
-            return bracket
-        frames = []
-        for frame, absent in zip(bracket, self.absent, strict=True):
-            dn = frame.dn.copy()
-            dn[absent] = frame.full_scale_dn
-            frames.append(replace(frame, dn=dn))
-        return replace(bracket, frames=tuple(frames))
-
 
 def in_one_place(brackets: Sequence[Bracket], align: str) -> Placed:
     """Return photographs in the place of that which shows most of the scene.
@@ -60,11 +48,11 @@ def in_one_place(brackets: Sequence[Bracket], align: str) -> Placed:
 
     if align not in ALIGN_CHOICES:
         raise UsageError(f"--align {align}: choose one of {', '.join(ALIGN_CHOICES)}")
-    if align == "off" or len(brackets[0]) < 2:
+    if align == "off" or len(brackets[0].light) < 2:
         return Placed(list(brackets), list(brackets), [], None)
-    seen = next((one for one in brackets if one.frames[0].extra.get("channel") == "green"), brackets[0])
+    seen = next((one for one in brackets if one.light[0].extra.get("channel") == "green"), brackets[0])
     alignment = find_alignment(seen)
-    sentence = alignment.sentence([frame_name(seen, k) for k in range(len(seen))], moved=align == "on")
+    sentence = alignment.sentence([frame_name(seen, k) for k in range(len(seen.light))], moved=align == "on")
     if not (alignment.needed or align == "on"):
         return Placed(list(brackets), list(brackets), [], sentence)
     moved = [aligned(one, alignment) for one in brackets]
@@ -72,19 +60,3 @@ def in_one_place(brackets: Sequence[Bracket], align: str) -> Placed:
     absent = [np.any(masks, axis=0) for masks in zip(*(masks for _, masks in moved), strict=True)]
     whole = [one for one, _ in moved]
     return Placed(whole, [alignment.trimmed(one) for one in whole], absent, sentence)
-
-
-def photographs_in_one_place(brackets: Sequence[Bracket], align: str = "auto") -> Placed:
-    """Return photographs as `in_one_place` does; frames of a camera that stands still as they are.
-
-    Args:
-        brackets: One per channel, of the same frames.
-        align: "auto", "on" or "off".
-
-    Raises:
-        UsageError: If it is none of these.
-    """
-    by_hand = all("nominal_exposure_s" in frame.extra for bracket in brackets for frame in bracket)
-    if by_hand or align not in ALIGN_CHOICES:
-        return in_one_place(brackets, align)
-    return in_one_place(brackets, "off")

@@ -39,6 +39,7 @@ from radiometer.importing.photograph_times import (
     read_exif,
     read_list,
 )
+from radiometer.photographs.stated import LIST_GAIN, with_gain
 
 _LOG: Final = structlog.get_logger(__name__)
 CHANNEL_CHOICES: Final = (*CHANNELS, "luminance", "each")
@@ -142,11 +143,9 @@ class PhotographFolder:
 
     def _frame(self, name: str, photograph: Photograph, channel: str) -> Frame:
         known = self.settings[name]
-        stated = [s.iso for s in self.settings.values() if s.iso]
-        gain_db = self.speeds.gain_db(known.iso, stated) if known.iso else 0.0
         settings = FrameSettings(
             exposure_s=known.exposure_s,
-            gain_db=gain_db + known.gain_db,
+            gain_db=known.gain_db,
             f_number=known.f_number,
             black_level_dn=photograph.black_level_dn(channel),
             iso=known.iso,
@@ -159,11 +158,10 @@ class PhotographFolder:
         }
         if photograph.is_raw:
             extra["raw"] = 1
-        if known.iso:
-            extra["iso_stated"] = known.iso
-            if known.iso in self.speeds.measured:
-                extra["iso_measured"] = self.speeds.measured[known.iso]
-        return Frame(photograph.plane(channel), photograph.bit_depth, settings, extra=extra)
+        if known.gain_db:
+            extra[LIST_GAIN] = known.gain_db
+        frame = Frame(photograph.plane(channel), photograph.bit_depth, settings, extra=extra)
+        return with_gain(frame, self.speeds, [one.iso for one in self.settings.values() if one.iso])
 
 
 def _luminance(colours: Sequence[Frame]) -> Frame:

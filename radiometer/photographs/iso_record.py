@@ -7,8 +7,6 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from pathlib import Path
-
     from radiometer.analysis.response.estimate import ResponseEstimate
     from radiometer.data import Bracket, Frame, Provenance, RadianceMap, Reading, Scale
     from radiometer.data.iso_speeds import IsoSpeeds
@@ -31,15 +29,6 @@ def iso_text(record: Sequence[dict[str, float]]) -> str:
     return ", ".join(f"ISO {entry['stated']:g} is really {entry['measured']:g}" for entry in measured)
 
 
-def is_photographs(path: Path) -> bool:
-    """Tell whether a path is a folder of photographs: neither a capture set nor files of another kind."""
-    from radiometer.importing import is_foreign
-
-    if not path.is_dir() or (path / "capture.yaml").exists() or (path / "frames").is_dir():
-        return False
-    return not is_foreign(path)
-
-
 def reference_iso(frames: Iterable[Frame], speeds: IsoSpeeds) -> tuple[float | None, float | None]:
     """Return the ISO speed, real and as stated, at which the gain of photographs is 0 dB; None where there is none."""
     if speeds.reference is not None:
@@ -57,7 +46,7 @@ def at_iso(scale: Scale, iso: float | None, stated: float | None) -> Scale:
 
 def with_iso_speeds(estimate: ResponseEstimate, *several: Sequence[Bracket]) -> ResponseEstimate:
     """Return the estimate with the ISO speeds of its photographs in its curve's provenance and in its details."""
-    record = iso_record(frame for brackets in several for bracket in brackets for frame in bracket)
+    record = iso_record(frame for brackets in several for bracket in brackets for frame in bracket.light)
     curve = replace(estimate.curve, provenance=_with_record(estimate.curve.provenance, record))
     return replace(estimate, curve=curve, details={**estimate.details, "iso": record} if record else estimate.details)
 

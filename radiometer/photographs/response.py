@@ -9,7 +9,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from radiometer.errors import InputError, UsageError
+from radiometer.errors import InputError
 
 if TYPE_CHECKING:
     from radiometer.analysis.response.displacement import Displacement
@@ -26,46 +26,21 @@ _BEYOND_THE_CONVERTER = 1.1
 # A power of growth with exposure that differs from 1 by more is no linear camera's: seven sets of JPEG and film have
 # 0.41 to 0.69, the linear Flea3 0.96 to 1.00.
 _NOT_LINEAR = 0.1
-_OF_COLOUR = frozenset({"red", "green", "blue", "luminance"})
 _JPEG_SUFFIXES = frozenset({".jpg", ".jpeg"})
 _UNDISPLACED = "frames lie in one place to parts of a pixel: too few pixels show in two of them to tell"
 
 
-def curves_of(paths: Sequence[Path], bit_depth: int) -> dict[str, ResponseCurve]:
-    """Return given curves by channel; a single one stands under its own channel and serves all.
-
-    Args:
-        paths: Files that `radiometer response` or another program wrote.
-        bit_depth: Bits per digital number of the photographs.
-
-    Raises:
-        InputError: If a file holds no curve.
-        UsageError: If two are of one channel.
-    """
-    from radiometer.analysis.exports.curves import read_curves
-
-    found: dict[str, ResponseCurve] = {}
-    for path in paths:
-        for channel, curve in read_curves(path, bit_depth).items():
-            if channel in found:
-                raise UsageError(
-                    "two response curves are of the same channel; YAML curves say which channel they are of"
-                )
-            found[channel] = curve
-    return found
-
-
 def recovered_curves(
-    brackets: Sequence[Bracket], beside: Path, say: Callable[[str], None]
+    brackets: Sequence[Bracket], beside: Path | None, say: Callable[[str], None]
 ) -> tuple[dict[str, ResponseCurve], list[Path]]:
-    """Return the response of every bracket, kept beside a map, and the files it is kept in.
+    """Return the response of every bracket by channel, kept beside a map, and the files it is kept in.
 
     A file is taken up again where this version of the recovery made it, from the same photographs: the same values,
     exposure times and colours. What an earlier version made of them is recovered anew, which is said.
 
     Args:
         brackets: One per channel.
-        beside: The map; a curve's file is named after it and its channel.
+        beside: The map; a curve's file is named after it and its channel. None keeps no files.
         say: Takes what a user should know.
 
     Raises:
@@ -75,8 +50,10 @@ def recovered_curves(
     from radiometer.data import ResponseCurve
 
     thin = {_channel(bracket): bracket.thinned(ENOUGH_PIXELS) for bracket in brackets}
-    files = {channel: beside.with_name(f"{beside.stem}-response-{channel}.yaml") for channel in thin}
     key = _fingerprint(thin)
+    if beside is None:
+        return _recovered(thin, key, say), []
+    files = {channel: beside.with_name(f"{beside.stem}-response-{channel}.yaml") for channel in thin}
     kept = {channel: _kept(file, key) for channel, file in files.items()}
     curves = {channel: curve for channel, curve in kept.items() if curve is not None and _is_of_this_version(curve)}
     if len(curves) < len(files):
@@ -87,51 +64,6 @@ def recovered_curves(
             curve.write(files[channel])
             curves[channel] = ResponseCurve.read(files[channel])
     return curves, list(files.values())
-
-
-def told_by_themselves(
-    bracket: Bracket, common: Bracket, camera: Any, lens: Any, say: Callable[[str], None], *, linear: bool
-) -> tuple[Calibration, Bracket]:
-    """Return a calibration without a scale as photographs show it, and the photographs with the times as found.
-
-    Args:
-        bracket: The photographs.
-        common: The part of them that all show.
-        camera: Description of the camera.
-        lens: Description of the lens.
-        say: Takes what a user should know.
-        linear: Whether they are linear above black; camera raw files always are.
-
-    Raises:
-        MeasurementError: If the photographs hold no response.
-    """
-    raw = all("raw" in frame.extra for frame in bracket)
-    if linear and not raw and (doubt := linear_doubt(common)):
-        say(doubt)
-    if linear or raw:
-        return relative_calibration(bracket, None, camera, lens)[0], bracket
-    channel = _channel(bracket)
-    curve = _recovered({channel: common.thinned(ENOUGH_PIXELS)}, "", say)[channel]
-    timed = with_found_times(bracket, curve)
-    return relative_calibration(timed, curve, camera, lens)[0], timed
-
-
-def refuse_another_channel(calibration: Calibration, bracket: Bracket) -> None:
-    """Refuse photographs read in another channel than the calibration's response was recovered in.
-
-    Args:
-        calibration: Its response says which; one without, or of grey frames, holds for any.
-        bracket: The photographs in one channel.
-
-    Raises:
-        UsageError: If both are known and differ.
-    """
-    curve, channel = calibration.response, _channel(bracket)
-    if curve is not None and channel != curve.channel and {channel, curve.channel} <= _OF_COLOUR:
-        raise UsageError(
-            f"the calibration's response is of {curve.channel}, the photographs would be read in {channel}: give "
-            f"--channel {curve.channel}, or a calibration of {channel}"
-        )
 
 
 def in_their_own_depth(brackets: Sequence[Bracket]) -> list[Bracket]:
@@ -146,11 +78,11 @@ def in_their_own_depth(brackets: Sequence[Bracket]) -> list[Bracket]:
 
     ends = [white_level_dn(bracket) for bracket in brackets]
     depth = min(ends).bit_length()
-    highest = max(int(frame.dn.max()) for bracket in brackets for frame in bracket)
+    highest = max(int(frame.dn.max()) for bracket in brackets for frame in bracket.light)
     if min(ends) != (1 << depth) - 1 or highest > min(ends) or not 8 < depth < brackets[0].bit_depth:
         return list(brackets)
     return [
-        type(one).from_frames([replace(f, bit_depth=depth) for f in (*one, *one.dark_frames)], origin=one.origin)
+        type(one).from_frames([replace(f, bit_depth=depth) for f in one.every_frame], origin=one.origin)
         for one in brackets
     ]
 
@@ -163,13 +95,15 @@ def linear_doubt(bracket: Bracket) -> str | None:
     """
     from radiometer.analysis.response.proportion import growth_power
 
-    power = growth_power(bracket, bracket.frames[0].settings.black_level_dn or 0.0)
+    power = growth_power(bracket, bracket.light[0].settings.black_level_dn or 0.0)
     if power is not None and abs(power - 1.0) > _NOT_LINEAR:
         return (
             f"said to be linear, yet twice the exposure makes numbers {2.0**power:.2f} times as large: a curve as of "
             "most pictures, a black level that is not stated, or wrong times; without --linear a curve is recovered"
         )
-    if power is None and all(Path(str(f.extra.get("file", ""))).suffix.lower() in _JPEG_SUFFIXES for f in bracket):
+    if power is None and all(
+        Path(str(f.extra.get("file", ""))).suffix.lower() in _JPEG_SUFFIXES for f in bracket.light
+    ):
         return "said to be linear, yet cameras write JPEG through a curve, and no two of these show the same pixels"
     return None
 
@@ -206,13 +140,13 @@ def with_found_times(bracket: Bracket, curve: ResponseCurve) -> Bracket:
         curve: Recovered from the same photographs.
     """
     errors = curve.provenance.parameters.get("log_time_errors")
-    if not errors or len(errors) != len(bracket) or not any(errors):
+    if not errors or len(errors) != len(bracket.light) or not any(errors):
         return bracket
     frames = [
         replace(f, settings=replace(f.settings, exposure_s=f.settings.exposure_s * math.exp(float(error))))
-        for f, error in zip(bracket, errors, strict=True)
+        for f, error in zip(bracket.light, errors, strict=True)
     ]
-    return type(bracket).from_frames([*frames, *bracket.dark_frames], origin=bracket.origin)
+    return bracket.with_light(frames)
 
 
 def shutter_offset_of(curve: ResponseCurve | None) -> ShutterOffset | None:
@@ -254,31 +188,18 @@ def with_offset_of_response(
     offset = shutter_offset_of(curve)
     if offset is None:
         return bracket, None, False
-    shortest_s = min(frame.settings.exposure_s for frame in bracket)
+    shortest_s = min(frame.settings.exposure_s for frame in bracket.light)
     not_taken = f"the shutter's offset of the response (exposures {offset.told()} than their labels) is not taken"
     if listed is not None:
         return bracket, f"{not_taken}: {listed} gives the exposures", False
     if not is_possible(offset.seconds, shortest_s):
         return bracket, f"{not_taken}: it is too large beside {1e6 * shortest_s:.3g} µs", False
     timed = [
-        replace(f, settings=replace(f.settings, exposure_s=f.settings.exposure_s + offset.seconds)) for f in bracket
+        replace(f, settings=replace(f.settings, exposure_s=f.settings.exposure_s + offset.seconds))
+        for f in bracket.light
     ]
     text = f"all exposures {offset.told()} than their labels, the shutter's offset that the response was recovered with"
-    return type(bracket).from_frames([*timed, *bracket.dark_frames], origin=bracket.origin), text, True
-
-
-def with_offset_of_calibration(
-    bracket: Bracket, calibration: Calibration, listed: str | None
-) -> tuple[Bracket, str | None, bool]:
-    """Return photographs with the exposures that the shutter's offset of a calibration makes of their labels.
-
-    Args:
-        bracket: Photographs as labelled.
-        calibration: One whose model holds an offset of exposures takes that instead.
-        listed: As for `with_offset_of_response`, whose results these are.
-    """
-    held = calibration.found.exposure_offset_s != 0.0
-    return with_offset_of_response(bracket, None if held else calibration.response, listed)
+    return bracket.with_light(timed), text, True
 
 
 def relative_calibration(
@@ -321,7 +242,7 @@ def _black_dn(bracket: Bracket, curve: ResponseCurve | None) -> float:
     """Return the black level as the photographs state it, else as their response has it: a film's fog is black."""
     from radiometer.analysis.response.curves import black_of_curve
 
-    stated = bracket.frames[0].settings.black_level_dn
+    stated = bracket.light[0].settings.black_level_dn
     return stated or (black_of_curve(curve) if curve is not None else 0.0)
 
 
@@ -337,7 +258,7 @@ def displacement_of(bracket: Bracket, curve: ResponseCurve | None) -> Displaceme
 
     if curve is not None and curve.bit_depth != bracket.bit_depth:
         return None
-    black_dn = bracket.frames[0].settings.black_level_dn or 0.0
+    black_dn = bracket.light[0].settings.black_level_dn or 0.0
     try:
         return find_displacement(bracket, curve or _straight_line(bracket, black_dn))
     except MeasurementError:
@@ -377,15 +298,15 @@ def _straight_line(bracket: Bracket, black_dn: float) -> ResponseCurve:
 
 
 def _channel(bracket: Bracket) -> str:
-    return str(bracket.frames[0].extra.get("channel", "mono"))
+    return str(bracket.light[0].extra.get("channel", "mono"))
 
 
 def _fingerprint(brackets: Mapping[str, Bracket]) -> str:
     """Return a hash of photographs: their values and exposure times in all colours, which are judged together."""
     digest = hashlib.sha256()
     for channel, bracket in brackets.items():
-        digest.update(f"{channel} {len(bracket)} ".encode())
-        for frame in bracket:
+        digest.update(f"{channel} {len(bracket.light)} ".encode())
+        for frame in bracket.light:
             digest.update(f"{frame.settings.effective_exposure_s!r} {frame.shape} {frame.bit_depth}".encode())
             digest.update(frame.dn.tobytes())
     return digest.hexdigest()

@@ -33,7 +33,7 @@ def test_memorial_radiance_follows_the_published_map(memorial, tmp_path, channel
     assert run(["response", str(folder), "-o", str(target), "--channel", channel]) == 0
     g = ResponseCurve.read(target).log_exposure
     total, weights = np.zeros(inside.shape), np.zeros(inside.shape)
-    for frame in open_brackets(folder, channel)[0]:
+    for frame in open_brackets(folder, channel)[0].light:
         weight = np.interp(frame.dn, [20, 128, 250], [0.0, 1.0, 0.0])
         total += weight * (g[frame.dn] - np.log(frame.settings.exposure_s))
         weights += weight

@@ -21,6 +21,7 @@ from radiometer.data import (
     SensorNoise,
     StatedUncertainties,
 )
+from radiometer.data.setup import Setup
 from radiometer.devices import CameraCapabilities, CameraPreset, CameraSettings
 from simulators.cameras.simulated_camera import SimulatedCamera
 from simulators.chain.camera_model import CameraModel
@@ -68,7 +69,7 @@ def calibrated_on(radiance, seed):
         uncertainties=StatedUncertainties(**dict.fromkeys(StatedUncertainties.model_fields, 0.0)),
     )
     frames = take(camera, REFERENCE_PATCH)
-    read = read_patch(frames, REFERENCE_PATCH, unscaled, camera.description, camera.lens).radiance
+    read = read_patch(frames, REFERENCE_PATCH, Setup(camera.description, camera.lens, unscaled)).radiance
     scale = scale_from_radiance(REFERENCE_RADIANCE, REFERENCE_U_REL, read.value, read.u_rel, 4.0)
     return replace(unscaled, scale=scale)
 
@@ -83,7 +84,7 @@ def readings():
         camera = camera_before(CHART, 1001 + 2 * seed)
         bracket = take(camera)
         for patch in camera.scene.patches(WIDTH, HEIGHT):
-            reading = read_patch(bracket, patch.patch, calibration, camera.description, camera.lens)
+            reading = read_patch(bracket, patch.patch, Setup(camera.description, camera.lens, calibration))
             rows.append((patch.radiance(), reading))
     return rows
 
@@ -121,7 +122,7 @@ def test_a_patch_beyond_the_camera_is_flagged_and_not_nan(radiance, flag):
     calibration = calibrated_on(REFERENCE_RADIANCE, 5)
     camera = camera_before({"kind": "uniform", "radiance_W_per_sr_m2": radiance}, 6)
     frames = take(camera, REFERENCE_PATCH)
-    reading = read_patch(frames, REFERENCE_PATCH, calibration, camera.description, camera.lens)
+    reading = read_patch(frames, REFERENCE_PATCH, Setup(camera.description, camera.lens, calibration))
     assert flag in reading.flags
     assert np.isfinite(reading.radiance.value)
     assert np.isfinite(reading.radiance.u)

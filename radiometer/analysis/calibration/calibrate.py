@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import datetime as dt
 import math
-from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from typing import Literal
 
 from radiometer.analysis.calibration.absolute import MeterSettings, scale_from_meter, scale_from_radiance
+from radiometer.analysis.calibration.shared import settle
 from radiometer.analysis.photometry.spectra import spectrum
 from radiometer.analysis.reading.contributions import budget_terms
 from radiometer.analysis.reading.reading import patch_situation, read_patch
@@ -17,11 +17,11 @@ from radiometer.analysis.signal.lens import lens_factor_sr
 from radiometer.analysis.signal.model import signal_model
 from radiometer.data import (
     BlackLevel,
+    Bracket,
     Calibration,
     CameraDescription,
     Flag,
     FlatField,
-    Frame,
     FrameSettings,
     LensDescription,
     Patch,
@@ -32,6 +32,7 @@ from radiometer.data import (
     SensorNoise,
     SourceDescription,
 )
+from radiometer.data.setup import Setup
 from radiometer.errors import MeasurementError, UsageError
 
 
@@ -104,7 +105,7 @@ def unscaled_calibration(
 
 def scale_by_source(
     base: Calibration,
-    frames: Iterable[Frame],
+    frames: Bracket,
     patch: Patch,
     source: KnownSource,
     light: SourceDescription | None = None,
@@ -113,7 +114,7 @@ def scale_by_source(
 
     Args:
         base: Unscaled calibration.
-        frames: Frames of the source.
+        frames: Bracket of the source; its dark frames give the dark level.
         patch: Where the source is.
         source: What is known of its radiance.
         light: What else is known of it.
@@ -121,12 +122,12 @@ def scale_by_source(
     Raises:
         MeasurementError: If the patch is clipped, below the noise or not uniform.
     """
-    seen = list(frames)
     made = dt.datetime.fromisoformat(base.created)  # a scale has no age when it is made
-    situation = patch_situation(seen, patch, base, base.camera, base.lens, light, made)
-    conditions = situation.conditions
+    situation = patch_situation(frames, patch, Setup(base.camera, base.lens, base, light), now=made)
+    channel = frames.light[0].extra.get("channel")
+    conditions = situation.conditions.model_copy(update={"channel": None if channel is None else str(channel)})
     own = replace(base, scale=base.scale.model_copy(update={"conditions": conditions}))
-    reading = read_patch(seen, patch, own, base.camera, base.lens, source=light, now=made)
+    reading = read_patch(frames, patch, Setup(base.camera, base.lens, own, light), now=made)
     for flag in (Flag.SATURATED, Flag.BELOW_NOISE, Flag.NONUNIFORM):
         if flag in reading.flags:
             raise MeasurementError(
@@ -161,7 +162,7 @@ def scale_by_meter(base: Calibration, meter: MeterReading) -> Scale:
 
     Raises:
         InputError: If a setting or K is not above 0.
-        UsageError: If the reference pixel value is not between black and full scale.
+        UsageError: If the reference pixel value is not between black and full scale, or where the curve has no data.
     """
     model = signal_model(base.camera, base.response, base.noise, base.black_level.dn)
     low, high = base.black_level.dn, base.camera.full_scale_dn
@@ -170,6 +171,9 @@ def scale_by_meter(base: Calibration, meter: MeterReading) -> Scale:
             f"reference pixel value {meter.reference_dn:g} DN is out of range; "
             f"allowed is above {low:g} and below {high} DN"
         )
+    support = model.valid_dn
+    inside = support[0] <= meter.reference_dn <= support[1]
+    settle("response support", f"{support[0]} to {support[1]}", f"{meter.reference_dn:g}", equal=inside)
     settings = FrameSettings(meter.settings.exposure_s, f_number=meter.settings.f_number)
     return scale_from_meter(
         meter.meter_k,
@@ -189,7 +193,11 @@ def scales_ratio(by_meter: Scale, by_source: Scale) -> Quantity:
 
 
 def scaled_calibration(
-    base: Calibration, scale: Scale, inputs: tuple[str, ...], other: Scale | None = None
+    base: Calibration,
+    scale: Scale,
+    inputs: tuple[str, ...],
+    other: Scale | None = None,
+    further: tuple[str, ...] = (),
 ) -> Calibration:
     """Return the calibration with its scale and the record of how it was made.
 
@@ -198,6 +206,7 @@ def scaled_calibration(
         scale: The scale to use.
         inputs: Names of what went in.
         other: A second scale that was found and not used.
+        further: What else was assumed.
     """
     doubt = base.uncertainties.efficacy_u_rel
     known = f", its luminous efficacy to {100 * doubt:.2g} % (k = 1)" if doubt else ""
@@ -210,6 +219,7 @@ def scaled_calibration(
         assumptions.append("typical values for " + ", ".join(base.noise.assumed))
     if base.lens.transmittance is None and scale.method == "light_meter_k":
         assumptions.append("lens transmittance 1")
+    assumptions += further
     parameters: dict[str, object] = {"scale": scale.model_dump(mode="json", exclude_none=True)}
     if other is not None:
         parameters["other_scale"] = other.model_dump(mode="json", exclude_none=True)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Any
 
@@ -80,6 +81,21 @@ class FluxReport:
             if name in self.emitted:
                 return self.emitted[name]
         return self.on_sensor
+
+    @property
+    def contradictions(self) -> tuple[str, ...]:
+        """Return what to say of two ways whose fluxes differ by more than k = 2 of both together, a sentence each."""
+        if len(self.emitted) < 2:
+            return ()
+        (first, one), (second, other) = self.emitted.items()
+        if abs(one.value - other.value) <= 2.0 * math.hypot(one.u, other.u):
+            return ()
+        names = [name.replace("_", " ") for name in (first, second)]
+        return (
+            f"the two ways contradict each other: {names[0]} gives {1e3 * one.value:.3g} mW, {names[1]} "
+            f"{1e3 * other.value:.3g} mW, further apart than their uncertainties allow; at most one is right: check "
+            "--half-angle, --distance and --diameter, and that the picture of the diode is sharp",
+        )
 
     def to_mapping(self) -> dict[str, Any]:
         """Return the report as plain JSON."""

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from radiometer.analysis.calibration.shared import require_camera
 from radiometer.analysis.signal.dark import dark_levels
 from radiometer.analysis.signal.model import SignalModel, signal_model
 from radiometer.data import (
@@ -116,7 +117,7 @@ def flux_scale(
 
 
 def _of_calibration(calibration: Calibration, camera: CameraDescription, area_m2: float) -> FluxScale:
-    calibration.require_camera(camera)
+    require_camera(calibration, camera)
     if not calibration.absolute or calibration.scale.f_number is None:
         raise CalibrationError(
             "this calibration holds no exposure on the sensor (it is relative, or was made without an f-number); "

@@ -116,8 +116,8 @@ class Alignment:
         height, width = self.shape
         rim = min(math.ceil(self.largest_px) + 1, min(height, width) // 4)
         cut = slice(rim, height - rim), slice(rim, width - rim)
-        frames = tuple(replace(one, dn=np.ascontiguousarray(one.dn[cut])) for one in bracket)  # type: ignore[arg-type]
-        return replace(bracket, frames=frames, dark_frames=())
+        frames = tuple(replace(one, dn=np.ascontiguousarray(one.dn[cut])) for one in bracket.light)  # type: ignore[arg-type]
+        return replace(bracket, light=frames, dark=())
 
     @property
     def needed(self) -> bool:
@@ -151,17 +151,17 @@ def find_alignment(bracket: Bracket) -> Alignment:
         bracket: Frames of one scene from the shortest exposure to the longest; of colour photographs one channel.
     """
     reference = _reference(bracket)
-    small = [_reduced(frame.dn, _GLANCE_PIXELS) for frame in bracket]
-    white_rims = _has_white_rims(small, bracket.frames[0].full_scale_dn)
+    small = [_reduced(frame.dn, _GLANCE_PIXELS) for frame in bracket.light]
+    white_rims = _has_white_rims(small, bracket.light[0].full_scale_dn)
     glance = _Pictures(bracket, small.__getitem__, white_rims)
-    fine = _Pictures(bracket, lambda k: _reduced(bracket.frames[k].dn, _ENOUGH_PIXELS), white_rims)
+    fine = _Pictures(bracket, lambda k: _reduced(bracket.light[k].dn, _ENOUGH_PIXELS), white_rims)
     found: dict[int, Movement] = {reference: Movement(_STILL)}
     for step in (1, -1):
-        for k in range(reference + step, len(bracket) if step > 0 else -1, step):
+        for k in range(reference + step, len(bracket.light) if step > 0 else -1, step):
             before = found[k - step]
             own = _STILL if glance.stand_still(k - step, k) else fine.movement(k - step, k)
             found[k] = Movement(_after(_STILL if own is None else own, before.to_frame), own is not None)
-    return Alignment(tuple(found[k] for k in range(len(bracket))), reference, bracket.shape)
+    return Alignment(tuple(found[k] for k in range(len(bracket.light))), reference, bracket.shape)
 
 
 class _Pictures:
@@ -185,14 +185,14 @@ class _Pictures:
         """Return the movement in pixels of the pictures, and how many of the bracket's one of these stands for."""
         self._made = {k: self._made.get(k) or self._picture(k) for k in (first, second)}
         (here, shown), (there, also_shown) = (self._made[k] for k in (first, second))
-        pair = _pair_movement(here, there, shown & also_shown, self._bracket.frames[first].full_scale_dn)
+        pair = _pair_movement(here, there, shown & also_shown, self._bracket.light[first].full_scale_dn)
         return pair, self._bracket.shape[1] / here.shape[1]
 
     def _picture(self, k: int) -> tuple[Image, NDArray[np.uint8]]:
         """Return a frame and 1 where it shows something."""
         picture = self._reduced(k)
         shown = _inside(picture)
-        top = self._bracket.frames[k].full_scale_dn
+        top = self._bracket.light[k].full_scale_dn
         return picture, shown & _inside(picture, top) if self._white_rims else shown
 
 
@@ -222,7 +222,7 @@ def aligned(bracket: Bracket, alignment: Alignment) -> tuple[Bracket, list[NDArr
         alignment: As found.
     """
     frames, absent = [], []
-    for frame, movement in zip(bracket, alignment.movements, strict=True):
+    for frame, movement in zip(bracket.light, alignment.movements, strict=True):
         if np.array_equal(movement.to_frame, _STILL):
             frames.append(frame)
             absent.append(np.zeros(frame.shape, bool))
@@ -230,7 +230,7 @@ def aligned(bracket: Bracket, alignment: Alignment) -> tuple[Bracket, list[NDArr
         dn, missing = _moved(frame, movement.to_frame)
         frames.append(replace(frame, dn=dn))
         absent.append(missing)
-    return replace(bracket, frames=tuple(frames)), absent
+    return replace(bracket, light=tuple(frames)), absent
 
 
 def _moved(frame: Frame, to_frame: Array) -> tuple[Any, NDArray[np.bool_]]:
@@ -254,7 +254,7 @@ def _moved(frame: Frame, to_frame: Array) -> tuple[Any, NDArray[np.bool_]]:
 def _reference(bracket: Bracket) -> int:
     """Return the frame that shows most of the scene between black and clipping."""
     shares = []
-    for frame in bracket:
+    for frame in bracket.light:
         inside = (frame.dn > 0.05 * frame.full_scale_dn) & (frame.dn < 0.95 * frame.full_scale_dn)
         shares.append(float(inside.mean()))
     return int(np.argmax(shares))

@@ -33,16 +33,14 @@ from radiometer.analysis.signal.lens import falloff_known, known_f_number, lens_
 from radiometer.analysis.signal.situation import common_u_rel, flat_field_for, situation_of, unstated_u_rel
 from radiometer.data import (
     Bracket,
-    Calibration,
-    CameraDescription,
     FoundEffects,
     Frame,
-    LensDescription,
     PixelMask,
     Provenance,
     RadianceMap,
 )
 from radiometer.data.reading import RADIANCE_UNIT, RELATIVE_UNIT
+from radiometer.data.setup import Setup
 from radiometer.data.white_level import white_level_notes
 from radiometer.errors import MeasurementError
 
@@ -51,14 +49,13 @@ _TOLD_REL = 0.001  # an offset of exposures that does less to the brightest pixe
 
 
 def merge(
-    frames: Iterable[Frame],
-    camera: CameraDescription,
-    lens: LensDescription,
-    calibration: Calibration | None = None,
+    frames: Bracket | Iterable[Frame],
+    setup: Setup,
     *,
     absent: Sequence[NDArray[np.bool_]] = (),
     without_ghosts: bool = False,
     displacement_px: float = 0.0,
+    doubt_exposures: bool = False,
 ) -> RadianceMap:
     """Return radiance in W·sr⁻¹·m⁻² (relative without a calibration) and its standard uncertainty for every pixel.
 
@@ -67,18 +64,18 @@ def merge(
 
     Args:
         frames: Frames of one unmoving scene, 1 to 64 light ones, in any order of exposure.
-        camera: The camera in use.
-        lens: The lens in use.
-        calibration: The camera's calibration; None gives relative values.
+        setup: Camera, lens and calibration in use; without a calibration values are relative.
         absent: Of a Bracket: where each light frame shows nothing, shape (height, width) each.
         without_ghosts: Of a Bracket: leave out of every pixel the frames that contradict the others there.
         displacement_px: Of a Bracket: standard deviation of a frame's displacement along any direction in pixels.
+        doubt_exposures: Count what an offset of all exposures does in the uncertainty of every pixel, not in words
+            alone: of shutters it is larger than the noise.
 
     Raises:
         CalibrationError: If the calibration is of another camera or lens.
         MeasurementError: If there is no light frame, there are more than 64, or frames do not belong together.
     """
-    merging = StreamingMerge(camera, lens, calibration)
+    merging = StreamingMerge(setup, doubt_exposures=doubt_exposures)
     if isinstance(frames, Bracket):
         return merging.merge_bracket(frames, absent, without_ghosts=without_ghosts, displacement_px=displacement_px)
     for frame in frames:
@@ -113,18 +110,18 @@ class StreamingMerge:
     the whole under three planes of 32 bits beyond the result, up to 32 frames (four planes for more).
 
     Args:
-        camera: The camera in use.
-        lens: The lens in use.
-        calibration: The camera's calibration; None gives relative values.
+        setup: Camera, lens and calibration in use; without a calibration values are relative.
+        doubt_exposures: Count what an offset of all exposures does in the uncertainty of every pixel.
 
     Raises:
         CalibrationError: If the calibration is of another camera or lens.
     """
 
-    def __init__(self, camera: CameraDescription, lens: LensDescription, calibration: Calibration | None) -> None:
-        self._situation = situation_of(calibration, camera, lens)
-        self._calibration, self._camera = calibration, camera
-        self._through_lens = calibration is None or calibration.scale.f_number is not None
+    def __init__(self, setup: Setup, *, doubt_exposures: bool = False) -> None:
+        self._exposures_in_u = doubt_exposures
+        self._situation = situation_of(setup)
+        self._calibration, self._camera = setup.calibration, setup.camera
+        self._through_lens = setup.calibration is None or setup.calibration.scale.f_number is not None
         self._terms: list[FrameTerms] = []
         self._dark: list[Frame] = []
         self._shape: tuple[int, int] | None = None
@@ -209,9 +206,9 @@ class StreamingMerge:
         Raises:
             MeasurementError: If frames do not belong together.
         """
-        for dark in bracket.dark_frames:
+        for dark in bracket.dark:
             self.add(dark)
-        for taken in bracket:
+        for taken in bracket.light:
             frame = self._corrected(taken)
             self._refuse_misfit(frame)
             self._pending.append(self._sample(frame))
@@ -441,18 +438,42 @@ class StreamingMerge:
 
     def _exposure_offset(self) -> tuple[str, ...]:
         """Return what the clock's offset may do to the brightest pixels, those of the shortest exposure."""
-        calibration = self._calibration
-        if calibration is None:
-            return ()
-        shortest = min(terms.settings.exposure_s for terms in self._terms)
-        there = calibration.scale.conditions.inverse_exposure_per_s
-        off = calibration.uncertainties.exposure_u_s * abs(1.0 / shortest - there)
+        off = self._brightest_off()
         if off < _TOLD_REL:
             return ()
-        return (
-            f"the exposure of {1e6 * shortest:.3g} µs may be off: {100 * off:.2g} % (k = 1) of the brightest pixels, "
-            "which u does not hold",
-        )
+        shortest = min(terms.settings.exposure_s for terms in self._terms)
+        text = f"the exposure of {1e6 * shortest:.3g} µs may be off: {100 * off:.2g} % (k = 1) of the brightest pixels"
+        return (f"{text}, which u {'holds' if self._exposures_in_u else 'does not hold'}",)
+
+    def _brightest_off(self) -> float:
+        """Return the relative uncertainty that an offset of all exposures brings to the shortest alone."""
+        if self._calibration is None:
+            return 0.0
+        shortest = min(terms.settings.exposure_s for terms in self._terms)
+        there = self._calibration.scale.conditions.inverse_exposure_per_s
+        return self._calibration.uncertainties.exposure_u_s * abs(1.0 / shortest - there)
+
+    def _doubt_exposures(self, radiance: NDArray[np.float32], u_radiance: NDArray[np.float32]) -> None:
+        """Add to the uncertainty of every pixel that of an offset of all exposures.
+
+        A pixel's value is Σx/Σt over the frames that do not clip there: an offset δ of n exposures changes it by
+        δ·n/Σt, less what the calibration's own exposures share. Bright pixels rest on short exposures alone.
+        """
+        calibration, off = self._calibration, self._brightest_off()
+        if calibration is None or not self._exposures_in_u or off < _TOLD_REL:
+            return
+        u_s, there = calibration.uncertainties.exposure_u_s, calibration.scale.conditions.inverse_exposure_per_s
+        # From the brightest rate that a frame takes on, it no longer counts: ends ascend with shorter exposures.
+        ends = np.array([one.clips_at / one.exposure for one in self._terms])
+        order = np.argsort(ends)
+        times = np.array([one.settings.exposure_s for one in self._terms])[order]
+        counts, sums = np.arange(times.size, 0, -1), np.cumsum(times[::-1])[::-1]
+        u_rel = np.append(u_s * np.abs(counts / sums - there), off).astype(np.float32)
+        on_axis = self._on_axis() * self._terms[0].exposure  # radiance per rate
+        bounds, values, own = ends[order] * on_axis, radiance.ravel(), u_radiance.ravel()
+        for start in range(0, values.size, BLOCK_PIXELS):
+            part = slice(start, start + BLOCK_PIXELS)
+            np.hypot(own[part], u_rel[np.searchsorted(bounds, values[part])] * values[part], out=own[part])
 
     def _bend(self) -> tuple[str, ...]:
         """Return how far the response bends as it was found, which a map keeps."""
@@ -481,15 +502,19 @@ class StreamingMerge:
         repair_defects(*images, calibration.defects if calibration else ())
         numbers = {terms.settings.f_number or self._situation.lens.f_number for terms in self._terms}
         white = white_level_notes(terms.settings.white_level for terms in self._terms)
-        not_in_u = (*self._stray_light(images[0]), *self._exposure_offset(), *self._bend(), *self._light())
+        self._doubt_exposures(*images[:2])
+        of_time = self._exposure_offset()
+        in_u = of_time if self._exposures_in_u else ()
+        of_light = self._stray_light(images[0])
+        not_in_u = (*of_light, *(() if self._exposures_in_u else of_time), *self._bend(), *self._light())
         return RadianceMap(
             *images,
             unit=RADIANCE_UNIT if calibration is not None and calibration.absolute else RELATIVE_UNIT,
-            u_rel_common=math.hypot(common_u_rel(self._situation, calibration), self._frames_u_rel(numbers)),
+            u_rel_common=math.hypot(common_u_rel(self._situation), self._frames_u_rel(numbers)),
             exposures_s=tuple(sorted({terms.settings.exposure_s for terms in self._terms})),
             provenance=Provenance(
                 "maximum-likelihood merge",
-                assumptions=(*self._situation.assumptions, *white, *not_in_u),
+                assumptions=(*self._situation.assumptions, *white, *in_u, *not_in_u),
                 parameters={
                     "frames": len(self._terms),
                     "dark_frames": len(self._dark),

@@ -20,6 +20,7 @@ from radiometer.data import Calibration, CaptureSet, Frame, Patch
 from radiometer.data.calibration_sections import SpectralResponse, StatedUncertainties
 from radiometer.data.capture_header import CameraDescription
 from radiometer.data.capture_set import HEADER_NAME
+from radiometer.data.setup import Setup
 from radiometer.errors import InputError, MeasurementError, RadiometerError
 
 FORMAT: Final = "radiometer-quality/1"
@@ -273,7 +274,7 @@ def _map_figure(
 ) -> Figure:
     capture = next(iter(captures.values()))
     header = capture.header
-    radiance = merge(capture.bracket(), header.camera, header.lens, how.calibration)
+    radiance = merge(capture.bracket(), Setup(header.camera, header.lens, how.calibration))
     return of(radiance, patch_of(capture, how.patch)) if placed else of(radiance)
 
 

@@ -18,6 +18,7 @@ from radiometer.analysis.uncertainty.budget import (
     effective_degrees_of_freedom,
 )
 from radiometer.data import Calibration, CaptureSet, Frame, Patch
+from radiometer.data.setup import Setup
 from radiometer.errors import MeasurementError
 
 # What two readings by one camera within a session do not share; all else drops out of their ratio.
@@ -96,7 +97,9 @@ def step_signal(
     """
     header = capture.header
     situation = patch_situation(
-        capture.frames() if frames is None else frames, patch, calibration, header.camera, header.lens, header.source
+        capture.frames() if frames is None else frames,
+        patch,
+        Setup(header.camera, header.lens, calibration, header.source),
     )
     if not situation.frames[0].unclipped:
         raise MeasurementError(f"{capture.path}: the patch clips in every frame; capture shorter exposures")

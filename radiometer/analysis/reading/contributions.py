@@ -16,6 +16,7 @@ from radiometer.analysis.reading.outside import Falloff, Surround, outside_terms
 from radiometer.analysis.signal.dark import DarkLevel
 from radiometer.analysis.signal.model import SignalModel
 from radiometer.analysis.signal.situation import (
+    Situation,
     f_number_u_rel,
     magnification_u_rel,
     spectral_u_rel,
@@ -32,8 +33,8 @@ _SAME_LEVEL = 0.1
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class PatchSituation:
-    """Everything a budget is made up from.
+class Shown:
+    """What the frames show of a patch.
 
     Attributes:
         estimate: Estimate over the used frames.
@@ -41,19 +42,8 @@ class PatchSituation:
         dark: Dark level of each.
         exposures: Exposure time of each in s, times the lens factor in sr.
         good: Pixels used.
-        model: Signal model.
-        stated: Stated uncertainties.
-        scale: Radiance per unit of the estimate.
-        calibration: None where uncalibrated.
-        lens: Lens in use.
-        conditions: What the reading was made under, in the form that a scale keeps.
-        surround: Light of the whole picture.
-        falloff: What is known of the sensitivity over the picture.
         light_frames: Number of light frames seen.
         unsteady: Whether a frame clips that was exposed no longer than one that does not: the light changes.
-        now: Time of the reading, with time zone.
-        stray: Radiance that is taken off for known veiling glare.
-        spectrum_stated: Whether somebody says that the light has the calibration's `spectrum`.
     """
 
     estimate: PatchEstimate
@@ -61,19 +51,83 @@ class PatchSituation:
     dark: tuple[DarkLevel, ...]
     exposures: NDArray[np.float64]
     good: NDArray[np.bool_]
-    model: SignalModel
-    stated: StatedUncertainties
+    light_frames: int
+    unsteady: bool
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PatchSituation:
+    """Everything a budget is made up from.
+
+    Attributes:
+        settled: The setup, and what a measurement with it rests on.
+        shown: What the frames show of the patch: estimate, usable frames, their dark levels.
+        scale: Radiance per unit of the estimate.
+        conditions: What the reading was made under, in the form that a scale keeps.
+        surround: Light of the whole picture.
+        falloff: What is known of the sensitivity over the picture.
+        now: Time of the reading, with time zone.
+        stray: Radiance that is taken off for known veiling glare.
+    """
+
+    settled: Situation
+    shown: Shown
     scale: float
-    calibration: Calibration | None
-    lens: LensDescription
     conditions: ScaleConditions
     surround: Surround
     falloff: Falloff
-    light_frames: int
-    unsteady: bool
     now: dt.datetime
     stray: float = 0.0
-    spectrum_stated: bool = True
+
+    @property
+    def estimate(self) -> PatchEstimate:
+        """Return the estimate over the used frames."""
+        return self.shown.estimate
+
+    @property
+    def frames(self) -> tuple[PatchFrame, ...]:
+        """Return the used frames."""
+        return self.shown.frames
+
+    @property
+    def dark(self) -> tuple[DarkLevel, ...]:
+        """Return the dark level of each used frame."""
+        return self.shown.dark
+
+    @property
+    def exposures(self) -> NDArray[np.float64]:
+        """Return the exposure time of each used frame in s, times the lens factor in sr."""
+        return self.shown.exposures
+
+    @property
+    def good(self) -> NDArray[np.bool_]:
+        """Return the pixels that are used."""
+        return self.shown.good
+
+    @property
+    def model(self) -> SignalModel:
+        """Return the signal model."""
+        return self.settled.model
+
+    @property
+    def stated(self) -> StatedUncertainties:
+        """Return the stated uncertainties."""
+        return self.settled.stated
+
+    @property
+    def calibration(self) -> Calibration | None:
+        """Return the calibration; None for relative values."""
+        return self.settled.calibration
+
+    @property
+    def lens(self) -> LensDescription:
+        """Return the lens in use."""
+        return self.settled.lens
+
+    @property
+    def spectrum_stated(self) -> bool:
+        """Tell whether somebody states the light's spectrum."""
+        return self.settled.setup.spectrum_stated
 
     @property
     def value(self) -> float:

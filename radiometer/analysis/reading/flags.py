@@ -40,7 +40,7 @@ def reading_flags(situation: PatchSituation, terms: Sequence[Term]) -> tuple[Fla
         Flag.BELOW_NOISE: situation.value < _NOISE_FLOOR_SIGMA * _floor(terms),
         Flag.EXTRAPOLATED: _extrapolates(situation),
         Flag.NONUNIFORM: _is_nonuniform(situation),
-        Flag.FLICKER: estimate.flickers or situation.unsteady,
+        Flag.FLICKER: estimate.flickers or situation.shown.unsteady,
         Flag.UNCALIBRATED: calibration is None or not calibration.absolute,
         Flag.STALE_CALIBRATION: calibration is not None and calibration.is_stale(now),
     }

@@ -50,13 +50,8 @@ class PatchFrame:
     masked_dn: float | None = None
 
 
-def split_frames(frames: Iterable[Frame]) -> tuple[Iterable[Frame], list[Frame]]:
-    """Return (light and dark frames as they come, dark frames known beforehand)."""
-    return (frames.frames, list(frames.dark_frames)) if isinstance(frames, Bracket) else (frames, [])
-
-
 def crop_frames(
-    frames: Iterable[Frame], patch: Patch, model: SignalModel
+    frames: Bracket | Iterable[Frame], patch: Patch, model: SignalModel
 ) -> tuple[list[PatchFrame], list[Frame], tuple[int, int]]:
     """Return the patch in every light frame, the dark frames cut to the patch, and the frames' (height, width).
 
@@ -72,8 +67,7 @@ def crop_frames(
     light: list[PatchFrame] = []
     dark: list[Frame] = []
     shape: tuple[int, int] | None = None
-    incoming, dark_known = split_frames(frames)
-    for frame in (*dark_known, *incoming) if dark_known else incoming:
+    for frame in frames.every_frame if isinstance(frames, Bracket) else frames:
         shape = shape or frame.shape
         _refuse_misfit(frame, patch, shape, model)
         if frame.settings.is_dark:

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from radiometer.analysis.calibration.shared import Handling, settle
 from radiometer.analysis.signal.situation import f_number_u_rel, magnification_u_rel, transmittance_u_rel
 from radiometer.analysis.uncertainty.budget import Term
 from radiometer.data import Calibration, Flag, FrameSettings, LensDescription, StatedUncertainties
@@ -177,7 +178,8 @@ def _exposure_offset(size: float, here: ScaleConditions, there: ScaleConditions,
 
 
 def _gain(size: float, here: ScaleConditions, there: ScaleConditions, stated: StatedUncertainties) -> Term:
-    differs = abs(here.gain_db - there.gain_db) > 1e-6
+    near = abs(here.gain_db - there.gain_db) <= 1e-6  # of rounding alone
+    differs = settle("gain", there.gain_db, here.gain_db, equal=near) is not Handling.KEPT
     note = f"{here.gain_db:g} dB, {there.gain_db:g} dB at calibration"
     u = size * stated.gain_step_u_rel * differs
     return Term("gain step", u, correlated=True, note=note if differs else "gain as at calibration", flag=Flag.GAIN)

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from radiometer.analysis.photometry.photometry import holds_visible_light, luminous_efficacy_lm_per_w
 from radiometer.analysis.photometry.spectra import spectrum as spectrum_of
-from radiometer.analysis.reading.contributions import PatchSituation, budget_terms
+from radiometer.analysis.reading.contributions import PatchSituation, Shown, budget_terms
 from radiometer.analysis.reading.estimate import PatchEstimate, estimate_patch
 from radiometer.analysis.reading.flags import reading_flags
 from radiometer.analysis.reading.frames import PatchFrame, crop_frames
@@ -24,6 +24,7 @@ from radiometer.analysis.signal.model import SignalModel
 from radiometer.analysis.signal.situation import Situation, flat_field_for, situation_of, unstated_u_rel
 from radiometer.analysis.uncertainty.budget import combined_u, coverage_factor, effective_degrees_of_freedom
 from radiometer.data import (
+    Bracket,
     Calibration,
     CameraDescription,
     Flag,
@@ -35,23 +36,18 @@ from radiometer.data import (
     Quantity,
     Reading,
     ScaleConditions,
-    SourceDescription,
 )
 from radiometer.data.reading import LUMINANCE_UNIT, RADIANCE_UNIT, RELATIVE_UNIT
+from radiometer.data.setup import Setup
 from radiometer.data.white_level import white_level_notes
 from radiometer.errors import MeasurementError
 
 
 def read_patch(
-    frames: Iterable[Frame],
+    frames: Bracket | Iterable[Frame],
     patch: Patch,
-    calibration: Calibration | None,
-    camera: CameraDescription,
-    lens: LensDescription,
+    setup: Setup,
     *,
-    spectrum: str | None = None,
-    source: SourceDescription | None = None,
-    spectrum_stated: bool = True,
     now: dt.datetime | None = None,
     sequence: int = 0,
 ) -> Reading:
@@ -60,13 +56,9 @@ def read_patch(
     Args:
         frames: A bracket, or any frames of one unmoving scene; frames with the shutter closed give the dark level.
         patch: Where to read.
-        calibration: The camera's calibration; None gives relative values and the flag `uncalibrated`.
-        camera: The camera in use.
-        lens: The lens in use.
-        spectrum: Name of the source's spectrum, or path of a CSV, for the luminance; None takes the calibration's.
-        source: What is known of the light; that of a screen counts as polarised where nothing else is said.
-        spectrum_stated: Whether somebody says that the light's spectrum is the calibration's `spectrum`; where nobody
-            does, the kinds of light that there are count, and the reading is flagged so.
+        setup: Camera, lens and calibration in use, and the light. Without a calibration values are relative and the
+            flag `uncalibrated` is set; without a stated spectrum the kinds of light that there are count, and the
+            reading is flagged so.
         now: Time that the calibration's age is counted to, with time zone; None for the present.
         sequence: Running number of the reading.
 
@@ -75,56 +67,29 @@ def read_patch(
         InputError: If there is no such spectrum.
         MeasurementError: If the patch lies outside the frame, or there is no light frame.
     """
-    settled = situation_of(calibration, camera, lens)
-    situation = _patch_situation(frames, patch, calibration, camera, settled, source, now)
-    situation = replace(situation, spectrum_stated=spectrum_stated)
-    reading = _reading(situation, settled, patch, camera, sequence)
-    if calibration is not None and calibration.absolute and not spectrum_stated:
+    situation = patch_situation(frames, patch, setup, now)
+    reading = _reading(situation, patch, sequence)
+    if setup.calibration is not None and setup.calibration.absolute and not setup.spectrum_stated:
         reading = replace(reading, flags=tuple(sorted({*reading.flags, Flag.SPECTRUM_ASSUMED})))
-    return _with_luminance(reading, calibration, spectrum, spectrum_stated=spectrum_stated)
+    return _with_luminance(reading, setup)
 
 
 def patch_situation(
-    frames: Iterable[Frame],
-    patch: Patch,
-    calibration: Calibration | None,
-    camera: CameraDescription,
-    lens: LensDescription,
-    source: SourceDescription | None = None,
-    now: dt.datetime | None = None,
-    *,
-    spectrum_stated: bool = True,
+    frames: Bracket | Iterable[Frame], patch: Patch, setup: Setup, now: dt.datetime | None = None
 ) -> PatchSituation:
     """Return what a reading of a patch is made from, for a look behind its budget.
 
     Args:
         frames: As for `read_patch`.
         patch: Where to read.
-        calibration: The camera's calibration, or None.
-        camera: The camera in use.
-        lens: The lens in use.
-        source: What is known of the light.
+        setup: As for `read_patch`.
         now: Time of the reading, with time zone; None for the present.
-        spectrum_stated: As for `read_patch`.
 
     Raises:
         CalibrationError: If the calibration is of another camera or lens.
         MeasurementError: If the patch lies outside the frame, or there is no light frame.
     """
-    settled = situation_of(calibration, camera, lens)
-    found = _patch_situation(frames, patch, calibration, camera, settled, source, now)
-    return replace(found, spectrum_stated=spectrum_stated)
-
-
-def _patch_situation(
-    frames: Iterable[Frame],
-    patch: Patch,
-    calibration: Calibration | None,
-    camera: CameraDescription,
-    settled: Situation,
-    source: SourceDescription | None,
-    now: dt.datetime | None,
-) -> PatchSituation:
+    settled, calibration, camera = situation_of(setup), setup.calibration, setup.camera
     if calibration is not None:
         frames = corrected_frames(frames, calibration.found, settled.black.dn)
     light, dark_frames, shape = crop_frames(frames, patch, settled.model)
@@ -142,29 +107,12 @@ def _patch_situation(
     chosen = [_evened(one, level.signal, place) for one, level in zip(chosen, dark, strict=True)]
     exposures = np.array([one.settings.exposure_s for one in chosen]) * factors[kept]
     estimate = estimate_patch(chosen, dark, exposures, good, settled.model)
-    conditions = _conditions(
-        estimate, chosen, settled, surround, place, _field(camera, settled.lens, shape, patch), source
-    )
+    field = _field(camera, settled.lens, shape, patch)
+    conditions = _conditions(estimate, chosen, settled, surround, place, field)
     scale, stray = _corrected_scale(settled.scale, surround, conditions, calibration)
-    return PatchSituation(
-        estimate,
-        tuple(chosen),
-        tuple(dark),
-        exposures,
-        good,
-        settled.model,
-        settled.stated,
-        scale,
-        calibration,
-        settled.lens,
-        conditions,
-        surround,
-        _falloff(calibration, camera, settled.lens, chosen, place),
-        len(light),
-        _unsteady(light),
-        now or dt.datetime.now(dt.UTC),
-        stray,
-    )
+    shown = Shown(estimate, tuple(chosen), tuple(dark), exposures, good, len(light), _unsteady(light))
+    falloff = _falloff(calibration, camera, settled.lens, chosen, place)
+    return PatchSituation(settled, shown, scale, conditions, surround, falloff, now or dt.datetime.now(dt.UTC), stray)
 
 
 def _straightened(frame: PatchFrame, found: FoundEffects, model: SignalModel) -> PatchFrame:
@@ -208,8 +156,8 @@ def _conditions(
     surround: Surround,
     place: NDArray[np.float64],
     field: float,
-    source: SourceDescription | None,
 ) -> ScaleConditions:
+    source = settled.setup.source
     shares = estimate.coefficients * estimate.expected / (estimate.rate or 1.0)
     model, settings = settled.model, [one.settings for one in chosen]
     heights = [
@@ -292,9 +240,8 @@ def _lens_factors(
     return factors if calibration is not None else np.asarray(factors / factors[0])
 
 
-def _reading(
-    situation: PatchSituation, settled: Situation, patch: Patch, camera: CameraDescription, sequence: int
-) -> Reading:
+def _reading(situation: PatchSituation, patch: Patch, sequence: int) -> Reading:
+    settled, camera = situation.settled, situation.settled.setup.camera
     calibration, estimate = situation.calibration, situation.estimate
     value = situation.value
     terms = budget_terms(situation)
@@ -318,7 +265,7 @@ def _reading(
                 *white_level_notes(one.settings.white_level for one in situation.frames),
             ),
             parameters={
-                "frames": situation.light_frames,
+                "frames": situation.shown.light_frames,
                 "frames_used": len(situation.frames),
                 "fluctuation_rel": estimate.fluctuation_rel,
             },
@@ -326,19 +273,18 @@ def _reading(
     )
 
 
-def _with_luminance(
-    reading: Reading, calibration: Calibration | None, name: str | None, *, spectrum_stated: bool
-) -> Reading:
+def _with_luminance(reading: Reading, setup: Setup) -> Reading:
     """Return the reading with its band and the luminance of its radiance; relative or invisible light has none."""
+    calibration = setup.calibration
     if calibration is None or not calibration.absolute:
         return reading
     reading = replace(reading, band_nm=spectrum_of(calibration.spectrum).band_nm)
-    spectrum = spectrum_of(name or calibration.spectrum)
+    spectrum = spectrum_of(calibration.spectrum)
     if not holds_visible_light(spectrum):
         return reading
     efficacy = luminous_efficacy_lm_per_w(spectrum)
     radiance = reading.radiance
-    u = efficacy * _luminance_u(reading, calibration, spectrum_stated=spectrum_stated)
+    u = efficacy * _luminance_u(reading, calibration, spectrum_stated=setup.spectrum_stated)
     return replace(reading, luminance=Quantity(efficacy * radiance.value, u, LUMINANCE_UNIT))
 
 

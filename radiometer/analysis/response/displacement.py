@@ -81,7 +81,7 @@ def _squared_gradient(bracket: Bracket, curve: ResponseCurve, pixels: SinglePixe
     """
     total = np.zeros(pixels.row.size)
     for step in ((1, 0), (0, 1)):
-        odd, even = (_slope_along(bracket.frames[parity::2], curve, pixels, step) for parity in (0, 1))
+        odd, even = (_slope_along(bracket.light[parity::2], curve, pixels, step) for parity in (0, 1))
         total += odd * even
     return np.asarray(np.maximum(total, 0.0))
 

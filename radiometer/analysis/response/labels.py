@@ -32,11 +32,11 @@ def refuse_lying_labels(bracket: Bracket) -> None:
     _refuse_equal_frames(bracket)
     rise = _pairwise_rise(bracket)
     honest = _longest_rise(rise)
-    liars = [index for index in range(len(bracket)) if index not in honest]
+    liars = [index for index in range(len(bracket.light)) if index not in honest]
     if not liars:
         return
     where = bracket.origin or "bracket"
-    _refuse_falling(where, len(honest), len(bracket))
+    _refuse_falling(where, len(honest), len(bracket.light))
     named = "; ".join(_accusation(bracket, index, rise, honest) for index in liars[:3])
     raise CaptureError(
         f"{where}: brightness does not rise with the stated exposure: {named}; "
@@ -53,7 +53,7 @@ def refuse_falling_brightness(bracket: Bracket) -> None:
     Raises:
         CaptureError: If hardly any frame is brighter than one of a shorter stated exposure.
     """
-    _refuse_falling(bracket.origin or "bracket", len(_longest_rise(_pairwise_rise(bracket))), len(bracket))
+    _refuse_falling(bracket.origin or "bracket", len(_longest_rise(_pairwise_rise(bracket))), len(bracket.light))
 
 
 def _refuse_falling(where: str, rising: int, count: int) -> None:
@@ -85,10 +85,10 @@ def _refuse_equal_frames(bracket: Bracket) -> None:
 
 def _alike(bracket: Bracket) -> tuple[int, list[str]]:
     """Return how many neighbouring frames have different labels, and which of them are alike in their middle tones."""
-    full_scale = bracket.frames[0].full_scale_dn
+    full_scale = bracket.light[0].full_scale_dn
     times = bracket.effective_exposures_s
     step = max(1, int(np.sqrt(np.prod(bracket.shape) / _COMPARED_PIXELS)))
-    pixels = [frame.dn[::step, ::step].ravel().astype(np.float32) / full_scale for frame in bracket]
+    pixels = [frame.dn[::step, ::step].ravel().astype(np.float32) / full_scale for frame in bracket.light]
     apart = np.flatnonzero(times[1:] >= _LEAST_LABEL_RATIO * times[:-1]).tolist()
     alike = []
     for i in apart:
@@ -111,7 +111,7 @@ def _refuse_alike(bracket: Bracket, alike: list[str]) -> None:
 
 def frame_name(bracket: Bracket, index: int) -> str:
     """Return what a user knows a frame by: its file, or its place in the bracket."""
-    frame = bracket.frames[index]
+    frame = bracket.light[index]
     if "file" in frame.extra:
         return str(frame.extra["file"])
     return f"frame {index if frame.frame_id is None else frame.frame_id}"
@@ -119,8 +119,8 @@ def frame_name(bracket: Bracket, index: int) -> str:
 
 def exposure_label(bracket: Bracket, index: int) -> str:
     """Return a frame's exposure as it is stated: "0.2 s", and ISO speed or gain where these differ in the bracket."""
-    stated = bracket.frames[index].settings
-    if len({frame.settings.gain_db for frame in bracket}) == 1:
+    stated = bracket.light[index].settings
+    if len({frame.settings.gain_db for frame in bracket.light}) == 1:
         return f"{stated.exposure_s:.4g} s"
     speed = f"ISO {stated.iso:g}" if stated.iso else f"{stated.gain_db:.3g} dB"
     return f"{stated.exposure_s:.4g} s at {speed}"
@@ -132,7 +132,7 @@ def exposure_labels(bracket: Bracket) -> list[str]:
     Args:
         bracket: The frames.
     """
-    files = [f" ({frame.extra['file']})" if "file" in frame.extra else "" for frame in bracket]
+    files = [f" ({frame.extra['file']})" if "file" in frame.extra else "" for frame in bracket.light]
     return [exposure_label(bracket, index) + file for index, file in enumerate(files)]
 
 
@@ -142,10 +142,10 @@ def _pairwise_rise(bracket: Bracket) -> NDArray[np.float64]:
     Where two frames have hardly such a pixel in common, the rise of the whole picture stands in.
     """
     step = max(1, int(np.sqrt(np.prod(bracket.shape) / _COMPARED_PIXELS)))
-    full_scale = bracket.frames[0].full_scale_dn
-    pixels = np.array([frame.dn[::step, ::step].ravel().astype(np.float32) for frame in bracket])
-    inside = (pixels > 0) & (pixels < min(frame.saturated_dn for frame in bracket.frames))
-    count = len(bracket)
+    pixels = np.array([frame.dn[::step, ::step].ravel().astype(np.float32) for frame in bracket.light])
+    inside = (pixels > 0) & (pixels < min(frame.saturated_dn for frame in bracket.light))
+    full_scale = bracket.light[0].full_scale_dn
+    count = len(bracket.light)
     rise = np.zeros((count, count))
     for i in range(count):
         for j in range(i + 1, count):
@@ -175,6 +175,6 @@ def _accusation(bracket: Bracket, index: int, rise: NDArray[np.float64], honest:
     darker = any(rise[i, index] < -_TOLERATED_DROP for i in honest if i < index)
     shorter_or_longer = "a shorter" if darker else "a longer"
     return (
-        f"{frame_name(bracket, index)} says {bracket.frames[index].settings.effective_exposure_s:.4g} s "
+        f"{frame_name(bracket, index)} says {bracket.light[index].settings.effective_exposure_s:.4g} s "
         f"but looks like {shorter_or_longer} exposure"
     )

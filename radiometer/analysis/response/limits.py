@@ -50,9 +50,9 @@ def find_limits(brackets: Sequence[Bracket]) -> ValueLimits:
     full_scale = (1 << brackets[0].bit_depth) - 1
     histogram = np.zeros(full_scale + 1, dtype=np.int64)
     for bracket in brackets:
-        for frame in bracket:
+        for frame in bracket.light:
             histogram += np.bincount(frame.dn.ravel(), minlength=full_scale + 1)[: full_scale + 1]
-    stated = [f.settings.black_level_dn for b in brackets for f in b if f.settings.black_level_dn]
+    stated = [f.settings.black_level_dn for b in brackets for f in b.light if f.settings.black_level_dn]
     fog = max(_fog(bracket, full_scale) for bracket in brackets)
     black = max(_floor(histogram), int(np.ceil(max(stated))) if stated else 0, fog)
     saturated = min(white_level_dn(bracket) for bracket in brackets)
@@ -63,16 +63,16 @@ def find_limits(brackets: Sequence[Bracket]) -> ValueLimits:
 
 def white_level_dn(bracket: Bracket) -> int:
     """Return the lowest digital number from which frames of a bracket are saturated."""
-    return min(frame.saturated_dn for frame in with_white_levels(bracket.frames))
+    return min(frame.saturated_dn for frame in with_white_levels(bracket.light))
 
 
 def _fog(bracket: Bracket, full_scale: int) -> int:
     """Return the commonest value of the shortest frames where it does not move with the exposure, else 0."""
     times = bracket.effective_exposures_s
     shortest = max(_STILL_FRAMES, int(np.searchsorted(times, _STILL_GROWTH * times[0])) + 1)
-    if shortest > len(bracket.frames) // 2:
+    if shortest > len(bracket.light) // 2:
         return 0
-    low = _common_peak(bracket.frames[:shortest], full_scale) or 0
+    low = _common_peak(bracket.light[:shortest], full_scale) or 0
     return low if low < (full_scale + 1) // 2 else 0
 
 

@@ -58,7 +58,7 @@ class SinglePixels:
             MeasurementError: If hardly a pixel is unclipped in two frames.
         """
         rows, columns = _lattice(bracket.shape)
-        dn = np.array([frame.dn[rows[:, None], columns].ravel() for frame in bracket], dtype=np.float64).T
+        dn = np.array([frame.dn[rows[:, None], columns].ravel() for frame in bracket.light], dtype=np.float64).T
         samples, pixel = _samples(bracket, curve, dn)
         g = finite(curve.log_exposure)
         log_h, slope = value_at(g, samples.dn), slope_at(g, samples.dn, samples)
@@ -240,7 +240,7 @@ def _samples(bracket: Bracket, curve: ResponseCurve, dn: Array) -> tuple[Respons
         bit_depth=bracket.bit_depth,
         limits=ValueLimits(max(low - 1, 0), min(high + 1, curve.log_exposure.size - 1)),
         frame_log_time=log_time,
-        frame_bracket=np.zeros(len(bracket), dtype=np.intp),
+        frame_bracket=np.zeros(len(bracket.light), dtype=np.intp),
         pixel_count=dn.shape[0],
         channel=curve.channel,
     )

@@ -35,11 +35,11 @@ def growth_power(bracket: Bracket, black_dn: float = 0.0) -> float | None:
     except MeasurementError:  # nothing but black and white
         return None
     step = max(1, int(np.sqrt(bracket.shape[0] * bracket.shape[1] / _PIXELS)))
-    signals = [(frame.dn[::step, ::step].ravel().astype(np.float64) - black_dn) / span for frame in bracket]
+    signals = [(frame.dn[::step, ::step].ravel().astype(np.float64) - black_dn) / span for frame in bracket.light]
     log_times = np.log(bracket.effective_exposures_s)
     powers = [
         power
-        for a, b in itertools.pairwise(range(len(bracket)))
+        for a, b in itertools.pairwise(range(len(bracket.light)))
         if (power := _power(signals[a], signals[b], float(log_times[b] - log_times[a]))) is not None
     ]
     return float(np.median(powers)) if powers else None

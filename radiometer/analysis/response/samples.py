@@ -164,7 +164,7 @@ def gather_samples(brackets: Bracket | Sequence[Bracket]) -> ResponseSamples:
         for them, part in zip(parts, _gather_one(bracket, limits, index, frames), strict=True):
             first = max((other.group_count for other in them), default=0)
             them.append(replace(part, group=part.group + first))
-        frames += len(bracket)
+        frames += len(bracket.light)
     whole, *others = (_joined(them) for them in parts)
     whole = replace(whole, frame_labels=tuple(label for bracket in several for label in exposure_labels(bracket)))
     if whole.group_count < 4:
@@ -235,7 +235,7 @@ def _edge_scatter(even: NDArray[np.float64], edges: NDArray[np.float64]) -> floa
 def _at_edges(bracket: Bracket, label: NDArray[np.intp]) -> NDArray[np.intp]:
     """Return 1 for the half of each group's pixels whose surroundings are the least even, flattened; else 0."""
     total = np.zeros(bracket.shape, dtype=np.int64)
-    for frame in bracket:
+    for frame in bracket.light:
         total += frame.dn
     steep = np.zeros(bracket.shape, dtype=np.int64)
     for axis in (0, 1):
@@ -280,10 +280,10 @@ def _rows(
         bit_depth=bracket.bit_depth,
         limits=limits,
         frame_log_time=log_time,
-        frame_bracket=np.full(len(bracket), index, dtype=np.intp),
+        frame_bracket=np.full(len(bracket.light), index, dtype=np.intp),
         pixel_count=int(np.prod(bracket.shape)),
-        channel=str(bracket.frames[0].extra.get("channel", "mono")),
-        frame_log_gain=log_time - np.log([frame.settings.exposure_s for frame in bracket]),
+        channel=str(bracket.light[0].extra.get("channel", "mono")),
+        frame_log_gain=log_time - np.log([frame.settings.exposure_s for frame in bracket.light]),
     )
 
 
@@ -311,9 +311,9 @@ def _sums_by_part(
     count = 2 * _SHARES * _QUADRANTS
     place = part * (groups + 1) + label  # the last group is that of contradictory pixels
     cells = count * (groups + 1)
-    found = np.empty((4, count, len(bracket), groups))
+    found = np.empty((4, count, len(bracket.light), groups))
     pixels = np.bincount(place, minlength=cells)
-    for index, frame in enumerate(bracket):
+    for index, frame in enumerate(bracket.light):
         dn = frame.dn.ravel()
         # Sums in float64 hold 2^53: 2^31 pixels of 16 bits, squared.
         as_float = dn.astype(np.float64)
@@ -327,13 +327,13 @@ def _sums_by_part(
             )
         ):
             found[row, :, index] = total.reshape(count, groups + 1)[:, :groups]
-    return found.reshape(4, 2, _SHARES, _QUADRANTS, len(bracket), groups)
+    return found.reshape(4, 2, _SHARES, _QUADRANTS, len(bracket.light), groups)
 
 
 def _label_groups(bracket: Bracket, limits: ValueLimits) -> tuple[NDArray[np.intp], int]:
     """Return the group of every pixel (flattened) and the number of groups; contradictory pixels get that number."""
     total = np.zeros(bracket.shape, dtype=np.uint32)
-    for frame in bracket:
+    for frame in bracket.light:
         total += frame.dn
     key = total.ravel()
     contradictory = (_contradictory(bracket) | _unmoved(bracket, limits)).ravel()
@@ -352,10 +352,10 @@ def _label_groups(bracket: Bracket, limits: ValueLimits) -> tuple[NDArray[np.int
 
 def _contradictory(bracket: Bracket) -> NDArray[np.bool_]:
     """Return the pixels that get darker as the exposure grows: movement, borders of registered frames, defects."""
-    tolerated = int(_TOLERATED_FALL * bracket.frames[0].full_scale_dn)
-    highest = np.zeros(bracket.shape, dtype=bracket.frames[0].dn.dtype)
+    tolerated = int(_TOLERATED_FALL * bracket.light[0].full_scale_dn)
+    highest = np.zeros(bracket.shape, dtype=bracket.light[0].dn.dtype)
     bad = np.zeros(bracket.shape, dtype=np.bool_)
-    for frame in bracket:
+    for frame in bracket.light:
         np.maximum(highest, frame.dn, out=highest)
         bad |= (highest - frame.dn) > tolerated
     return bad
@@ -367,10 +367,10 @@ def _unmoved(bracket: Bracket, limits: ValueLimits) -> NDArray[np.bool_]:
     if times[-1] < _LEAST_GROWTH * times[0]:
         return np.zeros(bracket.shape, dtype=np.bool_)
     low, high = (part * limits.saturated_dn for part in _MIDDLE_TONES)
-    lowest, highest = bracket.frames[0].dn, bracket.frames[0].dn
-    for frame in bracket.frames[1:]:
+    lowest, highest = bracket.light[0].dn, bracket.light[0].dn
+    for frame in bracket.light[1:]:
         lowest, highest = np.minimum(lowest, frame.dn), np.maximum(highest, frame.dn)
-    still = highest - lowest < _LEAST_RISE * bracket.frames[0].full_scale_dn
+    still = highest - lowest < _LEAST_RISE * bracket.light[0].full_scale_dn
     return np.asarray(still & (lowest > low) & (highest < high))
 
 

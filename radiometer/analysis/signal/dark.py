@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from radiometer.analysis.signal.model import SignalModel
-from radiometer.data import BlackLevel, Frame, FrameSettings
+from radiometer.data import BlackLevel, Calibration, Frame, FrameSettings
 from radiometer.data.reading import Patch
 from radiometer.units import gain_factor
 
@@ -127,6 +127,34 @@ def _from_model(settings: FrameSettings, model: SignalModel, black: BlackLevel) 
     slope = float(model.at_dn(model.slope, model.black_dn))
     u_common = float(np.hypot(black.u_dn * slope, dark_u(settings, model, black)))
     return DarkLevel(dark, 0.0, u_common, "black level")
+
+
+def black_from_darks(dark_frames: Sequence[Frame], calibration: Calibration) -> BlackLevel | None:
+    """Return the black level that dark frames show; None without any.
+
+    The dark signal of several exposure times is a straight line over time: its start is the black level. Of one time
+    alone the modelled dark current is taken off.
+
+    Args:
+        dark_frames: Frames with the shutter closed; those of the lowest gain are used.
+        calibration: Its noise model and the uncertainty of its black level.
+    """
+    if not dark_frames:
+        return None
+    lowest_db = min(frame.settings.gain_db for frame in dark_frames)
+    used = [frame for frame in dark_frames if frame.settings.gain_db == lowest_db]
+    times = np.array([frame.settings.exposure_s for frame in used])
+    means = np.array([float(frame.dn.mean()) for frame in used])
+    own, noise = calibration.black_level, calibration.noise
+    gain = noise.gain_dn_per_e(lowest_db)
+    if np.unique(times).size > 1:
+        start = float(np.polynomial.polynomial.polyfit(times, means, 1)[0])
+        return own.model_copy(update={"dn": max(start, 0.0)})
+    modelled = gain * np.array([noise.dark_e(f.settings.exposure_s, f.settings.temperature_c) for f in used])
+    unknown_e = UNKNOWN_DARK_E_PER_S if "dark_current_e_per_s" in noise.assumed else 0.0
+    u_dark = math.hypot(gain * unknown_e * float(times[0]), own.dark_u_rel * float(modelled[0]))
+    start = float(np.mean(means - modelled))
+    return own.model_copy(update={"dn": max(start, 0.0), "u_dn": math.hypot(own.u_dn, u_dark)})
 
 
 def dark_u(settings: FrameSettings, model: SignalModel, black: BlackLevel) -> float:

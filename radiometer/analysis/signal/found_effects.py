@@ -62,7 +62,9 @@ def straightened(signal: ArrayLike, found: FoundEffects, electrons_per_unit: flo
     return straight
 
 
-def corrected_frames(frames: Iterable[Frame], found: FoundEffects, black_dn: float) -> Iterable[Frame]:
+def corrected_frames(
+    frames: Bracket | Iterable[Frame], found: FoundEffects, black_dn: float
+) -> Bracket | Iterable[Frame]:
     """Return frames with the settings they were really taken with; the same frames where nothing was found.
 
     Args:
@@ -73,7 +75,7 @@ def corrected_frames(frames: Iterable[Frame], found: FoundEffects, black_dn: flo
     if found == FoundEffects():
         return frames
     if isinstance(frames, Bracket):
-        return Bracket.from_frames(_each((*frames.frames, *frames.dark_frames), found, black_dn), frames.origin)
+        return Bracket.from_frames(_each(frames.every_frame, found, black_dn), frames.origin)
     return _each(frames, found, black_dn)
 
 

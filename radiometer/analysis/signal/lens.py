@@ -7,6 +7,7 @@ import math
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from radiometer.analysis.calibration.shared import settle
 from radiometer.data import Calibration, CameraDescription, FlatField, FrameSettings, LensDescription
 from radiometer.errors import CalibrationError
 
@@ -52,16 +53,7 @@ def known_f_number(calibration: Calibration | None, settings: FrameSettings, len
     number = settings.f_number or lens.f_number
     if calibration is None or not calibration.absolute:
         return number
-    if number is None:
-        raise CalibrationError(
-            "the f-number is not stated: without it the radiance could be wrong by any factor; give --f-number N, "
-            "or state lens.f_number in the capture set or bench file"
-        )
-    if calibration.scale.f_number is None:
-        raise CalibrationError(
-            f"the calibration does not say at which f-number its scale holds, the frames were taken at f/{number:g}; "
-            "calibrate again with --f-number, or add scale.f_number to the calibration file"
-        )
+    settle("f-number", calibration.scale.f_number, number)
     return number
 
 

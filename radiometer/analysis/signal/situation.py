@@ -8,6 +8,7 @@ from typing import Final
 
 import numpy as np
 
+from radiometer.analysis.calibration.shared import Handling, require_camera, require_lens, settle
 from radiometer.analysis.photometry.photometry import Observer, spectral_mismatch_factor
 from radiometer.analysis.photometry.spectra import spectrum
 from radiometer.analysis.photometry.unstated_light import plausible_responses, unstated_light_u_rel
@@ -16,12 +17,12 @@ from radiometer.analysis.signal.model import SignalModel, signal_model
 from radiometer.data import (
     BlackLevel,
     Calibration,
-    CameraDescription,
     FlatField,
     LensDescription,
     SensorNoise,
     StatedUncertainties,
 )
+from radiometer.data.setup import Setup
 from radiometer.errors import CalibrationError
 
 # A filter or lens of which only the nominal transmittance is known: sold to some ±10 %, taken as a rectangle.
@@ -30,9 +31,10 @@ FILTER_U_REL: Final = 0.1 / math.sqrt(3.0)
 
 @dataclass(frozen=True, slots=True)
 class Situation:
-    """Signal model, black level, stated uncertainties and scale in use.
+    """What a measurement with a setup rests on: signal model, black level, stated uncertainties and scale.
 
     Attributes:
+        setup: Camera, lens and calibration in use, and the light.
         model: Signal model of the camera.
         black: Black level and its uncertainty.
         stated: Stated uncertainties.
@@ -41,6 +43,7 @@ class Situation:
         assumptions: What was assumed rather than measured.
     """
 
+    setup: Setup
     model: SignalModel
     black: BlackLevel
     stated: StatedUncertainties
@@ -48,32 +51,37 @@ class Situation:
     lens: LensDescription
     assumptions: tuple[str, ...]
 
+    @property
+    def calibration(self) -> Calibration | None:
+        """Return the calibration in use; None for relative values."""
+        return self.setup.calibration
 
-def situation_of(calibration: Calibration | None, camera: CameraDescription, lens: LensDescription) -> Situation:
-    """Return what a measurement with this camera and calibration rests on.
+
+def situation_of(setup: Setup) -> Situation:
+    """Return what a measurement with a setup rests on.
 
     Args:
-        calibration: The camera's calibration; None takes the sensor as linear and typical where unknown.
-        camera: The camera in use.
-        lens: The lens in use.
+        setup: Without a calibration the sensor counts as linear, and as typical where it is unknown.
 
     Raises:
         CalibrationError: If the calibration is of another camera or lens.
     """
+    calibration, camera, lens = setup.calibration, setup.camera, setup.lens
     if calibration is None:
         noise, black = SensorNoise.of(camera), BlackLevel(dn=camera.black_level_dn or 0.0)
         stated = StatedUncertainties()
         model = signal_model(camera, None, noise, black.dn, stated.linearity_u_rel)
         assumed = ("response taken as linear", *(f"typical {name}" for name in noise.assumed))
-        return Situation(model, black, stated, 1.0, lens, assumed)
-    calibration.require_camera(camera)
-    calibration.require_lens(lens)
+        return Situation(setup, model, black, stated, 1.0, lens, assumed)
+    require_camera(calibration, camera)
+    require_lens(calibration, lens)
     black, stated = calibration.black_level, calibration.uncertainties
     model = signal_model(calibration.camera, calibration.response, calibration.noise, black.dn, stated.linearity_u_rel)
     of_source = (f"spectrum {calibration.spectrum}",) if calibration.absolute else ()
     factor, correction = spectral_correction(calibration)
     assumed = (*of_source, *correction, *(f"typical {name}" for name in calibration.noise.assumed))
-    return Situation(model, black, stated, calibration.scale.value * factor, lens_in_use(calibration, lens), assumed)
+    scale, used = calibration.scale.value * factor, lens_in_use(calibration, lens)
+    return Situation(setup, model, black, stated, scale, used, assumed)
 
 
 def spectral_correction(calibration: Calibration) -> tuple[float, tuple[str, ...]]:
@@ -163,7 +171,7 @@ def f_number_u_rel(
         numbers: f-numbers of the frames.
     """
     reference = calibration.scale.f_number if calibration else None
-    if reference is None or numbers == {reference}:
+    if reference is None or all(n is not None and settle("f-number", reference, n) is Handling.KEPT for n in numbers):
         return 0.0, "same as at calibration, so it drops out"
     return 2.0 * stated.f_number_u_rel, "differs from the one at calibration"
 
@@ -207,14 +215,13 @@ def magnification_u_rel(calibration: Calibration | None, lens: LensDescription) 
     return 2.0 * u / (1.0 + here), f"magnification {here:.3g} in use, {there:.3g} at calibration"
 
 
-def common_u_rel(situation: Situation, calibration: Calibration | None) -> float:
+def common_u_rel(situation: Situation) -> float:
     """Return the relative standard uncertainty that all pixels of a radiance map share, whatever its frames.
 
     Args:
         situation: What the map rests on.
-        calibration: The calibration; None where uncalibrated.
     """
-    stated = situation.stated
+    stated, calibration = situation.stated, situation.calibration
     linearity = stated.linearity_u_rel if situation.model.linear else 0.0
     parts = [stated.exposure_u_rel, linearity]
     if calibration is not None:

@@ -2,23 +2,21 @@
 
 from __future__ import annotations
 
-import json as json_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from radiometer.cli.arguments import parse_patch
-from radiometer.cli.console import console
-from radiometer.errors import UsageError
+import radiometer as rm
+from radiometer.cli.arguments import ISO_HELP, parse_measured_iso, parse_patch
+from radiometer.cli.console import console, note, significant
 
 if TYPE_CHECKING:
-    from radiometer.analysis.flux.report import Emitter, FluxReport
-    from radiometer.data import Quantity
+    from radiometer.api.led_flux import FluxReport, Quantity
 
 
 def command(
-    capture: Annotated[Path, typer.Argument(help="Capture set of the lit diode, several exposures.")],
+    capture: Annotated[Path, typer.Argument(help="Capture set or photographs of the lit diode, several exposures.")],
     calibration: Annotated[
         Path | None, typer.Option(help="Calibration file; the capture's camera description where left out.")
     ] = None,
@@ -38,6 +36,8 @@ def command(
         float, typer.Option(min=0.0, help="Relative standard uncertainty of the f-number.")
     ] = 0.02,
     datasheet_mw: Annotated[float | None, typer.Option(help="Flux that the datasheet states, in mW.")] = None,
+    channel: Annotated[str, typer.Option(help="Of colour photographs: luminance, red, green or blue.")] = "luminance",
+    measured_iso: Annotated[list[str] | None, typer.Option(metavar="STATED=REAL", help=ISO_HELP)] = None,
     json: Annotated[bool, typer.Option("--json", help="Print JSON on standard output.")] = False,
 ) -> None:
     """Find the radiant flux of a light-emitting diode.
@@ -45,58 +45,25 @@ def command(
     Gives the flux through the sensor as the sum over unclipped pixels of one photograph, and what it lacks of the
     emitted flux: clipped pixels, background, lens losses, and light that missed the lens.
     """
-    from radiometer.analysis.flux.estimate import led_flux
-    from radiometer.analysis.flux.sensor import flux_scale
-    from radiometer.cli.direct import opened
-    from radiometer.data import Calibration
-    from radiometer.devices import CameraPreset
-
-    region = parse_patch(patch) if patch else None
-    emitter = _emitter(half_angle, half_angle_u, diameter, diameter_u, distance, distance_u, datasheet_mw)
-    taken = opened(capture)
-    if calibration and camera_file:
-        raise UsageError("--calibration and --camera-file exclude each other")
-    known = Calibration.read(calibration) if calibration else None
-    camera, u_rel = taken.header.camera, None
-    if camera_file:
-        preset = CameraPreset.read(camera_file)
-        camera, u_rel = preset.applied_to(camera, str(camera_file)), preset.figure_u_rel("R")
-    scale = flux_scale(camera, taken.header.source, known, u_rel)
-    report = led_flux(list(taken.frames()), scale, taken.header.lens, emitter, region, f_number_u_rel)
-    if json:
-        print(json_module.dumps(report.to_mapping(), ensure_ascii=False, allow_nan=False))
-    else:
-        _show(report)
-
-
-def _emitter(
-    half_angle: float | None,
-    half_angle_u: float,
-    diameter: float | None,
-    diameter_u: float,
-    distance: float | None,
-    distance_u: float,
-    datasheet_mw: float | None,
-) -> Emitter | None:
-    from radiometer.analysis.flux.report import Emitter
-    from radiometer.data import Quantity
-
-    if half_angle is None:
-        if any(v is not None for v in (diameter, distance, datasheet_mw)):
-            raise UsageError(
-                "the emitted flux needs --half-angle, the datasheet's angle of half intensity in degrees (half of the "
-                "viewing angle; 60 for an emitter without a lens)"
-            )
-        return None
-    for name, value in (("--diameter", diameter), ("--distance", distance), ("--datasheet-mw", datasheet_mw)):
-        if value is not None and not value > 0:
-            raise UsageError(f"{name} {value:g}: must be above 0")
-    return Emitter(
-        Quantity(half_angle, half_angle_u, "°"),
-        None if diameter is None else Quantity(diameter, diameter_u, "mm"),
-        None if distance is None else Quantity(distance, distance_u, "mm"),
-        None if datasheet_mw is None else datasheet_mw * 1e-3,
+    found = rm.flux(
+        capture,
+        calibration=calibration,
+        camera_file=camera_file,
+        patch=parse_patch(patch) if patch else None,
+        half_angle=half_angle,
+        half_angle_u=half_angle_u,
+        diameter=diameter,
+        diameter_u=diameter_u,
+        distance=distance,
+        distance_u=distance_u,
+        f_number_u_rel=f_number_u_rel,
+        datasheet_mw=datasheet_mw,
+        channel=channel,
+        measured_iso=parse_measured_iso(measured_iso),
     )
+    for text in found.notes:
+        note(text)
+    print(found.to_json()) if json else _show(found.report)
 
 
 def _show(report: FluxReport) -> None:
@@ -128,11 +95,11 @@ def _show(report: FluxReport) -> None:
             f"[yellow]flag saturated[/yellow]: {report.clipped_everywhere} pixels clip even in the shortest exposure: "
             "every flux here is a lower bound; take shorter exposures, a smaller aperture or a grey filter"
         )
+    for text in report.contradictions:
+        out.print(f"[yellow]warning[/yellow]: {text}")
     for assumption in report.assumptions:
         out.print(f"assumed: {assumption}")
 
 
 def _milliwatt(quantity: Quantity) -> str:
-    from radiometer.cli.console import significant
-
     return f"{significant(1e3 * quantity.value, 2e3 * quantity.u)} ± {2e3 * quantity.u:.2g}"

@@ -4,55 +4,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from radiometer.cli.console import console
-
-if TYPE_CHECKING:
-    from radiometer.analysis.exports.maps import MapPicture
-    from radiometer.data import RadianceMap
-
-
-def map_report(picture: MapPicture, out: list[Path]) -> dict[str, Any]:
-    """Return the report as it stands in JSON: figures of the only or the green channel, and of each by its name.
-
-    Args:
-        picture: The maps.
-        out: Files that they were written to.
-    """
-    found = picture.first
-    return {
-        "files": [str(file) for file in out],
-        "width": found.shape[1],
-        "height": found.shape[0],
-        "channels": list(picture.maps),
-        "unit": picture.unit,
-        "exposures_s": list(found.exposures_s),
-        **_figures(found),
-        "by_channel": {name: _figures(one) for name, one in picture.maps.items()},
-        "iso": found.provenance.parameters.get("iso", []),
-        "assumptions": _assumptions(picture),
-    }
-
-
-def _figures(found: RadianceMap) -> dict[str, Any]:
-    import numpy as np
-
-    from radiometer.data import PixelMask
-
-    sound = found.mask & (PixelMask.SATURATED | PixelMask.BELOW_NOISE) == 0
-    values = found.radiance[sound]
-    low, middle, high = (float(v) for v in np.percentile(values, (0, 50, 100))) if values.size else (0.0, 0.0, 0.0)
-    counts = {flag.name.lower(): int(np.count_nonzero(found.mask & flag)) for flag in PixelMask if flag.name}
-    return {
-        "values": {"lowest": low, "median": middle, "highest": high},
-        "median_u_rel": float(np.median(found.u_radiance[sound] / np.abs(values))) if values.size else None,
-        "u_rel_common": found.u_rel_common,
-        "pixels": {"good": int(np.count_nonzero(found.mask == 0)), **counts},
-        "displacement_px": found.provenance.parameters.get("displacement_px"),
-        "displacement_u_px": found.provenance.parameters.get("displacement_u_px"),
-    }
 
 
 def displacement_told(px: float, u_px: float) -> str:
@@ -70,24 +24,14 @@ def displacement_told(px: float, u_px: float) -> str:
     return f"displaced by {px:.{decimals}f} ± {u_px:.{decimals}f} pixels (k = 1), in u where the picture changes"
 
 
-def _assumptions(picture: MapPicture) -> list[str]:
-    """Return what was assumed; what not all channels share stands with its channel."""
-    by_channel = {name: one.provenance.assumptions for name, one in picture.maps.items()}
-    shared = [text for text in picture.first.provenance.assumptions if all(text in one for one in by_channel.values())]
-    own = [f"{name}: {text}" for name, texts in by_channel.items() for text in texts if text not in shared]
-    return [*shared, *own]
-
-
 def show_map_report(report: dict[str, Any]) -> None:
-    """Print the report of `map_report`, with the further keys of the command, for people.
+    """Print a map's JSON form for people.
 
     Args:
-        report: The report.
+        report: As of `Radiance.to_mapping`.
     """
-    from radiometer.data.reading import RELATIVE_UNIT
-
     out, total = console(), report["width"] * report["height"]
-    unit = "relative values" if report["unit"] == RELATIVE_UNIT else f"in {report['unit']}"
+    unit = "relative values" if report["unit"] == "relative" else f"in {report['unit']}"
     out.print(f"{report['width']} × {report['height']} pixels, {len(report['exposures_s'])} exposures, {unit}")
     for text in _of_channels(report, _values_told):
         out.print(f"values     {text}")

@@ -2,27 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, TypeVar
 
 import typer
 
-from radiometer.cli.console import console, note, progress_bar, significant
+import radiometer as rm
+from radiometer.cli.console import console, note, progress, significant
 from radiometer.cli.outputs import writes
-from radiometer.errors import UsageError
 
 if TYPE_CHECKING:
-    from radiometer.data import Frame
-    from radiometer.reconciliation import FoundEffect, ReconcileResult
-    from radiometer.reconciliation.inputs.sources import Done
-    from radiometer.reconciliation.propose import Proposal
+    from radiometer.api.results import FoundEffect, Proposal, ReconcileResult
 
 Written = TypeVar("Written")
 
-# Of larger photographs a lattice of pixels tells as much of their exposures.
-_ENOUGH_PIXELS = 1_000_000
 _VERDICTS = {
     "agrees": "Nothing is missing: simulation and measurement agree.",
     "effects_found": "Found what was missing; with it simulation and measurement agree.",
@@ -68,32 +63,20 @@ def command(
     physical effect of the catalogue, and keeps what predicts held-out settings better. `-o` writes the model with
     what was found; the simulator loads it.
     """
-    from radiometer.reconciliation.inputs.sources import reconcile_source
-
-    _read_effects(effects or [])
-    _refuse_unknown(without or [])
     if plan_only:
-        _show_plan(capture, model, tuple(without or ()), json=json)
+        _show_plan(capture, model, tuple(without or ()), effects or [], json=json)
         return
-    photographs = _photographs(capture)
-    with progress_bar(shown=not json) as bar:
-        task = bar.add_task("reading frames", total=None)
-        done = reconcile_source(
-            capture,
-            model_path=model,
-            without=tuple(without or ()),
-            photographs=photographs,
-            progress=lambda count, total: bar.update(task, completed=count, total=total),
-            say=lambda line: bar.update(task, description=line),
-            doubt=lambda line: note(f"{capture.name}: {line}"),
+    with progress(shown=not json) as shown:
+        found = rm.reconcile(
+            capture, model=model, without=without or (), effects=effects or (), progress=shown, notice=note
         )
     files = _Files()
-    result = done.result.written(
-        files.write(lambda: done.write_model(output, provisional=provisional)) if output else None,
-        files.write(lambda: done.write_report(report)) if report else None,
+    result = found.result.written(
+        files.write(lambda: found.write_model(output, provisional=provisional)) if output else None,
+        files.write(lambda: found.write_report(report)) if report else None,
     )
-    planned = files.write(lambda: done.write_plan(plan)) if plan else None
-    proposed = files.write(lambda: _proposed(done, propose)) if propose else None
+    planned = files.write(lambda: found.write_plan(plan)) if plan else None
+    proposed = files.write(lambda: found.propose(propose)) if propose else None
     if proposed is not None:
         result = replace(result, extra={**result.extra, "proposal": proposed.to_mapping()})
     if json:
@@ -135,15 +118,6 @@ class _Files:
             raise self.failed[0]
 
 
-def _proposed(done: Done, folder: Path) -> Proposal | None:
-    """Return the law for what has no name, written into a folder; only a capture set's pictures can give one."""
-    from radiometer.reconciliation.inputs.sources import DoneCapture
-
-    if not isinstance(done, DoneCapture):
-        raise UsageError(f"--propose {folder}: laws are proposed for capture sets only, not for photographs or tables")
-    return done.propose(folder)
-
-
 def _show_proposal(found: Proposal | None, folder: Path) -> None:
     out = console()
     if found is None:
@@ -161,26 +135,14 @@ def _show_proposal(found: Proposal | None, folder: Path) -> None:
     out.print(f"   look for it in another session: radiometer reconcile SET --effects {folder / f'{found.name}.py'}")
 
 
-def _show_plan(capture: Path, model_path: Path | None, without: tuple[str, ...], *, json: bool) -> None:
+def _show_plan(capture: Path, model: Path | None, without: tuple[str, ...], effects: list[Path], *, json: bool) -> None:
     """Tell what the captures of a set can separate."""
-    import json as text
-
-    from radiometer.reconciliation.engine import plan_of, whole_catalogue
-    from simulators.chain.camera_model import CameraModel
-
-    entries = {name: kind for name, kind in whole_catalogue().items() if name not in without}
-    model = CameraModel.read(model_path) if model_path else None
-    with progress_bar(shown=not json) as bar:
-        task = bar.add_task("reading frames", total=None)
-
-        def progress(count: int, total: int) -> None:
-            what = "asking what they can separate" if count == total else "reading frames"
-            bar.update(task, completed=count, total=total, description=what)
-
-        found = plan_of(capture, model, catalogue=entries, progress=progress)
+    with progress(shown=not json) as shown:
+        plan = rm.reconcile_plan(capture, model=model, without=without, effects=effects, progress=shown, notice=note)
     if json:
-        print(text.dumps(found.to_mapping(), ensure_ascii=False))
+        print(plan.to_json())
         return
+    found = plan.plan
     out = console()
     for entry in found.together:
         out.print(f"these captures cannot tell {entry.name} from {', '.join(entry.others)}")
@@ -190,39 +152,6 @@ def _show_plan(capture: Path, model_path: Path | None, without: tuple[str, ...],
         out.print("these captures tell all entries apart that they show")
     if found.blind:
         out.print(f"blind to: {', '.join(found.blind)}")
-
-
-def _photographs(path: Path) -> Sequence[Sequence[Frame]]:
-    """Return the frames of a folder of photographs by colour, green first; none where the path is something else."""
-    from radiometer.data.capture_set import HEADER_NAME
-    from radiometer.importing import is_foreign
-
-    if not path.is_dir() or (path / HEADER_NAME).exists() or (path / "frames").is_dir() or is_foreign(path):
-        return ()
-    from radiometer.bench.sources import open_brackets
-    from radiometer.photographs.alignment import photographs_in_one_place
-
-    placed = photographs_in_one_place(open_brackets(path, "each", most_pixels=_ENOUGH_PIXELS))
-    if placed.absent:
-        note(f"{path.name}: {placed.sentence}")
-    brackets = sorted(placed.common, key=lambda one: one.frames[0].extra.get("channel") != "green")
-    return [(*one.frames, *one.dark_frames) for one in brackets]
-
-
-def _refuse_unknown(names: list[str]) -> None:
-    from radiometer.reconciliation.engine import whole_catalogue
-
-    known = whole_catalogue() if names else {}
-    for name in names:
-        if name not in known:
-            raise UsageError(f"--without {name}: there is no such effect; known are {', '.join(sorted(known))}")
-
-
-def _read_effects(paths: Sequence[Path]) -> None:
-    from simulators.effects.registry import register_file
-
-    for path in paths:
-        note(f"{path}: looks for {', '.join(register_file(path))} too")
 
 
 def show_result(result: ReconcileResult) -> None:

@@ -1,69 +1,24 @@
-"""What `radiometer calibrate` says of the scale that it found."""
+"""What `radiometer calibrate` prints of the scale that it found."""
 
 from __future__ import annotations
 
-from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from radiometer.cli.console import console, significant
 
-if TYPE_CHECKING:
-    from radiometer.analysis.calibration.calibrate import MeterReading
-    from radiometer.analysis.response.dynamic_range import DynamicRange
-    from radiometer.data import Calibration, Scale
 
-
-def calibration_report(
-    calibration: Calibration,
-    scales: list[Scale],
-    meter: MeterReading | None,
-    out: Path,
-    ranged: DynamicRange | None = None,
-) -> dict[str, Any]:
-    """Return the report as the mapping that --json prints."""
-    from radiometer.analysis.calibration import absolute
-    from radiometer.analysis.calibration.calibrate import scales_ratio
-    from radiometer.analysis.photometry import photometry
-    from radiometer.analysis.photometry.spectra import spectrum
-
-    report: dict[str, Any] = {
-        "calibration": str(out),
-        "scale": calibration.scale.model_dump(mode="json", exclude_none=True),
-        "spectrum": calibration.spectrum,
-        "assumptions": list(calibration.provenance.assumptions),
-    }
-    if meter is not None:
-        luminance = absolute.metered_luminance_cd_m2(meter.meter_k, meter.settings)
-        radiance = photometry.radiance_w_sr_m2(luminance, spectrum(calibration.spectrum))
-        thesis = photometry.radiance_thesis_w_sr_m2_um(luminance)
-        u_rel = absolute.metered_u_rel(meter.k_u_rel)
-        report["metered"] = {
-            "luminance": {"value": luminance, "u": luminance * u_rel, "unit": "cd m-2"},
-            "radiance": {"value": radiance, "u": radiance * u_rel, "unit": "W sr-1 m-2"},
-            "thesis_spectral_radiance": {"value": thesis, "unit": "W sr-1 m-2 um-1"},
-        }
-    if ranged is not None:
-        report["dynamic_range"] = ranged.to_mapping()
-    if calibration.flat_field is not None:
-        report["flat_field"] = calibration.flat_field.model_dump(mode="json")
-    if len(scales) == 2:
-        by_source, by_meter = scales
-        report["meter_over_source"] = scales_ratio(by_meter, by_source).to_mapping()
-    return report
-
-
-def show_report(report: dict[str, Any], calibration: Calibration) -> None:
-    """Print the report for people."""
-    out, scale = console(), calibration.scale
-    method = scale.method.replace("_", " ")
+def show_report(report: dict[str, Any]) -> None:
+    """Print the JSON form of a calibration's report for people."""
+    out, scale = console(), report["scale"]
+    method, budget = scale["method"].replace("_", " "), scale["budget"]
     out.print(
-        f"scale      [bold]{scale.value:.6g} J·m⁻² per unit of signal[/bold] "
-        f"± {200 * scale.u_rel:.2g} % (k = 2), {method}"
+        f"scale      [bold]{scale['value']:.6g} J·m⁻² per unit of signal[/bold] "
+        f"± {200 * scale['u_rel']:.2g} % (k = 2), {method}"
     )
-    if scale.reference:
-        out.print(f"from       {scale.reference}")
-    for name, share in sorted(_shares(scale).items(), key=lambda entry: -entry[1])[:3]:
-        out.print(f"  {100 * share:5.1f} %  {name} (u = {100 * scale.budget[name]:.2g} %)")
+    if scale["reference"]:
+        out.print(f"from       {scale['reference']}")
+    for name, share in sorted(_shares(budget).items(), key=lambda entry: -entry[1])[:3]:
+        out.print(f"  {100 * share:5.1f} %  {name} (u = {100 * budget[name]:.2g} %)")
     if metered := report.get("metered"):
         for name, unit in (("luminance", "cd·m⁻²"), ("radiance", "W·sr⁻¹·m⁻²")):
             entry = metered[name]
@@ -90,7 +45,7 @@ def show_report(report: dict[str, Any], calibration: Calibration) -> None:
     out.print(f"written    {report['calibration']}")
 
 
-def _shares(scale: Scale) -> dict[str, float]:
+def _shares(budget: dict[str, float]) -> dict[str, float]:
     """Return what part of the scale's variance each contribution makes up: the largest is what to work on next."""
-    total = sum(u**2 for u in scale.budget.values())
-    return {name: u**2 / total for name, u in scale.budget.items() if u > 0.0}
+    total = sum(u**2 for u in budget.values())
+    return {name: u**2 / total for name, u in budget.items() if u > 0.0}

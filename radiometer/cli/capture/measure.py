@@ -2,21 +2,19 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 import radiometer as rm
-from radiometer.cli.arguments import ISO_HELP, parse_iso_speeds, parse_patch, with_f_number
+from radiometer.cli.arguments import ISO_HELP, UNSTATED_ISO_HELP, parse_measured_iso, parse_patch
 from radiometer.cli.console import asker, console, note, progress, significant
 from radiometer.cli.options import BenchOption, CameraOption, FNumberOption, PatchOption, UncalibratedOption, URelOption
 from radiometer.errors import UsageError
 
 if TYPE_CHECKING:
-    from radiometer.analysis.reading.contributions import PatchSituation
-    from radiometer.data import Patch, Reading
+    from radiometer import Reading
 
 _FLAG_MEANING = {
     "saturated": "pixels clip even in the shortest exposure: the value is a lower bound",
@@ -59,6 +57,8 @@ def command(
         bool, typer.Option("--linear", help="Uncalibrated photographs are linear above black (raw files always are).")
     ] = False,
     measured_iso: Annotated[list[str] | None, typer.Option(metavar="STATED=REAL", help=ISO_HELP)] = None,
+    iso: Annotated[float | None, typer.Option(help=UNSTATED_ISO_HELP)] = None,
+    pattern: Annotated[str | None, typer.Option(help="Pattern of a capture set that holds several.")] = None,
     f_number: FNumberOption = None,
     spectrum: Annotated[str | None, typer.Option(help="Spectrum assumed for the luminance.")] = None,
     u_rel: URelOption = None,
@@ -84,36 +84,26 @@ def command(
     if calibration and uncalibrated:
         raise UsageError("--calibration and --uncalibrated exclude each other")
     wanted = parse_patch(patch) if patch else None
-    if photographs is not None or measured_iso or linear:
+    if photographs is not None or measured_iso or linear or iso is not None or pattern is not None:
         if photographs is None or camera or bench:
             raise UsageError(
-                "--photographs takes the place of --camera and --bench; --measured-iso and --linear belong to it"
+                "--photographs takes the place of --camera and --bench; --measured-iso, --iso, --pattern and --linear "
+                "belong to it"
             )
-        if linear and calibration:
-            raise UsageError("--linear belongs to photographs without a calibration, which knows the camera's response")
-        reading, situation, alignment = _photographed(
-            photographs,
-            wanted,
-            calibration,
-            channel,
-            measured_iso,
-            spectrum,
-            f_number,
-            align,
-            relative=uncalibrated,
-            linear=linear,
-        )
-        reading = _with_distribution(reading, situation) if monte_carlo else reading
-        said = reading.provenance
+        with progress(shown=not json) as shown:
+            reading = rm.measure_photographs(
+                photographs, wanted, calibration=calibration, uncalibrated=uncalibrated, channel=channel,
+                pattern=pattern, align=align, linear=linear, measured_iso=parse_measured_iso(measured_iso), iso=iso,
+                f_number=f_number, spectrum=spectrum, monte_carlo=monte_carlo, progress=shown,
+            )  # fmt: skip
+        for text in reading.more["notes"]:
+            note(text)
         if json:
-            iso = said.parameters.get("iso", []) if said else []
-            assumptions = list(said.assumptions) if said else []
-            further = {"iso": iso, "assumptions": assumptions, "alignment": alignment}
-            print(replace(reading, more={**further, **reading.more}).to_json(), flush=True)
+            print(reading.to_json(), flush=True)
         else:
-            if alignment:
-                note(f"frames: {alignment}")
-            for assumption in said.assumptions if said else ():
+            if reading.more["alignment"]:
+                note(f"frames: {reading.more['alignment']}")
+            for assumption in reading.more["assumptions"]:
                 note(f"assumed: {assumption}")
             _show(reading, budget=budget)
         return
@@ -131,72 +121,6 @@ def command(
 
 def _silent(line: str) -> None:
     """Drop a notice: JSON goes to programs, which find it in the reading."""
-
-
-def _photographed(
-    path: Path,
-    patch: Patch | None,
-    calibration: Path | None,
-    channel: str,
-    measured_iso: list[str] | None,
-    spectrum: str | None,
-    f_number: float | None,
-    align: str,
-    *,
-    relative: bool,
-    linear: bool,
-) -> tuple[Reading, PatchSituation, str | None]:
-    """Return the reading of a patch in a folder of photographs, what it was made from, and how the frames lay."""
-    from radiometer.analysis.reading.reading import patch_situation, read_patch
-    from radiometer.bench.sources import exposure_list, open_brackets
-    from radiometer.data import Calibration, CameraDescription, LensDescription
-    from radiometer.data.capture_set import HEADER_NAME
-    from radiometer.importing import is_foreign
-    from radiometer.photographs.alignment import in_one_place
-    from radiometer.photographs.iso_record import with_iso_in_reading
-    from radiometer.photographs.response import (
-        in_their_own_depth,
-        refuse_another_channel,
-        told_by_themselves,
-        with_offset_of_calibration,
-    )
-
-    if patch is None or channel == "each":
-        raise UsageError("--photographs needs --patch X,Y,W,H, and one channel: luminance, red, green or blue")
-    if calibration is None and not relative:
-        raise UsageError("--photographs needs --calibration (or --uncalibrated for relative values)")
-    known = Calibration.read(calibration) if calibration else None
-    bracket = open_brackets(path, channel, speeds=parse_iso_speeds(measured_iso, known))[0]
-    if known is not None:
-        refuse_another_channel(known, bracket)
-    elif linear:
-        (bracket,) = in_their_own_depth([bracket])
-    placed = in_one_place([with_f_number(bracket, f_number)], align)
-    bracket = placed.without_absent()
-    camera = known.camera if known else CameraDescription(bit_depth=bracket.bit_depth)
-    lens = LensDescription()
-    photographs = not (is_foreign(path) or (path / HEADER_NAME).exists())
-    if known is not None and photographs:
-        bracket, text, _ = with_offset_of_calibration(bracket, known, exposure_list(path))
-        if text:
-            note(text)
-    if known is None and photographs:
-        known, bracket = told_by_themselves(bracket, placed.common[0], camera, lens, note, linear=linear)
-    elif known is not None and spectrum is not None:
-        known = replace(known, spectrum=spectrum)
-    reading = read_patch(bracket, patch, known, camera, lens, spectrum_stated=spectrum is not None)
-    situation = patch_situation(bracket, patch, known, camera, lens, spectrum_stated=spectrum is not None)
-    return with_iso_in_reading(reading, bracket), situation, placed.sentence
-
-
-def _with_distribution(reading: Reading, situation: PatchSituation) -> Reading:
-    """Return the reading with its distribution from 100 000 draws of all its inputs."""
-    import numpy as np
-
-    from radiometer.analysis.uncertainty.monte_carlo import propagate_distributions
-
-    drawn = propagate_distributions(situation, np.random.default_rng(reading.sequence))
-    return replace(reading, more={**reading.more, "monte_carlo": drawn.to_mapping(reading)})
 
 
 def _show_distribution(reading: Reading) -> None:

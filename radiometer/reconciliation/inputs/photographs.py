@@ -132,9 +132,9 @@ def reconcile_photographs(
         raise CaptureError(
             f"the photographs hardly overlap: no part of the scene is well exposed in two of them ({error})"
         ) from error
-    names = [frame_name(bracket, index) for index in range(len(bracket))]
+    names = [frame_name(bracket, index) for index in range(len(bracket.light))]
     result = _result(judged, bracket, names)
-    seconds = [f.settings.exposure_s for f in bracket]
+    seconds = [f.settings.exposure_s for f in bracket.light]
     shift = judged.log_time - samples.frame_log_time
     u_rel = dict(zip(names, judged.u_rel, strict=True))
     return PhotographsReconciled(
@@ -193,7 +193,7 @@ class _Judged:
 
 
 def _exact_log_times(bracket: Bracket) -> Array:
-    stated = np.array([frame.settings.exposure_s for frame in bracket])
+    stated = np.array([frame.settings.exposure_s for frame in bracket.light])
     exact = np.array([exact_exposure_s(seconds) for seconds in stated])
     return np.asarray(np.log(bracket.effective_exposures_s) + np.log(exact / stated))
 
@@ -273,7 +273,7 @@ def _result(judged: _Judged, bracket: Bracket, names: Sequence[str]) -> Reconcil
             )
         )
     for label in judged.labels:
-        stated = bracket.frames[label.frame].settings.exposure_s
+        stated = bracket.light[label.frame].settings.exposure_s
         ratio, u_ratio = _of_printed(label, judged, bracket)
         effects.append(
             FoundEffect(
@@ -302,8 +302,8 @@ def _result(judged: _Judged, bracket: Bracket, names: Sequence[str]) -> Reconcil
             "gamma_enabled": Limit(None, "gamma", "1"),
             "response_nonlinearity": Limit(None, "a2", "1"),
         },
-        captures=len(bracket),
-        frames=len(bracket),
+        captures=len(bracket.light),
+        frames=len(bracket.light),
         assumptions=(
             "the tone curve is unknown but one and the same for all photographs",
             "a power of the tone curve and one of the exposures cannot be told apart: the printed ratios fix it",
@@ -363,9 +363,9 @@ def _no_curve(judged: _Judged, bracket: Bracket, names: Sequence[str]) -> str:
     few = "" if judged.can_tell else ", wrong exposures (which of them, so few photographs cannot tell)"
     step_dn = dial_step_dn(judged.fitted.samples, judged.fitted.log_exposure)
     return (
-        f"These {len(bracket)} photographs follow no single tone curve with their exposures: left-out parts of the "
-        f"picture are predicted to {judged.errors[2]:.2g} DN only{_worst(judged, names)}, where a third of a stop is "
-        f"{step_dn:.2g} DN. Another scene or light in some of them, movement, processing that depends on the picture"
+        f"These {len(bracket.light)} photographs follow no single tone curve with their exposures: left-out parts of "
+        f"the picture are predicted to {judged.errors[2]:.2g} DN only{_worst(judged, names)}, where a third of a stop "
+        f"is {step_dn:.2g} DN. Another scene or light in some of them, movement, processing that depends on the picture"
         f"{few}."
     )
 
@@ -419,7 +419,7 @@ def _findings(judged: _Judged, bracket: Bracket, names: Sequence[str]) -> tuple[
     limits = _limits(judged)
     wrong = {one.frame: one for one in judged.labels}
     found = []
-    for k, (name, frame) in enumerate(zip(names, bracket, strict=True)):
+    for k, (name, frame) in enumerate(zip(names, bracket.light, strict=True)):
         stated, here = frame.settings.exposure_s, rows.frame == k
         log_ratio, u = judged.told[k]
         expected = float(judged.expected[k])

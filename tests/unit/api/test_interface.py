@@ -42,7 +42,7 @@ def capture(stack: rm.Stack, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Return the same frames as a capture set on disk."""
     folder = tmp_path_factory.mktemp("capture") / "even"
     with CaptureSetWriter(folder, stack.camera, stack.lens, None, ()) as writer:
-        for frame in (*stack.bracket.frames, *stack.bracket.dark_frames):
+        for frame in (*stack.bracket.light, *stack.bracket.dark):
             writer.add(frame)
     return folder
 
@@ -69,9 +69,9 @@ def test_a_closed_meter_is_closed_once(bench):
 
 def test_a_bracket_keeps_light_and_dark_apart(stack):
     """Two dark frames per distinct exposure; size and count stand in the line."""
-    exposures = {frame.settings.exposure_s for frame in stack.bracket.frames}
-    assert len(stack.bracket.dark_frames) == 2 * len(exposures)
-    assert f"{len(stack.bracket)} + {2 * len(exposures)} dark frames of 96 × 64 pixels, 12 bits" in repr(stack)
+    exposures = {frame.settings.exposure_s for frame in stack.bracket.light}
+    assert len(stack.bracket.dark) == 2 * len(exposures)
+    assert f"{len(stack.bracket.light)} + {2 * len(exposures)} dark frames of 96 × 64 pixels, 12 bits" in repr(stack)
 
 
 def test_a_capture_set_is_read_as_it_was_taken(stack, capture):
@@ -79,7 +79,7 @@ def test_a_capture_set_is_read_as_it_was_taken(stack, capture):
     again = rm.read(capture)
     assert again.camera == stack.camera
     assert again.lens.f_number == stack.lens.f_number
-    for mine, theirs in zip(stack.bracket.frames, again.bracket.frames, strict=True):
+    for mine, theirs in zip(stack.bracket.light, again.bracket.light, strict=True):
         assert np.array_equal(mine.dn, theirs.dn)
 
 
@@ -142,7 +142,7 @@ def test_netcdf_keeps_units_uncertainties_and_flags(stack, tmp_path):
 def test_response_and_calibration_exclude_each_other(stack):
     """A calibration holds a response of its own."""
     response = rm.recover_response(_gradient())
-    with pytest.raises(UsageError, match="give one of both"):
+    with pytest.raises(UsageError, match="leave --response out"):
         rm.merge(stack, response, calibration="anything.yaml")
 
 

@@ -37,8 +37,8 @@ BRIGHT = {"kind": "uniform", "radiance_W_per_sr_m2": 1.0}
 def test_dark_frames_are_taken_where_they_matter_and_can_be_had(scene, shutter, dark):
     """A dim patch with a shutter: two at each exposure; a bright one, or without a shutter, none."""
     taken = instrument(scene, shutter=shutter, time_limit_s=6.0).take_bracket()
-    exposures = {frame.settings.exposure_s for frame in taken}
-    assert sorted(f.settings.exposure_s for f in taken.dark_frames) == (sorted([*exposures] * 2) if dark else [])
+    exposures = {frame.settings.exposure_s for frame in taken.light}
+    assert sorted(f.settings.exposure_s for f in taken.dark) == (sorted([*exposures] * 2) if dark else [])
 
 
 def test_dark_frames_take_the_data_sheet_s_doubt_away():
@@ -53,7 +53,7 @@ def test_a_cap_is_asked_for_and_taken_off_again():
     asked: list[bool] = []
     taken = replace(instrument(BRIGHT, shutter=False), cover=asked.append).take_bracket()
     assert asked == [True, False]
-    assert taken.dark_frames
+    assert taken.dark
 
 
 def test_a_surround_that_clips_is_looked_at_in_shorter_frames():

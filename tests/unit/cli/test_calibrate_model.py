@@ -17,8 +17,8 @@ from radiometer.analysis.calibration.calibrate import (
 )
 from radiometer.analysis.merge.bracket import merge
 from radiometer.analysis.reading.reading import read_patch
-from radiometer.cli.calibrate.from_model import with_found_effects
 from radiometer.data import (
+    Bracket,
     Calibration,
     CameraDescription,
     FoundEffects,
@@ -28,7 +28,9 @@ from radiometer.data import (
     Patch,
     ResponseCurve,
 )
+from radiometer.data.setup import Setup
 from radiometer.errors import InputError
+from radiometer.reconciliation.report.read_back import with_found_effects
 from simulators.chain.camera_model import CameraModel
 from simulators.effects.registry import make_effect
 
@@ -65,10 +67,10 @@ def even(radiance=1.0):
 
 
 def read(base, calibration_frames, reading_frames):
-    scale = scale_by_source(base, calibration_frames, PATCH, KnownSource(1.0, 0.004))
+    scale = scale_by_source(base, Bracket.from_frames(calibration_frames), PATCH, KnownSource(1.0, 0.004))
     known = scaled_calibration(base, scale, ())
     now = dt.datetime.fromisoformat(known.created)
-    return read_patch(reading_frames, PATCH, known, CAMERA, LENS, now=now), known
+    return read_patch(reading_frames, PATCH, Setup(CAMERA, LENS, known), now=now), known
 
 
 @pytest.mark.parametrize(
@@ -225,7 +227,7 @@ def test_a_map_is_corrected_for_exposure_and_black_too():
     world = {"offset_s": 5e-5}
     base = replace(BASE, found=FoundEffects(exposure_offset_s=5e-5))
     _, known = read(base, frames(even(), 2e-3, **world), frames(even(0.5), 4e-4, **world))
-    found = merge(frames(even(0.5), 4e-4, **world), CAMERA, LENS, known)
+    found = merge(frames(even(0.5), 4e-4, **world), Setup(CAMERA, LENS, known))
     assert found.radiance.mean() == pytest.approx(0.5, rel=3e-3)
 
 
@@ -233,7 +235,7 @@ def test_a_map_is_corrected_for_the_sensor_s_warmth_too():
     """20 K warmer at 0.2 %/K, as a reading; u is that of the coefficient as it was found."""
     base = replace(BASE, found=FoundEffects(temperature_slope_per_k=2e-3))
     _, known = read(base, frames(even(), 2e-3), frames(even(0.5), 4e-4))
-    found = merge(frames(even(0.5), 4e-4, t_c=45.0, warm=1.04), CAMERA, LENS, known)
+    found = merge(frames(even(0.5), 4e-4, t_c=45.0, warm=1.04), Setup(CAMERA, LENS, known))
     assert found.radiance.mean() == pytest.approx(0.5, rel=3e-3)
 
 
@@ -241,5 +243,5 @@ def test_a_map_says_that_it_keeps_a_bend():
     """At full scale z is 0.995: 4 % of it and 2 % of its square."""
     base = replace(BASE, found=FoundEffects(well_a2=0.04, well_a3=0.02, well_e=24500.0))
     _, known = read(base, frames(even(), 2e-3), frames(even(0.5), 4e-4))
-    found = merge(frames(even(0.5), 4e-4), CAMERA, LENS, known)
+    found = merge(frames(even(0.5), 4e-4), Setup(CAMERA, LENS, known))
     assert any("bends by 6 % at full scale" in said for said in found.not_in_u)

@@ -23,7 +23,7 @@ def _recovered_once(monkeypatch):
     kept, recover = {}, auto.recover_colours_auto
 
     def once(brackets):
-        key = tuple((f.dn.tobytes(), f.dn.shape, f.settings.exposure_s) for bracket in brackets for f in bracket)
+        key = tuple((f.dn.tobytes(), f.dn.shape, f.settings.exposure_s) for bracket in brackets for f in bracket.light)
         if key not in kept:
             kept[key] = recover(brackets)
         return kept[key]

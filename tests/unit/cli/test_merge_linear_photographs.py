@@ -14,6 +14,7 @@ import tifffile
 from radiometer.analysis.merge.bracket import merge
 from radiometer.cli.main import run
 from radiometer.data import Bracket, CameraDescription, Frame, FrameSettings, LensDescription
+from radiometer.data.setup import Setup
 from radiometer.photographs.response import in_their_own_depth, relative_calibration
 
 BLACK, WHITE, ELECTRONS_PER_DN = 64, 4095, 2.5
@@ -210,7 +211,9 @@ def test_an_amplified_photograph_clips_where_the_others_do():
         frames.append(Frame(np.clip(np.rint(dn), 0, WHITE).astype(np.uint16), 16, settings))
     (bracket,) = in_their_own_depth([Bracket.from_frames(frames)])
     camera, lens = CameraDescription(bit_depth=bracket.bit_depth), LensDescription()
-    found = merge(bracket, camera, lens, relative_calibration(bracket, None, camera, lens)[0], without_ghosts=True)
+    found = merge(
+        bracket, Setup(camera, lens, relative_calibration(bracket, None, camera, lens)[0]), without_ghosts=True
+    )
     assert not found.mask.any()
     z = (found.radiance / light / np.median(found.radiance / light) - 1.0) / (found.u_radiance / found.radiance)
     assert np.sqrt(np.mean(z**2)) == pytest.approx(1.0, abs=0.1)

@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from radiometer.analysis.exports.maps import MapPicture
-from radiometer.cli.analyse.merge_report import map_report, show_map_report
+from radiometer import Radiance
+from radiometer.cli.analyse.merge_report import show_map_report
 from radiometer.data import PixelMask, Provenance, RadianceMap
 
 
@@ -23,7 +23,7 @@ def _map(level, u_rel, flagged=0, displacement=None):
 
 
 def _said(report, capsys):
-    show_map_report({**report, "alignment": None, "falloff": None, "responses": []})
+    show_map_report(report)
     return capsys.readouterr().out
 
 
@@ -34,7 +34,7 @@ def test_every_colour_has_its_own_figures(capsys):
         "green": _map(3.0, 0.01, displacement=(0.25, 0.05)),
         "blue": _map(5.0, 0.1, 50, displacement=(0.0, 0.1)),
     }
-    report = map_report(MapPicture(maps), [Path("map.exr")])
+    report = Radiance(maps, (Path("map.exr"),)).to_mapping()
     assert (report["values"]["median"], report["pixels"]["good"]) == (3.0, 200)
     found = {name: one["median_u_rel"] for name, one in report["by_channel"].items()}
     assert found == pytest.approx({"red": 0.02, "green": 0.01, "blue": 0.1})
@@ -52,7 +52,7 @@ def test_every_colour_has_its_own_figures(capsys):
 
 def test_one_channel_needs_no_name(capsys):
     """Grey photographs have one line each; what no pixel is flagged with is not listed."""
-    said = _said(map_report(MapPicture({"mono": _map(2.0, 0.02, 20)}), []), capsys)
+    said = _said(Radiance({"mono": _map(2.0, 0.02, 20)}).to_mapping(), capsys)
     assert "values     2 to 2, median 2\nnoise      2 % per pixel" in said
     assert "good         180 pixels (90 %)\nsaturated    20 pixels (10 %)\n" in said
     assert "mono" not in said
@@ -62,4 +62,4 @@ def test_one_channel_needs_no_name(capsys):
 def test_what_colours_share_is_said_once(capsys):
     """Three channels of the same figures have one line of noise."""
     same = {name: _map(2.0, 0.02) for name in ("red", "green", "blue")}
-    assert _said(map_report(MapPicture(same), []), capsys).count("noise") == 1
+    assert _said(Radiance(same).to_mapping(), capsys).count("noise") == 1

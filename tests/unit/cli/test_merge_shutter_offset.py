@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -28,9 +29,9 @@ from radiometer.data import (
 from radiometer.photographs.response import (
     offset_told,
     shutter_offset_of,
-    with_offset_of_calibration,
     with_offset_of_response,
 )
+from radiometer.photographs.scene import Photographs, prepared
 
 OFFSET_S, U_S = 3e-5, 4e-6
 LABELS_S = tuple(2.0**-k for k in (13, 12, 11, 10))
@@ -141,17 +142,18 @@ def test_a_model_that_holds_an_offset_takes_its_own():
         noise=SensorNoise.of(camera),
         black_level=BlackLevel(dn=0.0),
     )
-    labelled = bracket(*LABELS_S)
-    assert with_offset_of_calibration(labelled, calibration, None)[1:] == (SAID, True)
+    labelled = Photographs({"mono": bracket(*LABELS_S)}, Path("here"))
+    times = [frame.settings.exposure_s for frame in prepared(labelled, calibration=calibration).only.light]
+    assert times == [label + OFFSET_S for label in LABELS_S]
     held = replace(calibration, found=FoundEffects(exposure_offset_s=1e-5))
-    assert with_offset_of_calibration(labelled, held, None) == (labelled, None, False)
+    assert [f.settings.exposure_s for f in prepared(labelled, calibration=held).only.light] == list(LABELS_S)
 
 
 def test_every_exposure_is_longer_by_it():
     """Frames keep their numbers, dark ones their times, and what is said says how much."""
     timed, text, taken = with_offset_of_response(bracket(*LABELS_S), of_offset(), None)
-    assert [frame.settings.exposure_s for frame in timed] == [label + OFFSET_S for label in sorted(LABELS_S)]
-    assert [frame.settings.exposure_s for frame in timed.dark_frames] == [1.0]
+    assert [frame.settings.exposure_s for frame in timed.light] == [label + OFFSET_S for label in sorted(LABELS_S)]
+    assert [frame.settings.exposure_s for frame in timed.dark] == [1.0]
     assert timed.origin == "here"
     assert (text, taken) == (SAID, True)
 

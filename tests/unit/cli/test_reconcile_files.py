@@ -7,9 +7,9 @@ from pathlib import Path
 
 import pytest
 
+from radiometer.api import results
 from radiometer.cli.main import run
 from radiometer.errors import OutputError
-from radiometer.reconciliation.inputs import sources
 from radiometer.reconciliation.result import ReconcileResult, Verdict
 
 
@@ -29,7 +29,7 @@ class _Answered:
 
 def _words(monkeypatch: pytest.MonkeyPatch, tmp_path: Path, refusal: Exception) -> list[str]:
     """Return the command for a source of which the answer is known and no file can be written."""
-    monkeypatch.setattr(sources, "reconcile_source", lambda *_, **__: _Answered(refusal))
+    monkeypatch.setattr(results, "reconcile_source", lambda *_, **__: _Answered(refusal))
     return ["reconcile", str(tmp_path / "session")]
 
 

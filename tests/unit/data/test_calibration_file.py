@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from radiometer.analysis.calibration.shared import require_camera, require_lens
 from radiometer.data import (
     BlackLevel,
     Calibration,
@@ -61,27 +62,27 @@ def test_a_written_calibration_reads_back_the_same(calibration, tmp_path):
 def test_another_camera_is_refused(calibration, change, named):
     """The message names what differs."""
     with pytest.raises(CalibrationError, match=named):
-        calibration.require_camera(CAMERA.model_copy(update=change))
+        require_camera(calibration, CAMERA.model_copy(update=change))
 
 
 def test_a_serial_number_fits_in_either_notation(calibration):
     """A file that was written with the label's number fits the camera that USB reports; another camera's does not."""
     known = replace(calibration, camera=CAMERA.model_copy(update={"serial": "20497219"}))
-    known.require_camera(CameraDescription(bit_depth=12, serial="0138C343"))
+    require_camera(known, CameraDescription(bit_depth=12, serial="0138C343"))
     with pytest.raises(CalibrationError, match="its serial is 20497219"):
-        known.require_camera(CameraDescription(bit_depth=12, serial="0138C344"))
+        require_camera(known, CameraDescription(bit_depth=12, serial="0138C344"))
 
 
 def test_what_is_unknown_is_not_compared(calibration):
     """A camera without a serial number is not refused for it."""
-    calibration.require_camera(CameraDescription(bit_depth=12))
+    require_camera(calibration, CameraDescription(bit_depth=12))
 
 
 def test_another_lens_is_refused(calibration):
     """A lens of another focal length has another transmittance and field."""
-    calibration.require_lens(LensDescription(f_number=8.0))
+    require_lens(calibration, LensDescription(f_number=8.0))
     with pytest.raises(CalibrationError, match="25 mm"):
-        calibration.require_lens(LensDescription(focal_length_mm=25.0))
+        require_lens(calibration, LensDescription(focal_length_mm=25.0))
 
 
 @pytest.mark.parametrize(("focal_mm", "taken"), [(16.16, True), (16.17, False), (15.85, True), (15.84, False)])
@@ -89,11 +90,11 @@ def test_a_focal_length_fits_within_a_hundredth(calibration, focal_mm, taken):
     """Of 16 mm, to either side; one that nobody knows is not compared."""
     lens = LensDescription(focal_length_mm=focal_mm)
     if taken:
-        calibration.require_lens(lens)
+        require_lens(calibration, lens)
     else:
         with pytest.raises(CalibrationError, match="made with a lens of 16 mm"):
-            calibration.require_lens(lens)
-    replace(calibration, lens=LensDescription()).require_lens(lens)
+            require_lens(calibration, lens)
+    require_lens(replace(calibration, lens=LensDescription()), lens)
 
 
 def test_it_goes_stale_after_its_validity(calibration):

@@ -55,7 +55,7 @@ def test_a_bracket_is_sorted_and_keeps_the_darks_apart(capture):
     """Light frames ascend in exposure; dark frames stand beside them."""
     bracket = CaptureSet.read(capture).bracket()
     assert bracket.effective_exposures_s.tolist() == [0.01, 0.02, 0.04]
-    assert len(bracket.dark_frames) == 1
+    assert len(bracket.dark) == 1
 
 
 def test_keys_of_other_programs_are_kept(capture):
@@ -194,7 +194,7 @@ def test_a_pattern_without_a_lit_frame_is_refused(capture):
     read = CaptureSet.read(capture)
     with pytest.raises(CaptureError, match="no frame of pattern 'inverted'"):
         read.bracket("inverted")
-    assert len(read.bracket("default").frames) == 3
+    assert len(read.bracket("default").light) == 3
 
 
 def test_a_bias_frame_needs_no_time(capture):

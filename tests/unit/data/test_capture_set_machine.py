@@ -145,10 +145,10 @@ class CaptureMachine(RuleBasedStateMachine):
                     found.bracket(pattern)
                 continue
             bracket = found.bracket(pattern)
-            exposures = [one.settings.exposure_s * 10 ** (one.settings.gain_db / 20) for one in bracket]
+            exposures = [one.settings.exposure_s * 10 ** (one.settings.gain_db / 20) for one in bracket.light]
             assert exposures == sorted(exposures)
             assert len(exposures) == len(own)
-            assert len(bracket.dark_frames) == sum(one.settings.is_dark for one in self.added)
+            assert len(bracket.dark) == sum(one.settings.is_dark for one in self.added)
 
 
 def test_a_capture_set_is_all_or_nothing() -> None:

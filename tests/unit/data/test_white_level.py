@@ -22,6 +22,7 @@ from radiometer.data import (
     SensorNoise,
 )
 from radiometer.data.pile_up import with_white_levels
+from radiometer.data.setup import Setup
 from radiometer.data.white_level import WhiteLevel, white_level_notes
 
 BITS, FULL, BLACK = 14, 16_383, 600
@@ -199,7 +200,7 @@ def merged(frames, sensor):
         noise=noise,
         black_level=BlackLevel(dn=float(BLACK)),
     )
-    return merge(Bracket.from_frames(with_white_levels(frames)), camera, LensDescription(), known)
+    return merge(Bracket.from_frames(with_white_levels(frames)), Setup(camera, LensDescription(), known))
 
 
 @pytest.mark.slow

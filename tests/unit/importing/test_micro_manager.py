@@ -55,7 +55,7 @@ def test_radiance_of_a_stack_follows_its_exposures(tmp_path, capsys):
     assert run(["import", str(RECORDED / "stack.ome.tiff"), "-o", str(tmp_path / "set")]) == 0
     assert "exposure_s from OME-XML" in capsys.readouterr().err
     stack = rm.read(tmp_path / "set")
-    assert [frame.settings.exposure_s for frame in stack.bracket.frames] == [0.005, 0.01, 0.02]
+    assert [frame.settings.exposure_s for frame in stack.bracket.light] == [0.005, 0.01, 0.02]
     header = tmp_path / "set" / "capture.yaml"
     said = yaml.safe_load(header.read_text())
     said["camera"]["black_level_dn"] = 100

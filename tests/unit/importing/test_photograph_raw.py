@@ -43,7 +43,7 @@ def test_raw_file_gives_the_sensors_values(tmp_path):
     pytest.importorskip("rawpy")
     _write_dng(tmp_path / "a.dng")
     (tmp_path / "exposures.txt").write_text("a.dng 0.5\n")
-    frames = [bracket.frames[0] for bracket in read_photographs(tmp_path, "each")]
+    frames = [bracket.light[0] for bracket in read_photographs(tmp_path, "each")]
     assert [np.unique(frame.dn).tolist() for frame in frames] == [[RED], [GREEN_1], [BLUE]]
     assert [frame.shape for frame in frames] == [(32, 48)] * 3
     assert {frame.bit_depth for frame in frames} == {12}
@@ -55,7 +55,7 @@ def test_raw_white_level_counts_as_saturated(tmp_path):
     pytest.importorskip("rawpy")
     _write_dng(tmp_path / "a.dng", scale=10.0, white=3800)
     (tmp_path / "exposures.txt").write_text("a.dng 0.5\n")
-    frame = read_photographs(tmp_path, "blue")[0].frames[0]
+    frame = read_photographs(tmp_path, "blue")[0].light[0]
     assert frame.saturated_dn == int(frame.dn.max()) == 3800
 
 
@@ -111,9 +111,9 @@ def test_each_colour_has_its_own_black(tmp_path):
     pytest.importorskip("rawpy")
     _write_mosaic(tmp_path / "a.dng", np.full((64, 96), 500, np.uint16), black=(60, 64, 66, 70))
     (tmp_path / "exposures.txt").write_text("a.dng 0.5\n")
-    levels = [bracket.frames[0].settings.black_level_dn for bracket in read_photographs(tmp_path, "each")]
+    levels = [bracket.light[0].settings.black_level_dn for bracket in read_photographs(tmp_path, "each")]
     assert levels == [60.0, 64.0, 70.0]
-    luminance = read_photographs(tmp_path, "luminance")[0].frames[0].settings.black_level_dn
+    luminance = read_photographs(tmp_path, "luminance")[0].light[0].settings.black_level_dn
     assert luminance == pytest.approx(0.299 * 60 + 0.587 * 64 + 0.114 * 70)
 
 
@@ -125,7 +125,7 @@ def test_an_x_trans_mosaic_is_read_by_cells_of_three(tmp_path):
     mosaic = (100 + place + 1000 * codes).astype(np.uint16)
     _write_mosaic(tmp_path / "a.dng", mosaic, X_TRANS)
     (tmp_path / "exposures.txt").write_text("a.dng 0.5\n")
-    frames = [bracket.frames[0].dn for bracket in read_photographs(tmp_path, "each")]
+    frames = [bracket.light[0].dn for bracket in read_photographs(tmp_path, "each")]
     for colour, dn in enumerate(frames):
         assert np.array_equal(dn, 100 + np.arange(20 * 24).reshape(20, 24) + 1000 * colour)
 
@@ -142,7 +142,7 @@ def test_colours_are_filled_in_for_pictures(tmp_path, pattern):
     (tmp_path / "exposures.txt").write_text("a.dng 0.5\n")
     brackets = read_photographs(tmp_path, "each", interpolated=True)
     for bracket, expected in zip(brackets, (500, 1000, 1500), strict=True):
-        frame = bracket.frames[0]
+        frame = bracket.light[0]
         assert frame.shape == (60, 96)
         assert frame.settings.black_level_dn == 0.0
         assert (
@@ -162,7 +162,7 @@ def test_a_colour_that_clips_says_nothing_of_the_others(tmp_path, pattern):
     mosaic[row, column] = 4095
     _write_mosaic(tmp_path / "a.dng", mosaic, pattern)
     (tmp_path / "exposures.txt").write_text("a.dng 0.5\n")
-    red, green, blue = (one.frames[0].dn.astype(int) for one in read_photographs(tmp_path, "each", interpolated=True))
+    red, green, blue = (one.light[0].dn.astype(int) for one in read_photographs(tmp_path, "each", interpolated=True))
     assert np.all(green[4:-4, 4:-4] == 4095)
     assert np.abs(blue[4:-4, 4:-4] - 1500).max() <= 8
     around = np.zeros(codes.shape, bool)

@@ -55,8 +55,8 @@ def test_memorial_list_holds_times_in_its_second_column(shared_data):
     """In the memorial list column 2 is the time: the first file, 32 s, is the brightest picture."""
     folder = shared_data / "stacks" / "memorial_film"
     bracket = read_photographs(folder, "green")[0]
-    assert [bracket.frames[0].settings.exposure_s, bracket.frames[-1].settings.exposure_s] == [1 / 1024, 32.0]
-    assert np.median(bracket.frames[-1].dn) > np.median(bracket.frames[0].dn)
+    assert [bracket.light[0].settings.exposure_s, bracket.light[-1].settings.exposure_s] == [1 / 1024, 32.0]
+    assert np.median(bracket.light[-1].dn) > np.median(bracket.light[0].dn)
 
 
 @pytest.mark.parametrize("line", ["a.png", "a.png soon", "a.png 0", "a.png -1/30", "a.png 1/0"])
@@ -72,23 +72,23 @@ def test_exif_dial_times_become_exact_stops(tmp_path):
     _jpeg(tmp_path, "a.jpg", 50, time=1 / 60, f_number=5.6)
     _jpeg(tmp_path, "b.jpg", 100, time=1 / 30, f_number=5.6)
     bracket = read_photographs(tmp_path, "red")[0]
-    assert [f.settings.exposure_s for f in bracket] == [2.0**-6, 2.0**-5]
-    assert bracket.frames[0].settings.f_number == pytest.approx(2**2.5)
-    assert bracket.frames[0].extra["nominal_exposure_s"] == pytest.approx(1 / 60)
+    assert [f.settings.exposure_s for f in bracket.light] == [2.0**-6, 2.0**-5]
+    assert bracket.light[0].settings.f_number == pytest.approx(2**2.5)
+    assert bracket.light[0].extra["nominal_exposure_s"] == pytest.approx(1 / 60)
 
 
 def test_exif_times_off_the_dial_stay_as_they_are(tmp_path):
     """A telephone's 1/3021 s is no dial value and is not moved to the next third of a stop."""
     _jpeg(tmp_path, "a.jpg", 50, time=1 / 3021)
     assert not is_dial_time(1 / 3021)
-    assert read_photographs(tmp_path, "red")[0].frames[0].settings.exposure_s == pytest.approx(1 / 3021, rel=1e-4)
+    assert read_photographs(tmp_path, "red")[0].light[0].settings.exposure_s == pytest.approx(1 / 3021, rel=1e-4)
 
 
 def test_higher_iso_counts_as_gain(tmp_path):
     """Twice the ISO speed is a gain of 6.02 dB relative to the lowest one in the folder."""
     _jpeg(tmp_path, "a.jpg", 50, time=0.1, iso=100)
     _jpeg(tmp_path, "b.jpg", 100, time=0.1, iso=200)
-    gains = [f.settings.gain_db for f in read_photographs(tmp_path, "green")[0]]
+    gains = [f.settings.gain_db for f in read_photographs(tmp_path, "green")[0].light]
     assert gains == pytest.approx([0.0, 6.0206], abs=1e-4)
 
 
@@ -97,8 +97,8 @@ def test_each_channel_is_a_bracket_of_its_own(tmp_path):
     _jpeg(tmp_path, "a.jpg", 80, time=0.1)
     _jpeg(tmp_path, "b.jpg", 160, time=0.2)
     brackets = read_photographs(tmp_path, "each")
-    assert [b.frames[0].extra["channel"] for b in brackets] == ["red", "green", "blue"]
-    assert [int(np.median(b.frames[1].dn)) for b in brackets] == pytest.approx([160, 80, 40], abs=2)
+    assert [b.light[0].extra["channel"] for b in brackets] == ["red", "green", "blue"]
+    assert [int(np.median(b.light[1].dn)) for b in brackets] == pytest.approx([160, 80, 40], abs=2)
 
 
 def test_luminance_is_luma_and_saturated_where_a_channel_is(tmp_path):
@@ -107,7 +107,7 @@ def test_luminance_is_luma_and_saturated_where_a_channel_is(tmp_path):
     image[:4], image[4:] = (10, 100, 200), (0, 0, 255)  # blue, green, red
     cv2.imwrite(str(tmp_path / "a.png"), image)
     (tmp_path / "exposures.txt").write_text("a.png 1\n")
-    luma = read_photographs(tmp_path, "luminance")[0].frames[0].dn
+    luma = read_photographs(tmp_path, "luminance")[0].light[0].dn
     assert int(luma[0, 0]) == round(0.299 * 200 + 0.587 * 100 + 0.114 * 10)
     assert int(luma[7, 0]) == 255
 
@@ -119,7 +119,7 @@ def test_sixteen_bit_files_keep_their_values(tmp_path):
     (tmp_path / "exposures.txt").write_text("a.png 1\nb.tif 2\n")
     bracket = read_photographs(tmp_path)[0]
     assert bracket.bit_depth == 16
-    assert {int(f.dn[0, 0]) for f in bracket} == {40_000}
+    assert {int(f.dn[0, 0]) for f in bracket.light} == {40_000}
 
 
 def test_a_palette_of_greys_is_grey(tmp_path):
@@ -132,7 +132,7 @@ def test_a_palette_of_greys_is_grey(tmp_path):
         image.save(tmp_path / name)
     (tmp_path / "exposures.txt").write_text("a.png 1\nb.tif 2\n")
     (bracket,) = read_photographs(tmp_path, "each")
-    for frame in bracket:
+    for frame in bracket.light:
         assert np.array_equal(frame.dn, 255 - pictures[frame.extra["file"]])
 
 
@@ -142,7 +142,7 @@ def test_a_png_called_a_jpeg_keeps_its_sixteen_bits(tmp_path):
     (tmp_path / "a.png").rename(tmp_path / "a.jpg")
     (tmp_path / "exposures.txt").write_text("a.jpg 1\n")
     (bracket,) = read_photographs(tmp_path)
-    assert (bracket.bit_depth, int(bracket.frames[0].dn[0, 0])) == (16, 40_000)
+    assert (bracket.bit_depth, int(bracket.light[0].dn[0, 0])) == (16, 40_000)
 
 
 def _palette_of_colours(folder: Path) -> None:
@@ -281,7 +281,7 @@ def test_photographs_that_a_list_does_not_name_are_said_to_be_left_out(tmp_path,
     for name in ("a.png", "b.png", "c.png"):
         _grey(tmp_path, name, 100 + ord(name[0]))
     (tmp_path / "exposures.txt").write_text("a.png 1\nc.png 4\n")
-    assert len(read_photographs(tmp_path)[0]) == 2
+    assert len(read_photographs(tmp_path)[0].light) == 2
     said = capsys.readouterr().err
     assert "b.png" in said
     assert "a.png" not in said
@@ -293,7 +293,7 @@ def test_umlauts_are_one_letter_or_two_marks(tmp_path):
     _grey(tmp_path, "x.png", 100)
     (tmp_path / "x.png").rename(tmp_path / stored)
     (tmp_path / "exposures.txt").write_text(f"{listed} 0.5\n", encoding="utf-8")
-    assert read_photographs(tmp_path)[0].frames[0].settings.exposure_s == 0.5
+    assert read_photographs(tmp_path)[0].light[0].settings.exposure_s == 0.5
 
 
 @pytest.mark.parametrize("encoding", ["cp1252", "utf-16"])
@@ -314,7 +314,7 @@ def test_a_copy_of_a_photograph_is_refused(tmp_path):
         read_photographs(tmp_path)
     for name in ("b.png", "c.png"):
         _grey(tmp_path, name, 3)
-    assert len(read_photographs(tmp_path)[0]) == 3
+    assert len(read_photographs(tmp_path)[0].light) == 3
 
 
 def test_times_of_a_camera_without_a_dial_stand_for_no_stops(tmp_path):
@@ -323,7 +323,7 @@ def test_times_of_a_camera_without_a_dial_stand_for_no_stops(tmp_path):
         (tmp_path / folder).mkdir()
         _jpeg(tmp_path / folder, "a.jpg", 50, time=1 / 60)
         _jpeg(tmp_path / folder, "b.jpg", 100, time=other)
-        times = {f.extra["file"]: f.settings.exposure_s for f in read_photographs(tmp_path / folder, "red")[0]}
+        times = {f.extra["file"]: f.settings.exposure_s for f in read_photographs(tmp_path / folder, "red")[0].light}
         assert times["a.jpg"] == pytest.approx(expected, rel=1e-6)
         assert times["b.jpg"] == pytest.approx(other, rel=1e-4)
 
@@ -332,7 +332,7 @@ def test_a_photograph_without_an_iso_speed_among_several_speeds_is_refused(tmp_p
     """At ISO 100 and 200 one that states none may be either; where all others state one speed it counts for nothing."""
     for name, level, iso in (("a.jpg", 50, 100), ("b.jpg", 100, None), ("c.jpg", 200, 100)):
         _jpeg(tmp_path, name, level, time=level / 400, iso=iso)
-    assert {f.settings.gain_db for f in read_photographs(tmp_path, "red")[0]} == {0.0}
+    assert {f.settings.gain_db for f in read_photographs(tmp_path, "red")[0].light} == {0.0}
     _jpeg(tmp_path, "c.jpg", 200, time=0.5, iso=200)
     with pytest.raises(CaptureError, match=r"b\.jpg states no ISO speed, others 100 to 200; leave it out"):
         read_photographs(tmp_path, "red")

@@ -18,7 +18,7 @@ from radiometer.data import CaptureSet, ResponseCurve
 from radiometer.screen.calibration import LUMINANCE, ScreenCalibration
 from tests.unit.reports import inputs
 
-# Not corrected yet: darks in a calibration, white levels below full scale, logs that show nothing.
+# Not corrected yet: white levels below full scale, logs that show nothing.
 OPEN = pytest.mark.xfail(reason="known to be wrong", strict=False)
 SHORTS, RATIONALS = (50713, "H", 2, (2, 2), True), (50714, "2I", 4, (256, 1) * 4, True)
 SERIES, CHANNELS_FIRST = [(0, t) for t in range(4)], [(0, 0), (0, 1), (1, 0), (1, 1)]
@@ -212,7 +212,6 @@ def test_tables_are_read_in_the_encodings_of_meters_and_spreadsheets(encoding, t
     assert curve.at(255, LUMINANCE).value == pytest.approx(230.2, rel=1e-3)
 
 
-@OPEN
 def test_dark_frames_of_a_set_count_when_it_is_calibrated(tmp_path, capsys):
     """The frames that were calibrated at 1 W·sr⁻¹·m⁻² read 1.00 (DaveStrickland/AstroPhotography/issues/5)."""
     folder = inputs.fits_frames(tmp_path / "f", lambda s: {"EXPTIME": s}, level=44_000.0, dark=4_000.0)

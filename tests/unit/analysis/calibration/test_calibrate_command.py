@@ -12,6 +12,7 @@ import pytest
 from radiometer.analysis.reading.reading import read_patch
 from radiometer.cli.main import run
 from radiometer.data import Calibration, CaptureSetWriter, Patch, PatchDescription, ResponseCurve
+from radiometer.data.setup import Setup
 
 METER = ["--luminance-meter-k", "16.5", "--f-number", "16", "--exposure", "1/125", "--iso", "136"]
 
@@ -45,7 +46,7 @@ def test_a_scale_from_a_known_source_reads_other_patches_right(rig, capture, tmp
     assert calibration.scale.value == pytest.approx(rig.true_scale, rel=0.002)
     assert calibration.scale.u_rel == pytest.approx(math.hypot(0.004, 0.001), rel=0.1)
     frames = rig.frames(np.full((24, 24), radiance / 10), np.random.default_rng(2), (1e-3, 2e-3, 4e-3, 8e-3, 8e-3))
-    reading = read_patch(frames, Patch(0, 0, 24, 24), calibration, rig.description, rig.lens)
+    reading = read_patch(frames, Patch(0, 0, 24, 24), Setup(rig.description, rig.lens, calibration))
     assert abs(reading.radiance.value - radiance / 10) < 2 * reading.radiance.u
     assert reading.flags == ()
 
@@ -212,7 +213,7 @@ def test_a_spectrum_that_nobody_states_is_known_to_43_percent(capture, tmp_path,
 def test_stated_uncertainties_reach_the_file(capture, tmp_path, capsys):
     """What the user knows better takes the default's place; a name that there is not is refused with all names."""
     folder, _ = capture
-    command = ["calibrate", str(folder), "-o", str(tmp_path / "cal.yaml")]
+    command = ["calibrate", str(folder), "-o", str(tmp_path / "cal.yaml"), "--force"]
     assert run([*command, "--stated", "glare_u=0.002"]) == 0
     assert Calibration.read(tmp_path / "cal.yaml").uncertainties.glare_u == 0.002
     assert run([*command, "--stated", "glare=0.002"]) == 2
@@ -255,7 +256,9 @@ def test_the_scale_holds_for_the_spectrum_that_it_was_made_with(rig, capture, tm
     made = Calibration.read(tmp_path / "cal.yaml")
     frames = rig.frames(np.full((24, 24), radiance), np.random.default_rng(2), (1e-3,) * 5)
     read = [
-        read_patch(frames, Patch(2, 2, 20, 20), replace(made, spectrum=name), rig.description, rig.lens).radiance.value
+        read_patch(
+            frames, Patch(2, 2, 20, 20), Setup(rig.description, rig.lens, replace(made, spectrum=name))
+        ).radiance.value
         for name in ("line:500", "line:600")
     ]
     assert read[1] / read[0] == pytest.approx(0.5, rel=1e-9)

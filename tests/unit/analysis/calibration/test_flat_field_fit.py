@@ -21,6 +21,7 @@ from radiometer.data import (
     Patch,
     RadianceMap,
 )
+from radiometer.data.setup import Setup
 from radiometer.errors import CalibrationError, MeasurementError
 
 SHAPE = (120, 160)
@@ -154,10 +155,10 @@ def test_the_command_fits_stores_and_applies_it(rig, tmp_path, capsys):
     assert report["flat_field"]["shape"] == list(SHAPE)
     calibration = Calibration.read(tmp_path / "cal.yaml")
     frames = [rig.frame(0.3 * radiance * sensitivity, 1e-3, rng) for _ in range(4)]
-    reading = read_patch(frames, Patch(2, 100, 16, 16), calibration, camera, lens)
+    reading = read_patch(frames, Patch(2, 100, 16, 16), Setup(camera, lens, calibration))
     assert abs(reading.radiance.value - 0.3 * radiance) < 2 * reading.radiance.u
     assert reading.radiance.u_rel < 0.006
-    found = merge(Bracket.from_frames(frames), camera, lens, calibration)
+    found = merge(Bracket.from_frames(frames), Setup(camera, lens, calibration))
     tiles = found.radiance.reshape(12, 10, 16, 10).mean(axis=(1, 3)) / (0.3 * radiance)
     np.testing.assert_allclose(tiles, 1.0, atol=0.006)
 
@@ -168,9 +169,9 @@ def test_a_flat_field_of_another_size_is_refused(rig):
     flat = fit_flat_field(even_map(falloff()), camera, lens)
     frames = rig.frames(np.full((20, 20), rig.radiance_of_full_scale(1e-3) / 2), np.random.default_rng(1), (1e-3,))
     with pytest.raises(CalibrationError, match="160 × 120"):
-        read_patch(frames, Patch(0, 0, 9, 9), rig.calibration(flat_field=flat), rig.description, rig.lens)
+        read_patch(frames, Patch(0, 0, 9, 9), Setup(rig.description, rig.lens, rig.calibration(flat_field=flat)))
     with pytest.raises(CalibrationError, match="160 × 120"):
-        merge(frames, rig.description, rig.lens, rig.calibration(flat_field=flat))
+        merge(frames, Setup(rig.description, rig.lens, rig.calibration(flat_field=flat)))
 
 
 def test_coefficients_are_told_at_half_the_diagonal(rig):

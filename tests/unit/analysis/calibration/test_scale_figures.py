@@ -26,6 +26,7 @@ from radiometer.analysis.signal import situation
 from radiometer.analysis.signal.lens import lens_factor_sr, lens_in_use, relative_sensitivity
 from radiometer.data import (
     BlackLevel,
+    Bracket,
     Calibration,
     CameraDescription,
     FlatField,
@@ -36,6 +37,7 @@ from radiometer.data import (
     SpectralResponse,
     StatedUncertainties,
 )
+from radiometer.data.setup import Setup
 from radiometer.errors import CalibrationError, InputError, MeasurementError
 
 PATCH = Patch(1, 1, 10, 10)
@@ -60,8 +62,8 @@ def test_a_scale_knows_from_how_few_frames_it_is(rig, source_u_rel, times):
     light = 0.5 * rig.radiance_of_full_scale(1e-3)
     frames = [rig.frame(np.full((12, 12), light * (1 + e)), 1e-3, rng) for e in (0.05, -0.05, 0.02, -0.02)]
     base = rig.calibration(uncertainties=NOTHING, black_level=BlackLevel(dn=64.0, u_dn=0.0, dark_u_rel=0.0))
-    own = scale_by_source(base, frames, PATCH, KnownSource(light, 0.0))
-    found = scale_by_source(base, frames, PATCH, KnownSource(light, source_u_rel * own.u_rel))
+    own = scale_by_source(base, Bracket.from_frames(frames), PATCH, KnownSource(light, 0.0))
+    found = scale_by_source(base, Bracket.from_frames(frames), PATCH, KnownSource(light, source_u_rel * own.u_rel))
     assert found.degrees_of_freedom == pytest.approx(3.0 * times, rel=0.02)
     assert found.u_rel == pytest.approx(own.u_rel * math.sqrt(1.0 + source_u_rel**2))
     assert found.value == pytest.approx(1.0, rel=0.01)  # the base has it right already
@@ -73,7 +75,7 @@ def test_a_source_that_clips_makes_no_scale(rig):
         np.full((12, 12), 2.0 * rig.radiance_of_full_scale(1e-3)), np.random.default_rng(1), (1e-3,) * 3
     )
     with pytest.raises(MeasurementError, match="saturated"):
-        scale_by_source(rig.calibration(), frames, PATCH, KnownSource(1.0, 0.0))
+        scale_by_source(rig.calibration(), Bracket.from_frames(frames), PATCH, KnownSource(1.0, 0.0))
 
 
 RESPONSE = SpectralResponse(wavelength_nm=(300.0, 1000.0), relative=(300.0, 1000.0), u_rel=0.02, source="hand")
@@ -93,7 +95,7 @@ def test_a_camera_that_sees_a_colour_better_needs_less_of_it(used, factor):
     """Of photons: at 800 nm a watt gives twice the signal of 400 nm, where the scale was got; it is halved."""
     response = SpectralResponse(wavelength_nm=(100.0, 1000.0), relative=(100.0, 1000.0), source="hand")
     calibration = spectral("line:400", used, response)
-    found = situation.situation_of(calibration, calibration.camera, calibration.lens)
+    found = situation.situation_of(Setup(calibration.camera, calibration.lens, calibration))
     assert found.scale == pytest.approx(2.0 * factor)
     assert any("mismatch factor" in one for one in found.assumptions) is (factor != 1.0)
 
@@ -164,10 +166,11 @@ def test_what_all_readings_of_a_map_share(rig):
         principal_point_px=(8.0, 8.0), radius_px=12.0, coefficients=(0.0, 0.0, 0.0), shape=(16, 16), u_rel=0.1
     )
     calibration = rig.calibration(u_rel=0.2, uncertainties=stated, flat_field=flat)
-    settled = situation.situation_of(calibration, calibration.camera, calibration.lens)
+    settled = situation.situation_of(Setup(calibration.camera, calibration.lens, calibration))
     parts = (0.01, 0.02, 0.2, 0.04, 0.1)
-    assert situation.common_u_rel(settled, calibration) == pytest.approx(math.sqrt(sum(u**2 for u in parts)))
-    assert situation.common_u_rel(settled, None) == pytest.approx(math.hypot(0.01, 0.02))
+    assert situation.common_u_rel(settled) == pytest.approx(math.sqrt(sum(u**2 for u in parts)))
+    alone = replace(settled, setup=Setup(calibration.camera, calibration.lens))
+    assert situation.common_u_rel(alone) == pytest.approx(math.hypot(0.01, 0.02))
     assert situation.flat_field_for(calibration, (16, 16)) is flat
     with pytest.raises(CalibrationError, match="16 × 16"):
         situation.flat_field_for(calibration, (12, 16))

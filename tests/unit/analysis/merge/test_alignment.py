@@ -97,7 +97,7 @@ def test_moved_values_are_those_of_the_scene(waves):
     still, moved = _photograph(waves, _place(0.0, 0.0), 8.0), _photograph(waves, place, 8.0)
     shape = (HEIGHT, WIDTH)
     back, absent = aligned(Bracket.from_frames([moved]), Alignment((Movement(place),), 0, shape))
-    shown = back.frames[0].dn.astype(int)
+    shown = back.light[0].dn.astype(int)
     seen = ~absent[0]
     gap = np.abs(shown - still.dn)[seen]
     assert gap.max() <= 5
@@ -173,7 +173,7 @@ def test_what_all_frames_show_is_left_by_the_largest_displacement():
     for shift, rim in ((7.2, 9), (-7.2, 9), (500.0, 15)):
         alignment = Alignment((still(0.0), still(shift)), 0, (60, 80))
         trimmed = alignment.trimmed(Bracket.from_frames(frames))
-        for one, frame in zip(trimmed, frames, strict=True):
+        for one, frame in zip(trimmed.light, frames, strict=True):
             np.testing.assert_array_equal(one.dn, frame.dn[rim : 60 - rim, rim : 80 - rim])
 
 

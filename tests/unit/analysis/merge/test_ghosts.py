@@ -19,6 +19,7 @@ from radiometer.data import (
     Scale,
     SensorNoise,
 )
+from radiometer.data.setup import Setup
 
 E_PER_DN, READ_E, BLACK, SHAPE = 2.6, 2.4, 64.0, (60, 80)
 CAMERA = CameraDescription(
@@ -79,7 +80,7 @@ def passer_by():
 def test_what_moved_is_left_out(passer_by):
     """Where something stood the map holds the scene behind it, with a true uncertainty, and the mask says so."""
     scene, bracket, stood = passer_by
-    found = merge(bracket, CAMERA, LENS, _calibration(), without_ghosts=True)
+    found = merge(bracket, Setup(CAMERA, LENS, _calibration()), without_ghosts=True)
     assert np.mean(found.mask[stood] & PixelMask.MOVED > 0) > 0.9
     assert np.mean(found.mask[~stood] & PixelMask.MOVED > 0) < 0.002
     z = _z(found, scene)
@@ -92,7 +93,7 @@ def test_what_moved_is_left_out(passer_by):
 def test_without_leaving_out_frames_only_disagree(passer_by):
     """The plain merge says that frames disagree there, and is wrong by far more than its noise."""
     scene, bracket, stood = passer_by
-    found = merge(bracket, CAMERA, LENS, _calibration())
+    found = merge(bracket, Setup(CAMERA, LENS, _calibration()))
     assert not np.any(found.mask & PixelMask.MOVED)
     assert np.mean(found.mask[stood] & PixelMask.INCONSISTENT > 0) > 0.9
     assert np.sqrt(np.mean(_z(found, scene)[stood] ** 2)) > 10.0
@@ -101,10 +102,10 @@ def test_without_leaving_out_frames_only_disagree(passer_by):
 def test_fewer_frames_cost_noise(passer_by):
     """The uncertainty of a pixel that lost a frame is that of the frames that are left."""
     scene, bracket, _ = passer_by
-    found = merge(bracket, CAMERA, LENS, _calibration(), without_ghosts=True)
+    found = merge(bracket, Setup(CAMERA, LENS, _calibration()), without_ghosts=True)
     place = (slice(22, 38), slice(37, 48))  # something stood here in the fourth frame
-    rest = Bracket.from_frames([f for k, f in enumerate(bracket) if k != 3])
-    alone = merge(rest, CAMERA, LENS, _calibration())
+    rest = Bracket.from_frames([f for k, f in enumerate(bracket.light) if k != 3])
+    alone = merge(rest, Setup(CAMERA, LENS, _calibration()))
     same = (found.mask[place] & PixelMask.MOVED > 0) & (np.abs(scene[place] / scene[22, 37] - 1.0) < 10.0)
     assert same.mean() > 0.95
     assert np.median(found.u_radiance[place][same] / alone.u_radiance[place][same]) == pytest.approx(1.0, abs=1e-3)
@@ -118,7 +119,7 @@ def test_two_frames_against_each_other_stay_doubtful():
     other = scene.copy()
     other[10:20, 10:20] *= 0.5
     bracket = Bracket.from_frames([_frame(rng, scene, 0.01), _frame(rng, other, 0.02)])
-    found = merge(bracket, CAMERA, LENS, _calibration(), without_ghosts=True)
+    found = merge(bracket, Setup(CAMERA, LENS, _calibration()), without_ghosts=True)
     inside = found.mask[11:19, 11:19]
     assert np.all(inside & PixelMask.INCONSISTENT)
     assert np.all(inside & PixelMask.MOVED)
@@ -133,7 +134,7 @@ def test_a_frame_that_clips_contradicts_what_is_dark():
     lit = scene.copy()
     lit[10:20, 10:20] *= 100.0
     frames = [_frame(rng, scene, 0.01), _frame(rng, scene, 0.02), _frame(rng, lit, 0.04), _frame(rng, scene, 0.08)]
-    found = merge(Bracket.from_frames(frames), CAMERA, LENS, _calibration(), without_ghosts=True)
+    found = merge(Bracket.from_frames(frames), Setup(CAMERA, LENS, _calibration()), without_ghosts=True)
     assert np.all(found.mask[11:19, 11:19] == PixelMask.MOVED)
     assert np.sqrt(np.mean(_z(found, scene)[11:19, 11:19] ** 2)) == pytest.approx(1.0, abs=0.25)
 
@@ -157,7 +158,7 @@ def test_what_a_frame_does_not_show_is_not_missed():
     falloff = 1.0 - 0.3 * ((x - 40.0) ** 2 + (y - 30.0) ** 2) / 50.0**2
     for known, truth in ((None, scene), (flat, scene / falloff)):
         found = merge(
-            Bracket.from_frames(frames), CAMERA, LENS, _calibration(known), absent=absent, without_ghosts=True
+            Bracket.from_frames(frames), Setup(CAMERA, LENS, _calibration(known)), absent=absent, without_ghosts=True
         )
         assert np.mean(found.mask == 0) > 0.995
         edge = _z(found, truth)[absent[0] | absent[2] | absent[4]]

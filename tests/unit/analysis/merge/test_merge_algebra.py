@@ -26,6 +26,7 @@ from radiometer.data import (
     Scale,
     SensorNoise,
 )
+from radiometer.data.setup import Setup
 from radiometer.errors import MeasurementError
 
 BLACK, GAIN_E, READ_E = 100.0, 2.5, 5.0
@@ -49,7 +50,7 @@ def frame(dn, exposure_s=1.0, gain_db=0.0, shape=(4, 4), **more):
 
 
 def terms_with(darks):
-    situation = situation_of(CALIBRATION, CAMERA, LENS)
+    situation = situation_of(Setup(CAMERA, LENS, CALIBRATION))
     return frame_terms(FrameSettings(1.0), situation, darks, through_lens=False)
 
 
@@ -72,7 +73,7 @@ def test_the_noise_of_the_dark_mean_is_in_u():
 def test_what_differs_by_a_seventh_is_marked_and_by_a_hundredth_is_not():
     """One of four frames brighter by 15 %, 13 standard deviations, is a contradiction; by 1 % it is none."""
     shown = [
-        merge([*([frame(3100)] * 3), frame(100 + round(3000 * more))], CAMERA, LENS, CALIBRATION).mask[0, 0]
+        merge([*([frame(3100)] * 3), frame(100 + round(3000 * more))], Setup(CAMERA, LENS, CALIBRATION)).mask[0, 0]
         for more in (1.15, 1.01)
     ]
     assert shown == [PixelMask.INCONSISTENT, 0]
@@ -84,7 +85,7 @@ def test_the_black_level_s_error_counts_as_it_shifts_the_value():
 
     def of(dn, u):
         level = BlackLevel(dn=dn, u_dn=u, dark_u_rel=0.0)
-        return merge(frames, CAMERA, LENS, replace(CALIBRATION, black_level=level))
+        return merge(frames, Setup(CAMERA, LENS, replace(CALIBRATION, black_level=level)))
 
     known, doubted, shifted = of(BLACK, 0.0), of(BLACK, 2.0), of(BLACK + 2.0, 0.0)
     added = float(doubted.u_radiance[0, 0]) ** 2 - float(known.u_radiance[0, 0]) ** 2
@@ -94,7 +95,7 @@ def test_the_black_level_s_error_counts_as_it_shifts_the_value():
 
 def test_noise_reaches_to_two_of_its_standard_deviations():
     """Signals of 4 and 5 DN are 1.7 and 2.04 u: the first is marked BELOW_NOISE, the second not."""
-    found = merge([frame([[104, 105, 106]])], CAMERA, LENS, CALIBRATION)
+    found = merge([frame([[104, 105, 106]])], Setup(CAMERA, LENS, CALIBRATION))
     ratios = found.radiance[0] / found.u_radiance[0]
     assert ratios == pytest.approx([s / np.sqrt(READ_E**2 / 6.25 + 1 / 12 + s / 2.5) for s in (4, 5, 6)], rel=1e-3)
     assert [bool(m & PixelMask.BELOW_NOISE) for m in found.mask[0]] == [bool(r < 2.0) for r in ratios]
@@ -105,7 +106,7 @@ def test_noise_reaches_to_two_of_its_standard_deviations():
 def test_u_is_in_the_unit_of_the_map_where_sensitivity_differs():
     """Under a flat field u over value is the same in the middle and in the corner of an even frame."""
     flat = FlatField(principal_point_px=(0.0, 0.0), radius_px=30.0, coefficients=(-0.3, 0.0, 0.0), shape=(24, 24))
-    found = merge([frame(1100, shape=(24, 24))], CAMERA, LENS, replace(CALIBRATION, flat_field=flat))
+    found = merge([frame(1100, shape=(24, 24))], Setup(CAMERA, LENS, replace(CALIBRATION, flat_field=flat)))
     relative = found.u_radiance / found.radiance
     assert found.radiance[23, 23] / found.radiance[0, 0] > 1.2
     assert relative.max() == pytest.approx(relative.min(), rel=1e-5)
@@ -114,8 +115,8 @@ def test_u_is_in_the_unit_of_the_map_where_sensitivity_differs():
 def test_found_errors_of_the_camera_are_corrected_in_maps_too():
     """0.1 s more than stated at 1 s, and 20 DN more black: 1000 DN over black are 980 in 1.1 s."""
     found = FoundEffects(exposure_offset_s=0.1, black_offset_dn=20.0)
-    plain = merge([frame(1100)], CAMERA, LENS, CALIBRATION).radiance[0, 0]
-    corrected = merge([frame(1100)], CAMERA, LENS, replace(CALIBRATION, found=found)).radiance[0, 0]
+    plain = merge([frame(1100)], Setup(CAMERA, LENS, CALIBRATION)).radiance[0, 0]
+    corrected = merge([frame(1100)], Setup(CAMERA, LENS, replace(CALIBRATION, found=found))).radiance[0, 0]
     assert corrected / plain == pytest.approx(0.98 / 1.1, rel=1e-5)
 
 
@@ -123,7 +124,7 @@ def test_the_doubts_of_gain_and_stop_are_common_to_the_map():
     """1 % of a gain that the calibration did not have, 4 % (2 · 2 %) of another f-number: in every pixel alike."""
     base = replace(CALIBRATION, scale=CALIBRATION.scale.model_copy(update={"f_number": 4.0}))
     plain, amplified, stopped = (
-        merge([frame(1100, 1.0, gain_db, f_number=number)], CAMERA, LENS, base).u_rel_common
+        merge([frame(1100, 1.0, gain_db, f_number=number)], Setup(CAMERA, LENS, base)).u_rel_common
         for gain_db, number in ((0.0, 4.0), (6.0, 4.0), (0.0, 8.0))
     )
     assert np.sqrt(amplified**2 - plain**2) == pytest.approx(0.01, rel=1e-3)
@@ -133,7 +134,7 @@ def test_the_doubts_of_gain_and_stop_are_common_to_the_map():
 @pytest.mark.parametrize(("short_dn", "rate"), [(20, 20.0), (23, 20.245)])
 def test_two_frames_are_weighed_as_least_squares_would(short_dn, rate):
     """Of 1 and 8 s, x and 160 DN over black: Σt·x/v over Σt²/v, and u² = 1/Σt²/v with v = (σ² + e)/K² + 1/12."""
-    found = merge([frame(100 + short_dn, 1.0), frame(260, 8.0)], CAMERA, LENS, CALIBRATION)
+    found = merge([frame(100 + short_dn, 1.0), frame(260, 8.0)], Setup(CAMERA, LENS, CALIBRATION))
     t, x = np.array([1.0, 8.0]), np.array([short_dn, 160.0])
     v = (READ_E**2 + rate * t * GAIN_E) / GAIN_E**2 + 1 / 12
     information = float((t**2 / v).sum())
@@ -175,7 +176,7 @@ def test_rounding_behind_a_curve_is_the_scatter_that_u_states(gain_db):
     gain = 10.0 ** (gain_db / 20.0)
     truth = np.linspace(20.0, 60.0, 10_000).reshape(100, 100) / gain
     numbers = np.rint(FULL * (truth * gain / FULL) ** (1 / 2.2)).astype(np.uint8)
-    found = merge([Frame(numbers, 8, FrameSettings(1.0, gain_db))], camera, LENS, calibration)
+    found = merge([Frame(numbers, 8, FrameSettings(1.0, gain_db))], Setup(camera, LENS, calibration))
     unit = np.median(found.radiance / truth)
     pull = (found.radiance / unit - truth) / (found.u_radiance / unit)
     assert np.sqrt(np.mean(pull**2)) == pytest.approx(1.0, abs=0.05)
@@ -185,7 +186,7 @@ def test_the_curve_s_own_uncertainty_is_in_every_pixel():
     """3 % of the curve, beside rounding of some per mille."""
     for u, expected in ((1e-6, 0.0), (0.03, 0.03)):
         camera, calibration = behind_a_curve(u)
-        found = merge([Frame(np.full((4, 4), 200, np.uint8), 8, FrameSettings(1.0))], camera, LENS, calibration)
+        found = merge([Frame(np.full((4, 4), 200, np.uint8), 8, FrameSettings(1.0))], Setup(camera, LENS, calibration))
         assert found.u_radiance[0, 0] / found.radiance[0, 0] == pytest.approx(expected, abs=4e-3)
 
 
@@ -194,7 +195,7 @@ def test_two_frames_behind_a_curve_are_weighed_by_its_slope():
     camera, calibration = behind_a_curve()
     t, dn = np.array([1.0, 8.0]), np.array([30.0, 77.0])
     frames = [Frame(np.full((2, 2), m, np.uint8), 8, FrameSettings(s)) for s, m in zip(t, dn, strict=True)]
-    found = merge(frames, camera, LENS, calibration)
+    found = merge(frames, Setup(camera, LENS, calibration))
     slope = 2.2 * (dn / FULL) ** 1.2
     expected = float((12.0 * t**2 / slope**2).sum()) ** -0.5
     assert found.radiance[0, 0] == pytest.approx(FULL * (30 / FULL) ** 2.2, rel=0.02)
@@ -207,7 +208,7 @@ def test_white_and_black_behind_a_curve_are_told_apart():
     numbers = np.array([[255, 0, 128]], np.uint8)
     frames = [Frame(numbers, 8, FrameSettings(t)) for t in (1.0, 1.0)]
     for source in (frames, Bracket.from_frames(frames)):
-        assert merge(source, camera, LENS, calibration).mask[0].tolist() == [
+        assert merge(source, Setup(camera, LENS, calibration)).mask[0].tolist() == [
             PixelMask.SATURATED, PixelMask.BELOW_NOISE, 0,
         ]  # fmt: skip
 
@@ -215,7 +216,9 @@ def test_white_and_black_behind_a_curve_are_told_apart():
 def test_what_no_frame_shows_is_as_doubtful_as_large():
     """Clipped everywhere it is at least the end of the curve, black everywhere at most its first number, u as large."""
     camera, calibration = behind_a_curve()
-    found = merge([Frame(np.array([[255, 0, 250, 5]], np.uint8), 8, FrameSettings(1.0))] * 2, camera, LENS, calibration)
+    found = merge(
+        [Frame(np.array([[255, 0, 250, 5]], np.uint8), 8, FrameSettings(1.0))] * 2, Setup(camera, LENS, calibration)
+    )
     white, black, high, low = found.radiance[0]
     assert white > high > low > black > 0.0
     assert found.u_radiance[0, :2] == pytest.approx([white, black], rel=1e-6)
@@ -224,8 +227,8 @@ def test_what_no_frame_shows_is_as_doubtful_as_large():
 
 def test_a_frame_that_clips_near_its_end_raises_the_value():
     """Beside a frame just below clipping at 1 s, one that clips at 1.05 s says "at least so much", never less."""
-    lone = merge([frame(3900)], CAMERA, LENS, CALIBRATION).radiance[0, 0]
-    heard = merge([frame(3900), frame(4095, 1.05)], CAMERA, LENS, CALIBRATION).radiance[0, 0]
+    lone = merge([frame(3900)], Setup(CAMERA, LENS, CALIBRATION)).radiance[0, 0]
+    heard = merge([frame(3900), frame(4095, 1.05)], Setup(CAMERA, LENS, CALIBRATION)).radiance[0, 0]
     assert lone < heard < lone * 1.02
 
 
@@ -235,7 +238,7 @@ def test_a_level_above_the_curve_s_data_is_extrapolated(short, beyond):
     camera, calibration = behind_a_curve(valid=(2, 200), u=0.05)
     numbers = ((short, 0.5), (200, 1.0))
     frames = [Frame(np.full((2, 2), number, np.uint8), 8, FrameSettings(t)) for number, t in numbers]
-    mask = merge(frames, camera, LENS, calibration).mask[0, 0]
+    mask = merge(frames, Setup(camera, LENS, calibration)).mask[0, 0]
     assert bool(mask & PixelMask.EXTRAPOLATED) is beyond
 
 
@@ -244,13 +247,13 @@ def test_frames_may_differ_by_what_the_curve_is_uncertain_by(u, contradicts):
     """100 and 110 of one exposure are 23 % apart: a contradiction where the curve is known to 1 %, none at 10 %."""
     camera, calibration = behind_a_curve(u)
     frames = [Frame(np.full((2, 2), number, np.uint8), 8, FrameSettings(1.0)) for number in (100, 110)]
-    mask = merge(frames, camera, LENS, calibration).mask[0, 0]
+    mask = merge(frames, Setup(camera, LENS, calibration)).mask[0, 0]
     assert bool(mask & PixelMask.INCONSISTENT) is contradicts
 
 
 def test_a_map_is_handed_out_once():
     """A second result and one of no frame are refused; frames of another size or depth are, and change nothing."""
-    running = StreamingMerge(CAMERA, LENS, CALIBRATION)
+    running = StreamingMerge(Setup(CAMERA, LENS, CALIBRATION))
     with pytest.raises(MeasurementError, match="shutter open"):
         running.result()
     running.add(frame(3100))

@@ -26,6 +26,7 @@ from radiometer.data import (
     ScaleConditions,
     SensorNoise,
 )
+from radiometer.data.setup import Setup
 
 FULL_SCALE, BLACK = 4095, 100.0
 CAMERA = CameraDescription(bit_depth=12)
@@ -55,7 +56,7 @@ def frames(seed, times, shape=(12, 16), brightest_e=2000.0):
 
 
 def merged(several):
-    return merge(iter(several), CAMERA, LENS, CALIBRATION)
+    return merge(iter(several), Setup(CAMERA, LENS, CALIBRATION))
 
 
 @settings(max_examples=15, deadline=None)
@@ -105,7 +106,7 @@ def test_u_falls_by_the_root_of_the_frames(seed, count):
 def test_the_variance_of_a_frame_is_read_noise_dark_noise_and_rounding(gain_db):
     """c of x in DN at 0 dB: (σ_d² + dark)/K'² + 1/(12·G²); each term is there once, with its sign."""
     noise = replace(NOISE, dark_current_e_per_s=30.0)
-    situation = situation_of(replace(CALIBRATION, noise=noise), CAMERA, LENS)
+    situation = situation_of(Setup(CAMERA, LENS, replace(CALIBRATION, noise=noise)))
     terms = frame_terms(FrameSettings(2.0, gain_db=gain_db), situation, (), through_lens=False)
     gain = 10.0 ** (gain_db / 20.0)
     assert terms.gain == pytest.approx(gain)
@@ -115,22 +116,22 @@ def test_the_variance_of_a_frame_is_read_noise_dark_noise_and_rounding(gain_db):
 
 def test_a_frame_clips_at_full_scale_and_starts_above_black():
     """The last number used is full scale less one; the first is 0 where black stands clear of the noise, else 1."""
-    situation = situation_of(CALIBRATION, CAMERA, LENS)
+    situation = situation_of(Setup(CAMERA, LENS, CALIBRATION))
     terms = frame_terms(FrameSettings(1.0), situation, (), through_lens=False)
     assert terms.high_dn == FULL_SCALE
     assert terms.clips_at == pytest.approx(FULL_SCALE - 0.5 - BLACK)
     assert terms.sigma_clip == pytest.approx(np.sqrt(25.0 / 6.25 + terms.clips_at / 2.5 + 1.0 / 12.0))
     assert terms.low_dn == 0
-    low = situation_of(replace(CALIBRATION, black_level=BlackLevel(dn=7.9)), CAMERA, LENS)
+    low = situation_of(Setup(CAMERA, LENS, replace(CALIBRATION, black_level=BlackLevel(dn=7.9))))
     assert frame_terms(FrameSettings(1.0), low, (), through_lens=False).low_dn == 1
-    just = situation_of(replace(CALIBRATION, black_level=BlackLevel(dn=8.1)), CAMERA, LENS)
+    just = situation_of(Setup(CAMERA, LENS, replace(CALIBRATION, black_level=BlackLevel(dn=8.1))))
     assert frame_terms(FrameSettings(1.0), just, (), through_lens=False).low_dn == 0
 
 
 def test_dark_signal_takes_room_below_clipping():
     """60 electrons of dark signal are 24 DN that light no longer has."""
     noise = replace(NOISE, dark_current_e_per_s=30.0)
-    situation = situation_of(replace(CALIBRATION, noise=noise), CAMERA, LENS)
+    situation = situation_of(Setup(CAMERA, LENS, replace(CALIBRATION, noise=noise)))
     terms = frame_terms(FrameSettings(2.0), situation, (), through_lens=False)
     assert terms.clips_at == pytest.approx(FULL_SCALE - 0.5 - BLACK - 24.0)
     assert terms.dark.tolist() == pytest.approx([24.0])
@@ -143,7 +144,7 @@ def test_a_wide_ladder_of_dim_frames_is_weighed_as_it_should_be():
     for time in times:
         electrons = rng.poisson(30.0 * time, (150, 150)) + 5.0 * rng.standard_normal((150, 150))
         several.append(Frame(np.round(electrons / 2.5 + BLACK).astype(np.uint16), 12, FrameSettings(time)))
-    found = merge(iter(several), CAMERA, LENS, CALIBRATION)
+    found = merge(iter(several), Setup(CAMERA, LENS, CALIBRATION))
     c = 25.0 / 6.25 + 1.0 / 12.0
     information = sum(t**2 / (12.0 * t / 2.5 + c) for t in times)
     unit = float(np.mean(found.radiance)) / 12.0
@@ -153,7 +154,7 @@ def test_a_wide_ladder_of_dim_frames_is_weighed_as_it_should_be():
 
 def test_bounds_of_pixels_that_no_frame_shows():
     """Clipped everywhere: at least where the shortest frame clips; black: at most one number of the longest."""
-    situation = situation_of(CALIBRATION, CAMERA, LENS)
+    situation = situation_of(Setup(CAMERA, LENS, CALIBRATION))
     terms = [frame_terms(FrameSettings(t), situation, (), through_lens=False) for t in (1.0, 4.0)]
     tables = merge_tables(terms, situation.model)
     assert tables.bounds[0] == pytest.approx(terms[0].clips_at)
@@ -169,7 +170,7 @@ def test_equal_exposures_are_averaged_with_the_stated_uncertainty():
     for time in (1.0, 2.0):
         electrons = rng.poisson(1000.0 * time, (200, 200)) + 5.0 * rng.standard_normal((200, 200))
         several.append(Frame(np.round(electrons / 2.5 + BLACK).astype(np.uint16), 12, FrameSettings(time)))
-    found = merge(Bracket.from_frames(several), CAMERA, LENS, CALIBRATION)
+    found = merge(Bracket.from_frames(several), Setup(CAMERA, LENS, CALIBRATION))
     value = found.radiance.astype(float)
     # Inverse-variance weights: information t²/(κ·E·t + c) of each frame.
     c = 25.0 / 6.25 + 1.0 / 12.0
@@ -193,6 +194,8 @@ def test_a_map_tells_of_what_is_off_by_a_thousandth_or_more(off_rel):
         uncertainties=stated,
         found=FoundEffects(well_a2=1.5 * off_rel, well_a3=-0.5 * off_rel, well_e=FULL_SCALE * 2.5 / 2.0),
     )
-    told = merge(iter(frames(1, (seconds, 2.0 * seconds))), CAMERA, LensDescription(f_number=4.0), known).not_in_u
+    told = merge(
+        iter(frames(1, (seconds, 2.0 * seconds))), Setup(CAMERA, LensDescription(f_number=4.0), known)
+    ).not_in_u
     words = ("the exposure of 1e+03 µs", "the response bends", "light of another spectrum")
     assert [any(one.startswith(word) for one in told) for word in words] == [off_rel > 0.001] * 3

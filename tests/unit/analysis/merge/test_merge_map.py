@@ -29,6 +29,7 @@ from radiometer.data import (
     SensorNoise,
     StatedUncertainties,
 )
+from radiometer.data.setup import Setup
 from radiometer.errors import CalibrationError, MeasurementError
 
 EXACT = {
@@ -46,7 +47,7 @@ def four_decades():
         top = 0.8 * rig.radiance_of_full_scale(LADDER_S[0])
         truth = np.geomspace(top, top * 1e-4, columns)
         frames = rig.frames(np.tile(truth, (rows, 1)), np.random.default_rng(11), LADDER_S)
-        found = merge(Bracket.from_frames(frames), rig.description, rig.lens, rig.calibration(**EXACT))
+        found = merge(Bracket.from_frames(frames), Setup(rig.description, rig.lens, rig.calibration(**EXACT)))
         return truth, found, cramer_rao_variance(rig, truth)
 
     return make
@@ -123,7 +124,7 @@ def scene(rig, exposure_s=1e-3, size=24, level=0.5):
 
 
 def merged(rig, frames, **changes):
-    return merge(frames, rig.description, rig.lens, rig.calibration(**changes))
+    return merge(frames, Setup(rig.description, rig.lens, rig.calibration(**changes)))
 
 
 def test_a_stream_gives_what_the_bracket_gives(rig):
@@ -148,11 +149,11 @@ def test_streaming_holds_less_than_three_planes_beyond_the_result(rig):
     size = 600
     plane = size * size * 4
     description, lens, calibration = rig.description, rig.lens, rig.calibration()
-    merging = StreamingMerge(description, lens, calibration)
+    merging = StreamingMerge(Setup(description, lens, calibration))
     dn = np.full((size, size), 500, np.uint16)
     merging.add(Frame(dn, 12, FrameSettings(1e-3, f_number=4.0, black_level_dn=64.0)))  # compiles
     tracemalloc.start()
-    merging = StreamingMerge(description, lens, calibration)
+    merging = StreamingMerge(Setup(description, lens, calibration))
     for exposure_s in (1e-3, 2e-3, 4e-3, 8e-3) * 3:
         merging.add(Frame(dn.copy(), 12, FrameSettings(exposure_s, f_number=4.0, black_level_dn=64.0)))
     found = merging.result()
@@ -250,7 +251,7 @@ def test_cos4_of_the_lens_is_taken_out_where_it_holds(rig):
     frames = [Frame(np.full((101, 101), 1064, np.uint16), 12, FrameSettings(1e-3, f_number=4.0, black_level_dn=64.0))]
     calibration = rig.calibration()
     fitted = type(calibration)(camera, lens, calibration.scale, None, calibration.noise, calibration.black_level)
-    found = merge(frames, camera, lens, fitted)
+    found = merge(frames, Setup(camera, lens, fitted))
     assert found.radiance[0, 100] / found.radiance[0, 0] == pytest.approx(4.0, rel=1e-5)  # 45°: cos⁴ is 1/4
 
 
@@ -288,7 +289,7 @@ def test_photographs_are_merged_through_their_curve(rig, bits):
     calibration = Calibration(camera, LensDescription(), scale, curve, SensorNoise.of(camera))
     truth = np.tile(np.geomspace(0.2, 200.0, 64), (64, 1))
     frames = gamma_frames(np.random.default_rng(2), bits, truth, tuple(2.0**k / 256 for k in range(10)))
-    found = merge(frames, camera, LensDescription(), calibration)
+    found = merge(frames, Setup(camera, LensDescription(), calibration))
     relative = found.radiance.mean(axis=0) / truth[0]
     np.testing.assert_allclose(relative / np.median(relative), 1.0, atol=0.01)
 
@@ -301,13 +302,13 @@ def test_numbers_outside_the_curve_s_data_are_marked(rig):
     base = rig.calibration()
     calibration = type(base)(base.camera, base.lens, base.scale, curve, base.noise, base.black_level)
     frames = [Frame(np.array([[300, 2000]], np.uint16), 12, FrameSettings(1e-3, f_number=4.0, black_level_dn=64.0))]
-    found = merge(frames, rig.description, rig.lens, calibration)
+    found = merge(frames, Setup(rig.description, rig.lens, calibration))
     assert (found.mask & PixelMask.EXTRAPOLATED).tolist() == [[PixelMask.EXTRAPOLATED, 0]]
 
 
 def test_without_a_calibration_the_map_is_relative(rig):
     """The unit says so."""
-    found = merge(rig.frames(scene(rig), np.random.default_rng(1), (1e-3,)), rig.description, rig.lens)
+    found = merge(rig.frames(scene(rig), np.random.default_rng(1), (1e-3,)), Setup(rig.description, rig.lens))
     assert found.unit == "relative"
     assert found.radiance.mean() == pytest.approx(0.5 * 4031 / 1e-3, rel=0.01)
 
@@ -323,7 +324,7 @@ def test_the_calibration_s_age_is_part_of_the_common_uncertainty(rig):
     frames, old = rig.frames(scene(rig), np.random.default_rng(1), (1e-3,)), dt.datetime.now(dt.UTC)
     fresh = replace(rig.calibration(), created=old.isoformat())
     aged = replace(fresh, created=(old - dt.timedelta(days=4 * 365.25)).isoformat())
-    young, aged_map = (merge(frames, rig.description, rig.lens, one) for one in (fresh, aged))
+    young, aged_map = (merge(frames, Setup(rig.description, rig.lens, one)) for one in (fresh, aged))
     assert math.sqrt(aged_map.u_rel_common**2 - young.u_rel_common**2) == pytest.approx(0.04, rel=1e-3)
 
 
@@ -334,14 +335,14 @@ def test_a_map_says_what_stray_light_it_may_hold(rig):
     words = {}
     for u in (0.0, 0.02):
         stated = base.uncertainties.model_copy(update={"glare_u": u})
-        found = merge(frames, rig.description, rig.lens, replace(base, uncertainties=stated))
+        found = merge(frames, Setup(rig.description, rig.lens, replace(base, uncertainties=stated)))
         words[u] = [one for one in found.provenance.assumptions if "stray" in one]
     assert words[0.0] == []
     assert float(words[0.02][0].split("add ")[1].split()[0]) == pytest.approx(0.02 * found.radiance.mean(), rel=0.05)
 
 
 def test_a_map_says_what_an_offset_of_short_exposures_may_do(rig):
-    """3 µs of 50 µs, under a scale from 1 ms: 5.7 % of the brightest pixels; long exposures need no word."""
+    """3 µs of 50 µs, under a scale from 1 ms: 5.7 % of the brightest pixels, in u on request."""
     base = rig.calibration()
     conditions = base.scale.conditions.model_copy(update={"inverse_exposure_per_s": 1000.0})
     stated = base.uncertainties.model_copy(update={"exposure_u_s": 3e-6, "glare_u": 0.0})
@@ -349,12 +350,19 @@ def test_a_map_says_what_an_offset_of_short_exposures_may_do(rig):
     said = {}
     for shortest in (50e-6, 1e-3):
         frames = rig.frames(scene(rig), np.random.default_rng(1), (shortest, 1e-3))
-        words = merge(frames, rig.description, rig.lens, known).not_in_u
-        said[shortest] = tuple(one for one in words if "exposure" in one)
-    assert said[1e-3] == ()
-    assert said[50e-6] == (
-        "the exposure of 50 µs may be off: 5.7 % (k = 1) of the brightest pixels, which u does not hold",
-    )
+        words = merge(frames, Setup(rig.description, rig.lens, known)).not_in_u
+        said[shortest] = [one for one in words if "exposure" in one]
+    assert said[1e-3] == []
+    assert said[50e-6] == [
+        "the exposure of 50 µs may be off: 5.7 % (k = 1) of the brightest pixels, which u does not hold"
+    ]
+    light = np.full((8, 8), 0.5 * rig.radiance_of_full_scale(50e-6))  # clips at 1 ms: 50 µs alone give its value
+    bright = rig.frames(light, np.random.default_rng(2), (50e-6, 1e-3))
+    own = merge(bright, Setup(rig.description, rig.lens, known), doubt_exposures=True)
+    assert any("which u holds" in one for one in own.provenance.assumptions)
+    noise = merge(bright, Setup(rig.description, rig.lens, known))
+    added = np.sqrt(own.u_radiance**2 - noise.u_radiance**2) / own.radiance
+    assert np.median(added) == pytest.approx(3e-6 * (1 / 50e-6 - 1000.0), rel=0.01)
 
 
 def test_masked_pixels_take_the_place_of_the_stated_black_level(rig):
@@ -367,7 +375,7 @@ def test_masked_pixels_take_the_place_of_the_stated_black_level(rig):
     black = frames[0].settings.black_level_dn
     assert black is not None
     told = [replace(one, extra={"masked_rows_dn": black + level}) for one in frames]
-    blind, right = (merge(each, rig.description, rig.lens, rig.calibration()) for each in (frames, told))
+    blind, right = (merge(each, Setup(rig.description, rig.lens, rig.calibration())) for each in (frames, told))
     truth = 0.1 * scene(rig)
     assert np.median(right.radiance / truth) == pytest.approx(1.0, abs=3e-3)
     assert np.median(blind.radiance / truth) > 1.02
@@ -381,7 +389,7 @@ def test_a_map_says_what_light_of_another_spectrum_may_be_off_by(rig):
     relative = replace(base, scale=base.scale.model_copy(update={"method": "relative"}))
     told = []
     for known in (base, replace(base, uncertainties=stated), relative):
-        words = merge(frames, rig.description, rig.lens, known).not_in_u
+        words = merge(frames, Setup(rig.description, rig.lens, known)).not_in_u
         told.append(
             [one.split(": ")[1].split(" (k = 1)")[0] for one in words if "another spectrum than white_led" in one]
         )
@@ -417,14 +425,14 @@ def test_frames_that_do_not_belong_together_are_refused(rig, case):
     """The message says what does not fit."""
     frames, message = misfits(rig)[case]
     with pytest.raises(MeasurementError, match=message):
-        merge(frames, rig.description, rig.lens)
+        merge(frames, Setup(rig.description, rig.lens))
 
 
 def test_another_camera_s_calibration_is_refused(rig):
     """As for readings."""
     other = rig.description.model_copy(update={"serial": "2"})
     with pytest.raises(CalibrationError, match="serial"):
-        merge([], other, rig.lens, rig.calibration())
+        merge([], Setup(other, rig.lens, rig.calibration()))
 
 
 def test_without_a_place_for_compiled_code_it_is_compiled_anew(monkeypatch):
@@ -449,7 +457,7 @@ def test_a_pixel_s_uncertainty_is_that_of_its_electrons(rig, dark_e):
     light_dn = 20.0
     number = round(64.0 + light_dn + dark_e / rig.gain_e_per_dn)
     frame = Frame(np.full((4, 4), number, np.uint16), 12, FrameSettings(1e-3, 0.0, 4.0, 64.0, 25.0))
-    found = merge([frame], camera, rig.lens, calibration)
+    found = merge([frame], Setup(camera, rig.lens, calibration))
     light_e = (number - 64.0) * rig.gain_e_per_dn - dark_e
     variance = light_e + dark_e + rig.read_e**2 + rig.gain_e_per_dn**2 / 12.0
     expected = np.sqrt(variance) / light_e
@@ -460,7 +468,7 @@ def test_the_black_level_s_uncertainty_is_in_every_pixel(rig):
     """2 DN beside 200 DN of light add 1 % to the noise, in quadrature."""
     frame = Frame(np.full((4, 4), 264, np.uint16), 12, FrameSettings(1e-3, 0.0, 4.0, 64.0, 25.0))
     known, doubted = (
-        merge([frame], rig.description, rig.lens, rig.calibration(black_level=BlackLevel(dn=64.0, u_dn=u)))
+        merge([frame], Setup(rig.description, rig.lens, rig.calibration(black_level=BlackLevel(dn=64.0, u_dn=u))))
         for u in (0.0, 2.0)
     )
     added = doubted.u_radiance[0, 0] ** 2 - known.u_radiance[0, 0] ** 2
@@ -471,8 +479,8 @@ def test_an_undeclared_falloff_is_taken_out_and_doubted(rig):
     """In the corner cos⁴α = 0.64 is divided out, and 60 % of what was lost joins the pixel's own uncertainty."""
     camera = rig.description.model_copy(update={"pixel_pitch_um": 8.0 / np.hypot(5.5, 5.5) * 1e3})
     frame = Frame(np.full((12, 12), 2064, np.uint16), 12, FrameSettings(1e-3, 0.0, 4.0, 64.0, 25.0))
-    plain = merge([frame], rig.description, rig.lens, rig.calibration())
-    found = merge([frame], camera, rig.lens, rig.calibration())
+    plain = merge([frame], Setup(rig.description, rig.lens, rig.calibration()))
+    found = merge([frame], Setup(camera, rig.lens, rig.calibration()))
     assert found.radiance[0, 0] / plain.radiance[0, 0] == pytest.approx(1.25**2, rel=1e-5)
     doubt = 0.6 * (1.0 - 0.64) / 0.64
     assert found.u_radiance[0, 0] / found.radiance[0, 0] == pytest.approx(doubt, rel=0.01)
@@ -484,7 +492,7 @@ def test_the_noise_of_dark_frames_is_in_every_pixel(rig, count):
     light_dn, taken = 20, FrameSettings(1e-3, 0.0, 4.0, 64.0, 25.0)
     light = Frame(np.full((4, 4), 64 + light_dn, np.uint16), 12, taken)
     darks = [Frame(np.full((4, 4), 64, np.uint16), 12, replace(taken, shutter="closed"))] * count
-    found = merge(Bracket.from_frames([light, *darks]), rig.description, rig.lens, rig.calibration(**EXACT))
+    found = merge(Bracket.from_frames([light, *darks]), Setup(rig.description, rig.lens, rig.calibration(**EXACT)))
     light_e, readout = light_dn * rig.gain_e_per_dn, rig.read_e**2 + rig.gain_e_per_dn**2 / 12.0
     expected = math.sqrt(light_e + readout + readout / count) / light_e
     assert found.u_radiance[0, 0] / found.radiance[0, 0] == pytest.approx(expected, rel=2e-3)

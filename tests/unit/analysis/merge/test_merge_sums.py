@@ -25,6 +25,7 @@ from radiometer.data import (
     Scale,
     SensorNoise,
 )
+from radiometer.data.setup import Setup
 
 LENS, GAMMA, ELECTRONS, READ_E, AFTER_DN2 = LensDescription(), 2.2, 8000.0, 6.0, 0.4
 TIMES = 2.0 ** np.arange(7)
@@ -53,7 +54,7 @@ def _behind_a_curve(**more):
 
 def _samples(calibration, numbers, bits):
     """Return numbers of shape (frames, pixels) as samples."""
-    situation = situation_of(calibration, calibration.camera, LENS)
+    situation = situation_of(Setup(calibration.camera, LENS, calibration))
     samples = []
     for k, (dn, seconds) in enumerate(zip(numbers, TIMES, strict=False)):
         settings = FrameSettings(float(seconds))
@@ -90,7 +91,7 @@ def test_noise_at_clipping_is_all_that_arises_there(curved):
     """Variance of x at clipping less the shot noise there: behind a curve the noise of its codes as well."""
     calibration = _behind_a_curve() if curved else _calibration(12)
     samples = _samples(calibration, np.zeros((2, 4), int), 8 if curved else 12)
-    model = situation_of(calibration, calibration.camera, LENS).model
+    model = situation_of(Setup(calibration.camera, LENS, calibration)).model
     terms = [one.terms for one in samples]
     frames = merge_tables(terms, model).frames
     clips_at = frames[:, 2]
@@ -110,7 +111,7 @@ def test_a_block_leaves_nothing_to_the_next():
 
     def merged(step):
         frames = [Frame(dn[::step], 12, FrameSettings(t)) for dn, t in zip(numbers, (1.0, 4.0), strict=True)]
-        return merge(Bracket.from_frames(frames), calibration.camera, LENS, calibration)
+        return merge(Bracket.from_frames(frames), Setup(calibration.camera, LENS, calibration))
 
     upright, upside_down = merged(1), merged(-1)
     for name in ("radiance", "u_radiance", "mask"):
@@ -138,7 +139,7 @@ def test_u_behind_a_curve_is_that_of_the_best_weights_at_every_level():
     frames = [
         Frame(dn.astype(np.uint8)[None, :], 8, FrameSettings(float(t))) for dn, t in zip(numbers, TIMES, strict=True)
     ]
-    found = merge(Bracket.from_frames(frames), calibration.camera, LENS, calibration)
+    found = merge(Bracket.from_frames(frames), Setup(calibration.camera, LENS, calibration))
     clear = (np.abs(np.log(rate[:, None] * TIMES)) > 0.3).all(axis=1)  # no frame near its end says "at least so much"
     ratio = found.u_radiance[0] / _expected_u(rate)
     assert ratio[clear] == pytest.approx(1.0, abs=0.025)
@@ -162,7 +163,7 @@ def test_neighbours_of_other_frames_change_nothing(curved):
         frames = [
             Frame(dn.astype(dtype)[None, :], bits, FrameSettings(float(t))) for dn, t in zip(these, TIMES, strict=True)
         ]
-        return merge(Bracket.from_frames(frames), calibration.camera, LENS, calibration)
+        return merge(Bracket.from_frames(frames), Setup(calibration.camera, LENS, calibration))
 
     sorted_, mixed = merged(numbers), merged(numbers[:, order])
     for name in ("radiance", "u_radiance", "mask"):
@@ -176,7 +177,7 @@ def test_of_two_frames_that_clip_nearby_both_are_heard():
     def value(*clipped):
         frames = [Frame(np.full((2, 2), 3850, np.uint16), 12, FrameSettings(1.0))]
         frames += [Frame(np.full((2, 2), 4095, np.uint16), 12, FrameSettings(t)) for t in clipped]
-        return merge(frames, calibration.camera, LENS, calibration).radiance[0, 0]
+        return merge(frames, Setup(calibration.camera, LENS, calibration)).radiance[0, 0]
 
     lone, one, other, both = value(), value(1.02), value(1.04), value(1.02, 1.04)
     assert both > max(one, other) > min(one, other) > lone
@@ -195,7 +196,7 @@ def test_more_sets_of_frames_than_are_kept_change_nothing():
 
     def merged(these):
         frames = [Frame(dn.astype(np.uint8)[None, :], 8, FrameSettings(t)) for dn, t in zip(these, times, strict=True)]
-        return merge(Bracket.from_frames(frames), calibration.camera, LENS, calibration)
+        return merge(Bracket.from_frames(frames), Setup(calibration.camera, LENS, calibration))
 
     sorted_, mixed = merged(numbers), merged(numbers[:, order])
     for name in ("radiance", "u_radiance", "mask"):
@@ -210,7 +211,7 @@ def test_what_lies_outside_the_curves_data_is_marked_on_both_sides():
     # Half the light through the same curve; of the last a tenth too much.
     shorter = np.rint(longer * (0.5 * np.repeat([1.0, 1.0, 1.0, 1.1], 50)) ** (1.0 / GAMMA)).astype(np.uint8)
     frames = [Frame(dn[None, :], 8, FrameSettings(t)) for dn, t in ((shorter, 0.5), (longer, 1.0))]
-    found = merge(Bracket.from_frames(frames), calibration.camera, LENS, calibration)
+    found = merge(Bracket.from_frames(frames), Setup(calibration.camera, LENS, calibration))
     outside = (found.mask & PixelMask.EXTRAPOLATED > 0).reshape(4, 50)
     assert outside.all(axis=1).tolist() == [True, False, False, True]
     assert not outside[1:3].any()

@@ -18,6 +18,7 @@ from radiometer.data import (
     Scale,
     SensorNoise,
 )
+from radiometer.data.setup import Setup
 
 CODES = np.arange(256)
 TIMES = (1.0, 2.0, 4.0)
@@ -35,7 +36,7 @@ def test_every_code_has_its_own_doubt_and_variance(gain_db):
     curve = ResponseCurve(g, u_log, absolute=True, valid_dn=(1, 254))
     scale = Scale(value=1.0, u_rel=0.0, method="relative")
     calibration = Calibration(CAMERA, LENS, scale, curve, NOISE, BlackLevel(dn=0.0, u_dn=0.0))
-    situation = situation_of(calibration, CAMERA, LENS)
+    situation = situation_of(Setup(CAMERA, LENS, calibration))
     settings = [FrameSettings(seconds, gain_db) for seconds in TIMES]
     tables = merge_tables([frame_terms(s, situation, (), through_lens=False) for s in settings], situation.model)
     codes = np.array([8.0, 20.0, 90.0, 200.0, 253.0, 254.5, 255.0])

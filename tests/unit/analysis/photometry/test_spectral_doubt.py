@@ -14,6 +14,7 @@ from radiometer.analysis.photometry.unstated_light import KINDS, unstated_light_
 from radiometer.analysis.reading.reading import read_patch
 from radiometer.analysis.signal.situation import spectral_correction, spectral_u_rel, unknown_mismatch_u_rel
 from radiometer.data import BlackLevel, Patch, SpectralResponse, StatedUncertainties
+from radiometer.data.setup import AS_CALIBRATED, Setup
 from radiometer.errors import InputError
 
 ONLY_EFFICACY = StatedUncertainties(**dict.fromkeys(StatedUncertainties.model_fields, 0.0)).model_copy(
@@ -27,7 +28,7 @@ def reading(rig, quantity, spectra=("equal_energy", "equal_energy")):
     scale = base.scale.model_copy(update={"quantity": quantity, "spectrum": spectra[0]})
     scene = np.full((12, 12), 0.5 * rig.radiance_of_full_scale(1e-3))
     frames = rig.frames(scene, np.random.default_rng(1), (1e-3,) * 5)
-    return read_patch(frames, Patch(0, 0, 12, 12), replace(base, scale=scale), rig.description, rig.lens)
+    return read_patch(frames, Patch(0, 0, 12, 12), Setup(rig.description, rig.lens, replace(base, scale=scale)))
 
 
 def test_a_scale_from_a_luminance_doubts_the_radiance(rig):
@@ -110,7 +111,11 @@ def unstated(rig, calibration, *, spectrum_stated=False):
     scene = np.full((12, 12), 0.5 * rig.radiance_of_full_scale(1e-3))
     frames = rig.frames(scene, np.random.default_rng(1), (1e-3,) * 5)
     patch = Patch(0, 0, 12, 12)
-    return read_patch(frames, patch, calibration, rig.description, rig.lens, spectrum_stated=spectrum_stated)
+    return read_patch(
+        frames,
+        patch,
+        Setup(rig.description, rig.lens, calibration, spectrum=AS_CALIBRATED if spectrum_stated else None),
+    )
 
 
 FLAT = SpectralResponse(wavelength_nm=(300.0, 1100.0), relative=(1.0, 1.0), u_rel=0.03)

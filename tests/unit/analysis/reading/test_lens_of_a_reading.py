@@ -11,6 +11,7 @@ import pytest
 from radiometer.analysis.merge.bracket import merge
 from radiometer.analysis.reading.reading import read_patch
 from radiometer.data import Bracket, Frame, LensDescription, Patch
+from radiometer.data.setup import Setup
 from radiometer.errors import CalibrationError
 
 PATCH = Patch(1, 1, 10, 10)
@@ -24,7 +25,7 @@ def seen(rig):
 
 
 def without_f_number(bracket):
-    return Bracket.from_frames(Frame(f.dn, 12, replace(f.settings, f_number=None)) for f in bracket)
+    return Bracket.from_frames(Frame(f.dn, 12, replace(f.settings, f_number=None)) for f in bracket.light)
 
 
 def lensed(rig, **lens):
@@ -41,20 +42,20 @@ def test_an_unknown_f_number_is_refused_and_asked_for(rig, seen):
     """Frames that do not state it are not read as if they had the calibration's."""
     frames = without_f_number(seen[0])
     with pytest.raises(CalibrationError, match="--f-number"):
-        read_patch(frames, PATCH, rig.calibration(), rig.description, LensDescription())
+        read_patch(frames, PATCH, Setup(rig.description, LensDescription(), rig.calibration()))
 
 
 def test_an_unknown_f_number_gives_no_map_either(rig, seen):
     """The same holds for every pixel of a merged bracket."""
     frames = without_f_number(seen[0])
     with pytest.raises(CalibrationError, match="--f-number"):
-        merge(frames, rig.description, LensDescription(), rig.calibration())
+        merge(frames, Setup(rig.description, LensDescription(), rig.calibration()))
 
 
 def test_a_lens_that_states_its_f_number_speaks_for_frames_that_do_not(rig, seen):
     """At f/8 behind a calibration at f/4 the same frames mean four times the radiance."""
     frames, truth = without_f_number(seen[0]), seen[1]
-    found = read_patch(frames, PATCH, rig.calibration(), rig.description, LensDescription(f_number=8.0))
+    found = read_patch(frames, PATCH, Setup(rig.description, LensDescription(f_number=8.0), rig.calibration()))
     assert found.radiance.value == pytest.approx(4.0 * truth, rel=5e-3)
 
 
@@ -63,12 +64,12 @@ def test_a_scale_without_an_f_number_is_refused(rig, seen):
     base = rig.calibration()
     unknown = replace(base, scale=base.scale.model_copy(update={"f_number": None}))
     with pytest.raises(CalibrationError, match=r"scale\.f_number"):
-        read_patch(seen[0], PATCH, unknown, rig.description, rig.lens)
+        read_patch(seen[0], PATCH, Setup(rig.description, rig.lens, unknown))
 
 
 def test_relative_values_need_no_f_number(rig, seen):
     """Without a scale nothing rests on it."""
-    found = read_patch(without_f_number(seen[0]), PATCH, None, rig.description, LensDescription())
+    found = read_patch(without_f_number(seen[0]), PATCH, Setup(rig.description, LensDescription()))
     assert found.radiance.unit == "relative"
 
 
@@ -76,8 +77,8 @@ def test_a_neutral_filter_in_front_counts_with_both_uncertainties(rig, seen):
     """Transmittance 0.09 in use and 0.9 at calibration: ten times the radiance, u the root of 2 %² + 1 %²."""
     frames, calibration = seen[0], lensed(rig, transmittance=0.9, transmittance_u_rel=0.01)
     lens = LensDescription(f_number=4.0, transmittance=0.09, transmittance_u_rel=0.02)
-    plain = read_patch(frames, PATCH, calibration, rig.description, LensDescription(f_number=4.0))
-    found = read_patch(frames, PATCH, calibration, rig.description, lens)
+    plain = read_patch(frames, PATCH, Setup(rig.description, LensDescription(f_number=4.0), calibration))
+    found = read_patch(frames, PATCH, Setup(rig.description, lens, calibration))
     assert found.radiance.value == pytest.approx(10.0 * plain.radiance.value, rel=1e-12)
     assert line(plain, "lens transmittance").u_rel == 0.0
     assert line(found, "lens transmittance").u_rel == pytest.approx(math.hypot(0.01, 0.02))
@@ -86,7 +87,9 @@ def test_a_neutral_filter_in_front_counts_with_both_uncertainties(rig, seen):
 def test_a_filter_without_a_stated_uncertainty_has_the_trade_s(rig, seen):
     """Filters are sold to ±10 %: a rectangle, 5.8 %; the calibration's own stated figure is not borrowed."""
     calibration = lensed(rig, transmittance=0.9, transmittance_u_rel=0.0)
-    found = read_patch(seen[0], PATCH, calibration, rig.description, LensDescription(f_number=4.0, transmittance=0.09))
+    found = read_patch(
+        seen[0], PATCH, Setup(rig.description, LensDescription(f_number=4.0, transmittance=0.09), calibration)
+    )
     assert line(found, "lens transmittance").u_rel == pytest.approx(0.1 / math.sqrt(3.0))
 
 
@@ -94,7 +97,7 @@ def test_a_transmittance_that_the_calibration_does_not_state_is_refused(rig, see
     """The ratio is not known."""
     with pytest.raises(CalibrationError, match=r"transmittance of 0\.09"):
         read_patch(
-            seen[0], PATCH, rig.calibration(), rig.description, LensDescription(f_number=4.0, transmittance=0.09)
+            seen[0], PATCH, Setup(rig.description, LensDescription(f_number=4.0, transmittance=0.09), rig.calibration())
         )
 
 
@@ -102,7 +105,7 @@ def test_a_nearer_focus_counts_with_its_uncertainty(rig, seen):
     """At magnification 0.1 the lens takes in 1/1.1² of the light: the radiance is 1.21 times what it would seem."""
     frames, calibration = seen[0], rig.calibration()
     far, near = (
-        read_patch(frames, PATCH, calibration, rig.description, LensDescription(f_number=4.0, magnification=m))
+        read_patch(frames, PATCH, Setup(rig.description, LensDescription(f_number=4.0, magnification=m), calibration))
         for m in (0.0, 0.1)
     )
     assert near.radiance.value / far.radiance.value == pytest.approx(1.21)
@@ -113,9 +116,9 @@ def test_a_nearer_focus_counts_with_its_uncertainty(rig, seen):
 def test_a_map_counts_filter_and_focus_too(rig, seen):
     """The same factors in every pixel, and their uncertainty in what all pixels share."""
     calibration = lensed(rig, transmittance=0.9, transmittance_u_rel=0.0)
-    plain = merge(seen[0], rig.description, LensDescription(f_number=4.0), calibration)
+    plain = merge(seen[0], Setup(rig.description, LensDescription(f_number=4.0), calibration))
     lens = LensDescription(f_number=4.0, transmittance=0.45, transmittance_u_rel=0.03, magnification=0.1)
-    found = merge(seen[0], rig.description, lens, calibration)
+    found = merge(seen[0], Setup(rig.description, lens, calibration))
     assert found.radiance.mean() / plain.radiance.mean() == pytest.approx(2.0 * 1.21, rel=1e-5)
     extra = math.sqrt(found.u_rel_common**2 - plain.u_rel_common**2)
     assert extra == pytest.approx(math.hypot(0.03, 2 * 0.1 * 0.1 / 1.1))

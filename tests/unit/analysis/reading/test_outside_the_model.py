@@ -32,6 +32,7 @@ from radiometer.data import (
     SourceDescription,
     StatedUncertainties,
 )
+from radiometer.data.setup import Setup
 from radiometer.errors import MeasurementError
 
 NOTHING = StatedUncertainties(**dict.fromkeys(StatedUncertainties.model_fields, 0.0))
@@ -56,12 +57,15 @@ def calibrated(rig, conditions=None, **changes):
 
 
 def read(rig, calibration, *, frames=None, lens=None, camera=None, patch=PATCH, level=0.5, **options):
+    setup = {name: options.pop(name) for name in ("source", "spectrum") if name in options}
     if frames is None:
         scene = np.full((12, 12), level * rig.radiance_of_full_scale(1e-3))
         frames = rig.frames(scene, np.random.default_rng(3), STEADY)
     chosen = Bracket.from_frames(frames)
     given_now = {"now": NOON, **options}
-    return read_patch(chosen, patch, calibration, camera or rig.description, lens or rig.lens, **given_now)
+    return read_patch(
+        chosen, patch, Setup(camera or rig.description, lens or rig.lens, calibration, **setup), **given_now
+    )
 
 
 def line(reading, name):
@@ -316,7 +320,8 @@ def test_what_calibration_and_reading_share_drops_out(rig):
     """Read as it was calibrated, a source is known as well as the reference: clock, level, place and warmth cancel."""
     frames = rig.frames(np.full((12, 12), 0.5 * rig.radiance_of_full_scale(1e-3)), np.random.default_rng(3), STEADY)
     base = rig.calibration(created=NOON.isoformat(), black_level=BlackLevel(dn=64.0))
-    scale = scale_by_source(base, frames, PATCH, KnownSource(0.5 * rig.radiance_of_full_scale(1e-3), 0.004))
+    source = KnownSource(0.5 * rig.radiance_of_full_scale(1e-3), 0.004)
+    scale = scale_by_source(base, Bracket.from_frames(frames), PATCH, source)
     assert scale.budget["response curve"] == pytest.approx(1e-3)
     found = read(rig, replace(base, scale=scale))
     assert found.radiance.u_rel == pytest.approx(math.hypot(0.004, 0.0007, 0.0007), rel=0.01)
@@ -373,7 +378,7 @@ def test_masked_pixels_are_dark_frames_of_their_own_exposure(rig):
     dark = [replace(one, dn=one.dn + np.uint16(6)) for one in plain]
     masked = [replace(one, extra={"masked_rows_dn": 70.0}) for one in dark]
     calibration = replace(rig.calibration(), black_level=BlackLevel(dn=64.0, u_dn=5.0))
-    where = (Patch(1, 1, 10, 10), calibration, rig.description, rig.lens)
+    where = (Patch(1, 1, 10, 10), Setup(rig.description, rig.lens, calibration))
     right, off = read_patch(masked, *where), read_patch(dark, *where)
     assert right.radiance.value == pytest.approx(float(dim[0, 0]), rel=5e-3)
     assert off.radiance.value / right.radiance.value == pytest.approx(1.0 + 6.0 / 81.0, rel=0.01)
@@ -447,7 +452,7 @@ def test_frames_that_do_not_belong_together_are_refused(rig):
     }
     for said, frames in wrong.items():
         with pytest.raises(MeasurementError, match=said):
-            read_patch(frames, PATCH, calibrated(rig), rig.description, rig.lens, now=NOON)
+            read_patch(frames, PATCH, Setup(rig.description, rig.lens, calibrated(rig)), now=NOON)
     spots = tuple((x, y) for x in (3, 4) for y in (5, 6, 7))
     with pytest.raises(MeasurementError, match="every pixel of the patch 3,5,2,3 is defective"):
         read(rig, calibrated(rig, defects=spots), frames=[first, second], patch=Patch(3, 5, 2, 3))
@@ -541,7 +546,9 @@ def test_four_equal_contributions_have_the_interval_of_the_guide_s_additive_mode
     conditions = ScaleConditions(inverse_exposure_per_s=1e3, temperature_c=24.0, gain_db=6.0)
     calibration = calibrated(rig, conditions, uncertainties=stated, validity_days=3650.0)
     later = NOON + dt.timedelta(days=365.25)
-    situation = patch_situation(frames, Patch(0, 0, 120, 120), calibration, rig.description, rig.lens, None, later)
+    situation = patch_situation(
+        frames, Patch(0, 0, 120, 120), Setup(rig.description, rig.lens, calibration, None), now=later
+    )
     found = propagate_distributions(situation, np.random.default_rng(1), 200_000)
     assert found.u / found.mean == pytest.approx(2.0e-3, rel=0.01)
     low, high = found.low / found.mean - 1.0, found.high / found.mean - 1.0

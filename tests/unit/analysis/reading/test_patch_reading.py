@@ -21,6 +21,7 @@ from radiometer.data import (
     SpectralResponse,
     StatedUncertainties,
 )
+from radiometer.data.setup import Setup
 from radiometer.errors import CalibrationError, MeasurementError
 
 # What a test of the noise alone leaves out: everything outside the model.
@@ -34,12 +35,11 @@ def uniform(radiance: float, size: int = 12) -> np.ndarray:
 
 def read(rig, frames, calibration, patch=None, **options):
     size = frames[0].shape[0]
+    setup = {name: options.pop(name) for name in ("source", "spectrum") if name in options}
     return read_patch(
         Bracket.from_frames(frames),
         patch or Patch(1, 1, size - 2, size - 2),
-        calibration,
-        rig.description,
-        rig.lens,
+        Setup(rig.description, rig.lens, calibration, **setup),
         **options,
     )
 
@@ -326,7 +326,7 @@ def test_dark_frames_alone_are_refused(rig):
     """There must be light."""
     dark = rig.frame(uniform(0.0), 1e-3, np.random.default_rng(1), shutter="closed")
     with pytest.raises(MeasurementError, match="shutter open"):
-        read_patch([dark], Patch(0, 0, 2, 2), None, rig.description, rig.lens)
+        read_patch([dark], Patch(0, 0, 2, 2), Setup(rig.description, rig.lens))
 
 
 def test_the_calibration_of_another_camera_is_refused(rig):
@@ -334,7 +334,7 @@ def test_the_calibration_of_another_camera_is_refused(rig):
     frames = rig.frames(uniform(1.0), np.random.default_rng(1), (1e-3,))
     other = rig.description.model_copy(update={"serial": "2"})
     with pytest.raises(CalibrationError, match="serial"):
-        read_patch(frames, Patch(0, 0, 2, 2), rig.calibration(), other, rig.lens)
+        read_patch(frames, Patch(0, 0, 2, 2), Setup(other, rig.lens, rig.calibration()))
 
 
 def silicon(**changes):

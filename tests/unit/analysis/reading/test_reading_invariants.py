@@ -31,6 +31,7 @@ from radiometer.data import (
     SensorNoise,
     StatedUncertainties,
 )
+from radiometer.data.setup import Setup
 from radiometer.errors import MeasurementError
 
 NOTHING_STATED = StatedUncertainties(**dict.fromkeys(StatedUncertainties.model_fields, 0.0))
@@ -53,8 +54,12 @@ def exact(rig, **changes):
 
 
 def read(rig, frames, calibration=None, lens=None, patch=PATCH, **options):
+    setup = {name: options.pop(name) for name in ("source", "spectrum") if name in options}
     return read_patch(
-        Bracket.from_frames(frames), patch, calibration or exact(rig), rig.description, lens or rig.lens, **options
+        Bracket.from_frames(frames),
+        patch,
+        Setup(rig.description, lens or rig.lens, calibration or exact(rig), **setup),
+        **options,
     )
 
 
@@ -218,7 +223,7 @@ def usable(rig, dn, full_well_e=1e6, **changes):
     """Return what is said of one frame: whether it may be used, and whether it clips."""
     calibration = exact(rig)
     known = replace(calibration, noise=replace(calibration.noise, full_well_e=full_well_e))
-    model = situation_of(known, rig.description, rig.lens).model
+    model = situation_of(Setup(rig.description, rig.lens, known)).model
     (cropped,), _, _ = crop_frames([replace(flat(0, **changes), dn=np.asarray(dn, np.uint16))], PATCH, model)
     return cropped.usable, cropped.unclipped
 
@@ -348,7 +353,7 @@ def test_the_surround_is_the_mean_of_the_picture(rig):
     dn = flat(1064).dn.copy()
     dn[0, :] = 3064
     frames = Bracket.from_frames([replace(flat(1064), dn=dn)])
-    found = patch_situation(frames, PATCH, exact(rig), rig.description, rig.lens)
+    found = patch_situation(frames, PATCH, Setup(rig.description, rig.lens, exact(rig)))
     assert found.conditions.surround == pytest.approx((13 * 1000 + 3000) / 14 / 1000, rel=1e-6)
     assert found.conditions.level == pytest.approx(1000 / (4095 - 64), rel=1e-6)
     assert found.conditions.inverse_exposure_per_s == pytest.approx(1000.0)

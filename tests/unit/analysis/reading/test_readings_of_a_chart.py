@@ -30,6 +30,7 @@ from radiometer.data import (
     ScaleConditions,
     SensorNoise,
 )
+from radiometer.data.setup import Setup
 
 NOW = dt.datetime(2026, 3, 1, 12, tzinfo=dt.UTC)
 SIZE = (24, 30)  # rows, columns
@@ -101,7 +102,7 @@ def gamma_calibration() -> Calibration:
 def read(frames: list[Frame], patch: Patch = MIDDLE, given: Calibration | None = None, **options: Any) -> Reading:
     given = given or calibration()
     lens = options.pop("lens", LENS)
-    return read_patch(Bracket.from_frames(frames), patch, given, given.camera, lens, now=NOW, **options)
+    return read_patch(Bracket.from_frames(frames), patch, Setup(given.camera, lens, given), now=NOW, **options)
 
 
 def lens(**changes: Any) -> LensDescription:

@@ -103,7 +103,7 @@ def test_black_level_is_respected(make_stack):
             12,
             replace(f.settings, black_level_dn=64.0),
         )
-        for f in make_stack("linear")
+        for f in make_stack("linear").light
     ]
     curve = recover_response_auto(Bracket.from_frames(frames)).curve
     assert curve.valid_dn is not None
@@ -139,7 +139,7 @@ def _with_flare(stack, amount):
     from radiometer.data import Bracket, Frame
 
     frames = []
-    for frame in stack:
+    for frame in stack.light:
         dn = frame.dn.astype(np.float64)
         left = dn[:, : dn.shape[1] // 2]
         left += amount * (left.mean() - left) * np.linspace(0.0, 1.0, left.shape[0])[:, None]
@@ -189,7 +189,7 @@ def test_a_wrong_label_is_found_with_its_size(make_stack, inner_error):
 def test_frames_that_no_curve_joins_are_said_to_be_so(make_stack):
     """Of three frames the middle one's time is 1.5 times too long: the curve is not to be relied on, and says so."""
     bracket = make_stack("gamma", bit_depth=8)
-    three = list(bracket.frames[2:8:2])
+    three = list(bracket.light[2:8:2])
     assert not any("no single curve" in note for note in recover_response_auto(Bracket.from_frames(three)).notes)
     wrong = replace(three[1].settings, exposure_s=1.5 * three[1].settings.exposure_s)
     three[1] = replace(three[1], settings=wrong)
@@ -201,7 +201,7 @@ def test_a_date_stamped_into_every_frame_is_no_exposure(make_stack):
     """Pixels that stay at 160 DN through the ladder see no light: the curve is the one of the stack without them."""
     bracket = make_stack("gamma", bit_depth=8)
     stamped = []
-    for frame in bracket:
+    for frame in bracket.light:
         dn = frame.dn.copy()
         dn[: dn.shape[0] // 8, : dn.shape[1] // 4] = 160
         stamped.append(replace(frame, dn=dn))

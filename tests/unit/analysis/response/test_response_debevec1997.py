@@ -73,7 +73,7 @@ def test_several_brackets_are_fitted_jointly(make_stack, inner_error):
 
 def test_one_exposure_only_is_refused(make_stack):
     """Two frames of one exposure time hold no information on the response."""
-    frame = make_stack("linear").frames[4]
+    frame = make_stack("linear").light[4]
     with pytest.raises(InputError, match="one exposure only"):
         recover_response_debevec1997(Bracket.from_frames([frame, frame]))
 

@@ -20,7 +20,7 @@ def test_method_gives_the_response_back(make_stack, inner_error, method, respons
     """ln H over 5–95 % scatters by less than 0.5 %, and every step between two frames has its uncertainty."""
     bracket = make_stack(response, bit_depth=8)
     found = METHODS[method]([bracket])
-    assert found.exposure_ratios.shape == found.u_exposure_ratios.shape == (len(bracket.frames) - 1,)
+    assert found.exposure_ratios.shape == found.u_exposure_ratios.shape == (len(bracket.light) - 1,)
     assert np.all(found.u_exposure_ratios >= 0.0)
     curve = found.curve
     assert np.std(inner_error(curve, response)) < 0.005
@@ -31,7 +31,7 @@ def test_method_gives_the_response_back(make_stack, inner_error, method, respons
 @pytest.mark.parametrize("method", METHODS)
 def test_method_refuses_one_exposure(make_stack, method):
     """No method makes a curve of one exposure."""
-    frame = make_stack("linear").frames[4]
+    frame = make_stack("linear").light[4]
     with pytest.raises(InputError, match="one exposure only"):
         METHODS[method]([Bracket.from_frames([frame, frame])])
 
@@ -102,7 +102,7 @@ def test_linear_spline_finds_the_black_level(make_stack):
     """An unstated black level of 50 DN is found to 2 DN on a linear stack, and the deviation stays under 2 %."""
     frames = [
         Frame(np.minimum(f.dn.astype(np.uint32) + 50, 4095).astype(np.uint16), 12, f.settings)
-        for f in make_stack("linear")
+        for f in make_stack("linear").light
     ]
     estimate = recover_response_linear_spline(Bracket.from_frames(frames))
     assert estimate.details["black_dn"] == pytest.approx(50, abs=2)

@@ -22,7 +22,7 @@ from radiometer.data import Bracket, Frame, FrameSettings, ResponseCurve
 
 def test_saturation_below_full_scale_is_found(make_stack):
     """A sensor that stops at 3500 DN gathers its highlights there: that is its saturation level."""
-    frames = [Frame(np.minimum(f.dn, 3500), 12, f.settings) for f in make_stack("linear")]
+    frames = [Frame(np.minimum(f.dn, 3500), 12, f.settings) for f in make_stack("linear").light]
     assert find_limits([Bracket.from_frames(frames)]).saturated_dn == 3500
 
 

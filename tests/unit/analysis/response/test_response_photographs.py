@@ -98,7 +98,7 @@ def test_a_linear_camera_stays_linear_beyond_its_brightest_value() -> None:
 
 
 def relabelled(bracket: Bracket, index: int, factor: float) -> Bracket:
-    frames = list(bracket)
+    frames = list(bracket.light)
     settings = replace(frames[index].settings, exposure_s=factor * frames[index].settings.exposure_s)
     frames[index] = replace(frames[index], settings=settings)
     return Bracket.from_frames(frames)

@@ -21,6 +21,7 @@ from radiometer.analysis.response.shutter_offset import (
 )
 from radiometer.analysis.response.wrong_labels import UNTOLD_OFFSET_S, WrongLabel
 from radiometer.data import CameraDescription, LensDescription, ResponseCurve
+from radiometer.data.setup import Setup
 from radiometer.photographs.response import relative_calibration, with_found_times
 from testing.brackets_of_a_shutter import LABELS_S, photographed, plane, scene
 
@@ -117,10 +118,10 @@ def test_the_time_is_not_multiplied_by_the_gain() -> None:
     gains = np.where(np.arange(LABELS_S.size) < 2, 4.0, 1.0)
     bracket = photographed(OFFSET_S, gains=gains)
     samples = plane(bracket).samples
-    stated = np.array([frame.settings.exposure_s for frame in bracket])
+    stated = np.array([frame.settings.exposure_s for frame in bracket.light])
     assert samples.exposures_s == pytest.approx(stated)
     longer = with_offset(samples, 1e-4)
-    gain = np.array([frame.settings.effective_exposure_s for frame in bracket]) / stated
+    gain = np.array([frame.settings.effective_exposure_s for frame in bracket.light]) / stated
     assert np.exp(longer.frame_log_time) == pytest.approx((stated + 1e-4) * gain)
     assert longer.log_time == pytest.approx(longer.frame_log_time[longer.frame])
     for part in (*longer.shares, *longer.without_share, *longer.quadrants, *longer.without_quadrant):
@@ -230,10 +231,10 @@ def test_maps_are_made_with_it() -> None:
     (found,) = recover_colours_auto([bracket])
     camera, lens, gaps = CameraDescription(bit_depth=8), LensDescription(), []
     timed = with_found_times(bracket, found.curve)
-    assert [f.settings.exposure_s for f in timed] == pytest.approx(LABELS_S + OFFSET_S, abs=1e-6)
+    assert [f.settings.exposure_s for f in timed.light] == pytest.approx(LABELS_S + OFFSET_S, abs=1e-6)
     for frames in (timed, bracket):
         known, _ = relative_calibration(frames, found.curve, camera, lens)
-        radiance = merge(frames, camera, lens, known).radiance
+        radiance = merge(frames, Setup(camera, lens, known)).radiance
         bright, dim = light > 1500.0, light < 20.0
         apart = np.log(radiance / light)
         gaps.append(float(np.median(apart[bright]) - np.median(apart[dim])))

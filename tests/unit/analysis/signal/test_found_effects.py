@@ -91,7 +91,7 @@ def test_frames_carry_the_corrected_settings_and_a_bracket_stays_one():
     ]
     bracket, found = Bracket.from_frames(frames, "here"), FoundEffects(exposure_offset_s=0.5)
     shown = corrected_frames(bracket, found, 64.0)
-    assert [one.settings.exposure_s for one in (*shown.frames, *shown.dark_frames)] == [1.5, 2.5, 2.5]
-    assert (shown.origin, shown.frames[0].settings.black_level_dn) == ("here", 64.0)
+    assert [one.settings.exposure_s for one in (*shown.light, *shown.dark)] == [1.5, 2.5, 2.5]
+    assert (shown.origin, shown.light[0].settings.black_level_dn) == ("here", 64.0)
     assert [one.settings.exposure_s for one in corrected_frames(iter(frames), found, 64.0)] == [1.5, 2.5, 2.5]
     assert corrected_frames(bracket, FoundEffects(), 64.0) is bracket

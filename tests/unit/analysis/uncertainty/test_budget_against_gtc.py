@@ -13,6 +13,7 @@ import pytest
 from radiometer.analysis.reading.reading import read_patch
 from radiometer.analysis.uncertainty import budget
 from radiometer.data import BlackLevel, LensDescription, Patch, ScaleConditions, StatedUncertainties
+from radiometer.data.setup import Setup
 
 NOTHING = StatedUncertainties(**dict.fromkeys(StatedUncertainties.model_fields, 0.0))
 PATCH = Patch(1, 1, 10, 10)
@@ -61,7 +62,7 @@ def test_scale_of_few_degrees_of_freedom(rig):
     """A scale from five repeats, 2 %, and the noise of dim light: L = s·x/(t·π/4N²), degrees of freedom and k too."""
     calibration = calibrated(rig, NOTHING, u_rel=0.02, degrees_of_freedom=4.0)
     frames = frames_of(rig, level=0.0005, seed=1)  # frames and pixels that by chance scatter by no more than noise
-    found = read_patch(frames, PATCH, calibration, rig.description, rig.lens, now=NOON)
+    found = read_patch(frames, PATCH, Setup(rig.description, rig.lens, calibration), now=NOON)
     value = rig.true_scale
     expected = GTC.ureal(value, 0.02 * value, 4.0) * noise_of(rig, frames, calibration) / lens_sr()
     agrees(found, expected)
@@ -74,7 +75,7 @@ def test_another_stop_and_a_filter(rig):
     calibration = replace(calibrated(rig, only(f_number_u_rel=0.02), u_rel=0.005), lens=lens)
     frames = [replace(f, settings=replace(f.settings, f_number=8.0)) for f in frames_of(rig)]
     used = LensDescription(f_number=8.0, transmittance=0.09, transmittance_u_rel=0.03)
-    found = read_patch(frames, PATCH, calibration, rig.description, used, now=NOON)
+    found = read_patch(frames, PATCH, Setup(rig.description, used, calibration), now=NOON)
     tau, reference = GTC.ureal(0.09, 0.09 * 0.03), GTC.ureal(0.9, 0.009)
     number = GTC.ureal(8.0, 0.16)
     value = rig.true_scale
@@ -88,7 +89,7 @@ def test_an_exposure_offset_that_calibration_and_reading_share(rig):
     stated = only(exposure_u_s=3e-6)
     calibration = calibrated(rig, stated, ScaleConditions(inverse_exposure_per_s=250.0, temperature_c=25.0))
     frames = frames_of(rig)
-    found = read_patch(frames, PATCH, calibration, rig.description, rig.lens, now=NOON)
+    found = read_patch(frames, PATCH, Setup(rig.description, rig.lens, calibration), now=NOON)
     offset = GTC.ureal(0.0, 3e-6)
     signal = noise_of(rig, frames, calibration) * 1e-3
     scale_of_true_time = rig.true_scale * (4e-3 + offset) / 4e-3
@@ -100,7 +101,7 @@ def test_a_temperature_coefficient_that_both_share(rig):
     stated = only(temperature_u_rel_per_k=1e-3)
     calibration = calibrated(rig, stated, ScaleConditions(temperature_c=13.0), u_rel=0.004)
     frames = frames_of(rig)
-    found = read_patch(frames, PATCH, calibration, rig.description, rig.lens, now=NOON)
+    found = read_patch(frames, PATCH, Setup(rig.description, rig.lens, calibration), now=NOON)
     slope, value = GTC.ureal(0.0, 1e-3), rig.true_scale
     scale = GTC.ureal(value, 0.004 * value) * (1.0 + slope * 13.0)
     agrees(found, scale * noise_of(rig, frames, calibration) / (lens_sr() * (1.0 + slope * 25.0)))
@@ -112,7 +113,7 @@ def test_veiling_glare_that_both_share(rig):
     scene[16:32, 16:32] /= 4.0
     frames = rig.frames(scene, np.random.default_rng(3), (1e-3,) * 5)
     calibration = calibrated(rig, only(glare_u=0.01), ScaleConditions(temperature_c=25.0, surround=2.0))
-    found = read_patch(frames, Patch(19, 19, 10, 10), calibration, rig.description, rig.lens, now=NOON)
+    found = read_patch(frames, Patch(19, 19, 10, 10), Setup(rig.description, rig.lens, calibration), now=NOON)
     glare, patch = GTC.ureal(0.0, 0.01), float(scene[24, 24])
     seen = found.radiance.value
     expected = seen - glare * (float(scene.mean()) / patch * seen - 2.0 * seen)
@@ -124,7 +125,7 @@ def test_a_ratio_of_readings_that_share_their_scale(rig):
     """Two radiances by one calibration known to 5 %: what is left of their ratio is the noise of both."""
     calibration = calibrated(rig, NOTHING, u_rel=0.05)
     several = [frames_of(rig, level, seed=seed) for level, seed in ((0.02, 1), (0.01, 9))]
-    readings = [read_patch(f, PATCH, calibration, rig.description, rig.lens, now=NOON) for f in several]
+    readings = [read_patch(f, PATCH, Setup(rig.description, rig.lens, calibration), now=NOON) for f in several]
     scale = GTC.ureal(rig.true_scale, 0.05 * rig.true_scale)
     first, second = (scale * noise_of(rig, f, calibration) / lens_sr() for f in several)
     found, expected = budget.ratio(*readings), first / second

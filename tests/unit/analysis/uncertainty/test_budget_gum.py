@@ -13,6 +13,7 @@ from radiometer.analysis.uncertainty import budget
 from radiometer.analysis.uncertainty.budget import Term
 from radiometer.analysis.uncertainty.monte_carlo import Distribution, propagate_distributions
 from radiometer.data import BlackLevel, Contribution, FlatField, Patch, Quantity, Reading, Scale, StatedUncertainties
+from radiometer.data.setup import Setup
 from radiometer.errors import MeasurementError
 
 # What a test of single contributions leaves out: everything outside the model.
@@ -44,7 +45,7 @@ def reading_inputs(rig, level, exposures_s, changes, seed=1):
         calibration = type(calibration)(calibration.camera, calibration.lens, scale, None, calibration.noise)
     scene = np.full((16, 16), level * rig.radiance_of_full_scale(1e-3))
     frames = rig.frames(scene, np.random.default_rng(seed), exposures_s)
-    return frames, Patch(2, 2, 12, 12), calibration, rig.description, rig.lens
+    return frames, Patch(2, 2, 12, 12), Setup(rig.description, rig.lens, calibration)
 
 
 @pytest.mark.parametrize("case", range(10))
@@ -143,9 +144,7 @@ def test_ratio_of_two_real_readings_is_honest(rig):
             read_patch(
                 rig.frames(np.full((16, 16), level * full), np.random.default_rng(2 * seed + k), (1e-3,)),
                 Patch(0, 0, 16, 16),
-                calibration,
-                rig.description,
-                rig.lens,
+                Setup(rig.description, rig.lens, calibration),
             )
             for k, level in enumerate((0.3, 0.6))
         ]
@@ -157,10 +156,11 @@ def test_ratio_of_two_real_readings_is_honest(rig):
 
 def test_the_scale_s_degrees_of_freedom_reach_the_budget(rig):
     """A scale from five repeats says so in its line."""
-    frames, patch, calibration, camera, lens = reading_inputs(rig, 0.5, (1e-3,), {"u_rel": 0.01})
+    frames, patch, setup = reading_inputs(rig, 0.5, (1e-3,), {"u_rel": 0.01})
+    calibration = setup.calibration
     scale = Scale(**{**calibration.scale.model_dump(), "degrees_of_freedom": 4.0})
     few = type(calibration)(calibration.camera, calibration.lens, scale, None, calibration.noise)
-    line = next(one for one in read_patch(frames, patch, few, camera, lens).budget if one.name == "scale")
+    line = next(one for one in read_patch(frames, patch, replace(setup, calibration=few)).budget if one.name == "scale")
     assert line.degrees_of_freedom == 4.0
 
 
@@ -175,8 +175,9 @@ def test_monte_carlo_beside_the_budget_says_where_they_differ(rig):
     plain = reading_inputs(rig, 0.5, (1e-3,) * 5, {"u_rel": 0.005, "uncertainties": EXACT})
     bent = EXACT.model_copy(update={"f_number_u_rel": 0.2})
     squared = reading_inputs(rig, 0.5, (1e-3,) * 5, {"uncertainties": bent})
-    scale = squared[2].scale.model_copy(update={"f_number": 8.0})
-    squared = (*squared[:2], replace(squared[2], scale=scale), *squared[3:])
+    setup = squared[2]
+    scale = setup.calibration.scale.model_copy(update={"f_number": 8.0})
+    squared = (*squared[:2], replace(setup, calibration=replace(setup.calibration, scale=scale)))
     said = [
         propagate_distributions(patch_situation(*inputs), np.random.default_rng(1)).to_mapping(read_patch(*inputs))
         for inputs in (plain, squared)

@@ -17,7 +17,7 @@ OFFSET_S = 25e-6
 
 @pytest.fixture(scope="module")
 def done() -> PhotographsReconciled:
-    return reconcile_photographs(list(photographed(OFFSET_S)))
+    return reconcile_photographs(photographed(OFFSET_S).light)
 
 
 @pytest.mark.slow
@@ -69,7 +69,7 @@ def test_the_report_says_it_and_what_to_do(done: PhotographsReconciled, tmp_path
 @pytest.mark.slow
 def test_exposures_as_labelled_have_none() -> None:
     """They agree, exactly as printed."""
-    found = reconcile_photographs(list(photographed(0.0)))
+    found = reconcile_photographs(photographed(0.0).light)
     assert found.result.verdict is Verdict.AGREES
     assert list(found.exposures_s.values()) == list(LABELS_S)
     assert set(found.u_rel.values()) == {0.0}

@@ -1,4 +1,4 @@
-"""`radiometer calibrate --model`: what `radiometer reconcile` found goes into the calibration."""
+"""What `radiometer reconcile` found of a camera, read back from its model into a calibration."""
 
 from __future__ import annotations
 

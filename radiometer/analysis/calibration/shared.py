@@ -1,0 +1,285 @@
+"""What a calibration and a reading must share, and what is done where they do not: one table for all quantities.
+
+A quantity is equal on both sides, different, or not stated by one of them. `TABLE` says for each pair of states whether
+the reading is left as it is, corrected, made more uncertain, or refused. Every stage asks `handling_of` or `settle`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from enum import StrEnum
+from typing import Final
+
+from radiometer.data import Calibration, CameraDescription, Frame, LensDescription
+from radiometer.data.serials import same_serial
+from radiometer.errors import CalibrationError, RadiometerError, UsageError
+
+# A zoom's rings and the tags of EXIF round the focal length to this.
+_SAME_FOCAL_LENGTH_REL: Final = 0.01
+# Colours that photographs are read in; numbers of a grey frame are of no colour.
+_COLOURS: Final = frozenset({"red", "green", "blue", "luminance"})
+
+
+class State(StrEnum):
+    """How a quantity of a reading compares with that of its calibration."""
+
+    EQUAL = "equal"
+    DIFFERENT = "different"
+    READING_SILENT = "not stated by the reading"
+    CALIBRATION_SILENT = "not stated by the calibration"
+    BOTH_SILENT = "not stated by either"
+
+
+class Handling(StrEnum):
+    """What is done about it.
+
+    An assumption is named in the result. A corrected reading carries the uncertainty of the correction in its budget.
+    """
+
+    KEPT = "kept"
+    ASSUMED = "assumed"
+    CORRECTED = "corrected"
+    WIDENED = "widened"
+    REFUSED = "refused"
+
+
+@dataclass(frozen=True, slots=True)
+class Rule:
+    """What is done in one state.
+
+    Attributes:
+        handling: What is done.
+        reason: Why; of a refusal the message, with {there} and {here} for the two values.
+        term: Line of the budget that carries the doubt; empty where there is none.
+        error: What a refusal raises: a misuse where another option is the way out.
+    """
+
+    handling: Handling
+    reason: str
+    term: str = ""
+    error: type[RadiometerError] = CalibrationError
+
+
+_KEPT = Rule(Handling.KEPT, "both are the same")
+_AS_CALIBRATED = Rule(Handling.KEPT, "the reading is taken with what was calibrated")
+_NOT_COMPARED = Rule(Handling.KEPT, "nothing to compare")
+
+
+def _refused(reason: str, error: type[RadiometerError] = CalibrationError) -> Rule:
+    return Rule(Handling.REFUSED, reason, error=error)
+
+
+def _of_device(name: str) -> dict[State, Rule]:
+    """Return the rules of a mark of the camera, which is the same camera or another."""
+    return {
+        State.EQUAL: _KEPT,
+        State.DIFFERENT: _refused(
+            f"the calibration is of another camera: its {name} is {{there}}, the camera's is {{here}}; "
+            "use this camera's own calibration, or make one with `radiometer calibrate`"
+        ),
+        State.READING_SILENT: _AS_CALIBRATED,
+        State.CALIBRATION_SILENT: _AS_CALIBRATED,
+        State.BOTH_SILENT: _NOT_COMPARED,
+    }
+
+
+_F_NUMBER_UNKNOWN: Final = _refused(
+    "the f-number is not stated: without it the radiance could be wrong by any factor; give --f-number N, "
+    "or state lens.f_number in the capture set or bench file"
+)
+
+TABLE: Final[Mapping[str, Mapping[State, Rule]]] = {
+    "model": _of_device("model"),
+    "serial": _of_device("serial"),
+    # Both sides always state it.
+    "bit depth": {state: _of_device("bit depth")[state] for state in (State.EQUAL, State.DIFFERENT)},
+    "focal length": {
+        State.EQUAL: _KEPT,
+        State.DIFFERENT: _refused(
+            "the calibration was made with a lens of {there} mm, the one in use has {here} mm; "
+            "calibrate with the lens in use"
+        ),
+        State.READING_SILENT: _AS_CALIBRATED,
+        State.CALIBRATION_SILENT: _AS_CALIBRATED,
+        State.BOTH_SILENT: _NOT_COMPARED,
+    },
+    "f-number": {
+        State.EQUAL: _KEPT,
+        State.DIFFERENT: Rule(Handling.CORRECTED, "the light of a lens goes as 1/N²", "f-number"),
+        State.READING_SILENT: _F_NUMBER_UNKNOWN,
+        State.CALIBRATION_SILENT: _refused(
+            "the calibration does not say at which f-number its scale holds, the frames were taken at f/{here}; "
+            "calibrate again with --f-number, or add scale.f_number to the calibration file"
+        ),
+        State.BOTH_SILENT: _F_NUMBER_UNKNOWN,
+    },
+    "ISO speed": {
+        State.EQUAL: _KEPT,
+        State.DIFFERENT: Rule(Handling.CORRECTED, "numbers go as the ISO speed", "gain step"),
+        State.READING_SILENT: Rule(
+            Handling.ASSUMED,
+            "the photographs state no ISO speed: treated as taken at ISO {there}, as the calibration; --iso S states "
+            "another",
+        ),
+        State.CALIBRATION_SILENT: _refused(
+            "the calibration does not say at which ISO speed its scale holds, the photographs were taken at ISO "
+            "{here}; calibrate again with --iso, or add scale.iso to the calibration file"
+        ),
+        State.BOTH_SILENT: _NOT_COMPARED,
+    },
+    # A frame always has a gain: 0 dB where its file states none, as the format of capture sets says.
+    "gain": {
+        State.EQUAL: _KEPT,
+        State.DIFFERENT: Rule(Handling.CORRECTED, "numbers go as the gain", "gain step"),
+    },
+    "channel": {
+        State.EQUAL: _KEPT,
+        State.DIFFERENT: _refused(
+            "the calibration's response is of {there}, the photographs would be read in {here}: give "
+            "--channel {there}, or a calibration of {here}",
+            UsageError,
+        ),
+        State.READING_SILENT: _NOT_COMPARED,
+        State.CALIBRATION_SILENT: _NOT_COMPARED,
+        State.BOTH_SILENT: _NOT_COMPARED,
+    },
+    "spectrum": {
+        State.EQUAL: _KEPT,
+        State.DIFFERENT: Rule(
+            Handling.CORRECTED,
+            "by the spectral mismatch factor where the camera's spectral response is known; else the spread over "
+            "plausible responses counts",
+            "spectral assumption",
+        ),
+        State.READING_SILENT: Rule(Handling.WIDENED, "the spread over kinds of light counts", "spectral assumption"),
+    },
+    "temperature": {
+        State.EQUAL: _KEPT,
+        State.DIFFERENT: Rule(Handling.WIDENED, "by the distance", "temperature"),
+        State.READING_SILENT: Rule(Handling.WIDENED, "by a room's", "temperature"),
+        State.CALIBRATION_SILENT: Rule(Handling.WIDENED, "by a room's", "temperature"),
+        State.BOTH_SILENT: Rule(Handling.WIDENED, "by a room's", "temperature"),
+    },
+    # Equal: inside the numbers that the curve has data for. Different: outside. A reading there is flagged.
+    "response support": {
+        State.EQUAL: _KEPT,
+        State.DIFFERENT: _refused(
+            "the response curve is supported from {there} DN, the pixel value of the reference is {here} DN; take a "
+            "reference photograph in that range, or recover the curve from exposures that reach it",
+            UsageError,
+        ),
+    },
+}
+
+
+def state_of(there: object | None, here: object | None, *, equal: bool | None = None) -> State:
+    """Return how a quantity of a calibration compares with that of a reading.
+
+    Args:
+        there: Of the calibration; None where it does not state it.
+        here: Of the reading; None where it does not state it.
+        equal: Whether both count as equal where they are stated; None compares them.
+    """
+    if there is None or here is None:
+        if there is None and here is None:
+            return State.BOTH_SILENT
+        return State.CALIBRATION_SILENT if there is None else State.READING_SILENT
+    return State.EQUAL if (there == here if equal is None else equal) else State.DIFFERENT
+
+
+def settle(quantity: str, there: object | None, here: object | None, *, equal: bool | None = None) -> Handling:
+    """Return what is done about a quantity of a calibration and a reading.
+
+    Args:
+        quantity: Name in `TABLE`.
+        there: Of the calibration; None where it does not state it.
+        here: Of the reading; None where it does not state it.
+        equal: Whether both count as equal where they are stated; None compares them.
+
+    Raises:
+        CalibrationError: If they do not go together; with the two values and the way out.
+        UsageError: If another option is the way out.
+    """
+    rule = TABLE[quantity][state_of(there, here, equal=equal)]
+    if rule.handling is Handling.REFUSED:
+        raise rule.error(rule.reason.format(there=_shown(there), here=_shown(here)))
+    return rule.handling
+
+
+def require_camera(calibration: Calibration, camera: CameraDescription) -> None:
+    """Refuse a camera that a calibration does not belong to.
+
+    Args:
+        calibration: The calibration.
+        camera: The camera in use.
+
+    Raises:
+        CalibrationError: If model, serial number or bit depth differ.
+    """
+    mine = calibration.camera
+    settle("model", mine.model, camera.model)
+    alike = None not in (mine.serial, camera.serial) and same_serial(str(mine.serial), str(camera.serial))
+    settle("serial", mine.serial, camera.serial, equal=alike)
+    settle("bit depth", mine.bit_depth, camera.bit_depth)
+
+
+def require_lens(calibration: Calibration, lens: LensDescription) -> None:
+    """Refuse a lens of another focal length than the calibration was made with.
+
+    Args:
+        calibration: The calibration.
+        lens: The lens in use.
+
+    Raises:
+        CalibrationError: If the focal lengths differ by more than 1 %.
+    """
+    mine, theirs = calibration.lens.focal_length_mm, lens.focal_length_mm
+    near = mine is not None and theirs is not None and abs(mine / theirs - 1.0) <= _SAME_FOCAL_LENGTH_REL
+    settle("focal length", mine, theirs, equal=near)
+
+
+def require_photograph(calibration: Calibration, frame: Frame) -> str | None:
+    """Refuse a photograph in another colour than the calibration's, or of an ISO speed that cannot be compared.
+
+    Returns what is assumed of its ISO speed, None where nothing is.
+
+    Args:
+        calibration: The calibration; of a relative one the colour alone counts.
+        frame: One of the photographs, with what is stated of it.
+
+    Raises:
+        CalibrationError: If the calibration does not state its ISO speed, and the photograph does.
+        UsageError: If colours differ.
+    """
+    require_channel(calibration, frame)
+    if not calibration.absolute:
+        return None
+    # Equal speeds or not: the gain that the frame carries holds their ratio.
+    there, here = calibration.scale.iso, frame.settings.iso
+    if settle("ISO speed", there, here) is not Handling.ASSUMED:
+        return None
+    return TABLE["ISO speed"][state_of(there, here)].reason.format(there=_shown(there))
+
+
+def require_channel(calibration: Calibration, frame: Frame) -> None:
+    """Refuse a photograph in another colour than a calibration's, or than the response that is to get a scale.
+
+    Raises:
+        UsageError: If colours differ.
+    """
+    settle("channel", channel_of(calibration), _colour(frame.extra.get("channel")))
+
+
+def channel_of(calibration: Calibration) -> str | None:
+    """Return the colour that a calibration holds for; None where it is of a grey camera or not stated."""
+    of_scale = _colour(calibration.scale.conditions.channel)
+    return of_scale or (_colour(calibration.response.channel) if calibration.response is not None else None)
+
+
+def _colour(name: object) -> str | None:
+    return name if isinstance(name, str) and name in _COLOURS else None
+
+
+def _shown(value: object | None) -> str:
+    return f"{value:.4g}" if isinstance(value, float) else str(value)

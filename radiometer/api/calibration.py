@@ -1,0 +1,509 @@
+"""The absolute scale of a camera: by a source of known radiance, by a light meter, or by both."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, Final
+
+from radiometer.analysis.calibration import absolute
+from radiometer.analysis.calibration import calibrate as make
+from radiometer.analysis.calibration.absolute import MeterSettings
+from radiometer.analysis.calibration.calibrate import KnownSource, MeterReading
+from radiometer.analysis.calibration.flat_field import fit_flat_field
+from radiometer.analysis.calibration.shared import require_channel
+from radiometer.analysis.merge.bracket import merge
+from radiometer.analysis.photometry import photometry
+from radiometer.analysis.photometry.spectra import spectrum as spectrum_of
+from radiometer.analysis.photometry.spectra import spectrum_from_csv
+from radiometer.analysis.response.dynamic_range import DynamicRange, RangePoint, dynamic_range, with_dynamic_range
+from radiometer.analysis.signal.dark import black_from_darks
+from radiometer.api.files import PathLike, stack_of
+from radiometer.api.result import Progress, Result
+from radiometer.bench.assembly import open_instrument
+from radiometer.bench.sources import is_photographs, open_source
+from radiometer.data import (
+    Bracket,
+    Calibration,
+    CameraDescription,
+    FlatField,
+    LensDescription,
+    Patch,
+    PatchDescription,
+    ResponseCurve,
+    Scale,
+    SpectralResponse,
+    StatedUncertainties,
+)
+from radiometer.data.iso_speeds import IsoSpeeds
+from radiometer.data.setup import Setup
+from radiometer.devices import CameraPreset
+from radiometer.errors import UsageError
+from radiometer.importing import imported_of, open_capture
+from radiometer.photographs.iso_record import at_iso, reference_iso
+from radiometer.photographs.response import linear_doubt
+from radiometer.photographs.scene import UNTOLD_SHUTTER_U_S, Photographs, has_untold_shutter, with_offset
+from radiometer.photographs.stated import with_f_number, with_gains, with_iso
+from radiometer.reconciliation.report.read_back import with_found_effects
+from radiometer.units import exact_exposure_s
+
+# Luminous efficacies of radiation (380 to 780 nm) of usual sources, 2856 K to a phosphor-converted LED, are from
+# 0.86 to 1.8 times that of equal energy: the root of the mean square of that rectangle about 1.
+UNKNOWN_EFFICACY_U_REL: Final = 0.43
+
+PatchLike = Patch | tuple[int, int, int, int]
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Calibrated(Result):
+    """A calibration and how its scale was found.
+
+    Examples:
+        >>> import radiometer as rm
+        >>> found = rm.calibrate("out/chart", patch=(3, 3, 8, 8), radiance=0.2, u_rel=0.01)
+        >>> found.scale.method, found.scale.u_rel > 0.01
+        ('known_radiance', True)
+
+    Attributes:
+        calibration: The calibration, with the less uncertain scale.
+        scales: All scales that were found: by the known source, then by the light meter.
+        meter: The reference photograph; None without a light meter.
+        ranged: What regions brought to the reference value say of the curve; None without any.
+        file: File that it was written to; None where none was.
+        notes: What a user should know, a sentence each.
+    """
+
+    calibration: Calibration
+    scales: tuple[Scale, ...]
+    meter: MeterReading | None = None
+    ranged: DynamicRange | None = None
+    file: Path | None = None
+    notes: tuple[str, ...] = ()
+
+    @property
+    def scale(self) -> Scale:
+        """Return the scale in use."""
+        return self.calibration.scale
+
+    def to_mapping(self) -> dict[str, Any]:
+        """Return the documented JSON form."""
+        calibration = self.calibration
+        report: dict[str, Any] = {
+            "calibration": str(self.file) if self.file else None,
+            "scale": calibration.scale.model_dump(mode="json", exclude_none=True),
+            "spectrum": calibration.spectrum,
+            "assumptions": list(calibration.provenance.assumptions),
+            "notes": list(self.notes),
+        }
+        if self.meter is not None:
+            report["metered"] = _metered(self.meter, calibration)
+        if self.ranged is not None:
+            report["dynamic_range"] = self.ranged.to_mapping()
+        if calibration.flat_field is not None:
+            report["flat_field"] = calibration.flat_field.model_dump(mode="json")
+        if len(self.scales) == 2:
+            by_source, by_meter = self.scales
+            report["meter_over_source"] = make.scales_ratio(by_meter, by_source).to_mapping()
+        return report
+
+    def __str__(self) -> str:
+        """Return scale, expanded uncertainty and method in one line."""
+        scale = self.scale
+        how = scale.method.replace("_", " ")
+        return f"{scale.value:.6g} J·m⁻² per unit of signal ± {200 * scale.u_rel:.2g} % (k = 2), {how}"
+
+
+def _metered(meter: MeterReading, calibration: Calibration) -> dict[str, Any]:
+    luminance = absolute.metered_luminance_cd_m2(meter.meter_k, meter.settings)
+    radiance = photometry.radiance_w_sr_m2(luminance, spectrum_of(calibration.spectrum))
+    thesis = photometry.radiance_thesis_w_sr_m2_um(luminance)
+    u_rel = absolute.metered_u_rel(meter.k_u_rel)
+    # A radiance from a luminance carries the efficacy of the light as well.
+    of_radiance = absolute.metered_radiance_u_rel(meter.k_u_rel, calibration.uncertainties.efficacy_u_rel)
+    return {
+        "luminance": {"value": luminance, "u": luminance * u_rel, "unit": "cd m-2"},
+        "radiance": {"value": radiance, "u": radiance * of_radiance, "unit": "W sr-1 m-2"},
+        "thesis_spectral_radiance": {"value": thesis, "unit": "W sr-1 m-2 um-1"},
+    }
+
+
+def calibrate(
+    capture: PathLike | None = None,
+    *,
+    out: PathLike | None = None,
+    response: ResponseCurve | PathLike | None = None,
+    patch: PatchLike | str | None = None,
+    radiance: float | None = None,
+    luminance: float | None = None,
+    u_rel: float | None = None,
+    luminance_meter_k: float | None = None,
+    k_u_rel: float | None = None,
+    f_number: float | None = None,
+    exposure_s: float | None = None,
+    iso: float | None = None,
+    measured_iso: Mapping[float, float] | None = None,
+    channel: str = "luminance",
+    pattern: str | None = None,
+    align: str = "auto",
+    reference_dn: float | None = None,
+    dynamic_range: Sequence[tuple[float, ...]] = (),
+    as_printed: bool = False,
+    spectrum: str | None = None,
+    black_level: float | None = None,
+    validity_days: float = 365.0,
+    spectral_response: PathLike | None = None,
+    flat: PathLike | None = None,
+    flat_u_rel: float = 0.0,
+    camera: str | None = None,
+    bench: PathLike | None = None,
+    camera_file: PathLike | None = None,
+    model: PathLike | None = None,
+    stated: Mapping[str, float] | None = None,
+    progress: Progress | None = None,
+) -> Calibrated:
+    """Give a response curve its absolute scale.
+
+    By a source of known radiance or luminance (a capture set, photographs, or `camera`), by the constant K of a light
+    meter and the settings it asked for, or by both: then the less uncertain scale is used.
+
+    Examples:
+        >>> import radiometer as rm
+        >>> rm.calibrate("out/chart", patch=(3, 3, 8, 8), radiance=0.2, u_rel=0.01)
+        <Calibrated ... J·m⁻² per unit of signal ± ... % (k = 2), known radiance>
+
+    Args:
+        capture: Capture set or folder of photographs of the known source.
+        out: Calibration file to write.
+        response: Response curve, or its file; linear above black without one.
+        patch: The known source: (x, y, width, height), or a patch name of the capture set.
+        radiance: Its radiance in W·sr⁻¹·m⁻².
+        luminance: Its luminance in cd·m⁻², instead of the radiance.
+        u_rel: Its relative standard uncertainty.
+        luminance_meter_k: Constant K of the camera's light meter (ISO 2720) in cd·m⁻²·s.
+        k_u_rel: Relative standard uncertainty of K beyond the meter's ±1/6 stop; None takes what ISO 2720 leaves open.
+        f_number: f-number of the reference photograph, or of frames that do not state theirs.
+        exposure_s: Exposure time of the reference photograph in s.
+        iso: Its ISO speed: as really measured, or stated (with `measured_iso`); of photographs that state none, theirs.
+        measured_iso: Real ISO speed by stated one.
+        channel: Of colour photographs: "luminance", "red", "green" or "blue".
+        pattern: Displayed pattern of a capture set that holds several.
+        align: Photographs from the hand: "auto" (where they moved), "on", or "off".
+        reference_dn: Pixel value of the metered surface; half of full scale by default.
+        dynamic_range: (M, time in s[, landed]) of regions brought to the reference value, which correct the exponent.
+        as_printed: Take settings at face value, not as stops.
+        spectrum: Spectrum of the source, or a CSV; equal energy to 43 % where not stated.
+        black_level: Black level in DN; the frames', or that of their dark frames, by default.
+        validity_days: Days that the calibration is valid for.
+        spectral_response: CSV of wavelength in nm and relative response per watt of the camera.
+        flat: Capture set of an evenly bright source: the flat field.
+        flat_u_rel: Relative standard uncertainty of that source's evenness.
+        camera: Capture now with this camera: "sim", id, serial number or address.
+        bench: Bench file for `camera`.
+        camera_file: Camera file of `characterise`: gain, noise, saturation as measured.
+        model: Model of `reconcile`: readings are corrected for its effects.
+        stated: Uncertainties of readings that are known better, by name.
+        progress: Called as files are read.
+
+    Raises:
+        CalibrationError: If frames and calibration do not go together.
+        CaptureError: If the frames are missing or inconsistent.
+        MeasurementError: If the patch is clipped, below the noise or not uniform.
+        UsageError: If arguments are missing or exclude each other.
+    """
+    curve = response if isinstance(response, ResponseCurve | None) else ResponseCurve.read(Path(response))
+    reference_s = exposure_s if exposure_s is None or as_printed else exact_exposure_s(exposure_s)
+    curve, ranged = _ranged(curve, dynamic_range, reference_s, reference_dn, as_printed=as_printed)
+    measured = dict(measured_iso or {})
+    real_iso = measured.get(iso, iso) if iso is not None else None
+    speeds = IsoSpeeds(measured, real_iso, iso if iso in measured else None)
+    by_source = radiance is not None or luminance is not None
+    needed = by_source or luminance_meter_k is None
+    seen = _seen(capture, camera, bench, patch, channel, pattern, align, speeds, iso, progress, needed=needed)
+    if seen is not None and needed:
+        seen = _with_f_number(seen, f_number, required=luminance_meter_k is None)
+    settings = _meter_settings(luminance_meter_k, f_number, exposure_s, real_iso, as_printed=as_printed)
+    source = _known_source(seen, radiance, luminance, u_rel, spectrum or "equal_energy")
+    if source is None and settings is None:
+        raise UsageError("give --radiance or --luminance of a known source, or --luminance-meter-k with its settings")
+    if seen is not None and seen.photographs is not None:
+        seen = _timed(seen, curve, in_model=model is not None)
+    preset = CameraPreset.read(Path(camera_file)) if camera_file is not None else None
+    base, of_black = _base(seen, curve, settings, preset, spectrum or "equal_energy", black_level, validity_days)
+    base = _with_statements(base, seen, preset, stated, model, spectral_response, spectrum_stated=spectrum is not None)
+    if flat is not None:
+        base = replace(base, flat_field=_flat_field(Path(flat), base, flat_u_rel))
+    scales, meter = list[Scale](), None
+    if source is not None and seen is not None and seen.patch is not None:
+        found = make.scale_by_source(base, seen.bracket, seen.patch, source)
+        scales.append(at_iso(found, *reference_iso(seen.bracket.light, speeds)))
+    if settings is not None and luminance_meter_k is not None:
+        dn = reference_dn if reference_dn is not None else base.camera.full_scale_dn // 2
+        meter = MeterReading(luminance_meter_k, settings, dn, k_u_rel)
+        scales.append(at_iso(make.scale_by_meter(base, meter), speeds.reference, speeds.reference_stated))
+    chosen = min(scales, key=lambda scale: scale.u_rel)
+    other = next((scale for scale in scales if scale is not chosen), None)
+    files = (capture, None if isinstance(response, ResponseCurve) else response, camera_file, flat, model)
+    inputs = tuple(Path(path).name for path in files if path)
+    done = make.scaled_calibration(base, chosen, inputs, other, further=(*of_black, *(seen.assumed if seen else ())))
+    if out is not None:
+        done.write(Path(out))
+    return Calibrated(done, tuple(scales), meter, ranged, Path(out) if out else None, seen.notes if seen else ())
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Seen:
+    """The known source as captured."""
+
+    bracket: Bracket
+    patch: Patch | None
+    camera: CameraDescription
+    lens: LensDescription
+    known: PatchDescription | None = None
+    photographs: Photographs | None = None
+    notes: tuple[str, ...] = ()
+    assumed: tuple[str, ...] = ()
+
+
+def _ranged(
+    curve: ResponseCurve | None,
+    regions: Sequence[tuple[float, ...]],
+    reference_s: float | None,
+    reference_dn: float | None,
+    *,
+    as_printed: bool,
+) -> tuple[ResponseCurve | None, DynamicRange | None]:
+    """Return the curve as regions brought to the reference value correct it, and what they say."""
+    if not regions:
+        return curve, None
+    if curve is None or reference_s is None:
+        raise UsageError("--dynamic-range needs --response, and --exposure of the reference photograph")
+    points = [
+        RangePoint(dn, time_s if as_printed else exact_exposure_s(time_s), *landed) for dn, time_s, *landed in regions
+    ]
+    reference = (curve.log_exposure.size - 1) // 2 if reference_dn is None else reference_dn
+    found = dynamic_range(curve, points, reference_s, reference)
+    return with_dynamic_range(curve, found), found
+
+
+def _seen(
+    capture: PathLike | None,
+    camera: str | None,
+    bench: PathLike | None,
+    patch: PatchLike | str | None,
+    channel: str,
+    pattern: str | None,
+    align: str,
+    speeds: IsoSpeeds,
+    iso: float | None,
+    progress: Progress | None,
+    *,
+    needed: bool,
+) -> _Seen | None:
+    if capture is not None and camera is not None:
+        raise UsageError("give a capture set or --camera, not both")
+    if capture is not None and is_photographs(Path(capture)):
+        where = _numbers(patch)
+        if where is None and needed:
+            raise UsageError("--patch is missing: say where in the photographs the known source is (X,Y,W,H)")
+        if channel == "each":
+            raise UsageError("--channel each: a calibration holds one channel; give luminance, red, green or blue")
+        report = None if progress is None else (lambda done, total: progress("reading", done, total))
+        taken = stack_of(open_source(Path(capture), channel, report=report), str(capture)).as_photographs()
+        unstated = not any(frame.settings.iso for frame in taken.only.light)
+        taken = taken.each(lambda one: with_gains(with_iso(one, iso if unstated else None), speeds)).placed(align)
+        bracket = taken.without_absent()
+        depth = CameraDescription(bit_depth=bracket.bit_depth)
+        return _Seen(bracket, where, depth, LensDescription(), photographs=taken)
+    if capture is not None:
+        return _seen_in_capture(Path(capture), patch, pattern, needed=needed)
+    if camera is not None or bench is not None:
+        with open_instrument(Path(bench) if bench else None, camera, _numbers(patch), uncalibrated=True) as instrument:
+            device = instrument.camera
+            return _Seen(instrument.take_bracket(), instrument.patch, device.description, device.lens)
+    return None
+
+
+def _numbers(patch: PatchLike | str | None) -> Patch | None:
+    """Return a patch that is given by its numbers. Raises UsageError for a name: only capture sets name patches."""
+    if isinstance(patch, str):
+        raise UsageError(f"--patch {patch!r}: expected X,Y,W,H in whole pixels, such as 100,80,40,40")
+    return patch if isinstance(patch, Patch | None) else Patch(*patch)
+
+
+def _seen_in_capture(path: Path, patch: PatchLike | str | None, pattern: str | None, *, needed: bool) -> _Seen:
+    capture = open_capture(path)
+    notes = tuple(f"{path.name}: {line}" for line in imported_of(capture).lines()) if capture.store is not None else ()
+    header = capture.header
+    named = {entry.name: entry for entry in header.patches}
+    known = named.get(patch) if isinstance(patch, str) else None
+    if patch is None:
+        with_radiance = [entry for entry in header.patches if entry.radiance_W_per_sr_m2 is not None]
+        if len(with_radiance) != 1 and needed:
+            raise UsageError(
+                f"--patch is missing: {path} has {len(with_radiance)} patches of known radiance; "
+                "give X,Y,W,H or a patch's name"
+            )
+        known = with_radiance[0] if len(with_radiance) == 1 else None
+    if known is None and isinstance(patch, str):
+        there = ", ".join(named) or "none"
+        raise UsageError(f"--patch {patch!r}: {path} has no patch of that name; there are: {there}")
+    where = known.patch if known else _numbers(patch)
+    return _Seen(capture.lit_bracket(pattern), where, header.camera, header.lens, known, notes=notes)
+
+
+def _timed(seen: _Seen, curve: ResponseCurve | None, *, in_model: bool) -> _Seen:
+    """Return photographs with the shutter's offset of the response; a model holds an offset itself."""
+    assert seen.photographs is not None
+    taken = replace(seen.photographs, brackets=dict.fromkeys(seen.photographs.brackets, seen.bracket))
+    taken = with_offset(taken, {} if in_model else dict.fromkeys(taken.brackets, curve))
+    bracket = taken.only
+    doubt = linear_doubt(bracket) if curve is None and not taken.are_raw and len(bracket.light) > 1 else None
+    assumed = tuple(text for texts in taken.assumed.values() for text in texts)
+    texts = (doubt,) if doubt else ()
+    return replace(seen, bracket=bracket, photographs=taken, notes=(*taken.notes, *texts), assumed=(*assumed, *texts))
+
+
+def _with_f_number(seen: _Seen, f_number: float | None, *, required: bool) -> _Seen:
+    """Return the known source as captured with the f-number stated by hand where its frames do not state it."""
+    unstated = seen.lens.f_number is None and any(frame.settings.f_number is None for frame in seen.bracket.light)
+    if unstated and f_number is None:
+        raise UsageError(
+            "the f-number of the frames is not stated: give --f-number N (1 of a lens whose iris cannot change); "
+            "without it the scale could be used at no other"
+        )
+    if not unstated and not required:
+        return seen
+    if f_number is not None and seen.lens.f_number is not None:
+        raise UsageError(f"--f-number: the capture states f/{seen.lens.f_number:.4g} itself; leave it out")
+    return replace(seen, bracket=with_f_number(seen.bracket, f_number))
+
+
+def _meter_settings(
+    meter_k: float | None, f_number: float | None, exposure_s: float | None, iso: float | None, *, as_printed: bool
+) -> MeterSettings | None:
+    if meter_k is None:
+        return None
+    if f_number is None or exposure_s is None or iso is None:
+        raise UsageError("--luminance-meter-k needs --f-number, --exposure and --iso of the reference photograph")
+    if f_number <= 0 or iso <= 0:
+        raise UsageError("--f-number and --iso must be above 0")
+    printed = MeterSettings(exposure_s, f_number, iso)
+    return printed if as_printed else printed.exact()
+
+
+def _known_source(
+    seen: _Seen | None, radiance: float | None, luminance: float | None, u_rel: float | None, spectrum: str
+) -> KnownSource | None:
+    if radiance is not None and luminance is not None:
+        raise UsageError("--radiance and --luminance exclude each other")
+    stated = radiance if luminance is None else photometry.radiance_w_sr_m2(luminance, spectrum_of(spectrum))
+    uncertainty = u_rel
+    if stated is None and seen is not None and seen.known is not None:
+        settings = seen.bracket.light[0].settings
+        known = seen.known.radiance(settings.pattern)
+        stated = None if known is None else known * settings.source_level
+        uncertainty = u_rel if u_rel is not None else seen.known.u_rel
+    if stated is None:
+        return None
+    if seen is None:
+        raise UsageError("a known radiance needs frames of it: name a capture set, or --camera")
+    if uncertainty is None:
+        raise UsageError("--u-rel is missing: without the source's uncertainty the scale has none")
+    return KnownSource(stated, uncertainty, "radiance" if luminance is None else "luminance")
+
+
+def _base(
+    seen: _Seen | None,
+    curve: ResponseCurve | None,
+    meter: MeterSettings | None,
+    preset: CameraPreset | None,
+    spectrum: str,
+    black_dn: float | None,
+    validity_days: float,
+) -> tuple[Calibration, tuple[str, ...]]:
+    """Return the calibration without its scale, and what was assumed of its black level."""
+    if seen is not None:
+        numbers = {frame.settings.f_number for frame in seen.bracket.light} - {None}
+        update = {"f_number": numbers.pop()} if len(numbers) == 1 else {}
+        camera, lens = seen.camera, seen.lens.model_copy(update=update)
+    elif curve is None or meter is None:
+        raise UsageError("--response is missing: without frames the curve says how many bits the camera has")
+    else:
+        camera, lens = CameraDescription(bit_depth=curve.bit_depth), LensDescription(f_number=meter.f_number)
+    if preset is not None:
+        camera = preset.applied_to(camera, "the camera file")
+    stated = black_dn
+    if stated is None and seen is not None:
+        levels = {frame.settings.black_level_dn for frame in seen.bracket.light} - {None}
+        stated = levels.pop() if len(levels) == 1 else None
+    base = make.unscaled_calibration(camera, lens, curve, spectrum, stated, validity_days)
+    if seen is None or stated is not None or camera.black_level_dn is not None:
+        return base, ()
+    measured = black_from_darks(seen.bracket.dark, base)
+    if measured is not None:
+        return replace(base, black_level=measured), (f"black level by {len(seen.bracket.dark)} dark frames",)
+    return base, () if curve is not None else ("black level 0 DN, which nothing states",)
+
+
+def _with_statements(
+    base: Calibration,
+    seen: _Seen | None,
+    preset: CameraPreset | None,
+    stated: Mapping[str, float] | None,
+    model: PathLike | None,
+    spectral_response: PathLike | None,
+    *,
+    spectrum_stated: bool,
+) -> Calibration:
+    """Return the calibration with what is stated or found of the camera besides its response."""
+    base = replace(base, uncertainties=_uncertainties(stated, preset))
+    if seen is not None and seen.photographs is not None:
+        require_channel(base, seen.bracket.light[0])
+    if model is not None:
+        shape = seen.bracket.shape if seen is not None else None
+        base = with_found_effects(base, Path(model), base.uncertainties.model_fields_set, shape)
+    elif "exposure_u_s" not in base.uncertainties.model_fields_set and _is_untold(seen, base.response):
+        base = _with_u(base, exposure_u_s=UNTOLD_SHUTTER_U_S)
+    if not spectrum_stated and "efficacy_u_rel" not in base.uncertainties.model_fields_set:
+        base = _with_u(base, efficacy_u_rel=UNKNOWN_EFFICACY_U_REL)
+    if preset is not None and preset.spectral_response is not None:
+        base = replace(base, spectral_response=preset.spectral_response)
+    if spectral_response is not None:
+        base = replace(base, spectral_response=read_spectral_response(Path(spectral_response)))
+    return base
+
+
+def _is_untold(seen: _Seen | None, curve: ResponseCurve | None) -> bool:
+    """Tell whether the exposures are those of a shutter whose offset is unknown."""
+    return seen is not None and seen.photographs is not None and has_untold_shutter(seen.photographs, curve)
+
+
+def _with_u(base: Calibration, **figures: float) -> Calibration:
+    return replace(base, uncertainties=base.uncertainties.model_copy(update=figures))
+
+
+def _flat_field(path: Path, base: Calibration, source_u_rel: float) -> FlatField:
+    # Without its cos⁴ the lens leaves all of the fall-off to the flat field.
+    uncorrected = base.lens.model_copy(update={"vignetting": "none", "focal_length_mm": None})
+    bracket = open_capture(path).lit_bracket()
+    even = merge(bracket, Setup(base.camera, base.lens, replace(base, lens=uncorrected)))
+    return fit_flat_field(even, base.camera, base.lens, source_u_rel=source_u_rel)
+
+
+def read_spectral_response(path: Path) -> SpectralResponse:
+    """Return the spectral response in a CSV of wavelength in nm and relative responsivity per watt."""
+    found = spectrum_from_csv(path)
+    return SpectralResponse(wavelength_nm=tuple(found.wavelength_nm), relative=tuple(found.power))
+
+
+def _uncertainties(stated: Mapping[str, float] | None, preset: CameraPreset | None) -> StatedUncertainties:
+    """Return the stated uncertainties: of the caller, else of the camera file, else the defaults."""
+    figures = {**(preset.uncertainties if preset else {}), **(stated or {})}
+    unknown = sorted(set(figures) - set(StatedUncertainties.model_fields))
+    if unknown:
+        there = ", ".join(StatedUncertainties.model_fields)
+        raise UsageError(f"there is no uncertainty {unknown[0]!r}; there are: {there}")
+    if any(not 0.0 <= u < float("inf") for u in figures.values()):
+        raise UsageError("an uncertainty must be 0 or more, and finite")
+    return StatedUncertainties(**figures)

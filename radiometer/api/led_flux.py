@@ -1,0 +1,179 @@
+"""The radiant flux of a light-emitting diode from a bracket of it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from radiometer.analysis.flux.estimate import led_flux
+from radiometer.analysis.flux.report import Emitter, FluxReport
+from radiometer.analysis.flux.sensor import flux_scale
+from radiometer.api.files import PathLike, stack_of
+from radiometer.api.result import Result
+from radiometer.bench.sources import is_photographs, open_source
+from radiometer.data import (
+    Calibration,
+    CameraDescription,
+    Frame,
+    LensDescription,
+    Patch,
+    Quantity,
+    SourceDescription,
+)
+from radiometer.devices import CameraPreset
+from radiometer.errors import UsageError
+from radiometer.importing import imported_of, open_capture
+from radiometer.photographs.scene import prepared
+
+__all__ = ["Flux", "FluxReport", "Quantity", "flux"]
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Flux(Result):
+    """The flux of a diode through the sensor, and as emitted.
+
+    Examples:
+        >>> import radiometer as rm
+        >>> found = rm.flux("out/chart", calibration="calibration.yaml")
+        >>> found.result.unit, found.result.u > 0
+        ('W', True)
+
+    Attributes:
+        report: Figures, the steps between them, and assumptions.
+        notes: What a user should know, a sentence each.
+    """
+
+    report: FluxReport
+    notes: tuple[str, ...] = ()
+
+    @property
+    def result(self) -> Quantity:
+        """Return the emitted flux in W by the best way at hand, else the flux through the sensor."""
+        return self.report.result
+
+    def to_mapping(self) -> dict[str, Any]:
+        """Return the documented JSON form."""
+        return {**self.report.to_mapping(), "notes": [*self.report.contradictions, *self.notes]}
+
+    def __str__(self) -> str:
+        """Return the flux in mW with its expanded uncertainty in one line."""
+        where = "emitted" if self.report.emitted else "through the sensor"
+        return f"{1e3 * self.result.value:.4g} ± {2e3 * self.result.u:.2g} mW (k = 2) {where}"
+
+
+def flux(
+    capture: PathLike,
+    *,
+    calibration: Calibration | PathLike | None = None,
+    camera_file: PathLike | None = None,
+    patch: Patch | tuple[int, int, int, int] | None = None,
+    half_angle: float | None = None,
+    half_angle_u: float = 1.0,
+    diameter: float | None = None,
+    diameter_u: float = 0.05,
+    distance: float | None = None,
+    distance_u: float = 0.5,
+    f_number_u_rel: float = 0.02,
+    datasheet_mw: float | None = None,
+    channel: str = "luminance",
+    measured_iso: Mapping[float, float] | None = None,
+) -> Flux:
+    """Find the radiant flux of a light-emitting diode.
+
+    Examples:
+        >>> import radiometer as rm
+        >>> rm.flux("out/chart", calibration="calibration.yaml")
+        <Flux ... mW (k = 2) through the sensor>
+
+    Args:
+        capture: Capture set, or folder of photographs, of the lit diode: several exposures.
+        calibration: Calibration, or its file; the capture's camera description where there is none.
+        camera_file: Camera file of `characterise`, instead of a calibration.
+        patch: Region (x, y, width, height) that holds the diode and its glow.
+        half_angle: Angle in degrees at which its intensity is one half.
+        half_angle_u: Its standard uncertainty in degrees.
+        diameter: Diameter of its emitting area in mm.
+        diameter_u: Its standard uncertainty in mm.
+        distance: From emitter to the lens's entrance pupil in mm.
+        distance_u: Its standard uncertainty in mm.
+        f_number_u_rel: Relative standard uncertainty of the f-number.
+        datasheet_mw: Flux that the datasheet states in mW.
+        channel: Of colour photographs: "luminance", "red", "green" or "blue".
+        measured_iso: Of photographs: real ISO speed by stated one.
+
+    Raises:
+        CalibrationError: If nothing gives the scale, or it does not fit.
+        CaptureError: If the frames are missing or inconsistent.
+        MeasurementError: If no frame shows the diode, or it clips everywhere.
+        UsageError: If arguments are missing or exclude each other.
+    """
+    region = patch if isinstance(patch, Patch | None) else Patch(*patch)
+    emitter = _emitter(half_angle, half_angle_u, diameter, diameter_u, distance, distance_u, datasheet_mw)
+    if calibration is not None and camera_file is not None:
+        raise UsageError("--calibration and --camera-file exclude each other")
+    known = calibration if isinstance(calibration, Calibration | None) else Calibration.read(Path(calibration))
+    taken = _taken(Path(capture), known, channel, measured_iso)
+    camera, u_rel = taken.camera, None
+    if camera_file is not None:
+        preset = CameraPreset.read(Path(camera_file))
+        camera, u_rel = preset.applied_to(camera, str(camera_file)), preset.figure_u_rel("R")
+    scale = flux_scale(camera, taken.source, known, u_rel)
+    return Flux(led_flux(taken.frames, scale, taken.lens, emitter, region, f_number_u_rel), taken.notes)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Taken:
+    """Frames of the lit diode, of the dark, and with the diode off."""
+
+    frames: Sequence[Frame]
+    camera: CameraDescription
+    lens: LensDescription
+    source: SourceDescription
+    notes: tuple[str, ...]
+
+
+def _taken(
+    path: Path, calibration: Calibration | None, channel: str, measured_iso: Mapping[float, float] | None
+) -> _Taken:
+    if is_photographs(path):
+        if calibration is None:
+            raise UsageError("photographs give a flux by --calibration only: they do not describe their sensor")
+        stack = stack_of(open_source(path, channel), str(path))
+        ready = prepared(stack.as_photographs(), calibration=calibration, measured_iso=measured_iso)
+        frames = (*ready.only.dark, *ready.without_absent().light)
+        return _Taken(frames, calibration.camera, calibration.lens, SourceDescription(), ready.notes)
+    capture = open_capture(path)
+    wanted = capture.pattern_of()
+    frames = tuple(one for one in capture.frames() if one.settings.is_dark or one.settings.pattern == wanted)
+    notes = tuple(f"{path.name}: {line}" for line in imported_of(capture).lines()) if capture.store is not None else ()
+    header = capture.header
+    return _Taken(frames, header.camera, header.lens, header.source, notes)
+
+
+def _emitter(
+    half_angle: float | None,
+    half_angle_u: float,
+    diameter: float | None,
+    diameter_u: float,
+    distance: float | None,
+    distance_u: float,
+    datasheet_mw: float | None,
+) -> Emitter | None:
+    if half_angle is None:
+        if any(v is not None for v in (diameter, distance, datasheet_mw)):
+            raise UsageError(
+                "the emitted flux needs --half-angle, the datasheet's angle of half intensity in degrees (half of the "
+                "viewing angle; 60 for an emitter without a lens)"
+            )
+        return None
+    for name, value in (("--diameter", diameter), ("--distance", distance), ("--datasheet-mw", datasheet_mw)):
+        if value is not None and not value > 0:
+            raise UsageError(f"{name} {value:g}: must be above 0")
+    return Emitter(
+        Quantity(half_angle, half_angle_u, "°"),
+        None if diameter is None else Quantity(diameter, diameter_u, "mm"),
+        None if distance is None else Quantity(distance, distance_u, "mm"),
+        None if datasheet_mw is None else datasheet_mw * 1e-3,
+    )

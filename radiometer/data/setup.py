@@ -1,0 +1,42 @@
+"""What measures, and what is measured: one object from the frames to a map or a reading."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from typing import Final
+
+from radiometer.data.calibration import Calibration
+from radiometer.data.capture_header import CameraDescription, LensDescription, SourceDescription
+
+# Of the light's spectrum: that of the calibration, as somebody states.
+AS_CALIBRATED: Final = "as calibrated"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Setup:
+    """Camera, lens and calibration in use, and what is known of the light.
+
+    Attributes:
+        camera: The camera in use.
+        lens: The lens in use.
+        calibration: The camera's calibration, with the light's spectrum where that is stated; None gives relative
+            values.
+        source: What is known of the light; that of a screen counts as polarised where nothing else is stated.
+        spectrum: Name of the light's spectrum, or path of a CSV; `AS_CALIBRATED`; None where it is unknown: then all
+            kinds of light count in the uncertainty.
+    """
+
+    camera: CameraDescription
+    lens: LensDescription = field(default_factory=LensDescription)
+    calibration: Calibration | None = None
+    source: SourceDescription | None = None
+    spectrum: str | None = AS_CALIBRATED
+
+    def __post_init__(self) -> None:
+        if self.calibration is not None and self.spectrum not in (None, AS_CALIBRATED):
+            object.__setattr__(self, "calibration", replace(self.calibration, spectrum=self.spectrum))
+
+    @property
+    def spectrum_stated(self) -> bool:
+        """Tell whether somebody states the light's spectrum."""
+        return self.spectrum is not None

@@ -1,0 +1,128 @@
+"""What every function does with dark frames: with those of the same exposures, with others, and without any."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import radiometer as rm
+from radiometer.data import (
+    Calibration,
+    CameraDescription,
+    CaptureSetWriter,
+    Frame,
+    FrameSettings,
+    LensDescription,
+    Scale,
+    SensorNoise,
+    SourceDescription,
+)
+
+BLACK_DN, DARK_E_PER_S, LIGHT_E_PER_S, TIMES_S = 500.0, 9.0, 3000.0, (0.125, 0.25, 0.5)
+GAIN_E_PER_DN, PITCH_UM, EFFICIENCY, WAVELENGTH_NM = 1.0, 5.0, 0.5, 550.0
+CAMERA = CameraDescription(
+    bit_depth=12, conversion_gain_e_per_dn=GAIN_E_PER_DN, read_noise_e=2.0, full_well_e=9000.0,
+    pixel_pitch_um=PITCH_UM, quantum_efficiency=EFFICIENCY,
+)  # fmt: skip
+LENS = LensDescription(f_number=4.0)
+PATCH = (20, 12, 16, 16)
+LENS_SR = math.pi / (4.0 * 16.0)
+DARKS = {"none": (), "same exposures": TIMES_S, "other exposures": (0.05, 1.0)}
+
+
+@pytest.fixture(params=DARKS)
+def capture(request, tmp_path) -> tuple[str, Path]:
+    """Return a capture set of a lit square with an unknown dark current, and which dark frames it has."""
+    rng, lit = np.random.default_rng(3), np.zeros((40, 56))
+    lit[8:32, 14:42] = LIGHT_E_PER_S
+    folder = tmp_path / "set"
+
+    def frame(time_s: float, light: np.ndarray, **settings: object) -> Frame:
+        electrons = rng.poisson((light + DARK_E_PER_S) * time_s) + rng.normal(0.0, 2.0, light.shape)
+        dn = np.clip(np.rint(electrons / GAIN_E_PER_DN + BLACK_DN), 0, 4095).astype(np.uint16)
+        return Frame(dn, 12, FrameSettings(time_s, black_level_dn=BLACK_DN, **settings))
+
+    with CaptureSetWriter(folder, CAMERA, LENS, source=SourceDescription(wavelength_nm=WAVELENGTH_NM)) as writer:
+        for time_s in DARKS[request.param]:
+            writer.add(frame(time_s, 0 * lit, shutter="closed"))
+        for time_s in TIMES_S:
+            writer.add(frame(time_s, lit))
+    return request.param, folder
+
+
+def calibration() -> Calibration:
+    """Return the calibration under which the square has 1 W·sr⁻¹·m⁻²."""
+    scale = Scale(value=LENS_SR * GAIN_E_PER_DN / LIGHT_E_PER_S, u_rel=1e-3, method="known_radiance", f_number=4.0)
+    return Calibration(CAMERA, LENS, scale, None, SensorNoise.of(CAMERA))
+
+
+def measured(folder: Path) -> tuple[float, float]:
+    reading = rm.measure_photographs(folder, PATCH, calibration=calibration(), spectrum="equal_energy")
+    return reading.radiance.value, reading.radiance.u
+
+
+def merged(folder: Path) -> tuple[float, float]:
+    found = rm.merge(folder, calibration=calibration())
+    part = np.s_[12:28, 20:36]
+    return float(np.mean(found.value[part])), float(np.hypot(found.u_rel_common, np.median(found.u[part])))
+
+
+def stacked(folder: Path) -> tuple[float, float]:
+    found = rm.merge(rm.read(folder), calibration=calibration())
+    part = np.s_[12:28, 20:36]
+    return float(np.mean(found.value[part])), float(np.hypot(found.u_rel_common, np.median(found.u[part])))
+
+
+def calibrated(folder: Path) -> tuple[float, float]:
+    scale = rm.calibrate(folder, patch=PATCH, radiance=1.0, u_rel=1e-3).scale
+    truth = LENS_SR * GAIN_E_PER_DN / LIGHT_E_PER_S
+    return scale.value / truth, scale.u_rel
+
+
+def through_sensor(folder: Path) -> tuple[float, float]:
+    found = rm.flux(folder, patch=(2, 2, 52, 36)).report.on_sensor
+    photon_j = 6.62607015e-34 * 299_792_458.0 / (WAVELENGTH_NM * 1e-9)
+    truth = 24 * 28 * LIGHT_E_PER_S / EFFICIENCY * photon_j
+    return found.value / truth, found.u / truth
+
+
+@pytest.mark.parametrize("function", [measured, merged, stacked, calibrated, through_sensor])
+def test_every_function_takes_the_dark_signal_off(function, capture):
+    """The truth is 1: within k = 2 whatever dark frames there are, within 0.2 % with those of the same exposures.
+
+    The dark current, which nothing states, is 0.3 % of the light.
+    """
+    darks, folder = capture
+    value, u = function(folder)
+    assert abs(value - 1.0) <= 2.0 * u
+    if darks == "same exposures":
+        assert value == pytest.approx(1.0, rel=2e-3)
+
+
+def test_a_response_says_that_it_uses_none(capture):
+    """Its lowest value is black; dark frames that lie with the bracket are named as not used."""
+    darks, folder = capture
+    found = rm.recover_response(folder, "linear_spline")
+    assert any("dark frames are not used" in text for text in found.notes) == (darks != "none")
+
+
+def test_an_unstated_black_level_is_that_of_the_dark_frames(tmp_path):
+    """Nothing states 500 DN: dark frames give it to 0.2 DN, from a line over time; without any the scale says so."""
+    rng = np.random.default_rng(4)
+    scales = {}
+    for name, times in (("with", (0.1, 0.5, 2.0)), ("without", ())):
+        folder = tmp_path / name
+        with CaptureSetWriter(folder, CameraDescription(bit_depth=12), LENS) as writer:
+            for time_s in times:
+                dn = np.rint(rng.normal(BLACK_DN + 40.0 * time_s, 2.0, (24, 32))).astype(np.uint16)
+                writer.add(Frame(dn, 12, FrameSettings(time_s, shutter="closed")))
+            for time_s in (0.1, 0.5):
+                dn = np.rint(rng.normal(BLACK_DN + 3000.0 * time_s, 2.0, (24, 32))).astype(np.uint16)
+                writer.add(Frame(dn, 12, FrameSettings(time_s)))
+        scales[name] = rm.calibrate(folder, patch=(4, 4, 16, 16), radiance=1.0, u_rel=0.01).calibration
+    assert scales["with"].black_level.dn == pytest.approx(BLACK_DN, abs=0.2)
+    assert "black level by 3 dark frames" in scales["with"].provenance.assumptions
+    assert "black level 0 DN, which nothing states" in scales["without"].provenance.assumptions

@@ -1,0 +1,283 @@
+"""Photographs give the same physics by the command line and in Python: radiances against those of the scene."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from PIL import Image
+
+import radiometer as rm
+from radiometer.cli.main import run
+from radiometer.data import Calibration, Flag, ResponseCurve
+from radiometer.errors import CalibrationError, InputError, UsageError
+
+# Whole stops: EXIF prints them exactly enough for the stop behind to be taken.
+TIMES_S = tuple(2.0**-k for k in (9, 8, 7, 6, 5, 4))
+SHAPE = (160, 224)
+
+
+def scene() -> np.ndarray:
+    """Return smooth radiances over a factor of some 60 with texture to align by, relative."""
+    noise = np.random.default_rng(0).normal(size=SHAPE)
+    texture = sum(cv2.GaussianBlur(noise, (0, 0), sigma) * sigma for sigma in (3.0, 7.0))
+    return np.exp(np.linspace(0.0, 1.5, SHAPE[1])[None, :] + texture) / 30.0
+
+
+def photographs(
+    folder: Path,
+    light: np.ndarray,
+    *,
+    times_s: tuple[float, ...] = TIMES_S,
+    gamma: float = 2.2,
+    iso: int | None = 100,
+    late_s: float = 0.0,
+    colours: tuple[float, float, float] | None = None,
+    shifts: tuple[float, ...] = (),
+    seed: int = 1,
+) -> Path:
+    """Write JPEG files as a camera with a response M = 255·H^(1/gamma) takes them, times and speed in EXIF."""
+    folder.mkdir(parents=True)
+    rng = np.random.default_rng(seed)
+    for number, label in enumerate(times_s):
+        seen = light
+        if shifts:
+            move = np.array([[1.0, 0.0, shifts[number]], [0.0, 1.0, 0.5 * shifts[number]]])
+            seen = cv2.warpAffine(light, move, light.shape[::-1], flags=cv2.INTER_CUBIC)
+        exposure = seen * (label + late_s) * 40.0 * (iso or 100) / 100.0
+        planes = [exposure * part for part in colours] if colours else [exposure]
+        dn = [255.0 * np.clip(one, 0.0, 1.0) ** (1.0 / gamma) + rng.normal(0.0, 0.6, one.shape) for one in planes]
+        pixels = np.clip(np.rint(np.stack(dn, axis=-1)), 0, 255).astype(np.uint8)
+        exif = Image.Exif()
+        exif.get_ifd(0x8769).update({33434: label, 33437: 8.0} | ({34855: iso} if iso else {}))
+        image = Image.fromarray(pixels if colours else pixels[..., 0])
+        image.save(folder / f"p{number}.jpg", exif=exif, quality=98, subsampling=0)
+    return folder
+
+
+def exponent(found: rm.Radiance, light: np.ndarray) -> float:
+    """Return the slope of ln(value) over ln(true radiance) where the map is good."""
+    good = (found.mask == 0) & (found.value > 0)
+    assert good.mean() > 0.5
+    return float(np.polyfit(np.log(light[good]), np.log(found.value[good].astype(float)), 1)[0])
+
+
+def rms_rel(found: rm.Radiance, light: np.ndarray) -> float:
+    """Return the relative standard deviation of value over truth where the map is good."""
+    good = (found.mask == 0) & (found.value > 0)
+    ratio = np.log(found.value[good].astype(float) / light[good])
+    return float(np.std(ratio))
+
+
+def test_merged_photographs_are_proportional_to_the_scene(tmp_path):
+    """JPEG of gamma 1/2.2: the exponent is 1, not 0.5, from the folder, from the stack, and by the command, alike."""
+    light = scene()
+    folder = photographs(tmp_path / "p", light)
+    stack = rm.read_photographs(folder)
+    found = rm.merge(stack)
+    assert exponent(found, light) == pytest.approx(1.0, abs=0.03)
+    assert "exposure times as stated by EXIF" in found.assumptions
+    assert run(["merge", str(folder), "-o", str(tmp_path / "map.tiff")]) == 0
+    by_path = rm.merge(folder)
+    assert np.array_equal(by_path.value, found.value)
+    assert np.array_equal(by_path.u, found.u)
+    assert exponent(rm.merge(stack, linear=True), light) < 0.7  # only because it was asked for
+
+
+def test_photographs_that_hold_no_response_are_refused(tmp_path):
+    """One photograph of JPEG: no map is made by treating its numbers as light."""
+    folder = photographs(tmp_path / "p", scene(), times_s=(2.0**-6,))
+    with pytest.raises(InputError, match="one exposure only"):
+        rm.merge(rm.read_photographs(folder))
+
+
+@pytest.fixture(scope="module")
+def curve() -> ResponseCurve:
+    """Return the response M = 255·H^(1/2.2)."""
+    g = 2.2 * np.log(np.maximum(np.arange(256.0), 0.25) / 128.0)
+    return ResponseCurve(g, np.full(256, 5e-3), valid_dn=(4, 252))
+
+
+@pytest.fixture
+def calibrated(tmp_path, curve) -> Calibration:
+    """Return a calibration at ISO 100 by photographs of an even source of 0.5 W·sr⁻¹·m⁻²."""
+    known = photographs(tmp_path / "known", np.full((40, 60), 0.5), times_s=TIMES_S[1:4], seed=7)
+    found = rm.calibrate(
+        known, response=curve, patch=(4, 4, 50, 30), radiance=0.5, u_rel=0.01, out=tmp_path / "cal.yaml"
+    )
+    assert found.to_mapping()["scale"]["iso"] == 100
+    return found.calibration
+
+
+@pytest.mark.parametrize("iso", [100, 400])
+def test_photographs_of_another_iso_read_right(tmp_path, calibrated, iso):
+    """Numbers of ISO 400 are four times as large: map and reading are of the light that was there all the same."""
+    folder = photographs(tmp_path / "other", np.full((40, 60), 0.2), iso=iso, times_s=TIMES_S[1:4], seed=8)
+    stack = rm.read_photographs(folder)
+    reading = rm.measure_photographs(stack, (4, 4, 50, 30), calibration=calibrated, spectrum="equal_energy")
+    assert reading.radiance.value == pytest.approx(0.2, rel=0.03)
+    assert np.median(rm.merge(stack, calibration=calibrated).value) == pytest.approx(0.2, rel=0.03)
+    assert any(line.name == "gain step" and line.u_rel > 0 for line in reading.budget) == (iso == 400)
+
+
+def test_a_speed_that_one_side_does_not_state_is_assumed_or_refused(tmp_path, calibrated):
+    """Photographs without a speed are treated as the calibration's, in words; a scale without one is refused."""
+    silent = photographs(tmp_path / "silent", np.full((40, 60), 0.2), iso=None, times_s=TIMES_S[1:4])
+    assert any("treated as taken at ISO 100" in one for one in rm.merge(silent, calibration=calibrated).assumptions)
+    stated = rm.measure_photographs(silent, (4, 4, 50, 30), calibration=calibrated, iso=100, spectrum="equal_energy")
+    assert stated.radiance.value == pytest.approx(0.2, rel=0.03)
+    unknown = replace(calibrated, scale=calibrated.scale.model_copy(update={"iso": None}))
+    told = photographs(tmp_path / "told", np.full((40, 60), 0.2), times_s=TIMES_S[1:4])
+    with pytest.raises(CalibrationError, match="does not say at which ISO speed"):
+        rm.measure_photographs(told, (4, 4, 50, 30), calibration=unknown)
+
+
+def test_a_calibration_of_one_colour_reads_no_other(tmp_path, curve):
+    """Green's scale is refused for red and for luminance, by commands and functions, and takes green."""
+    colours = (0.6, 1.0, 0.8)
+    known = photographs(tmp_path / "known", np.full((40, 60), 0.5), times_s=TIMES_S[1:4], colours=colours)
+    patch, green = (4, 4, 50, 30), replace(curve, channel="green")
+    found = rm.calibrate(known, response=green, channel="green", patch=patch, radiance=0.5, u_rel=0.01)
+    stack = rm.read_photographs(known)
+    for channel in ("red", "blue"):
+        with pytest.raises(UsageError, match="response is of green"):
+            rm.merge(stack[channel], calibration=found.calibration)
+    with pytest.raises(UsageError, match="response is of green"):
+        rm.measure_photographs(known, patch, calibration=found.calibration)
+    assert np.median(rm.merge(stack["green"], calibration=found.calibration).value) == pytest.approx(0.5, rel=0.02)
+
+
+def test_photographs_from_the_hand_are_aligned_in_python_too(tmp_path):
+    """Moved by up to 6 pixels: the map of the stack is that of the folder, and sharp."""
+    light, shifts = scene(), (0.0, 2.5, -3.0, 5.0, 1.0, 6.0)
+    folder = photographs(tmp_path / "p", light, shifts=shifts)
+    found = rm.merge(rm.read_photographs(folder))
+    assert found.alignment is not None
+    by, middle = shifts[int(found.alignment.split("aligned to p")[1][0])], np.s_[12:-12, 12:-12]
+    move = np.array([[1.0, 0.0, by], [0.0, 1.0, 0.5 * by]])
+    truth = cv2.warpAffine(light, move, light.shape[::-1], flags=cv2.INTER_CUBIC)[middle]
+    aligned, blurred = (
+        float(np.std(np.log(one.value[middle] / truth)[one.mask[middle] == 0]))
+        for one in (found, rm.merge(rm.read_photographs(folder), align="off"))
+    )
+    assert aligned < 0.05
+    assert blurred > 3 * aligned
+    assert np.array_equal(found.value, rm.merge(folder).value)
+
+
+def test_the_offset_of_a_shutter_that_the_response_tells_counts_in_python(tmp_path, curve):
+    """Exposures 60 µs longer than their labels: the map by a response that says so is right to a third of the error."""
+    light = scene()
+    folder = photographs(tmp_path / "p", 60 * light, times_s=tuple(2.0**-k for k in (12, 11, 10, 9, 8)), late_s=6e-5)
+    offset = {"shutter_offset_s": 6e-5, "u_shutter_offset_s": 5e-6}
+    told = replace(curve, provenance=replace(curve.provenance, parameters=offset))
+    stack = rm.read_photographs(folder)
+    right, wrong = (rms_rel(rm.merge(stack, one), light) for one in (told, curve))
+    assert right < 0.35 * wrong
+    assert any("shutter's offset" in text for text in rm.merge(stack, told).assumptions)
+
+
+def test_exposures_that_nothing_confirms_are_assumed_and_count_in_u(tmp_path, curve):
+    """A shutter 0.1 ms late at 1/500 s: the assumption is named, and u of the brightest pixels holds the error."""
+    light = np.full((40, 60), 8.0)  # clips in all but the shortest
+    late = photographs(tmp_path / "p", light, times_s=(2.0**-9, 2.0**-8, 2.0**-7, 2.0**-6), late_s=1e-4)
+    found = rm.merge(late, curve, align="off")
+    assert "exposure times as stated by EXIF" in found.assumptions
+    error = 1e-4 / 2.0**-9
+    assert np.median(found.u / found.value) > 0.4 * error
+
+
+def test_photographs_are_reconciled_in_python(tmp_path):
+    """Labels that agree with the pictures: the stack gives the verdict of the command."""
+    folder = photographs(tmp_path / "p", scene())
+    found = rm.reconcile(rm.read_photographs(folder))
+    assert found.verdict == rm.reconcile(folder).verdict == "agrees"
+
+
+def test_several_patterns_are_asked_for_by_command_and_function(tmp_path, capsys):
+    """Neither takes the first of two without a word; both take the chosen one."""
+    capture = two_patterns(tmp_path / "set")
+    with pytest.raises(UsageError, match="holds 2 patterns"):
+        rm.merge(rm.read(capture))
+    words = ["merge", str(capture), "-o", str(tmp_path / "map.exr")]
+    assert run(words) == 2
+    assert "--pattern" in capsys.readouterr().err
+    assert run([*words, "--pattern", "inverted", "--json"]) == 0
+    median = json.loads(capsys.readouterr().out)["values"]["median"]
+    assert median == float(np.median(rm.merge(rm.read(capture), pattern="inverted").value))
+
+
+def two_patterns(folder: Path, **camera: float) -> Path:
+    """Write a capture set of two displayed patterns, 1000 and 2000 DN above a black level of 64 that frames state."""
+    from radiometer.data import CameraDescription, CaptureSetWriter, Frame, FrameSettings, LensDescription
+
+    with CaptureSetWriter(folder, CameraDescription(bit_depth=12, **camera), LensDescription()) as writer:
+        for pattern, level in (("chart", 1000.0), ("inverted", 2000.0)):
+            for time_s in (0.5, 1.0):
+                dn = np.full((12, 16), 64.0 + level * time_s).astype(np.uint16)
+                writer.add(Frame(dn, 12, FrameSettings(time_s, black_level_dn=64.0, pattern=pattern)))
+    return folder
+
+
+def test_the_frames_own_black_level_comes_before_the_cameras(tmp_path):
+    """Frames say 64 DN, the camera 0: with a response the values go as the light, 2 to 1 between two exposures."""
+    capture = two_patterns(tmp_path / "set", black_level_dn=0.0)
+    dn = np.arange(4096.0)
+    line = ResponseCurve(np.log(np.maximum(dn - 64.0, 0.25) / 1984.0), np.full(4096, 1e-3), valid_dn=(70, 4090))
+    values = [np.median(rm.merge(capture, line, pattern=name).value) for name in ("chart", "inverted")]
+    assert values[1] / values[0] == pytest.approx(2.0, rel=1e-3)
+
+
+def test_a_stack_and_its_brackets_print_no_pixels(tmp_path):
+    """One line each, however many frames."""
+    stack = rm.read_photographs(photographs(tmp_path / "p", scene()))
+    for shown in (repr(stack), str(stack), repr(stack.bracket), repr(rm.merge(stack, linear=True))):
+        assert len(shown) < 250
+        assert "\n" not in shown
+        assert "array" not in shown
+
+
+def test_a_light_meter_s_scale_counts_the_ratio_of_speeds(tmp_path, curve):
+    """K at ISO 100, 200 and 400, photographs at ISO 100: speed and gain go together, the reading is the same."""
+    folder = photographs(tmp_path / "p", np.full((40, 60), 0.5), times_s=TIMES_S[1:4])
+    values = []
+    for iso in (100, 200, 400):
+        scale = rm.calibrate(response=curve, luminance_meter_k=12.5, f_number=8.0, exposure_s=1 / 128, iso=iso)
+        reading = rm.measure_photographs(folder, (4, 4, 50, 30), calibration=scale.calibration)
+        values.append(reading.radiance.value)
+    # H_ref = L·π/(4N²)·t with L = N²K/(tS) is half at twice the speed, and the gain of ISO 100 is half of ISO 200's.
+    assert values == pytest.approx([values[0]] * 3, rel=1e-4)
+
+
+def test_a_metered_radiance_carries_the_doubt_of_the_efficacy(curve):
+    """Without a stated spectrum its efficacy is known to 43 %: so is the radiance, the luminance to 21 %."""
+    words = {"response": curve, "luminance_meter_k": 12.5, "f_number": 8.0, "exposure_s": 1 / 128, "iso": 100}
+    for spectrum, least in ((None, 0.43), ("equal_energy", 0.0)):
+        metered = rm.calibrate(**words, spectrum=spectrum).to_mapping()["metered"]
+        own, seen = (metered[name]["u"] / metered[name]["value"] for name in ("radiance", "luminance"))
+        assert own == pytest.approx(np.hypot(seen, least))
+
+
+def test_a_reference_value_where_the_curve_has_no_data_is_refused(curve):
+    """Supported from 4 to 252 DN: 2 DN and 254 DN are refused with the range, 128 DN is taken."""
+    words = {"response": curve, "luminance_meter_k": 12.5, "f_number": 8.0, "exposure_s": 1 / 128, "iso": 100}
+    for dn in (2.0, 254.0):
+        with pytest.raises(UsageError, match="supported from 4 to 252 DN"):
+            rm.calibrate(**words, reference_dn=dn)
+    assert rm.calibrate(**words, reference_dn=128.0).scale.value > 0
+
+
+def test_flags_of_a_relative_reading_of_photographs(tmp_path):
+    """Two patches of a gamma curve, recovered: their ratio is that of the light; values are relative."""
+    light = scene()
+    folder = photographs(tmp_path / "p", light)
+    one, other = (
+        rm.measure_photographs(folder, patch, uncalibrated=True) for patch in ((30, 40, 6, 6), (90, 40, 6, 6))
+    )
+    truth = light[40:46, 90:96].mean() / light[40:46, 30:36].mean()
+    assert other.radiance.value / one.radiance.value == pytest.approx(truth, rel=0.06)
+    assert Flag.UNCALIBRATED in one.flags
