@@ -11,20 +11,29 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from itertools import product
 from typing import Any, Final
 
 import numpy as np
-from numpy.polynomial.legendre import legvander
 
 from radiometer.errors import MeasurementError
 from radiometer.importing.log_table import Array, LogTable
 from radiometer.reconciliation.chances import chi2_beyond
-from radiometer.reconciliation.logs.log_model import LogTerm, axes, catalogue, gain_levels, jacobian, predicted_log
+from radiometer.reconciliation.logs.log_model import (
+    SIGNAL,
+    LogTerm,
+    axes,
+    catalogue,
+    gain_levels,
+    jacobian,
+    predicted_log,
+    trend,
+)
 from radiometer.reconciliation.logs.log_state import LogState, Scatter
 from radiometer.reconciliation.result import FittedParameter, FoundEffect, Limit, ReconcileResult, Verdict
 from radiometer.reconciliation.thresholds import (
+    ESSENTIAL_SIGMAS,
     FLEXIBLE_NATS,
     LATER_NATS,
     MOST_STEPS,
@@ -39,8 +48,10 @@ GAP_UNIT: Final = "reduced chi-square on held-out nights"
 # Share of a reading's variance that hangs together with its neighbours', and its correlation from one to the next.
 _CLOUDS: Final = ((0.0, 0.0), *product((0.3, 0.6, 0.9), (0.6, 0.8, 0.9, 0.96)))
 _NIGHTS: Final = (0.0, 0.3, 1.0, 3.0, 10.0)  # scatter of nights over that of readings
-_DEGREE: Final = 3
 _SIGMAS: Final = 5.0
+# Correlation of a trend with the same along the measured column: 1 for one curve, 0 for two explanations of noise.
+_SAME_CURVE: Final = 0.5
+_WHOLE: Final = 100.0  # scales of a parameter (1 % of the light each): a limit beyond the light itself shows nothing
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,7 +85,6 @@ class LogFit:
     error_before: float
     error_after: float
     control: str = ""
-    notes: tuple[str, ...] = field(default_factory=tuple)
 
 
 def fit_log(log: LogTable, *, control: bool = True, seed: int = 1) -> LogFit:
@@ -118,7 +128,7 @@ def _scatter(state: LogState) -> Scatter:
     terms = tuple(term for term in terms if not term.flexible or term.where == "gain")
     parameters = np.concatenate([state.parameters, *(term.begins for term in terms)])
     columns = jacobian(log, terms, parameters)
-    curves = [legvander(axis, _DEGREE)[:, 1:] for axis in axes(log).values()]
+    curves = [trend(log, name) for name in axes(log)]
     design = _independent(np.column_stack([columns, *curves]))
     rest = np.log(log.value) - predicted_log(log, (), state.parameters)
     fits = [_restricted(log, design, rest, n, q) for n, q in product(_CLOUDS, _NIGHTS)]
@@ -178,11 +188,8 @@ def _search(start: LogState) -> tuple[LogState, tuple[LogStep, ...]]:
 def _one_step(state: LogState, every: Sequence[LogTerm], *, later: bool) -> tuple[LogState, LogStep] | None:
     there = {term.name for term in state.terms}
     tried = [(term, state.with_term(term)) for term in every if term.name not in there]
-    curves = [
-        (name, state.with_trend(name, np.asarray(legvander(axis, _DEGREE)[:, 1:])))
-        for name, axis in axes(state.log).items()
-    ]
-    curves = [(name, one) for name, one in curves if name not in [n for n, _ in state.trends]]
+    free = [name for name in axes(state.log) if name not in [known for known, _ in state.trends]]
+    curves = [(name, state.with_trend(name, trend(state.log, name))) for name in free]
     limit = SIGNIFICANCE / max(len(tried) + len(curves), 1)
     named = [(term, one, _score(state, one, term)) for term, one in tried if _is_shown(state, one, limit, later=later)]
     smooth = [(name, one, _score(state, one)) for name, one in curves if _is_shown(state, one, limit, later=later)]
@@ -199,7 +206,7 @@ def _one_step(state: LogState, every: Sequence[LogTerm], *, later: bool) -> tupl
 
 
 def _ways(old: LogState, new: LogState) -> list[tuple[LogState, LogState]]:
-    """Return both models with the signal as predicted and as measured; once where nothing goes with it."""
+    """Return both models with the signal as predicted and as measured; once where nothing acts along it."""
     if new.other_way is new:
         return [(old, new)]
     return [(old, new), (old.other_way, new.other_way)]
@@ -219,8 +226,30 @@ def _is_shown(old: LogState, new: LogState, limit: float, *, later: bool) -> boo
     needed = NAMED_NATS + (LATER_NATS if later else 0.0)
     ways = _ways(old, new)
     chance = max(chi2_beyond(before.chi2 - after.chi2, new.free - old.free) for before, after in ways)
-    signs = {float(np.sign(after.parameters[-1])) for _, after in ways}
-    return chance < limit and len(signs) == 1 and _score(old, new) + PARAMETER_NATS >= needed
+    if chance >= limit or _score(old, new) + PARAMETER_NATS < needed:
+        return False
+    known = _is_determined(new) if new.terms[len(old.terms) :] else _is_one_curve(new)
+    return known and night_error(new) <= night_error(old)
+
+
+def _is_determined(state: LogState) -> bool:
+    """Return whether the newest term's parameters are known at all, and its essential ones from zero.
+
+    A signal that moves by no more than the readings scatter is explained by any black level or bend, and by opposite
+    ones as predicted and as measured. The difference of both is part of the uncertainty.
+    """
+    term = state.terms[-1]
+    found = list(fitted_parameters(state, term.name).values())
+    essential = found if term.flexible else found[:1]
+    return all(math.isfinite(one.u) for one in found) and any(
+        abs(one.value) > ESSENTIAL_SIGMAS * one.u for one in essential
+    )
+
+
+def _is_one_curve(state: LogState) -> bool:
+    """Return whether the newest trend has one shape, its column taken as predicted or as measured."""
+    one, other = state.newest_curve, state.other_way.newest_curve
+    return float(one @ other) > _SAME_CURVE * float(np.linalg.norm(one) * np.linalg.norm(other))
 
 
 def _pruned(state: LogState, steps: list[LogStep]) -> tuple[LogState, list[LogStep]]:
@@ -280,7 +309,7 @@ def _verdict(steps: Sequence[LogStep]) -> Verdict:
 def _result(
     start: LogState, state: LogState, steps: Sequence[LogStep], before: float, after: float, control: str
 ) -> ReconcileResult:
-    log = state.log
+    log, limits = state.log, _limits(state)
     verdict = _verdict(steps)
     extra: dict[str, Any] = {
         "nights": log.nights,
@@ -301,12 +330,25 @@ def _result(
         effects=tuple(_effect(state, step, provisional=verdict is Verdict.INCOMPLETE) for step in steps),
         gap_before=start.gap,
         gap_after=state.gap,
-        limits=_limits(state),
+        limits=limits,
         captures=log.size,
-        assumptions=log.assumptions,
+        assumptions=(*log.assumptions, *_advice(log, limits)),
         gap_unit=GAP_UNIT,
         repeatability=state.scatter.reading,
         extra=extra,
+    )
+
+
+def _advice(log: LogTable, limits: dict[str, Limit]) -> tuple[str, ...]:
+    """Return what to record so that the terms along the signal show, where this log cannot show them."""
+    hidden = [term.name for term in catalogue(log) if term.where == SIGNAL and term.name in limits]
+    hidden = [name for name in hidden if limits[name].amplitude is None]
+    if not hidden:
+        return ()
+    spread = 100.0 * float(np.std(np.log(log.value)))
+    return (
+        f"none of {', '.join(hidden)}: the value varies by {spread:.2g} % only, and this log cannot show them; "
+        "record some readings at a half and a quarter of the exposure",
     )
 
 
@@ -354,6 +396,7 @@ def _limits(state: LogState) -> dict[str, Limit]:
         ways = {id(way): way for way in (more, more.other_way)}.values()
         u = max(float(way.uncertainty()[-term.size]) for way in ways)
         apart = abs(more.parameters[-term.size] - more.other_way.parameters[-term.size]) / 2.0
-        seen = math.isfinite(u) and u < 1e3 * term.scales[0]
-        found[term.name] = Limit(_SIGMAS * u + float(apart) if seen else None, term.parameters[0], term.units[0])
+        least = _SIGMAS * u + float(apart)
+        shown = math.isfinite(least) and least < _WHOLE * term.scales[0]
+        found[term.name] = Limit(least if shown else None, term.parameters[0], term.units[0])
     return found
