@@ -21,11 +21,13 @@ from radiometer.errors import MeasurementError
 from radiometer.importing.log_table import Array, LogTable
 from radiometer.reconciliation.chances import chi2_beyond
 from radiometer.reconciliation.logs.log_model import (
+    MEASURED_TOO,
     SIGNAL,
     LogTerm,
     axes,
     catalogue,
     gain_levels,
+    is_lost_in_scatter,
     jacobian,
     predicted_log,
     trend,
@@ -49,8 +51,6 @@ GAP_UNIT: Final = "reduced chi-square on held-out nights"
 _CLOUDS: Final = ((0.0, 0.0), *product((0.3, 0.6, 0.9), (0.6, 0.8, 0.9, 0.96)))
 _NIGHTS: Final = (0.0, 0.3, 1.0, 3.0, 10.0)  # scatter of nights over that of readings
 _SIGMAS: Final = 5.0
-# Correlation of a trend with the same along the measured column: 1 for one curve, 0 for two explanations of noise.
-_SAME_CURVE: Final = 0.5
 _WHOLE: Final = 100.0  # scales of a parameter (1 % of the light each): a limit beyond the light itself shows nothing
 
 
@@ -125,10 +125,13 @@ def _scatter(state: LogState) -> Scatter:
     """Return the scatter about all terms and free curves at once, by restricted maximum likelihood on a grid."""
     log = state.log
     terms = catalogue(log)
-    terms = tuple(term for term in terms if not term.flexible or term.where == "gain")
+    # Signal, reference and exposure depend on one another. If one of the first two is scatter alone, curves along both
+    # would explain that scatter; the exposure then varies as the other one does.
+    left_out = MEASURED_TOO if any(is_lost_in_scatter(log, name) for name in MEASURED_TOO) else ()
+    terms = tuple(term for term in terms if term.where not in left_out)
     parameters = np.concatenate([state.parameters, *(term.begins for term in terms)])
     columns = jacobian(log, terms, parameters)
-    curves = [trend(log, name) for name in axes(log)]
+    curves = [trend(log, name) for name in axes(log) if name not in left_out]
     design = _independent(np.column_stack([columns, *curves]))
     rest = np.log(log.value) - predicted_log(log, (), state.parameters)
     fits = [_restricted(log, design, rest, n, q) for n, q in product(_CLOUDS, _NIGHTS)]
@@ -174,7 +177,7 @@ def _restricted(
 def _search(start: LogState) -> tuple[LogState, tuple[LogStep, ...]]:
     """Return the model with every term that held-out nights speak for, and what was found in order."""
     state, steps = start, list[LogStep]()
-    every = catalogue(start.log)
+    every = [term for term in catalogue(start.log) if not is_lost_in_scatter(start.log, term.where)]
     for _ in range(MOST_STEPS):
         following = _one_step(state, every, later=bool(steps))
         if following is None:
@@ -188,7 +191,8 @@ def _search(start: LogState) -> tuple[LogState, tuple[LogStep, ...]]:
 def _one_step(state: LogState, every: Sequence[LogTerm], *, later: bool) -> tuple[LogState, LogStep] | None:
     there = {term.name for term in state.terms}
     tried = [(term, state.with_term(term)) for term in every if term.name not in there]
-    free = [name for name in axes(state.log) if name not in [known for known, _ in state.trends]]
+    known = {name for name, _ in state.trends}
+    free = [name for name in axes(state.log) if name not in known and not is_lost_in_scatter(state.log, name)]
     curves = [(name, state.with_trend(name, trend(state.log, name))) for name in free]
     limit = SIGNIFICANCE / max(len(tried) + len(curves), 1)
     named = [(term, one, _score(state, one, term)) for term, one in tried if _is_shown(state, one, limit, later=later)]
@@ -228,28 +232,19 @@ def _is_shown(old: LogState, new: LogState, limit: float, *, later: bool) -> boo
     chance = max(chi2_beyond(before.chi2 - after.chi2, new.free - old.free) for before, after in ways)
     if chance >= limit or _score(old, new) + PARAMETER_NATS < needed:
         return False
-    known = _is_determined(new) if new.terms[len(old.terms) :] else _is_one_curve(new)
+    known = len(new.terms) == len(old.terms) or _is_determined(new)
     return known and night_error(new) <= night_error(old)
 
 
 def _is_determined(state: LogState) -> bool:
-    """Return whether the newest term's parameters are known at all, and its essential ones from zero.
+    """Return whether the newest term's uncertainties are finite, and its first parameter (or any entry) is not zero.
 
-    A signal that moves by no more than the readings scatter is explained by any black level or bend, and by opposite
-    ones as predicted and as measured. The difference of both is part of the uncertainty.
+    The difference between the signal as predicted and as measured is part of the uncertainty.
     """
     term = state.terms[-1]
-    found = list(fitted_parameters(state, term.name).values())
+    found = [(one.value, math.inf if one.u is None else one.u) for one in fitted_parameters(state, term.name).values()]
     essential = found if term.flexible else found[:1]
-    return all(math.isfinite(one.u) for one in found) and any(
-        abs(one.value) > ESSENTIAL_SIGMAS * one.u for one in essential
-    )
-
-
-def _is_one_curve(state: LogState) -> bool:
-    """Return whether the newest trend has one shape, its column taken as predicted or as measured."""
-    one, other = state.newest_curve, state.other_way.newest_curve
-    return float(one @ other) > _SAME_CURVE * float(np.linalg.norm(one) * np.linalg.norm(other))
+    return all(math.isfinite(u) for _, u in found) and any(abs(value) > ESSENTIAL_SIGMAS * u for value, u in essential)
 
 
 def _pruned(state: LogState, steps: list[LogStep]) -> tuple[LogState, list[LogStep]]:
@@ -309,7 +304,7 @@ def _verdict(steps: Sequence[LogStep]) -> Verdict:
 def _result(
     start: LogState, state: LogState, steps: Sequence[LogStep], before: float, after: float, control: str
 ) -> ReconcileResult:
-    log, limits = state.log, _limits(state)
+    log = state.log
     verdict = _verdict(steps)
     extra: dict[str, Any] = {
         "nights": log.nights,
@@ -330,26 +325,27 @@ def _result(
         effects=tuple(_effect(state, step, provisional=verdict is Verdict.INCOMPLETE) for step in steps),
         gap_before=start.gap,
         gap_after=state.gap,
-        limits=limits,
+        limits=_limits(state),
         captures=log.size,
-        assumptions=(*log.assumptions, *_advice(log, limits)),
+        assumptions=(*log.assumptions, *_advice(log)),
         gap_unit=GAP_UNIT,
         repeatability=state.scatter.reading,
         extra=extra,
     )
 
 
-def _advice(log: LogTable, limits: dict[str, Limit]) -> tuple[str, ...]:
-    """Return what to record so that the terms along the signal show, where this log cannot show them."""
-    hidden = [term.name for term in catalogue(log) if term.where == SIGNAL and term.name in limits]
-    hidden = [name for name in hidden if limits[name].amplitude is None]
-    if not hidden:
-        return ()
-    spread = 100.0 * float(np.std(np.log(log.value)))
-    return (
-        f"none of {', '.join(hidden)}: the value varies by {spread:.2g} % only, and this log cannot show them; "
-        "record some readings at a half and a quarter of the exposure",
-    )
+def _advice(log: LogTable) -> list[str]:
+    """Return what to record so that the terms show that this log cannot show."""
+    remedies = {
+        SIGNAL: "record some readings at a half and a quarter of the exposure",
+        "reference": "record some readings under a half and a quarter of the light",
+    }
+    lines = []
+    for name, remedy in remedies.items():
+        terms = [term.name for term in catalogue(log) if term.where == name]
+        if terms and is_lost_in_scatter(log, name):
+            lines.append(f"none of {', '.join(terms)}: the {name} varies by less than its scatter; {remedy}")
+    return lines
 
 
 def _effect(state: LogState, step: LogStep, *, provisional: bool) -> FoundEffect:
@@ -391,6 +387,9 @@ def _limits(state: LogState) -> dict[str, Limit]:
     found: dict[str, Limit] = {}
     for term in catalogue(state.log):
         if term.flexible or term.name in there:
+            continue
+        if is_lost_in_scatter(state.log, term.where):
+            found[term.name] = Limit(None, term.parameters[0], term.units[0])
             continue
         more = state.with_term(term)
         ways = {id(way): way for way in (more, more.other_way)}.values()

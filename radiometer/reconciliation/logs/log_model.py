@@ -35,6 +35,7 @@ _LEAST_DOUBLING_K, _MOST_DOUBLING_K = 3.0, 20.0
 _LARGEST_LOG: Final = 200.0  # limit of ln(signal) while a step is tried, far beyond any camera
 _NEAR_DB: Final = 0.05  # gains that differ less are one
 _MOST_GAINS: Final = 12
+_LEAST_CORRELATION: Final = 0.5  # of a column as predicted and as measured: there scatter and variation are equal
 _DEGREE: Final = 3  # of a trend without a name: a bend that changes its sign once
 
 
@@ -291,6 +292,16 @@ def axes(log: LogTable, *, measured: bool = False) -> Mapping[str, Array]:
             low, high = float(values.min()), float(values.max())
             found[name] = np.asarray(2.0 * (values - low) / (high - low) - 1.0)
     return found
+
+
+def is_lost_in_scatter(log: LogTable, name: str) -> bool:
+    """Return whether a column varies by less than its readings scatter: nothing can be shown along it."""
+    if name not in MEASURED_TOO:
+        return False
+    predicted, measured = (axes(log, measured=way).get(name) for way in (False, True))
+    if predicted is None or measured is None:
+        return True
+    return float(np.corrcoef(predicted, measured)[0, 1]) < _LEAST_CORRELATION
 
 
 def trend(log: LogTable, name: str, *, measured: bool = False) -> Array:

@@ -179,12 +179,6 @@ class LogState:
         begins = np.concatenate([self.parameters[:1], *(term.begins for term in self.terms)])
         return replace(self, measured=not self.measured, trends=trends, parameters=begins).fitted()
 
-    @property
-    def newest_curve(self) -> Array:
-        """Return what the newest trend adds to ln(value) of each reading about its mean, (readings,)."""
-        columns = self.trends[-1][1]  # the mean belongs to the responsivity
-        return np.asarray((columns - columns.mean(axis=0)) @ self.fit.step[-columns.shape[1] :])
-
     def with_trend(self, name: str, columns: Array) -> LogState:
         """Return the fitted state with a further trend."""
         return replace(self, trends=(*self.trends, (name, columns))).fitted()
