@@ -155,7 +155,7 @@ def gaps_of(
 
 
 def _adopted(header: CaptureHeader, model: CameraModel | None) -> tuple[CaptureHeader, tuple[CatalogueEffect, ...]]:
-    """Return the header with a model's camera and lens, and the effects that it holds beside the ideal chain."""
+    """Return the header with a model's camera and lens, and the effects that it adds to the ideal chain."""
     if model is None:
         return header, ()
     camera, further = beside_ideal(model.effects, model.camera, model.lens)
@@ -196,7 +196,7 @@ def plan_of(
     catalogue: Mapping[str, type[CatalogueEffect]] | None = None,
     progress: Progress | None = None,
 ) -> Separability:
-    """Return what the captures of a set can tell apart, whatever they showed.
+    """Return which entries the captures of a set can separate, whatever they showed.
 
     The nuisances alone (responsivity, radiances) are fitted to the frames.
 
@@ -256,13 +256,13 @@ def examine(
     notes: list[str] = []
     taken_dn = design.header.camera.black_level_dn
     if taken_dn != header.camera.black_level_dn:
-        told = "where the noise of the light would end" if taken_dn else "for the noise does not tell it either"
+        told = "where the noise of the light would end" if taken_dn else "since the noise does not determine it either"
         notes.append(
-            f"the black level is not declared, and one setting does not tell it: {taken_dn:.4g} DN is taken, {told}"
+            f"the black level is not declared, and one setting does not determine it: {taken_dn:.4g} DN is taken, {told}"
         )
     scenes = set(design.patterns).difference(frame.pattern for frame in header.frames)
     if scenes:
-        notes.append(f"the scene changes: {1 + len(scenes)} are shown, each a pattern of its own")
+        notes.append(f"the scene changes: {1 + len(scenes)} are shown, each with a separate pattern")
     found = search(start, entries, say, is_doubted)
     outcome = _spared("laws of no entry", lambda: held_to_laws(found, entries, say), notes) or found
     result = _result(outcome, entries, again, total, begun, notes, with_limits=with_limits)
@@ -343,12 +343,12 @@ def _global_p(outcome: Search) -> tuple[float, float]:
 
 
 def _spared(what: str, work: Callable[[], _T], failed: list[str]) -> _T | None:
-    """Return what is worked out beside the answer; None where that fails, for advice never costs the answer.
+    """Return the result of an optional step; None where it fails, since advice must not cost the answer.
 
     Args:
         what: What it is, for the log and for the user.
         work: Works it out.
-        failed: Is told why it is missing.
+        failed: Receives the reason why it is missing.
     """
     try:
         return work()
@@ -378,7 +378,7 @@ def _found(
     *,
     provisional: bool,
 ) -> tuple[FoundEffect, ...]:
-    """Return the names in the order of finding, and what is left as one entry, where its largest part was found."""
+    """Return the names in the order of finding, and the residual as one entry, where its largest part was found."""
     state, weak = outcome.state, faint_names(outcome)
     parameters = fitted_parameters(state)
     present = {effect.name: effect for effect in state.effects}
@@ -391,7 +391,7 @@ def _found(
             own = present[step.name]
             alike = _spared(f"what acts like {step.name}", partial(inseparable, state, own, entries), failed) or ()
             rivals = tuple({rival.name: rival for rival in (*alike, *step.rivals)}.values())
-            what = f"the capture that tells {step.name} from its rivals"
+            what = f"the capture that separates {step.name} from its rivals"
             advice = _spared(what, partial(propose, state, own, rivals), failed)
             shown = replace(step, rivals=rivals)
             told = dict(parameters[step.name])

@@ -65,12 +65,12 @@ class Prediction:
 
     @cached_property
     def waves(self) -> bool:
-        """Tell whether any light goes as a wave along the rows."""
+        """Return whether any light goes as a wave along the rows."""
         return bool(self.band_variance.any())
 
     @cached_property
     def mixes(self) -> bool:
-        """Tell whether any neighbours in a row exchange charge."""
+        """Return whether any neighbours in a row exchange charge."""
         return bool(self.mixed_x.any())
 
     @property

@@ -126,13 +126,13 @@ class Counted:
 
     @cached_property
     def fine(self) -> Mask:
-        """Tell where the noise is not hidden below the spacing of the codes."""
+        """Return where the noise is not hidden below the spacing of the codes."""
         variance = self.base.variance
         return variance > (_FINE_NOISE * self.step) ** 2 if self.step > 1 else np.ones(variance.shape, np.bool_)
 
     @cached_property
     def inside(self) -> Mask:
-        """Tell which tiles are clipped neither as measured nor as predicted.
+        """Return which tiles are clipped neither as measured nor as predicted.
 
         What is predicted to clip but was not seen to clip counts: it is what a lower full well looks like.
         """
@@ -148,7 +148,7 @@ class Counted:
 
     @cached_property
     def knee(self) -> Mask:
-        """Tell where the declared full well just begins to bite: there the variance hangs on the light level."""
+        """Return where the declared full well just begins to bite: there the variance hangs on the light level."""
         well = self.design.header.camera.full_well_e
         if well is None:
             return np.zeros(self.base.signal.shape, dtype=np.bool_)
@@ -157,50 +157,50 @@ class Counted:
 
     @cached_property
     def many(self) -> Mask:
-        """Tell which captures have several frames, (captures, 1)."""
+        """Return which captures have several frames, (captures, 1)."""
         return (self.design.frame_count > 1)[:, None]
 
     @cached_property
     def free(self) -> Mask:
-        """Tell which tiles are inside, off the knee of the full well, and not cut off by the converter."""
+        """Return which tiles are inside, off the knee of the full well, and not cut off by the converter."""
         return self.inside & ~self.knee & ~_cut_off(self.design, self.seen, self.base)
 
     @cached_property
     def noisy(self) -> Mask:
-        """Tell which tiles have a temporal variance that scatters as a normal one."""
+        """Return which tiles have a temporal variance that scatters as a normal one."""
         seen = np.nan_to_num(self.seen.variance) > 0
         return self.free & self.many & seen & (self.base.rounding < _COARSE_DN)
 
     @cached_property
     def calm(self) -> Mask:
-        """Tell which captures' lines of pixels do not feel the spacing of the codes, which they do sooner."""
+        """Return which captures' lines of pixels do not feel the spacing of the codes, which they do sooner."""
         return np.asarray((self.base.variance > self.step**2 if self.step > 1 else self.fine).all(axis=1))
 
     @cached_property
     def whole(self) -> Mask:
-        """Tell which captures of several frames have lines to compare."""
+        """Return which captures of several frames have lines to compare."""
         return self.many[:, 0] & self.calm
 
     @cached_property
     def patched(self) -> Mask:
-        """Tell which captures show even light, or none: without light a scene shows nothing but the sensor."""
+        """Return which captures show even light, or none: without light a scene shows nothing but the sensor."""
         even = ~(self.design.source_level > 0) | self.design.uniform
         return self.inside.any(axis=1) & self.calm & even
 
     def lines(self, name: str) -> Mask:
-        """Tell where a profile of lines has freedom left and is above zero."""
+        """Return where a profile of lines has freedom left and is above zero."""
         dof, ratio = getattr(self.seen, f"{name}_dof"), getattr(self.seen, name)
         return np.asarray((dof > 4) & (np.nan_to_num(ratio) > 0))
 
     @property
     def banded(self) -> Mask:
-        """Tell which captures tell of waves: the bright rows of a scene's tile are noisier than its mean noise."""
+        """Return which captures tell of waves: the bright rows of a scene's tile are noisier than its mean noise."""
         there = self.design.uniform & self.whole & ~self.knee.any(axis=1)
         return np.isfinite(self.seen.bands) & there[:, None]
 
     @property
     def combed(self) -> Mask:
-        """Tell which histograms are full enough, and of which periods; none that holds the highest code of all."""
+        """Return which histograms are full enough, and of which periods; none that holds the highest code of all."""
         highest = np.nan_to_num(self.seen.peak).max(axis=1)  # where light is cut off, few codes occur at the top
         dividing = np.array([self.step == 1 or self.step % period == 0 for period in COMB_PERIODS])
         full = (self.seen.comb_count > _FEWEST_CODES) & (highest < highest.max() - 1.0)
@@ -445,7 +445,7 @@ def usable_entries(design: Design, seen: CaptureStatistics, base: Prediction) ->
 
 
 def partly_at_the_top(design: Design, seen: CaptureStatistics, base: Prediction) -> Mask:
-    """Tell which tiles of a scene are uneven and reach the brightest that was seen at their gain, within the noise.
+    """Return which tiles of a scene are uneven and reach the brightest that was seen at their gain, within the noise.
 
     If that is where the camera saturates, part of such a tile does and part does not, and nothing tells which part.
     Where samples reach full scale the top is known, and what is clipped there has been counted. Patches are even.
@@ -478,7 +478,7 @@ def seen_step(seen: CaptureStatistics) -> int:
 
 
 def _cut_off(design: Design, seen: CaptureStatistics, base: Prediction) -> Mask:
-    """Tell where light should bring noise and not even read noise is seen: nearly all samples show the highest code.
+    """Return where light should bring noise and not even read noise is seen: nearly all samples show the highest code.
 
     What is left there are a few samples, whose variance and correlations are far from normal.
     """

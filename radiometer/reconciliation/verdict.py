@@ -53,7 +53,7 @@ def verdict_of(outcome: Search, doubts: Sequence[str], again: Periodic | None = 
 
 
 def is_doubted(outcome: Search) -> bool:
-    """Tell whether the names of a search are provisional though nothing structured is left."""
+    """Return whether the names of a search are provisional though nothing structured is left."""
     return not leaves_structure(outcome) and bool(doubts_of(outcome))
 
 
@@ -86,7 +86,7 @@ def doubts_of(outcome: Search) -> list[str]:
 
 
 def leaves_structure(outcome: Search) -> bool:
-    """Tell whether anything disagrees beside the names: tests, a term without a name, or scatter."""
+    """Return whether anything disagrees beside the names: tests, a term without a name, or scatter."""
     unnamed = bool(outcome.left) or any(step.name == "unnamed" for step in outcome.steps)
     return unnamed or is_misfit(outcome.state)
 

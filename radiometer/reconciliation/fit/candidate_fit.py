@@ -58,7 +58,7 @@ class FittedCandidate:
         tries: Number of starts that the entry had.
         stated: χ² that it explains in the stated radiances alone.
         overrated: Nats that the scores of few frames' variances promise beyond their exact likelihood.
-        forms: The best of each variant: where to begin beside another model.
+        forms: The best of each variant: where to begin with another model.
     """
 
     effect: CatalogueEffect

@@ -61,8 +61,8 @@ class FullFits:
 
     Attributes:
         state: The model.
-        most: χ² under its weights that a fit may leave; with such a bound fits are hurried, for they are held against
-            what was found.
+        most: χ² under its weights that a fit may leave; with such a bound fits stop early, since they are compared
+            with what was found.
     """
 
     def __init__(self, state: FitState, most: float = np.inf) -> None:

@@ -31,7 +31,7 @@ _TOLERATED: Final = 0.08
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FrameFinding:
-    """One photograph beside the others.
+    """One photograph compared with the others.
 
     Attributes:
         name: Of its file.
@@ -133,7 +133,7 @@ def outcome(result: ReconcileResult, frames: Sequence[FrameFinding]) -> str:
         if wrong or all(effect.name != OFFSET for effect in result.effects)
         else "with that all agree"
     )
-    others = f"or, as these photographs cannot tell, {' or '.join(rivals)} instead" if rivals else agree
+    others = f"or, as these photographs cannot decide, {' or '.join(rivals)} instead" if rivals else agree
     return f"{said[0].upper() if not wrong else said[0]}{said[1:]}; {others}."
 
 

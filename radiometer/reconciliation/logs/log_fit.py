@@ -1,9 +1,9 @@
-"""Names the term that a log of a camera beside a reference meter lacks.
+"""Names the term that is missing when a log of a camera is compared with a reference meter.
 
-Readings of one night hang together: clouds and extinction move them alike, and neighbours more so. Their covariance is
-estimated with every term of the catalogue and free curves fitted (so that no effect is taken for scatter), the residual
-is whitened by it, and the search goes by reconcile's means: its linear fit, its leave-one-group-out with nights as
-groups, its thresholds.
+Readings of one night are correlated: clouds and extinction move them together, and neighbours more so. Their
+covariance is estimated with every term of the catalogue and free curves fitted, so that no effect counts as scatter.
+The residual is whitened by it. The search uses reconcile's linear fit, its leave-one-group-out with nights as groups,
+and its thresholds.
 """
 
 from __future__ import annotations
@@ -219,7 +219,7 @@ def _ways(old: LogState, new: LogState) -> list[tuple[LogState, LogState]]:
 def _score(old: LogState, new: LogState, term: LogTerm | None = None) -> float:
     """Return the held-out nats that a model gains, less what its parameters and its flexibility cost.
 
-    What goes with the signal must gain them whichever way the signal is taken.
+    A term along the signal must gain them with the signal as predicted and as measured.
     """
     flexible = FLEXIBLE_NATS if term is not None and term.flexible else 0.0
     gained = min(after.evidence - before.evidence for before, after in _ways(old, new))
@@ -248,7 +248,7 @@ def _is_determined(state: LogState) -> bool:
 
 
 def _pruned(state: LogState, steps: list[LogStep]) -> tuple[LogState, list[LogStep]]:
-    """Return the model without terms that bring nothing any more beside later ones."""
+    """Return the model without terms that later ones made superfluous."""
     for term in state.terms[:-1]:
         rest = replace(
             state, terms=tuple(t for t in state.terms if t is not term), parameters=_without(state, term)
@@ -365,8 +365,8 @@ def _effect(state: LogState, step: LogStep, *, provisional: bool) -> FoundEffect
 def fitted_parameters(state: LogState, name: str) -> dict[str, FittedParameter]:
     """Return the parameters of a named term with their standard uncertainties; none for a trend without a name.
 
-    Where the signal may be taken in two ways the value lies midway, and half their distance, taken as a rectangular
-    distribution (GUM 4.3.7), is part of its uncertainty.
+    Where the signal may be taken in two ways the value is midway between both. Half their distance, treated as a
+    rectangular distribution (GUM 4.3.7), is part of its uncertainty.
     """
     found, at = {}, 0
     ways = (state, state.other_way)
@@ -382,7 +382,7 @@ def fitted_parameters(state: LogState, name: str) -> dict[str, FittedParameter]:
 
 
 def _limits(state: LogState) -> dict[str, Limit]:
-    """Return the amplitude of each term that these readings would have shown at 5 sigma, beside what was found."""
+    """Return the amplitude of each further term that these readings would have shown at 5 sigma."""
     there = {term.name for term in state.terms}
     found: dict[str, Limit] = {}
     for term in catalogue(state.log):

@@ -91,7 +91,7 @@ class _Light:
 
 
 def amplitude(log: LogTable) -> float:
-    """Return the typical value in DN, by which a nonlinearity is told."""
+    """Return the typical value in DN, the scale of a nonlinearity."""
     return float(np.median(log.value))
 
 
@@ -204,7 +204,7 @@ def _gain_terms(log: LogTable) -> list[LogTerm]:
 
 
 def gain_levels(log: LogTable) -> list[float]:
-    """Return the gains in dB, the one of most readings first: the others are told against it."""
+    """Return the gains in dB, the one of most readings first: the others are relative to it."""
     rounded = np.round(log.gain_db / _NEAR_DB) * _NEAR_DB
     levels, counts = np.unique(rounded, return_counts=True)
     most = float(levels[np.argmax(counts)])

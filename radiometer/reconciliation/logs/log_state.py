@@ -125,7 +125,7 @@ class LogState:
 
     @property
     def free(self) -> int:
-        """Return the number of parameters beside the responsivity."""
+        """Return the number of parameters without the responsivity."""
         return int(self.parameters.size) - 1 + sum(int(c.shape[1]) for _, c in self.trends)
 
     @cached_property

@@ -130,7 +130,7 @@ class Design:
 
     @property
     def has_known_radiance(self) -> bool:
-        """Tell whether the radiance of any tile is stated."""
+        """Return whether the radiance of any tile is stated."""
         return any(radiance for tile in self.tiles for radiance in tile.radiance)
 
     @cached_property
@@ -275,7 +275,7 @@ class Design:
 
     @cached_property
     def has_timestamps(self) -> bool:
-        """Tell whether every capture states its time."""
+        """Return whether every capture states its time."""
         return not bool(np.isnan(self._column("timestamp_s")).any())
 
     @cached_property

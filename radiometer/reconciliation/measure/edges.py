@@ -91,7 +91,7 @@ def edge_shares(
 
 
 def _chosen(clear: NDArray[np.bool_], straight: NDArray[np.bool_], sides: PatchSides) -> NDArray[np.bool_]:
-    """Tell which parts of sides count: the whole side where it is straight, else those of its parts that are."""
+    """Return which parts of sides count: the whole side where it is straight, else those of its parts that are."""
     good = (clear & straight).reshape(-1, sides.tile.size)
     good[1:] &= ~good[0]
     return np.asarray(good.ravel())
@@ -232,7 +232,7 @@ def _first_step(average: Array, sigma: Array) -> tuple[NDArray[np.intp], NDArray
 
 
 def _false_start(average: Array, after: NDArray[np.intp], earlier: NDArray[np.intp], sigma: Array) -> NDArray[np.bool_]:
-    """Tell where a small step came before the large one: it does not fall off inwards as a blur would."""
+    """Return where a small step came before the large one: it does not fall off inwards as a blur would."""
     index = np.arange(sigma.size)
     far, near, step = (average[index, line] for line in (earlier, np.maximum(after - 1, 0), after))
     rising = (np.abs(far) > _FALLS * np.abs(near)) | (np.sign(far) != np.sign(step))

@@ -305,7 +305,7 @@ def _code_spacing(occurring: Mask) -> float:
 
 
 def _outlying(picture: Array, group: TileGroup, spacing_dn: float) -> Mask:
-    """Tell which pixels lie far off the quadratic surface through their tile, by a robust sigma.
+    """Return which pixels lie far off the quadratic surface through their tile, by a robust sigma.
 
     A hot pixel bends the surface: after a first look those that stand out are put at the middle and the surface is
     laid anew. Where the noise hides below the spacing of the codes, most pixels show one code and the median
@@ -413,7 +413,7 @@ def _common_amplitude(means: Array, out: Mapping[str, Array], black_dn: float) -
 
 
 def _free(out: Mapping[str, Array]) -> Mask:
-    """Tell which tiles are not clipped, be it below full scale: there noise falls away that darker tiles have."""
+    """Return which tiles are not clipped, be it below full scale: there noise falls away that darker tiles have."""
     order = np.argsort(out["mean"], kind="stable")
     variance = np.nan_to_num(out["variance"][order])
     cut_off = np.zeros(order.size, dtype=np.bool_)

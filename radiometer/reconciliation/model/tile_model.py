@@ -287,7 +287,7 @@ class Walk:
         return 1 + next(at for at, step in enumerate(self.chain) if step is self.links[place - 1]) if place else 0
 
     def shows(self, nuisance: Nuisance) -> bool:
-        """Tell whether the scene is that of these nuisances."""
+        """Return whether the scene is that of these nuisances."""
         return nuisance.log_radiance is self.nuisance.log_radiance and nuisance.slope is self.nuisance.slope
 
 
@@ -303,7 +303,7 @@ class Trace(Walk):
 
 
 def looks_back(step: Effect) -> bool:
-    """Tell whether a step of the chain asks for what earlier frames held."""
+    """Return whether a step of the chain asks for what earlier frames held."""
     return isinstance(step, CatalogueEffect) and step.looks_back
 
 

@@ -104,7 +104,7 @@ def own_covariates(effect: CatalogueEffect) -> tuple[str, ...]:
 
 
 def predicts_better(outcome: Search, law: Proposal) -> bool:
-    """Tell whether the odds are those of a name, each parameter paid for, that it is the law and not what was found.
+    """Return whether the odds are those of a name, each parameter paid for, that it is the law and not what was found.
 
     Args:
         outcome: What the search came to.
@@ -114,7 +114,7 @@ def predicts_better(outcome: Search, law: Proposal) -> bool:
 
 
 def predicts_as_well(outcome: Search, law: Proposal) -> bool:
-    """Tell whether a law is a rival of what was found, each parameter paid for.
+    """Return whether a law is a rival of what was found, each parameter paid for.
 
     An entry by its own equation is known beforehand, a law is not; one that had to be bent has that no more.
 
@@ -126,7 +126,7 @@ def predicts_as_well(outcome: Search, law: Proposal) -> bool:
 
 
 def brings_most(outcome: Search, law: Proposal) -> bool:
-    """Tell whether names stand though a law predicts better: it is their own law, by an equation unlike theirs.
+    """Return whether names stand though a law predicts better: it is their own law, by an equation unlike theirs.
 
     Their own equations need to bring most of what the law brings and to leave nothing, unless the law goes with the
     very covariate of the only name. One that acts as other causes would has brought nothing of its own.
@@ -146,7 +146,7 @@ def brings_most(outcome: Search, law: Proposal) -> bool:
 
 
 def is_bent(effect: CatalogueEffect, outcome: Search) -> bool:
-    """Tell whether an effect took a form with parameters that its own equation has not, or a law of its own."""
+    """Return whether an effect took a form with parameters that its own equation has not, or a law of its own."""
     return own_equation(effect, outcome) is not effect
 
 

@@ -125,7 +125,7 @@ def _plain_code(term: Term) -> str:
 
 
 def _closes_last(code: str) -> bool:
-    """Tell whether the first bracket closes at the very end."""
+    """Return whether the first bracket closes at the very end."""
     depth = 0
     for at, letter in enumerate(code):
         depth += {"(": 1, ")": -1}.get(letter, 0)

@@ -138,7 +138,7 @@ def _finer(state: FitState, singles: Sequence[Screened], forms: Collection[str])
 
 
 def _is_sharp(law: Law) -> bool:
-    """Tell whether it has a single term whose only place the fit leaves where it is."""
+    """Return whether it has a single term whose only place the fit leaves where it is."""
     return [term.form for term in law.terms] in (["step"], ["border"])
 
 
@@ -276,7 +276,7 @@ def _without_its_second(fits: FullFits, best: _JudgedLaw, judged: Sequence[_Judg
 
 
 def _holds(law: Law, other: Law) -> bool:
-    """Tell whether a law is another one times something more."""
+    """Return whether a law is another one times something more."""
     return law.link == other.link and set(_formula(other)) < set(_formula(law))
 
 

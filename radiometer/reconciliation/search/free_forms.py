@@ -66,7 +66,7 @@ def _knots(state: FitState, effect: CatalogueEffect, axis: str, count: int) -> t
 
 
 def _acts(state: FitState, effect: CatalogueEffect, before: TileMoments) -> Mask:
-    """Tell where an effect does anything at all: elsewhere no law of it can be seen."""
+    """Return where an effect does anything at all: elsewhere no law of it can be seen."""
     after = effect.moments(before, state.model.context)
     names = ("mean", *before.squared, *before.linear)
     moved = [np.not_equal(getattr(after, name), getattr(before, name)) for name in names]

@@ -41,7 +41,7 @@ def rivals_of(
 
 
 def _is_rival(other: FittedCandidate, nats: float, chosen: Judged) -> bool:
-    """Tell whether another entry predicts about as well; each further parameter must be paid for.
+    """Return whether another entry predicts about as well; each further parameter must be paid for.
 
     One with more parameters of which one lies on its bound is the chosen one's likeness in a limit: a kernel as wide as
     the picture is a veil.
@@ -68,7 +68,7 @@ def _unvaried(state: FitState, chosen: Judged, catalogue: Mapping[str, type[Cata
 
 
 def _is_absorbed(state: FitState, fitted: FittedCandidate) -> bool:
-    """Tell whether the nuisances take up all that an entry does: it is nobody's rival, whatever is left of it fits."""
+    """Return whether the nuisances take up all that an entry does: it is nobody's rival, whatever is left of it fits."""
     part = state.fit.half(state.fit.pull(fitted.columns))
     whole = np.sum(fitted.columns**2, axis=0)
     return bool(np.all(whole - np.sum(part**2, axis=0) < _LEFT * np.maximum(whole, 1e-12)))

@@ -69,7 +69,7 @@ def log_chance(gain: float, parameters: int) -> float:
 
 
 def is_shown(fitted: FittedCandidate, nats: float, limit: float, *, later: bool, far: bool = False) -> bool:
-    """Tell whether settings held out are predicted better, beyond chance, and in the statistic that must show it.
+    """Return whether settings held out are predicted better, beyond chance, and in the statistic that must show it.
 
     Far off, where nuisances would have to move by much, the statistic is asked by the full fit alone. Of many starts
     one fits by chance, and beside an effect that is there already a further one is less likely. The radiances of

@@ -236,7 +236,7 @@ def _fitted(state: FitState, candidate: Candidate, run: _Run) -> FittedCandidate
 
 
 def _is_likelier(fits: FullFits, looser: LooserForms, chosen: tuple[FittedCandidate, float]) -> bool:
-    """Tell whether another form of an effect that is there predicts better than a further effect.
+    """Return whether another form of an effect that is there predicts better than a further effect.
 
     The form is fitted in full, unless it promises too little; where the two are near, the further effect is too, before
     they are compared.
@@ -299,17 +299,17 @@ def _plain_lead(fits: FullFits, kind: type[CatalogueEffect], chosen: tuple[Fitte
 
 
 def _is_constant(kind: type[CatalogueEffect], fitted: FittedCandidate) -> bool:
-    """Tell whether a trend is a mere constant, of fewer parameters than an effect that hangs on some setting."""
+    """Return whether a trend is a mere constant, of fewer parameters than an effect that hangs on some setting."""
     return not kind.where and len(kind.fitted) == 1 < fitted.parameters
 
 
 def _is_plainer(kind: type[CatalogueEffect], fitted: FittedCandidate) -> bool:
-    """Tell whether a trend follows an effect's very covariate with fewer parameters than it."""
+    """Return whether a trend follows an effect's very covariate with fewer parameters than it."""
     return kind.where == fitted.effect.where and len(kind.fitted) < fitted.parameters
 
 
 def _outdoes(other: tuple[FittedCandidate, float], chosen: tuple[FittedCandidate, float]) -> bool:
-    """Tell whether another entry predicts better, each parameter paid for, but for what is thought of it beforehand."""
+    """Return whether another entry predicts better, each parameter paid for, but for what is thought of it beforehand."""
     mine, others = (nats - PARAMETER_NATS * fitted.parameters for fitted, nats in (chosen, other))
     return other[0].name != chosen[0].name and others > mine + PARAMETER_NATS
 

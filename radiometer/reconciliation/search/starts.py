@@ -125,7 +125,7 @@ def _of_all_captures(state: FitState, unit: Array) -> tuple[Array, Array]:
 
 
 def _goes_by_captures(state: FitState, start: CatalogueEffect) -> bool:
-    """Tell whether a start changes whole captures alike: in proportion, or by so many DN."""
+    """Return whether a start changes whole captures alike: in proportion, or by so many DN."""
     if isinstance(start, Scaling):
         return True
     if not isinstance(start, Offset) or start.unit_out != DIGITAL_NUMBER:
