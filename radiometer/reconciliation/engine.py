@@ -258,7 +258,8 @@ def examine(
     if taken_dn != header.camera.black_level_dn:
         told = "where the noise of the light would end" if taken_dn else "since the noise does not determine it either"
         notes.append(
-            f"the black level is not declared, and one setting does not determine it: {taken_dn:.4g} DN is taken, {told}"
+            "the black level is not declared, and one setting does not determine it: "
+            f"{taken_dn:.4g} DN is taken, {told}"
         )
     scenes = set(design.patterns).difference(frame.pattern for frame in header.frames)
     if scenes:

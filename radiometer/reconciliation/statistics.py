@@ -1,6 +1,6 @@
 """The table of statistics: what each is given for, on what scale it is compared, how far it scatters, when it counts.
 
-A statistic stands in one row. What is measured and what is predicted carry its name (`CaptureStatistics`,
+A statistic is one row. What is measured and what is predicted carry its name (`CaptureStatistics`,
 `Prediction`); everything that goes over statistics goes over this table.
 """
 
@@ -45,7 +45,7 @@ _COMB_SQUARES: Final = np.array([1.0 if period == 2 else 0.5 for period in COMB_
 
 
 class Given(Enum):
-    """What a statistic has one figure for, beside each capture."""
+    """Further axis of a statistic: it has one figure for each, per capture."""
 
     TILE = "tile"
     CAPTURE = "capture"
@@ -79,7 +79,7 @@ class Statistic:
         family: Name of the statistics that it is one direction of.
         tells_light: Whether it says how much light there is. Noise does so too, but a hundred times worse: a wrong
             noise figure would pull at the responsivity and show as a disagreement of all means.
-        follows_light: Whether it goes with the light of its tile without having a say in it.
+        follows_light: Whether it follows the light of its tile without determining it.
         holds_form: Whether the form of an accepted effect limits how well it is predicted.
     """
 
@@ -112,7 +112,7 @@ class Counted:
     Attributes:
         design: Captures and tiles.
         seen: What was measured.
-        base: Prediction that tells where light is cut off.
+        base: Prediction that shows where light is cut off.
     """
 
     design: Design
@@ -148,7 +148,7 @@ class Counted:
 
     @cached_property
     def knee(self) -> Mask:
-        """Return where the declared full well just begins to bite: there the variance hangs on the light level."""
+        """Return where the declared full well just begins to bite: there the variance depends on the light level."""
         well = self.design.header.camera.full_well_e
         if well is None:
             return np.zeros(self.base.signal.shape, dtype=np.bool_)
@@ -194,7 +194,7 @@ class Counted:
 
     @property
     def banded(self) -> Mask:
-        """Return which captures tell of waves: the bright rows of a scene's tile are noisier than its mean noise."""
+        """Return which captures show waves: the bright rows of a scene's tile are noisier than its mean noise."""
         there = self.design.uniform & self.whole & ~self.knee.any(axis=1)
         return np.isfinite(self.seen.bands) & there[:, None]
 
@@ -209,7 +209,7 @@ class Counted:
 
     @property
     def bordered(self) -> Mask:
-        """Tell in which captures patches have borders of light: in the others the steps are those of a pattern."""
+        """Return in which captures patches have borders of light: in the others the steps are those of a pattern."""
         light = np.max(self.base.signal * self.base.gain[:, None], axis=1)
         clear = light > _CLEAR_LIGHT * np.sqrt(np.median(self.base.variance, axis=1))
         return np.asarray(np.isfinite(self.seen.edge_u) & self.inside.any(axis=1) & clear)
@@ -224,7 +224,7 @@ class Scatter:
     Attributes:
         design: Captures and tiles.
         seen: What was measured; its own scatter from frame to frame gives the weights.
-        base: Prediction, for what a measurement of few frames cannot tell.
+        base: Prediction, for what a measurement of few frames cannot determine.
         known: (captures, tiles) whether the measured temporal variance counts.
     """
 
@@ -252,7 +252,7 @@ class Scatter:
     def shared(self) -> Array:
         """Return the variance of a tile's sum over that of as many independent pixels.
 
-        Neighbours that move together average out less: a mean scatters more than its pixels' variance tells.
+        Neighbours that move together average out less: a mean scatters more than its pixels' variance predicts.
         """
         base = self.base
         white_x = base.neighbour_x - base.row_variance[:, None] / np.maximum(base.variance, 1e-30)
@@ -337,7 +337,7 @@ class Scatter:
         return np.asarray(np.hypot(1.0, 2.0 * _TAIL_FORM * many))
 
     def one(self, name: str) -> Array:
-        """Return 1 for what is in units of its own scatter already."""
+        """Return 1 for what is in units of its scatter already."""
         return np.ones(getattr(self.seen, name).shape)
 
 
@@ -447,7 +447,7 @@ def usable_entries(design: Design, seen: CaptureStatistics, base: Prediction) ->
 def partly_at_the_top(design: Design, seen: CaptureStatistics, base: Prediction) -> Mask:
     """Return which tiles of a scene are uneven and reach the brightest that was seen at their gain, within the noise.
 
-    If that is where the camera saturates, part of such a tile does and part does not, and nothing tells which part.
+    If that is where the camera saturates, an unknown part of such a tile does.
     Where samples reach full scale the top is known, and what is clipped there has been counted. Patches are even.
     """
     if design.uniform:
@@ -465,7 +465,7 @@ def partly_at_the_top(design: Design, seen: CaptureStatistics, base: Prediction)
 
 
 def seen_step(seen: CaptureStatistics) -> int:
-    """Return the spacing of codes as far as the histograms tell it, 1 where all codes occur.
+    """Return the spacing of codes as far as the histograms show it, 1 where all codes occur.
 
     Where it is wide, noise below half of it leaves nothing normal of a tile, and periods that do not divide it show
     the shape of an honest histogram at an alias.

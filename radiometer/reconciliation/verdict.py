@@ -1,4 +1,4 @@
-"""What a search comes to: whether its names stand, what speaks against them, and what is left as one entry.
+"""Judges the outcome of a search: which names are significant, the doubts about them, and the residual as one entry.
 
 The tests of `localise` look for trends. What moves single tiles or frames at random leaves none, but a reduced χ²
 above 1.
@@ -86,7 +86,7 @@ def doubts_of(outcome: Search) -> list[str]:
 
 
 def leaves_structure(outcome: Search) -> bool:
-    """Return whether anything disagrees beside the names: tests, a term without a name, or scatter."""
+    """Return whether anything disagrees apart from the names: tests, a term without a name, or scatter."""
     unnamed = bool(outcome.left) or any(step.name == "unnamed" for step in outcome.steps)
     return unnamed or is_misfit(outcome.state)
 
@@ -94,9 +94,10 @@ def leaves_structure(outcome: Search) -> bool:
 def faint_names(outcome: Search) -> list[str]:
     """Return names that are not worth telling where structure stays anyhow: faint ones, and those of no substance.
 
-    What a wrong law of a stronger name leaves, others take up in part; so they do with what a curve along one covariate
-    leaves of an unknown cause, where that brings most of what both bring. And an entry whose essential parameter is not
-    told from nothing, with an uncertainty that holds what is left, fits by its further terms, as any curve would.
+    Names may absorb a part of the residual of a stronger name's wrong law. They may also absorb the residual of a
+    curve along one covariate for an unknown cause, where that brings most of what both bring. An entry whose
+    essential parameter is not significant, its uncertainty including the residual, fits by its further terms, as any
+    curve would.
     """
     if not leaves_structure(outcome):
         return []
@@ -123,8 +124,8 @@ def faint(outcome: Search) -> list[str]:
     gains = {step.name: step.gain_nats for step in outcome.steps}
     little = _fainter_than_the_rest(outcome)
     return [
-        f"{name} is counted to what is left"
-        + (f": it brings {gains[name]:.0f} nats where structure stays beside more" if name in little else "")
+        f"{name} is counted as part of the residual"
+        + (f": it brings {gains[name]:.0f} nats where structure remains that brings more" if name in little else "")
         for name in faint_names(outcome)
     ]
 
@@ -132,8 +133,8 @@ def faint(outcome: Search) -> list[str]:
 def by_other_laws(outcome: Search) -> tuple[CatalogueEffect, ...]:
     """Return the named effects whose equation is not the one that the data follow, though the name explains most of it.
 
-    What stays in the very statistic and along the very covariate that a name stands for is the rest of its law, not one
-    more cause, as long as the name brings most of what both bring.
+    A residual in a name's own statistic and along its own covariate is the rest of its law, not one more cause. This
+    holds as long as the name brings most of what both bring.
     """
     departed, weak = departing(outcome.tests, outcome.state.effects), faint_names(outcome)
     gains = {step.name: step.gain_nats for step in outcome.steps if step.name != "unnamed"}
@@ -148,7 +149,7 @@ def by_other_laws(outcome: Search) -> tuple[CatalogueEffect, ...]:
 
 
 def _places_of_law(effect: CatalogueEffect) -> set[tuple[str, str]]:
-    """Return where the rest of an effect's law lies: of a free one along all its covariates, in all that it moves."""
+    """Return where the rest of an effect's law shows: of a free one along all its covariates, in all that it moves."""
     axes = effect.axes if isinstance(effect, FreeLaw) else ()
     return {own_place(effect)} | {(axis, block) for axis in axes for block in (effect.block, *effect.also, *_LIGHT)}
 
@@ -158,7 +159,7 @@ def _place_of(step: Step) -> tuple[str, str]:
 
 
 def rest_of(outcome: Search, again: Periodic | None = None) -> FoundEffect | None:
-    """Return all that is left without a name as one entry: its clearest place, its size, and where else it lies.
+    """Return all that has no name as one entry: its clearest place, its size, and its other places.
 
     Args:
         outcome: The search.
@@ -213,7 +214,7 @@ def _period(again: Periodic) -> dict[str, FittedParameter]:
 
 
 def size_of_rest(state: FitState, block: str) -> dict[str, FittedParameter]:
-    """Return how large what is left is, root mean square: of means in DN, e⁻ and of the light, of noise relative.
+    """Return the size of the residual, root mean square: of means in DN, e⁻ and of the light, of noise relative.
 
     It is what the unnamed terms took up; where there are none, what the residual holds beyond its uncertainties.
 
@@ -269,8 +270,8 @@ def _taken_up(state: FitState, block: str) -> Array:
 def sizes_by_own_law(state: FitState, effect: FreeLaw) -> dict[str, FittedParameter]:
     """Return the parameters of an effect of another law that its own equation would be fitted by, with u.
 
-    The law is a factor on what the effect does by its own equation, of the size that it was found with. How well that
-    size is known the fit by the own equation tells, and where that would have it differently, by how much.
+    The law is a factor on what the effect does by its own equation, of the size that it was found with. The
+    uncertainty of that size is that of the fit by the own equation, with the difference of both where they disagree.
 
     Args:
         state: The model with the effect by another law.
@@ -345,7 +346,7 @@ def _explained(values: Array, basis: Array) -> float:
 
 
 def one_for_all(steps: Sequence[Step], effects: Sequence[CatalogueEffect]) -> list[str]:
-    """Return the entries that stand as rivals beside every one of several names: one cause may do what they all do.
+    """Return the entries that rival every one of several names: one cause may do what they all do.
 
     Args:
         steps: What was added, in order.
@@ -374,10 +375,10 @@ def without_essential(
     effects: Sequence[CatalogueEffect],
     parameters: Mapping[str, Mapping[str, FittedParameter]],
 ) -> list[str]:
-    """Return the names of effects of which an essential parameter lies within three standard uncertainties of nothing.
+    """Return the names of effects of which an essential parameter is within three standard uncertainties of nothing.
 
-    Where an effect names none, the one that it is fitted by first is its size. A size that is not told apart from the
-    form (a fall along a line, of any depth and as slow) doubts the name only where little else tests its law.
+    Where an effect names none, the one that it is fitted by first is its size. A size that is not separated from the
+    form (a fall along a line, of any depth and as slow) makes the name doubtful only where little else tests its law.
 
     Args:
         steps: What was added, in order.
@@ -398,7 +399,7 @@ def without_essential(
 
 
 def below_least(effects: Sequence[CatalogueEffect]) -> list[str]:
-    """Return names with a parameter that lies nearer to what does nothing than it does where they are the cause."""
+    """Return names with a parameter that is nearer to its value without effect than where they are the cause."""
     return [
         f"{effect.name} with {name} = {getattr(effect, name):.6g}"
         for effect in effects
@@ -408,7 +409,7 @@ def below_least(effects: Sequence[CatalogueEffect]) -> list[str]:
 
 
 def faint_beside_others(steps: Sequence[Step], effects: Sequence[CatalogueEffect]) -> list[str]:
-    """Return the names that bring little where another entry might take them, or beside others that bring more.
+    """Return the names that bring little where another entry might absorb them, or where others bring more.
 
     What is left of a law that is not quite the one that was named looks like one more effect, but a faint one.
 

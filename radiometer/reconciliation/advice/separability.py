@@ -299,7 +299,7 @@ class Together:
     capture: Mapping[str, Any] | None
 
     def to_mapping(self) -> dict[str, Any]:
-        """Return the mapping that stands in JSON."""
+        """Return the mapping of the JSON form."""
         return {"name": self.name, "others": list(self.others), "next_capture": self.capture and dict(self.capture)}
 
 
@@ -316,7 +316,7 @@ class Separability:
     blind: tuple[str, ...]
 
     def to_mapping(self) -> dict[str, Any]:
-        """Return the mapping that stands in JSON."""
+        """Return the mapping of the JSON form."""
         return {"inseparable": [entry.to_mapping() for entry in self.together], "blind": list(self.blind)}
 
 

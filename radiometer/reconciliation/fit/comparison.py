@@ -147,7 +147,7 @@ class Comparison:
         return np.concatenate([np.repeat(captures, count) for count in entries])
 
     def counts(self) -> Mask:
-        """Tell for each entry of the vector whether it counts."""
+        """Return for each entry of the vector whether it counts."""
         return np.concatenate([self.usable[name].ravel() for name in self.cuts])
 
     def _whitened(self, block: str, values: Array) -> Array:

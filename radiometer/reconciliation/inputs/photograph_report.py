@@ -81,7 +81,7 @@ def report_html(result: ReconcileResult, frames: Sequence[FrameFinding], sentenc
             picture(
                 partial(_draw_ratios, frames=frames),
                 "What the other photographs say of each one's exposure, over its label, with U (k = 2): "
-                + (f"those off {line} are named." if wrong else f"all lie about {line}.")
+                + (f"those off {line} are named." if wrong else f"all are about {line}.")
                 + " Within the grey band no label is called wrong: one tone curve for all pictures is no better known.",
                 (10.0, 4.2),
                 (4.0, 4.4),
@@ -157,13 +157,13 @@ def _what_to_do(wrong: Sequence[FrameFinding], result: ReconcileResult) -> str:
         return ""
     if not wrong:
         return paragraph(
-            "-o exposures.txt writes the exposures that agree, which every command takes from beside the photographs.",
+            "-o exposures.txt writes the exposures that agree, which every command finds in the folder of the photographs.",
             "do",
         )
     names = ", ".join(one.name for one in wrong)
     return paragraph(
         f"Look at the EXIF record of {names}, or take {'it' if len(wrong) == 1 else 'them'} again; -o exposures.txt "
-        "writes the exposures that agree, which every command takes from beside the photographs.",
+        "writes the exposures that agree, which every command finds in the folder of the photographs.",
         "do",
     )
 

@@ -1,8 +1,8 @@
 """Reconciles a stack of photographs through an unknown tone curve with its printed exposures.
 
-The response is unknown. Only what breaks the agreement of all photographs with one curve can be found: stops
-that were rounded when printed, a shutter that exposes longer by one time, and single labels that are not the real
-exposure. The judge is the prediction of digital
+The response is unknown. Only what breaks the agreement of all photographs with one curve can be found. Examples are
+stops that were rounded when printed, a shutter that exposes longer by one time, and single labels that are not the
+real exposure. The judge is the prediction of digital
 numbers: a quadrant of the picture is left out, curve and exposures come from the rest, and each photograph's values
 there are predicted from the other photographs. What does not predict them better is not named.
 """
@@ -121,7 +121,7 @@ def reconcile_photographs(
         samples = gather_samples(bracket)
         if not samples.quadrants:
             raise CaptureError(
-                f"{bracket.origin or 'the photographs'}: nearly all that there is to see lies in one quadrant of the "
+                f"{bracket.origin or 'the photographs'}: nearly all structure is in one quadrant of the "
                 "picture, so that none can be left out to judge by; take photographs that show something everywhere"
             )
         start = curve_debevec1997(samples).log_exposure

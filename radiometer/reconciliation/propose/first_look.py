@@ -1,7 +1,7 @@
 """A first look at laws of the grammar: what each would explain of the tiles' means, linearised, nuisances following.
 
-Statistics that go with the light of a tile move with the law as well: the nuisances take them along, and a law that
-left them where they were would seem to disagree with them as soon as a radiance makes room for it.
+Statistics that follow the light of a tile move with the law as well: the nuisances take them along. A law that left
+them in place would seem to disagree with them as soon as a radiance adapts to it.
 """
 
 from __future__ import annotations
@@ -193,7 +193,7 @@ def _varies(values: Array) -> bool:
 
 
 def _response(state: FitState, link: str) -> dict[str, Array]:
-    """Return what a unit of a constant law changes of means and of what goes with the light, (captures, tiles) each."""
+    """Return the change by a unit of a constant law in means and in statistics of the light, (captures, tiles) each."""
     exposure = state.design.exposure_s
     step = {
         "1": 1e-3,

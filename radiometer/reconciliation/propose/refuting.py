@@ -1,4 +1,4 @@
-"""The captures that would refute a law: settings not taken yet under which it foretells most."""
+"""Plans the captures that would refute a law: settings not taken yet under which it predicts most."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ _SHOWS_CHI2: Final = 9.0
 
 
 def refuting_frames(proposal: Proposal) -> tuple[list[dict[str, Any]], list[str]]:
-    """Return frames for `radiometer bracket --plan`, and for each what the law foretells there.
+    """Return frames for `radiometer bracket --plan`, and for each what the law predicts there.
 
-    Of the settings that the rig could take those come first that were not taken and where the camera with the law and
-    the one without it differ most; where there are none, the settings in use are repeated.
+    New settings come first, those where the camera with the law and the one without it differ most. Where the rig has
+    no new settings, those in use are repeated.
     """
     pool = CapturePool.of(proposal.after)
     with_law, without = pool.predicted(proposal.after), pool.predicted(proposal.before)
@@ -38,6 +38,6 @@ def refuting_frames(proposal: Proposal) -> tuple[list[dict[str, Any]], list[str]
         reasons.append(
             f"{frame.exposure_s:.3g} s at {frame.gain_db:g} dB, source level {frame.source_level:g}, shutter "
             f"{frame.shutter}: with {proposal.name} patch {pool.design.tiles[tile].name} {does} "
-            f"{apart[index, tile]:+.3g} DN beside the camera without it; it is refuted where that is not seen"
+            f"{apart[index, tile]:+.3g} DN from the camera without it; the law is refuted where that is not seen"
         )
     return frames, reasons

@@ -1,12 +1,13 @@
-"""One name by a looser form, or by a law of its own, in place of several that only mend a wrong equation.
+"""Replaces several names that only correct a wrong equation by one name with a looser form or a free law.
 
 A search adds what helps most, one name after the other, and comes to a looser form only by way of the plain one. A
-cause that the plain form does not meet well is then told as several that mend each other (wings of stray light as a
-display's gamma with a fall-off). Of models that predict as well the one of a single cause is told.
+cause that the plain form describes badly is then reported as several that correct each other (wings of stray light as
+a display's gamma with a fall-off). Of models that predict equally well the one of a single cause is reported.
 
 Where structure stays in the end, the names that were found may be one cause by another law than the catalogue's. Each
-entry's change is then tried times a free curve along its own covariates (`simulators/effects/free_law.py`), alone from
-the start on or in the place of a name, by the score of all models; it stays where nothing is left beside it.
+entry's change is then multiplied by a free curve along its own covariates (`simulators/effects/free_law.py`). It is
+tried alone from the start on or in the place of a name, by the score of all models. It is kept where it leaves
+nothing unexplained.
 """
 
 from __future__ import annotations
@@ -172,7 +173,7 @@ def _of_one(start: FitState, alone: Sequence[CatalogueEffect]) -> Iterator[_Prom
 
 
 def _in_place(start: FitState, state: FitState) -> Iterator[_Promise]:
-    """Yield the same of forms in the place of a name, the other names standing beside it."""
+    """Yield the same of forms in the place of a name, the other names kept."""
     for effect in state.effects if len(state.effects) > 1 else ():
         beside = with_terms(with_effects(state, [other for other in state.effects if other is not effect]), ())
         base = refit(beside, iterations=_FEW)

@@ -31,7 +31,7 @@ _REFITTED: Final = 2  # forms that are fitted in full, the most promising first
 
 
 def pruned(state: FitState, say: Callable[[str], None]) -> tuple[FitState, list[str]]:
-    """Drop earlier effects and unnamed terms that bring nothing beside the newest.
+    """Drop earlier effects and unnamed terms that the newest made superfluous.
 
     Args:
         state: The model with the newest.
@@ -91,7 +91,7 @@ def _log_density(state: FitState) -> float:
 def better(
     state: FitState, name: str, catalogue: Mapping[str, type[CatalogueEffect]], pool: StartPool
 ) -> tuple[FitState, CatalogueEffect] | None:
-    """Return the model with another entry in place of one, where it predicts better beside what was named later.
+    """Return the model with another entry in place of one, where it predicts better together with what was named later.
 
     Args:
         state: The model with all names so far.
@@ -123,7 +123,7 @@ def better(
 
 
 def simpler(state: FitState, catalogue: Mapping[str, type[CatalogueEffect]]) -> tuple[FitState, CatalogueEffect] | None:
-    """Return the model with one entry in place of those that it may stand for, where fewer parameters predict as well.
+    """Return the model with one entry in place of those that it may replace, where fewer parameters predict as well.
 
     Each parameter that is saved is worth what a further one must bring.
 

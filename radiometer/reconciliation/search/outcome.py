@@ -50,7 +50,7 @@ class Search:
         left: Disagreements that stay significant.
         tests: All tests of the final model.
         first_tests: All tests of the ideal camera.
-        remarks: What else is to be said of how it came about.
+        remarks: Further remarks on how it came about.
     """
 
     state: FitState

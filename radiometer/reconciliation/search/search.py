@@ -176,7 +176,7 @@ def _mended(start: FitState, state: FitState, tests: tuple[Disagreement, ...], r
     found = by_a_free_law(start, state, run.first)
     if found is None:
         return None
-    run.say(f"{found.name} by a law of its own: gap {state.gap:.3f} → {found.state.gap:.3f}")
+    run.say(f"{found.name} by a free law: gap {state.gap:.3f} → {found.state.gap:.3f}")
     old = {step.name: step for step in run.steps}
     mended, dropped = pruned(found.state, run.say)
     run.steps = []
@@ -228,7 +228,7 @@ def _one_step(state: FitState, tests: tuple[Disagreement, ...], run: _Run) -> Fi
 
 
 def _fitted(state: FitState, candidate: Candidate, run: _Run) -> FittedCandidate:
-    """Return a candidate fitted; it begins where it came to beside the model before, too."""
+    """Return a candidate fitted; it begins from its fit with the model before, too."""
     key = (candidate.effect.name, candidate.flexible)
     found = fit_candidate(state, replace(candidate, others=(*candidate.others, *run.forms.get(key, ()))))
     run.forms[key] = found.forms
@@ -299,7 +299,7 @@ def _plain_lead(fits: FullFits, kind: type[CatalogueEffect], chosen: tuple[Fitte
 
 
 def _is_constant(kind: type[CatalogueEffect], fitted: FittedCandidate) -> bool:
-    """Return whether a trend is a mere constant, of fewer parameters than an effect that hangs on some setting."""
+    """Return whether a trend is a mere constant, of fewer parameters than an effect that depends on some setting."""
     return not kind.where and len(kind.fitted) == 1 < fitted.parameters
 
 
@@ -309,7 +309,7 @@ def _is_plainer(kind: type[CatalogueEffect], fitted: FittedCandidate) -> bool:
 
 
 def _outdoes(other: tuple[FittedCandidate, float], chosen: tuple[FittedCandidate, float]) -> bool:
-    """Return whether another entry predicts better, each parameter paid for, but for what is thought of it beforehand."""
+    """Return whether another entry predicts better, each parameter paid for, its prior probability left out."""
     mine, others = (nats - PARAMETER_NATS * fitted.parameters for fitted, nats in (chosen, other))
     return other[0].name != chosen[0].name and others > mine + PARAMETER_NATS
 
@@ -363,13 +363,13 @@ def _named(
 
 
 def _joined(state: FitState, run: _Run) -> FitState:
-    """Return the model with one entry in place of names that may be no more than it."""
+    """Return the model with one entry in place of names that it may explain."""
     found = simpler(state, run.catalogue)
     return state if found is None else _in_place(state, found, found[1].stands_for, run)
 
 
 def _exchanged(state: FitState, tests: tuple[Disagreement, ...], run: _Run) -> FitState | None:
-    """Return the model with another name in place of one that leaves structure beside what came later, if any."""
+    """Return the model with another name in place of one that leaves structure after later ones, if any."""
     for name in departing(tests, state.effects) if len(state.effects) > 1 else ():
         found = better(state, name, run.catalogue, run.pool)
         if found is not None:

@@ -1,8 +1,8 @@
 """Picks the likeliest of many starts of one entry without running the whole chain for each.
 
 An exposure quantum or a wrong label scales whole captures, a flickering source shakes whole frames, a wave runs along
-the rows: what thousands of starts would explain follows from one small matrix, or from the exact likelihood of one
-statistic alone. Which starts there are, and which lie between and about them, the entry itself says.
+the rows. The gain of thousands of starts follows from one small matrix, or from the exact likelihood of one statistic
+alone. The entry itself gives its starts, and those between and around them.
 """
 
 from __future__ import annotations

@@ -58,7 +58,7 @@ def test_interleaved_single_frames_are_gathered_by_setting() -> None:
 def test_patch_outside_the_frame_is_refused(make_capture: Callable[..., Any]) -> None:
     """A patch that does not fit the frames names itself and its place."""
     captured = make_capture(plan=[{"t": 1e-3}], frames=1)
-    with pytest.raises(CaptureError, match=r"patch 'p05' .* lies outside"):
+    with pytest.raises(CaptureError, match=r"patch 'p05' .* is outside"):
         Design.of(captured.header, (64, 90))
 
 

@@ -91,7 +91,7 @@ def test_faint_names_beside_what_stays():
     assert faint_names(outcome(effects, [steps[0], replace(steps[1], gain_nats=41.0)], left=(1,))) == []
     assert faint_names(outcome(effects, [replace(s, gain_nats=20.0) for s in steps], left=(1,))) == []
     (said,) = faint(outcome(effects, steps, left=(1,)))
-    assert said.startswith("conversion_gain_error is counted to what is left: it brings 39 nats")
+    assert said.startswith("conversion_gain_error is counted as part of the residual: it brings 39 nats")
     assert faint_beside_others(steps, effects) == ["conversion_gain_error"]
     assert faint_beside_others([step("psf_blur", 39.0)], (BLUR,)) == []
     assert faint_beside_others([step("psf_blur", 39.0, Crosstalk(0.01))], (BLUR,)) == ["psf_blur"]
@@ -116,7 +116,7 @@ def test_a_size_within_three_uncertainties_of_nothing_is_no_name_where_structure
     found = outcome((BLUR, EventOffset(1.4)), [step("psf_blur", 900.0), step("event_offset", 800.0)], left)
     kept = [name for name in ("event_offset",) if name not in faint_names(found)]
     assert kept == told
-    assert faint(found) == ([] if told else ["event_offset is counted to what is left"])
+    assert faint(found) == ([] if told else ["event_offset is counted as part of the residual"])
 
 
 @pytest.mark.parametrize(
