@@ -44,17 +44,17 @@ from radiometer.reconciliation.search.frame_order import FrameLight, Periodic, p
 from radiometer.reconciliation.search.localise import Disagreement, axis_of, global_p_value, places
 from radiometer.reconciliation.search.outcome import Reconciled, Search, Step
 from radiometer.reconciliation.search.search import search
-from radiometer.reconciliation.shown import shown_by
+from radiometer.reconciliation.shown import evidence_for
 from radiometer.reconciliation.verdict import (
-    by_other_laws,
     doubts_of,
     faint,
-    faint_names,
+    insignificant_names,
     is_doubted,
     rest_of,
     size_of_rest,
     sizes_by_own_law,
     verdict_of,
+    with_other_functional_form,
 )
 from simulators.chain.camera_model import CameraModel
 from simulators.chain.ideal_chain import beside_ideal
@@ -142,12 +142,12 @@ def gaps_of(
         frames: Its frames.
     """
     held = frames if isinstance(frames, Sequence) else list(frames)
-    design, _, reduced = shown_by(header, held[0].shape, frame_reader(held))
+    design, _, reduced = evidence_for(header, held[0].shape, frame_reader(held))
     gaps = []
     for entry in found:
         if isinstance(entry, CameraModel):  # it may state another black level, which the reduction goes by
             changed, given = _adopted(header, entry)
-            own, _, read = shown_by(changed, held[0].shape, frame_reader(held))
+            own, _, read = evidence_for(changed, held[0].shape, frame_reader(held))
             gaps.append(first_state(own, *read, given).gap)
         else:
             gaps.append(first_state(design, *reduced, () if entry is None else entry.added).gap)
@@ -213,7 +213,7 @@ def plan_of(
     header, given = _adopted(captured.header, model)
     shape, total = captured.read_frame(0).shape, len(header.frames)
     reading = (lambda done: progress(done, total)) if progress else None
-    design, _, read = shown_by(header, shape, captured.read_frame, reading)
+    design, _, read = evidence_for(header, shape, captured.read_frame, reading)
     start = first_state(design, *read, given)
     return separability(start, whole_catalogue() if catalogue is None else catalogue)
 
@@ -239,7 +239,7 @@ def examine(
     header, given = _adopted(header, model)
     total = len(header.frames)
     reading = (lambda done: progress(done, total)) if progress else None
-    design, light, (seen, images) = shown_by(header, shape, read, reading)
+    design, light, (seen, images) = evidence_for(header, shape, read, reading)
     entries = whole_catalogue() if catalogue is None else catalogue
     clear = (seen.high < _CLEAR) & (seen.low < _CLEAR)
     known = any(kind.where == "frame" for kind in entries.values())  # an effect from outside, which may be just that
@@ -265,7 +265,7 @@ def examine(
     if scenes:
         notes.append(f"the scene changes: {1 + len(scenes)} are shown, each with a separate pattern")
     found = search(start, entries, say, is_doubted)
-    outcome = _spared("laws of no entry", lambda: held_to_laws(found, entries, say), notes) or found
+    outcome = _optional_step("laws of no entry", lambda: held_to_laws(found, entries, say), notes) or found
     result = _result(outcome, entries, again, total, begun, notes, with_limits=with_limits)
     return Reconciled(replace(result, repeats=_repeats(outcome.state, light, header)), outcome, taken)
 
@@ -303,9 +303,13 @@ def _result(
     state = outcome.state
     shown: Mapping[str, Limit] = {}
     if with_limits:
-        shown = _spared("the limits", lambda: limits(state, entries), failed) or {}
+        shown = _optional_step("the limits", lambda: limits(state, entries), failed) or {}
     settled = any(effect.next_capture for effect in effects) or verdict is Verdict.EFFECTS_FOUND
-    further = None if settled else _spared("the next capture", lambda: _further(state, entries, shown, effects), failed)
+    further = (
+        None
+        if settled
+        else _optional_step("the next capture", lambda: _further(state, entries, shown, effects), failed)
+    )
     return ReconcileResult(
         verdict=verdict,
         effects=effects,
@@ -343,7 +347,7 @@ def _global_p(outcome: Search) -> tuple[float, float]:
     return before, before if outcome.state is outcome.start else global_p_value(outcome.state, outcome.tests)
 
 
-def _spared(what: str, work: Callable[[], _T], failed: list[str]) -> _T | None:
+def _optional_step(what: str, work: Callable[[], _T], failed: list[str]) -> _T | None:
     """Return the result of an optional step; None where it fails, since advice must not cost the answer.
 
     Args:
@@ -380,24 +384,26 @@ def _found(
     provisional: bool,
 ) -> tuple[FoundEffect, ...]:
     """Return the names in the order of finding, and the residual as one entry, where its largest part was found."""
-    state, weak = outcome.state, faint_names(outcome)
+    state, weak = outcome.state, insignificant_names(outcome)
     parameters = fitted_parameters(state)
     present = {effect.name: effect for effect in state.effects}
     rest, found = rest_of(outcome, again), list[FoundEffect]()
-    others = by_other_laws(outcome)
+    others = with_other_functional_form(outcome)
     for step in outcome.steps:
         if step.name == "unnamed" and rest is not None and rest not in found:
             found.append(rest)
         elif step.name in present and step.name not in weak:
             own = present[step.name]
-            alike = _spared(f"what acts like {step.name}", partial(inseparable, state, own, entries), failed) or ()
+            alike = (
+                _optional_step(f"what acts like {step.name}", partial(inseparable, state, own, entries), failed) or ()
+            )
             rivals = tuple({rival.name: rival for rival in (*alike, *step.rivals)}.values())
             what = f"the capture that separates {step.name} from its rivals"
-            advice = _spared(what, partial(propose, state, own, rivals), failed)
+            advice = _optional_step(what, partial(propose, state, own, rivals), failed)
             shown = replace(step, rivals=rivals)
             told = dict(parameters[step.name])
             if isinstance(own, FreeLaw):
-                sizes = _spared(
+                sizes = _optional_step(
                     f"how well the size of {step.name} is known", partial(sizes_by_own_law, state, own), failed
                 )
                 told |= {name: entry for name, entry in (sizes or {}).items() if told[name].u is None}

@@ -19,7 +19,7 @@ from radiometer.reconciliation.search.frame_order import FrameLight
 Shown = tuple[Design, FrameLight, tuple[CaptureStatistics, PatternImages]]
 
 
-def shown_by(
+def evidence_for(
     header: CaptureHeader, shape: tuple[int, int], read: FrameReader, progress: Progress | None = None
 ) -> Shown:
     """Return the design of a capture set, the light of its frames, and what they show.

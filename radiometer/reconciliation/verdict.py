@@ -45,7 +45,7 @@ def verdict_of(outcome: Search, doubts: Sequence[str], again: Periodic | None = 
         doubts: What speaks against its names.
         again: What comes back in the order of the frames, which no name explains.
     """
-    named = len(outcome.state.effects) > len(faint_names(outcome))
+    named = len(outcome.state.effects) > len(insignificant_names(outcome))
     unnamed = leaves_structure(outcome) or again is not None
     if named:
         return Verdict.INCOMPLETE if unnamed or doubts else Verdict.EFFECTS_FOUND
@@ -63,7 +63,8 @@ def doubts_of(outcome: Search) -> list[str]:
     said = [f"{name} ran to the end of its range: what the data hold is not quite that" for name in _at_bound(state)]
     said += [f"{name} alone may do what all the names do together" for name in one_for_all(outcome.steps, effects)]
     said += [
-        f"{name} is only the likelier of two, the other predicts better" for name in outdone(outcome.steps, effects)
+        f"{name} is only the likelier of two, the other predicts better"
+        for name in outperformed(outcome.steps, effects)
     ]
     said += [
         f"{name} fits by its further terms alone: what makes it {name} is within three uncertainties of nothing"
@@ -91,7 +92,7 @@ def leaves_structure(outcome: Search) -> bool:
     return unnamed or is_misfit(outcome.state)
 
 
-def faint_names(outcome: Search) -> list[str]:
+def insignificant_names(outcome: Search) -> list[str]:
     """Return names that are not worth telling where structure stays anyhow: faint ones, and those of no substance.
 
     Names may absorb a part of the residual of a stronger name's wrong law. They may also absorb the residual of a
@@ -126,17 +127,17 @@ def faint(outcome: Search) -> list[str]:
     return [
         f"{name} is counted as part of the residual"
         + (f": it brings {gains[name]:.0f} nats where structure remains that brings more" if name in little else "")
-        for name in faint_names(outcome)
+        for name in insignificant_names(outcome)
     ]
 
 
-def by_other_laws(outcome: Search) -> tuple[CatalogueEffect, ...]:
+def with_other_functional_form(outcome: Search) -> tuple[CatalogueEffect, ...]:
     """Return the named effects whose equation is not the one that the data follow, though the name explains most of it.
 
     A residual in a name's own statistic and along its own covariate is the rest of its law, not one more cause. This
     holds as long as the name brings most of what both bring.
     """
-    departed, weak = departing(outcome.tests, outcome.state.effects), faint_names(outcome)
+    departed, weak = departing(outcome.tests, outcome.state.effects), insignificant_names(outcome)
     gains = {step.name: step.gain_nats for step in outcome.steps if step.name != "unnamed"}
     found = []
     for effect in outcome.state.effects:
@@ -166,12 +167,12 @@ def rest_of(outcome: Search, again: Periodic | None = None) -> FoundEffect | Non
         again: What comes back in the order of the frames.
     """
     state = outcome.state
-    told = {place for effect in by_other_laws(outcome) for place in _places_of_law(effect)}
+    told = {place for effect in with_other_functional_form(outcome) for place in _places_of_law(effect)}
     steps = [step for step in outcome.steps if step.name == "unnamed" and _place_of(step) not in told]
     places = [_place_of(step) for step in steps]
     places += [(axis_of(test.where, test.block), test.family) for test in outcome.left]
     places = [place for place in places if place not in told]
-    weak = faint_names(outcome)
+    weak = insignificant_names(outcome)
     places += [(step.where, "") for step in outcome.steps if step.name in weak]
     if not places and not told and is_misfit(state):
         block, where = place_of_scatter(state)
@@ -359,7 +360,7 @@ def one_for_all(steps: Sequence[Step], effects: Sequence[CatalogueEffect]) -> li
     return sorted(set.intersection(*({rival.name for rival in step.rivals} for step in named)) - present)
 
 
-def outdone(steps: Sequence[Step], effects: Sequence[CatalogueEffect]) -> list[str]:
+def outperformed(steps: Sequence[Step], effects: Sequence[CatalogueEffect]) -> list[str]:
     """Return the names for which only what is usual speaks: something else predicts better.
 
     Args:
@@ -367,7 +368,7 @@ def outdone(steps: Sequence[Step], effects: Sequence[CatalogueEffect]) -> list[s
         effects: The effects of the model.
     """
     present = {effect.name for effect in effects}
-    return [step.name for step in steps if step.outdone and step.name in present]
+    return [step.name for step in steps if step.outperformed and step.name in present]
 
 
 def without_essential(

@@ -188,7 +188,7 @@ def inseparable(
     if not directions.forms[chosen.name]:
         return ()
     (target,) = directions.forms[chosen.name]
-    alike = Alike(directions, target)
+    alike = ConfusablePair(directions, target)
     found = (alike.fitted(name) for name in kinds)
     return tuple(effect for effect in found if effect is not None)
 
@@ -237,7 +237,7 @@ def _refitted_cost(exact: FitState, effect: CatalogueEffect) -> float:
 
 
 @dataclass(eq=False)
-class Alike:
+class ConfusablePair:
     """Which entries fit the noiseless data of another's start.
 
     Derivatives show where one entry may imitate the other. They do not reach far enough to prove it: a change
@@ -353,7 +353,7 @@ def _together(state: FitState, seen: Mapping[str, CatalogueEffect], *, every: bo
     told, context = set[frozenset[str]](), state.model.context
     directions = Directions.of(state, {n: (own, *_spread(type(own).starts(context))) for n, own in seen.items()})
     for name in seen:
-        alike = Alike(directions, directions.forms[name][0])
+        alike = ConfusablePair(directions, directions.forms[name][0])
         others = [effect for other in seen if other != name and (effect := alike.fitted(other)) is not None]
         names = frozenset({name, *(effect.name for effect in others)})
         if others and (every or names not in told):

@@ -72,18 +72,18 @@ def _passes_well(design: Design, seen: CaptureStatistics) -> bool:
     return bool(np.any(alive & (held_e > _PAST_WELL * camera.full_well_e) & (seen.high < 1e-3)))
 
 
-def refit(state: FitState, iterations: int = _ITERATIONS, *, hurried: bool = False) -> FitState:
+def refit(state: FitState, iterations: int = _ITERATIONS, *, early_stop: bool = False) -> FitState:
     """Return the state at the least χ² over nuisances, term weights and effect parameters (damped Gauss–Newton).
 
     Parameters that come frozen within their bounds stay so. They are known by effect and name: a further term that
     falls to nothing on the way is none of its effect's parameters any more, and all behind it move up.
 
-    Where it is hurried it ends once it creeps. A name's fit goes on: that it leads to the end of a range is a finding.
+    With `early_stop` it ends once it creeps. A name's fit goes on: that it leads to the end of a range is a finding.
     """
     fixed, pace = _fixed(state), _Pace()
 
     def trials(at: FitState) -> Iterator[FitState]:
-        if hurried and pace.creeps(at):
+        if early_stop and pace.creeps(at):
             return
         for trial in _trials(at):
             yield _held_at_bounds(_glided(at, trial, at.cost - trial.cost)[0], fixed) if trial.cost < at.cost else trial
@@ -109,7 +109,7 @@ class _Pace:
         return self._slow >= _PATIENCE
 
 
-def approached(state: FitState, *, hurried: bool = False) -> FitState:
+def coarse_fit(state: FitState, *, early_stop: bool = False) -> FitState:
     """Return the state near the least χ², for weights that will be brought up to date there.
 
     As `refit`, but the end is where derivatives of one point lead, if they hold all the way: none are taken there to
@@ -118,7 +118,7 @@ def approached(state: FitState, *, hurried: bool = False) -> FitState:
     fixed, pace = _fixed(state), _Pace()
     for _ in range(_ITERATIONS):
         state = _held_at_bounds(state, fixed)
-        if hurried and pace.creeps(state):
+        if early_stop and pace.creeps(state):
             break
         lower = next((trial for trial in _trials(state) if trial.cost < state.cost), None)
         if lower is None:
@@ -129,21 +129,21 @@ def approached(state: FitState, *, hurried: bool = False) -> FitState:
     return state
 
 
-def settled(state: FitState, *, hurried: bool = False) -> FitState:
+def converged_fit(state: FitState, *, early_stop: bool = False) -> FitState:
     """Return the state refitted under its own weights, until these no longer move the parameters.
 
-    `hurried` is that of `refit`. Of what does not settle the weights that speak less for it count.
+    `early_stop` is that of `refit`. Of what does not settle the weights that speak less for it count.
     """
     for _ in range(_REWEIGHTINGS):
-        before, state = state.parameters.values, approached(reweighted(state), hurried=hurried)
+        before, state = state.parameters.values, coarse_fit(reweighted(state), early_stop=early_stop)
         after = state.parameters.values
         if before.size != after.size:  # a further term fell to nothing, and the form is the plain one again
             continue
         if not after.size or float(np.max(np.abs(after - before) / state.parameters.scale)) < _SETTLED:
             return _held_at_bounds(state)
-    last = refit(state, hurried=hurried)
+    last = refit(state, early_stop=early_stop)
     # Beside realisations that its former size allowed a pattern may have been fitted to nothing.
-    own = refit(reweighted(last), hurried=hurried)
+    own = refit(reweighted(last), early_stop=early_stop)
     return min(last, own, key=lambda found: found.evidence)
 
 

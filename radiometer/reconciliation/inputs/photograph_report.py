@@ -157,13 +157,13 @@ def _what_to_do(wrong: Sequence[FrameFinding], result: ReconcileResult) -> str:
         return ""
     if not wrong:
         return paragraph(
-            "-o exposures.txt writes the exposures that agree, which every command finds in the folder of the photographs.",
+            "-o exposures.txt writes the exposures that agree, which every command reads with the photographs.",
             "do",
         )
     names = ", ".join(one.name for one in wrong)
     return paragraph(
         f"Look at the EXIF record of {names}, or take {'it' if len(wrong) == 1 else 'them'} again; -o exposures.txt "
-        "writes the exposures that agree, which every command finds in the folder of the photographs.",
+        "writes the exposures that agree, which every command reads with the photographs.",
         "do",
     )
 

@@ -36,7 +36,7 @@ _FEW: Final = 6  # iterations that tell how the others do alone
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Mended:
+class Refined:
     """A model in which one name took a free law.
 
     Attributes:
@@ -130,7 +130,7 @@ def rated(state: FitState) -> float:
     return worth(state) + sum(effect.log_prior_odds for effect in state.effects)
 
 
-def by_a_free_law(start: FitState, state: FitState, alone: Sequence[CatalogueEffect]) -> Mended | None:
+def by_a_free_law(start: FitState, state: FitState, alone: Sequence[CatalogueEffect]) -> Refined | None:
     """Return the model with one name by a free law that does better than all that was found; None for none.
 
     Args:
@@ -138,31 +138,31 @@ def by_a_free_law(start: FitState, state: FitState, alone: Sequence[CatalogueEff
         state: What was found; structure stays in it.
         alone: Entries as they fit the start, each alone.
     """
-    found = list[Mended]()
+    found = list[Refined]()
     for promises in (_of_one(start, alone), _in_place(start, state)):
         found += _tried(promises, state)
-        if any(not is_misfit(mended.state) for mended in found):
+        if any(not is_misfit(refined.state) for refined in found):
             break
     if not found:
         return None
-    best = max(found, key=lambda mended: worth(mended.state))
-    closing = [mended for mended in found if not is_misfit(mended.state)]
+    best = max(found, key=lambda refined: worth(refined.state))
+    closing = [refined for refined in found if not is_misfit(refined.state)]
     return replace(best, rivals=tuple({m.name: m.form for m in closing if m.name != best.name}.values()))
 
 
 _Promise = tuple[float, FitState, FreeLaw]
 
 
-def _tried(promises: Iterator[_Promise], state: FitState) -> Iterator[Mended]:
+def _tried(promises: Iterator[_Promise], state: FitState) -> Iterator[Refined]:
     """Yield the models of the most promising forms, one for each name, that are worth more than what was found."""
     least = worth(state)
     tried = set[str]()
     for _, base, form in sorted(promises, key=lambda entry: -entry[0]):
         if form.name not in tried and len(tried) < _FITTED:
             tried.add(form.name)
-            mended = _fitted(base, form, least, nowhere_near(base, state))
-            if mended is not None:
-                yield mended
+            refined = _fitted(base, form, least, nowhere_near(base, state))
+            if refined is not None:
+                yield refined
 
 
 def _of_one(start: FitState, alone: Sequence[CatalogueEffect]) -> Iterator[_Promise]:
@@ -195,7 +195,7 @@ def promise(base: FitState, form: CatalogueEffect) -> float:
     return base.fit.score(slice(0, base.comparison.size), followed)[0] / 2.0 - PARAMETER_NATS * len(form.free())
 
 
-def _fitted(base: FitState, form: FreeLaw, least: float, most: float) -> Mended | None:
+def _fitted(base: FitState, form: FreeLaw, least: float, most: float) -> Refined | None:
     """Return the model with a form, fitted in full; None where its plain law is far from what it comes to.
 
     None too where it is not worth more than `least`, or leaves more than `most` under the weights of the model without
@@ -211,4 +211,4 @@ def _fitted(base: FitState, form: FreeLaw, least: float, most: float) -> Mended 
     brought, whole = plain.evidence - base.evidence, state.evidence - base.evidence
     if brought < LAW_SHARE * whole:
         return None
-    return Mended(state, form.name, base)
+    return Refined(state, form.name, base)

@@ -15,7 +15,7 @@ import numpy as np
 
 from radiometer.errors import ConfigurationError
 from radiometer.reconciliation.fit.candidate_fit import fit_candidate, judged_gain
-from radiometer.reconciliation.fit.descent import approached, refit, settled
+from radiometer.reconciliation.fit.descent import coarse_fit, converged_fit, refit
 from radiometer.reconciliation.fit.full_fit import FullFits, UnfitError, contenders_of, included
 from radiometer.reconciliation.fit.state import FitState, reweighted, with_effects, with_terms
 from radiometer.reconciliation.fit.terms import LinearTerm
@@ -105,7 +105,7 @@ def better(
     own = next(effect for effect in state.effects if effect.name == name)
     present = {effect.name for effect in state.effects}
     try:
-        rest = settled(approached(with_effects(state, [effect for effect in state.effects if effect is not own])))
+        rest = converged_fit(coarse_fit(with_effects(state, [effect for effect in state.effects if effect is not own])))
         others = [candidate for candidate in screen(rest, catalogue, pool) if candidate.effect.name not in present]
         judged = [(fitted, judged_gain(rest, fitted)) for fitted in (fit_candidate(rest, c) for c in others[:_FITTED])]
         fits = FullFits(rest)
@@ -238,7 +238,7 @@ def _fitted(state: FitState, index: int, form: CatalogueEffect) -> Loosened | No
     """
     others = [effect for place, effect in enumerate(state.effects) if place != index]
     try:
-        following = settled(approached(with_effects(state, [*others, form])))
+        following = converged_fit(coarse_fit(with_effects(state, [*others, form])))
     except (np.linalg.LinAlgError, ConfigurationError):  # no covariance, or parameters that are no numbers
         return None
     further = _further(state.effects[index], form)

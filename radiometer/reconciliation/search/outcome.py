@@ -24,8 +24,8 @@ class Step:
         rivals: Effects within 5 nats.
         closest: For an unnamed term, the closest entry and the share of it that it explains.
         block: For an unnamed term, the statistic that shows it.
-        outdone: Whether a plain trend of fewer parameters along the same covariate, or another entry, predicts better:
-            only what is usual speaks for the name then.
+        outperformed: Whether a plain trend of fewer parameters along the same covariate, or another entry, predicts
+            better. The name is then supported only because it is usual.
     """
 
     name: str
@@ -36,7 +36,7 @@ class Step:
     rivals: tuple[CatalogueEffect, ...] = ()
     closest: tuple[str, float] | None = None
     block: str = ""
-    outdone: bool = False
+    outperformed: bool = False
 
 
 @dataclass(frozen=True, eq=False)

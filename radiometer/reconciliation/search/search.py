@@ -120,7 +120,7 @@ def _to_its_end(
 ) -> Search:
     """Return what a search comes to from a model on, where one name may not be given at once."""
     state, tests = _stepped(state, tests, run, MOST_STEPS, barred)
-    for change in (_as_one, _mended):
+    for change in (_as_one, _refined):
         changed = change(start, state, tests, run)
         if changed is None:
             continue
@@ -167,7 +167,7 @@ def _as_one(start: FitState, state: FitState, tests: tuple[Disagreement, ...], r
     return found
 
 
-def _mended(start: FitState, state: FitState, tests: tuple[Disagreement, ...], run: _Run) -> FitState | None:
+def _refined(start: FitState, state: FitState, tests: tuple[Disagreement, ...], run: _Run) -> FitState | None:
     """Return the model with a free law for one name, where structure stays and it does better than what was found."""
     unnamed = any(step.name == "unnamed" for step in run.steps)
     stays = unnamed or significant(tests) or is_misfit(state) or departing(tests, state.effects)
@@ -178,13 +178,13 @@ def _mended(start: FitState, state: FitState, tests: tuple[Disagreement, ...], r
         return None
     run.say(f"{found.name} by a free law: gap {state.gap:.3f} → {found.state.gap:.3f}")
     old = {step.name: step for step in run.steps}
-    mended, dropped = pruned(found.state, run.say)
+    refined, dropped = pruned(found.state, run.say)
     run.steps = []
-    for effect in sorted(mended.effects, key=lambda effect: effect.name == found.name):
-        step = Step(effect.name, effect.where, found.nats, found.beside.gap, mended.gap, found.rivals)
+    for effect in sorted(refined.effects, key=lambda effect: effect.name == found.name):
+        step = Step(effect.name, effect.where, found.nats, found.beside.gap, refined.gap, found.rivals)
         run.steps.append(step if effect.name == found.name else old[effect.name])
     run.refused |= set(dropped)
-    return mended
+    return refined
 
 
 def _one_step(state: FitState, tests: tuple[Disagreement, ...], run: _Run) -> FitState | None:
@@ -214,9 +214,9 @@ def _one_step(state: FitState, tests: tuple[Disagreement, ...], run: _Run) -> Fi
         if not _convinces(state, chosen, standing, plain) or _is_likelier(fits, looser, chosen):
             break
         others = judged if contenders is shown else contenders
-        outdone = any(_is_plainer(kind, chosen[0]) and lead > 0.0 for kind, lead in plain.items())
-        outdone |= any(_outdoes(other, chosen) for other in others)
-        following = _named(fits, chosen, others, judged, run, outdone=outdone)
+        outperformed = any(_is_plainer(kind, chosen[0]) and lead > 0.0 for kind, lead in plain.items())
+        outperformed |= any(_outperforms(other, chosen) for other in others)
+        following = _named(fits, chosen, others, judged, run, outperformed=outperformed)
         if following is not None:
             if (lead := _lead(chosen, others)) < NEAR_SHARE:
                 run.turns.append(_Turn(state, tests, chosen[0].name, lead, steps, refused))
@@ -308,7 +308,7 @@ def _is_plainer(kind: type[CatalogueEffect], fitted: FittedCandidate) -> bool:
     return kind.where == fitted.effect.where and len(kind.fitted) < fitted.parameters
 
 
-def _outdoes(other: tuple[FittedCandidate, float], chosen: tuple[FittedCandidate, float]) -> bool:
+def _outperforms(other: tuple[FittedCandidate, float], chosen: tuple[FittedCandidate, float]) -> bool:
     """Return whether another entry predicts better, each parameter paid for, its prior probability left out."""
     mine, others = (nats - PARAMETER_NATS * fitted.parameters for fitted, nats in (chosen, other))
     return other[0].name != chosen[0].name and others > mine + PARAMETER_NATS
@@ -336,7 +336,7 @@ def _named(
     judged: list[tuple[FittedCandidate, float]],
     run: _Run,
     *,
-    outdone: bool,
+    outperformed: bool,
 ) -> FitState | None:
     """Return the model with the chosen effect; None where, all refitted, it does not predict better after all.
 
@@ -354,7 +354,7 @@ def _named(
     again = next((i for i, step in enumerate(run.steps) if step.name == fitted.name), None)
     if again is None:
         where = fitted.effect.where
-        run.steps.append(Step(fitted.name, where, nats, gap_before, following.gap, rivals, outdone=outdone))
+        run.steps.append(Step(fitted.name, where, nats, gap_before, following.gap, rivals, outperformed=outperformed))
     else:
         old = run.steps[again]
         run.steps[again] = replace(old, gain_nats=old.gain_nats + nats, gap_after=following.gap)

@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from radiometer.reconciliation.fit.descent import first_state, settled
+from radiometer.reconciliation.fit.descent import converged_fit, first_state
 from radiometer.reconciliation.measure.design import Design
 from radiometer.reconciliation.measure.reduce import frame_reader, reduce_frames
 from radiometer.reconciliation.statistics import STATISTICS
@@ -24,7 +24,7 @@ def chi2(make_capture: Callable[..., Any]) -> dict[str, tuple[float, int]]:
     for seed in (101, 102, 103):
         captured = make_capture(seed, 4)
         design = Design.of(captured.header, captured.frames[0].shape)
-        state = settled(first_state(design, *reduce_frames(design, frame_reader(captured.frames))))
+        state = converged_fit(first_state(design, *reduce_frames(design, frame_reader(captured.frames))))
         for name, cut in state.comparison.cuts.items():
             squares, count = total[name]
             rest = state.comparison.residual(state.prediction)[cut]

@@ -85,8 +85,8 @@ def test_a_rest_tells_the_gap_before_its_first_and_after_its_last_term(monkeypat
     from radiometer.reconciliation import verdict
     from radiometer.reconciliation.search.outcome import Step
 
-    monkeypatch.setattr(verdict, "by_other_laws", lambda _: ())
-    monkeypatch.setattr(verdict, "faint_names", lambda _: [])
+    monkeypatch.setattr(verdict, "with_other_functional_form", lambda _: ())
+    monkeypatch.setattr(verdict, "insignificant_names", lambda _: [])
     monkeypatch.setattr(verdict, "size_of_rest", lambda *_: {})
     steps = [
         Step("unnamed", "frame", 50.0, 1.9, 1.4, (), block="mean"),

@@ -17,7 +17,7 @@ from radiometer.reconciliation.result import FittedParameter, Verdict
 from radiometer.reconciliation.search.outcome import Step
 from radiometer.reconciliation.search.score import by_itself
 from radiometer.reconciliation.statistics import Scatter
-from radiometer.reconciliation.verdict import faint, faint_beside_others, faint_names, verdict_of
+from radiometer.reconciliation.verdict import faint, faint_beside_others, insignificant_names, verdict_of
 from simulators.effects.catalogue import CatalogueEffect
 from simulators.effects.conversion_gain_error import ConversionGainError
 from simulators.effects.crosstalk import Crosstalk
@@ -82,14 +82,14 @@ def test_scatter_is_five_sigma_and_a_twentieth(gap, settings, each, scattered):
     assert is_misfit(state(gap=gap, settings=settings, each=each)) is scattered is expected
 
 
-def test_faint_names_beside_what_stays():
+def test_insignificant_names_beside_what_stays():
     """Below 40 nats, or below the strongest, only where structure stays; those without a place in the model never."""
     steps = [step("psf_blur", 500.0), step("conversion_gain_error", 39.0), step("crosstalk", 5.0)]
     effects = (BLUR, GAIN)
-    assert faint_names(outcome(effects, steps)) == []
-    assert faint_names(outcome(effects, steps, left=(1,))) == ["conversion_gain_error"]
-    assert faint_names(outcome(effects, [steps[0], replace(steps[1], gain_nats=41.0)], left=(1,))) == []
-    assert faint_names(outcome(effects, [replace(s, gain_nats=20.0) for s in steps], left=(1,))) == []
+    assert insignificant_names(outcome(effects, steps)) == []
+    assert insignificant_names(outcome(effects, steps, left=(1,))) == ["conversion_gain_error"]
+    assert insignificant_names(outcome(effects, [steps[0], replace(steps[1], gain_nats=41.0)], left=(1,))) == []
+    assert insignificant_names(outcome(effects, [replace(s, gain_nats=20.0) for s in steps], left=(1,))) == []
     (said,) = faint(outcome(effects, steps, left=(1,)))
     assert said.startswith("conversion_gain_error is counted as part of the residual: it brings 39 nats")
     assert faint_beside_others(steps, effects) == ["conversion_gain_error"]
@@ -102,7 +102,7 @@ def test_faint_names_beside_what_stays():
 def test_a_name_beside_an_unknown_cause_that_brings_four_fifths(nats, told):
     """A quarter of what has no name is what a name must bring beside it; where none does, nothing is named."""
     found = outcome((BLUR,), [step("unnamed", 1000.0), step("psf_blur", nats)], left=(1,))
-    assert faint_names(found) == sorted({"psf_blur"} - set(told))
+    assert insignificant_names(found) == sorted({"psf_blur"} - set(told))
     assert verdict_of(found, []) is (Verdict.INCOMPLETE if told else Verdict.UNNAMED)
 
 
@@ -114,7 +114,7 @@ def test_a_size_within_three_uncertainties_of_nothing_is_no_name_where_structure
     known = {"event_offset": {"offset_dn": FittedParameter(1.4, u, "DN")}, "psf_blur": {}}
     monkeypatch.setattr(verdict, "fitted_parameters", lambda _: known)
     found = outcome((BLUR, EventOffset(1.4)), [step("psf_blur", 900.0), step("event_offset", 800.0)], left)
-    kept = [name for name in ("event_offset",) if name not in faint_names(found)]
+    kept = [name for name in ("event_offset",) if name not in insignificant_names(found)]
     assert kept == told
     assert faint(found) == ([] if told else ["event_offset is counted as part of the residual"])
 

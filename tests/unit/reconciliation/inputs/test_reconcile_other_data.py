@@ -233,10 +233,7 @@ def test_labels_that_may_be_meant_instead_are_told(monkeypatch: pytest.MonkeyPat
     names = [one.name for one in done.findings]
     told = (f"exposure_label_error of {names[0]} (ratio 0.900)", f"exposure_label_error of {names[3]} (ratio 1.100)")
     assert effect.alternatives == told
-    assert (
-        f", or {names[0]} 0.900, or {names[3]} 1.100: these cannot show which."
-        in (done.result.extra["remarks"][0])
-    )
+    assert f", or {names[0]} 0.900, or {names[3]} 1.100: these cannot show which." in (done.result.extra["remarks"][0])
     assert outcome(done.result, done.findings).endswith(f"cannot show which, {' or '.join(told)} instead.")
 
 
