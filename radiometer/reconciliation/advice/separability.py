@@ -97,8 +97,7 @@ class Directions:
         return float(max(self.products[form.columns.start, form.columns.start], 0.0))
 
     def left(self, target: _Form, other: _Form) -> tuple[float, float]:
-        """Return the χ² of a start that another entry, about one of its starts, does not follow, and the share of
-        that start."""
+        """Return the χ² of a start that another entry, about one of its own, does not follow, and the share of it."""
         whole = self.shown(target)
         left, taken = self._least(target, other)
         if taken[0] <= 0 or np.max(np.abs(taken[1:]), initial=0.0) > _REACH * taken[0]:  # another form than it can take

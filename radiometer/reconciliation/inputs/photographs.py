@@ -2,9 +2,11 @@
 
 The response is unknown. Only what breaks the agreement of all photographs with one curve can be found. Examples are
 stops that were rounded when printed, a shutter that exposes longer by one time, and single labels that are not the
-real exposure. The judge is the prediction of digital
-numbers: a quadrant of the picture is left out, curve and exposures come from the rest, and each photograph's values
-there are predicted from the other photographs. What does not predict them better is not named.
+real exposure.
+
+The criterion is the prediction of digital numbers. A quadrant of the picture is left out, and curve and exposures come
+from the rest. Each photograph's values in the quadrant are then predicted from the other photographs. A cause that does
+not predict them better is not named.
 """
 
 from __future__ import annotations

@@ -237,7 +237,7 @@ def _is_shown(old: LogState, new: LogState, limit: float, *, later: bool) -> boo
 
 
 def _is_determined(state: LogState) -> bool:
-    """Return whether the newest term's uncertainties are finite, and its first parameter (or any entry) is not zero.
+    """Return whether the newest term's uncertainties are finite, and its first parameter (of a table: any) is not zero.
 
     The difference between the signal as predicted and as measured is part of the uncertainty.
     """

@@ -1,5 +1,4 @@
-"""Computes how a model responds to a little more light or warmth, and to each of its effects, by further
-predictions."""
+"""Computes how a model responds to a little more light or warmth, and to each of its effects."""
 
 from __future__ import annotations
 

@@ -26,7 +26,7 @@ def refuting_frames(proposal: Proposal) -> tuple[list[dict[str, Any]], list[str]
     worth = np.where(pool.is_new, worth, 0.5 * worth)
     is_noise = LINKS[proposal.law.link].is_noise
     apart = np.sqrt(with_law.variance) - np.sqrt(without.variance) if is_noise else with_law.mean - without.mean
-    does = "scatters by" if is_noise else "lies"
+    does = "scatters by" if is_noise else "differs by"
     frames, reasons = list[dict[str, Any]](), list[str]()
     for index in np.argsort(-worth)[:_CAPTURES].tolist():
         if worth[index] < _SHOWS_CHI2 and frames:
@@ -38,6 +38,6 @@ def refuting_frames(proposal: Proposal) -> tuple[list[dict[str, Any]], list[str]
         reasons.append(
             f"{frame.exposure_s:.3g} s at {frame.gain_db:g} dB, source level {frame.source_level:g}, shutter "
             f"{frame.shutter}: with {proposal.name} patch {pool.design.tiles[tile].name} {does} "
-            f"{apart[index, tile]:+.3g} DN from the camera without it; the law is refuted where that is not seen"
+            f"{apart[index, tile]:+.3g} DN relative to the camera without it; the law is refuted where that is not seen"
         )
     return frames, reasons

@@ -104,8 +104,7 @@ def _screened(state: FitState, kinds: Sequence[type[CatalogueEffect]], pool: Sta
 
 
 def of_seen_codes(seen: CaptureStatistics, starts: tuple[CatalogueEffect, ...]) -> tuple[CatalogueEffect, ...]:
-    """Return the starts that leave no gaps where codes occur: a step too coarse may compensate what another effect
-    moves.
+    """Return the starts that leave no gaps where codes occur: a coarse step may compensate another effect.
 
     Args:
         seen: What was measured.
