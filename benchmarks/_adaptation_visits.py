@@ -10,13 +10,15 @@ from pathlib import Path
 import numpy as np
 
 from drivers.light_box import box as light_box
+from radiometer.adaptation.box_setup import open_box_stage
 from radiometer.adaptation.journal import RunJournal
 from radiometer.adaptation.outcome import Outcome
 from radiometer.adaptation.protocol import AdaptationProtocol, read_protocol
+from radiometer.adaptation.request import RunRequest
 from radiometer.adaptation.run import run_test
 from radiometer.adaptation.threshold_series import ThresholdSeries
-from radiometer.bench.box_adaptation import BoxRequest, open_box_stage, places_of
 from radiometer.bench.boxes import read_preset
+from radiometer.bench.seated_subject import places_of
 from simulators.observers.eye_kinetics import Eye
 from simulators.observers.observer import Habits, Observer
 from simulators.observers.observer_at_box import ObserverAtBox
@@ -50,7 +52,7 @@ def visit(protocol: AdaptationProtocol, eye: Eye, seed: int, habits: Habits | No
     memory = "/dev/shm" if Path("/dev/shm").is_dir() else None
     with (
         tempfile.TemporaryDirectory(dir=memory) as folder,
-        open_box_stage(protocol, BoxRequest("sim", seed=seed)) as (stage, checks),
+        open_box_stage(RunRequest(protocol, box="sim", seed=seed)) as (stage, checks),
         RunJournal(Path(folder) / "visit.jsonl", relive=True) as journal,
     ):
         pupil_mm = protocol.bleach.pupil_mm or eye.pupil_mm

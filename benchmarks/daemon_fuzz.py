@@ -17,7 +17,7 @@ from hypothesis.stateful import run_state_machine_as_test
 from benchmarks._sections import write_section
 from radiometer.daemon.scpi.table import command_table
 from testing.daemon_process import DaemonProcess
-from tests.unit.daemon.scpi_machine import ScpiMachine, machine_settings
+from testing.scpi_machine import ScpiMachine, machine_settings
 
 SEQUENCES = 1000
 LINES = 600_000

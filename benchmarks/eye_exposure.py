@@ -18,6 +18,13 @@ ROOT = Path(__file__).resolve().parents[1]
 FIRMWARE = ROOT / "drivers" / "firmware" / "light_box"
 FIRST_SEED = 100_000
 PART = 250
+ABOUT = (
+    "Each sequence is 30 events at a desk with two boxes and two eyes. Programs give light, are killed at any step on"
+    " the line or the disk, and take the longest pulse that is not refused. Cables are pulled, answers get lost, boxes"
+    " and computer restart, the clock is set wrong, the account is deleted or damaged. What an eye receives is"
+    " integrated from the outputs of the boxes, for the brightest box that the preset allows. A tenth of the limit is"
+    " promised."
+)
 SHOWN = (
     "asked", "given", "refused", "programs", "killed", "killed in the midst", "rebooted", "clock set", "replugged",
     "box restarted", "lines lost", "stalled", "account harmed", "confirmed",
@@ -25,7 +32,7 @@ SHOWN = (
 
 
 def main() -> None:
-    """Print the tables and write them into docs/light-box.md."""
+    """Run the sequences."""
     parser = argparse.ArgumentParser()
     parser.add_argument("--twin", type=int, default=10_000, help="sequences with the simulated twin")
     parser.add_argument("--firmware", type=int, default=200, help="sequences with the firmware's code")
@@ -37,6 +44,11 @@ def main() -> None:
             "simulated twin": sequences(folder, options.twin),
             "firmware's code": sequences(folder, options.firmware, firmware=True),
         }
+    report(found)
+
+
+def report(found: dict[str, Desks]) -> None:
+    """Print the tables and write them into docs/light-box.md."""
     body = [
         "| box | sequences | largest share of the limit in any 10⁴ s | median | above 9 % | above 10 % |",
         "|---|---|---|---|---|---|",
@@ -49,6 +61,7 @@ def main() -> None:
         )
     body += ["", "| what happened | " + " | ".join(found) + " |", "|---" * (1 + len(found)) + "|"]
     body += [f"| {what} | " + " | ".join(f"{desks.count[what]:,}" for desks in found.values()) + " |" for what in SHOWN]
+    body = [ABOUT, "", *body]
     print("\n".join(body), flush=True)
     write_section(
         "eye_exposure",

@@ -10,6 +10,7 @@
     │   └── CalibrationError         a calibration does not fit the camera or the question
     ├── MeasurementError             the measurement cannot be done with this scene or these frames
     ├── OutputError                  a result cannot be written
+    │   └── OutputRefused            its place was refused before the work began        (exit code 2)
     └── DeviceError                  something about a camera, light box or display
         ├── DeviceNotFound           nothing answers to that name
         ├── DeviceInUse              another program holds it
@@ -87,6 +88,12 @@ class MeasurementError(RadiometerError):
 
 class OutputError(RadiometerError):
     """A result cannot be written."""
+
+
+class OutputRefused(OutputError):
+    """The place of a result is refused before the work begins: it exists, or takes no file."""
+
+    exit_code = 2
 
 
 class DeviceError(RadiometerError):

@@ -5,9 +5,13 @@ Hypothesis chooses the damage and, where a reader fails, finds the least that ma
 
 from __future__ import annotations
 
+import bz2
 import contextlib
+import gzip
+import io
 import os
 import resource
+import struct
 import sys
 import warnings
 from collections.abc import Callable
@@ -25,6 +29,7 @@ import yaml
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from radiometer.adaptation.journal import read_events
 from radiometer.adaptation.threshold_files import read_table
 from radiometer.analysis.exports.curves import read_curves, write_curves
 from radiometer.analysis.photometry.spectra import spectrum_from_csv
@@ -186,6 +191,51 @@ def _texts(folder: Path) -> dict[str, tuple[bytes, Callable[[Path], Any]]]:
     }
 
 
+def bombs() -> dict[str, tuple[bytes, Callable[[Path], Any]]]:
+    """Return files that say little and ask for much, by name, each with the reader that must refuse it."""
+    nested = b"[" * 100_000
+    loop = b"II*\x00" + struct.pack("<IHI", 8, 0, 8)  # one directory without entries, whose next one is itself
+    deflated = io.BytesIO()
+    tifffile.imwrite(deflated, np.arange(10_000, dtype=np.uint16).reshape(100, 100), compression="zlib")
+    damaged_deflate = bytearray(deflated.getvalue())
+    with tifffile.TiffFile(io.BytesIO(deflated.getvalue())) as tiff:
+        damaged_deflate[tiff.pages[0].dataoffsets[0] + 5] ^= 0xFF
+    zeros = bytes(65_000_000)
+    return {
+        "unpacking.rda": (bz2.compress(b"RDX3\n" + zeros, 1), read_table),
+        "unpacking.rds": (gzip.compress(b"X\n" + zeros, 1), read_table),
+        "range.txt": (b"list(time = 1:200000000, thrs = 1:200000000)", read_table),
+        "unclosed.txt": (b"time = c(" * 40_000, read_table),
+        "loop.tif": (loop, lambda p: (read_tiff_headers(p), read_tiff_pixels(p, 0))),
+        "loop-frame.tif": (loop, read_digital_numbers),
+        "loop-photo.tif": (loop, read_photograph),
+        "deflate.tif": (bytes(damaged_deflate), lambda p: read_tiff_pixels(p, 0)),
+        "numbers.ti3": (
+            b"CTI3\nNUMBER_OF_FIELDS 1e99\nNUMBER_OF_SETS 9\nBEGIN_DATA\n1 2\nEND_DATA\n",
+            read_screen_readings,
+        ),
+        **_compressed_fits(),
+        "nested.json": (nested, read_statistics_table),
+        "nested.yaml": (nested, read_yaml),
+        "nested.jsonl": (b'{"sequence": 0, "a": ' + nested + b"\n", lambda p: list(read_events(p))),
+        "numbers.jsonl": (b'{"sequence": 0, "a": ' + b"9" * 10_000 + b"}\n" + b"[]\n", lambda p: list(read_events(p))),
+    }
+
+
+def _compressed_fits() -> dict[str, tuple[bytes, Callable[[Path], Any]]]:
+    """Return a compressed FITS picture with wrong bytes in its data."""
+    try:
+        from astropy.io import fits
+    except ImportError:
+        return {}
+    stream, dn = io.BytesIO(), np.random.default_rng(1).integers(0, 4096, (40, 50)).astype(np.int16)
+    fits.HDUList([fits.PrimaryHDU(), fits.CompImageHDU(dn, compression_type="GZIP_1")]).writeto(stream)
+    content = bytearray(stream.getvalue())
+    at = content.index(b"\x1f\x8b") + 12
+    content[at : at + 4] = b"\xff\xff\xff\xff"
+    return {"compressed.fits": (bytes(content), lambda p: (read_fits_headers(p), read_fits_pixels(p, 0)))}
+
+
 def _picture(path: Path) -> Any:
     return ImageScene(file=path).render(8, 8)
 
@@ -238,6 +288,13 @@ def main() -> int:
         peak_mb = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
         sys.stdout.write(f"{refused[0]} files of {name}: {refused[1]} refused; peak {peak_mb:.0f} MB\n")
         sys.stdout.flush()
+    large = {"unpacking.tif.gz": (gzip.compress(b"II*\x00" + bytes(850_000_000), 1), read_tiff_headers)}
+    for name, (content, read) in (bombs() | large).items():
+        (folder / name).write_bytes(content)
+        with contextlib.suppress(RadiometerError):
+            read(folder / name)
+            sys.stderr.write(f"{name} was read\n")
+            return 1
     return 0
 
 

@@ -7,6 +7,9 @@ from pathlib import Path
 
 from testing.chromium import headless
 
+# A name that must neither become markup, nor a formula, nor end a line.
+HOSTILE = "<script>alert(1)</script>\" onload='x' $\\frac$ \x1b[31m 灯 --> &amp;"
+
 WIDTHS = (390, 1280)
 _LOW_CONTRAST = """
 (() => {

@@ -179,12 +179,15 @@ def lighting(daemon: DaemonProcess, witness: Witness, twin: LightBoxTwin) -> Cal
     """Light the fixation mark or darken it, and hold what is shown as confirmed against what the box does."""
     state = {"doubt": 0.0, "turn": 0}
 
+    names = [limits.name for limits in twin.settings.channels]
+    fixation = twin.channels[names.index("fixation")]
+
     def work() -> None:
         state["turn"] += 1
         if state["turn"] % 8 == 0:
             daemon.post("/light", {"channel": "fixation", "level": 0.02 * (state["turn"] % 16 == 0)})
             return
-        status, truth = daemon.get("/status"), twin.channels[twin._names.index("fixation")].driven_level / _FULL_LEVEL
+        status, truth = daemon.get("/status"), fixation.driven_level / _FULL_LEVEL
         witness.count("light looked at")
         shown = (status["light"] or {}).get("fixation")
         if not status["light_confirmed"] or shown is None or abs(shown - truth) < 1e-3:

@@ -6,6 +6,7 @@ import contextlib
 import gc
 import os
 import signal
+import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 from shutil import disk_usage
@@ -23,8 +24,11 @@ PROJECT_ROOT = Path(__file__).resolve().parents[1]
 MEMORY, ENOUGH = Path("/dev/shm"), 4 << 30
 if "PYTEST_DEBUG_TEMPROOT" not in os.environ and os.access(MEMORY, os.W_OK) and disk_usage(MEMORY).free > ENOUGH:
     os.environ["PYTEST_DEBUG_TEMPROOT"] = str(MEMORY)
-# Neither an example's time nor that of making one says anything of the code.
-settings.register_profile("patient", deadline=None, suppress_health_check=[HealthCheck.too_slow])
+# Results that cannot be written where they belong are saved in the user's state folder: not in the developer's.
+os.environ["XDG_STATE_HOME"] = tempfile.mkdtemp(prefix="radiometer-state-", dir=os.environ.get("PYTEST_DEBUG_TEMPROOT"))
+# Neither an example's time nor that of making one says anything of the code. Half of the usual hundred examples find
+# what a draw of mistakes holds, in half the time; each run draws others.
+settings.register_profile("patient", max_examples=50, deadline=None, suppress_health_check=[HealthCheck.too_slow])
 settings.load_profile("patient")
 # A shell's background job ignores Ctrl-C, and so would every program that a test starts and ends by it.
 with contextlib.suppress(ValueError):  # a worker's thread that is not its main one

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import base64
+import importlib
 import json
 import re
 from collections.abc import Callable, Iterator
@@ -19,7 +20,9 @@ ELSEWHERE = {"firmware.md": "drivers/firmware/light_box/README.md", "changelog.m
 
 def on_files(files: Files, config: Any) -> Files:
     """Add the pages that are made."""
-    made: dict[str, Callable[[], str]] = {"reference/commands.md": commands, "reference/effects.md": effects}
+    made: dict[str, Callable[[], str]] = {
+        "reference/commands.md": commands, "reference/effects.md": effects, "reference/python.md": python_names
+    }  # fmt: skip
     made |= {name: partial(_from_elsewhere, path) for name, path in ELSEWHERE.items()}
     for name, content in made.items():
         files.append(File.generated(config, name, content=content()))
@@ -46,21 +49,35 @@ def _from_elsewhere(path: str) -> str:
 
 def commands() -> str:
     """Return the reference of the command line, from the commands themselves."""
-    from radiometer.cli.admin.command_tree import command_tree
+    from radiometer.cli.tree import command_tree
 
     parts = ["# Commands\n\nMade from the command line itself. `radiometer man` prints the same as a manual page."]
     for one in command_tree():
         words = " ".join(one.path)
         usage = " ".join(
             [f"radiometer {words}", *(["COMMAND"] if one.below else []), *(["[OPTIONS]"] if one.options else [])]
-            + [word.names[0] if word.required else f"[{word.names[0]}]" for word in one.arguments]
+            + [name for name, _ in one.arguments]
         )
         heading = "##" if len(one.path) == 1 else "###"
         parts.append(f"{heading} `{words}`\n\n```\n{usage}\n```\n\n{_escaped(one.text)}")
-        rows = [(", ".join(word.names) + (f" {word.takes}" if word.takes else ""), word.said) for word in one.arguments]
-        rows += [(", ".join(word.names) + (f" {word.takes}" if word.takes else ""), word.said) for word in one.options]
+        rows = (*one.arguments, *one.options)
         if rows:
             parts.append("| | |\n|---|---|\n" + "\n".join(f"| `{name}` | {_cell(said)} |" for name, said in rows))
+    return "\n\n".join(parts) + "\n"
+
+
+def python_names() -> str:
+    """Return the reference of the public names of Python, by the module that holds them."""
+    import radiometer
+
+    parts = [
+        "# Python names\n\n`import radiometer as rm` offers these and loads nothing before it is used. How they go "
+        "together: [Python](../python.md). Every example runs in the tests."
+    ]
+    for home in dict.fromkeys(radiometer.home_of(name) for name in radiometer.__all__):
+        opening = (importlib.import_module(home).__doc__ or "").strip().partition("\n")[0]
+        parts.append(f"## {opening.rstrip('.')}")
+        parts += [f"::: {home}.{name}" for name in radiometer.__all__ if radiometer.home_of(name) == home]
     return "\n\n".join(parts) + "\n"
 
 

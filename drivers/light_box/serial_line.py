@@ -161,19 +161,26 @@ class SerialLine:
 
 
 class SerialPort(NamedTuple):
-    """A serial port of this machine and what USB says of it: vendor and product id (None where not USB), and names."""
+    """A serial port of this machine and what USB says of it: vendor and product (None where not USB), names, serial."""
 
     device: str
     vendor_id: int | None = None
     product_id: int | None = None
     names: str = ""
+    usb_serial: str = ""
 
 
 def list_serial_ports() -> list[SerialPort]:
     """Return the serial ports of this machine, by device file; none of them is opened."""
     found = serial.tools.list_ports.comports()
     return sorted(
-        SerialPort(port.device, port.vid, port.pid, " ".join(filter(None, (port.manufacturer, port.product))))
+        SerialPort(
+            port.device,
+            port.vid,
+            port.pid,
+            " ".join(filter(None, (port.manufacturer, port.product))),
+            port.serial_number or "",
+        )
         for port in found
     )
 

@@ -17,6 +17,7 @@ FORMAT: Final = "radiometer-adaptation/1"
 REFUSED: Final = "refused"
 CHECK: Final = "check"
 Event = dict[str, Any]
+_BEGINNING: Final = b'{"sequence": 0,'  # of every journal, even where a crash tore its first line
 
 
 class RunJournal:
@@ -125,10 +126,12 @@ def read_events(path: Path) -> Iterator[Event]:
         lines = path.read_bytes().split(b"\n")
     except OSError as error:
         raise InputError(f"cannot read {path}: {error.strerror or error}") from error
+    if not _BEGINNING.startswith(lines[0][: len(_BEGINNING)]):
+        raise InputError(f"{path}: no journal of an adaptation run; name another file")
     for number, line in enumerate(lines[:-1]):
         try:
             event = json.loads(line)
-        except ValueError as error:
+        except (ValueError, RecursionError) as error:
             raise InputError(f"{path}, line {number + 1}: not a line of a journal ({error})") from error
         if not isinstance(event, dict) or event.get("sequence") != number:
             raise InputError(f"{path}, line {number + 1}: events are missing or out of order")

@@ -9,6 +9,7 @@ from typing import Any, Final
 
 import numpy as np
 
+from radiometer.data.reader_limits import unpacked
 from radiometer.errors import InputError
 
 # gzip, bzip2 and xz, in which R packs; its own binary and ASCII forms, with and without the head of `save`.
@@ -24,6 +25,7 @@ _BEGINNINGS: Final = (
     b"A\n3\n",
     b"A\n2\n",
 )
+_MOST_BYTES: Final = 64_000_000  # unpacked; a study of a hundred runs has less than 1 MB
 AS_TEXT: Final = "write.csv(data.frame(time=dark$time, thrs=dark$thrs), 'run.csv')"
 _TIME: Final = ("time", "Time", "t")
 _THRESHOLD: Final = ("thrs", "thresholds", "threshold", "Thrs")
@@ -52,8 +54,10 @@ def read_r_lists(path: Path) -> tuple[str, list[float], list[float]]:
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # classes that it does not know, such as "dark", are read as plain lists
-            parsed = rdata.parser.parse_file(path)
+            parsed = rdata.parser.parse_data(unpacked(path, path.read_bytes(), _MOST_BYTES))
             known = rdata.conversion.convert(parsed)
+    except (InputError, MemoryError):
+        raise
     except Exception as error:  # whatever a damaged file makes the library raise
         raise InputError(f"{path}: R's file cannot be read ({error}); write it as text there: {AS_TEXT}") from error
     found = list(_with_thresholds("", known))

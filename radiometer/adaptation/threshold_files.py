@@ -18,6 +18,7 @@ import numpy as np
 from radiometer.adaptation.r_files import is_r_file, read_r_lists
 from radiometer.adaptation.trial_lists import changes_of_answer, column_of_answers, column_of_onsets
 from radiometer.data import text_table
+from radiometer.data.reader_limits import bounded_reader
 from radiometer.errors import InputError
 from radiometer.units import unit_of
 
@@ -38,6 +39,7 @@ SIGMA_WORDS: Final = ("sigma", "u", "sd", "se", "u_log", "u_threshold", "u_log10
 MISSING: Final = ("", "na", "nan", "null", "none", "inf", "-inf", "-")
 OPI_BRIGHTEST_CD_M2: Final = 10_000.0 / math.pi
 DB_PER_LOG10: Final = 10.0
+_MOST_ROWS: Final = 1_000_000  # a run of one threshold per second for eleven days
 SECONDS_FROM: Final = 121.0  # no test lasts so many minutes; greater times without a unit are seconds
 MILLISECONDS_FROM: Final = 36_000.0
 LINEAR_RATIO: Final = 30.0  # all above 0, and the greatest so many times the least: no logarithms
@@ -58,6 +60,7 @@ class TakenTable:
     taken: tuple[str, ...] = ()
 
 
+@bounded_reader(error=InputError)
 def read_table(path: Path) -> TakenTable:
     """Return the thresholds in a file.
 
@@ -76,7 +79,7 @@ def read_table(path: Path) -> TakenTable:
         how = [f"a file of R: time and thrs of {name}"]
         return _taken(path, ["time", "thrs"], list(enumerate(rows, 1)), {}, how)
     text = text_table.decode_export(raw)
-    lists = _r_lists(text)
+    lists = _r_lists(path, text)
     facts: dict[str, str] = {}
     if lists is not None:
         header, rows = ["time", "thrs"], [list(pair) for pair in zip(*lists, strict=False)]
@@ -96,16 +99,21 @@ def _raw(path: Path) -> bytes:
         raise InputError(f"cannot read {path}: {error.strerror or error}") from error
 
 
-def _r_lists(text: str) -> tuple[list[str], list[str]] | None:
+def _r_lists(path: Path, text: str) -> tuple[list[str], list[str]] | None:
     """Return times and thresholds of a list written by `dput`; None where it is none."""
     found = []
     for name in ("time", "thrs"):
-        match = re.search(rf"\b{name}\s*=\s*c\(([^)]*)\)", text)
+        begun = re.search(rf"\b{name}\s*=\s*c\(", text)
+        end = text.find(")", begun.end()) if begun is not None else -1
         span = re.search(rf"\b{name}\s*=\s*(-?\d+)L?:(-?\d+)L?", text)
-        if match is not None:
-            found.append([cell.strip().removesuffix("L") for cell in match.group(1).split(",")])
+        if begun is not None and end >= 0:
+            found.append([cell.strip().removesuffix("L") for cell in text[begun.end() : end].split(",")])
         elif span is not None:
             low, high = int(span.group(1)), int(span.group(2))
+            if high - low >= _MOST_ROWS:
+                raise InputError(
+                    f"{path}: {name} = {low}:{high} means more than {_MOST_ROWS} values; no run has so many"
+                )
             found.append([str(number) for number in range(low, high + 1)])
         else:
             return None

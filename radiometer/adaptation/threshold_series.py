@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from radiometer.adaptation.threshold_files import read_table
+from radiometer.data.reader_limits import bounded_reader
 from radiometer.errors import InputError, MeasurementError
 
 FEWEST: Final = 8
@@ -47,6 +48,7 @@ class ThresholdSeries:
             raise InputError("the times of a threshold series must ascend")
 
     @classmethod
+    @bounded_reader(error=InputError)
     def read(cls, path: Path) -> ThresholdSeries:
         """Return the series in a file of any form that `read_table` knows.
 

@@ -1,23 +1,16 @@
-"""What a notebook or another program uses: the names of `import radiometer as rm`."""
+"""The functions and results behind `import radiometer as rm`, a module for each group of commands.
 
-from radiometer.api.files import Stack, read, read_photographs
-from radiometer.api.meter import Meter, open
-from radiometer.api.radiance import Radiance, merge
-from radiometer.api.response import Response, recover_response
-from radiometer.api.results import Reconciliation, Sensor, characterise, reconcile
+Nothing is loaded before it is used: `radiometer.api.merge` is `radiometer.merge`.
+"""
 
-__all__ = [
-    "Meter",
-    "Radiance",
-    "Reconciliation",
-    "Response",
-    "Sensor",
-    "Stack",
-    "characterise",
-    "merge",
-    "open",
-    "read",
-    "read_photographs",
-    "reconcile",
-    "recover_response",
-]
+from __future__ import annotations
+
+from typing import Any
+
+import radiometer
+
+__all__ = radiometer.__all__
+
+
+def __getattr__(name: str) -> Any:
+    return getattr(radiometer, name)

@@ -65,7 +65,8 @@ class Meter:
             DeviceError: If the camera fails.
             UsageError: If the patch leaves the frame.
         """
-        instrument = self.instrument if patch is None else self.instrument.at(_patch(patch))
+        where = as_patch(patch)
+        instrument = self.instrument if where is None else self.instrument.at(where)
         return instrument.measure(target_u_rel=u_rel)
 
     def bracket(
@@ -82,7 +83,7 @@ class Meter:
             DeviceError: If the camera fails, or darks are wanted and it has no shutter.
         """
         camera = self.instrument.camera
-        request = BracketRequest(_patch(patch) if patch else None, None, time_limit_s, darks)
+        request = BracketRequest(as_patch(patch), None, time_limit_s, darks)
         frames = with_white_levels(list(take_plan(camera, plan_for_scene(camera, request), request)))
         origin = camera.identity.device_id
         bracket = Bracket.from_frames(frames, origin)
@@ -141,7 +142,7 @@ def open(
         open_instrument(
             bench,
             None if source is None or bench else str(source),
-            _patch(patch) if patch else None,
+            as_patch(patch),
             Path(calibration) if calibration else None,
             uncalibrated=uncalibrated,
             f_number=f_number,
@@ -150,5 +151,6 @@ def open(
     return Meter(instrument, held)
 
 
-def _patch(patch: PatchLike) -> Patch:
-    return patch if isinstance(patch, Patch) else Patch(*patch)
+def as_patch(patch: PatchLike | None) -> Patch | None:
+    """Return a patch from its four numbers; None stays None."""
+    return patch if isinstance(patch, Patch | None) else Patch(*patch)

@@ -1,85 +1,19 @@
-"""What was found out about a camera: its figures after EMVA 1288, and what the model of it lacks."""
+"""What the model of a camera lacks."""
 
 from __future__ import annotations
 
 import html
-from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from radiometer.analysis.characterise import Characterisation, read_subject
-from radiometer.analysis.characterise import characterise as characterise_subject
-from radiometer.analysis.characterise.report_plots import draw_telling
 from radiometer.api.files import PathLike
-from radiometer.data import Patch, Quantity
 from radiometer.data.drawing import new_axes, picture
-from radiometer.data.storage import write_text_atomic
-from radiometer.errors import UsageError
 from radiometer.reconciliation.inputs.sources import Done, reconcile_source
 from radiometer.reconciliation.result import FittedParameter, FoundEffect
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-
-
-@dataclass(frozen=True, eq=False)
-class Sensor:
-    """The figures of a camera after EMVA 1288.
-
-    Examples:
-        >>> import radiometer as rm
-        >>> sensor = rm.characterise("out/chart")
-        >>> black = sensor["mu_y_dark"]
-        >>> abs(black.value - 64) < 4 * black.u, black.unit
-        (True, 'DN')
-        >>> sensor.to_csv("sensor.csv")
-
-    Attributes:
-        characterisation: Figures, steps, linearity and notes.
-    """
-
-    characterisation: Characterisation
-
-    @property
-    def figures(self) -> Mapping[str, Quantity]:
-        """Return quantities with their standard uncertainty by EMVA 1288 symbol."""
-        return self.characterisation.figures
-
-    def __getitem__(self, symbol: str) -> Quantity:
-        """Return one figure. Raises KeyError for one that the frames do not give."""
-        return self.figures[symbol]
-
-    def to_csv(self, path: PathLike) -> None:
-        """Write `symbol,value,u,unit`. Raises UsageError for another ending, OutputError if it fails."""
-        if Path(path).suffix.lower() != ".csv":
-            raise UsageError(f"{path}: the name must end in .csv")
-        rows = [f"{name},{one.value!r},{one.u!r},{one.unit}" for name, one in self.figures.items()]
-        write_text_atomic(Path(path), "\n".join(["symbol,value,u,unit", *rows]) + "\n")
-
-    def plot(self, axes: Axes | None = None) -> Axes:
-        """Draw the photon transfer (variance over signal), or the dark signal where no gain was found.
-
-        Args:
-            axes: Where to draw; a new figure by default.
-        """
-        where = axes if axes is not None else new_axes()
-        draw_telling(where, self.characterisation)
-        return where
-
-    def __repr__(self) -> str:
-        """Return gain, read noise and dark current, or what there is, in one line."""
-        telling = [name for name in ("K", "sigma_d", "mu_I_mean") if name in self.figures] or list(self.figures)[:3]
-        return f"<Sensor {', '.join(f'{name} = {_quantity(self[name])}' for name in telling)}>"
-
-    def _repr_html_(self) -> str:
-        rows = "".join(
-            f"<tr><td>{html.escape(name)}</td><td>{html.escape(_quantity(figure))}</td></tr>"
-            for name, figure in self.figures.items()
-        )
-        notes = "".join(f"<p>{html.escape(note)}</p>" for note in self.characterisation.notes)
-        table = f"<table><tr><th>EMVA 1288</th><th>value ± u (k = 1)</th></tr>{rows}</table>{notes}"
-        return picture(self.plot, repr(self)) + table
 
 
 @dataclass(frozen=True, eq=False)
@@ -161,25 +95,6 @@ class Reconciliation:
         return picture(self.plot, repr(self)) + table
 
 
-def characterise(path: PathLike, patch: tuple[int, int, int, int] | None = None) -> Sensor:
-    """Find gain, noise, dark current, saturation and linearity of a camera after EMVA 1288.
-
-    Examples:
-        >>> import radiometer as rm
-        >>> rm.characterise("out/chart", patch=(0, 0, 48, 32))
-        <Sensor ...mu_y_dark = 6...>
-
-    Args:
-        path: Capture set, or EMVA 1288 descriptor.
-        patch: Look at (x, y, width, height) only.
-
-    Raises:
-        CaptureError: If the frames are missing or inconsistent.
-        MeasurementError: If they do not determine the figures.
-    """
-    return Sensor(characterise_subject(read_subject(Path(path), Patch(*patch) if patch else None)))
-
-
 def reconcile(path: PathLike, *, model: PathLike | None = None, without: tuple[str, ...] = ()) -> Reconciliation:
     """Find where simulation and measurement disagree, name the missing effect, and show the gap shrink.
 
@@ -197,10 +112,6 @@ def reconcile(path: PathLike, *, model: PathLike | None = None, without: tuple[s
         CaptureError: If the path holds nothing that can be reconciled.
     """
     return Reconciliation(reconcile_source(Path(path), model_path=Path(model) if model else None, without=without))
-
-
-def _quantity(figure: Quantity) -> str:
-    return f"{figure.value:.4g} ± {figure.u:.2g} {figure.unit}"
 
 
 def _parameters(effect: FoundEffect) -> str:

@@ -11,12 +11,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from radiometer.archive.trend import Trend, fit_trend
+from radiometer.data.reader_limits import bounded_reader
 from radiometer.errors import InputError
 
 if TYPE_CHECKING:
     import pandas as pd
 
 
+@bounded_reader(error=InputError)
 def read_histories(table: Path, quantity: str) -> list[Trend]:
     """Return the trend of a quantity for every patch of a table of results.
 

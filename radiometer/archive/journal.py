@@ -5,16 +5,23 @@ from __future__ import annotations
 import json
 import os
 from collections.abc import Iterable
+from io import BytesIO
 from pathlib import Path
 from types import TracebackType
 from typing import Self
 
 from radiometer.archive.jobs import COLUMNS, Row
 from radiometer.data.json_text import json_text
-from radiometer.data.storage import atomic_file
+from radiometer.data.storage import write_bytes_atomic
 from radiometer.errors import OutputError, UsageError
+from radiometer.reporting.plain_text import spreadsheet_cell
 
 TABLE_ENDINGS = (".parquet", ".csv")
+
+
+def journal_of(table: Path) -> Path:
+    """Return the journal of a table, which holds its rows as they come."""
+    return table.with_name(table.name + ".journal")
 
 
 class ResultJournal:
@@ -29,7 +36,7 @@ class ResultJournal:
     def __init__(self, table: Path) -> None:
         if table.suffix not in TABLE_ENDINGS:
             raise UsageError(f"-o {table}: the table's name must end in {' or '.join(TABLE_ENDINGS)}")
-        self.table, self.path = table, table.with_name(table.name + ".journal")
+        self.table, self.path = table, journal_of(table)
         self._rows: list[Row] = []
         self._descriptor = -1
 
@@ -75,11 +82,12 @@ class ResultJournal:
             newest.values(), key=lambda r: tuple(str(r[k]) for k in ("capture", "job", "patch", "quantity"))
         )
         frame = pd.DataFrame(ordered, columns=list(COLUMNS)).astype({"value": float, "u": float, "captured": float})
-        with atomic_file(self.table, binary=True) as stream:
-            if self.table.suffix == ".parquet":
-                frame.to_parquet(stream, index=False)
-            else:
-                stream.write(frame.to_csv(index=False).encode())
+        content = BytesIO()
+        if self.table.suffix == ".parquet":
+            frame.to_parquet(content, index=False)
+        else:
+            content.write(frame.map(spreadsheet_cell).to_csv(index=False).encode())
+        write_bytes_atomic(self.table, content.getvalue())
         return len(frame)
 
     def __exit__(
@@ -98,6 +106,6 @@ class ResultJournal:
         for line in self.path.read_text(encoding="utf-8", errors="replace").splitlines():
             try:
                 rows = json.loads(line)
-            except json.JSONDecodeError:
+            except (json.JSONDecodeError, RecursionError):
                 continue
             yield from rows

@@ -11,19 +11,21 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import nnls
-from scipy.special import stdtrit
+from scipy.special import ndtr, ndtri, stdtrit
 
 from radiometer.archive.sessions import LightSeries, Session
 from radiometer.data import Quantity
 
 Array = NDArray[np.float64]
 
-# What repeats no better between sessions of an unchanged camera, relative; beside the figures' own u.
-REPEATABILITY: Final[dict[str, float]] = {"K": 0.01, "K_dark": 0.01, "sigma_y_dark": 0.01}
+# To what an unchanged camera repeats at best between sessions, relative: a smaller difference is no change, however
+# well it is known.
+_REPEATABILITY: Final[dict[str, float]] = {"K": 0.01, "K_dark": 0.01, "sigma_y_dark": 0.01}
 _REPEATABILITY_BLACK_DN: Final = 1.0
 _COMPARED: Final = ("K", "K_dark", "sigma_y_dark", "mu_y_dark")
 _AGREE_SIGMAS: Final = 2.0
 _CHANGED_SIGMAS: Final = 3.0
+_TINY_U: Final = 1e-300  # where nothing is known of both uncertainties
 _JUMP_SIGMAS: Final = 5.0
 _SMALLEST_JUMP_REL: Final = 0.002
 _LIGHT_CHANGED_REL: Final = 0.01
@@ -361,22 +363,37 @@ def _offset(law: _Fitted, own: Array, temperatures: Array, logs: Array, u: Array
 
 
 def _compared(name: str, sessions: Sequence[Session]) -> Change | None:
-    """Return how a figure compares between the sessions that tell it; None where fewer than two do."""
+    """Return how a figure compares between the sessions that hold it; None where fewer than two do.
+
+    It changed where two sessions differ by more than three standard uncertainties of their difference, and by more
+    than an unchanged camera repeats. Of many sessions, some pair differs by three by chance: the limit rises so that
+    chance names a change as seldom as of two sessions.
+    """
     known = [(s, s.figures[name]) for s in sessions if name in s.figures]
     if len(known) < 2:
         return None
-    values, u = np.array([(q.value, math.hypot(q.u, _floor(name, q.value))) for _, q in known]).T
-    mean = float(np.average(values, weights=u**-2))
-    worst = float(np.max(np.abs(values - mean) / u))
-    changed = worst > _CHANGED_SIGMAS
-    unit = known[0][1].unit
-    said = ", ".join(f"{q.value:.5g} ± {q.u:.2g}" for _, q in known)
+    pairs = list(itertools.combinations(known, 2))
+    limit_sigmas = -float(ndtri(ndtr(-_CHANGED_SIGMAS) / len(pairs)))
+    changed = [
+        (abs(difference.value) / max(difference.u, _TINY_U), _against(before, after, difference))
+        for (before, one), (after, other) in pairs
+        for difference in [Quantity(other.value - one.value, math.hypot(one.u, other.u), one.unit)]
+        if abs(difference.value) > max(limit_sigmas * difference.u, _repeatability(name, one.value))
+    ]
+    said = ", ".join(f"{q.value:.5g} ± {q.u:.2g}" for _, q in known) + f" {known[0][1].unit}"
+    if not changed:
+        return Change(name, False, said)
     degrees = _temperatures([s for s, _ in known])
-    return Change(name, changed, f"{said} {unit}{degrees if changed else ''}")
+    return Change(name, True, f"{said}{degrees}: {max(changed)[1]}")
 
 
-def _floor(name: str, value: float) -> float:
-    return _REPEATABILITY_BLACK_DN if name == "mu_y_dark" else REPEATABILITY[name] * value
+def _against(before: Session, after: Session, difference: Quantity) -> str:
+    size = f"{difference.value:+.3g} ± {2.0 * difference.u:.2g} {difference.unit} (k = 2)"
+    return f"{after.name} against {before.name} {size}"
+
+
+def _repeatability(name: str, value: float) -> float:
+    return _REPEATABILITY_BLACK_DN if name == "mu_y_dark" else _REPEATABILITY[name] * value
 
 
 def _temperatures(sessions: Sequence[Session]) -> str:

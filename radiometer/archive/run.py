@@ -14,6 +14,7 @@ from radiometer.archive.journal import ResultJournal
 from radiometer.archive.memory import keep_freed_memory
 from radiometer.archive.settings import JobSettings
 from radiometer.errors import DeviceNotFound, MissingLibrary
+from radiometer.one_thread import on_one_blas_thread
 
 if TYPE_CHECKING:
     from distributed import Client
@@ -97,6 +98,7 @@ def _results(
         yield from _on_cluster(client, tasks)
 
 
+@on_one_blas_thread  # the order of a sum's terms goes with the number of threads, and Dask's workers have one
 def _run_jobs(tasks: list[_Task]) -> list[list[Row]]:
     keep_freed_memory()
     return [run_job(*task) for task in tasks]

@@ -6,7 +6,7 @@ import math
 import os
 import tempfile
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,8 +17,10 @@ from pydantic import Field
 from drivers.light_box.box import FLASH, SerialLightBox
 from drivers.light_box.link import BoxLink
 from drivers.light_box.serial_line import SerialLine, list_serial_ports
-from radiometer.bench.box_holder import holding, is_ours
+from radiometer.bench.box_holder import ask_for_darkness, held_boxes, holding, is_ours
+from radiometer.bench.known_boxes import is_known, remember
 from radiometer.data.config_files import shipped_config
+from radiometer.data.guards import safe_file_name
 from radiometer.data.light_calibration import LightCalibration
 from radiometer.data.storage import read_yaml
 from radiometer.data.validation import ConfigSection, validate
@@ -26,7 +28,15 @@ from radiometer.devices.exposure_account import AccountStore, FileStore, MemoryS
 from radiometer.devices.exposure_ledger import ExposureLedger
 from radiometer.devices.light_box import LightBoxIdentity
 from radiometer.devices.retinal_safety import BLUE_WINDOW_S, DEFAULT_FRACTION, ChannelOptics, FlashLight
-from radiometer.errors import CalibrationError, ConfigurationError, DeviceInUse, DeviceNotFound, InputError, UsageError
+from radiometer.errors import (
+    CalibrationError,
+    ConfigurationError,
+    DeviceError,
+    DeviceInUse,
+    DeviceNotFound,
+    InputError,
+    UsageError,
+)
 from simulators.light_box.box import LightBoxTwin, TwinSettings
 from simulators.light_box.virtual_line import VirtualLine
 
@@ -36,11 +46,10 @@ DEFAULT_PRESET: Final = "light_boxes/reference.yaml"
 PORT_VARIABLE: Final = "RADIOMETER_LIGHT_BOX_PORTS"
 STATE_VARIABLE: Final = "RADIOMETER_STATE"
 TEND_SLICE_S: Final = 0.2
-ARDUINO_VENDORS: Final = frozenset({0x2341, 0x2A03})  # Arduino, and its former twin; the box is an Arduino Uno
-BOX_WORDS: Final = ("arduino", "radiometer")
 _SILENT: Final[
     dict[str, float]
 ] = {}  # ports that were asked and did not answer as a box, and when they were plugged in
+_LINKED_WITHIN_S: Final = 0.1  # a box links its terminal at once; the clock of file times ticks in 4 ms
 SIMULATED_PORTS: Final = "radiometer-light-boxes"
 
 
@@ -135,24 +144,30 @@ def read_preset(path: Path | None = None) -> LightBoxConfig:
 def candidate_ports() -> list[str]:
     """Return the ports on which a light box may answer, by what USB says of them: none of them is opened for it.
 
-    They are those that the user names, those of simulated boxes, and those of Arduinos. Whatever else is plugged in
-    never gets a byte unless its port is named.
+    They are those that the user names, those of simulated boxes that run, and those of USB devices that have answered
+    as a light box before, when their port was named. Whatever else is plugged in never gets a byte, for opening the
+    port of an Arduino resets it.
     """
     named = [port for port in os.environ.get(PORT_VARIABLE, "").split(os.pathsep) if port]
     folder = simulated_port_folder()
-    simulated = sorted(str(link) for link in folder.glob("*") if link.exists()) if is_ours(folder) else []
+    simulated = sorted(str(link) for link in folder.glob("*") if _is_of_a_running_box(link)) if is_ours(folder) else []
+    known = [port.device for port in list_serial_ports() if is_known(port)]
     by_device: dict[str, str] = {}
-    for port in [*named, *simulated, *_box_like_ports()]:  # a device counts once, by the first of its names
+    for port in [*named, *simulated, *known]:  # a device counts once, by the first of its names
         by_device.setdefault(os.path.realpath(port), port)
     return list(by_device.values())
 
 
-def _box_like_ports() -> list[str]:
-    return [
-        port.device
-        for port in list_serial_ports()
-        if port.vendor_id in ARDUINO_VENDORS or any(word in port.names.lower() for word in BOX_WORDS)
-    ]
+def _is_of_a_running_box(link: Path) -> bool:
+    """Return whether a simulated box's link leads to its own pseudo-terminal, not to another program's.
+
+    A box that was killed leaves its link; its terminal's number is given to the next program. That terminal is younger
+    than the link.
+    """
+    try:
+        return link.stat().st_ctime <= link.lstat().st_ctime + _LINKED_WITHIN_S
+    except OSError:
+        return False
 
 
 def _is_named_or_simulated(port: str) -> bool:
@@ -185,11 +200,11 @@ def find_boxes(ports: list[str] | None = None) -> tuple[list[LightBoxIdentity], 
         mild = ports is None and not _is_named_or_simulated(port)
         if mild and _SILENT.get(port) == _when_plugged(port):
             continue
-        box = _serial_box(port, read_preset(), MemoryStore(time.monotonic))  # it is asked, and gives no light
-        box.keep_alive, box.mild = False, mild
+        box = _asked_box(port, mild=mild)
         try:
             with box:
                 found.append(box.identity)
+            remember(port, list_serial_ports())
         except DeviceInUse:
             held.append(port)
         except DeviceNotFound:
@@ -197,10 +212,81 @@ def find_boxes(ports: list[str] | None = None) -> tuple[list[LightBoxIdentity], 
     return found, held
 
 
+def _asked_box(port: str, *, mild: bool) -> SerialLightBox:
+    """Return the box on a port as it is opened to be asked and darkened, not to give light."""
+    box = _serial_box(port, read_preset(), MemoryStore(time.monotonic))
+    box.keep_alive, box.mild = False, mild
+    return box
+
+
+@dataclass(frozen=True, slots=True)
+class DarkBox:
+    """A light box that was darkened.
+
+    Attributes:
+        serial: Its serial number.
+        dark: Whether each channel is dark, as read back; empty where another process holds the box.
+        darkened_by: The process that holds it; None where none does.
+    """
+
+    serial: str
+    dark: Mapping[str, bool]
+    darkened_by: int | None = None
+
+
+def darken(name: str | None = None, channel: str | None = None) -> tuple[list[DarkBox], list[DeviceError]]:
+    """Darken every light box that can be reached, also those that another program holds, and say which failed.
+
+    No box that fails, is simulated or is dead keeps another one lit. Neither calibration nor preset is needed.
+
+    Args:
+        name: A serial number or port, where only one is meant.
+        channel: One channel; all where None. A program that holds a box darkens all of it.
+
+    Returns:
+        The boxes that are dark, and what went wrong with others.
+    """
+    if name == SIMULATED:
+        with _simulated(read_preset()).box as simulated:
+            return [_darkened(simulated, channel)], []
+    dark, failures = list[DarkBox](), list[DeviceError]()
+    held = [entry for entry in held_boxes() if name in (None, entry.serial, entry.port)]
+    for entry in held:
+        try:
+            ask_for_darkness(entry)
+            dark.append(DarkBox(entry.serial, {}, entry.pid))
+        except DeviceInUse as error:
+            failures.append(error)
+    is_port = name is not None and ("/" in name or Path(name).exists())
+    taken = {os.path.realpath(entry.port) for entry in held_boxes()}
+    ports = [name] if name is not None and is_port else [] if held and name is not None else candidate_ports()
+    for port in ports:
+        if os.path.realpath(port) in taken:
+            continue
+        try:
+            with _asked_box(port, mild=not is_port and not _is_named_or_simulated(port)) as box:
+                if name is not None and not is_port and box.identity.serial != name:
+                    continue
+                dark.append(_darkened(box, channel))
+        except DeviceNotFound as error:
+            if is_port:
+                failures.append(error)
+        except DeviceError as error:
+            failures.append(error)
+    return dark, failures
+
+
+def _darkened(box: SerialLightBox, channel: str | None) -> DarkBox:
+    for one in box.channels if channel is None else (channel,):
+        box.off(one)
+    levels = {one: box.read_channel(one).drive.level for one in box.channels}
+    return DarkBox(box.identity.serial, {one: level == 0 for one, level in levels.items()})
+
+
 def calibration_file(serial: str) -> Path:
     """Return where the calibration of a box is kept: the user's data folder."""
     base = os.environ.get("XDG_DATA_HOME") or str(Path.home() / ".local" / "share")
-    return Path(base) / "radiometer" / "light_boxes" / f"{serial}.yaml"
+    return Path(base) / "radiometer" / "light_boxes" / f"{safe_file_name(serial)}.yaml"
 
 
 def exposure_store() -> FileStore:
@@ -297,6 +383,8 @@ def open_light_box(
         file = calibration or calibration_file(box.identity.serial)
         known = read_box_calibration(file, box.identity.serial) if calibration or file.is_file() else None
         box.calibration = known
+        if opened.twin is None:
+            remember(box.link.line.name, list_serial_ports())
         with nullcontext() if opened.twin else holding(box.identity.serial, box.link.line.name, box.safe):
             yield OpenedBox(box, config, known, opened.wait, opened.twin)
 
@@ -334,11 +422,16 @@ def _port_of(serial: str | None) -> str:
         raise DeviceNotFound(
             "several light boxes answer; name one with --box: " + ", ".join(box.serial for box in fitting)
         )
-    wanted = "no light box answers" if serial is None else f"no light box {serial} answers"
+    raise DeviceNotFound(nothing_answers(serial, held))
+
+
+def nothing_answers(serial: str | None, held: Sequence[str] = ()) -> str:
+    """Return the message where no light box answers, with the ports that were not asked."""
+    reason = "no light box answers" if serial is None else f"no light box {serial} answers"
     busy = f" (held by another program: {', '.join(held)})" if held else ""
     others = sorted({port.device for port in list_serial_ports()} - set(candidate_ports()))
-    left_out = f" (not asked, for USB does not call them an Arduino: {', '.join(others)})" if others else ""
-    raise DeviceNotFound(f"{wanted}{busy}{left_out}; plug it in, name its port with --box, or use --box {SIMULATED}")
+    left_out = f" (not asked, for none has answered as a light box before: {', '.join(others)})" if others else ""
+    return f"{reason}{busy}{left_out}; plug it in, name its port with --box once, or use --box {SIMULATED}"
 
 
 def _simulated(config: LightBoxConfig) -> OpenedBox:

@@ -2,20 +2,27 @@
 
 from __future__ import annotations
 
+import contextlib
+import re
+import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Final
 
 import numpy as np
 
-from radiometer.bench.box_adaptation import places_of, seat_subject
 from radiometer.bench.box_holder import runtime_folder
 from radiometer.bench.boxes import SIMULATED_PORTS, exposure_store, read_preset
+from radiometer.bench.seated_subject import places_of, seat_subject
 from radiometer.errors import OutputError, UsageError
 from simulators.light_box.avr_box import AvrBox
 from simulators.light_box.box import LightBoxTwin, TwinSettings
 from simulators.light_box.line_faults import LineFaults
 from simulators.light_box.pty_line import PtyServer, WiredTwin
+
+_LOOK_S: Final = 0.05  # a tenth of the shortest period that anybody presses or resets a box with
+_PRESS_S: Final = 0.2  # of a short press by a finger
 
 
 @dataclass(frozen=True, slots=True)
@@ -96,3 +103,81 @@ def _locked(server: PtyServer, act: Callable[[bool], None]) -> Callable[[bool], 
             act(pressed)
 
     return press
+
+
+def serve_box(
+    serial: str,
+    link: Path | None,
+    *,
+    firmware: Path | None,
+    clock_ppm: float,
+    corrupt: float,
+    drop: float,
+    seed: int,
+    subject: str | None,
+    filter_density: float,
+    reset_every_s: float | None,
+    press_every_s: float | None,
+    ready: Callable[[str], None],
+    entered: Callable[[float], bool] | None = None,
+) -> None:
+    """Serve a simulated light box until an interrupt.
+
+    Args:
+        serial: As all up to `filter_density` for `served_box`.
+        link: See there.
+        firmware: See there.
+        clock_ppm: See there.
+        corrupt: See there.
+        drop: See there.
+        seed: See there.
+        subject: See there.
+        filter_density: See there.
+        reset_every_s: Restart the box this often; None for never.
+        press_every_s: Press the button this often; None for never.
+        ready: Called with the name of its port once it is served.
+        entered: Waits so many seconds and returns whether the button is to be pressed.
+
+    Raises:
+        UsageError: If the serial number or the subject is not possible.
+        OutputError: If the link cannot be made.
+    """
+    if not re.fullmatch(r"[0-9A-Za-z-]{8}", serial):
+        raise UsageError(f"--serial {serial!r}: expected eight letters or digits, such as TWIN0001")
+    made = served_box(
+        serial, link, firmware=firmware, clock_ppm=clock_ppm, corrupt=corrupt, drop=drop, seed=seed, subject=subject,
+        filter_density=filter_density,
+    )  # fmt: skip
+    with made.server as server:
+        ready(server.port)
+        with contextlib.suppress(KeyboardInterrupt):
+            _tend(made, reset_every_s, press_every_s, entered or _nobody)
+
+
+def _nobody(seconds: float) -> bool:
+    time.sleep(seconds)
+    return False
+
+
+def _tend(
+    made: ServedBox, reset_every_s: float | None, press_every_s: float | None, entered: Callable[[float], bool]
+) -> None:
+    """Press and reset as asked, for ever."""
+    start_s = time.monotonic()
+    resets = presses = 0
+    while True:
+        if entered(_LOOK_S):
+            _press(made)
+        elapsed_s = time.monotonic() - start_s
+        if reset_every_s and elapsed_s > (resets + 1) * reset_every_s:
+            resets += 1
+            made.reset()
+        if press_every_s and elapsed_s > (presses + 1) * press_every_s:
+            presses += 1
+            _press(made)
+
+
+def _press(made: ServedBox) -> None:
+    made.press(True)
+    time.sleep(_PRESS_S)
+    made.press(False)

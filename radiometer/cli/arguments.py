@@ -5,9 +5,9 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Final, overload
 
-from radiometer.data.reading import Patch
+import radiometer as rm
 from radiometer.errors import UsageError
 from radiometer.units import exact_f_number, read_number, unit_of
 
@@ -15,31 +15,55 @@ from radiometer.units import exact_f_number, read_number, unit_of
 _SAME_STOP_REL: Final = 0.03
 
 if TYPE_CHECKING:
+    from radiometer import Patch
     from radiometer.data import Bracket, Calibration
     from radiometer.data.iso_speeds import IsoSpeeds
 
+_LONGEST_BARE_EXPOSURE_S: Final = 30.0  # the longest time that shutters offer; 60 and more are meant as 1/60 …
+_F_NUMBERS: Final = (0.5, 256.0)  # the least that a lens in air can have, and a pinhole's
 
-def parse_patch(text: str) -> Patch:
-    """Return the patch behind "X,Y,W,H" in pixels.
+
+@overload
+def parse_patch(text: str) -> Patch: ...
+
+
+@overload
+def parse_patch(text: str | None) -> Patch | None: ...
+
+
+def parse_patch(text: str | None) -> Patch | None:
+    """Return the patch behind "X,Y,W,H" in pixels; None where nothing is given.
 
     Raises:
         UsageError: If it is not four whole numbers of which the size is above 0.
     """
+    if not text:
+        return None
     try:
         x, y, width, height = (int(part) for part in text.split(","))
     except ValueError as error:
         raise UsageError(f"--patch {text!r}: expected X,Y,W,H in whole pixels, such as 100,80,40,40") from error
     if x < 0 or y < 0 or width < 1 or height < 1:
         raise UsageError(f"--patch {text!r}: X and Y must be at least 0, W and H at least 1")
-    return Patch(x, y, width, height)
+    return rm.Patch(x, y, width, height)
 
 
-def parse_seconds(text: str, option: str) -> float:
-    """Return a time in s from "0.008", "1/125" or "8ms" / "500us".
+@overload
+def parse_seconds(text: str, option: str) -> float: ...
+
+
+@overload
+def parse_seconds(text: str | None, option: str) -> float | None: ...
+
+
+def parse_seconds(text: str | None, option: str) -> float | None:
+    """Return a time in s from "0.008", "1/125" or "8ms" / "500us"; None where nothing is given.
 
     Raises:
         UsageError: If it is no time above 0.
     """
+    if not text:
+        return None
     try:
         number, spelling = read_number(text)
     except ValueError as error:
@@ -51,6 +75,72 @@ def parse_seconds(text: str, option: str) -> float:
     if not (math.isfinite(seconds) and seconds > 0):
         raise UsageError(f"{option} {text!r}: a time must be above 0")
     return seconds
+
+
+@overload
+def parse_exposure(text: str, option: str) -> float: ...
+
+
+@overload
+def parse_exposure(text: str | None, option: str) -> float | None: ...
+
+
+def parse_exposure(text: str | None, option: str) -> float | None:
+    """Return an exposure time in s as `parse_seconds` does; a bare number above 30 is refused.
+
+    Cameras show 1/125 s as 125, so that a bare 125 may mean either.
+
+    Raises:
+        UsageError: If it is no time above 0, or may mean two.
+    """
+    seconds = parse_seconds(text, option)
+    if seconds is not None and seconds > _LONGEST_BARE_EXPOSURE_S and text and text.strip()[-1].isdigit():
+        bare = text.strip()
+        raise UsageError(f"{option} {bare}: is {bare} s meant, or 1/{bare} s? Write {bare}s or 1/{bare}")
+    return seconds
+
+
+def parse_relative(text: str | float | None, option: str) -> float | None:
+    """Return a relative quantity from "0.01" or "1%"; None where nothing is given.
+
+    Raises:
+        UsageError: If it is no number from 0 to below 1.
+    """
+    if text is None or isinstance(text, float):
+        return text
+    percent = text.rstrip().endswith("%")
+    try:
+        number = float(text.rstrip().removesuffix("%")) / (100.0 if percent else 1.0)
+    except ValueError as error:
+        raise UsageError(f"{option} {text!r}: expected a fraction such as 0.01, or 1%") from error
+    if not (math.isfinite(number) and number >= 0.0):
+        raise UsageError(f"{option} {text!r}: must be 0 or more")
+    if number >= 1.0:
+        meant = f"is {100 * number:g} %; write {text.strip()}%, or a fraction below 1"
+        way = "must be below 100 %" if percent else meant
+        raise UsageError(f"{option} {text.strip()}: {way}")
+    return number
+
+
+def parse_f_number(text: str | float | None, option: str) -> float | None:
+    """Return an f-number from "4" or "f/4"; None where nothing is given.
+
+    Raises:
+        UsageError: If it is no number that a lens can have.
+    """
+    if text is None or isinstance(text, float):
+        return text
+    low, high = _F_NUMBERS
+    try:
+        number = float(text.strip().lower().removeprefix("f/"))
+    except ValueError as error:
+        raise UsageError(f"{option} {text!r}: expected an f-number such as 4 or f/4") from error
+    if number <= 0:
+        raise UsageError(f"{option} {text.strip()}: must be above 0")
+    if not low <= number <= high:
+        hint = "is it the exposure time?" if number < low else "write the aperture's number alone"
+        raise UsageError(f"{option} {text.strip()}: f-numbers go from {low:g} to {high:g}; {hint}")
+    return number
 
 
 def parse_bounds(text: str, option: str) -> tuple[float, float]:

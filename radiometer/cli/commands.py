@@ -9,6 +9,8 @@ from __future__ import annotations
 
 from typing import Final, NamedTuple
 
+COMPLETING: Final = "_RADIOMETER_COMPLETE"  # variable by which a shell asks for the words that may follow
+
 
 class CommandEntry(NamedTuple):
     """One line of the table: module to import and the line shown in the overview."""

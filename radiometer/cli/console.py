@@ -5,9 +5,9 @@ from __future__ import annotations
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
-from radiometer.errors import DeviceError
+from radiometer.reporting.plain_text import printable
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -17,13 +17,20 @@ if TYPE_CHECKING:
 def console(*, to_stderr: bool = False) -> Console:
     """Return a console; colour only on a terminal, and never under NO_COLOR."""
     from rich.console import Console
+    from rich.text import Text
 
-    return Console(stderr=to_stderr, highlight=False, soft_wrap=True)
+    class PlainConsole(Console):
+        """A console whose texts cannot steer the terminal: remarks and serial numbers come from outside."""
+
+        def render_str(self, text: str, **how: Any) -> Text:
+            return super().render_str(printable(text), **how)
+
+    return PlainConsole(stderr=to_stderr, highlight=False, soft_wrap=True)
 
 
 def note(message: str) -> None:
-    """Say something beside the result, on standard error."""
-    print(message, file=sys.stderr)
+    """Print a line on standard error, next to the result."""
+    print(printable(message), file=sys.stderr)
 
 
 @contextmanager
@@ -59,24 +66,27 @@ def significant(value: float, u: float) -> str:
     return f"{value:.{max(0, magnitude + decimals)}e}"
 
 
-def shutter_by_hand(name: str) -> Callable[[bool], None]:
-    """Return what asks at the terminal for the lens to be covered (True) and uncovered (False).
+@contextmanager
+def progress(*, shown: bool = True) -> Iterator[Callable[[str, int, int | None], None]]:
+    """Show a progress bar while the block runs; yield what takes the progress of a function of the library."""
+    with progress_bar(shown=shown) as bar:
+        task = bar.add_task("", total=None)
+        yield lambda what, done, total: bar.update(task, description=what, completed=done, total=total)
 
-    Args:
-        name: Of the camera.
 
-    Raises:
-        DeviceError: If there is no terminal to ask at.
-    """
-    import typer
-
+def asker() -> Callable[[str], None] | None:
+    """Return what asks at the terminal for something to be done by hand; None where there is no terminal."""
     if not sys.stdin.isatty():
-        raise DeviceError(
-            f"{name} has no shutter for dark frames; run at a terminal, where you are asked to cover the lens, or "
-            "leave out --darks"
-        )
+        return None
 
-    def ask(closed: bool) -> None:
-        typer.confirm(f"{'Cover' if closed else 'Uncover'} the lens. Done?", abort=True, err=True)
+    def ask(wish: str) -> None:
+        import typer
+
+        typer.confirm(f"{wish}. Done?", default=True, abort=True, err=True)
 
     return ask
+
+
+def expanded(value: float, u: float, unit: str, k: float = 2.0) -> str:
+    """Return "value ± U unit", to two digits of u."""
+    return f"{significant(value, u)} ± {k * u:.2g} {unit}"

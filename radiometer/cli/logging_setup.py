@@ -30,6 +30,13 @@ class StandardErrorLogger:
     debug = info = warning = error = critical = exception = fatal = msg
 
 
+def printable_texts(logger: WrappedLogger, method: str, event: EventDict) -> EventDict:
+    """Replace the control characters of texts from outside, which could steer a terminal that shows the log."""
+    from radiometer.reporting.plain_text import printable
+
+    return {name: printable(value) if isinstance(value, str) else value for name, value in event.items()}
+
+
 def error_in_one_line(logger: WrappedLogger, method: str, event: EventDict) -> EventDict:
     """Replace an event's exception by what it is, what it says and where it was raised."""
     given = event.pop("exc_info", None)
@@ -66,6 +73,7 @@ def configure_logging(verbosity: int = 0) -> None:
             structlog.processors.add_log_level,
             structlog.processors.TimeStamper(fmt="iso"),
             *([] if level == logging.DEBUG else [error_in_one_line]),
+            printable_texts,
             structlog.dev.ConsoleRenderer(
                 colors=sys.stderr.isatty(), exception_formatter=structlog.dev.plain_traceback
             ),

@@ -11,7 +11,7 @@ from types import TracebackType
 from typing import Any
 
 import radiometer
-from radiometer.cli.commands import COMMANDS
+from radiometer.cli.commands import COMMANDS, COMPLETING
 from radiometer.errors import RadiometerError, UsageError
 
 _INTRODUCTION = """\
@@ -69,6 +69,10 @@ def overview() -> str:
 
 
 def _dispatch(arguments: list[str]) -> int:
+    if COMPLETING in os.environ:  # a shell asks for the words that may follow; typer answers and leaves
+        from radiometer.cli.tree import group
+
+        group().main(args=[], prog_name="radiometer")
     verbosity = 0
     for position, word in enumerate(arguments):
         if word in ("-h", "--help"):
@@ -89,17 +93,19 @@ def _dispatch(arguments: list[str]) -> int:
 
 
 def _run_command(name: str, arguments: list[str]) -> int:
-    entry = COMMANDS.get(name)
-    if entry is None:
+    if name not in COMMANDS:
         close = difflib.get_close_matches(name, COMMANDS, 1)
         hint = f"did you mean {close[0]!r}?" if close else "`radiometer --help` lists them"
         raise UsageError(f"there is no command {name!r}; {hint}")
     import typer
 
+    from radiometer.cli.tree import application
+
+    own_parser = getattr(importlib.import_module(COMMANDS[name].module), "app", None)
+    run_words = own_parser if callable(own_parser) else application(name).main
     click_error: Any = typer.BadParameter.__mro__[2]  # typer carries its own copy of click
-    app = _application(name, importlib.import_module(entry.module), typer)
     try:
-        result = app(arguments, prog_name=f"radiometer {name}", standalone_mode=False)
+        result = run_words(arguments, prog_name=f"radiometer {name}", standalone_mode=False)
     except typer.Exit as leaving:
         return int(leaving.exit_code)
     except typer.Abort:
@@ -110,14 +116,6 @@ def _run_command(name: str, arguments: list[str]) -> int:
     return result if isinstance(result, int) else 0
 
 
-def _application(name: str, module: Any, typer: Any) -> Any:
-    if hasattr(module, "app"):
-        return module.app
-    app = typer.Typer(add_completion=False, rich_markup_mode=None, pretty_exceptions_enable=False)
-    app.command(name=name, context_settings={"help_option_names": ["-h", "--help"]})(module.command)
-    return app
-
-
 def _report_defect(kind: type[BaseException], error: BaseException, trace: TracebackType | None) -> None:
     """Say in one line what the program did not foresee; Python then leaves with exit code 1."""
     print(f"error: a defect of radiometer itself: {kind.__name__}: {error}", file=sys.stderr)
@@ -125,6 +123,8 @@ def _report_defect(kind: type[BaseException], error: BaseException, trace: Trace
 
 
 def _report(message: str, code: int) -> int:
+    from radiometer.reporting.plain_text import printable
+
     colour = sys.stderr.isatty() and "NO_COLOR" not in os.environ
-    print("\x1b[1;31merror:\x1b[0m" if colour else "error:", message, file=sys.stderr)
+    print("\x1b[1;31merror:\x1b[0m" if colour else "error:", printable(message), file=sys.stderr)
     return code

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import asyncio
+import time
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Literal
 
@@ -25,9 +27,14 @@ class Event:
 class Subscription:
     """One listener's queue."""
 
-    def __init__(self, capacity: int) -> None:
+    def __init__(self, capacity: int, since_s: float) -> None:
         self._queue: asyncio.Queue[Event | None] = asyncio.Queue(capacity)
-        self.closed = False
+        self.closed, self.since_s = False, since_s
+
+    @property
+    def waiting(self) -> int:
+        """Return how many events the listener has not taken."""
+        return self._queue.qsize()
 
     def offer(self, event: Event) -> None:
         """Queue an event; a full queue ends the subscription, for a gap must not pass unnoticed."""
@@ -51,9 +58,14 @@ class Subscription:
 
 
 class Hub:
-    """The listeners."""
+    """The listeners.
 
-    def __init__(self) -> None:
+    Args:
+        clock: Steady time in s.
+    """
+
+    def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
+        self._clock = clock
         self._subscriptions: set[Subscription] = set()
 
     def __len__(self) -> int:
@@ -61,13 +73,27 @@ class Hub:
 
     def subscribe(self, capacity: int = 256) -> Subscription:
         """Return a new subscription that holds at most `capacity` events not yet taken."""
-        subscription = Subscription(capacity)
+        subscription = Subscription(capacity, self._clock())
         self._subscriptions.add(subscription)
         return subscription
 
     def unsubscribe(self, subscription: Subscription) -> None:
         """Forget a subscription."""
         self._subscriptions.discard(subscription)
+
+    def end_one(self, youngest_s: float) -> bool:
+        """End the subscription that is furthest behind, else the oldest, and return whether there was one.
+
+        Args:
+            youngest_s: One that is not as old as this in s stays.
+        """
+        old = [one for one in self._subscriptions if self._clock() - one.since_s >= youngest_s]
+        if not old:
+            return False
+        chosen = max(old, key=lambda one: (one.waiting, -one.since_s))
+        chosen.end()
+        self._subscriptions.discard(chosen)
+        return True
 
     def publish(self, event: Event) -> None:
         """Queue an event with every listener."""

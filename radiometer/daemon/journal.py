@@ -20,6 +20,7 @@ from typing import IO, Any, Final, Self
 from radiometer.daemon.timestamps import microseconds, now_us
 from radiometer.data import Reading
 from radiometer.data.json_text import json_text
+from radiometer.data.storage import state_folder
 from radiometer.errors import OutputError
 
 APPLICATION_ID: Final = 0x52414D4A  # "RAMJ": tells `file` and us that this is a radiometer journal
@@ -433,8 +434,7 @@ def default_journal_path() -> Path:
     """Return where the journal lies unless told otherwise: systemd's state folder, else the user's."""
     if folder := os.environ.get("STATE_DIRECTORY"):
         return Path(folder.split(":")[0]) / "journal.sqlite"
-    state_home = os.environ.get("XDG_STATE_HOME") or str(Path.home() / ".local" / "state")
-    return Path(state_home) / "radiometer" / "journal.sqlite"
+    return state_folder() / "journal.sqlite"
 
 
 def stream_of(reading: Reading) -> str:

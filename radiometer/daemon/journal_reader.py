@@ -17,6 +17,7 @@ from urllib.parse import quote
 from radiometer.daemon.journal import APPLICATION_ID, MINUTE_US
 from radiometer.daemon.timestamps import iso_time
 from radiometer.errors import InputError
+from radiometer.reporting.plain_text import spreadsheet_cell
 
 CSV_COLUMNS: Final = (
     "sequence",
@@ -248,7 +249,7 @@ def to_csv(lines: Iterable[str], *, header: bool = True) -> str:
 def _csv_row(line: str) -> list[Any]:
     reading = json.loads(line)
     radiance, luminance, patch = reading["radiance"], reading["luminance"] or {}, reading["patch"]
-    return [
+    cells = [
         reading["sequence"],
         reading["time"],
         reading["instrument"],
@@ -269,3 +270,4 @@ def _csv_row(line: str) -> list[Any]:
         reading.get("name", ""),
         reading.get("session", ""),
     ]
+    return list(map(spreadsheet_cell, cells))

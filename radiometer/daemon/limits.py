@@ -6,10 +6,13 @@ import ipaddress
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Final
 
 from radiometer.errors import UsageError
 
 Network = ipaddress.IPv4Network | ipaddress.IPv6Network
+
+_SHORTEST_TOKEN: Final = 16  # characters: 64 bits even where they are hexadecimal digits
 
 
 @dataclass(frozen=True, slots=True)
@@ -21,7 +24,9 @@ class Limits:
         line_bytes: Length of an SCPI message.
         messages_waiting: Messages of one client that wait to be executed; reading pauses at more.
         messages_per_s: SCPI messages per second of one client, sustained; more are delayed.
-        reply_bytes_waiting: Reply bytes that a client has not taken; execution pauses at more.
+        reply_bytes: Replies of one SCPI message together, without the largest of them; more are refused (-225).
+        reply_bytes_waiting: Reply bytes handed to the system that a client has not taken; the rest waits.
+        large_replies_bytes: Large replies that all clients of an interface have not taken yet; more are refused.
         stuck_s: A client that does not take its replies, or does not finish a line, is dropped after this time in s.
         idle_s: An SCPI session that sends nothing for this time in s is ended, with an entry in its error queue before.
         head_s: An HTTP connection must have sent its first request head within this time in s.
@@ -30,7 +35,9 @@ class Limits:
         http_connections: Open HTTP connections.
         http_requests_per_s: HTTP requests per second of one address, sustained; more are refused (429).
         body_bytes: Size of an HTTP request body.
-        listeners: Open streams of readings.
+        listeners: Open streams of readings. With all of them open, a new one ends the one that is furthest behind, else
+            the oldest: it reconnects and misses nothing.
+        listening_s: A stream is not ended for another one within this time in s.
         rows: Readings in one HTTP reply.
         queries: Queries of the journal that HTTP clients run at the same time; others wait.
     """
@@ -39,7 +46,9 @@ class Limits:
     line_bytes: int = 4096
     messages_waiting: int = 64
     messages_per_s: float = 1000.0
+    reply_bytes: int = 4_000_000
     reply_bytes_waiting: int = 262_144
+    large_replies_bytes: int = 256_000_000
     stuck_s: float = 30.0
     idle_s: float = 14_400.0
     head_s: float = 5.0
@@ -48,6 +57,7 @@ class Limits:
     http_requests_per_s: float = 100.0
     body_bytes: int = 16_384
     listeners: int = 64
+    listening_s: float = 5.0
     rows: int = 20_000
     queries: int = 2
 
@@ -80,6 +90,51 @@ class TokenBucket:
     def is_full(self) -> bool:
         """Tell whether nothing was used of late."""
         return self._tokens + (self._clock() - self._filled_at) * self._per_s >= self._per_s
+
+
+SMALL_REPLY_BYTES: Final = 1_000_000  # 256 clients that take none of their replies then hold 256 MB
+
+
+class ReplyBudget:
+    """Bounds the memory of large replies that clients have not taken yet, over all clients of an interface.
+
+    A reply of at most `SMALL_REPLY_BYTES` needs no budget. A single one of any size is let through, as a picture may be
+    larger than the limit.
+
+    Args:
+        limit_bytes: Most bytes together.
+    """
+
+    def __init__(self, limit_bytes: int) -> None:
+        self._limit, self._held = limit_bytes, 0
+
+    @property
+    def held_bytes(self) -> int:
+        """Return the bytes that are reserved now."""
+        return self._held
+
+    def take(self, size: int) -> bool:
+        """Reserve the bytes of a reply and return True; False where there is no room for it now."""
+        if size <= SMALL_REPLY_BYTES:
+            return True
+        if self._held and self._held + size > self._limit:
+            return False
+        self._held += size
+        return True
+
+    def give_back(self, size: int) -> None:
+        """Return the bytes of a reply that was taken by its client, or thrown away."""
+        if size > SMALL_REPLY_BYTES:
+            self._held -= size
+
+
+def check_token(token: str) -> str:
+    """Return a token for HTTP that is long enough not to be guessed. Raises UsageError."""
+    if len(token) < _SHORTEST_TOKEN:
+        raise UsageError(
+            f"the token for HTTP has {len(token)} characters; use {_SHORTEST_TOKEN} or more: openssl rand -hex 24"
+        )
+    return token
 
 
 def parse_networks(texts: Sequence[str]) -> tuple[Network, ...]:

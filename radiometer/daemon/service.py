@@ -25,6 +25,7 @@ from radiometer.errors import RadiometerError
 
 _log = structlog.get_logger(__name__)
 _HUNG_S: Final = 600.0  # a driver's call that takes longer never ends: systemd may start the daemon anew
+_RELOAD_PAUSE_S: Final = 1.0  # between two reloads: a storm of signals leaves the camera to its measurements
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,7 +83,8 @@ class Service:
         self._mqtt = MqttPublisher(station, options.mqtt) if options.mqtt else None
         self._pva = PvaServer(station, options.pva) if options.pva else None
         self._stop, self._descriptors = asyncio.Event(), Descriptors(station.alarms)
-        self._reloads: set[asyncio.Task[None]] = set()
+        self._reloading: asyncio.Task[None] | None = None
+        self._reload_asked = asyncio.Event()
         self._housekeeping: asyncio.Task[None] | None = None
 
     async def run(self) -> None:
@@ -146,8 +148,9 @@ class Service:
                 self._notifier.alive()
 
     async def _close(self) -> None:
-        if self._housekeeping is not None:
-            self._housekeeping.cancel()
+        for task in (self._housekeeping, self._reloading):
+            if task is not None:
+                task.cancel()
         await self._http.close()
         await self._scpi.close()
         if self._pva is not None:
@@ -157,9 +160,16 @@ class Service:
             await self._mqtt.stop()
 
     def _reload(self) -> None:
-        task = asyncio.create_task(self._reload_calibration())
-        self._reloads.add(task)
-        task.add_done_callback(self._reloads.discard)
+        """Reload the calibration, or once more after a reload that runs: many signals are one."""
+        self._reload_asked.set()
+        if self._reloading is None or self._reloading.done():
+            self._reloading = asyncio.create_task(self._reload_while_asked())
+
+    async def _reload_while_asked(self) -> None:
+        while self._reload_asked.is_set():
+            self._reload_asked.clear()
+            await self._reload_calibration()
+            await asyncio.sleep(_RELOAD_PAUSE_S)
 
     async def _reload_calibration(self) -> None:
         self._notifier.reloading()

@@ -23,6 +23,7 @@ from radiometer.data.frame import MASKED_PIXELS, DigitalNumbers, Frame, FrameSet
 from radiometer.data.guards import refuse_large_picture
 from radiometer.data.pile_up import streamed_with_white_levels
 from radiometer.data.raw_files import RAW_SUFFIXES, read_raw_colours
+from radiometer.data.reader_limits import bounded_reader
 from radiometer.data.storage import read_yaml
 from radiometer.data.validation import FileSection, validate
 from radiometer.errors import CaptureError
@@ -291,6 +292,7 @@ def read_header(path: Path) -> CaptureHeader:
     return _checked_header(path / HEADER_NAME)
 
 
+@bounded_reader()
 def read_digital_numbers(path: Path) -> DigitalNumbers:
     """Return the raw digital numbers of a single-channel 8- or 16-bit PNG or TIFF, or the green ones of a raw file.
 

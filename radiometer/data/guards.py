@@ -5,6 +5,7 @@ Sizes are taken from a file's header before anything is decoded; the limits are 
 
 from __future__ import annotations
 
+import hashlib
 import io
 import math
 import re
@@ -21,6 +22,7 @@ from radiometer.errors import CaptureError, InputError, UsageError
 MOST_PICTURE_BYTES: Final = 400_000_000  # decoded; the largest sensors sold have 151 million pixels of 16 bits
 MOST_FILE_BYTES: Final = 800_000_000
 MOST_YAML_BYTES: Final = 64_000_000
+MOST_DIRECTORIES: Final = 1_000_000  # of a TIFF: a day of frames at 10 per second
 DEEPEST_NESTING: Final = 64
 MOST_ENTRIES: Final = 5_000_000  # after all repetitions are written out
 _Loader: Final = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
@@ -28,6 +30,7 @@ _PNG_SIGNATURE: Final = b"\x89PNG\r\n\x1a\n"
 _PNG_CHANNELS: Final = {0: 1, 2: 3, 3: 1, 4: 2, 6: 4}  # PNG specification, 11.2.2: channels of each colour type
 _HDR_RESOLUTION: Final = re.compile(rb"[-+][XY] +(\d{1,12}) +[-+][XY] +(\d{1,12})\s")
 _LONGEST_HEAD: Final = 65_536
+_LONGEST_NAME: Final = 64  # characters, of at most three bytes each: Linux file systems take 255 bytes
 _EXR_CHANNELS: Final = 4
 _MODE_BYTES: Final = {"1": 1, "L": 1, "P": 1, "I;16": 2, "I;16B": 2, "I": 4, "F": 4, "RGB": 3, "RGBA": 4, "CMYK": 4}
 
@@ -69,6 +72,7 @@ def refuse_large_picture(path: Path, content: bytes) -> None:
         refuse_size(path, (height, width, _PNG_CHANNELS.get(colour, 4)), 2 if bits == 16 else 1)
         return
     if content[:4] in (b"II*\x00", b"MM\x00*"):
+        refuse_endless_tiff(path, content)
         for width, height, samples, bits in _tiff_sizes(content):
             refuse_size(path, (height, width, samples), max(1, (bits + 7) // 8))
         return
@@ -118,6 +122,36 @@ def _tiff_sizes(content: bytes) -> list[tuple[int, int, int, int]]:
     except struct.error:
         return []
     return [(found[256], found[257], found[277], found[258])]
+
+
+def refuse_endless_tiff(path: Path, content: bytes) -> None:
+    """Refuse a TIFF whose directories point back to one before: readers that follow them never end.
+
+    A classic TIFF and a BigTIFF are walked (TIFF 6.0, section 2; BigTIFF design of the Aware Systems). A directory
+    beyond the file ends the walk: its reader names it.
+
+    Args:
+        path: The file, for the message.
+        content: Its bytes.
+
+    Raises:
+        CaptureError: If a directory comes twice, or there are more than `MOST_DIRECTORIES`.
+    """
+    order = "<" if content[:2] == b"II" else ">"
+    big = content[2:4] in (b"+\x00", b"\x00+")
+    counted, width, pointer = ("Q", 20, "Q") if big else ("H", 12, "I")
+    seen = set[int]()
+    try:
+        (at,) = struct.unpack_from(f"{order}{pointer}", content, 8 if big else 4)
+        while at:
+            if at in seen or len(seen) >= MOST_DIRECTORIES:
+                raise CaptureError(f"{path}: the chain of its TIFF directories never ends; write the file again")
+            seen.add(at)
+            (entries,) = struct.unpack_from(f"{order}{counted}", content, at)
+            after = at + struct.calcsize(f"{order}{counted}") + width * entries
+            (at,) = struct.unpack_from(f"{order}{pointer}", content, after)
+    except struct.error:
+        return
 
 
 def refuse_deep_yaml(text: str, where: str) -> None:
@@ -178,8 +212,30 @@ def is_file(path: Path) -> bool:
         return False
 
 
+def safe_file_name(text: str) -> str:
+    """Return a text from outside as a name of one file or folder: a serial number, an instrument, a patch.
+
+    Letters, digits, blanks and . _ - + stay. Any other character becomes _, and so does a dot, hyphen or blank at the
+    start. A text that had to be changed gets four bytes of its SHA-256 appended, so that two texts never become one
+    name.
+
+    Args:
+        text: Any text.
+
+    Returns:
+        A name of 1 to 64 characters that leads to no other folder.
+    """
+    name = "".join(char if (char.isalnum() and char <= "\uffff") or char in " ._-+" else "_" for char in text)
+    if name[:1] in " .-":
+        name = f"_{name[1:]}"
+    if name == text and 0 < len(name) <= _LONGEST_NAME and not name.endswith(" "):
+        return name
+    digest = hashlib.sha256(text.encode("utf-8", "surrogatepass")).hexdigest()[:8]
+    return f"{name[: _LONGEST_NAME - 9].rstrip()}-{digest}"
+
+
 def safe_name(name: str, what: str) -> str:
-    """Return a name that may stand in a file's name as it is.
+    """Return a name that a user chose, where `safe_file_name` leaves it as it is.
 
     Args:
         name: The name.
@@ -188,10 +244,9 @@ def safe_name(name: str, what: str) -> str:
     Raises:
         UsageError: If it is empty, long, or holds what would lead to another folder.
     """
-    allowed = 0 < len(name) <= 64 and name[0] not in ".-" and all(c.isalnum() or c in " ._-+" for c in name)
-    if not allowed:
+    if safe_file_name(name) != name:
         raise UsageError(
-            f"{what} {name[:80]!r}: use letters, digits, blanks and . _ - + (at most 64, no dot or hyphen first):"
-            " it becomes part of a file's name"
+            f"{what} {name[:80]!r}: use letters, digits, blanks and . _ - + (at most {_LONGEST_NAME}, no dot or hyphen"
+            " first): it becomes part of a file's name"
         )
     return name

@@ -9,6 +9,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from radiometer.data.reader_limits import RAW_READER_BYTES, bounded_reader
 from radiometer.errors import CaptureError, MissingLibrary
 
 RAW_SUFFIXES: Final = frozenset({".cr2", ".cr3", ".nef", ".arw", ".dng", ".orf", ".raf", ".rw2", ".pef"})
@@ -45,6 +46,7 @@ class RawColours:
         return plane
 
 
+@bounded_reader(RAW_READER_BYTES)
 def read_raw_colours(path: Path, *, interpolated: bool = False) -> RawColours:
     """Return the sensor's numbers of a camera raw file.
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
 from typing import TYPE_CHECKING, Any, Final
@@ -152,6 +153,7 @@ class Reading:
         degrees_of_freedom: Effective ones of the uncertainty (Welch–Satterthwaite); infinite where all are.
         time: ISO 8601 in UTC.
         band_nm: Shortest and longest wavelength that the radiance counts light of, in nm; None where it is relative.
+        more: Further entries of the JSON form by name, such as "monte_carlo".
     """
 
     radiance: Quantity
@@ -169,6 +171,7 @@ class Reading:
     name: str = ""
     session: str = ""
     band_nm: tuple[float, float] | None = None
+    more: Mapping[str, Any] = field(default_factory=dict, hash=False)
 
     @property
     def expanded_u_rel(self) -> float:
@@ -198,6 +201,7 @@ class Reading:
         mapping |= {"band_nm": list(self.band_nm)} if self.band_nm else {}
         mapping |= {"name": self.name} if self.name else {}
         mapping |= {"session": self.session} if self.session else {}
+        mapping |= self.more
         return {key: finite_or_null(value) for key, value in mapping.items()}
 
     def to_json(self) -> str:

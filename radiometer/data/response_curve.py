@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from radiometer.data.provenance import Provenance
+from radiometer.data.reader_limits import bounded_reader
 from radiometer.data.storage import dump_yaml, read_text, read_yaml, write_text_atomic
 from radiometer.errors import InputError
 
@@ -128,6 +129,7 @@ class ResponseCurve:
         write_text_atomic(path, self.to_csv() if path.suffix.lower() == ".csv" else dump_yaml(self.to_mapping()))
 
     @classmethod
+    @bounded_reader(error=InputError)
     def read(cls, path: Path) -> ResponseCurve:
         """Return the curve in a CSV or YAML file.
 

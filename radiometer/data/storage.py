@@ -1,18 +1,21 @@
-"""Files written whole or not at all, and YAML read with errors that say where."""
+"""Files written whole or not at all at places checked before the work, and YAML read with errors that say where."""
 
 from __future__ import annotations
 
+import contextlib
 import os
+import secrets
+import stat
 import tempfile
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Mapping
 from pathlib import Path
-from typing import IO, Any
+from typing import Any
 
 import yaml
 
 from radiometer.data.guards import MOST_YAML_BYTES, refuse_deep_yaml
-from radiometer.errors import InputError, OutputError
+from radiometer.data.reader_limits import bounded_reader
+from radiometer.errors import InputError, OutputError, OutputRefused
 
 _SafeLoader: Any = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
 _Dumper = getattr(yaml, "CSafeDumper", yaml.SafeDumper)
@@ -34,62 +37,143 @@ class _Loader(_SafeLoader):  # type: ignore[misc]
         return dict(super().construct_mapping(node, deep=deep))
 
 
-@contextmanager
-def atomic_file(path: Path, *, binary: bool = False) -> Iterator[IO[Any]]:
-    """Open a file for writing that appears under its name only when complete and flushed to disk.
+def check_outputs(*paths: Path | None, force: bool = False) -> None:
+    """Refuse files that could not be written later, before the work whose results they are to hold.
+
+    Args:
+        paths: The files; None for one that was not asked for.
+        force: Files that exist may be replaced.
+
+    Raises:
+        OutputRefused: If a file exists already, is named twice, or its folder is missing or takes no files.
+    """
+    named = [path for path in paths if path is not None]
+    for number, path in enumerate(named):
+        if any(path.resolve() == other.resolve() for other in named[:number]):
+            raise OutputRefused(f"{path} is named for two outputs; name one file for each")
+        if _exists(path):
+            if path.exists() and not path.is_file():
+                kind = "a folder" if path.is_dir() else "no regular file"
+                raise OutputRefused(f"cannot write {path}: it is {kind}; name a file")
+            if not force:
+                raise OutputRefused(f"{path} exists already; name another file, or replace it with --force")
+        _refuse_folder(path, path.resolve().parent)
+
+
+def check_new_folder(path: Path) -> None:
+    """Refuse a folder that a result cannot fill later, before the work whose result it is to hold.
+
+    Args:
+        path: The folder. It must not exist, or be empty; a result never replaces a folder. The folders above it are
+            created with it.
+
+    Raises:
+        OutputRefused: If it exists and is not empty, or cannot be created.
+    """
+    if not _exists(path):
+        _refuse_folder(path, next(one for one in path.resolve().parents if one.exists()))
+    elif not path.is_dir() or any(path.iterdir()):
+        raise OutputRefused(f"{path} exists already and is not empty; name a new folder")
+    else:
+        _refuse_folder(path, path)
+
+
+def _exists(path: Path) -> bool:
+    try:
+        path.lstat()
+    except FileNotFoundError:
+        return False
+    except (OSError, ValueError) as error:  # a name too long, a file where a folder should be, a zero byte
+        raise OutputRefused(f"cannot write {str(path)!r:.200}: {getattr(error, 'strerror', None) or error}") from error
+    return True
+
+
+def _refuse_folder(path: Path, folder: Path) -> None:
+    """Refuse a target whose folder takes no files: a nameless file is created there to see."""
+    if not folder.is_dir():
+        raise OutputRefused(f"cannot write {path}: the folder {folder} does not exist; create it first")
+    try:
+        with tempfile.TemporaryFile(dir=folder):
+            pass
+    except OSError as error:
+        raise OutputRefused(
+            f"cannot write {path}: the folder {folder} takes no files ({error.strerror or error})"
+        ) from error
+
+
+def write_bytes_atomic(path: Path, content: bytes, *, rescue: bool = True) -> None:
+    """Write bytes so that the file is either whole or absent, and on the disk.
+
+    A link is followed. A file that is replaced keeps its mode; a new one has the mode that the user's mask gives.
 
     Args:
         path: Final name. Its folder must exist.
-        binary: Open for bytes rather than UTF-8 text.
+        content: The bytes.
+        rescue: Save the bytes elsewhere where the file cannot be written.
 
     Raises:
-        OutputError: If the file cannot be written; nothing is left behind.
+        OutputError: If the file cannot be written. Nothing half-written stays; the message names the place of the
+            saved bytes.
     """
     try:
-        handle, temporary = tempfile.mkstemp(prefix=f".{path.name}.", dir=path.parent)
-    except OSError as error:
-        raise OutputError(f"cannot write {path}: {error.strerror or error}") from error
+        _write_whole(path.resolve(), content)
+    except (OSError, ValueError) as error:
+        reason = f"cannot write {path}: {getattr(error, 'strerror', None) or error}"
+        saved = _save_elsewhere(path, content) if rescue else None
+        if saved is not None:
+            reason += f"; the result is saved as {saved}: move it to where it belongs"
+        raise OutputError(reason) from error
+
+
+def _write_whole(target: Path, content: bytes) -> None:
+    temporary = target.with_name(f".radiometer-{secrets.token_hex(8)}.part")
+    # Created by open, not by tempfile: the system applies the user's mask, and no thread has to change it to learn it.
+    handle = os.open(temporary, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o666)
     try:
-        stream = os.fdopen(handle, "wb") if binary else os.fdopen(handle, "w", encoding="utf-8", newline="")
-        with stream:
-            yield stream
+        with os.fdopen(handle, "wb") as stream:
+            if target.exists():
+                os.fchmod(stream.fileno(), stat.S_IMODE(target.stat().st_mode))
+            stream.write(content)
             stream.flush()
             os.fsync(stream.fileno())
-        os.chmod(temporary, 0o666 & ~_umask())  # noqa: PTH101 (mkstemp makes 0600)
-        os.replace(temporary, path)  # noqa: PTH105
-    except OSError as error:
-        raise OutputError(f"cannot write {path}: {error.strerror or error}") from error
-    finally:
-        Path(temporary).unlink(missing_ok=True)
+        temporary.replace(target)
+    except BaseException:
+        temporary.unlink(missing_ok=True)
+        raise
+    flush_folder(target.parent)
 
 
-def refuse_unwritable(path: Path) -> None:
-    """Refuse a file that cannot be written, before the work whose result it is to hold.
-
-    Args:
-        path: The file.
-
-    Raises:
-        OutputError: If it is a folder, or its own folder is missing or takes no files.
-    """
-    if path.is_dir():
-        raise OutputError(f"cannot write {path}: it is a folder")
-    if not path.parent.is_dir():
-        raise OutputError(f"cannot write {path}: the folder {path.parent} does not exist")
-    if not os.access(path.parent, os.W_OK | os.X_OK):
-        raise OutputError(f"cannot write {path}: the folder {path.parent} takes no files (permission denied)")
+def flush_folder(folder: Path) -> None:
+    """Have a folder's new names on the disk, so that a power cut does not lose a finished file."""
+    with contextlib.suppress(OSError):  # some network file systems cannot flush a folder; the file is flushed
+        handle = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
+        try:
+            os.fsync(handle)
+        finally:
+            os.close(handle)
 
 
-def write_bytes_atomic(path: Path, content: bytes) -> None:
-    """Write bytes so that the file is either whole or absent."""
-    with atomic_file(path, binary=True) as stream:
-        stream.write(content)
+def _save_elsewhere(path: Path, content: bytes) -> Path | None:
+    """Return where a result was saved that its own place did not take: the state folder, else the temporary one."""
+    for folder in (state_folder(), Path(tempfile.gettempdir())):
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+            saved = Path(tempfile.mkdtemp(prefix="saved-", dir=folder)) / path.name[-64:]
+            _write_whole(saved, content)
+        except OSError:
+            continue
+        return saved
+    return None
+
+
+def state_folder() -> Path:
+    """Return the user's folder for what programs keep (XDG Base Directory Specification: XDG_STATE_HOME)."""
+    return Path(os.environ.get("XDG_STATE_HOME") or Path.home() / ".local" / "state") / "radiometer"
 
 
 def write_text_atomic(path: Path, text: str) -> None:
-    """Write UTF-8 text so that the file is either whole or absent."""
-    with atomic_file(path) as stream:
-        stream.write(text)
+    """Write UTF-8 text as `write_bytes_atomic` writes bytes."""
+    write_bytes_atomic(path, text.encode())
 
 
 def write_yaml_atomic(path: Path, mapping: Mapping[str, Any]) -> None:
@@ -111,6 +195,7 @@ def dump_yaml(mapping: Mapping[str, Any]) -> str:
     )
 
 
+@bounded_reader(error=InputError)
 def read_text(path: Path) -> str:
     """Return what a text file holds, without the mark that some editors put before it.
 
@@ -125,6 +210,7 @@ def read_text(path: Path) -> str:
         raise InputError(f"cannot read {path}: {error.strerror or error}") from error
 
 
+@bounded_reader(error=InputError)
 def read_yaml(path: Path) -> dict[str, Any]:
     """Return the mapping that a YAML file holds.
 
@@ -147,9 +233,3 @@ def read_yaml(path: Path) -> dict[str, Any]:
     if not isinstance(content, dict):
         raise InputError(f"{path}: expected keys and values, found {type(content).__name__}")
     return content
-
-
-def _umask() -> int:
-    current = os.umask(0)
-    os.umask(current)
-    return current

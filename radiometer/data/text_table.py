@@ -16,6 +16,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Final
 
+from radiometer.data.reader_limits import bounded_reader
 from radiometer.data.statements import FACTS, Place, Statement, StatementMap, is_unknown, value_of
 from radiometer.errors import InputError, UnsettledError
 from radiometer.units import heading_parts, plain_name, unit_of
@@ -165,6 +166,7 @@ def _has_unit(cell: str, fact: str) -> bool:
     return bool(found) and unit_of(found[1], FACTS[fact]) is not None if found else False
 
 
+@bounded_reader(error=InputError)
 def read_table(path: Path, needs: str, text: str | None = None, *, named: bool = False) -> TextTable:
     """Return a table of columns parted by tabs, semicolons, commas or blanks.
 

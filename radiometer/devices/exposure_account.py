@@ -20,6 +20,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Final, Protocol
 
+from radiometer.data.json_text import json_text
 from radiometer.data.storage import write_text_atomic
 from radiometer.devices.retinal_safety import BLUE_WINDOW_S
 from radiometer.errors import OutputError, UnsafeStimulus
@@ -74,6 +75,12 @@ def process_name(pid: int) -> str:
     except OSError:
         return ""
     return f"{pid} {status.rpartition(')')[2].split()[19]}"
+
+
+def is_running(name: str) -> bool:
+    """Tell whether the process of a name still runs."""
+    pid = name.partition(" ")[0]
+    return pid.isdigit() and process_name(int(pid)) == name
 
 
 @dataclass(frozen=True, slots=True)
@@ -331,7 +338,7 @@ class FileStore:
     moment: Callable[[], Moment] = machine_moment
     sleep: Callable[[float], None] = time.sleep
     holder: str = field(default_factory=lambda: process_name(os.getpid()))
-    running: Callable[[str], bool] = lambda name: process_name(int(name.partition(" ")[0])) == name
+    running: Callable[[str], bool] = is_running
 
     def lives(self, holder: str) -> bool:
         """Tell whether another program that entered light still runs."""
@@ -426,17 +433,19 @@ class FileStore:
 
 
 def render_account(account: Account) -> str:
-    """Return the account as a line of JSON and a line with its SHA-256."""
-    body = json.dumps(  # noqa: TID251 (a number that is none is an error here, not null)
+    """Return the account as a line of JSON and a line with its SHA-256; its times count from its moment."""
+    now_s = account.now_s
+    body = json_text(
         {
             "format": FORMAT,
             "moment": [account.moment.boot, account.moment.uptime_s, account.moment.wall_s, account.moment.machine],
-            "given": {key: sorted(bins.items()) for key, bins in account.given.items()},
-            "assumed": account.assumed,
-            "planned": {name: _planned_to_json(planned) for name, planned in account.planned.items()},
+            "given": {
+                key: [[end_s - now_s, blue] for end_s, blue in bins.items()] for key, bins in account.given.items()
+            },
+            "assumed": {key: [until_s - now_s, why] for key, (until_s, why) in account.assumed.items()},
+            "planned": {name: _planned_to_json(planned, now_s) for name, planned in account.planned.items()},
         },
-        ensure_ascii=True,
-        allow_nan=False,
+        ascii_only=True,
     )
     return f"{body}\n{hashlib.sha256(body.encode('ascii')).hexdigest()}\n"
 
@@ -451,30 +460,32 @@ def parse_account(content: bytes) -> Account | None:
         if known["format"] != FORMAT:
             return None
         boot, uptime_s, wall_s, machine = known["moment"]
+        now_s = float(uptime_s)
         return Account(
-            Moment(str(boot), float(uptime_s), float(wall_s), str(machine)),
-            {key: {float(end_s): float(blue) for end_s, blue in bins} for key, bins in known["given"].items()},
-            {key: (float(until_s), str(why)) for key, (until_s, why) in known["assumed"].items()},
-            {name: _planned_from_json(entry) for name, entry in known["planned"].items()},
+            Moment(str(boot), now_s, float(wall_s), str(machine)),
+            # To the millisecond: an interval keeps its name through many readings.
+            {
+                key: {round(now_s + end_s, 3): float(blue) for end_s, blue in bins}
+                for key, bins in known["given"].items()
+            },
+            {key: (now_s + float(until_s), str(why)) for key, (until_s, why) in known["assumed"].items()},
+            {name: _planned_from_json(entry, now_s) for name, entry in known["planned"].items()},
         )
     except (ValueError, KeyError, TypeError, AttributeError, RecursionError):
         return None
 
 
-def _planned_to_json(planned: Planned) -> list[Any]:
-    phases = [[p.blue_per_s, p.blue_most, _none_if_endless(p.bright_s), p.thermal] for p in planned.phases]
-    times = [planned.start_s, _none_if_endless(planned.over_s)]
+def _planned_to_json(planned: Planned, now_s: float) -> list[Any]:
+    """Return a stimulus as JSON; a time without an end becomes null."""
+    phases = [[p.blue_per_s, p.blue_most, p.bright_s, p.thermal] for p in planned.phases]
+    times = [planned.start_s - now_s, planned.over_s - now_s]
     return [planned.box, planned.eye, planned.channel, planned.holder, *times, phases]
 
 
-def _planned_from_json(entry: list[Any]) -> Planned:
+def _planned_from_json(entry: list[Any], now_s: float) -> Planned:
     box, eye, channel, holder, start_s, over_s, phases = entry
     known = tuple(Phase(float(a), float(b), _endless_if_none(c), float(d)) for a, b, c, d in phases)
-    return Planned(box, eye, channel, holder, float(start_s), _endless_if_none(over_s), known)
-
-
-def _none_if_endless(time_s: float) -> float | None:
-    return time_s if math.isfinite(time_s) else None
+    return Planned(box, eye, channel, holder, now_s + start_s, now_s + _endless_if_none(over_s), known)
 
 
 def _endless_if_none(time_s: float | None) -> float:

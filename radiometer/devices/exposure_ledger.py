@@ -169,7 +169,8 @@ class ExposureLedger:
 
     def note(self, stimulus: Stimulus) -> None:
         """Enter light that was given without having been asked for. Raises UnsafeStimulus where it cannot be stored."""
-        with self.store.change() as account:
+        with self._lock, self.store.change() as account:
+            account.meet(self._box)
             name = uuid.uuid4().hex
             account.planned[name] = self._planned(account, stimulus)
             account.settle(name, math.inf)

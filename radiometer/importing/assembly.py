@@ -13,6 +13,7 @@ import numpy as np
 
 from radiometer.data import CameraDescription, CaptureHeader, FrameEntry, LensDescription, SourceDescription
 from radiometer.data.frame import DigitalNumbers
+from radiometer.data.guards import safe_file_name
 from radiometer.errors import CaptureError, DamagedFileError
 from radiometer.importing.found import FoundFrame, ImportOptions
 from radiometer.importing.record import ImportRecord, by_wording, doubts_about, not_used_of, taken_from
@@ -59,10 +60,9 @@ def _titles(keys: Sequence[tuple[Any, ...]]) -> list[str]:
         return ["camera"] * len(keys)
     differing = [i for i in range(len(keys[0]) - 1) if len({key[i] for key in keys}) > 1]
     words = ["-".join(str(key[i]) for i in differing if key[i] is not None) or "camera" for key in keys]
-    clean = ["".join(c if c.isalnum() or c in "-_." else "_" for c in word) for word in words]
     seen: Counter[str] = Counter()
     unique = []
-    for word in clean:
+    for word in map(safe_file_name, words):  # they become folders
         seen[word] += 1
         unique.append(word if seen[word] == 1 else f"{word}-{seen[word]}")
     return unique

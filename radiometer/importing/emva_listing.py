@@ -7,6 +7,7 @@ from pathlib import Path, PureWindowsPath
 from typing import Final
 
 from radiometer.data.guards import is_file
+from radiometer.data.reader_limits import bounded_reader
 from radiometer.data.storage import read_text
 from radiometer.errors import InputError
 from radiometer.units import read_number
@@ -40,6 +41,7 @@ class EmvaListing:
     entries: tuple[EmvaEntry, ...]
 
     @classmethod
+    @bounded_reader(error=InputError)
     def read(cls, path: Path) -> EmvaListing:
         """Return a descriptor file.
 

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from radiometer.data.frame import FrameSettings
 from radiometer.data.guards import refuse_size
+from radiometer.data.reader_limits import bounded_reader
 from radiometer.data.statements import (
     Place,
     Statement,
@@ -75,6 +76,7 @@ _SETTLED_K: Final = 1.0
 _EXPOSURES_SAME_REL: Final = 0.01  # by which two keywords of the exposure may differ unnoticed
 
 
+@bounded_reader()
 def read_fits_headers(path: Path, mapped: StatementMap = StatementMap()) -> list[FoundFrame]:
     """Return the frames of a FITS file, gzipped or not, without keeping their pixels.
 
@@ -110,6 +112,7 @@ def read_fits_headers(path: Path, mapped: StatementMap = StatementMap()) -> list
     return [replace(frame, not_used=not_used) for frame in frames]
 
 
+@bounded_reader()
 def read_fits_pixels(path: Path, part: int) -> NDArray[Any]:
     """Return the values of one plane of a FITS file, BSCALE and BZERO applied.
 

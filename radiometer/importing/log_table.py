@@ -11,6 +11,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from radiometer.data.reader_limits import bounded_reader
 from radiometer.data.text_table import TextTable, read_table, stamp_s
 from radiometer.errors import InputError, UnsettledError, UsageError
 from radiometer.units import heading_parts, read_number, unit_of
@@ -122,6 +123,7 @@ class LogColumns:
     black_dn: float = 0.0
 
 
+@bounded_reader(error=InputError)
 def read_log(path: Path, said: LogColumns | None = None, reference: Path | None = None) -> LogTable:
     """Return the readings of a table.
 

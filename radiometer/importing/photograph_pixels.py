@@ -16,6 +16,7 @@ from radiometer.data.decoding import decoded
 from radiometer.data.frame import DigitalNumbers
 from radiometer.data.guards import refuse_large_picture
 from radiometer.data.raw_files import RAW_SUFFIXES, read_raw_colours
+from radiometer.data.reader_limits import RAW_READER_BYTES, bounded_reader
 from radiometer.errors import CaptureError
 from radiometer.importing.exif import count_pictures
 
@@ -96,6 +97,7 @@ def _plane(values: Any) -> DigitalNumbers:
     return plane
 
 
+@bounded_reader(RAW_READER_BYTES)
 def read_photograph(path: Path, most_pixels: int | None = None, *, interpolated: bool = False) -> Photograph:
     """Return the stored values of a photograph.
 

@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Final
 
+from radiometer.data.reader_limits import bounded_reader
 from radiometer.data.storage import read_text
 from radiometer.errors import CaptureError, InputError
 from radiometer.importing.exif import exposure_of, f_number_of, iso_of, read_exif_header
@@ -89,6 +90,7 @@ def is_dial_time(seconds: float) -> bool:
     return any(close) or any(abs(seconds / t - 1.0) < 0.005 for t in _DIAL_TIMES)
 
 
+@bounded_reader()
 def read_exif(path: Path) -> PhotographSettings | None:
     """Return the settings in a photograph's EXIF data; None where it holds no exposure time.
 
@@ -116,6 +118,7 @@ def find_list(folder: Path) -> Path | None:
     return next((folder / name for name in LIST_NAMES if (folder / name).is_file()), None)
 
 
+@bounded_reader()
 def read_list(path: Path) -> dict[str, PhotographSettings]:
     """Return the settings of every file that a list names.
 

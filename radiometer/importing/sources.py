@@ -274,7 +274,7 @@ def copy_into(capture: CaptureSet, out: Path, report: Callable[[int, int], None]
     extra = {key: value for key, value in (header.model_extra or {}).items() if key not in known}
     damaged = list[DamagedFileError]()
     with CaptureSetWriter(
-        out, header.camera, header.lens, header.source, header.patches, header.patterns, extra
+        out, header.camera, header.lens, header.source, header.patches, header.patterns, extra, rescue=False
     ) as writer:
         for index, entry in enumerate(header.frames):
             further = {"original": entry.file, **(entry.model_extra or {})}

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from radiometer.data import CameraDescription, CaptureHeader, SettingStatistics, SourceDescription
+from radiometer.data.reader_limits import bounded_reader
 from radiometer.data.statements import Statement, StatementMap, is_unknown, value_of
 from radiometer.data.text_table import decode_export, read_table
 from radiometer.errors import CaptureError, InputError, UnsettledError
@@ -78,6 +79,7 @@ def _heading(path: Path) -> Sequence[Row]:
     return _json_rows(text if text.lstrip().startswith("[") else lines[0], path)[:1]
 
 
+@bounded_reader()
 def read_statistics_table(path: Path, mapped: StatementMap | None = None) -> CaptureHeader:
     """Return a table's rows as the header of a capture set without pictures.
 

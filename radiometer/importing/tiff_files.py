@@ -18,7 +18,8 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from radiometer.data.frame import FrameSettings
-from radiometer.data.guards import refuse_size
+from radiometer.data.guards import refuse_endless_tiff, refuse_size
+from radiometer.data.reader_limits import bounded_reader
 from radiometer.data.statements import Statement, StatementMap, first_stated, places
 from radiometer.errors import CaptureError, DamagedFileError, UnsettledError
 from radiometer.importing.exif import (
@@ -46,6 +47,7 @@ _BLACK_LEVEL, _BLACK_REPEATS, _BLACK_DELTAS = 50714, 50713, (50715, 50716)
 _DOUBTFUL_BLACK_SHARE: Final = 0.01  # of the stated black level: what masked rows may differ from it unnoticed
 
 
+@bounded_reader()
 def read_tiff_headers(path: Path, mapped: StatementMap = StatementMap()) -> list[FoundFrame]:
     """Return the frames of a TIFF file, one per full-size directory, without keeping their pixels.
 
@@ -75,6 +77,7 @@ def read_tiff_headers(path: Path, mapped: StatementMap = StatementMap()) -> list
     return [replace(frame, not_used=reduced) for frame in frames]
 
 
+@bounded_reader()
 def read_tiff_pixels(path: Path, part: int) -> NDArray[Any]:
     """Return the stored values of one page.
 
@@ -129,6 +132,7 @@ def _image_j(tiff: Any) -> dict[str, Statement]:
 @contextmanager
 def _opened(path: Path) -> Iterator[Any]:
     content = read_bytes(path)
+    refuse_endless_tiff(path, content)
     try:
         with tifffile.TiffFile(io.BytesIO(content)) as tiff:
             yield tiff

@@ -12,6 +12,7 @@ import numpy as np
 from PIL import Image, UnidentifiedImageError
 
 from radiometer.data import FlatField
+from radiometer.data.reader_limits import bounded_reader
 from radiometer.errors import CaptureError, InputError, MissingLibrary
 
 # Exif 2.32, sections 4.6.4 and 4.6.5.
@@ -45,6 +46,7 @@ class LensRecord:
     distance_m: float | None = None
 
 
+@bounded_reader()
 def read_lens_record(path: Path, lens: str | None = None) -> LensRecord:
     """Return what a photograph's EXIF record says of camera and lens.
 

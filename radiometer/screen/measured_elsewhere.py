@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from radiometer.data import Provenance
+from radiometer.data.reader_limits import bounded_reader
 from radiometer.data.statements import StatementMap
 from radiometer.data.text_table import TextTable, finite, read_export, read_table
 from radiometer.errors import InputError, UnsettledError
@@ -56,6 +57,7 @@ class ScreenReadings:
     doubts: tuple[str, ...] = ()
 
 
+@bounded_reader(error=InputError)
 def read_screen_readings(
     path: Path, white_cd_m2: float | None = None, gamma: float = 2.2, mapped: StatementMap | None = None
 ) -> ScreenReadings:

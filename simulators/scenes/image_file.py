@@ -14,6 +14,7 @@ from pydantic import Field
 from radiometer.data import PatchDescription, SourceDescription
 from radiometer.data.decoding import decoded
 from radiometer.data.guards import refuse_large_picture, refuse_size
+from radiometer.data.reader_limits import bounded_reader
 from radiometer.data.validation import ConfigSection
 from radiometer.errors import CaptureError, ConfigurationError, MissingLibrary
 from simulators.scenes.base import SceneImage
@@ -58,6 +59,7 @@ class ImageScene(ConfigSection):
         return ()
 
 
+@bounded_reader(error=ConfigurationError)
 def _read_relative(path: Path) -> NDArray[np.float32]:
     """Return one channel, 1 at full scale of an integer image."""
     try:

@@ -41,7 +41,7 @@ AREAS: dict[str, tuple[str, ...]] = {
         "radiometer/daemon/acquisition.py",
         "radiometer/daemon/watched_camera.py",
         "radiometer/daemon/patches.py",
-        "radiometer/daemon/probe.py",
+        "radiometer/bench/daemon_probe.py",
         "radiometer/daemon/patience.py",
         "radiometer/bench/reopening.py",
         "radiometer/bench/box_holder.py",

@@ -11,12 +11,13 @@ import numpy as np
 import pytest
 
 from radiometer.adaptation.adaptation_fit import AdaptationFit, FitRequest, fit_adaptation
+from radiometer.adaptation.box_setup import open_box_stage
 from radiometer.adaptation.journal import RunJournal
 from radiometer.adaptation.outcome import Outcome, Verdict
 from radiometer.adaptation.protocol import AdaptationProtocol, FlashBleach, SteadyBleach, read_protocol
+from radiometer.adaptation.request import RunRequest
 from radiometer.adaptation.run import run_test
 from radiometer.adaptation.threshold_series import ThresholdSeries
-from radiometer.bench.box_adaptation import BoxRequest, open_box_stage
 from radiometer.data.config_files import shipped_config
 from radiometer.errors import RadiometerError
 from simulators.observers.eye_kinetics import Eye, eye_after_bleach, recovery_min, scotopic_lm_per_w
@@ -47,8 +48,8 @@ def run(
     path: Path, wanted: AdaptationProtocol, subject: str | None = "steady", preset: Path | None = None
 ) -> tuple[Outcome, RunJournal]:
     """Run a test on the simulated box."""
-    request = BoxRequest("sim", subject=subject, seed=4, preset=preset)
-    with open_box_stage(wanted, request) as (stage, checks), RunJournal(path, relive=True) as journal:
+    request = RunRequest(wanted, box="sim", simulate=subject, seed=4, preset=preset)
+    with open_box_stage(request) as (stage, checks), RunJournal(path, relive=True) as journal:
         return run_test(wanted, stage, journal, subject="A1", seed=5, checks=checks), journal
 
 
@@ -159,7 +160,7 @@ def test_photographic_flashes_bleach_the_eye_before_the_box(tmp_path: Path) -> N
     """
     flash = FlashBleach(kind="flash", retinal_td_s=5e6, pupil_mm=6.0, source="flash")
     wanted = protocol(5.0).model_copy(update={"bleach": flash})
-    with open_box_stage(wanted, BoxRequest("sim", subject="steady")) as (stage, checks):
+    with open_box_stage(RunRequest(wanted, box="sim", simulate="steady")) as (stage, checks):
         assert [check().refusal for check in checks] == [None]
         stage.bleach(wanted)
         twin = stage.box.link.line.twin  # type: ignore[attr-defined]
@@ -180,7 +181,7 @@ def test_flashes_beyond_the_box_are_refused_before_the_first(tmp_path: Path) -> 
     flash = FlashBleach(kind="flash", retinal_td_s=2e7, pupil_mm=6.0, source="flash")
     wanted = protocol(5.0).model_copy(update={"bleach": flash})
     with (
-        open_box_stage(wanted, BoxRequest("sim")) as (stage, checks),
+        open_box_stage(RunRequest(wanted, box="sim")) as (stage, checks),
         RunJournal(tmp_path / "j", relive=True) as journal,
     ):
         with pytest.raises(RadiometerError, match="takes 13 flashes, the box fires 8 in a row"):

@@ -17,8 +17,8 @@ from pathlib import Path
 
 import pytest
 
-from radiometer.cli.admin.command_tree import command_tree
 from radiometer.cli.admin.man import manual_page
+from radiometer.cli.tree import command_tree
 from testing.patience import within
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -43,8 +43,8 @@ def test_the_manual_page_holds_every_command_and_option():
     for one in command_tree():
         assert f".SS {' '.join(one.path)}\n" in page
         section = page.split(f".SS {' '.join(one.path)}\n")[1].split("\n.SS ")[0]
-        for word in (*one.options, *one.arguments):
-            assert ", ".join(word.names) in section
+        for name, _ in (*one.options, *one.arguments):
+            assert name in section
 
 
 @pytest.mark.skipif(not shutil.which("groff"), reason="groff is not installed")
@@ -113,8 +113,8 @@ def test_the_container_runs_a_command_that_exists_as_nobody_special():
     assert json.loads(told["ENTRYPOINT"]) == [*scripts]
     command, *rest = json.loads(told["CMD"])
     known = {one.path: one for one in command_tree()}[(command,)]
-    options = {name for word in known.options for name in word.names}
-    assert {word for word in rest if word.startswith("--")} <= options
+    options = " ".join(name for name, _ in known.options)
+    assert all(word in options for word in rest if word.startswith("--"))
 
 
 @pytest.mark.parametrize(("status", "healthy"), [(200, True), (503, False)])

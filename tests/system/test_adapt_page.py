@@ -17,7 +17,7 @@ from radiometer.adaptation.live_page import LivePage
 from radiometer.adaptation.outcome import Outcome, Verdict
 from radiometer.adaptation.protocol import read_protocol
 from radiometer.adaptation.run import run_test
-from radiometer.bench.adaptation import simulated_stage
+from radiometer.adaptation.simulated_stage import simulated_stage
 from simulators.observers.subject import SubjectCurve
 from testing.chromium import Browser, headless
 

@@ -20,10 +20,11 @@ import pytest
 from radiometer.adaptation.journal import Event, RunJournal
 from radiometer.adaptation.outcome import Outcome, Verdict
 from radiometer.adaptation.protocol import read_protocol
+from radiometer.adaptation.request import RunRequest
 from radiometer.adaptation.run import run_test
 from radiometer.adaptation.screen_levels import SpotLevels, within_reach
+from radiometer.adaptation.screen_setup import open_screen_stage
 from radiometer.adaptation.screen_stage import ScreenStage
-from radiometer.bench.adaptation_screen import open_screen_stage
 from radiometer.bench.screen import lights, open_screen_bench
 from radiometer.errors import CalibrationError, ConfigurationError, DeviceLost, UsageError
 from radiometer.screen.browser_stimulus import BrowserStimulus
@@ -55,7 +56,9 @@ def _run(file: Path, journal: Path, *, subject: str = "steady", dies_after: int 
             raise DeviceLost("the power failed")
 
     with (
-        open_screen_stage(read_protocol("screen-only"), file, display="oled", subject=subject, seed=7) as opened,
+        open_screen_stage(
+            RunRequest(read_protocol("screen-only"), screen=file, display="oled", simulate=subject, seed=7)
+        ) as opened,
         RunJournal(journal) as open_journal,
     ):
         stage, _ = opened  # the age of the calibration is left out: it is another in every run
@@ -103,7 +106,10 @@ def test_filter_before_an_lcd_lets_the_curve_go_on(tmp_path: Path) -> None:
         protocol = read_protocol("screen-only")
         protocol = protocol.model_copy(update={"spot": protocol.spot.model_copy(update={"filter_density": density})})
         with (
-            open_screen_stage(protocol, file, display="lcd", subject="steady", seed=7) as (stage, _),
+            open_screen_stage(RunRequest(protocol, screen=file, display="lcd", simulate="steady", seed=7)) as (
+                stage,
+                _,
+            ),
             RunJournal(tmp_path / f"j{density}") as journal,
         ):
             outcome = run_test(stage.protocol, stage, journal, subject="S1", seed=7)
@@ -153,20 +159,20 @@ def test_command_runs_it_and_journals_the_prompts(oled: Path, tmp_path: Path, pr
 def test_what_does_not_go_together_is_refused(oled: Path, tmp_path: Path) -> None:
     """No calibration, an old one, no subject, a subject before a real page, a criterion out of reach: each is said."""
     protocol = read_protocol("screen-only")
-    with pytest.raises(UsageError, match="--screen FILE"), open_screen_stage(protocol, None):
-        pass
-    with pytest.raises(UsageError, match="--simulate"), open_screen_stage(protocol, oled, display="oled"):
-        pass
-    with pytest.raises(UsageError, match="simulated displays only"), open_screen_stage(protocol, oled, subject="never"):
-        pass
     old = tmp_path / "old.yaml"
     old.write_text(oled.read_text().replace(ScreenCalibration.read(oled).created, "2020-01-01T00:00:00Z"))
-    with pytest.raises(CalibrationError, match="allows 30"), open_screen_stage(protocol, old, display="oled"):
-        pass
+    for asked, error, said in (
+        ({}, UsageError, "--screen FILE"),
+        ({"screen": oled, "display": "oled"}, UsageError, "--simulate"),
+        ({"screen": oled, "simulate": "never"}, UsageError, "simulated displays only"),
+        ({"screen": old, "display": "oled"}, CalibrationError, "allows 30"),
+    ):
+        with pytest.raises(error, match=said), open_screen_stage(RunRequest(protocol, **asked)):
+            pass
     bright = protocol.model_copy(update={"bleach": protocol.bleach.model_copy(update={"luminance_cd_m2": 900.0})})
     with (
         pytest.raises(ConfigurationError, match="beyond screen oled"),
-        open_screen_stage(bright, oled, display="oled", subject="steady"),
+        open_screen_stage(RunRequest(bright, screen=oled, display="oled", simulate="steady")),
     ):
         pass
 

@@ -124,14 +124,6 @@ def test_a_label_that_lies(said, tmp_path):
     assert ".png" in line
 
 
-def test_an_unwritable_output(said, tmp_path):
-    """The result's folder does not exist."""
-    folder = write_photographs(tmp_path / "p", [30, 60, 120, 240], [0.1, 0.2, 0.4, 0.8])
-    code, line = said("response", folder, "-o", tmp_path / "absent" / "c.csv")
-    assert code == 1
-    assert "cannot write" in line
-
-
 def test_a_bench_with_an_unknown_key(said, tmp_path):
     """The key and what is allowed are named; misuse has exit code 2."""
     code, line = said("measure", "--bench", edited_bench(tmp_path, lambda m: m.update(lenz=1)))
@@ -152,16 +144,6 @@ def test_a_patch_off_the_sensor(said):
     code, line = said("measure", "--patch", "1600,0,40,40")
     assert code == 2
     assert "1616 × 1240" in line
-
-
-def test_a_capture_onto_an_existing_folder(said, tmp_path):
-    """Nothing is overwritten."""
-    (tmp_path / "out").mkdir()
-    (tmp_path / "out" / "precious").write_text("x")
-    code, line = said("bracket", tmp_path / "out")
-    assert code == 1
-    assert "exists already" in line
-    assert (tmp_path / "out" / "precious").read_text() == "x"
 
 
 def test_an_exposure_ladder_beyond_the_camera(said, tmp_path):

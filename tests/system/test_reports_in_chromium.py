@@ -19,8 +19,7 @@ from radiometer.data import CameraDescription, FrameSettings, LensDescription
 from simulators.cameras.simulated_capture import simulate_capture
 from simulators.chain.camera_model import CameraModel
 from simulators.scenes import UniformScene
-from testing.report_checks import assert_reports_hold
-from tests.unit.reporting.test_page import HOSTILE
+from testing.report_checks import HOSTILE, assert_reports_hold
 
 
 def _trends() -> str:

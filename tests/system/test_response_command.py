@@ -128,8 +128,7 @@ def test_bad_input_is_one_clear_line(tmp_path, capsys, make, message):
 @pytest.mark.parametrize(
     ("words", "code", "message"),
     [
-        (["-o", "absent/curve.csv"], 1, "the folder absent does not exist"),
-        (["-o", "p"], 2, "ending must be one of"),
+        (["-o", "p"], 2, "it is a folder"),
         (["-o", "curve.txt"], 2, "ending must be one of"),
         (["--plot", "curve.gif"], 2, "ending must be one of"),
         (["--method", "guess"], 2, "there is no response method 'guess'"),

@@ -11,7 +11,7 @@ from radiometer.analysis.characterise.frame_groups import FrameGroup, groups_of_
 from radiometer.analysis.characterise.group_statistics import GroupStatistics, statistics_of_group
 from radiometer.analysis.characterise.photon_flux import PhotonFlux, photon_flux
 from radiometer.data import CameraDescription, CaptureHeader, CaptureSet, LensDescription, Patch, PatchDescription
-from radiometer.errors import MeasurementError
+from radiometer.errors import MeasurementError, UsageError
 from radiometer.importing import imported_of, is_foreign, open_capture, statistics_of
 from radiometer.importing.emva_listing import find_descriptor
 from radiometer.importing.record import record_in
@@ -200,3 +200,33 @@ def _of_descriptor(path: Path, region: Patch | None) -> Subject:
         raise MeasurementError(f"{path}: {descriptor.bit_depth} bits per pixel; 1 to 16 can be read")
     camera = CameraDescription(bit_depth=descriptor.bit_depth)
     return Subject(str(path), camera, LensDescription(), descriptor.groups, (region,), (None,))
+
+
+def with_known_radiance(
+    subject: Subject, header: CaptureHeader, shape: tuple[int, int], radiance: float, u_rel: float
+) -> Subject:
+    """Return the subject with the photon flux that a radiance stated by hand makes on its regions.
+
+    Args:
+        subject: The frames.
+        header: Camera, lens, light and f-number of the capture set.
+        shape: (height, width) of its frames.
+        radiance: Radiance of the regions in W·sr⁻¹·m⁻².
+        u_rel: Its relative standard uncertainty.
+
+    Raises:
+        UsageError: If pixel pitch, f-number or wavelength are not known.
+    """
+    height, width = shape
+    fluxes = []
+    for where in subject.regions:
+        x, y, w, h = (where.x, where.y, where.width, where.height) if where else (0, 0, width, height)
+        known = PatchDescription(name="region", x=x, y=y, width=w, height=h, radiance_W_per_sr_m2=radiance, u_rel=u_rel)
+        f_number = header.frames[0].f_number
+        fluxes.append(photon_flux(known, "default", header.camera, header.lens, header.source, f_number, shape))
+    if None in fluxes:
+        raise UsageError(
+            f"--radiance gives no photons: {subject.origin} must state pixel_pitch_um, f_number and the source's "
+            "wavelength_nm"
+        )
+    return replace(subject, fluxes=tuple(fluxes))

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from scipy import optimize
 
 from radiometer.data import Provenance, ResponseCurve
+from radiometer.data.reader_limits import bounded_reader
 from radiometer.data.storage import write_text_atomic
 from radiometer.errors import InputError, UsageError
 
@@ -46,6 +47,7 @@ def write_curves(path: Path, curves: Mapping[str, ResponseCurve]) -> None:
         raise UsageError(f"{path}: a curve for another program ends in {' or '.join(CURVE_SUFFIXES)}")
 
 
+@bounded_reader(error=InputError)
 def read_curves(path: Path, bit_depth: int = 8) -> dict[str, ResponseCurve]:
     """Return the curves of a file by channel: ours (.csv, .yaml), pfstools' (.m) or hdrgen's (.rsp).
 

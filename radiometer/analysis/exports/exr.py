@@ -42,14 +42,13 @@ def write_exr(path: Path, picture: MapPicture) -> None:
         "software": f"radiometer {radiometer.__version__}",
     }
     file = OpenEXR.File(header, _channels(picture))
-    try:
-        with tempfile.TemporaryDirectory(prefix=f".{path.name}.", dir=path.parent) as folder:
-            whole = Path(folder) / "map.exr"  # the library writes to a name only
-            file.write(str(whole))
-            content = whole.read_bytes()
-    except (OSError, RuntimeError) as error:
-        raise OutputError(f"cannot write {path}: {getattr(error, 'strerror', None) or error}") from error
-    write_bytes_atomic(path, content)
+    with tempfile.TemporaryDirectory() as scratch:  # the library writes to a name only
+        temporary = Path(scratch) / "map.exr"
+        try:
+            file.write(str(temporary))
+        except (OSError, RuntimeError) as error:
+            raise OutputError(f"cannot write {path}: {error}") from error
+        write_bytes_atomic(path, temporary.read_bytes())
 
 
 def _channels(picture: MapPicture) -> dict[str, Any]:

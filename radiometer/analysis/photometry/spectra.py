@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from radiometer.analysis.photometry.display_types import primary_spectrum
+from radiometer.data.reader_limits import bounded_reader
 from radiometer.data.text_table import TextTable, finite, read_table
 from radiometer.errors import InputError
 from radiometer.units import BOLTZMANN_J_K, PLANCK_J_S, SPEED_OF_LIGHT_M_S
@@ -217,6 +218,7 @@ def _places(table: TextTable, names: Mapping[str, Sequence[str]], form: str) -> 
     return found
 
 
+@bounded_reader(error=InputError)
 def spectrum_from_csv(path: Path) -> Spectrum:
     """Return the spectrum, or the spectral response, in a table of wavelength in nm and relative value.
 

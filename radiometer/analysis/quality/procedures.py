@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass
 from typing import Final, Literal
 
@@ -114,7 +115,7 @@ PROCEDURES: Final = (
         STANDARD,
         (
             ProcedureStep("0dB", "a steady source over the patch; gain 0 dB"),
-            ProcedureStep("12dB", "the same source; gain 12 dB (key camera.gain_db of the bench)"),
+            ProcedureStep("12dB", "the same source; gain 12 dB"),
         ),
         more="further gains or stops by name; the first in order of steps is the reference",
     ),
@@ -185,6 +186,12 @@ PROCEDURES: Final = (
         ),
     ),
 )
+
+
+def gain_of_step(name: str) -> float | None:
+    """Return the gain in dB that a step's name states, such as 12 of "12dB"; None where it states none."""
+    stated = re.fullmatch(r"(-?\d+(?:\.\d+)?) ?dB", name, re.IGNORECASE)
+    return float(stated[1]) if stated else None
 
 
 def procedure(name: str) -> Procedure | None:

@@ -12,7 +12,7 @@ from typing import Any, Final
 from radiometer.analysis.merge.bracket import merge
 from radiometer.analysis.quality import indices, spatial
 from radiometer.analysis.quality.indices import Figure
-from radiometer.analysis.quality.procedures import PROCEDURES, Procedure
+from radiometer.analysis.quality.procedures import PROCEDURES, Procedure, gain_of_step
 from radiometer.analysis.quality.signals import StepSignal, step_signal
 from radiometer.analysis.quality.spectral import v_lambda_mismatch
 from radiometer.analysis.uncertainty.budget import coverage_factor
@@ -24,6 +24,7 @@ from radiometer.errors import InputError, MeasurementError, RadiometerError
 
 FORMAT: Final = "radiometer-quality/1"
 SOURCE_U_REL: Final = 0.001
+_SAME_GAIN_DB: Final = 0.06  # cameras set gains in steps of up to 0.1 dB
 _MIDDLE_SHARE: Final = 10  # the patch is a tenth of the picture where nobody says
 
 
@@ -221,6 +222,16 @@ def _in_order(captures: Mapping[str, CaptureSet], how: Evaluation, first: str) -
     return indices.worst_deviation(list(signals.values()), signals[first], how.source_u_rel)
 
 
+def _range_change(captures: Mapping[str, CaptureSet], how: Evaluation) -> Figure:
+    for name, capture in captures.items():
+        stated = gain_of_step(name)
+        taken_at = sorted({frame.gain_db for frame in capture.header.frames})
+        if stated is not None and any(abs(gain_db - stated) > _SAME_GAIN_DB for gain_db in taken_at):
+            gains = ", ".join(f"{gain_db:g} dB" for gain_db in taken_at)
+            raise MeasurementError(f"step {name!r} was captured at {gains}; remove {capture.path} and take it again")
+    return _in_order(captures, how, "0dB" if "0dB" in captures else next(iter(captures)))
+
+
 def _linearity(captures: Mapping[str, CaptureSet], how: Evaluation) -> Figure:
     capture = next(iter(captures.values()))
     patch, frames = patch_of(capture, how.patch), list(capture.frames())
@@ -276,7 +287,7 @@ _FIGURES: Final[dict[str, Callable[[Mapping[str, CaptureSet], Evaluation], Figur
     "temperature": lambda sets, how: indices.temperature(list(_signals(sets, how).values()), how.source_u_rel),
     "modulation": lambda sets, how: _in_order(sets, how, "steady"),
     "polarisation": lambda sets, how: indices.polarisation(_by_number(sets, how, "angle in degrees"), how.source_u_rel),
-    "range": lambda sets, how: _in_order(sets, how, "0dB" if "0dB" in sets else next(iter(sets))),
+    "range": lambda sets, how: _range_change(sets, how),
     "focus": lambda sets, how: _in_order(sets, how, "far"),
     "uniformity": lambda sets, how: _map_figure(sets, how, spatial.uniformity, placed=False),
     "edge": lambda sets, how: _map_figure(sets, how, spatial.edge_width, placed=True),

@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable
 from typing import Final
 
 import radiometer
-from radiometer.cli.admin.command_tree import CommandHelp, Word, command_tree
+from radiometer.cli.tree import CommandHelp, command_tree
 
 _OPENING: Final = """\
 .TH RADIOMETER 1 "" "radiometer {version}" "User Commands"
@@ -86,19 +85,10 @@ def _section(one: CommandHelp) -> str:
         usage.append(".I COMMAND")
     if one.options:
         usage.append(".RI [ OPTIONS ]")
-    usage += [f".I {_text(name)}" if word.required else f".RI [ {_text(name)} ]" for word, name in _named(one)]
+    usage += [f".RI {_text(name)}" for name, _ in one.arguments]
     paragraphs = "\n.PP\n".join(_text(paragraph) for paragraph in re.split(r"\n\s*\n", one.text))
-    lines = [f".SS {_text(' '.join(one.path))}", *usage, ".PP", paragraphs, *map(_item, (*one.arguments, *one.options))]
-    return "\n".join(lines) + "\n"
-
-
-def _named(one: CommandHelp) -> Iterable[tuple[Word, str]]:
-    return ((word, word.names[0]) for word in one.arguments)
-
-
-def _item(word: Word) -> str:
-    takes = f" {word.takes}" if word.takes else ""
-    return f".TP\n.B {_text(', '.join(word.names) + takes)}\n{_text(word.said) or 'See above.'}"
+    items = [f".TP\n.B {_text(name)}\n{_text(said) or 'See above.'}" for name, said in (*one.arguments, *one.options)]
+    return "\n".join([f".SS {_text(' '.join(one.path))}", *usage, ".PP", paragraphs, *items]) + "\n"
 
 
 def _text(words: str) -> str:

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
+import radiometer as rm
 from radiometer.cli.console import console, note
-
-if TYPE_CHECKING:
-    from radiometer.reconciliation.logs.log_fit import LogFit
+from radiometer.cli.options import JsonOption
 
 
 def command(
@@ -31,7 +30,7 @@ def command(
     ] = None,
     black: Annotated[float, typer.Option(help="Black level in DN to take off the value.")] = 0.0,
     no_control: Annotated[bool, typer.Option("--no-control", help="Leave the negative control out.")] = False,
-    json: Annotated[bool, typer.Option("--json", help="One JSON object on standard output.")] = False,
+    json: JsonOption = False,
 ) -> None:
     """Name the term that a log of a camera under automatic exposure lacks against a reference meter.
 
@@ -39,33 +38,23 @@ def command(
     dark current, a late shutter, a bent response: whichever predicts nights better from the other nights is named, with
     its size. The same search over values that lack nothing is the negative control.
     """
-    from radiometer.importing.log_table import LogColumns, read_log
-    from radiometer.reconciliation.logs.log_fit import fit_log
-
-    named = {
-        "value": value, "reference": reference, "exposure": exposure, "gain": gain, "temperature": temperature,
-        "colour": colour,
-    }  # fmt: skip
-    chosen = {key: column for key, column in named.items() if column is not None}
-    found = fit_log(read_log(table, LogColumns(chosen, gain_unit, black), beside), control=not no_control)
+    found = rm.log_fit(
+        table, beside, value=value, reference=reference, exposure=exposure, gain=gain, temperature=temperature,
+        colour=colour, gain_unit=gain_unit, black=black, control=not no_control,
+    )  # fmt: skip
     if json:
-        print(found.result.to_json())
+        print(found.to_json())
         return
-    _show(found)
-
-
-def _show(found: LogFit) -> None:
     from radiometer.cli.analyse.reconcile import show_result
 
-    log = found.state.log
-    for line in log.taken:
+    for line in found.taken:
         note(line)
     show_result(found.result)
-    out = console()
+    out, (readings, nights) = console(), found.size
     out.print(
-        f"\n{log.size} readings of {log.nights} nights; error of a night predicted from the others "
-        f"{100 * found.error_before:.2f} % → {100 * found.error_after:.2f} %"
+        f"\n{readings} readings of {nights} nights; error of a night predicted from the others "
+        f"{100 * found.fit.error_before:.2f} % → {100 * found.fit.error_after:.2f} %"
     )
-    if found.control:
-        silent = "silent" if found.control == "agrees" else f"not silent ({found.control}): trust nothing of this"
+    if control := found.fit.control:
+        silent = "silent" if control == "agrees" else f"not silent ({control}): trust nothing of this"
         out.print(f"negative control (the same readings made to lack nothing): {silent}")

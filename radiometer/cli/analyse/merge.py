@@ -12,6 +12,7 @@ import typer
 
 from radiometer.cli.arguments import F_NUMBER_HELP, ISO_HELP, parse_bounds, parse_iso_speeds, with_f_number
 from radiometer.cli.console import progress_bar
+from radiometer.cli.outputs import writes
 from radiometer.errors import CaptureError, UsageError
 from radiometer.photographs.alignment import ALIGN_CHOICES
 from radiometer.photographs.iso_record import with_iso_in_map
@@ -21,6 +22,7 @@ if TYPE_CHECKING:
     from radiometer.data.iso_speeds import IsoSpeeds
 
 
+@writes("out")
 def command(
     path: Annotated[Path, typer.Argument(help="Capture set, or folder of photographs.")],
     out: Annotated[
@@ -70,7 +72,6 @@ def command(
     from radiometer.analysis.exports.maps import MapPicture, in_luminance, writer_for
     from radiometer.analysis.photometry.spectra import spectrum as spectrum_of
     from radiometer.cli.analyse.merge_report import map_report, show_map_report
-    from radiometer.data.storage import refuse_unwritable
 
     if not out:
         raise UsageError("-o FILE is missing: name a file that ends in .exr, .hdr, .tiff or .png")
@@ -83,8 +84,6 @@ def command(
     if lens and vignetting != "lensfun":
         raise UsageError("--lens names the lens for --vignetting lensfun")
     writers = [(file, writer_for(file)) for file in out]
-    for file in out:
-        refuse_unwritable(file)
     bounds = parse_bounds(scale, "--scale") if scale else None
     known = _calibration(calibration)
     speeds = parse_iso_speeds(measured_iso, known)

@@ -2,40 +2,36 @@
 
 from __future__ import annotations
 
-import json as json_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from radiometer.cli.console import console, progress_bar
+import radiometer as rm
+from radiometer.cli.console import console, progress
+from radiometer.cli.options import JsonOption
 
 if TYPE_CHECKING:
-    from radiometer.archive.passport import Passport
+    from radiometer.api.archive import Passport
 
 
 def command(
     archive: Annotated[
         Path, typer.Argument(help="Folder of sessions at any depth: capture sets, FITS or raw TIFF frames.")
     ],
-    json: Annotated[bool, typer.Option("--json", help="One JSON object on standard output.")] = False,
+    json: JsonOption = False,
 ) -> None:
     """Compare the sessions of each camera in an archive.
 
     Looks for one law of the dark current over all of them, holds the stated gain against what light and darks say,
     tells which figures changed, and keeps apart what the light did: a lamp that jumped is not a camera that changed.
     """
-    from radiometer.archive.passport import passports
-    from radiometer.archive.sessions import read_sessions
-
-    with progress_bar(shown=not json) as bar:
-        task = bar.add_task("reading sessions", total=None)
-        sessions = read_sessions(archive, lambda name: bar.update(task, description=f"reading {name}"))
-    found = passports(sessions)
+    with progress(shown=not json) as shown:
+        found = rm.passport(archive, progress=shown)
     if json:
-        print(json_module.dumps({"cameras": [one.to_mapping() for one in found]}, ensure_ascii=False, allow_nan=False))
+        print(found.to_json())
         return
-    for one in found:
+    for one in found.cameras:
         _show(one)
 
 

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, TypeVar
 import typer
 
 from radiometer.cli.console import console, note, progress_bar, significant
+from radiometer.cli.outputs import writes
 from radiometer.errors import UsageError
 
 if TYPE_CHECKING:
@@ -32,6 +33,7 @@ _VERDICTS = {
 _OPEN = "Something is missing that has more than one name; with any of them simulation and measurement agree."
 
 
+@writes("output", "report", "plan", folder="propose")
 def command(
     capture: Annotated[
         Path,
@@ -45,7 +47,9 @@ def command(
     report: Annotated[Path | None, typer.Option(help="Where the HTML report is written.")] = None,
     plan: Annotated[Path | None, typer.Option(help="Write the next capture as a plan for `bracket`.")] = None,
     without: Annotated[list[str] | None, typer.Option(help="Leave an entry out of the catalogue.")] = None,
-    effects: Annotated[list[Path] | None, typer.Option(help="Python file with further effects to look for.")] = None,
+    effects: Annotated[
+        list[Path] | None, typer.Option(help="Python file with further effects; it is run, so name only one you trust.")
+    ] = None,
     propose: Annotated[
         Path | None,
         typer.Option(

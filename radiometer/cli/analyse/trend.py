@@ -2,45 +2,40 @@
 
 from __future__ import annotations
 
-import json as json_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Final
 
 import typer
 
+import radiometer as rm
 from radiometer.cli.console import console, note
-from radiometer.errors import InputError
+from radiometer.cli.options import JsonOption
+from radiometer.cli.outputs import writes
 
 if TYPE_CHECKING:
-    from radiometer.archive.trend import Trend
+    from radiometer.api.archive import Trend
 
 
+@writes("report")
 def command(
     results: Annotated[Path, typer.Argument(help="Table written by `radiometer batch --do measure`.")],
     quantity: Annotated[str, typer.Option(help="Quantity to follow.")] = "radiance",
     report: Annotated[Path | None, typer.Option(help="Report (HTML) to write: outcome, histories, figures.")] = None,
-    json: Annotated[bool, typer.Option("--json", help="JSON on standard output.")] = False,
+    json: JsonOption = False,
 ) -> None:
     """Find the drift of a source or of the instrument over months, with its uncertainty.
 
     Neighbours may be correlated and seasons may cycle: both are in the model, and a drift is claimed only where chance
     would show it in fewer than one archive in a hundred.
     """
-    from radiometer.archive.history import read_histories
-    from radiometer.data.storage import write_text_atomic
-
-    trends = read_histories(results, quantity)
-    if not trends:
-        raise InputError(f"{results}: holds no dated {quantity!r} rows that succeeded; run `radiometer batch` first")
+    found = rm.trend(results, quantity)
     if report:
-        from radiometer.archive.trend_report import trend_report
-
-        write_text_atomic(report, trend_report(trends, str(results)))
+        found.write_report(report)
     if json:
-        print(json_module.dumps({"trends": [trend.to_mapping() for trend in trends]}))
+        print(found.to_json())
         return
-    for trend in trends:
-        console().print(_sentence(trend))
+    for one in found.trends:
+        console().print(_sentence(one))
     if report:
         note(f"report: {report}")
 

@@ -13,6 +13,7 @@ from radiometer.cli.arguments import ISO_HELP, parse_measured_iso, parse_patch, 
 from radiometer.cli.calibrate.dynamic_range import with_dynamic_range
 from radiometer.cli.calibrate.from_model import with_found_effects
 from radiometer.cli.calibrate.report import calibration_report, show_report
+from radiometer.cli.outputs import writes
 from radiometer.data.iso_speeds import IsoSpeeds
 from radiometer.errors import UsageError
 from radiometer.photographs.iso_record import at_iso, is_photographs, reference_iso
@@ -40,6 +41,7 @@ if TYPE_CHECKING:
 UNKNOWN_EFFICACY_U_REL: Final = 0.43
 
 
+@writes("out")
 def command(
     capture: Annotated[Path | None, typer.Argument(help="Capture set or photographs of the known source.")] = None,
     out: Annotated[Path | None, typer.Option("--out", "-o", help="Calibration file to write.")] = None,

@@ -18,13 +18,14 @@ from radiometer.analysis.response.compare import compare_methods
 from radiometer.analysis.response.estimate import ResponseEstimate, median_uncertainty, telling
 from radiometer.analysis.response.labels import refuse_lying_labels
 from radiometer.analysis.response.methods import DEFAULT_METHOD, METHODS, RATIO_METHODS, method_names
+from radiometer.api.outputs import check_outputs
 from radiometer.bench.sources import open_brackets
 from radiometer.cli.arguments import ISO_HELP, parse_known_ratios, parse_measured_iso
 from radiometer.cli.calibrate.response_plot import check_plot_name, draw_responses
 from radiometer.cli.console import note, progress_bar
+from radiometer.cli.outputs import writes
 from radiometer.data import Bracket
 from radiometer.data.iso_speeds import IsoSpeeds
-from radiometer.data.storage import refuse_unwritable
 from radiometer.errors import MeasurementError, UsageError
 from radiometer.photographs.alignment import photographs_in_one_place
 from radiometer.photographs.iso_record import with_iso_speeds
@@ -44,6 +45,7 @@ Report = Callable[[int, int], None]
 _ENOUGH_PIXELS = 1_000_000
 
 
+@writes("output")
 def command(
     paths: Annotated[list[Path], typer.Argument(metavar="PATH...", help="Capture sets or folders of photographs.")],
     output: Annotated[
@@ -68,6 +70,7 @@ def command(
         str, typer.Option(help="Photographs from the hand: auto (where they moved), on, or off.", metavar="auto|on|off")
     ] = "auto",
     as_json: Annotated[bool, typer.Option("--json", help="Print the result as one JSON object.")] = False,
+    force: Annotated[bool, typer.Option("--force", help="Replace output files that exist.")] = False,
 ) -> None:
     """Recover the camera response g(M) = ln H from brackets of exposures, with its uncertainty.
 
@@ -77,7 +80,7 @@ def command(
     ratios = parse_known_ratios(known_ratio, names)
     speeds = IsoSpeeds(parse_measured_iso(measured_iso))
     picture = _plot_path(plot, output)
-    _check_targets(output, picture)
+    _check_targets(output, picture, names, force=force)
     started = time.monotonic()
     found = _read(paths, channel, speeds, align)
     joint: Sequence[ResponseEstimate | None] = [None] * len(found)
@@ -128,15 +131,17 @@ def _plot_path(plot: str | None, output: Path | None) -> Path | None:
     return (output or Path("response")).with_suffix(".png")
 
 
-def _check_targets(output: Path | None, picture: Path | None) -> None:
+def _check_targets(output: Path | None, picture: Path | None, methods: Sequence[str], *, force: bool) -> None:
     """Refuse what cannot be written before the work is done, not after."""
     if output is not None and output.suffix.lower() not in _CURVE_SUFFIXES:
         raise UsageError(f"cannot write {output}: a curve's ending must be one of {', '.join(_CURVE_SUFFIXES)}")
     if picture is not None:
         check_plot_name(picture)
-    for target in (output, picture):
-        if target is not None:
-            refuse_unwritable(target)
+    check_outputs(output, picture, force=force)
+    if output is not None:  # several curves carry channel and method in their files' names
+        parts = [f"-{channel}" for channel in ("red", "green", "blue")] + [""]
+        names = [f"{part}{method}" for part in parts for method in ("", *(f"-{name}" for name in methods))]
+        check_outputs(*(output.with_stem(output.stem + name) for name in names if name), force=force)
 
 
 def _read(paths: Sequence[Path], channel: str, speeds: IsoSpeeds, align: str) -> dict[str, list[Bracket]]:

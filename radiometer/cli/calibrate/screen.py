@@ -1,37 +1,38 @@
-"""`radiometer screen`: calibrate a screen, look up levels, export to other programs."""
+"""`radiometer screen`: calibrate a screen, look up levels, export to other programs, import from them."""
 
 from __future__ import annotations
 
-import json as json_module
 import webbrowser
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import typer
 
-from radiometer.cli.arguments import parse_patch
-from radiometer.cli.calibrate.screen_import import register
-from radiometer.cli.console import console, note, progress_bar, significant
-from radiometer.errors import UsageError
-
-if TYPE_CHECKING:
-    from radiometer.bench.screen import ScreenBench
-    from radiometer.screen import ChannelCurve, ScreenCalibration
-    from radiometer.screen.calibration_run import Options
-
-app = typer.Typer(
-    add_completion=False,
-    rich_markup_mode=None,
-    pretty_exceptions_enable=False,
-    no_args_is_help=True,
-    help="Calibrate a screen as a light source, and use the calibration.",
-    context_settings={"help_option_names": ["-h", "--help"]},
+import radiometer as rm
+from radiometer.cli.arguments import parse_patch, parse_relative
+from radiometer.cli.console import console, expanded, note, progress, significant
+from radiometer.cli.options import (
+    BenchOption,
+    CalibrationOption,
+    CameraOption,
+    JsonOption,
+    PrimariesOption,
+    SeedOption,
+    WhiteOption,
+    command_group,
+    words,
 )
+from radiometer.cli.outputs import writes
+
+app = command_group("Calibrate a screen as a light source, and use the calibration.")
+ScreenFile = Annotated[Path, typer.Argument(help="Screen calibration file.")]
+OutOption = Annotated[Path, typer.Option("--out", "-o", help="Calibration file to write.")]
 
 
 @app.command()
+@writes("out")
 def calibrate(
-    out: Annotated[Path, typer.Option("--out", "-o", help="Calibration file to write.")] = Path("screen.yaml"),
+    out: OutOption = Path("screen.yaml"),
     display: Annotated[str, typer.Option(help="browser, or a simulated one: lcd, pwm_lcd, oled.")] = "browser",
     name: Annotated[str | None, typer.Option(help="What the screen is called; the display's name by default.")] = None,
     levels: Annotated[str, typer.Option(help="all, quick, a count such as 33, or a list such as 0,16,255.")] = "33",
@@ -43,168 +44,138 @@ def calibrate(
         float | None, typer.Option(min=0.01, max=5.0, help="Distance of two pixels in mm, for `adapt run`.")
     ] = None,
     warm_up: Annotated[float, typer.Option(min=0.0, help="Longest wait for the screen to settle in s.")] = 900.0,
-    white: Annotated[str, typer.Option(help="Spectrum assumed for grey: white_led, cie_d65, a CSV …")] = "white_led",
-    primaries: Annotated[
-        str | None, typer.Option(help="Spectra of red, green, blue: led_lcd, ccfl_lcd, oled, crt, or a CSV of them.")
-    ] = None,
-    camera: Annotated[str | None, typer.Option(help="GenICam id, serial number or address.")] = None,
-    bench: Annotated[Path | None, typer.Option(help="Bench file; the simulated bench by default.")] = None,
-    calibration: Annotated[Path | None, typer.Option(help="The camera's calibration; the bench's by default.")] = None,
+    white: WhiteOption = "white_led",
+    primaries: PrimariesOption = None,
+    camera: CameraOption = None,
+    bench: BenchOption = None,
+    calibration: CalibrationOption = None,
     patch: Annotated[str | None, typer.Option(help="Where the camera sees the patch: X,Y,W,H in pixels.")] = None,
     port: Annotated[int, typer.Option(min=0, max=65535, help="Port of the page; 0 for any free one.")] = 0,
     open_browser: Annotated[bool, typer.Option("--open", help="Open the page in this machine's browser.")] = False,
     export: Annotated[str, typer.Option(help="Also write: psychopy,ti3,csv,inverse,vcgt,cal.")] = "",
     argyll: Annotated[bool, typer.Option("--argyll", help="Print spotread's line for every level measured.")] = False,
-    seed: Annotated[int, typer.Option(min=0, help="Seed of the random order.")] = 1,
-    json: Annotated[bool, typer.Option("--json", help="Report as one JSON object on standard output.")] = False,
+    seed: SeedOption = 1,
+    json: JsonOption = False,
+    force: Annotated[bool, typer.Option("--force", help="Replace output files that exist.")] = False,
 ) -> None:
     """Measure which level of a screen gives which radiance and luminance, with uncertainty."""
-    from radiometer.bench.screen import lights, open_screen_bench, primaries_of
-    from radiometer.screen.calibration_run import Options, calibrate_screen
-    from radiometer.screen.plan import parse_levels
-
-    options = Options(
-        name=name or display,
-        levels=parse_levels("quick" if quick else levels),
-        channels=tuple(part.strip() for part in channels.split(",") if part.strip()),
-        repeats=repeats,
-        patch_size=size,
-        warm_up_limit_s=warm_up,
-        seed=seed,
-        pixel_mm=pixel_mm,
-    )
-    kinds = _export_kinds(export)
-    where = parse_patch(patch) if patch else None
-    lamps = lights(white, primaries_of(display, options.channels, primaries))
 
     def announce(url: str) -> None:
         note(f"open this address on the screen to be measured, then press Start:\n  {url}")
         if open_browser:
             webbrowser.open(url)
 
-    with (
-        open_screen_bench(
-            display, bench=bench, camera=camera, calibration=calibration, patch=where, port=port, announce=announce
-        ) as opened,
-        progress_bar(shown=not json) as bar,
-    ):
-        task = bar.add_task("measuring the screen", total=None)
-        result = calibrate_screen(
-            opened, options, lamps, progress=lambda done, total, _step: bar.update(task, completed=done, total=total)
-        )
-        for warning in _page_warnings(opened):
-            note(f"warning: {warning}")
-    result.write(out)
-    _write_exports(result, kinds, out)
-    _report(result, out, argyll=argyll, json=json, options=options)
-
-
-register(app)
+    with progress(shown=not json) as shown:
+        found = rm.screen_calibrate(
+            out, display, name=name, levels=levels, quick=quick, channels=words(channels), repeats=repeats, size=size,
+            pixel_mm=pixel_mm, warm_up_s=warm_up, white=white, primaries=primaries, camera=camera, bench=bench,
+            calibration=calibration, patch=parse_patch(patch), port=port, export=words(export), seed=seed, force=force,
+            announce=announce, notice=note, progress=shown,
+        )  # fmt: skip
+    if json:
+        print(found.to_json())
+        return
+    for line in found.argyll_lines() if argyll else ():
+        print(line)
+    for curve in found.calibration.channels.values():
+        _print_channel(found, curve)
+    _print_checks(found.calibration.checks)
+    _print_end(found)
 
 
 @app.command()
 def level(
-    calibration: Annotated[Path, typer.Argument(help="Screen calibration file.")],
+    calibration: ScreenFile,
     target: Annotated[float, typer.Argument(help="Wanted value.")],
     unit: Annotated[str, typer.Option(help="cd, scotopic or W (per sr and m2).")] = "cd",
     channel: Annotated[str, typer.Option(help="grey, red, green or blue.")] = "grey",
-    json: Annotated[bool, typer.Option("--json", help="One JSON object on standard output.")] = False,
+    json: JsonOption = False,
 ) -> None:
     """Say which level shows a wanted luminance or radiance."""
-    from radiometer.screen.calibration import LUMINANCE, RADIANCE, SCOTOPIC, ScreenCalibration
-
-    units = {"cd": LUMINANCE, "scotopic": SCOTOPIC, "W": RADIANCE}
-    if unit not in units:
-        raise UsageError(f"--unit {unit!r}: choose {', '.join(units)}")
-    curve = ScreenCalibration.read(calibration).channel(channel)
-    found = curve.level_for(target, units[unit])
-    shown = curve.at(found, units[unit])
+    found = rm.screen_level(calibration, target, unit, channel)
     if json:
-        print(json_module.dumps({"channel": channel, "level": found, "shown": shown.to_mapping(), "target": target}))
-    else:
-        value = f"{significant(shown.value, shown.u)} ± {2 * shown.u:.2g} {shown.unit}"
-        console().print(f"level {found} of {channel} shows {value} (k = 2)")
+        print(found.to_json())
+        return
+    value = expanded(found.shown.value, found.shown.u, found.shown.unit)
+    console().print(f"level {found.level} of {channel} shows {value} (k = 2)")
 
 
 @app.command("export")
+@writes()
 def export_command(
-    calibration: Annotated[Path, typer.Argument(help="Screen calibration file.")],
+    calibration: ScreenFile,
     kinds: Annotated[str, typer.Argument(help="psychopy,ti3,csv,inverse,vcgt,cal or some of them.")],
     out: Annotated[Path | None, typer.Option("--out", "-o", help="Folder; beside the calibration by default.")] = None,
+    force: Annotated[bool, typer.Option("--force", help="Replace output files that exist.")] = False,
 ) -> None:
     """Write a calibration in the forms of other programs."""
-    from radiometer.screen import ScreenCalibration
-
-    chosen = _export_kinds(kinds)
-    if not chosen:
-        raise UsageError("name at least one form: psychopy,ti3,csv,inverse,vcgt,cal")
-    known = ScreenCalibration.read(calibration)
-    for written in _write_exports(known, chosen, (out or calibration.parent) / calibration.name):
+    for written in rm.screen_export(calibration, words(kinds), out, force=force):
         console().print(f"wrote {written}")
 
 
-def _export_kinds(text: str) -> list[str]:
-    from radiometer.screen.exports import EXPORTS
-
-    kinds = [part.strip() for part in text.split(",") if part.strip()]
-    for kind in kinds:
-        if kind not in EXPORTS:
-            raise UsageError(f"export {kind!r} is unknown; choose from {', '.join(EXPORTS)}")
-    return kinds
-
-
-def _write_exports(calibration: ScreenCalibration, kinds: list[str], beside: Path) -> list[Path]:
-    from radiometer.screen.exports import EXPORTS, write_export
-
-    written = []
-    for kind in kinds:
-        path = beside.with_suffix(EXPORTS[kind][1])
-        write_export(calibration, kind, path)
-        written.append(path)
-    return written
-
-
-def _page_warnings(opened: ScreenBench) -> list[str]:
-    ask = getattr(opened.display, "warnings", None)
-    return list(ask()) if ask else []
-
-
-def _report(calibration: ScreenCalibration, out: Path, *, argyll: bool, json: bool, options: Options) -> None:
+@app.command("import")
+@writes("out")
+def import_command(
+    file: Annotated[Path, typer.Argument(help="ArgyllCMS .ti3 or .cal, pacsdisplay uLR, or a table: level, cd/m².")],
+    out: OutOption = Path("screen.yaml"),
+    name: Annotated[str | None, typer.Option(help="What the screen is called; as the file says by default.")] = None,
+    white: WhiteOption = "white_led",
+    primaries: PrimariesOption = None,
+    meter_u_rel: Annotated[
+        str, typer.Option(help="Relative standard uncertainty of the meter's scale: 0.04 or 4%.")
+    ] = "0.04",
+    white_luminance: Annotated[
+        float | None, typer.Option(min=1e-6, help="Luminance of white in cd/m², which a .cal does not hold.")
+    ] = None,
+    gamma: Annotated[float, typer.Option(min=0.1, max=10.0, help="Exponent that a .cal was made for.")] = 2.2,
+    mapped: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--map", help="Column of a table and its unit: level=drive:8bit, luminance=Y:cd/m2; or a YAML file."
+        ),
+    ] = None,
+    json: JsonOption = False,
+) -> None:
+    """Make a screen calibration of measurements made elsewhere, with their uncertainty."""
+    found = rm.screen_import(
+        file, out, name=name, white=white, primaries=primaries,
+        meter_u_rel=parse_relative(meter_u_rel, "--meter-u-rel") or 0.0, white_luminance=white_luminance, gamma=gamma,
+        mapped=mapped or (),
+    )  # fmt: skip
     if json:
-        print(json_module.dumps({"file": str(out), **calibration.to_mapping()}, allow_nan=False))
+        print(found.to_json())
         return
-    if argyll:
-        _print_argyll(calibration)
-    for curve in calibration.channels.values():
-        _print_channel(curve)
-    _print_checks(calibration.checks)
-    for assumption in calibration.provenance.assumptions:
-        console().print(f"assumed    {assumption}")
-    console().print(f"wrote {out}")
-
-
-def _print_argyll(calibration: ScreenCalibration) -> None:
-    from radiometer.screen.calibration import LUMINANCE
-    from radiometer.screen.exports.chromaticity import argyll_line
-
-    for name, curve in calibration.channels.items():
-        for n in curve.levels:
-            print(argyll_line(name, curve.at(n, LUMINANCE).value))
-
-
-def _print_channel(curve: ChannelCurve) -> None:
-    from radiometer.screen.calibration import LUMINANCE
-
-    out = console()
-    white, black = (curve.at(curve.levels[i], LUMINANCE) for i in (-1, 0))
-    out.print(f"[bold]{curve.name}[/bold]: {len(curve.levels)} levels")
-    out.print(f"  brightest  {significant(white.value, white.u)} ± {2 * white.u:.2g} cd·m⁻² (k = 2)")
-    if curve.radiance_is_lost(curve.levels[0]):
-        out.print(
-            f"  darkest    below {curve.detection_limit * curve.efficacy(LUMINANCE):.2g} cd·m⁻² (limit of detection)"
+    for line in found.taken:
+        note(f"taken: {line}")
+    for line in found.doubts:
+        note(f"doubt: {line}")
+    if found.left_out:
+        names = ", ".join(found.left_out)
+        note(f"{names} left out: their spectra are not known; --primaries names a display type or a CSV")
+    for curve in found.calibration.channels.values():
+        black, white_cd = found.luminance_range(curve)
+        console().print(
+            f"{curve.name}: {len(curve.levels)} levels, {significant(black.value, black.u)} to "
+            f"{expanded(white_cd.value, white_cd.u, 'cd·m⁻²')} (k = 2)"
         )
+    _print_end(found)
+
+
+def _print_end(found: rm.CalibratedScreen) -> None:
+    for assumption in found.calibration.provenance.assumptions:
+        console().print(f"assumed    {assumption}")
+    console().print(f"wrote {found.file}")
+
+
+def _print_channel(found: rm.CalibratedScreen, curve: Any) -> None:
+    out = console()
+    (black, white), limit = found.luminance_range(curve), found.detection_limit(curve)
+    out.print(f"[bold]{curve.name}[/bold]: {len(curve.levels)} levels")
+    out.print(f"  brightest  {expanded(white.value, white.u, 'cd·m⁻²')} (k = 2)")
+    if limit is not None:
+        out.print(f"  darkest    below {limit:.2g} cd·m⁻² (limit of detection)")
     else:
-        out.print(f"  darkest    {significant(black.value, black.u)} ± {2 * black.u:.2g} cd·m⁻² (k = 2)")
+        out.print(f"  darkest    {expanded(black.value, black.u, 'cd·m⁻²')} (k = 2)")
     for fit in curve.fits().values():
         shown = ", ".join(f"{k} {v:.4g}" for k, v in fit.parameters.items())
         out.print(f"  {fit.model:<16} rms error {100 * fit.rms_rel:.2g} %, worst {100 * fit.max_rel:.2g} %   ({shown})")

@@ -2,19 +2,19 @@
 
 from __future__ import annotations
 
-import json as json_module
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated
 
 import typer
 
+import radiometer as rm
 from radiometer.cli.arguments import parse_patch
-from radiometer.cli.console import note, progress_bar
+from radiometer.cli.console import note, progress
+from radiometer.cli.options import JsonOption
+from radiometer.cli.outputs import writes
 
-if TYPE_CHECKING:
-    from radiometer.importing.sources import WrittenSet
 
-
+@writes(folder="output")
 def command(
     sources: Annotated[
         list[Path],
@@ -38,7 +38,7 @@ def command(
             help="Where a fact stands, and its unit: exposure=IMG_EXP:ms, gain=GAIN:0.1dB, or a YAML file of such.",
         ),
     ] = None,
-    json: Annotated[bool, typer.Option("--json", help="One JSON object on standard output.")] = False,
+    json: JsonOption = False,
 ) -> None:
     """Turn frames and tables of any laboratory into capture sets.
 
@@ -46,30 +46,18 @@ def command(
     without a known unit stops the import; --map settles it. Frames of several cameras, bands or gains of unknown unit
     become a capture set each, in folders of their names.
     """
-    from radiometer.data.statements import StatementMap
-    from radiometer.importing import ImportOptions, import_into
-
-    options = ImportOptions(
-        parse_patch(crop) if crop else None, sample, full_scale, pedestal, StatementMap.parse(mapped or ())
-    )
-    with progress_bar(shown=not json) as bar:
-        task = bar.add_task("reading headers", total=None)
-        sets = import_into(sources, output, options, lambda done, total: bar.update(task, completed=done, total=total))
+    with progress(shown=not json) as shown:
+        found = rm.import_capture(
+            sources, output, crop=parse_patch(crop), sample=sample, full_scale=full_scale, pedestal=pedestal,
+            mapped=mapped or (), progress=shown,
+        )  # fmt: skip
     if json:
-        print(json_module.dumps({"capture_sets": [_summary(one) for one in sets]}, ensure_ascii=False))
+        print(found.to_json())
         return
-    for one in sets:
-        _show(_summary(one))
-
-
-def _summary(one: WrittenSet) -> dict[str, Any]:
-    counted = {"frames": one.frames} if one.frames else {"settings": one.settings}
-    return {"path": str(one.path), **counted, **one.record.to_mapping()}
-
-
-def _show(one: dict[str, Any]) -> None:
-    what = f"{one['frames']} frames" if "frames" in one else f"statistics of {one['settings']} settings"
-    note(f"{one['path']}: {what}")
-    for title in ("mapped", "taken", "missing", "doubts", "not_used", "left_out"):
-        for line in one[title]:
-            note(f"  {title.replace('_', ' ')}: {line}")
+    for one in found.capture_sets:
+        what = f"{one.frames} frames" if one.frames else f"statistics of {one.settings} settings"
+        note(f"{one.path}: {what}")
+        report = one.record.to_mapping()
+        for title in ("mapped", "taken", "missing", "doubts", "not_used", "left_out"):
+            for line in report[title]:
+                note(f"  {title.replace('_', ' ')}: {line}")

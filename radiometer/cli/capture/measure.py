@@ -2,25 +2,21 @@
 
 from __future__ import annotations
 
-import itertools
-import json as json_module
-import time
-from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from radiometer.cli.arguments import F_NUMBER_HELP, ISO_HELP, parse_iso_speeds, parse_patch, with_f_number
-from radiometer.cli.console import console, note, progress_bar, shutter_by_hand, significant
+import radiometer as rm
+from radiometer.cli.arguments import ISO_HELP, parse_iso_speeds, parse_patch, with_f_number
+from radiometer.cli.console import asker, console, note, progress, significant
+from radiometer.cli.options import BenchOption, CameraOption, FNumberOption, PatchOption, UncalibratedOption, URelOption
 from radiometer.errors import UsageError
 
 if TYPE_CHECKING:
     from radiometer.analysis.reading.contributions import PatchSituation
-    from radiometer.analysis.uncertainty.monte_carlo import Distribution
-    from radiometer.bench.instrument import Instrument
-    from radiometer.data import Bracket, Patch, Reading
+    from radiometer.data import Patch, Reading
 
 _FLAG_MEANING = {
     "saturated": "pixels clip even in the shortest exposure: the value is a lower bound",
@@ -49,13 +45,11 @@ _FLAG_MEANING = {
 
 
 def command(
-    camera: Annotated[
-        str | None, typer.Option(help="sim, a GenICam id, serial number or address, or v4l2:, picamera:, gphoto2:.")
-    ] = None,
-    patch: Annotated[str | None, typer.Option(help="Region X,Y,W,H in pixels; the bench's by default.")] = None,
+    camera: CameraOption = None,
+    patch: PatchOption = None,
     calibration: Annotated[Path | None, typer.Option(help="Calibration file; the bench's by default.")] = None,
-    uncalibrated: Annotated[bool, typer.Option("--uncalibrated", help="Use no calibration: relative values.")] = False,
-    bench: Annotated[Path | None, typer.Option(help="Bench file; the simulated bench by default.")] = None,
+    uncalibrated: UncalibratedOption = False,
+    bench: BenchOption = None,
     photographs: Annotated[Path | None, typer.Option(help="Folder of photographs to read instead of a camera.")] = None,
     channel: Annotated[str, typer.Option(help="Of colour photographs: luminance, red, green or blue.")] = "luminance",
     align: Annotated[
@@ -65,9 +59,9 @@ def command(
         bool, typer.Option("--linear", help="Uncalibrated photographs are linear above black (raw files always are).")
     ] = False,
     measured_iso: Annotated[list[str] | None, typer.Option(metavar="STATED=REAL", help=ISO_HELP)] = None,
-    f_number: Annotated[float | None, typer.Option(help=F_NUMBER_HELP)] = None,
+    f_number: FNumberOption = None,
     spectrum: Annotated[str | None, typer.Option(help="Spectrum assumed for the luminance.")] = None,
-    u_rel: Annotated[float | None, typer.Option(help="Repeat until noise is below this relative u (k = 1).")] = None,
+    u_rel: URelOption = None,
     repeat: Annotated[int, typer.Option(min=1, help="Number of readings.")] = 1,
     watch: Annotated[
         bool, typer.Option("--watch", help="Read until stopped by Ctrl-C; a camera that is lost is waited for.")
@@ -109,41 +103,34 @@ def command(
             relative=uncalibrated,
             linear=linear,
         )
-        drawn = _distribution(situation, reading) if monte_carlo else None
+        reading = _with_distribution(reading, situation) if monte_carlo else reading
         said = reading.provenance
         if json:
             iso = said.parameters.get("iso", []) if said else []
             assumptions = list(said.assumptions) if said else []
             further = {"iso": iso, "assumptions": assumptions, "alignment": alignment}
-            print(_as_json(reading, drawn, further), flush=True)
+            print(replace(reading, more={**further, **reading.more}).to_json(), flush=True)
         else:
             if alignment:
                 note(f"frames: {alignment}")
             for assumption in said.assumptions if said else ():
                 note(f"assumed: {assumption}")
             _show(reading, budget=budget)
-            _show_distribution(reading, drawn)
         return
-    from radiometer.bench.assembly import open_instrument
-
-    with open_instrument(
-        bench, camera, wanted, calibration, uncalibrated=uncalibrated, spectrum=spectrum, f_number=f_number
-    ) as instrument:
-        if not json:
-            _introduce(instrument)
-        if darks:
-            instrument = replace(instrument, cover=_cover(instrument))
-        for number in itertools.count(1) if watch else range(1, repeat + 1):
-            begun = time.monotonic()
-            reading, frames = _one(instrument, number, u_rel, shown=not json, patient=watch)
-            drawn = _distribution(instrument.situation(frames), reading) if monte_carlo else None
+    with progress(shown=not json) as shown:
+        for reading in rm.readings(
+            camera, wanted, bench=bench, calibration=calibration, uncalibrated=uncalibrated, f_number=f_number,
+            spectrum=spectrum, u_rel=u_rel, darks=darks, monte_carlo=monte_carlo, repeat=repeat, watch=watch,
+            every_s=every, ask=asker(), notice=_silent if json and not watch else note, progress=shown,
+        ):  # fmt: skip
             if json:
-                print(_as_json(reading, drawn), flush=True)
+                print(reading.to_json(), flush=True)
             else:
                 _show(reading, budget=budget)
-                _show_distribution(reading, drawn)
-            if watch or number < repeat:
-                time.sleep(max(0.0, every - (time.monotonic() - begun)))
+
+
+def _silent(line: str) -> None:
+    """Drop a notice: JSON goes to programs, which find it in the reading."""
 
 
 def _photographed(
@@ -202,87 +189,30 @@ def _photographed(
     return with_iso_in_reading(reading, bracket), situation, placed.sentence
 
 
-def _cover(instrument: Instrument) -> Callable[[bool], None]:
-    """Return what covers the lens: the camera's own shutter, else the user's hand."""
-    camera = instrument.camera
-    if camera.capabilities.has_shutter:
-        return lambda closed: camera.set_shutter(closed=closed)
-    return shutter_by_hand(camera.identity.model)
-
-
-def _one(
-    instrument: Instrument, number: int, u_rel: float | None, *, shown: bool, patient: bool
-) -> tuple[Reading, Bracket]:
-    """Return a reading; where `patient`, a camera that was lost is waited for and the reading taken anew."""
-    from radiometer.bench.reopening import reopen
-    from radiometer.errors import DeviceLost, DeviceTimeout
-
-    camera, settings = instrument.camera, instrument.camera.settings
-    while True:
-        try:
-            return _taken(instrument, number, u_rel, shown=shown)
-        except (DeviceLost, DeviceTimeout) as error:
-            if not patient:
-                raise
-            note(f"{error}; waiting for it")
-        reopen(camera, settings, note)
-        note(f"{camera.identity.model} {camera.identity.serial} is back")
-
-
-def _taken(instrument: Instrument, number: int, u_rel: float | None, *, shown: bool) -> tuple[Reading, Bracket]:
-    with progress_bar(shown=shown) as bar:
-        task = bar.add_task("measuring", total=None)
-        frames = instrument.take_bracket(
-            target_u_rel=u_rel,
-            progress=lambda done, total, _frame: bar.update(task, completed=done, total=total),
-        )
-        return instrument.read(frames, sequence=number), frames
-
-
-def _distribution(situation: PatchSituation, reading: Reading) -> Distribution:
-    """Return the distribution of a reading from 100 000 draws of all its inputs."""
+def _with_distribution(reading: Reading, situation: PatchSituation) -> Reading:
+    """Return the reading with its distribution from 100 000 draws of all its inputs."""
     import numpy as np
 
     from radiometer.analysis.uncertainty.monte_carlo import propagate_distributions
 
-    return propagate_distributions(situation, np.random.default_rng(reading.sequence))
+    drawn = propagate_distributions(situation, np.random.default_rng(reading.sequence))
+    return replace(reading, more={**reading.more, "monte_carlo": drawn.to_mapping(reading)})
 
 
-def _as_json(reading: Reading, drawn: Distribution | None, further: Mapping[str, Any] | None = None) -> str:
-    whole = {**reading.to_mapping(), **(further or {})}
-    if drawn is not None:
-        whole["monte_carlo"] = drawn.to_mapping(reading)
-    return json_module.dumps(whole, ensure_ascii=False, allow_nan=False)
-
-
-def _show_distribution(reading: Reading, drawn: Distribution | None) -> None:
-    if drawn is None:
-        return
-    said = drawn.to_mapping(reading)
+def _show_distribution(reading: Reading) -> None:
+    """Print the interval by the propagation of distributions next to the budget's."""
+    drawn = reading.more["monte_carlo"]
     out, u = console(), reading.radiance.u
-    low, high = (significant(end, u) for end in (drawn.low, drawn.high))
-    out.print(f"drawn      {low} to {high} (95.45 %, JCGM 101), u = {drawn.u:.3g}")
-    if said["validates"]:
-        out.print(f"           agrees with the budget to {said['tolerance']:.2g}")
+    low, high = (significant(drawn[end], u) for end in ("low", "high"))
+    out.print(f"drawn      {low} to {high} (95.45 %, JCGM 101), u = {drawn['u']:.3g}")
+    if drawn["validates"]:
+        out.print(f"           agrees with the budget to {drawn['tolerance']:.2g}")
     else:
         out.print(
-            f"[yellow]           differs from the budget: by {said['low_differs_by']:+.2g} at the lower end and "
-            f"{said['high_differs_by']:+.2g} at the upper, more than {said['tolerance']:.2g}[/yellow]; quote this one"
+            f"[yellow]           differs from the budget: by {drawn['low_differs_by']:+.2g} at the lower end and "
+            f"{drawn['high_differs_by']:+.2g} at the upper, more than {drawn['tolerance']:.2g}[/yellow]; "
+            "quote this one"
         )
-
-
-def _introduce(instrument: Instrument) -> None:
-    from radiometer.data.serials import serial_shown
-
-    who, patch = instrument.camera.identity, instrument.patch
-    name = f"{who.vendor} {who.model} {serial_shown(who.serial)}"
-    note(f"{name}, patch {patch.x},{patch.y} {patch.width} × {patch.height} pixels")
-    if instrument.calibration is None:
-        note("assumed: the response is linear above the black level")
-        return
-    note(f"calibrated {instrument.calibration.created[:10]} by {instrument.calibration.scale.reference}")
-    for assumption in instrument.calibration.provenance.assumptions:
-        note(f"assumed: {assumption}")
 
 
 def _show(reading: Reading, *, budget: bool) -> None:
@@ -306,6 +236,8 @@ def _show(reading: Reading, *, budget: bool) -> None:
         out.print(f"[yellow]flag       {flag}[/yellow]: {_FLAG_MEANING[str(flag)]}")
     if budget:
         _show_budget(reading)
+    if "monte_carlo" in reading.more:
+        _show_distribution(reading)
 
 
 def _time(seconds: float) -> str:

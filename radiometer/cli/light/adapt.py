@@ -2,35 +2,187 @@
 
 from __future__ import annotations
 
-import json as json_module
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, Any, Final
 
 import typer
 
+import radiometer as rm
 from radiometer.cli.console import console, note
-from radiometer.cli.light.adapt_run import register
-from radiometer.errors import MeasurementError, UsageError
+from radiometer.cli.keys import listening
+from radiometer.cli.options import BenchOption, BoxPresetOption, JsonOption, SeedOption, WhiteOption, command_group
+from radiometer.cli.outputs import writes
 
-app = typer.Typer(
-    add_completion=False,
-    rich_markup_mode=None,
-    pretty_exceptions_enable=False,
-    no_args_is_help=True,
-    context_settings={"help_option_names": ["-h", "--help"]},
-    help="Dark adaptation: run the test, and say what its thresholds tell of an eye.",
-)
+if TYPE_CHECKING:
+    from radiometer.api.adapt import Session, Watcher
 
+_DIM_RED: Final = "rgb(135,0,0)"  # light that spares the rods of whoever looks at the terminal
 
-register(app)
-
-
-@app.callback()
-def adapt() -> None:
-    """Dark adaptation: run the test, and say what its thresholds tell of an eye."""
+app = command_group("Dark adaptation: run the test, and analyse the measured thresholds.")
 
 
 @app.command()
+@writes("csv")
+def run(
+    protocol: Annotated[str, typer.Argument(help="Protocol file, or the name of a shipped one (`adapt protocols`).")],
+    subject: Annotated[str, typer.Option(help="Pseudonym of the subject.")],
+    out: Annotated[Path | None, typer.Option("--out", "-o", help="Journal; SUBJECT-PROTOCOL.jsonl by default.")] = None,
+    csv: Annotated[Path | None, typer.Option(help="Thresholds; beside the journal where they can be fitted.")] = None,
+    box: Annotated[str | None, typer.Option(help="Light box: sim, a serial number or a port.")] = None,
+    calibration: Annotated[Path | None, typer.Option(help="Light calibration; the box's own by default.")] = None,
+    accept_stale: Annotated[
+        bool, typer.Option("--accept-stale", help="Go on with a calibration older than the protocol allows.")
+    ] = False,
+    camera: Annotated[
+        str | None, typer.Option(help="Camera that checks the dark room: sim, or its id, serial number or address.")
+    ] = None,
+    bench: BenchOption = None,
+    white: WhiteOption = "white_led",
+    fixation: Annotated[
+        float | None, typer.Option(min=0.0, help="Radiance of the red mark in W·sr⁻¹·m⁻²; the protocol's luminance.")
+    ] = None,
+    simulate: Annotated[
+        str | None,
+        typer.Option(
+            help="Simulated subject: steady, never, always, leaves, wanders; before --box sim healthy or amd."
+        ),
+    ] = None,
+    room: Annotated[float, typer.Option(min=0.0, help="Luminance of the simulated box's room in cd/m².")] = 0.0,
+    slow: Annotated[float, typer.Option(min=0.0, help="Real seconds per simulated trial, to watch it.")] = 0.0,
+    seed: SeedOption = 0,
+    eye: Annotated[
+        str, typer.Option(help="Eye that looks, right or left: the blind spot is on its temporal side.")
+    ] = "right",
+    preset: BoxPresetOption = None,
+    screen: Annotated[
+        Path | None, typer.Option(help="Calibration of the screen that shows the spot, by `screen calibrate`.")
+    ] = None,
+    display: Annotated[
+        str, typer.Option(help="That screen: browser, or a simulated one: lcd, pwm_lcd, oled.")
+    ] = "browser",
+    port: Annotated[int, typer.Option(min=0, max=65535, help="Port of the subject's page; 0 for any free one.")] = 0,
+    page: Annotated[bool, typer.Option("--page", help="Serve the live curve as a page, dim and red.")] = False,
+    page_port: Annotated[int, typer.Option(min=0, max=65535, help="Port of that page; 0 for any free one.")] = 0,
+    audio: Annotated[bool, typer.Option("--audio", help="Sound prompts: on the page, else by the bell.")] = False,
+    json: Annotated[bool, typer.Option("--json", help="Each event and the outcome as JSON lines.")] = False,
+    force: Annotated[
+        bool, typer.Option("--force", help="Replace tables that exist; a journal is never replaced.")
+    ] = False,
+) -> None:
+    """Run a dark-adaptation test; where the journal exists, take it up where it ends.
+
+    Calibration age, safety and, with --camera or --bench, the dark room are checked before the bleach. Keys: p pauses
+    and goes on, q ends the test; a press of the button that is held for 2 s pauses too. Every event is in the journal
+    before the next one happens. Exit code 1 where the run cannot be fitted.
+    """
+
+    @contextmanager
+    def view(session: Session) -> Iterator[Watcher]:
+        shown = _json_lines(session) if json else _live_curve(session)
+        with shown as tell, listening({"p": session.controls.toggle, "q": session.controls.stop}):
+            yield tell
+
+    done = rm.adapt_run(
+        protocol, subject, out, csv=csv, box=box, calibration=calibration, accept_stale=accept_stale, camera=camera,
+        bench=bench, white=white, fixation=fixation, simulate=simulate, room=room, slow_s=slow, seed=seed, eye=eye,
+        preset=preset, screen=screen, display=display, port=port, page=page, page_port=page_port, audio=audio,
+        force=force, view=view, bell=lambda: print("\a", end="", file=sys.stderr, flush=True), notice=note,
+        announce=_announce,
+    )  # fmt: skip
+    if json:
+        print(done.to_json())
+    else:
+        for line in done.lines():
+            console().print(line)
+        if done.outcome.can_be_fitted:
+            note(f"fit with: radiometer adapt fit {done.table}{done.fit_options}")
+    if not done.outcome.can_be_fitted:
+        raise typer.Exit(1)
+
+
+def _announce(url: str) -> None:
+    note(f"open this address on the subject's screen, then press Start there:\n  {url}")
+
+
+@contextmanager
+def _json_lines(session: Session) -> Iterator[Watcher]:
+    yield lambda event: print(session.event_json(event), flush=True)
+
+
+@contextmanager
+def _live_curve(session: Session) -> Iterator[Watcher]:
+    """Show the test while the block runs: a growing curve, dim and red; plain lines where there is no terminal."""
+    if not sys.stdout.isatty():
+
+        def tell(event: dict[str, Any]) -> None:
+            line = session.event_line(event)
+            if line is not None:
+                console().print(line)
+
+        yield tell
+        return
+    from rich.live import Live
+    from rich.text import Text
+
+    shown, out = session.live_text(), console()
+
+    def render() -> Text:
+        return Text("\n".join(shown.lines(max(40, out.width) - 12)), style=_DIM_RED, no_wrap=True)
+
+    with Live(console=out, get_renderable=render, refresh_per_second=2) as live:
+        yield shown.take
+        live.refresh()
+
+
+@app.command()
+def protocols(json: JsonOption = False) -> None:
+    """List the shipped protocols."""
+    found = rm.adapt_protocols()
+    if json:
+        print(found.to_json())
+        return
+    for one in found.protocols:
+        console().print(f"{one.name:<12} {one.description}")
+
+
+@app.command()
+def bleach(
+    luminance: Annotated[float, typer.Argument(min=0.0, help="Luminance of the bleaching field in cd/m².")],
+    duration: Annotated[float, typer.Argument(min=0.0, help="Its duration in s.")],
+    pupil: Annotated[
+        float | None, typer.Option(min=1.0, max=9.0, help="Pupil in mm; the natural one if left out.")
+    ] = None,
+    field: Annotated[float, typer.Option(min=0.01, help="Area of the field in square degrees.")] = 100.0,
+    age: Annotated[float, typer.Option(min=20.0, max=83.0, help="Age in years, for the natural pupil.")] = 28.58,
+    scotopic_ratio: Annotated[
+        float, typer.Option(min=0.0, help="Scotopic over photopic luminance of the light, for the rods.")
+    ] = 2.0,
+    json: JsonOption = False,
+) -> None:
+    """Say how much of the visual pigment a field bleaches: trolands, rods, cones."""
+    found = rm.adapt_bleach(luminance, duration, pupil=pupil, field=field, age=age, scotopic_ratio=scotopic_ratio)
+    if json:
+        print(found.to_json())
+        return
+    out = console()
+    natural = "" if pupil is not None else " (natural, Watson and Yellott 2012)"
+    out.print(f"pupil      {found.pupil_mm:.2f} mm{natural}")
+    out.print(f"retina     {found.retinal_td:.4g} td, {found.retinal_td_s:.4g} td·s")
+    rods, cones = (
+        f"{100 * share:.1f} % bleached (published constants: {100 * low:.0f} to {100 * high:.0f} %)"
+        for share, (low, high) in (
+            (found.rods_bleached, found.rods_bleached_range), (found.cones_bleached, found.cones_bleached_range)
+        )
+    )  # fmt: skip
+    out.print(f"rods       {rods}; scotopic/photopic {scotopic_ratio:g}")
+    out.print(f"cones      {cones}")
+
+
+@app.command()
+@writes("report", "csv")
 def fit(
     data: Annotated[
         Path,
@@ -46,52 +198,32 @@ def fit(
         float | None, typer.Option(min=0.0, help="Standard uncertainty of the stimulus calibration, log10 units.")
     ] = None,
     bootstrap: Annotated[int, typer.Option(min=0, help="Bootstrap redraws; 0 for none.")] = 200,
-    seed: Annotated[int, typer.Option(min=0, help="Makes the redraws.")] = 1,
+    seed: SeedOption = 1,
     report: Annotated[Path | None, typer.Option(help="HTML page to write.")] = None,
     csv: Annotated[Path | None, typer.Option(help="CSV of thresholds, fit and residuals to write.")] = None,
-    json: Annotated[bool, typer.Option("--json", help="JSON on standard output.")] = False,
+    json: JsonOption = False,
 ) -> None:
     """Fit cone and rod branches to thresholds: plateau, rod–cone break, S2, rod intercept, final threshold.
 
     One branch, cones and S2 (5 parameters) or cones, S2 and S3 (7) are tried; the AICc decides among those that
     make sense.
     """
-    import numpy as np
-
-    from radiometer.adaptation.adaptation_fit import FitRequest, fit_adaptation, intercept_verdict
-    from radiometer.adaptation.reliability import NAMES, Reliability
-    from radiometer.adaptation.report import curve_csv, label_of, to_mapping, write_page
-    from radiometer.adaptation.run_facts import intercept_of, number_of
-    from radiometer.adaptation.threshold_series import ThresholdSeries
-    from radiometer.data.storage import write_text_atomic
-
-    series = ThresholdSeries.read(data)
-    if stimulus_u_log10 is None:
-        stimulus_u_log10 = number_of(series.facts, "u_scale_log10") or 0.0
-    rule = intercept_of(series.facts) if criterion is None else None
-    request = FitRequest(criterion, stimulus_u_log10, bootstrap, intercept=rule)
-    found = fit_adaptation(series, request, np.random.default_rng(seed))
+    found = rm.adapt_fit(data, criterion, stimulus_u_log10=stimulus_u_log10, bootstrap=bootstrap, seed=seed)
     if report is not None:
-        write_page(found, report, f"Dark adaptation: {data.stem}")
+        found.write_report(report)
     if csv is not None:
-        write_text_atomic(csv, curve_csv(found))
+        found.write_csv(csv)
     if json:
-        print(json_module.dumps(to_mapping(found)))
+        print(found.to_json())
         return
-    out = console()
-    out.print(f"[bold]{found.verdict}[/bold]")
-    met = intercept_verdict(found)
-    if met is not None:
-        out.print(f"[bold]{met}[/bold]")
-    for name, estimate in found.estimates.items():
-        interval = estimate.profile or estimate.bootstrap
-        shown = f"   {interval.low:.3f} to {interval.high:.3f} (95 %)" if interval else ""
-        out.print(f"{label_of(name, found):<32} {estimate.value:9.3f} {estimate.unit:<10}{shown}")
-    for name, rate in Reliability.of_facts(series.facts).rates.items():
-        out.print(f"{NAMES[name]:<32} {rate}")
-    note(f"model {found.chosen.model.name}; scatter of a threshold {found.chosen.sigma:.3f} log10 units")
-    for said in series.taken:
-        note(f"taken: {said}")
+    for verdict in found.verdicts():
+        console().print(f"[bold]{verdict}[/bold]")
+    for line in found.lines():
+        console().print(line)
+    chosen = found.fit.chosen
+    note(f"model {chosen.model.name}; scatter of a threshold {chosen.sigma:.3f} log10 units")
+    for line in found.series.taken:
+        note(f"taken: {line}")
 
 
 @app.command()
@@ -100,53 +232,20 @@ def retest(
         list[Path],
         typer.Argument(help="Tables as `adapt fit` reads them: first and second visit of each subject, in turn."),
     ],
-    json: Annotated[bool, typer.Option("--json", help="JSON on standard output.")] = False,
+    json: JsonOption = False,
 ) -> None:
     """Say how well repeated visits agree: differences of break, S2, rod intercept and plateau.
 
     From three subjects on with limits of agreement (Bland and Altman), mean ± 1.96 standard deviations, and their 95 %
     intervals.
     """
-    import numpy as np
-
-    from radiometer.adaptation.adaptation_fit import AdaptationFit, FitRequest, fit_adaptation
-    from radiometer.adaptation.report import LABELS
-    from radiometer.adaptation.retest import FEWEST_PAIRS, compare_visits
-    from radiometer.adaptation.run_facts import intercept_of
-    from radiometer.adaptation.threshold_series import ThresholdSeries
-
-    if len(visits) % 2:
-        raise UsageError(f"{len(visits)} tables: give two for each subject, first and second visit")
-
-    def fitted(file: Path) -> AdaptationFit:
-        series = ThresholdSeries.read(file)
-        request = FitRequest(bootstrap_draws=0, intercept=intercept_of(series.facts))
-        try:
-            return fit_adaptation(series, request, np.random.default_rng(1))
-        except MeasurementError as error:
-            raise MeasurementError(f"{file}: {error}") from error
-
-    pairs = [(fitted(first), fitted(second)) for first, second in zip(visits[::2], visits[1::2], strict=True)]
-    found = compare_visits(pairs)
+    found = rm.adapt_retest(visits)
     if json:
-        print(json_module.dumps({one.name: one.to_mapping() for one in found}))
+        print(found.to_json())
         return
-    if not found:
-        raise MeasurementError("no pair of visits has a break, an S2 slope or a rod intercept in both")
-    out = console()
-    for one in found:
-        out.print(f"[bold]{LABELS[one.name]}[/bold] ({one.unit}), {len(one.visits)} pairs")
-        for first, second in one.visits:
-            out.print(f"  {first:9.3f} then {second:9.3f}   difference {second - first:+.3f}")
-        if one.missing:
-            out.print(f"  not in both visits of pair {', '.join(map(str, one.missing))}")
-        out.print(f"  standard uncertainty of a difference by the fits alone: {one.u_fits:.3f}")
-        if one.agreement is None:
-            out.print(f"  limits of agreement need {FEWEST_PAIRS} pairs")
-            continue
-        for name, bound in (
-            ("mean difference", one.agreement.mean),
-            ("lower limit", one.agreement.lower),
-            ("upper limit", one.agreement.upper),
-        ):
-            out.print(f"  {name:<16} {bound.value:+.3f}   {bound.low:+.3f} to {bound.high:+.3f} (95 %)")
+    if not found.comparisons:
+        raise rm.MeasurementError("no pair of visits has a break, an S2 slope or a rod intercept in both")
+    for heading, lines in found.lines():
+        console().print(f"[bold]{heading}[/bold]")
+        for line in lines:
+            console().print(f"  {line}")

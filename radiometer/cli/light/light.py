@@ -2,43 +2,28 @@
 
 from __future__ import annotations
 
-import json as json_module
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated, Any
 
 import typer
 
-from radiometer.cli.arguments import parse_seconds
-from radiometer.cli.console import console, note
-from radiometer.cli.light.light_account import account
-from radiometer.cli.light.light_calibrate import calibrate
-from radiometer.cli.light.light_report import status_report, tell_event, tell_state, tell_status
-from radiometer.errors import DeviceError, UsageError
+import radiometer as rm
+from radiometer.cli.arguments import parse_patch, parse_relative, parse_seconds
+from radiometer.cli.console import console, expanded, note, progress
+from radiometer.cli.options import BenchOption, BoxOption, BoxPresetOption, CameraOption, JsonOption, command_group
+from radiometer.cli.outputs import writes
 
-if TYPE_CHECKING:
-    from radiometer.bench.boxes import OpenedBox
-    from radiometer.devices.light_box import Level
+_JUMP_SHOWN = 0.005  # a start further off than half a per cent matters next to a calibration's 1 %
 
-_LOOK_S = 0.25  # how often the light is looked at
-_BUDGET_USED_UP = 0.02  # of the full budget: it refills from the moment the light went out
-
-app = typer.Typer(
-    add_completion=False,
-    rich_markup_mode=None,
-    pretty_exceptions_enable=False,
-    no_args_is_help=True,
-    context_settings={"help_option_names": ["-h", "--help"]},
-    help="The light box: LED channels, timed by the box, and a button. Channels: bleach, spot, spot_red, fixation.",
+app = command_group(
+    "The light box: LED channels, timed by the box, and a button. Channels: bleach, spot, spot_red, fixation."
 )
-
-Box = Annotated[str | None, typer.Option("--box", help="sim, a serial number or a port; the only one by default.")]
 Channel = Annotated[str, typer.Argument(help="bleach, spot, spot_red or fixation.")]
 RadianceOption = Annotated[float | None, typer.Option(help="Radiance in W·sr⁻¹·m⁻²; needs a calibrated channel.")]
 LevelOption = Annotated[int | None, typer.Option(min=0, max=65535, help="Raw level instead of a radiance.")]
 LowOption = Annotated[bool, typer.Option("--low", help="Raw level on the low current range.")]
-CalibrationOption = Annotated[Path | None, typer.Option(help="Light calibration; the box's own by default.")]
-PresetOption = Annotated[Path | None, typer.Option(help="Light-box preset with safety bounds.")]
-Json = Annotated[bool, typer.Option("--json", help="JSON on standard output.")]
+LightOption = Annotated[Path | None, typer.Option("--calibration", help="Light calibration; the box's own by default.")]
+HoldOption = Annotated[str | None, typer.Option("--for", help="Stop after this time; at Ctrl-C by default.")]
 
 
 @app.command("set")
@@ -47,21 +32,17 @@ def set_level(
     radiance: RadianceOption = None,
     level: LevelOption = None,
     low: LowOption = False,
-    hold: Annotated[str | None, typer.Option("--for", help="Stay lit for this time; until Ctrl-C by default.")] = None,
-    box: Box = None,
-    calibration: CalibrationOption = None,
-    preset: PresetOption = None,
-    json: Json = False,
+    hold: HoldOption = None,
+    box: BoxOption = None,
+    calibration: LightOption = None,
+    preset: BoxPresetOption = None,
+    json: JsonOption = False,
 ) -> None:
     """Light a channel steadily, for as long as this command runs: the box goes dark without its host."""
-    from radiometer.bench.boxes import open_light_box
-
-    wanted = _level(radiance, level, low)
-    lit_s = parse_seconds(hold, "--for") if hold else None
-    with open_light_box(box, calibration=calibration, preset=preset) as opened:
-        state = opened.box.set_level(channel, wanted)
-        tell_state(opened, state, radiance, json=json)
-        _stay(opened, lit_s, channel if state.drive.level else None)
+    rm.light_set(
+        channel, radiance, level=level, low=low, hold_s=parse_seconds(hold, "--for"), box=box, calibration=calibration,
+        preset=preset, lit=lambda found: _show_lit(found, json=json), notice=note,
+    )  # fmt: skip
 
 
 @app.command()
@@ -71,19 +52,16 @@ def pulse(
     radiance: RadianceOption = None,
     level: LevelOption = None,
     low: LowOption = False,
-    box: Box = None,
-    calibration: CalibrationOption = None,
-    preset: PresetOption = None,
-    json: Json = False,
+    box: BoxOption = None,
+    calibration: LightOption = None,
+    preset: BoxPresetOption = None,
+    json: JsonOption = False,
 ) -> None:
     """Give one pulse, timed by the box."""
-    from radiometer.bench.boxes import open_light_box
-
-    wanted, lit_s = _level(radiance, level, low), parse_seconds(duration, "--duration")
-    with open_light_box(box, calibration=calibration, preset=preset) as opened:
-        state = opened.box.pulse(channel, wanted, lit_s)
-        tell_state(opened, state, radiance, json=json)
-        _stay(opened, lit_s)
+    rm.light_pulse(
+        channel, parse_seconds(duration, "--duration"), radiance, level=level, low=low, box=box,
+        calibration=calibration, preset=preset, lit=lambda found: _show_lit(found, json=json), notice=note,
+    )  # fmt: skip
 
 
 @app.command()
@@ -95,150 +73,155 @@ def blink(
     radiance: RadianceOption = None,
     level: LevelOption = None,
     low: LowOption = False,
-    hold: Annotated[str | None, typer.Option("--for", help="Stop after this time.")] = None,
-    box: Box = None,
-    calibration: CalibrationOption = None,
-    preset: PresetOption = None,
-    json: Json = False,
+    hold: HoldOption = None,
+    box: BoxOption = None,
+    calibration: LightOption = None,
+    preset: BoxPresetOption = None,
+    json: JsonOption = False,
 ) -> None:
     """Blink a channel, timed by the box."""
-    from radiometer.bench.boxes import open_light_box
-
-    wanted = _level(radiance, level, low)
-    on_s, off_s = parse_seconds(on, "--on"), parse_seconds(off_time, "--off")
-    lit_s = parse_seconds(hold, "--for") if hold else (on_s + off_s) * count if count else None
-    with open_light_box(box, calibration=calibration, preset=preset) as opened:
-        state = opened.box.blink(channel, wanted, on_s, off_s, count)
-        tell_state(opened, state, radiance, json=json)
-        _stay(opened, lit_s, channel if count == 0 else None)
+    rm.light_blink(
+        channel, parse_seconds(on, "--on"), parse_seconds(off_time, "--off"), count, radiance, level=level, low=low,
+        hold_s=parse_seconds(hold, "--for"), box=box, calibration=calibration, preset=preset,
+        lit=lambda found: _show_lit(found, json=json), notice=note,
+    )  # fmt: skip
 
 
 @app.command()
 def off(
     channel: Annotated[str | None, typer.Argument(help="One channel; all by default.")] = None,
-    box: Box = None,
-    json: Json = False,
+    box: BoxOption = None,
+    json: JsonOption = False,
 ) -> None:
-    """Darken the box, or one channel; also while another program, such as the daemon, holds the box.
+    """Darken every box that can be reached, or one of them, or one channel; also while another program holds it.
 
-    A program that holds it darkens all of it. The button of the box does so too, held for 3 s.
+    A program that holds a box, such as the daemon, darkens all of it. The button of the box does so too, held for 3 s.
     """
-    from radiometer.bench.box_holder import ask_for_darkness, held_boxes
-    from radiometer.bench.boxes import SIMULATED, open_light_box
-
-    held = [entry for entry in held_boxes() if box in (None, entry.serial, entry.port)] if box != SIMULATED else []
-    for entry in held:
-        ask_for_darkness(entry)
-        told = {"box": entry.serial, "darkened_by": entry.pid}
-        text = f"light box {entry.serial}: dark, by process {entry.pid}, which holds it"
-        print(json_module.dumps(told)) if json else console().print(text)
-    if held:
-        return
-    with open_light_box(box) as opened:
-        if channel is not None:
-            opened.box.off(channel)
-        dark = {name: opened.box.read_channel(name).drive.level == 0 for name in opened.box.channels}
-        if json:
-            print(json_module.dumps({"box": opened.box.identity.serial, "dark": dark}))
-        else:
-            console().print(f"light box {opened.box.identity.serial}: dark")
+    rm.light_off(channel, box=box, darkened=lambda one: print(one.to_json()) if json else console().print(str(one)))
 
 
 @app.command()
-def status(box: Box = None, json: Json = False) -> None:
+def status(box: BoxOption = None, json: JsonOption = False) -> None:
     """Show identity, supply, temperature, clock, channels and limits."""
-    from radiometer.bench.boxes import open_light_box
-
-    with open_light_box(box) as opened:
-        report = status_report(opened)
+    found = rm.light_status(box=box)
     if json:
-        print(json_module.dumps(report))
+        print(found.to_json())
         return
-    tell_status(report)
+    _show_status(found.report)
 
 
 @app.command("watch-buttons")
 def watch_buttons(
-    hold: Annotated[str | None, typer.Option("--for", help="Stop after this time; at Ctrl-C by default.")] = None,
+    hold: HoldOption = None,
     count: Annotated[int | None, typer.Option(min=1, help="Stop after so many presses.")] = None,
-    box: Box = None,
-    json: Json = False,
+    box: BoxOption = None,
+    json: JsonOption = False,
 ) -> None:
     """Print presses and releases as they come, with the uncertainty of their times."""
-    from radiometer.bench.boxes import open_light_box
-
-    limit_s = parse_seconds(hold, "--for") if hold else 1e9
-    presses = 0
-    with open_light_box(box) as opened:
-        start_s = opened.box.link.line.now()
-        try:
-            for event in opened.box.buttons(limit_s):
-                presses += event.pressed
-                entry = {"pressed": event.pressed, "time_s": event.time_s - start_s, "u_s": event.u_time_s}
-                tell_event(entry, json=json)
-                if count is not None and presses >= count:
-                    return
-        except KeyboardInterrupt:
-            return
-
-
-app.command()(calibrate)
-app.command()(account)
-
-
-def _level(radiance: float | None, level: int | None, low: bool) -> Level:
-    from radiometer.devices import CurrentRange, DriveLevel, Radiance
-
-    if (radiance is None) == (level is None):
-        raise UsageError("give either --radiance or --level")
-    if radiance is not None:
-        if low:
-            raise UsageError("--low goes with --level; a radiance chooses its range by itself")
-        return Radiance(radiance)
-    assert level is not None
-    return DriveLevel(level, CurrentRange.LOW if low else CurrentRange.HIGH)
-
-
-def _stay(opened: OpenedBox, lit_s: float | None, channel: str | None = None) -> None:
-    """Keep the box lit for a time, or until Ctrl-C, and watch it; the simulated box in this process needs no watching.
-
-    Args:
-        opened: The box.
-        lit_s: How long in s; None until Ctrl-C.
-        channel: The channel that must stay lit for that time; None where it ends by itself.
-
-    Raises:
-        DeviceError: If the box was lost, or ended the light before its time.
-    """
-    from radiometer.devices import ChannelMode
-
-    if lit_s is None and opened.twin is not None:
-        return
-    if lit_s is None:
-        note("stop with Ctrl-C")
-    now_s = opened.box.link.line.now
-    start_s = now_s()
-    end_s = start_s + (lit_s if lit_s is not None else 1e9)
     try:
-        while (left_s := end_s - now_s()) > 0:
-            opened.wait(min(left_s, _LOOK_S))
-            if channel is None:
-                opened.box.status()  # raises where the box was lost
-            elif opened.box.read_channel(channel).mode is ChannelMode.OFF and now_s() < end_s - _LOOK_S:
-                raise _ended_early(opened, channel, now_s() - start_s, lit_s)
+        for event in rm.light_watch_buttons(parse_seconds(hold, "--for"), count, box=box):
+            print(event.to_json() if json else str(event), flush=True)
     except KeyboardInterrupt:
         return
 
 
-def _ended_early(opened: OpenedBox, channel: str, after_s: float, lit_s: float | None) -> DeviceError:
-    left = opened.box.read_channel(channel).energy_left
-    reason = (
-        "its energy budget is used up; take a lower level or a shorter time"
-        if left < _BUDGET_USED_UP
-        else "another program asked for darkness, or the button of the box was held"
-    )
-    wanted = "" if lit_s is None else f" of {lit_s:g} s"
-    return DeviceError(
-        f"the light box ended the light of {channel} by itself after {after_s:.1f} s{wanted}"
-        f" (known to {_LOOK_S:g} s): {reason}"
-    )
+@app.command()
+@writes("out")
+def calibrate(
+    channel: Annotated[list[str] | None, typer.Option(help="Channel to calibrate; may be repeated; all.")] = None,
+    box: BoxOption = None,
+    camera: CameraOption = None,
+    bench: BenchOption = None,
+    patch: Annotated[str | None, typer.Option(help="Lit area in the frame, X,Y,W,H in pixels.")] = None,
+    camera_calibration: Annotated[Path | None, typer.Option(help="Camera calibration; the bench's by default.")] = None,
+    points_per_decade: Annotated[float, typer.Option(min=1.0, max=50.0, help="Density of the levels.")] = 4.0,
+    responsivity: Annotated[
+        Path | None, typer.Option(help="CSV wavelength_nm,responsivity (per W) of the camera; flat QE without.")
+    ] = None,
+    spectral_u_rel: Annotated[
+        str | None, typer.Option(help="Relative u of the spectral correction (k = 1): 0.02 or 2%.")
+    ] = None,
+    seed: Annotated[int | None, typer.Option(min=0, help="Makes the random order of the levels.")] = None,
+    preset: BoxPresetOption = None,
+    out: Annotated[Path | None, typer.Option("--out", "-o", help="File to write; the box's own by default.")] = None,
+    json: JsonOption = False,
+    force: Annotated[bool, typer.Option("--force", help="Replace output files that exist.")] = False,
+) -> None:
+    """Measure each channel's radiance over its levels with the camera, on both current ranges.
+
+    Levels come in random order, each after it has settled; the dark reading is taken off, a reference level measured
+    in between tells the drift. What is written makes `radiometer light set spot --radiance 0.01` work.
+    """
+    with progress(shown=not json) as shown:
+        found = rm.light_calibrate(
+            channel, box=box, camera=camera, bench=bench, patch=parse_patch(patch),
+            camera_calibration=camera_calibration, points_per_decade=points_per_decade, responsivity=responsivity,
+            spectral_u_rel=parse_relative(spectral_u_rel, "--spectral-u-rel"), seed=seed, preset=preset, out=out,
+            force=force,
+            progress=shown,
+        )  # fmt: skip
+    if json:
+        print(found.to_json())
+        return
+    for name, entry in found.to_mapping()["channels"].items():
+        low, high = entry["limits_W_per_sr_m2"]
+        u_rel = 2e2 * entry["common_u_rel"]
+        console().print(
+            f"{name:<10} {low:.3g} to {high:.3g} W·sr⁻¹·m⁻²  ± {u_rel:.2g} % (k = 2)  {entry['points']} levels"
+        )
+    for assumption in found.calibration.provenance.assumptions:
+        note(f"assumed: {assumption}")
+    console().print(f"written    {found.file}")
+
+
+@app.command()
+def account(
+    box: Annotated[str | None, typer.Option("--box", help="Serial number of a light box; all by default.")] = None,
+    confirm_no_exposure: Annotated[
+        bool,
+        typer.Option(
+            "--confirm-no-exposure",
+            help="State that no eye that will look into the box saw its light, or another light as bright, in the last"
+            " 10⁴ s (2 h 47 min).",
+        ),
+    ] = False,
+    json: JsonOption = False,
+) -> None:
+    """Show how much of the blue-light limit boxes and eyes have used up within 10⁴ s.
+
+    A box without a history on this computer counts as used up, and so does every box where the account was lost,
+    damaged or from the future. That ends after 10⁴ s, or with --confirm-no-exposure.
+    """
+    found = rm.light_account(box, confirm_unexposed=confirm_no_exposure)
+    if json:
+        print(found.to_json())
+        return
+    for line in found.lines() or ["no light box was opened on this computer yet"]:
+        console().print(line)
+
+
+def _show_lit(found: rm.LitChannel, *, json: bool) -> None:
+    """Print what a channel does now and, where a radiance was asked for, the one that it really gives."""
+    if json:
+        print(found.to_json(), flush=True)
+        return
+    console().print(str(found))
+    if found.choice is None:
+        return
+    value = expanded(found.choice.radiance_w_sr_m2, found.choice.u_w_sr_m2, "W·sr⁻¹·m⁻²")
+    console().print(f"radiance  {value} (k = 2), settled after {found.choice.settle_s:.0f} s")
+    if abs(found.choice.start_rel - 1) > _JUMP_SHOWN:
+        note(f"just after switching on it is {100 * (found.choice.start_rel - 1):+.1f} % off")
+
+
+def _show_status(report: dict[str, Any]) -> None:
+    out, clock = console(), report["clock"]
+    out.print(f"light box  {report['serial']}  firmware {report['firmware']}  on {report['port']}")
+    out.print(f"supply     {report['supply_v']:.2f} V   temperature {report['temperature_C']:.1f} °C")
+    out.print(f"clock      {clock['drift_ppm']:+.0f} ppm, offset known to ± {2e3 * clock['u_offset_s']:.2f} ms (k = 2)")
+    out.print(f"since power-on ({report['reset_cause']})  damaged lines {report['damaged_lines']}")
+    for name, channel in report["channels"].items():
+        peak = f"{channel['peak_nm']:.0f} nm" if channel["peak_nm"] else "white"
+        known = channel["radiance_limits_W_per_sr_m2"]
+        calibrated = f"{known[0]:.3g} to {known[1]:.3g} W·sr⁻¹·m⁻²" if known else "not calibrated"
+        out.print(f"{name:<10} {peak:>7}  {channel['duty_steps']} steps, {channel['pwm_hz']:.0f} Hz   {calibrated}")

@@ -2,20 +2,17 @@
 
 from __future__ import annotations
 
-import re
 import select
+import signal
 import sys
 import time
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
+import radiometer as rm
 from radiometer.cli.arguments import parse_seconds
-from radiometer.errors import UsageError
-
-if TYPE_CHECKING:
-    from radiometer.bench.served_box import ServedBox
 
 
 def command(
@@ -41,55 +38,18 @@ def command(
 
     Its first line on standard output is the name of its port. On a terminal, Enter presses the button for 0.2 s.
     """
-    if not re.fullmatch(r"[0-9A-Za-z-]{8}", serial):
-        raise UsageError(f"--serial {serial!r}: expected eight letters or digits, such as TWIN0001")
-    from radiometer.bench.served_box import served_box
 
-    periods = [parse_seconds(text, name) if text else None for text, name in _periods(reset_every, press_every)]
-    made = served_box(
-        serial,
-        link,
-        firmware=firmware,
-        clock_ppm=clock_ppm,
-        corrupt=corrupt,
-        drop=drop,
-        seed=seed,
-        subject=subject,
-        filter_density=filter_density,
-    )
-    with made.server as server:
-        print(server.port, flush=True)
+    def ready(port: str) -> None:
+        print(port, flush=True)
         print(f"light box {serial} is served; stop with Ctrl-C", file=sys.stderr, flush=True)
-        try:
-            _run(made, *periods)
-        except KeyboardInterrupt:
-            return
 
-
-def _periods(reset_every: str | None, press_every: str | None) -> tuple[tuple[str | None, str], ...]:
-    return (reset_every, "--reset-every"), (press_every, "--press-every")
-
-
-def _run(made: ServedBox, reset_every_s: float | None, press_every_s: float | None) -> None:
-    """Press and reset as asked, for ever."""
-    start_s = time.monotonic()
-    resets = presses = 0
-    while True:
-        if _entered(0.05):
-            _press(made)
-        elapsed_s = time.monotonic() - start_s
-        if reset_every_s and elapsed_s > (resets + 1) * reset_every_s:
-            resets += 1
-            made.reset()
-        if press_every_s and elapsed_s > (presses + 1) * press_every_s:
-            presses += 1
-            _press(made)
-
-
-def _press(made: ServedBox) -> None:
-    made.press(True)
-    time.sleep(0.2)
-    made.press(False)
+    signal.signal(signal.SIGTERM, signal.default_int_handler)  # its end takes the port's link away as Ctrl-C does
+    rm.simulate_box(
+        serial, link, firmware=firmware, clock_ppm=clock_ppm, corrupt=corrupt, drop=drop,
+        reset_every_s=parse_seconds(reset_every, "--reset-every"),
+        press_every_s=parse_seconds(press_every, "--press-every"), seed=seed, subject=subject,
+        filter_density=filter_density, ready=ready, entered=_entered,
+    )  # fmt: skip
 
 
 def _entered(timeout_s: float) -> bool:

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Annotated
 
 import typer
+
+import radiometer as rm
+from radiometer.cli.options import BenchOption
 
 
 def command(
@@ -13,7 +15,7 @@ def command(
         str | None, typer.Option(help="YAML file of a scene, a picture, or a kind of scene; the bench's by default.")
     ] = None,
     serial: Annotated[str | None, typer.Option(help="Serial number; the bench's by default.")] = None,
-    bench: Annotated[Path | None, typer.Option(help="Bench file; the simulated bench by default.")] = None,
+    bench: BenchOption = None,
     address: Annotated[str, typer.Option(help="Address of a network interface of this computer.")] = "127.0.0.1",
     seed: Annotated[int | None, typer.Option(min=0, help="Makes the noise; the bench's by default.")] = None,
     real_time: Annotated[
@@ -37,11 +39,8 @@ def command(
     and sharpening are on. Faults can also be set over the wire, by the features SimPacketLossPerMille, SimStall,
     SimAnswerDelay and SimDisconnect.
     """
-    from radiometer.bench.served_camera import Faults, serve, served_camera
-
-    camera = served_camera(
-        bench, scene, serial=serial, address=address, seed=seed, real_time=real_time, pool=frame_pool, awkward=awkward
-    )
-    with camera:
-        print(f"{camera.label} is served at {address}; stop with Ctrl-C", flush=True)
-        serve(camera, Faults(lose_per_mille, answer_delay, stall_after, drop_after))
+    rm.simulate_camera(
+        scene, serial=serial, bench=bench, address=address, seed=seed, real_time=real_time,
+        lose_per_mille=lose_per_mille, answer_delay_s=answer_delay, stall_after=stall_after, drop_after=drop_after,
+        frame_pool=frame_pool, awkward=awkward, ready=lambda line: print(line, flush=True),
+    )  # fmt: skip

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import json
+import socket
 from dataclasses import replace
 from typing import Any, Final
 
@@ -11,10 +12,11 @@ import structlog
 from aiohttp import web
 
 from radiometer.daemon.http.requests import read_query
-from radiometer.daemon.http.route import LIMITS, QUERIES, STATION, QueryParameter, Route
+from radiometer.daemon.http.route import BUDGET, LIMITS, QUERIES, STATION, QueryParameter, Route
 from radiometer.daemon.hub import Event, Subscription
 from radiometer.daemon.journal import OWN_STREAM
 from radiometer.daemon.journal_reader import JournalReader, ReadingFilter, to_csv
+from radiometer.daemon.limits import SMALL_REPLY_BYTES
 from radiometer.daemon.station import Station
 from radiometer.daemon.timestamps import parse_moment
 from radiometer.errors import InputError, UsageError
@@ -25,6 +27,8 @@ _QUERY_DEADLINE_S: Final = 10.0
 _HEARTBEAT_S: Final = 15.0
 _WRITE_DEADLINE_S: Final = 10.0
 _REPLAY_ROWS: Final = 1000
+_PIECE: Final = 262_144  # bytes
+_UNSENT_BYTES: Final = 65_536  # some 40 readings; Linux would let it grow to 4 MB, which is an hour of readings
 _FORMATS: Final = {"json": "application/json", "jsonl": "application/x-ndjson", "csv": "text/csv"}
 
 _LIST_QUERY: Final = (
@@ -60,7 +64,32 @@ async def list_readings(request: web.Request) -> web.StreamResponse:
         return await _send_all(request, reader, replace(wanted, limit=_REPLAY_ROWS, newest_first=False), form)
     async with request.app[QUERIES]:
         body = await asyncio.to_thread(_render, reader, wanted, form)
-    return web.Response(body=body, content_type=_FORMATS[form], charset="utf-8")
+    return await _send_body(request, body, form)
+
+
+async def _send_body(request: web.Request, body: bytes, form: str) -> web.StreamResponse:
+    """Send a table within the memory that all replies may hold; who does not take it loses the connection."""
+    if len(body) <= SMALL_REPLY_BYTES or request.method == "HEAD":
+        return web.Response(body=body, content_type=_FORMATS[form], charset="utf-8")
+    if not request.app[BUDGET].take(len(body)):
+        raise web.HTTPServiceUnavailable(text="other clients have not taken their replies yet; ask again, or for less")
+    response = web.StreamResponse(headers={"Content-Length": str(len(body)), "Cache-Control": "no-store"})
+    response.content_type, response.charset = _FORMATS[form], "utf-8"
+    try:
+        await response.prepare(request)
+        for start in range(0, len(body), _PIECE):
+            await _write(response, body[start : start + _PIECE])
+    except (TimeoutError, ConnectionError) as error:
+        _break_off(request, error)
+    finally:
+        request.app[BUDGET].give_back(len(body))
+    return response
+
+
+def _break_off(request: web.Request, error: Exception) -> None:
+    _log.warning("reply broken off", error=str(error) or type(error).__name__)
+    if request.transport is not None:
+        request.transport.abort()  # a client must not take half a table for all of it
 
 
 async def _send_all(
@@ -80,13 +109,11 @@ async def _send_all(
         while lines or header:
             text = to_csv(lines, header=header) if form == "csv" else "".join(line + "\n" for line in lines)
             header = False
-            await _write(response, text)
+            await _write(response, text.encode())
             wanted = replace(wanted, after=int(json.loads(lines[-1])["sequence"])) if lines else wanted
             lines = await _piece(request, reader, wanted) if lines else []
     except (TimeoutError, ConnectionError, InputError) as error:
-        _log.warning("export broken off", error=str(error))
-        if request.transport is not None:
-            request.transport.abort()  # a client must not take half a table for all of it
+        _break_off(request, error)
     return response
 
 
@@ -107,7 +134,8 @@ async def stream_readings(request: web.Request) -> web.StreamResponse:
     if form not in ("sse", "jsonl"):
         raise UsageError(f"format must be sse or jsonl, not {form[:20]!r}")
     station = request.app[STATION]
-    if len(station.hub) >= request.app[LIMITS].listeners:
+    limits = request.app[LIMITS]
+    if len(station.hub) >= limits.listeners and not station.hub.end_one(limits.listening_s):
         raise web.HTTPServiceUnavailable(text="too many listeners")
     response = web.StreamResponse(headers={"Cache-Control": "no-store", "X-Accel-Buffering": "no"})
     response.content_type = "text/event-stream" if form == "sse" else "application/x-ndjson"
@@ -118,6 +146,7 @@ async def stream_readings(request: web.Request) -> web.StreamResponse:
         await response.prepare(request)
         if request.method == "HEAD":
             return response
+        _keep_little_unsent(request)
         last = await _replay(response, station, after, form) if after is not None else 0
         await _follow(response, subscription, form, last)
     except (TimeoutError, ConnectionError):
@@ -131,20 +160,27 @@ async def stream_readings(request: web.Request) -> web.StreamResponse:
     return response
 
 
+def _keep_little_unsent(request: web.Request) -> None:
+    """Bound what the system holds of a stream: a listener that does not read is then noticed by its full buffer."""
+    raw_socket: Any = request.transport.get_extra_info("socket") if request.transport is not None else None
+    if raw_socket is not None:
+        raw_socket.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _UNSENT_BYTES)
+
+
 async def _follow(response: web.StreamResponse, subscription: Subscription, form: str, last: int) -> None:
     while True:
         try:
             async with asyncio.timeout(_HEARTBEAT_S):
                 event = await subscription.next()
         except TimeoutError:
-            await _write(response, ": still here\n\n" if form == "sse" else "\n")
+            await _write(response, b": still here\n\n" if form == "sse" else b"\n")
             continue
         if event is None:
             return
         if event.kind == "patch" and form == "jsonl":
             continue  # plain lines are those of one patch
         if event.sequence is None or event.sequence > last:
-            await _write(response, _encoded(event, form))
+            await _write(response, _encoded(event, form).encode())
 
 
 async def _replay(response: web.StreamResponse, station: Station, after: int, form: str) -> int:
@@ -153,13 +189,13 @@ async def _replay(response: web.StreamResponse, station: Station, after: int, fo
     while lines := await asyncio.to_thread(reader.lines, ReadingFilter(after=last, limit=_REPLAY_ROWS, stream="")):
         for line in lines:
             last = int(json.loads(line)["sequence"])
-            await _write(response, _encoded(Event("reading", line, last), form))
+            await _write(response, _encoded(Event("reading", line, last), form).encode())
     return last
 
 
-async def _write(response: web.StreamResponse, text: str) -> None:
+async def _write(response: web.StreamResponse, content: bytes) -> None:
     async with asyncio.timeout(_WRITE_DEADLINE_S):
-        await response.write(text.encode())
+        await response.write(content)
 
 
 def _encoded(event: Event, form: str) -> str:

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import asyncio
+import json
 from collections.abc import Sequence
+from contextlib import suppress
 from typing import Any, Final, TypeVar
 
 from aiohttp import web
@@ -75,27 +77,48 @@ class LightBody(BaseModel):
     level: float = Field(description="0 (off) to 1.")
 
 
+async def read_whole(request: web.Request) -> None:
+    """Wait for a request's body, which is kept. Raises HTTPRequestTimeout if it does not come in time."""
+    if not request.can_read_body:
+        return
+    try:
+        async with asyncio.timeout(_BODY_DEADLINE_S):
+            await request.read()
+    except TimeoutError as error:
+        raise web.HTTPRequestTimeout(text="the body did not come in time") from error
+
+
 async def read_body(request: web.Request, model: type[_Model]) -> _Model:
     """Return the validated JSON body; an empty one stands for {}.
 
     Raises:
         UsageError: If it is not what the model says.
-        HTTPRequestTimeout: If it does not come in time.
         HTTPUnsupportedMediaType: If it is not JSON by its content type.
     """
-    try:
-        async with asyncio.timeout(_BODY_DEADLINE_S):
-            content = await request.read()
-    except TimeoutError as error:
-        raise web.HTTPRequestTimeout(text="the body did not come in time") from error
+    content = await request.read()
     if content.strip() and request.content_type != "application/json":
         raise web.HTTPUnsupportedMediaType(text="send JSON with Content-Type: application/json")
+    _refuse_repeated_keys(content)
     try:
         return model.model_validate_json(content.strip() or b"{}")
     except ValidationError as error:
         first = error.errors(include_url=False, include_input=False)[0]
         where = ".".join(map(str, first["loc"])) or "the body"
         raise UsageError(f"{where}: {first['msg']}; allowed are {', '.join(model.model_fields)}") from error
+
+
+def _refuse_repeated_keys(content: bytes) -> None:
+    """Refuse an object in which a key stands twice: which of two levels of a light was meant is not known."""
+
+    def unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+        names = [name for name, _ in pairs]
+        for name in names:
+            if names.count(name) > 1:
+                raise UsageError(f"the key {name[:40]!r} stands twice; leave one out")
+        return dict(pairs)
+
+    with suppress(ValueError, RecursionError):  # what is no JSON is named by the model
+        json.loads(content, object_pairs_hook=unique)
 
 
 def read_query(request: web.Request, known: Sequence[QueryParameter]) -> dict[str, Any]:

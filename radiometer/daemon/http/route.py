@@ -10,7 +10,7 @@ from typing import Any, Final
 from aiohttp import web
 from pydantic import BaseModel
 
-from radiometer.daemon.limits import Limits
+from radiometer.daemon.limits import Limits, ReplyBudget
 from radiometer.daemon.station import Station
 from radiometer.data.json_text import json_text
 
@@ -18,6 +18,7 @@ Handler = Callable[[web.Request], Awaitable[web.StreamResponse]]
 STATION: Final = web.AppKey("station", Station)
 LIMITS: Final = web.AppKey("limits", Limits)
 QUERIES: Final = web.AppKey("queries", asyncio.Semaphore)
+BUDGET: Final = web.AppKey("budget", ReplyBudget)
 
 
 @dataclass(frozen=True, slots=True)

@@ -12,6 +12,7 @@ import structlog
 from aiohttp import web
 from aiohttp.typedefs import Middleware
 
+from radiometer.daemon.http.requests import read_whole
 from radiometer.daemon.http.route import STATION, Route, json_reply
 from radiometer.daemon.journal import JournalError
 from radiometer.daemon.limits import TokenBucket, is_loopback
@@ -93,6 +94,8 @@ def guard(
     @web.middleware
     async def check(request: web.Request, handler: Handler) -> web.StreamResponse:
         within_rate = await rates.admits(request)
+        if within_rate:
+            await read_whole(request)  # before it is busy: who drips a body has no claim to its place
         places.note(request.protocol, busy=True)
         try:
             return await serve(request, handler) if within_rate else _too_fast(request)

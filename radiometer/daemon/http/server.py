@@ -15,9 +15,9 @@ from aiohttp.http_exceptions import HttpProcessingError
 from radiometer.daemon.descriptors import listen
 from radiometer.daemon.http import control, patches, picture, readings
 from radiometer.daemon.http.openapi import description
-from radiometer.daemon.http.route import LIMITS, QUERIES, STATION, Route, json_reply
+from radiometer.daemon.http.route import BUDGET, LIMITS, QUERIES, STATION, Route, json_reply
 from radiometer.daemon.http.security import guard, report_errors
-from radiometer.daemon.limits import Limits, is_loopback
+from radiometer.daemon.limits import Limits, ReplyBudget, check_token, is_loopback
 from radiometer.daemon.places import Places
 from radiometer.daemon.station import Station
 from radiometer.errors import OutputError, UsageError
@@ -63,11 +63,16 @@ class HttpServer:
     Args:
         station: The instrument.
         limits: What clients may use.
-        token: What clients must send; None where only loopback is listened on.
+        token: What clients must send, 16 characters or more; None where only loopback is listened on.
+
+    Raises:
+        UsageError: If the token is shorter.
     """
 
     def __init__(self, station: Station, *, limits: Limits | None = None, token: str | None = None) -> None:
         self._station, self._limits, self._token = station, limits or Limits(), token
+        if token is not None:
+            check_token(token)
         self._places: Places[web.RequestHandler] = Places(self._limits.http_connections)
         self._runner = web.AppRunner(
             application(station, self._limits, token, self._places),
@@ -171,6 +176,7 @@ def application(
         middlewares=[report_errors, guard(ROUTES, token, limits.http_requests_per_s, places)],
     )
     app[STATION], app[LIMITS], app[QUERIES] = station, limits, asyncio.Semaphore(limits.queries)
+    app[BUDGET] = ReplyBudget(limits.large_replies_bytes)
     app[picture.CACHE], app[picture.ONE_AT_A_TIME] = picture.PictureCache(), asyncio.Lock()
     for route in ROUTES:
         app.router.add_route(route.method, route.path, route.handler)

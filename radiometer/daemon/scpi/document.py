@@ -34,8 +34,9 @@ the command table by `python -m radiometer.daemon.scpi.document`; a test keeps i
   for the end of that time.
 * Limits: 256 connections, 4096 bytes per message, 1000 messages per second and client (more are delayed). A client that
   does not take its replies or does not finish a message within 30 s is dropped; so is one that sends nothing for 4 h
-  (an entry of the error queue warns 24 min before). Where all connections are taken, the longest idle one makes
-  room after a minute.
+  (an entry of the error queue warns 24 min before). The replies of one message may have 4 MB without the largest of
+  them, and those replies above 1 MB that all clients have not taken yet 256 MB: beyond, a query fails with −225. Where
+  all connections are taken, the longest idle one makes room after a minute.
 
 ```python
 import pyvisa

@@ -36,6 +36,7 @@ MESSAGES: Final = {
     -221: "Settings conflict",
     -222: "Data out of range",
     -224: "Illegal parameter value",
+    -225: "Out of memory",
     -230: "Data corrupt or stale",
     -240: "Hardware error",
     -241: "Hardware missing",

@@ -16,7 +16,7 @@ from typing import Any, Final
 import structlog
 
 from radiometer.daemon.descriptors import listen
-from radiometer.daemon.limits import Limits, Network, TokenBucket, is_allowed, is_loopback
+from radiometer.daemon.limits import Limits, Network, ReplyBudget, TokenBucket, is_allowed, is_loopback
 from radiometer.daemon.places import Places
 from radiometer.daemon.scpi.errors import ScpiError
 from radiometer.daemon.scpi.lexer import block_end
@@ -31,6 +31,7 @@ INTERFACE: Final = "scpi"
 _IDLE_S: Final = 60.0  # a session idle for so long makes room where all places are held
 _DISCARD_LIMIT: Final = 16  # times the line limit that may be thrown away before the client is dropped
 _MESSAGES_AT_ONCE: Final = 32
+_PIECE: Final = 262_144  # characters of a reply, of one byte each, handed to the system at a time
 _LIGHTS: Final = re.compile(rb"sour", re.IGNORECASE)  # no message that lights does without this root
 
 
@@ -48,6 +49,7 @@ class ScpiConnection(asyncio.Protocol):
         self._resume: asyncio.Handle | None = None
         self._discarding = 0
         self._cannot_write = False
+        self._outgoing, self._sent, self._budgeted = "", 0, 0  # a reply, how much of it went out, and what it reserved
         self._vetted_at: float | None = None
         self._idle_timer: asyncio.TimerHandle | None = None
         self._heard_at = 0.0
@@ -66,7 +68,7 @@ class ScpiConnection(asyncio.Protocol):
             _log.warning("scpi client refused", reason=reason, peer=str(transport.get_extra_info("peername")))
             transport.abort()
             return
-        self.session = Session(self._server.station, self._server.table)
+        self.session = Session(self._server.station, self._server.table, self._limits.reply_bytes)
         self._server.connections.add(self)
         self._server.places.enter(self, _host(transport.get_extra_info("peername")))
         self._start_idle_timer()
@@ -84,6 +86,7 @@ class ScpiConnection(asyncio.Protocol):
             self.session.close()
         self._messages.clear()
         self._buffer.clear()
+        self._forget_reply()
         self._transport = None
 
     def data_received(self, data: bytes) -> None:
@@ -111,6 +114,9 @@ class ScpiConnection(asyncio.Protocol):
         """Go on executing."""
         self._cannot_write = False
         self._stop_timer()
+        self._push()
+        if self._cannot_write:
+            return
         self._watch()
         if self._task is None and self._resume is None:
             self._work()
@@ -226,8 +232,26 @@ class ScpiConnection(asyncio.Protocol):
             self.session.status.push(ScpiError(-310, type(error).__name__))
 
     def _send(self, reply: str | None) -> None:
-        if reply is not None and self._transport is not None:
-            self._transport.write(reply.encode("latin-1", "replace") + b"\n")
+        if reply is None or self._transport is None or self.session is None:
+            return
+        if not self._server.budget.take(len(reply)):
+            self.session.status.push(ScpiError(-225, "other clients have not taken their replies yet; ask again"))
+            return
+        self._outgoing, self._sent, self._budgeted = reply + "\n", 0, len(reply)
+        self._push()
+
+    def _push(self) -> None:
+        """Hand the system as much of the reply as the client takes, a piece at a time."""
+        while self._outgoing and not self._cannot_write and self._transport is not None:
+            piece = self._outgoing[self._sent : self._sent + _PIECE]
+            self._sent += len(piece)
+            if self._sent >= len(self._outgoing):
+                self._forget_reply()
+            self._transport.write(piece.encode("latin-1", "replace"))
+
+    def _forget_reply(self) -> None:
+        self._server.budget.give_back(self._budgeted)
+        self._outgoing, self._sent, self._budgeted = "", 0, 0
 
     def _watch(self) -> None:
         """A line that is begun must be finished in time."""
@@ -268,6 +292,24 @@ class ScpiConnection(asyncio.Protocol):
             self._timer = None
 
 
+def _remove_dead_socket(path: Path) -> None:
+    """Remove the socket of a daemon that was killed. Raises OutputError if a program listens on it, or it is a file."""
+    if not os.path.lexists(path):
+        return
+    if not stat.S_ISSOCK(path.lstat().st_mode):
+        raise OutputError(f"cannot listen for SCPI on {path}: it is no socket; name another path")
+    with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as line:
+        line.settimeout(1.0)
+        try:
+            line.connect(str(path))
+        except ConnectionRefusedError:  # no program listens there any more
+            path.unlink()
+            return
+        except OSError:  # such as a queue that is full: a program holds it
+            pass
+    raise OutputError(f"cannot listen for SCPI on {path}: another program listens there; name another path, or end it")
+
+
 def _host(peer: Any) -> str:
     return str(peer[0]) if isinstance(peer, tuple) else ""
 
@@ -283,12 +325,13 @@ class ScpiServer:
 
     def __init__(self, station: Station, *, limits: Limits | None = None, allow: Sequence[Network] = ()) -> None:
         self.station, self.limits, self.table = station, limits or Limits(), command_table()
+        self.budget = ReplyBudget(self.limits.large_replies_bytes)
         self.connections: set[ScpiConnection] = set()
         self.places: Places[ScpiConnection] = Places(self.limits.scpi_connections, idle_s=_IDLE_S)
         self.served = station.metrics.requests.labels(INTERFACE)
         self._allow = tuple(allow)
         self._servers: list[asyncio.Server] = []
-        self._socket_path: Path | None = None
+        self._socket: tuple[Path, int] | None = None
         station.on_change.append(self._state_changed)
         station.metrics.connections.labels(INTERFACE).set_function(lambda: len(self.connections))
 
@@ -314,8 +357,7 @@ class ScpiServer:
     async def listen_unix(self, path: Path) -> None:
         """Listen on a Unix socket that only this user and group may open. Raises OutputError."""
         try:
-            if path.exists() and stat.S_ISSOCK(path.stat().st_mode):
-                path.unlink()  # left behind by a daemon that was killed
+            _remove_dead_socket(path)
             before = os.umask(0o117)  # never open to others, not even between its making and a chmod
             try:
                 server = await asyncio.get_running_loop().create_unix_server(lambda: ScpiConnection(self), path)
@@ -324,7 +366,7 @@ class ScpiServer:
         except OSError as error:
             raise OutputError(f"cannot listen for SCPI on {path}: {error.strerror or error}") from error
         self._servers.append(server)
-        self._socket_path = path
+        self._socket = path, path.lstat().st_ino
 
     async def close(self) -> None:
         """Stop listening and end every connection."""
@@ -335,9 +377,11 @@ class ScpiServer:
                 connection._transport.close()
         for server in self._servers:
             await server.wait_closed()
-        if self._socket_path is not None:
+        if self._socket is not None:
+            path, inode = self._socket
             with contextlib.suppress(FileNotFoundError):
-                self._socket_path.unlink()
+                if path.lstat().st_ino == inode:  # another program may have replaced it
+                    path.unlink()
 
     def refusal(self, peer: Any) -> str:
         """Return why a client is refused; "" where it is taken."""

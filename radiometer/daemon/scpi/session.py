@@ -14,6 +14,7 @@ import structlog
 from radiometer.daemon.alarms import Alarm
 from radiometer.daemon.instrument import Measurement, MeasurementSettings
 from radiometer.daemon.keeper import DeviceState
+from radiometer.daemon.limits import Limits
 from radiometer.daemon.scpi import status as bits
 from radiometer.daemon.scpi.command import CommandTable, Outcome
 from radiometer.daemon.scpi.errors import ScpiError, scpi_error
@@ -25,6 +26,7 @@ from radiometer.errors import RadiometerError
 
 _log = structlog.get_logger(__name__)
 MEASURING_DEADLINE_S: Final = 120.0
+_REPLY_BYTES: Final = Limits().reply_bytes
 _DEFAULT_ELEMENTS: Final = ("READing", "UNCertainty")
 _CALIBRATION_FLAGS: Final = {Flag.UNCALIBRATED, Flag.STALE_CALIBRATION}
 _NUMBERS: Final = itertools.count(1)
@@ -37,15 +39,16 @@ class Session:
     Args:
         station: The instrument, shared by all sessions.
         table: The command table.
+        reply_bytes: Bytes that the replies of one message may have together, without the largest of them.
     """
 
-    def __init__(self, station: Station, table: CommandTable) -> None:
-        self.station, self.table = station, table
+    def __init__(self, station: Station, table: CommandTable, reply_bytes: int = _REPLY_BYTES) -> None:
+        self.station, self.table, self.reply_bytes = station, table, reply_bytes
         self.name = f"scpi-{next(_NUMBERS)}"
-        self.status = Status()
+        self.status: Status = Status()
         self.function = "RADiance"
         self.elements: tuple[str, ...] = _DEFAULT_ELEMENTS
-        self.big_endian = True
+        self.big_endian: bool = True
         self.own_patch: tuple[Patch | None] | None = None  # (None,) is the middle; None the shared patch
         self.pending: asyncio.Task[Reading] | None = None
         self._own: Reading | None = None
@@ -173,8 +176,8 @@ class Session:
                 outcome = None
             if isinstance(outcome, Coroutine):
                 return self._continue(outcome, units, index + 1, path, error)
-            if outcome is not None:
-                self.responses.append(outcome)
+            if outcome is not None and not self._respond(outcome):
+                return self._reply()
             index += 1
         if error is not None:
             self.status.push(error)
@@ -194,10 +197,20 @@ class Session:
             if self._refuse(failure):
                 return self._reply()
             outcome = None
-        if outcome is not None:
-            self.responses.append(outcome)
+        if outcome is not None and not self._respond(outcome):
+            return self._reply()
         rest = self._execute_from(units, index, path, error)
         return await rest if isinstance(rest, Coroutine) else rest
+
+    def _respond(self, response: str) -> bool:
+        """Keep the response of a query and return whether the message may go on: all but the largest are bounded."""
+        sizes = [*map(len, self.responses), len(response)]
+        if sum(sizes) - max(sizes) > self.reply_bytes:
+            text = f"a message's replies may have {self.reply_bytes} bytes without the largest; ask one by one"
+            self.status.push(ScpiError(-225, text))
+            return False
+        self.responses.append(response)
+        return True
 
     def _refuse(self, failure: Exception) -> bool:
         """Queue an error and tell whether the rest of the message is to be thrown away."""

@@ -16,6 +16,7 @@ from typing import Any, Final
 
 import numpy as np
 
+from radiometer.data.reader_limits import bounded_reader
 from radiometer.data.storage import write_text_atomic, write_yaml_atomic
 from radiometer.data.text_table import column_for, read_table
 from radiometer.errors import InputError
@@ -93,6 +94,7 @@ class MeterReconciled:
         return False
 
 
+@bounded_reader(error=InputError)
 def read_meter_table(path: Path) -> tuple[MeterRow, ...]:
     """Return the rows of a CSV with columns luminance, f_number, time (1/125 or s) and iso, and maybe a source's name.
 

@@ -6,7 +6,6 @@ from dataclasses import replace
 
 import pytest
 
-from radiometer.acquire import characterisation_ladder
 from radiometer.acquire.characterisation_ladder import LadderRequest, saturating_exposure_s, take_ladder
 from radiometer.data import LensDescription, Patch
 from radiometer.devices import CameraPreset, CameraSettings
@@ -101,35 +100,3 @@ def test_a_region_beyond_the_frame_is_refused() -> None:
     for region in (Patch(57, 40, 8, 8), Patch(56, 41, 8, 8)):
         with pytest.raises(MeasurementError, match="64 × 48 pixels"):
             saturating_exposure_s(camera, region)
-
-
-@pytest.mark.parametrize("shares", [(0.3,), (0.8,), (0.299, 0.5), (0.801, 0.5)])
-def test_a_picture_between_three_and_eight_tenths_tells_the_exposure(shares, monkeypatch):
-    """Both included; others are taken again, dimmer by ten where too bright, else at half of full scale."""
-    camera, taken = _camera(0.3), list[float]()
-
-    def signal(camera, region, exposure_s):
-        taken.append(exposure_s)
-        return 4000.0 * shares[len(taken) - 1], 4000.0
-
-    monkeypatch.setattr(characterisation_ladder, "_signal", signal)
-    found = saturating_exposure_s(camera, REGION)
-    assert len(taken) == len(shares)
-    assert found == pytest.approx(taken[-1] / shares[-1])
-    if len(shares) > 1:
-        assert taken[1] / taken[0] == pytest.approx(0.1 if shares[0] > 0.8 else 0.5 / shares[0])
-
-
-def test_light_that_comes_and_goes_is_given_up_after_a_dozen_pictures(monkeypatch):
-    """Now nothing, now white: no exposure is the right one, and no camera is asked for ever."""
-    taken = list[float]()
-
-    def signal(camera, region, exposure_s):
-        taken.append(exposure_s)
-        return (0.0 if len(taken) % 2 else 4000.0), 4000.0
-
-    monkeypatch.setattr(characterisation_ladder, "_signal", signal)
-    with pytest.raises(MeasurementError, match="change the light"):
-        saturating_exposure_s(_camera(0.3), REGION)
-    assert len(taken) == 12
-    assert taken[1] / taken[0] == pytest.approx(100.0)

@@ -10,10 +10,8 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from radiometer.acquire.exposure_plan import (
-    DISTINCT_RATIO,
     ExposurePlan,
     ExposureWindow,
-    _distinct,
     exposure_ladder,
     plan_exposures,
     repeats_for,
@@ -57,20 +55,6 @@ def test_every_reachable_pixel_is_well_exposed_twice(log_rates):
     assert plan.too_bright == 0
     assert plan.too_dark == 0
     assert cover_of(rates, plan.exposures_s).min() >= 2
-
-
-@settings(deadline=None)
-@given(st.floats(-6.0, 3.0), st.lists(st.floats(-6.0, 3.0), max_size=6))
-def test_a_distinct_exposure_is_the_longest_that_is_apart_from_those_taken(log_s, log_taken):
-    """Half a stop from each and no longer than wanted; as wanted where the camera's shortest would be undercut."""
-    wanted, taken = math.exp(log_s), [math.exp(one) for one in log_taken]
-
-    def is_apart(exposure):
-        return all(max(exposure / one, one / exposure) > math.sqrt(2.0) * (1 - 1e-6) for one in taken)
-
-    longest = max(one for one in (wanted, *(t / math.sqrt(2.0) for t in taken)) if one <= wanted and is_apart(one))
-    assert _distinct(wanted, taken, 1e-6) == pytest.approx(longest, rel=1e-5)
-    assert _distinct(wanted, taken, 1.001 * longest) == (wanted if longest < wanted else pytest.approx(wanted))
 
 
 def test_the_plan_holds_no_frame_that_could_be_left_out():
@@ -198,13 +182,3 @@ def test_every_camera_has_an_octave_to_expose_in(bits, gain_e, read_e, well_e, g
     window = ExposureWindow.of(camera, gain_db, 8.0)
     assert 0.0 < 2.0 * window.lowest_dn <= window.highest_dn * (1 + 1e-12)
     assert window.highest_dn < window.clipping_dn
-
-
-@pytest.mark.parametrize("shortest_s", [0.5, 1.0])
-def test_an_exposure_that_was_taken_is_followed_by_one_apart_from_it(shortest_s):
-    """The next lies half a stop below and may be the camera's shortest; only below that is one taken again."""
-    taken = [1.0 * DISTINCT_RATIO]
-    assert _distinct(taken[0], taken, shortest_s) == pytest.approx(1.0, rel=1e-15)
-    assert _distinct(taken[0], taken, 1.001) == taken[0]
-    assert _distinct(5.0, taken, shortest_s) == 5.0
-    assert _distinct(0.5, taken, shortest_s) == 0.5

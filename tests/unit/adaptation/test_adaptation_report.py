@@ -3,17 +3,15 @@
 from __future__ import annotations
 
 import re
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
-from radiometer.adaptation.adaptation_fit import AdaptationFit, Estimate, FitRequest, fit_adaptation
-from radiometer.adaptation.intervals import Interval
-from radiometer.adaptation.report import _remarks, curve_csv, meaning, report_html
+from radiometer.adaptation.adaptation_fit import AdaptationFit, FitRequest, fit_adaptation
+from radiometer.adaptation.report import curve_csv, report_html
 from radiometer.adaptation.rod_intercept import InterceptRule
 from radiometer.adaptation.threshold_series import ThresholdSeries
-from tests.unit.reporting.test_page import HOSTILE
+from testing.report_checks import HOSTILE
 
 TIMES = np.linspace(0.5, 25.0, 45)
 TRUE_BREAK_MIN, TRUE_S2 = 9.0, -0.23
@@ -53,6 +51,7 @@ def test_the_break_is_said_with_its_interval(broken):
     assert abs(slope + TRUE_S2) < 1.5 * half_slope
 
 
+@pytest.mark.slow
 def test_the_curve_in_a_file_is_thresholds_and_what_is_left_of_them(broken):
     """A line for each threshold: its time, itself, the curve within the noise of the true one, the rest, its weight."""
     head, *lines = curve_csv(broken).splitlines()
@@ -66,59 +65,6 @@ def test_the_curve_in_a_file_is_thresholds_and_what_is_left_of_them(broken):
     assert np.std(residual) == pytest.approx(0.08, rel=0.3)
     assert weight.min() > 0.0
     assert weight.max() <= 1.0
-
-
-@pytest.mark.parametrize(
-    ("earliest", "said"),
-    [(None, "no break could be seen at all"), (7.34, "eye's break after 7.3 min would have been seen")],
-)
-def test_one_branch_says_what_would_have_been_seen(earliest, said):
-    """A test of 20 min with and without the power to tell a break: what would tell more is another thing each time."""
-    series, evidence = SimpleNamespace(time_min=np.array([1.0, 20.0])), SimpleNamespace(earliest_visible_min=earliest)
-    fit = SimpleNamespace(has_break=False, evidence=evidence, chosen=SimpleNamespace(series=series))
-    told = meaning(fit)
-    assert said in told[0]
-    assert ("rods or of cones alone" in told[0]) is (earliest is not None)
-    assert told[1].startswith("The last threshold was taken after 20.0 min")
-
-
-@pytest.mark.parametrize(
-    ("profile", "bootstrap", "opens"),
-    [((8.0, 10.0), None, False), ((8.0, np.inf), (8.0, 9.0), True), (None, (8.5, 9.5), False), (None, None, True),
-     ((-np.inf, 9.0), None, True)],
-)  # fmt: skip
-def test_an_interval_that_is_open_calls_for_thresholds(profile, bootstrap, opens):
-    """A fall of a log10 unit takes 1/0.25 min; the profile's interval counts, the bootstrap's where there is none."""
-
-    def interval(ends):
-        return None if ends is None else Interval(*ends)
-
-    values = {"break_min": 9.0, "s2_slope_per_min": -0.25}
-    plateau = Estimate(-1.0, 0.1, "log10", Interval(-1.2, -0.8))
-    breaks = Estimate(9.0, 0.4, "min", interval(profile), interval(bootstrap))
-    chosen = SimpleNamespace(series=SimpleNamespace(time_min=np.array([1.0, 20.0])), values=values)
-    estimates = {"plateau": plateau, "break_min": breaks}
-    fit = SimpleNamespace(has_break=True, chosen=chosen, estimates=estimates, request=SimpleNamespace(confidence=0.95))
-    told = meaning(fit)
-    assert told[0].startswith("Cones alone set the threshold until 9.0 min, and levelled off at ")
-    assert told[1].endswith("falls by one log10 unit in 4.0 min.")
-    assert [text for text in told if "open at an end" in text] == told[2:]
-    assert (len(told) == 3) is opens
-
-
-@pytest.mark.parametrize(("sigma", "stated_u", "told"), [(None, 0.0, 2), (None, 0.05, 1), (np.ones(5), 0.05, 0)])
-def test_thresholds_that_count_for_less_than_half_are_counted(sigma, stated_u, told):
-    """Two of five lie far off the curve; where every threshold has its own u they are only less well known."""
-    series = SimpleNamespace(time_min=np.arange(5.0), sigma=sigma, taken=("minutes",))
-    weights = 0.02 * np.array([1.0, 0.51, 0.49, 0.1, 0.98])
-    fit = SimpleNamespace(
-        chosen=SimpleNamespace(series=series, weights=weights), request=SimpleNamespace(stimulus_u_log10=stated_u)
-    )
-    remarks = _remarks(fit)
-    assert remarks[0] == "Taken: minutes."
-    words = ["2 of 5 thresholds lie far off the curve", "No uncertainty of the stimulus' calibration"]
-    assert [any(one.startswith(word) for one in remarks) for word in words] == [sigma is None, not stated_u]
-    assert len(remarks) == 1 + told
 
 
 @pytest.mark.slow

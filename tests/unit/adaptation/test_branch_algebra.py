@@ -3,19 +3,16 @@
 from __future__ import annotations
 
 import math
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from scipy.stats import f as f_distribution
 
 from radiometer.adaptation import adaptation_fit as rules
-from radiometer.adaptation import branch_fit, intervals
-from radiometer.adaptation.branch_fit import fit_model, prior_weights, project
+from radiometer.adaptation.branch_fit import BranchFit, fit_model, project
 from radiometer.adaptation.branch_models import CONE_S2, CONE_S2_S3, MODELS, ONE_BRANCH
-from radiometer.adaptation.intervals import Interval, percentile_interval, profile_interval
+from radiometer.adaptation.intervals import Interval, percentile_interval
 from radiometer.adaptation.threshold_series import ThresholdSeries
 from radiometer.errors import MeasurementError
 from testing.golden.dark_adaptation import DARK_THETA, dark_p7
@@ -91,30 +88,6 @@ def test_linear_parts_are_weighted_least_squares(seed):
     assert total == pytest.approx(float(weights @ (values - columns @ expected) ** 2))
 
 
-def test_weights_are_inverse_variances_and_wild_ones_less():
-    """(σ_least/σ)²; Huber's 2.5/|r| beyond 2.5 robust standard deviations, 1 within."""
-    assert prior_weights(series(np.zeros(60))) == pytest.approx(np.ones(60))
-    sigma = np.linspace(0.1, 0.4, 60)
-    assert prior_weights(series(np.zeros(60), sigma)) == pytest.approx((0.1 / sigma) ** 2)
-    rng = np.random.default_rng(3)
-    noise = rng.normal(0.0, 0.1, 60)
-    noise[30] = 1.0
-    values = noise - 1.0
-    linear = np.array([-1.0, 0.0])
-    found = branch_fit._huber(series(values), ONE_BRANCH, np.ones(60), np.array([1.6]), linear)
-    spread = 1.4826 * np.median(np.abs(noise)) * math.sqrt(60 / 57)
-    assert found == pytest.approx(np.minimum(1.0, 2.5 * spread / np.abs(noise)))
-    assert found[30] == pytest.approx(2.5 * spread)
-
-
-def test_of_thresholds_that_mostly_lie_on_the_curve_none_is_wild():
-    """Where more than half of the residuals are nothing there is no spread to call one wild by: all count fully."""
-    values = np.full(60, -1.0)
-    values[30] = 0.0
-    found = branch_fit._huber(series(values), ONE_BRANCH, np.ones(60), np.array([1.6]), np.array([-1.0, 0.0]))
-    assert found.tolist() == [1.0] * 60
-
-
 def test_figures_of_a_fit():
     """σ² = Σw·r²/(ν·c), c what Huber's weights leave; AICc = n·ln(S/n) + 2k + 2k(k + 1)/(n − k − 1)."""
     values = ONE_BRANCH.threshold(TIMES, EYE) + np.random.default_rng(1).normal(0.0, 0.1, 60)
@@ -127,22 +100,6 @@ def test_figures_of_a_fit():
         fit_model(series(values[:4], times=TIMES[:4]), ONE_BRANCH)
 
 
-def test_the_profile_of_a_level_is_student_s_interval():
-    """With time constant known from a deep fall the plateau is a mean: its interval is about t·σ/√n of late points."""
-    values = ONE_BRANCH.threshold(TIMES, EYE) + np.random.default_rng(2).normal(0.0, 0.1, 60)
-    fit = fit_model(series(values), ONE_BRANCH)
-    found = profile_interval(fit, "plateau")
-    late = np.count_nonzero(TIMES > 5.0)
-    half = fit.sigma * math.sqrt(float(f_distribution.ppf(0.95, 1, 57)) / late)
-    assert 0.5 * (found.high - found.low) == pytest.approx(half, rel=0.2)
-    assert found.holds(fit.values["plateau"])
-    limit = fit.sum_of_squares + fit.sigma**2 * float(f_distribution.ppf(0.95, 1, 58 - 1)) * (1 + 2.6 / 60)
-    for end in (found.low, found.high):
-        assert intervals._profile(fit, "plateau", end, np.array([1.6]))[0] == pytest.approx(limit, rel=2e-3)
-    wider = profile_interval(fit, "plateau", 0.99)
-    assert (wider.high - wider.low) / (found.high - found.low) == pytest.approx(2.66 / 2.0, rel=0.03)
-
-
 def test_intervals_widen_in_squares_and_cut_equal_tails():
     """±1 with u = 0.5 shared: √(1 + (1.96·0.5)²); 95 % of 0 to 1000 are 25 to 975; what is not finite is left out."""
     found = Interval(-1.0, 3.0).widened(0.5)
@@ -151,87 +108,6 @@ def test_intervals_widen_in_squares_and_cut_equal_tails():
     for confidence, ends in ((0.95, (25.0, 975.0)), (0.9, (50.0, 950.0))):
         found = percentile_interval(values, confidence)
         assert (found.low, found.high) == pytest.approx(ends)
-
-
-def fitted(**changes):
-    """Return a stand-in for a fit of the five parameters."""
-    values = {name: EYE[name] for name in CONE_S2.parameters} | changes
-    if "s3_slope_per_min" in values:
-        return SimpleNamespace(
-            values=values | {"rod_rod_break_min": 20.0}, series=series(np.zeros(60)), model=CONE_S2_S3,
-            threshold=lambda t: CONE_S2_S3.threshold(t, values | {"rod_rod_break_min": 20.0}),
-        )  # fmt: skip
-    return SimpleNamespace(
-        values=values, series=series(np.zeros(60)), model=CONE_S2, threshold=lambda t: CONE_S2.threshold(t, values)
-    )
-
-
-@pytest.mark.parametrize(
-    ("changes", "sense"),
-    [
-        ({}, True), ({"amplitude": -0.1}, False), ({"s2_slope_per_min": -0.031}, True),
-        ({"s2_slope_per_min": -0.029}, False), ({"s2_slope_per_min": -0.59}, True),
-        ({"s2_slope_per_min": -0.61}, False),
-        ({"s2_slope_per_min": 0.2}, False), ({"break_min": 1.2}, False), ({"break_min": 29.4}, False),
-        ({"tau_min": 5.9}, True), ({"tau_min": 6.1}, False), ({"tau_min": 0.4, "amplitude": 8.0}, False),
-        ({"tau_min": 0.4, "amplitude": 2.0}, True), ({"tau_min": 0.4, "amplitude": 3.3}, True),
-        ({"tau_min": 0.4, "amplitude": 3.7}, False), ({"tau_min": 0.55, "amplitude": 8.0}, True),
-        ({"break_min": 27.0, "s2_slope_per_min": -0.15}, False), ({"break_min": 26.5, "s2_slope_per_min": -0.15}, True),
-        ({"s3_slope_per_min": -0.03}, True), ({"s3_slope_per_min": -0.3}, False), ({"s3_slope_per_min": 0.06}, False),
-        ({"s3_slope_per_min": 0.04}, True),
-    ],
-)  # fmt: skip
-def test_what_an_eye_can_do(changes, sense):
-    """Cones that fall and settle, three thresholds on either side, rods that fall half a unit, S3 above S2."""
-    assert rules.makes_sense(fitted(**changes)) is sense
-
-
-def test_the_simplest_model_near_the_best_is_chosen():
-    """Within 4 of the least AICc the first in the order given; none is an error."""
-    fits = [SimpleNamespace(aicc=value) for value in (14.0, 10.0, 12.0)]
-    assert rules._choose(fits) is fits[0]
-    assert rules._choose([SimpleNamespace(aicc=14.1), *fits[1:]]) is fits[1]
-    with pytest.raises(MeasurementError, match="no branch model"):
-        rules._choose([])
-
-
-def test_quantities_that_follow_from_a_fit():
-    """Last threshold, area above it, and when S2 meets a criterion, prolonged where needed; infinite where never."""
-    fit = fitted()
-    found = rules.derived_quantities(fit.values, fit, -3.0)
-    at_break = -1.0 + 2.0 * math.exp(-9.0 / 1.6)
-    assert found["final_threshold"] == pytest.approx(at_break - 0.24 * 21.0)
-    assert found["criterion_min"] == pytest.approx(9.0 + (at_break + 3.0) / 0.24)
-    cones = 2.0 * 1.6 * (math.exp(-0.5 / 1.6) - math.exp(-9.0 / 1.6)) + (-1.0 - found["final_threshold"]) * 8.5
-    assert found["area_log10_min"] == pytest.approx(cones + 0.24 * 21.0**2 / 2, rel=1e-3)
-    assert rules._crossing({**EYE, "s2_slope_per_min": 0.1}, -3.0) == math.inf
-    single = {"plateau": -4.0, "amplitude": 3.0, "tau_min": 6.0}
-    assert rules._crossing(single, -3.0) == pytest.approx(6.0 * math.log(3.0))
-    assert rules._crossing(single, -5.0) == math.inf
-    assert rules._steepness(EYE, -3.0) == pytest.approx(0.24)
-    assert rules._steepness(single, -3.0) == pytest.approx(1.0 / 6.0)
-
-
-@pytest.mark.parametrize(("met_min", "told"), [(0.4, False), (0.6, True), (29.9, True), (30.9, True), (31.1, False)])
-def test_a_single_branch_meets_a_criterion_within_the_test(met_min, told):
-    """From the first threshold to a minute after the last, where a test ends that stops at it; rods at any time."""
-    cones = {name: EYE[name] for name in ("plateau", "amplitude")} | {"tau_min": 16.0}
-    criterion = float(ONE_BRANCH.threshold(np.array([met_min]), cones)[0])
-    fit, request = SimpleNamespace(values=cones, series=series(np.zeros(60))), rules.FitRequest(criterion=criterion)
-    assert rules._criterion(fit, request) == (criterion if told else None)
-    assert rules._criterion(fit, rules.FitRequest()) is None
-    assert rules._criterion(fitted(), request) == criterion
-
-
-@pytest.mark.parametrize(
-    ("name", "moved", "u"), [("plateau", 0.0, 0.05), ("s2_slope_per_min", 0.0, 0.0), ("criterion_min", 0.2, 0.2)]
-)
-def test_a_wrong_scale_moves_levels_and_times(name, moved, u):
-    """u of the stimulus joins levels as it is, a criterion's time by u over the slope, slopes not at all."""
-    request = rules.FitRequest(stimulus_u_log10=0.05)
-    found = rules._estimate(name, 1.0, Interval(0.9, 1.1), None, request, moved)
-    assert found.u == pytest.approx(math.hypot(0.1, 1.96 * u) / 1.96)
-    assert rules._estimate(name, 1.0, None, None, request, moved).u is not None
 
 
 @pytest.mark.parametrize(
@@ -260,3 +136,47 @@ def test_a_fit_keeps_what_each_threshold_is_known_to():
     found = fit_model(series(values, sigma), ONE_BRANCH)
     assert found.weights == pytest.approx((0.1 / sigma) ** 2)
     assert found.sigma == pytest.approx(0.1 / math.sqrt(3.0), rel=0.3)  # of a threshold of the surer kind
+
+
+def fitted(**changes):
+    """Return a fit of the five parameters, or of seven where S3 is among the changes."""
+    model = CONE_S2_S3 if "s3_slope_per_min" in changes else CONE_S2
+    values = {name: EYE[name] for name in model.parameters} | changes
+    return BranchFit(model, series(model.threshold(TIMES, values)), values, np.ones(60), 1.0, 0.0)
+
+
+@pytest.mark.parametrize(
+    ("changes", "sense"),
+    [
+        ({}, True), ({"amplitude": -0.1}, False), ({"s2_slope_per_min": -0.031}, True),
+        ({"s2_slope_per_min": -0.029}, False), ({"s2_slope_per_min": -0.59}, True),
+        ({"s2_slope_per_min": -0.61}, False),
+        ({"s2_slope_per_min": 0.2}, False), ({"break_min": 1.2}, False), ({"break_min": 29.4}, False),
+        ({"tau_min": 5.9}, True), ({"tau_min": 6.1}, False), ({"tau_min": 0.4, "amplitude": 8.0}, False),
+        ({"tau_min": 0.4, "amplitude": 2.0}, True), ({"tau_min": 0.55, "amplitude": 8.0}, True),
+        ({"break_min": 27.0, "s2_slope_per_min": -0.15}, False), ({"break_min": 26.5, "s2_slope_per_min": -0.15}, True),
+        ({"s3_slope_per_min": -0.03}, True), ({"s3_slope_per_min": -0.3}, False), ({"s3_slope_per_min": 0.06}, False),
+        ({"s3_slope_per_min": 0.04}, True),
+    ],
+)  # fmt: skip
+def test_what_an_eye_can_do(changes, sense):
+    """Cones that fall and settle, three thresholds on either side, rods that fall half a unit, S3 above S2."""
+    assert rules.makes_sense(fitted(**changes)) is sense
+
+
+def test_quantities_that_follow_from_a_fit():
+    """Last threshold, area above it, and when S2 meets a criterion, prolonged where needed."""
+    fit = fitted()
+    found = rules.derived_quantities(fit.values, fit, -3.0)
+    at_break = -1.0 + 2.0 * math.exp(-9.0 / 1.6)
+    assert found["final_threshold"] == pytest.approx(at_break - 0.24 * 21.0)
+    assert found["criterion_min"] == pytest.approx(9.0 + (at_break + 3.0) / 0.24)
+    cones = 2.0 * 1.6 * (math.exp(-0.5 / 1.6) - math.exp(-9.0 / 1.6)) + (-1.0 - found["final_threshold"]) * 8.5
+    assert found["area_log10_min"] == pytest.approx(cones + 0.24 * 21.0**2 / 2, rel=1e-3)
+    rising = fitted(s2_slope_per_min=0.1)
+    assert rules.derived_quantities(rising.values, rising, -3.0)["criterion_min"] == math.inf
+    one = {"plateau": -4.0, "amplitude": 3.0, "tau_min": 6.0}
+    single = BranchFit(ONE_BRANCH, series(ONE_BRANCH.threshold(TIMES, one)), one, np.ones(60), 1.0, 0.0)
+    for criterion, met_min in ((-3.0, 6.0 * math.log(3.0)), (-5.0, math.inf)):
+        found = rules.derived_quantities(one, single, criterion)
+        assert found["criterion_min"] == pytest.approx(met_min)

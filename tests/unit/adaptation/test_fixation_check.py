@@ -72,6 +72,7 @@ def test_light_is_shown_in_its_share_of_the_trials_once_the_cones_are_back(
     assert journal.events[0]["eye"] == "left"
 
 
+@pytest.mark.slow
 def test_without_a_place_nothing_is_checked(tmp_path: Path, short: AdaptationProtocol) -> None:
     """Neither by a stage that cannot, nor by one that could but has none, nor where the protocol does not want it."""
     no_check = short.model_copy(update={"fixation_check": None})

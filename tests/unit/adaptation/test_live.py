@@ -11,10 +11,10 @@ import pytest
 
 from radiometer.adaptation.journal import Event, RunJournal
 from radiometer.adaptation.live import LiveState, running_fit
+from radiometer.adaptation.live_text import LiveText, event_line, live_lines
 from radiometer.adaptation.prompts import Prompter, prompts_after
 from radiometer.adaptation.protocol import read_protocol
-from radiometer.cli.light.adapt_live import _Terminal, live_curve, live_lines
-from radiometer.cli.light.terminal_chart import TerminalChart
+from radiometer.reporting.terminal_chart import TerminalChart
 from simulators.observers.subject import SubjectCurve
 
 
@@ -155,7 +155,8 @@ def test_lost_fixation_is_announced_until_a_light_in_the_blind_spot_is_missed(st
     assert (told["catches"], told["points"], told["missed"]) == (0, [], [])
     assert "fixation lost 2/2   lapses 1/1   FIXATION LOST" in "\n".join(live_lines(state, running_fit([]), 60))
     state.take(_event("trial", 430.0, of="blind_spot", seen=False, **look))
-    assert not state.to_mapping()["fixation_lost"]
+    told = state.to_mapping()
+    assert (told["fixation"], told["fixation_lost"]) == ([2, 3], False)
 
 
 @pytest.mark.parametrize(
@@ -196,19 +197,17 @@ def test_lost_fixation_is_announced_until_a_light_in_the_blind_spot_is_missed(st
         (_trial(180, -6.0), "1.00 min -6.00 log scotopic cd/m²"),
     ],
 )
-def test_without_a_terminal_each_event_is_a_line(event: Event, line: str, capsys: pytest.CaptureFixture[str]) -> None:
-    """What is told to a pipe or a log: checks with figures, phases, trials with minutes and threshold; else nothing."""
-    with live_curve(read_protocol("classic"), []) as tell:
-        tell(event)
-    assert " ".join(capsys.readouterr().out.split()) == line
+def test_without_a_terminal_each_event_is_a_line(event: Event, line: str) -> None:
+    """What a pipe or a log gets: checks with figures, phases, trials with minutes and threshold; else nothing."""
+    assert " ".join((event_line(event) or "").split()) == line
 
 
 def test_the_terminal_shows_the_running_curve() -> None:
     """In a terminal what the journal held counts too: phase, time in the dark, and the counts of points."""
     known = [_event("start", 0.0, subject="S1"), _event("bleach", 0.1), _event("dark", 120.0)]
-    screen = _Terminal(read_protocol("classic"))
-    for event in (*known, _trial(150, -1.0), _trial(180, -1.5), _trial(200, None)):
+    screen = LiveText(read_protocol("classic"), known)
+    for event in (_trial(150, -1.0), _trial(180, -1.5), _trial(200, None)):
         screen.take(event)
-    shown = str(screen.render())
+    shown = "\n".join(screen.lines(60))
     assert re.search(r"^1:\d\d in the dark   look at the red mark\n", shown)
     assert "2 thresholds   1 not seen   0 catches   0 false presses" in shown

@@ -64,13 +64,6 @@ async def test_every_browser_gets_the_whole_state_and_what_follows(page: LivePag
         assert len(fitted["points"]) == 22  # type: ignore[arg-type]
 
 
-def test_before_the_first_threshold_a_page_shows_no_fit() -> None:
-    """None of no thresholds, which says nothing and draws no line."""
-    with LivePage(read_protocol("classic"), Controls()) as page:
-        told = page._message()["fit"]
-    assert told == {"count": 0, "text": "", "curve": []}
-
-
 async def test_prompts_are_told_as_they_come_and_not_again(page: LivePage) -> None:
     """A browser that comes later is not told the old ones."""
     async with aiohttp.ClientSession() as session, session.ws_connect(page.url.replace("/?", "/socket?")) as socket:

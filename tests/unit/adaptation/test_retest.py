@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import math
-from types import SimpleNamespace
-from typing import Any
 
 import numpy as np
 import pytest
@@ -76,24 +74,6 @@ def test_shift_between_visits_is_found_in_its_quantity_alone() -> None:
         1.0, abs=0.2
     )
     assert compare_visits(fits[:2])[0].agreement is None  # type: ignore[arg-type]
-
-
-def test_both_visits_uncertainties_join_in_their_difference() -> None:
-    """u of 0.3 and 0.4 min are 0.5 min of the difference; over pairs it is the root of the mean square."""
-
-    def visit(value: float, u: float) -> Any:
-        estimate = SimpleNamespace(value=value, u=u, unit="min")
-        return SimpleNamespace(estimates={"break_min": estimate}, has_break=True)
-
-    one, other = (visit(8.0, 0.3), visit(9.0, 0.4)), (visit(8.5, 0.6), visit(9.5, 0.8))
-    (alone,), (both,) = compare_visits([one]), compare_visits([one, other])
-    assert alone.visits.tolist() == [[8.0, 9.0]]
-    assert alone.u_fits == pytest.approx(0.5)
-    assert both.u_fits == pytest.approx(math.sqrt((0.25 + 1.0) / 2))
-    assert both.agreement is None  # two differences have no limits worth the name, three have
-    (three,) = compare_visits([one, other, (visit(8.0, 0.3), visit(11.0, 0.4))])
-    assert three.agreement is not None
-    assert (three.agreement.mean.value, three.agreement.sd) == pytest.approx((5.0 / 3.0, math.sqrt(4.0 / 3.0)))
 
 
 @pytest.mark.slow

@@ -6,7 +6,6 @@ import math
 import os
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -15,7 +14,7 @@ from radiometer.adaptation.checks import Finding, judge_room
 from radiometer.adaptation.journal import RunJournal
 from radiometer.adaptation.outcome import Outcome, Verdict
 from radiometer.adaptation.protocol import AdaptationProtocol, read_protocol
-from radiometer.adaptation.run import _why_fruitless, run_test
+from radiometer.adaptation.run import run_test
 from radiometer.errors import DeviceLost, MeasurementError, UsageError
 from testing.scripted_adaptation import Eye, ScriptedStage, eye, threshold
 
@@ -151,33 +150,13 @@ def test_catches_are_about_a_tenth_of_all_trials(tmp_path: Path, classic: Adapta
     assert share == pytest.approx(0.1, abs=4 * math.sqrt(0.1 * 0.9 / n))
 
 
+@pytest.mark.slow
 def test_csv_is_what_the_fit_reads(tmp_path: Path, classic: AdaptationProtocol) -> None:
     """Two columns, minutes and log10 threshold."""
     text = _run(tmp_path, ScriptedStage(eye, classic)).to_csv()
     head, first, *_ = text.splitlines()
     assert head == "time_min,log10_threshold"
     assert len(first.split(",")) == 2
-
-
-@pytest.mark.parametrize(
-    ("seen", "known", "verdict"),
-    [
-        ((3, 0, 0), True, Verdict.LEFT),  # presses may have stopped within the first of them
-        ((3, 0, 2), True, Verdict.UNRELIABLE),
-        ((0, 2, 0), True, Verdict.UNRELIABLE),
-        ((8, 8, 8), True, Verdict.FLOOR_REACHED),
-        ((8, 8, 7), True, Verdict.UNRELIABLE),
-        ((0, 0, 0), False, Verdict.NO_RESPONSE),
-        ((3, 0, 0), False, Verdict.UNRELIABLE),
-        ((8, 8, 8), False, Verdict.UNRELIABLE),
-        ((0,), True, Verdict.LEFT),
-        ((1,), True, Verdict.UNRELIABLE),
-    ],
-)
-def test_why_trials_in_a_row_gave_nothing(seen: tuple[int, ...], known: bool, verdict: Verdict) -> None:
-    """Of 8 blinks each: none seen is a subject who left, all seen is the floor, anything else cannot be relied on."""
-    trials: Any = [{"seen": number, "blinks": 8} for number in seen]
-    assert _why_fruitless(trials, known=known) is verdict
 
 
 def test_without_a_seed_catches_are_those_of_seed_nought(tmp_path: Path, classic: AdaptationProtocol) -> None:

@@ -100,6 +100,7 @@ def test_what_cannot_be_taken_is_named(text, said, tmp_path):
     assert said in str(refused.value)
 
 
+@pytest.mark.slow
 def test_fit_reads_seconds_and_decibels_and_finds_the_break(tmp_path, capsys):
     """An attenuation table in seconds gives break and S2 of the curve: 9 min, −0.24."""
     times = np.arange(0.5, 22.0, 0.5)

@@ -23,9 +23,17 @@ def test_all_names_can_be_had_and_are_listed():
 
 
 def test_what_is_not_listed_is_private():
-    """A name that is not public is refused with those that are."""
-    with pytest.raises(AttributeError, match="no attribute 'Bracket'; it has Meter, Patch"):
+    """A name that is not public is refused with the nearest that is."""
+    with pytest.raises(AttributeError, match=r"no attribute 'Bracket'; did you mean 'bracket'\?"):
         _ = rm.Bracket
+
+
+@pytest.mark.parametrize(("error", "code"), [(rm.UsageError, 2), (rm.CalibrationError, 1), (rm.DeviceError, 1)])
+def test_every_error_can_be_caught_by_its_public_root(error, code):
+    """A program catches RadiometerError and finds the exit code of the command line."""
+    with pytest.raises(rm.RadiometerError) as caught:
+        raise error("no")
+    assert caught.value.exit_code == code
 
 
 @pytest.mark.slow

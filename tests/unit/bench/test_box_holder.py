@@ -39,6 +39,29 @@ def test_light_off_works_while_another_program_holds_the_box(capsys: pytest.Capt
     assert told == {"box": "HELD0001", "darkened_by": os.getpid()}
 
 
+def test_light_off_darkens_all_that_answer_whatever_else_is_there(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    """Two boxes, a link that leads nowhere, a holder that does not answer, a damaged calibration: both are dark."""
+    folder = runtime_folder("radiometer-light-boxes")
+    (folder / "DEAD0001").symlink_to("/dev/pts/99999")
+    damaged = tmp_path / "data" / "radiometer" / "light_boxes" / "ONES0001.yaml"
+    damaged.parent.mkdir(parents=True)
+    damaged.write_text("[")
+    with served_box("ONES0001", None).server, served_box("TWOS0001", None).server:
+        assert run(["light", "off"]) == 0
+        assert {line.split()[2] for line in capsys.readouterr().out.splitlines()} == {"ONES0001:", "TWOS0001:"}
+
+        def refuse() -> None:
+            raise OSError
+
+        with holding("MUTE0001", "/dev/mute", refuse):
+            assert run(["light", "off"]) == 1
+        told = capsys.readouterr()
+        assert {line.split()[2] for line in told.out.splitlines()} == {"ONES0001:", "TWOS0001:"}
+        assert "MUTE0001" in told.err
+
+
 def test_light_off_asks_only_the_holder_of_the_box_named(capsys: pytest.CaptureFixture[str]) -> None:
     """Another box stays as it is."""
     dark: list[str] = []

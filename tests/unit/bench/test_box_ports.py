@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import pty
+import time
 import tty
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -13,7 +14,8 @@ import pytest
 
 from drivers.light_box.serial_line import SerialPort
 from radiometer.bench import boxes
-from radiometer.bench.boxes import candidate_ports, find_boxes, open_light_box
+from radiometer.bench.boxes import candidate_ports, find_boxes, open_light_box, simulated_port_folder
+from radiometer.bench.served_box import served_box
 from radiometer.errors import DeviceNotFound
 
 
@@ -37,9 +39,9 @@ def stranger(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Strang
     """Return such a device; no other port exists, and nobody waits for a boot loader."""
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
     monkeypatch.setenv("XDG_DATA_HOME", str(tmp_path))
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
     monkeypatch.delenv(boxes.PORT_VARIABLE, raising=False)
     monkeypatch.setattr("drivers.light_box.box.BOOT_S", 0.01)
-    boxes._SILENT.clear()
     master, slave = pty.openpty()
     tty.setraw(slave)
     yield Stranger(os.ttyname(slave), master)
@@ -61,34 +63,56 @@ def test_a_foreign_port_never_gets_a_byte(stranger: Stranger, monkeypatch: pytes
     assert stranger.received() == b""
 
 
-def test_an_arduino_that_is_no_box_is_asked_once(stranger: Stranger, monkeypatch: pytest.MonkeyPatch) -> None:
-    """One line, a greeting; then it is left alone until it is plugged in anew."""
-    _plug(monkeypatch, SerialPort(stranger.port, 0x2341, 0x0043, "Arduino Uno"))
-    for _ in range(3):
-        assert find_boxes() == ([], [])
-    sent = stranger.received()
-    assert (sent.count(b"\n"), b"HI " in sent) == (1, True)
-    monkeypatch.setattr(boxes, "_when_plugged", lambda port: 1.0)
-    assert find_boxes() == ([], [])
-    assert stranger.received().count(b"\n") == 1
-
-
 @pytest.mark.parametrize(
-    ("port", "like"),
+    "port",
     [
-        (SerialPort("/dev/a", 0x2341, 0x0043), True),
-        (SerialPort("/dev/a", 0x2A03, 0x0043), True),
-        (SerialPort("/dev/a", 0x1A86, 0x7523, "radiometer light box"), True),
-        (SerialPort("/dev/a", 0x1A86, 0x7523, "USB Serial"), False),
-        (SerialPort("/dev/a"), False),
+        SerialPort("/dev/a", 0x2341, 0x0043, "Arduino Uno", "8543"),
+        SerialPort("/dev/a", 0x2A03, 0x0043),
+        SerialPort("/dev/a", 0x1A86, 0x7523, "radiometer light box", "1"),
+        SerialPort("/dev/a"),
     ],
 )
-def test_ports_are_known_by_usb(
-    stranger: Stranger, monkeypatch: pytest.MonkeyPatch, port: SerialPort, like: bool
+def test_no_name_that_usb_gives_makes_a_box(
+    stranger: Stranger, monkeypatch: pytest.MonkeyPatch, port: SerialPort
 ) -> None:
-    """Vendor ids of Arduino, or a name that says so; a common converter chip says nothing."""
-    _plug(monkeypatch, port)
-    assert candidate_ports() == (["/dev/a"] if like else [])
+    """Whatever a device calls itself: any Arduino is reset by being asked, and any text can be written into a chip."""
+    _plug(monkeypatch, port._replace(device=stranger.port))
+    assert find_boxes() == ([], [])
+    assert stranger.received() == b""
+
+
+def test_a_box_is_found_by_itself_once_its_port_was_named(
+    stranger: Stranger, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    """By its USB serial number, whatever its port is next time; one without a serial number is never known."""
+    with served_box("TEST0001", tmp_path / "port").server as served:
+        for usb_serial, found in (("8543", 1), ("", 0)):
+            uno = SerialPort(served.port, 0x2341, 0x0043, "Arduino Uno", usb_serial)
+            _plug(monkeypatch, uno)
+            assert candidate_ports() == []
+            with open_light_box(served.port) as opened:
+                serial = opened.box.identity.serial
+            assert candidate_ports() == [served.port] * found
+            assert [box.serial for box in find_boxes()[0]] == [serial] * found
+    _plug(monkeypatch, SerialPort(stranger.port, 0x2341, 0x0043, "Arduino Uno", "8543"))
+    for _ in range(2):
+        assert find_boxes() == ([], [])
+    assert stranger.received().count(b"\n") == 1  # another program is on it now: asked once, then left alone
+
+
+def test_the_link_of_a_killed_box_is_no_port(stranger: Stranger, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Its terminal has another owner since: nothing is written to it. Two links to one box are one port."""
+    _plug(monkeypatch)
+    folder = simulated_port_folder()
+    folder.mkdir(mode=0o700)
+    link = folder / "TWIN0001"
+    link.symlink_to(stranger.port)
+    assert candidate_ports() == [str(link)]
+    (folder / "TWIN0002").symlink_to(stranger.port)
+    assert len(candidate_ports()) == 1
+    time.sleep(0.2)
+    Path(stranger.port).chmod(0o600)  # as a terminal that is made after the link has a later time
+    assert candidate_ports() == []
 
 
 def test_a_port_that_is_named_is_asked(stranger: Stranger, monkeypatch: pytest.MonkeyPatch) -> None:

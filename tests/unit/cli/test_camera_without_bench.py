@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 from dataclasses import replace
 
 import pytest
 import yaml
 
+import radiometer as rm
 from radiometer.bench.reopening import reopen
-from radiometer.cli.capture import measure
 from radiometer.cli.main import run
 from radiometer.data import LensDescription
 from radiometer.devices import CameraPreset, CameraSettings
@@ -108,33 +109,21 @@ def test_what_a_patch_lacks_is_named_in_the_frames_pixels(real, tmp_path, capsys
     assert "(within x 2, y 40, 6 × 4)" in said
 
 
-def test_watching_survives_a_camera_that_comes_back(real, monkeypatch, capsys):
+def test_watching_survives_a_camera_that_comes_back(real, monkeypatch):
     """A camera lost in the second reading is opened anew, and its reading follows with the same number."""
-
-    class Enough(Exception):
-        """Ends the watch."""
-
-    pauses = []
 
     def find(*_arguments: object, **_known: object) -> RealCamera:
         real.append(RealCamera(LensDescription()))
         real[-1].lost_at = (9,)
         return real[-1]
 
-    def sleep(_seconds: float) -> None:
-        pauses.append(_seconds)
-        if len(pauses) == 3:
-            raise Enough
-
     monkeypatch.setattr("drivers.cameras.aravis_camera.open_camera", find)
-    monkeypatch.setattr(measure.time, "sleep", sleep)
-    with pytest.raises(Enough):
-        run(["measure", "--camera", "20497219", "--patch", "42,22,8,6", "--watch", "--json"])
-    told = capsys.readouterr()
-    assert [json.loads(line)["sequence"] for line in told.out.splitlines()] == [1, 2, 3]
+    told: list[str] = []
+    watched = rm.readings("20497219", (42, 22, 8, 6), watch=True, notice=told.append, sleep=lambda _seconds: None)
+    assert [reading.sequence for reading in itertools.islice(watched, 3)] == [1, 2, 3]
     assert real[0].openings == 2
-    assert "stopped answering; waiting for it" in told.err
-    assert "is back" in told.err
+    assert any("stopped answering; waiting for it" in line for line in told)
+    assert told[-1].endswith("is back")
 
 
 def test_without_watch_a_lost_camera_is_an_error(real, monkeypatch, capsys):

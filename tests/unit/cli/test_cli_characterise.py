@@ -96,9 +96,3 @@ def test_misuse_is_one_line_with_its_exit_code(
     error = capsys.readouterr().err
     assert message in error
     assert error.count("\n") == 1
-
-
-def test_unwritable_output_is_one_line(capture: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """A folder that does not exist is named."""
-    assert run(["characterise", str(capture), "-o", "/nonexistent/camera.yaml"]) == 1
-    assert "cannot write /nonexistent/camera.yaml" in capsys.readouterr().err

@@ -10,6 +10,7 @@ import pytest
 
 from radiometer.cli.commands import COMMANDS
 from radiometer.cli.main import run
+from radiometer.daemon.journal import Journal
 
 
 @pytest.mark.parametrize("name", sorted(COMMANDS))
@@ -60,3 +61,17 @@ def test_version_is_told(capsys):
     """`--version` prints name and number."""
     assert run(["--version"]) == 0
     assert capsys.readouterr().out.startswith("radiometer ")
+
+
+def test_texts_from_outside_do_not_steer_the_terminal(tmp_path, capsys):
+    """A remark and a file name with escape characters: on standard output and in an error they are written out."""
+    journal = Journal(tmp_path / "journal.sqlite")
+    journal.open()
+    journal.note("remark", "lamp\x1b]0;title\x07 [/bold] changed\nreading 1: 5 W")
+    journal.close()
+    assert run(["log", str(tmp_path / "journal.sqlite"), "--events"]) == 0
+    assert run(["merge", "a\x1b[2Jb", "-o", str(tmp_path / "map.exr")]) != 0
+    told = capsys.readouterr()
+    assert ("\x1b" in told.out + told.err, told.out.count("\n")) == (False, 1)
+    assert "\\x1b]0;title" in told.out
+    assert "a\\x1b[2Jb" in told.err

@@ -68,7 +68,7 @@ def _waves(folder: Path, shifts, level=2000.0):
 
 
 def _told(folder: Path, target: Path, capsys, *words):
-    assert run(["merge", str(folder), "--linear", "--align", "off", "-o", str(target), *words]) == 0
+    assert run(["merge", "--force", str(folder), "--linear", "--align", "off", "-o", str(target), *words]) == 0
     return capsys.readouterr().out
 
 
@@ -111,7 +111,7 @@ def test_raw_files_need_no_response(tmp_path, capsys):
     for seconds in TIMES:
         _dng(folder / f"t{seconds:g}.dng", _mosaic(rng, radiance * tint, seconds))
     (folder / "exposures.txt").write_text("".join(f"t{s:g}.dng {s}\n" for s in TIMES))
-    assert run(["merge", str(folder), "-o", str(tmp_path / "map.tiff")]) == 0
+    assert run(["merge", "--force", str(folder), "-o", str(tmp_path / "map.tiff")]) == 0
     capsys.readouterr()
     assert not list(tmp_path.glob("*response*"))
     assert tifffile.imread(tmp_path / "map.tiff", key=0).shape == (60, 80, 3)
@@ -134,11 +134,12 @@ def test_sixteen_bit_pictures_are_linear_where_that_is_said(tmp_path, capsys, en
         dn = np.clip(np.round(electrons * 4.0), 0, 65535).astype(np.uint16)
         cv2.imwrite(str(folder / f"t{seconds:g}{ending}"), dn)
     (folder / "exposures.txt").write_text("".join(f"t{s:g}{ending} {s}\n" for s in TIMES))
-    assert run(["merge", str(folder), "--linear", "-o", str(tmp_path / "map.tiff")]) == 0
+    assert run(["merge", "--force", str(folder), "--linear", "-o", str(tmp_path / "map.tiff")]) == 0
     assert "response" not in capsys.readouterr().out
     _agrees(tmp_path / "map.tiff", radiance)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("gamma", "grows"), [(1.0, None), (2.2, "1.37")])
 def test_photographs_that_are_not_linear_are_told_of(tmp_path, capsys, gamma, grows):
     """Behind a gamma of 1/2.2 twice the exposure makes numbers 2^(1/2.2) as large: said beside map and in it."""
@@ -151,7 +152,7 @@ def test_photographs_that_are_not_linear_are_told_of(tmp_path, capsys, gamma, gr
         )
         cv2.imwrite(str(folder / f"t{seconds:g}.png"), np.clip(np.rint(dn), 0, 255).astype(np.uint8))
     (folder / "exposures.txt").write_text("".join(f"t{s:g}.png {s}\n" for s in TIMES))
-    assert run(["merge", str(folder), "--linear", "-o", str(tmp_path / "map.exr"), "--json"]) == 0
+    assert run(["merge", "--force", str(folder), "--linear", "-o", str(tmp_path / "map.exr"), "--json"]) == 0
     said = capsys.readouterr()
     doubts = [text for text in json.loads(said.out)["assumptions"] if "said to be linear" in text]
     assert [f"numbers {grows} times" in text for text in doubts] == ([] if grows is None else [True])
@@ -160,6 +161,7 @@ def test_photographs_that_are_not_linear_are_told_of(tmp_path, capsys, gamma, gr
     assert ("said to be linear" in capsys.readouterr().err) == (grows is not None)
 
 
+@pytest.mark.slow
 def test_jpeg_files_that_cannot_tell_are_told_of(tmp_path, capsys):
     """Of two JPEG files without a pixel in common no growth is known: that JPEG is not linear is said all the same."""
     folder, rng = tmp_path / "p", np.random.default_rng(7)
@@ -167,7 +169,7 @@ def test_jpeg_files_that_cannot_tell_are_told_of(tmp_path, capsys):
     cv2.imwrite(str(folder / "a.jpg"), rng.normal(120.0, 9.0, (48, 64)).astype(np.uint8))
     cv2.imwrite(str(folder / "b.jpg"), np.full((48, 64), 255, np.uint8))
     (folder / "exposures.txt").write_text("a.jpg 1\nb.jpg 64\n")
-    assert run(["merge", str(folder), "--linear", "-o", str(tmp_path / "map.exr")]) == 0
+    assert run(["merge", "--force", str(folder), "--linear", "-o", str(tmp_path / "map.exr")]) == 0
     assert "cameras write JPEG through a curve" in capsys.readouterr().err
 
 
@@ -178,6 +180,7 @@ def test_linear_photographs_take_no_response(tmp_path, capsys):
     assert "leave --response out" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_raw_files_are_filled_in_for_pictures(tmp_path, capsys):
     """--demosaic gives the map at full size, in proportion to the light of each colour."""
     pytest.importorskip("rawpy")
@@ -188,7 +191,7 @@ def test_raw_files_are_filled_in_for_pictures(tmp_path, capsys):
     for seconds in TIMES:
         _dng(folder / f"t{seconds:g}.dng", _mosaic(rng, 0.8 * tint, seconds))
     (folder / "exposures.txt").write_text("".join(f"t{s:g}.dng {s}\n" for s in TIMES))
-    assert run(["merge", str(folder), "--demosaic", "-o", str(tmp_path / "map.tiff")]) == 0
+    assert run(["merge", "--force", str(folder), "--demosaic", "-o", str(tmp_path / "map.tiff")]) == 0
     capsys.readouterr()
     value = tifffile.imread(tmp_path / "map.tiff", key=0).astype(float)
     assert value.shape == (60, 80, 3)

@@ -77,7 +77,7 @@ def merged(folder, response, capsys) -> tuple[dict, str]:
     """Return what `merge` reports, and what it notes."""
     capsys.readouterr()
     words = ["--response", str(folder.parent / response), "-o", str(folder.parent / "map.exr"), "--align", "off"]
-    assert run(["merge", str(folder), *words, "--json"]) == 0
+    assert run(["merge", "--force", str(folder), *words, "--json"]) == 0
     told = capsys.readouterr()
     return json.loads(told.out), told.err
 

@@ -53,12 +53,3 @@ def test_what_cannot_be_a_bench_is_misuse_and_leaves_no_file(tmp_path, capsys, w
     assert run(["new-bench", str(path), *words]) == 2
     assert said in capsys.readouterr().err
     assert not path.exists()
-
-
-def test_a_file_that_is_there_is_kept(tmp_path, capsys):
-    """An existing bench is never written over."""
-    path = tmp_path / "bench.yaml"
-    path.write_text("mine", encoding="utf-8")
-    assert run(["new-bench", str(path), "--camera", "sim"]) == 1
-    assert "exists already" in capsys.readouterr().err
-    assert path.read_text(encoding="utf-8") == "mine"

@@ -63,6 +63,21 @@ def test_a_ladder_reaches_down_to_a_fortieth(bench, tmp_path, capsys):
     assert dark == set(times)
 
 
+def test_a_step_named_by_a_gain_is_taken_at_it(bench, tmp_path, capsys):
+    """12dB is captured at 12 dB; a capture at another gain than its name says is no index, and the way out is named."""
+    session = tmp_path / "s"
+    for step in ("0dB", "12dB"):
+        assert main(["quality", "take", str(session), "range", step, "--bench", str(bench)]) == 0
+    header = yaml.safe_load((session / "range" / "12dB" / "capture.yaml").read_text())
+    assert {frame["gain_db"] for frame in header["frames"]} == {12.0}
+    (session / "range" / "0dB").rename(session / "range" / "6dB")
+    capsys.readouterr()
+    assert main(["quality", "report", str(session), "--json"]) == 0
+    (change,) = (one for one in json.loads(capsys.readouterr().out)["indices"] if one["index"] == "range")
+    assert not change["measured"]
+    assert "step '6dB' was captured at 0 dB; remove" in change["reason"]
+
+
 def test_several_steps_need_a_hand(bench, tmp_path, capsys):
     """Without a terminal nothing is captured of two steps that differ by what stands before the camera."""
     assert main(["quality", "take", str(tmp_path / "s"), "focus", "--bench", str(bench)]) == 1

@@ -7,11 +7,10 @@ from pathlib import Path
 
 import pytest
 
-from radiometer.cli.analyse.reconcile import _show_limits
 from radiometer.cli.main import run
 from radiometer.errors import OutputError
 from radiometer.reconciliation.inputs import sources
-from radiometer.reconciliation.result import Limit, ReconcileResult, Verdict
+from radiometer.reconciliation.result import ReconcileResult, Verdict
 
 
 class _Answered:
@@ -64,13 +63,3 @@ def test_a_program_gets_the_answer_without_the_file(monkeypatch, tmp_path, capsy
     assert answer["gap"]["before"] == 1.25
     assert answer["report"] is None
     assert "no space left" in err
-
-
-@pytest.mark.parametrize(("amplitude", "headed"), [(None, False), (0.08, True)])
-def test_a_table_of_limits_without_a_row_has_no_heading(amplitude, headed, capsys):
-    """Three photographs would show no label error of any size: that is said without an empty table above it."""
-    limits = {"exposure_label_error": Limit(amplitude, "ratio", "1"), "gamma_enabled": Limit(None, "gamma", "1")}
-    _show_limits(ReconcileResult(Verdict.AGREES, (), 1.0, 1.0, limits))
-    said = capsys.readouterr().out
-    assert ("would have shown" in said) is headed
-    assert "gamma_enabled" in said

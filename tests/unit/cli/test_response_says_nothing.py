@@ -56,6 +56,7 @@ def test_no_range_or_no_factor_of_e_is_refused(stops, u, refused):
         telling(estimate(stops, u), "photos")
 
 
+@pytest.mark.slow
 def test_no_map_is_made_with_a_curve_that_says_nothing(tmp_path, capsys):
     """Plain walls that grow by 1.5 DN a stop: `merge` refuses as `response` does, and writes neither curve nor map."""
     rng = np.random.default_rng(0)

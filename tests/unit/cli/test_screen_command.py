@@ -36,6 +36,7 @@ def test_level_answers_in_json(calibration: Path, capsys: pytest.CaptureFixture[
     assert answer["shown"]["u"] > 0
 
 
+@pytest.mark.slow
 def test_level_out_of_reach_fails_in_one_line(calibration: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Exit code 1, the limits in the message."""
     assert run(["screen", "level", str(calibration), "5000"]) == 1
@@ -71,7 +72,7 @@ def test_json_and_argyll_speak_for_programs(tmp_path: Path, capsys: pytest.Captu
     options = ["--display", "oled", "--levels", "0,128,255", "-o", str(tmp_path / "o.yaml")]
     assert run(["screen", "calibrate", *options, "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["format"] == "radiometer-screen/1"
-    assert run(["screen", "calibrate", *options, "--argyll"]) == 0
+    assert run(["screen", "calibrate", *options, "--argyll", "--force"]) == 0
     lines = [line for line in capsys.readouterr().out.splitlines() if line.startswith(" Result is XYZ:")]
     assert len(lines) == 3
 

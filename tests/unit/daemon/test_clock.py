@@ -7,7 +7,6 @@ import json
 import time
 from collections.abc import Awaitable, Callable
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -124,10 +123,13 @@ def test_a_day_without_a_daemon_is_believed_and_no_more(off_us: int, from_us: in
     assert retention.now_us() == min(from_us + HOUR_US, clocks.wall)
 
 
-async def test_a_jump_is_in_journal_and_state(station: Station, eventually: Eventually) -> None:
+async def test_a_jump_is_in_journal_and_state(
+    station: Station, eventually: Eventually, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """An event of kind clock, and the jump in the state that the page shows."""
     assert station.status()["clock_jump"] is None
-    station.clock._offset_us += HOUR_US  # as if the wall clock had been set back
+    right = time.time_ns
+    monkeypatch.setattr(time, "time_ns", lambda: right() - 1000 * HOUR_US)
     station.clock.look()
     assert station.status()["clock_jump"]["by_s"] == pytest.approx(-3600, abs=1)
     reader = JournalReader(station.journal_path)
@@ -152,14 +154,16 @@ def test_the_age_is_counted_by_a_clock_that_cannot_be_set() -> None:
     assert RetentionClock(None, 0, *Clocks().both).now_us() == START_US
 
 
-async def _kept_after_start(path: Path, keep_days: float) -> list[int]:
-    """Run a writer with a retention over a journal once, and return the numbers that are left."""
-    alarms = Alarms(lambda *_: None)
-    writer = JournalWriter(Journal(path), alarms, lambda *_: None, keep_days=keep_days)
+async def kept_after_start(path: Path, keep_days: float, young: Reading) -> list[int]:
+    """Run a writer with a retention over a journal, and return the numbers that are left but for its own two."""
+    writer = JournalWriter(Journal(path), Alarms(lambda *_: None), lambda *_: None, keep_days=keep_days)
     await writer.open()
-    await writer._drop_old(keep_days)
+    running = asyncio.create_task(writer.run())
+    for _ in range(2):  # what is old goes between the first commit and the second
+        await writer.submit(young)
+    running.cancel()
     await writer.close()
-    return [json.loads(line)["sequence"] for line in JournalReader(path).lines(ReadingFilter())]
+    return [json.loads(line)["sequence"] for line in JournalReader(path).lines(ReadingFilter())][:-2]
 
 
 async def test_keep_days_deletes_what_is_older_and_nothing_else(
@@ -170,37 +174,40 @@ async def test_keep_days_deletes_what_is_older_and_nothing_else(
     with Journal(path) as journal:
         journal.append([make_reading(time=iso_time(START_US - days * DAY_US)) for days in (9, 8, 6, 1, 0)])
     monkeypatch.setattr(RetentionClock.__init__, "__defaults__", (0, lambda: START_US + 10 * DAY_US, lambda: 0))
-    assert await _kept_after_start(path, 7.0) == [3, 4, 5]
-    assert await _kept_after_start(path, 0.5) == [5]
+    young = make_reading(time=iso_time(START_US))
+    assert await kept_after_start(path, 7.0, young) == [3, 4, 5]
+    assert await kept_after_start(path, 0.5, young) == [5, 6, 7]
 
 
 @pytest.mark.parametrize(("keep_days", "expected_s"), [(30.0, [0.0, 3600.0, 7300.0]), (None, [])])
 async def test_old_readings_go_at_the_start_and_every_hour(
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
-    eventually: Eventually,
+    make_reading: Callable[..., Reading],
     keep_days: float | None,
     expected_s: list[float],
 ) -> None:
     """Whatever wakes the writer between deletes nothing; where all are kept, nothing ever does."""
-    steady = SimpleNamespace(monotonic=lambda: steady.s + 500.0, perf_counter=time.perf_counter, s=0.0)
-    monkeypatch.setattr(journal_writer, "time", steady)
+
+    class Steady:
+        s = 0.0
+        perf_counter = staticmethod(time.perf_counter)
+
+        @classmethod
+        def monotonic(cls) -> float:
+            return cls.s + 500.0
+
+    monkeypatch.setattr(journal_writer, "time", Steady)
     journal = Journal(tmp_path / "j.sqlite")
     writer = JournalWriter(journal, Alarms(lambda *_: None), lambda *_: None, keep_days=keep_days)
     dropped: list[float] = []
 
-    async def drop(days: float) -> None:
-        assert days == 30.0
-        dropped.append(steady.s)
-
-    monkeypatch.setattr(writer, "_drop_old", drop)
+    monkeypatch.setattr(journal, "drop_older", lambda before_us: dropped.append(Steady.s) or 0)
     await writer.open()
     running = asyncio.create_task(writer.run())
-    for steady.s in (0.0, 10.0, 3599.0, 3600.0, 5000.0, 7300.0, 7310.0):
-        writer.note("here", str(steady.s))
-        await eventually(lambda: not writer._events and not writer._work.is_set())
-        for _ in range(5):
-            await asyncio.sleep(0)
+    for Steady.s in (0.0, 10.0, 3599.0, 3600.0, 5000.0, 7300.0, 7310.0):
+        for _ in range(2):  # what is old goes between the first commit and the second
+            await writer.submit(make_reading())
     running.cancel()
     await writer.close()
     assert dropped == expected_s
@@ -216,10 +223,9 @@ async def test_a_jump_before_a_restart_is_remembered(
         journal.note_jump(10 * DAY_US)
         journal.append([make_reading(time=iso_time(wall))])
     monkeypatch.setattr(RetentionClock.__init__, "__defaults__", (0, lambda: wall, lambda: 0))
-    assert await _kept_after_start(path, 7.0) == [2, 3, 4]
+    assert await kept_after_start(path, 7.0, make_reading(time=iso_time(wall))) == [2, 3, 4]
     with Journal(path) as journal:
         journal.note_jump(-10 * DAY_US)
-        assert journal._connection is not None
     again = Journal(path)
     again.open()
     assert again.clock_doubt_us == 0

@@ -18,12 +18,12 @@ from PIL import Image
 
 from radiometer.daemon.http.openapi import description
 from radiometer.daemon.http.picture import composite, render
-from radiometer.daemon.http.server import _PAGE, ROUTES, HttpServer
+from radiometer.daemon.http.server import ROUTES, HttpServer
 from radiometer.daemon.instrument import Measurement
 from radiometer.daemon.journal_reader import JournalReader, ReadingFilter
 from radiometer.daemon.limits import Limits
 from radiometer.daemon.station import Station
-from radiometer.data import Frame, FrameSettings, Patch, Quantity, Reading
+from radiometer.data import Frame, FrameSettings, Patch, Quantity, Reading, ResponseCurve
 from radiometer.errors import OutputError, UsageError
 from testing.patience import within
 
@@ -111,7 +111,16 @@ async def test_history_filters(base: str, session: aiohttp.ClientSession, statio
         ("/readings?since=yesterday", "ISO 8601"),
         ("/readings?format=xml", "format must be one of"),
         ("/readings?nonsense=1", "no parameter 'nonsense'"),
-        ("/frame.png?width=100000", "width must be"),
+        ("/readings?limit=20001", "limit must be 1 to 20000"),
+        ("/readings?clean=maybe", "clean"),
+        ("/readings?stream=lamp", "stream"),
+        ("/readings?after=4611686018427387904", "after"),
+        ("/trend?points=9", "points must be 10 to 5000"),
+        ("/trend?points=5001", "points must be 10 to 5000"),
+        ("/events?limit=0", "limit must be 1 to 5000"),
+        ("/events?limit=5001", "limit must be 1 to 5000"),
+        ("/frame.png?width=63", "width must be 64 to 2048"),
+        ("/frame.png?width=2049", "width must be 64 to 2048"),
     ],
 )
 async def test_wrong_queries_are_refused_with_the_reason(
@@ -296,6 +305,13 @@ async def test_no_path_reaches_the_file_system(base: str, path: str) -> None:
     assert b"root:" not in head
 
 
+async def test_a_key_that_stands_twice_is_refused(base: str, session: aiohttp.ClientSession) -> None:
+    """Which of two levels of a light was meant is not known: nothing is set."""
+    body, kind = '{"channel": "white", "level": 0, "level": 1}', {"Content-Type": "application/json"}
+    async with session.post(f"{base}/light", data=body, headers=kind) as reply:
+        assert (reply.status, "'level' stands twice" in await reply.text()) == (400, True)
+
+
 async def test_nonsense_is_refused_without_filling_the_log(base: str) -> None:
     """What is no HTTP gets its 400, and leaves no traceback behind."""
     port, logged = int(base.rsplit(":", 1)[1]), BufferingHandler(100)
@@ -397,12 +413,16 @@ def test_no_route_takes_a_path_from_the_client() -> None:
     assert not [route.path for route in ROUTES if "{" in route.path]
 
 
-def test_the_page_is_part_of_the_package(project_root: Path) -> None:
-    """Every file of the page folder is served."""
+async def test_the_page_is_part_of_the_package(base: str, session: aiohttp.ClientSession, project_root: Path) -> None:
+    """Every file of the page folder is served as it is, the licence of what others wrote among them."""
     page = project_root / "radiometer/daemon/http/page"
-    files = {str(path.relative_to(page)) for path in page.rglob("*") if path.is_file()}
-    assert files == {name for name, _ in _PAGE.values()}
-    assert "MIT License" in (page / "uplot/LICENSE").read_text(encoding="utf-8")
+    served = []
+    for path in [route.path for route in ROUTES if route.method == "GET" and route.public]:
+        async with session.get(base + path) as reply:
+            served.append(await reply.read())
+    for file in (path for path in page.rglob("*") if path.is_file()):
+        assert file.read_bytes() in served, file.name
+    assert b"MIT License" in (page / "uplot/LICENSE").read_bytes()
 
 
 @pytest.mark.parametrize("path", [route.path for route in ROUTES if route.method == "GET"])
@@ -425,11 +445,8 @@ async def test_times_beyond_all_calendars_are_refused(base: str, session: aiohtt
             assert reply.status == 400
 
 
-async def test_the_table_is_the_whole_range(
-    base: str, session: aiohttp.ClientSession, station: Station, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """readings.csv without a limit holds every reading of the range, in pieces; a limit still limits."""
-    monkeypatch.setattr("radiometer.daemon.http.readings._REPLAY_ROWS", 3)
+async def test_the_table_is_the_whole_range(base: str, session: aiohttp.ClientSession, station: Station) -> None:
+    """readings.csv without a limit holds every reading of the range; a limit still limits."""
     for _ in range(8):
         await station.acquisition.measure()
     for form, header in (("csv", 1), ("jsonl", 0)):
@@ -504,3 +521,98 @@ async def test_a_port_that_is_taken_is_told(base: str, serve: Any, station: Stat
     taken = int(base.rpartition(":")[2])
     with pytest.raises(OutputError, match=f"cannot listen for HTTP on 127.0.0.1:{taken}"):
         await HttpServer(station).listen("127.0.0.1", taken)
+
+
+@pytest.mark.parametrize(
+    "path",
+    [
+        "/readings?limit=1", "/readings?limit=20000", "/readings?clean", "/readings?clean=on", "/readings?clean=True",
+        "/readings?clean=0&after=4611686018427387903", "/trend?points=10", "/trend?points=5000", "/events?limit=1",
+        "/events?limit=5000", "/frame.png?width=64", "/frame.png?width=2048",
+    ],
+)  # fmt: skip
+async def test_a_query_is_taken_up_to_its_bounds(
+    base: str, session: aiohttp.ClientSession, station: Station, path: str
+) -> None:
+    """The lowest and the highest number are served, and a boolean in every spelling."""
+    await station.acquisition.measure()
+    async with session.get(base + path) as reply:
+        assert reply.status == 200, await reply.text()
+
+
+@pytest.mark.parametrize(
+    ("accept", "query", "kind"),
+    [("*/*", "", "application/json"), ("text/csv", "", "text/csv"), ("text/csv", "?format=json", "application/json"),
+     ("application/x-ndjson", "", "application/x-ndjson")],
+)  # fmt: skip
+async def test_the_form_of_a_history_is_asked_for(
+    base: str, session: aiohttp.ClientSession, accept: str, query: str, kind: str
+) -> None:
+    """By the query, else by the Accept header, else it is JSON."""
+    async with session.get(f"{base}/readings{query}", headers={"Accept": accept}) as reply:
+        assert reply.content_type == kind
+
+
+async def test_health_is_503_while_an_alarm_is_up(base: str, session: aiohttp.ClientSession, station: Station) -> None:
+    """What a watchdog looks at: 200 and ok, or 503 and the names."""
+    for status, said in ((200, {"status": "ok", "alarms": []}), (503, {"status": "alarm", "alarms": ["disk"]})):
+        async with session.get(f"{base}/healthz") as reply:
+            assert (reply.status, await reply.json()) == (status, said)
+        station.alarms.put_up("disk", "full")
+
+
+@pytest.mark.parametrize("size", [None, 256, 4096])
+async def test_the_curve_of_the_page_is_that_in_use_or_a_straight_line(
+    base: str, session: aiohttp.ClientSession, monkeypatch: pytest.MonkeyPatch, instrument: Any, size: int | None
+) -> None:
+    """A line is ln M up to a constant that makes half of full scale 0; of a long curve at most 512 points are shown."""
+    curve = None if size is None else ResponseCurve(np.linspace(-5.0, 2.0, size), np.full(size, 0.01))
+    monkeypatch.setattr(type(instrument), "response", curve)
+    async with session.get(f"{base}/response") as reply:
+        shown = await reply.json()
+    assert (shown["linear"], shown["absolute"]) == (size is None, False)
+    dn = np.array(shown["dn"])
+    if size is None:
+        assert shown["log_exposure"] == pytest.approx(np.log(dn / 2048).tolist())
+        assert set(shown["u_log_exposure"]) == {0.0}
+    else:
+        assert (dn.size, dn[0], dn[-1]) == (min(size, 512), 0, size - 1)
+        assert shown["log_exposure"] == pytest.approx((-5.0 + 7.0 * dn / (size - 1)).tolist())
+        assert set(shown["u_log_exposure"]) == {0.01}
+
+
+async def test_a_trend_is_in_seconds_and_with_twice_the_standard_uncertainty(
+    base: str, session: aiohttp.ClientSession, station: Station, make_reading: Callable[..., Reading]
+) -> None:
+    """An hour of 20 November 2026, and one reading of 1 ± 0.01 there: U is 0.02."""
+    at = 1_795_132_800  # 2026-11-20T00:00:00Z
+    await station.writer.submit(make_reading(time="2026-11-20T00:10:00.000000Z"))
+    async with session.get(f"{base}/trend?since=2026-11-20T00:00:00Z&until=2026-11-20T01:00:00Z") as reply:
+        shown = await reply.json()
+    assert (shown["since"], shown["until"]) == (at, at + 3600)
+    assert (shown["value"], shown["U"]) == ([1.0], [0.02])
+    assert shown["time"] == [pytest.approx(at + 600, abs=1.8)]  # the middle of a thousandth of the hour, 3.6 s
+
+
+async def test_a_remark_is_said_back_in_its_own_letters(base: str, session: aiohttp.ClientSession) -> None:
+    """Blanks put in order, letters as they are: no client has to undo escapes to read them."""
+    async with session.post(f"{base}/events", json={"message": " Lampe  geändert: 3 °C "}) as reply:
+        text = await reply.text()
+    assert "Lampe geändert: 3 °C" in text
+    assert json.loads(text) == {"kind": "remark", "message": "Lampe geändert: 3 °C"}
+
+
+@pytest.mark.parametrize(("last", "first"), [("3", 4), ("-1", None), ("1e1", None), ("9" * 19, None), ("٣", None)])
+async def test_a_stream_goes_on_from_a_number_and_from_nothing_else(
+    base: str, session: aiohttp.ClientSession, station: Station, last: str, first: int | None
+) -> None:
+    """A whole number of ASCII digits that SQLite holds; anything else begins with what comes next."""
+    for _ in range(5):
+        await station.acquisition.measure()
+    headers = {"Last-Event-ID": last.encode().decode("latin-1")}
+    async with session.get(f"{base}/readings/stream", headers=headers) as reply:
+        await station.acquisition.measure()
+        async for line in reply.content:
+            if line.startswith(b"id: "):
+                assert int(line[4:]) == (first or 6)
+                break

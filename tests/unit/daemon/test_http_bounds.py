@@ -4,9 +4,6 @@ from __future__ import annotations
 
 import asyncio
 import io
-import json
-from types import SimpleNamespace
-from typing import Any
 
 import numpy as np
 import pytest
@@ -14,83 +11,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from PIL import Image
 
-from radiometer.daemon.http import picture, readings, security
-from radiometer.daemon.http.control import show_response
-from radiometer.daemon.http.patches import add_remark, show_events, show_trend
-from radiometer.daemon.http.picture import CACHE, ONE_AT_A_TIME, PictureCache, ServedPicture, render, show_frame
-from radiometer.daemon.http.requests import MeasureBody, read_body
-from radiometer.daemon.http.route import QUERIES, STATION
-from radiometer.daemon.http.security import _Rates
+from radiometer.daemon.http.picture import ServedPicture, render
 from radiometer.daemon.http.server import HttpServer
 from radiometer.daemon.limits import TokenBucket, is_allowed, parse_networks
 from radiometer.daemon.station import Station
-from radiometer.data import ResponseCurve
-from radiometer.errors import UsageError
-
-
-def asking(station: Any, **query: str) -> Any:
-    app = {STATION: station, QUERIES: asyncio.Semaphore(1), CACHE: PictureCache(), ONE_AT_A_TIME: asyncio.Lock()}
-    return SimpleNamespace(query=query, app=app, headers={})
-
-
-@pytest.mark.parametrize(
-    ("handler", "name", "low", "high"),
-    [(show_trend, "points", 10, 5000), (show_events, "limit", 1, 5000), (show_frame, "width", 64, 2048)],
-)
-async def test_a_number_is_taken_up_to_its_bounds(
-    station: Station, monkeypatch: pytest.MonkeyPatch, handler: Any, name: str, low: int, high: int
-) -> None:
-    """The lowest and highest are served, one less and one more are refused by name with both bounds."""
-    monkeypatch.setattr(picture, "render", lambda *_, **__: (b"", {}))
-    await station.acquisition.measure()
-    for number in (low, high):
-        assert (await handler(asking(station, **{name: str(number)}))).status == 200
-    for number in (low - 1, high + 1):
-        with pytest.raises(UsageError, match=rf"{name} must be {low} to {high}.*not {number}"):
-            await handler(asking(station, **{name: str(number)}))
-
-
-def test_a_history_has_one_row_at_least() -> None:
-    """One is taken, and as many as the limit; what stands beyond SQLite's numbers is none."""
-    assert readings._filter({"limit": 1}, 5).limit == 1
-    assert readings._filter({"limit": 5, "after": 2**62 - 1}, 5).after == 2**62 - 1
-    assert readings._filter({"limit": 5, "after": 1 - 2**62}, 5).after == 1 - 2**62
-
-
-def test_an_event_number_has_eighteen_digits_at_most() -> None:
-    """More may not fit into 64 bits, with a sign."""
-    for digits, number in ((18, int("9" * 18)), (19, None)):
-        request: Any = SimpleNamespace(headers={"Last-Event-ID": "9" * digits})
-        assert readings._last_event_id(request) == number
-
-
-@pytest.mark.parametrize("size", [256, 512, 4096])
-async def test_a_curve_is_drawn_from_its_first_to_its_last_number(size: int) -> None:
-    """At most 512 of them, evenly; all where there are no more."""
-    curve = ResponseCurve(np.linspace(-5.0, 2.0, size), np.full(size, 0.01))
-    station = SimpleNamespace(instrument=SimpleNamespace(response=curve))
-    shown = json.loads((await show_response(asking(station))).text or "")["dn"]
-    assert (len(shown), shown[0], shown[-1]) == (min(size, 512), 0, size - 1)
-    assert max(np.diff(shown)) - min(np.diff(shown)) <= 1
-
-
-@pytest.mark.parametrize(
-    ("content", "kind", "given_s"),
-    [
-        (b"", "text/plain", 0.01), (b" {} \n", "application/json", 0.01),
-        (b'{"exposure_s": 0.5}', "application/json", 0.5),
-    ],
-)  # fmt: skip
-async def test_an_empty_body_changes_nothing_whatever_it_calls_itself(
-    content: bytes, kind: str, given_s: float
-) -> None:
-    """And one with content must be JSON by its name."""
-
-    async def read() -> bytes:
-        return content
-
-    request: Any = SimpleNamespace(read=read, content_type=kind)
-    assert (await read_body(request, MeasureBody)).exposure_s == given_s
 
 
 @pytest.mark.parametrize(("spread", "said"), [(19.0, "linear"), (20.0, "linear"), (21.0, "log")])
@@ -152,27 +76,6 @@ def test_a_bucket_is_full_again_after_as_long_as_was_taken(per_s: int, begun_s: 
     assert bucket.take() > 0.0
 
 
-async def test_addresses_that_have_been_quiet_are_forgotten_and_noisy_ones_are_not(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    """At 512 of them the quiet ones go; who has used up its rate gets no new one by that."""
-    now = [0.0]
-    monkeypatch.setattr(security, "TokenBucket", lambda per_s: TokenBucket(per_s, lambda: now[0]))
-    rates: Any = _Rates(2.0, SimpleNamespace(is_known=lambda _: True))  # type: ignore[arg-type]
-
-    def client(number: int) -> Any:
-        return SimpleNamespace(remote=f"10.0.{number // 256}.{number % 256}", protocol=number)
-
-    for number in range(511):
-        assert await rates.admits(client(number))
-    now[0] = 10.0
-    assert [await rates.admits(client(600)) for _ in range(3)] == [True, True, False]
-    assert len(rates._buckets) == 512
-    assert await rates.admits(client(601))
-    assert len(rates._buckets) == 2
-    assert not await rates.admits(client(600))
-
-
 @pytest.mark.parametrize(
     ("peer", "allowed"),
     [
@@ -190,18 +93,6 @@ def test_the_machine_itself_needs_no_list() -> None:
     """Without a network nobody else may connect."""
     assert [is_allowed(peer, ()) for peer in ("127.0.0.1", "::1", "10.0.0.1", "::")] == [True, True, False, False]
     assert parse_networks(["10.0.0.7"])[0].num_addresses == 1
-
-
-async def test_a_remark_is_said_back_in_its_own_letters(station: Station) -> None:
-    """Blanks put in order, letters as they are: no client has to undo escapes to read them."""
-
-    async def read() -> bytes:
-        return '{"message": " Lampe  geändert: 3 °C "}'.encode()
-
-    request: Any = SimpleNamespace(read=read, content_type="application/json", app={STATION: station})
-    text = (await add_remark(request)).text or ""
-    assert "Lampe geändert: 3 °C" in text
-    assert json.loads(text) == {"kind": "remark", "message": "Lampe geändert: 3 °C"}
 
 
 async def test_connections_are_counted_while_there_is_a_server(station: Station) -> None:
@@ -222,3 +113,18 @@ async def test_connections_are_counted_while_there_is_a_server(station: Station)
     for _, writer in lines:
         writer.close()
     assert shown() == 'radiometer_connections{interface="http"} 0.0'
+
+
+@pytest.mark.parametrize("height", [64, 200])
+def test_the_bar_leaves_the_picture_as_it_is(height: int) -> None:
+    """With the bar the picture stands left of it, pixel by pixel as without."""
+    rng = np.random.default_rng(2)
+    shown = ServedPicture(
+        rng.uniform(1.0, 9.0, (height, 100)).astype(np.float32), np.zeros((height, 100), bool), "W", 5
+    )
+    alone, beside = (
+        np.asarray(Image.open(io.BytesIO(render(shown, width=100, scale="linear", colours="inferno", bar=bar)[0])))
+        for bar in (False, True)
+    )
+    assert beside.shape[1] > alone.shape[1] == 100
+    assert (beside[:, :100, :3] == alone[..., :3]).all()

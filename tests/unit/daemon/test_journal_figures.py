@@ -6,21 +6,18 @@ import asyncio
 import sqlite3
 from collections.abc import Callable
 from pathlib import Path
-from types import SimpleNamespace
-from typing import Any
 
 import pytest
-from structlog.testing import capture_logs
 
-from radiometer.daemon import journal_writer
 from radiometer.daemon.alarms import Alarms
 from radiometer.daemon.clock_watch import Jump
-from radiometer.daemon.journal import Journal, JournalError, _Transaction
+from radiometer.daemon.journal import Journal, JournalError
 from radiometer.daemon.journal_reader import JournalReader, ReadingFilter, TrendPoint
 from radiometer.daemon.journal_writer import JournalWriter
 from radiometer.daemon.timestamps import iso_time
 from radiometer.data import Contribution, Flag, Quantity, Reading
 from radiometer.errors import InputError, OutputError
+from testing.watched_sqlite import Watched, refusing
 
 Make = Callable[..., Reading]
 MINUTE_US, DAY_US = 60_000_000, 86_400_000_000
@@ -87,9 +84,10 @@ def test_a_trend_of_up_to_125_minutes_is_of_readings_and_a_longer_one_of_minutes
 
 def test_of_many_events_the_newest_thousand_are_told(tmp_path: Path) -> None:
     """Oldest first, of 1001 all but the first; fewer where fewer are asked for, and of a time its own."""
-    with Journal(tmp_path / "j.sqlite") as journal, journal._transaction() as connection:
+    with Journal(tmp_path / "j.sqlite"), sqlite3.connect(tmp_path / "j.sqlite") as connection:
         events = [(BASE_US + number, "remark", str(number)) for number in range(1001)]
         connection.executemany("INSERT INTO events (time_us, kind, message) VALUES (?, ?, ?)", events)
+    connection.close()
     reader = JournalReader(tmp_path / "j.sqlite")
 
     def told(**more: int) -> list[int]:
@@ -144,41 +142,34 @@ def test_a_budget_is_of_its_own_reading(tmp_path: Path, make_reading: Make) -> N
             reader.budget(gone)
 
 
-def test_what_was_handed_out_survives_a_power_cut(tmp_path: Path) -> None:
+def test_what_was_handed_out_survives_a_power_cut(tmp_path: Path, connections: list[Watched]) -> None:
     """SQLite waits for the disk at every commit (synchronous = FULL) and writes ahead, so that readers never wait."""
-    with Journal(tmp_path / "j.sqlite") as journal:
-        connection = journal._connection
-        assert connection is not None
+    with Journal(tmp_path / "j.sqlite"):
+        (connection,) = connections
         assert connection.execute("PRAGMA synchronous").fetchone() == (2,)
         assert connection.execute("PRAGMA journal_mode").fetchone() == ("wal",)
 
 
-def test_a_limit_of_bytes_is_one(tmp_path: Path, make_reading: Make) -> None:
-    """A journal of at most 200 kB stays below them, and says so when it is full."""
-    with Journal(tmp_path / "j.sqlite", max_bytes=200_000) as journal:
-        connection = journal._connection
-        assert connection is not None
+def test_a_limit_of_bytes_is_one(tmp_path: Path, connections: list[Watched]) -> None:
+    """A journal of at most 200 kB stays below them."""
+    with Journal(tmp_path / "j.sqlite", max_bytes=200_000):
+        (connection,) = connections
         (size,), (count,) = (
             connection.execute(f"PRAGMA {name}").fetchone() for name in ("page_size", "max_page_count")
         )
         assert size * count <= 200_000 < size * (count + 1)
 
 
-def break_off(journal: Journal) -> None:
-    with journal._transaction() as connection:
-        connection.execute("UPDATE counters SET value = 7 WHERE name = 'last_sequence'")
-        connection.execute("DELETE FROM nowhere")
-
-
-async def test_a_jump_is_counted_once(tmp_path: Path) -> None:
+async def test_a_jump_is_counted_once(tmp_path: Path, make_reading: Make) -> None:
     """Two jumps of the clock by 10 s and −4 s are a doubt of 6 s however often is committed; each is an event."""
     writer = JournalWriter(Journal(tmp_path / "j.sqlite"), Alarms(lambda *_: None), lambda *_: None)
     await writer.open()
     writer.note_jump(Jump(BASE_US, BASE_US + 10_000_000))
     writer.note_jump(Jump(BASE_US, BASE_US - 4_000_000))
+    running = asyncio.create_task(writer.run())
     for _ in range(3):
-        await writer._commit_batch()
-    assert writer._jumps_us == 0
+        await writer.submit(make_reading())
+    running.cancel()
     await writer.close()
     again = Journal(tmp_path / "j.sqlite")
     again.open()
@@ -211,18 +202,6 @@ async def test_a_jump_that_could_not_be_written_is_written_later(
         assert again.clock_doubt_us == 10_000_000
 
 
-async def test_readings_that_came_meanwhile_take_their_room(tmp_path: Path, make_reading: Make) -> None:
-    """Five wait where three have room; each that is committed makes one place, and the third leaves one to fill."""
-    writer = JournalWriter(Journal(tmp_path / "j.sqlite"), Alarms(lambda *_: None), lambda *_: None, capacity=3)
-    for _ in range(5):
-        writer.submit(make_reading())
-    room = []
-    for _ in range(5):
-        writer._hand_out([make_reading()], 0.0)
-        room.append((writer.depth, writer._room.is_set()))
-    assert room == [(4, False), (3, False), (2, True), (1, True), (0, True)]
-
-
 async def test_there_is_room_for_so_many_readings_and_no_more(tmp_path: Path, make_reading: Make) -> None:
     """Three that wait fill room for three; once they are committed there is room again, in the order they came."""
     given: list[tuple[int, float]] = []
@@ -234,22 +213,19 @@ async def test_there_is_room_for_so_many_readings_and_no_more(tmp_path: Path, ma
     await writer.open()
     futures = []
     for value in (5.0, 3.0, 4.0):
-        assert writer._room.is_set()
+        await writer.wait_for_room()
         futures.append(writer.submit(make_reading(radiance=Quantity(value, 0.1, "1"))))
-    assert (writer._room.is_set(), writer.depth) == (False, 3)
-    await writer._commit_until_empty()
-    assert (writer._room.is_set(), writer.depth) == (True, 0)
+    waiting = asyncio.create_task(writer.wait_for_room())
+    await asyncio.sleep(0)
+    assert (waiting.done(), writer.depth) == (False, 3)
+    running = asyncio.create_task(writer.run())
+    await waiting
+    await asyncio.gather(*futures)
+    running.cancel()
+    assert writer.depth == 0
     assert [reading.sequence for reading in await asyncio.gather(*futures)] == [1, 2, 3]
     assert given == [(1, 5.0), (2, 3.0), (3, 4.0)]
     await writer.close()
-
-
-def test_after_a_failed_write_the_next_is_written(tmp_path: Path, make_reading: Make) -> None:
-    """A transaction that breaks in the middle is rolled back: what follows is numbered as if it had not been."""
-    with Journal(tmp_path / "j.sqlite") as journal:
-        with pytest.raises(JournalError, match="no such table"):
-            break_off(journal)
-        assert [reading.sequence for reading in journal.append([make_reading()])] == [1]
 
 
 def test_deletion_takes_whole_old_minutes_of_the_trend(tmp_path: Path, make_reading: Make) -> None:
@@ -281,13 +257,14 @@ async def test_a_journal_that_is_locked_is_an_alarm_and_no_end(tmp_path: Path, m
     await writer.close()
 
 
-def test_a_journal_that_is_closed_lets_go_of_its_file(tmp_path: Path, make_reading: Make) -> None:
+def test_a_journal_that_is_closed_lets_go_of_its_file(
+    tmp_path: Path, make_reading: Make, connections: list[Watched]
+) -> None:
     """The connection is closed, another daemon may open it; closing twice does nothing."""
     journal = Journal(tmp_path / "j.sqlite")
     journal.open()
     journal.append([make_reading()])
-    connection = journal._connection
-    assert connection is not None
+    (connection,) = connections
     journal.close()
     journal.close()
     with pytest.raises(sqlite3.ProgrammingError, match="closed"):
@@ -304,37 +281,16 @@ def test_a_journal_is_told_by_its_first_bytes(tmp_path: Path, make_reading: Make
     assert int.from_bytes(header[60:64], "big") == 2
 
 
-async def test_what_cannot_be_committed_at_the_end_is_logged_and_nobody_waits_for_it(
-    tmp_path: Path, make_reading: Make, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Each reading stands in the log in full, whoever waits for one is told that it will not come, the file is free."""
-    monkeypatch.setattr(journal_writer, "_CLOSING_DEADLINE_S", 0.0)
-    journal = Journal(tmp_path / "j.sqlite")
-    writer = JournalWriter(journal, Alarms(lambda *_: None), lambda *_: None)
-    await writer.open()
-
-    def full(batch: list[Reading]) -> None:
-        raise JournalError("disk full")
-
-    monkeypatch.setattr(journal, "append", full)
-    given = [make_reading(radiance=Quantity(value, 0.1, "1")) for value in (5.0, 3.0)]
-    futures = [writer.submit(one) for one in given]
-    with capture_logs() as logs:
-        await writer.close()
-    told = [one["reading"] for one in logs if one["event"] == "reading could not be committed"]
-    assert told == [one.to_json() for one in given]
-    assert [future.cancelled() for future in futures] == [True, True]
-    assert journal._connection is None
-
-
 async def test_a_patch_is_kept_although_nothing_else_is_to_be_written(tmp_path: Path) -> None:
     """What is queued of patches alone is committed at the end; the last said of each counts; a forgotten one goes."""
     writer = JournalWriter(Journal(tmp_path / "j.sqlite"), Alarms(lambda *_: None), lambda *_: None)
     await writer.open()
     writer.keep_patch("lamp", "first")
     writer.keep_patch("gone", "there")
-    await writer._commit_until_empty()
-    assert await writer.patches() == {"lamp": "first", "gone": "there"}
+    running = asyncio.create_task(writer.run())
+    while await writer.patches() != {"lamp": "first", "gone": "there"}:
+        await asyncio.sleep(0)
+    running.cancel()
     writer.keep_patch("lamp", "second")
     writer.keep_patch("gone", None)
     await writer.close()
@@ -351,19 +307,15 @@ async def test_a_patch_is_kept_although_nothing_else_is_to_be_written(tmp_path: 
     ],
 )  # fmt: skip
 def test_what_sqlite_refuses_is_told_with_its_way_out(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, code: int, kind: type, said: str
+    tmp_path: Path, make_reading: Make, connections: list[Watched], code: int, kind: type, said: str
 ) -> None:
-    """It is an error of the journal, by the first byte of SQLite's code."""
-
-    def refuse(*_: object, **__: object) -> None:
-        error = sqlite3.OperationalError("refused")
-        error.sqlite_errorcode = code
-        raise error
-
-    monkeypatch.setattr(sqlite3, "connect", refuse)
-    with pytest.raises(OutputError, match=said) as refusal:
-        Journal(tmp_path / "j.sqlite").open()
-    assert type(refusal.value) is kind
+    """By the first byte of SQLite's code; nothing of the batch stays, and the next goes in whole."""
+    with Journal(tmp_path / "j.sqlite") as journal:
+        for words in ("trend", "COMMIT"):
+            with refusing(words, code), pytest.raises(OutputError, match=said) as refusal:
+                journal.append([make_reading(), make_reading()])
+            assert type(refusal.value) is kind
+        assert [reading.sequence for reading in journal.append([make_reading()])] == [1]
 
 
 def test_a_journal_opens_itself_where_it_is_written_to(tmp_path: Path, make_reading: Make) -> None:
@@ -373,21 +325,5 @@ def test_a_journal_opens_itself_where_it_is_written_to(tmp_path: Path, make_read
         assert [reading.sequence for reading in journal.append([make_reading()])] == [number]
         journal.note("remark", str(number))
         journal.close()
-        assert journal._connection is None
     reader = JournalReader(tmp_path / "j.sqlite")
     assert [event["message"] for event in reader.events()] == ["1", "2"]
-
-
-def test_what_cannot_be_committed_is_rolled_back(tmp_path: Path) -> None:
-    """A full disk found out at COMMIT: the error is told, and the next transaction can begin."""
-    told: list[str] = []
-
-    def execute(statement: str) -> None:
-        told.append(statement)
-        if statement == "COMMIT":
-            raise sqlite3.OperationalError("database or disk is full")
-
-    connection: Any = SimpleNamespace(execute=execute, in_transaction=True)
-    with Journal(tmp_path / "j.sqlite") as journal, pytest.raises(JournalError), _Transaction(journal, connection):
-        pass
-    assert told == ["BEGIN IMMEDIATE", "COMMIT", "ROLLBACK"]

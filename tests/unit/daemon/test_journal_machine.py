@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import json
 import shutil
 import sqlite3
@@ -13,13 +14,13 @@ from hypothesis import HealthCheck, settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, invariant, rule, run_state_machine_as_test
 
-from radiometer.daemon import journal as journal_module
 from radiometer.daemon.alarms import Alarms
 from radiometer.daemon.journal import Journal, JournalError
 from radiometer.daemon.journal_reader import JournalReader, ReadingFilter
 from radiometer.daemon.journal_writer import JournalWriter
 from radiometer.daemon.timestamps import iso_time
 from radiometer.data import Flag, Quantity
+from testing.watched_sqlite import refusing
 
 START_US = 1_790_000_000_000_000
 HOUR_US = 3_600_000_000
@@ -90,13 +91,8 @@ class JournalMachine(RuleBasedStateMachine):
     def fail(self):
         """A transaction that cannot be committed leaves nothing behind."""
         reading = type(self).make_reading()
-        statement = journal_module._ADD_TO_TREND
-        journal_module._ADD_TO_TREND = "INSERT INTO nowhere VALUES (:stream)"  # after the readings have gone in
-        try:
-            with pytest.raises(JournalError):
-                self.journal.append([reading, reading])
-        finally:
-            journal_module._ADD_TO_TREND = statement
+        with refusing("INTO trend"), pytest.raises(JournalError):  # after the readings have gone in
+            self.journal.append([reading, reading])
 
     @rule(name=st.sampled_from("ab"), line=st.sampled_from([None, "{}", '{"x": 1}']))
     def keep_patch(self, name, line):
@@ -159,6 +155,7 @@ class JournalMachine(RuleBasedStateMachine):
         assert JournalReader(self.path).bounds() == expected
 
 
+@pytest.mark.usefixtures("connections")
 def test_a_journal_is_a_list_that_stays(make_reading):
     """Numbers, filters, trend, deletion, patches and failures agree with a plain list, in any order."""
     JournalMachine.make_reading = staticmethod(make_reading)
@@ -214,35 +211,16 @@ async def test_what_cannot_be_deleted_is_an_alarm(tmp_path, make_reading, monkey
         raise JournalError("read-only file system")
 
     monkeypatch.setattr(journal, "drop_older", refused)
-    await writer._drop_old(1.0)
+    running = asyncio.create_task(writer.run())
+    while not alarms.active:
+        await asyncio.sleep(0)
+    running.cancel()
     assert ["read-only" in alarm.message for alarm in alarms.active] == [True]
     await writer.close()
 
 
-async def test_a_patch_that_changes_while_it_is_written_is_written_again(tmp_path, monkeypatch):
-    """What a client asks for during the writing of what it asked for before is not lost."""
-    journal = Journal(tmp_path / "j.sqlite")
-    writer = JournalWriter(journal, Alarms(lambda *_: None), lambda *_: None)
-    await writer.open()
-    real, written = journal.keep_patch, []
-
-    def slow(name, line):
-        if not written:
-            writer._kept_patches[name] = "second"
-        written.append(line)
-        real(name, line)
-
-    monkeypatch.setattr(journal, "keep_patch", slow)
-    writer.keep_patch("lamp", "first")
-    await writer._commit_batch()
-    assert written == ["first", "second"]
-    assert await writer.patches() == {"lamp": "second"}
-    await writer.close()
-
-
-def test_deletion_in_chunks_deletes_all_that_is_old(tmp_path, make_reading, monkeypatch):
-    """More than one chunk goes in one call, events too, and of the trend whole old minutes."""
-    monkeypatch.setattr(journal_module, "_RETENTION_CHUNK", 3)
+def test_deletion_deletes_all_that_is_old(tmp_path, make_reading):
+    """Readings and events go in one call, and of the trend whole old minutes."""
     with Journal(tmp_path / "j.sqlite") as journal:
         journal.append([make_reading(time=iso_time(START_US + hour * HOUR_US)) for hour in range(10)])
         journal.note("device", "lost")

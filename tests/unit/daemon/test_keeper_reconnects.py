@@ -138,17 +138,6 @@ async def test_a_loss_is_acted_on_at_once() -> None:
         assert bench.device.calls == ["open", "check", "work", "open", "check"]
 
 
-async def test_the_alarm_names_the_call_that_is_late_and_no_later_one() -> None:
-    """The first call that does not come back is what is wrong; what waits behind it is late for its sake."""
-    bench = Bench(Device())
-    assert await bench.keeper.open_once()
-    bench.keeper._call_late("work", 3.0)
-    bench.keeper._call_late("check", 9.0)
-    assert bench.keeper.state is DeviceState.OVERDUE
-    assert bench.alarm == "camera has not answered 'work' for 3.0 s"
-    await bench.keeper.close()
-
-
 async def test_one_that_opens_and_does_not_answer_is_lost_too() -> None:
     """The question after the opening counts."""
     bench = Bench(Device())
@@ -266,22 +255,6 @@ def test_states_follow_what_happens(steps: list[str]) -> None:
         await bench.keeper.close()
 
     asyncio.run(play())
-
-
-async def test_what_is_told_of_a_loss_and_of_its_end() -> None:
-    """One alarm with the reason, however often it is tried; then that the device is back, and nothing more."""
-    told: list[tuple[str, str, str]] = []
-    bench = Bench(Device(there=False))
-    bench.alarms._on_change = lambda *what: told.append(what)
-    assert not await bench.keeper.open_once()
-    assert not await bench.keeper.open_once()
-    assert [(kind, name) for kind, name, _ in told] == [("alarm", "camera")]
-    assert "nothing there" in told[0][2]
-    bench.device.there = True
-    assert await bench.keeper.open_once()
-    assert await bench.keeper.open_once()
-    assert told[1:] == [("cleared", "camera", "camera is back")]
-    await bench.keeper.close()
 
 
 def test_an_alarm_is_told_when_it_goes_up_becomes_worse_and_goes_down() -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import json
+import socket
 import sqlite3
 import struct
 import threading
@@ -21,7 +22,7 @@ from radiometer.daemon.scpi.lexer import Argument, Kind, block_end, split_messag
 from radiometer.daemon.scpi.server import ScpiServer
 from radiometer.daemon.scpi.table import command_table
 from radiometer.daemon.station import Station
-from radiometer.errors import UsageError
+from radiometer.errors import OutputError, UsageError
 from testing.patience import within
 
 Eventually = Callable[..., Awaitable[None]]
@@ -261,6 +262,7 @@ def test_a_newline_inside_a_block_is_data() -> None:
     """Framing looks past a block, but not past a '#' in a string."""
     assert block_end(b"SENS:EXP #14a\nbc\n", 13) == 16
     assert block_end(b'SENS:EXP "#14a\nbc"\n', 14) == 14
+    assert block_end(b"SENS:EXP #1x\nbc\n", 12) == 12
     units, error = split_message("A:B #14a\nbc;*IDN?")
     assert error is None
     assert units[0].arguments == (Argument(Kind.BLOCK, "a\nbc"),)
@@ -342,14 +344,34 @@ async def test_other_addresses_need_an_allow_list(station: Station) -> None:
 
 
 async def test_a_unix_socket_serves_too(scpi: ScpiServer, tmp_path: Path) -> None:
-    """The same table behind a socket file; a file left behind is replaced, and it is removed at the end."""
-    for _ in range(2):
-        await scpi.listen_unix(tmp_path / "scpi.sock")
+    """The same table behind a socket file; one that a killed daemon left behind is replaced."""
+    with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as killed:
+        killed.bind(str(tmp_path / "scpi.sock"))
+    await scpi.listen_unix(tmp_path / "scpi.sock")
     reader, writer = await asyncio.open_unix_connection(tmp_path / "scpi.sock")
     writer.write(b"*IDN?\r\n")
     assert (await reader.readline()).startswith(b"Fake,F-1,4711,radiometer ")
     assert (tmp_path / "scpi.sock").stat().st_mode & 0o777 == 0o660
     writer.close()
+
+
+async def test_what_another_program_uses_is_never_removed(station: Station, tmp_path: Path) -> None:
+    """A socket that is listened on and a file stay at the start; at the end, what another put in our place stays."""
+    file, busy, ours = tmp_path / "file", tmp_path / "busy.sock", tmp_path / "ours.sock"
+    file.write_text("precious")
+    with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as listening:
+        listening.bind(str(busy))
+        listening.listen()
+        for path in (file, busy):
+            with pytest.raises(OutputError, match="name another path"):
+                await ScpiServer(station).listen_unix(path)
+        assert busy.is_socket()
+    server = ScpiServer(station)
+    await server.listen_unix(ours)
+    ours.rename(tmp_path / "kept")
+    ours.write_text("another's")
+    await server.close()
+    assert (file.read_text(), ours.read_text()) == ("precious", "another's")
 
 
 def test_error_entries_are_ascii_and_short() -> None:

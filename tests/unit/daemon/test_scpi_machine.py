@@ -9,7 +9,7 @@ import pytest
 import structlog
 from hypothesis.stateful import run_state_machine_as_test
 
-from tests.unit.daemon.scpi_machine import ScpiMachine, machine_settings
+from testing.scpi_machine import ScpiMachine, machine_settings
 
 
 @pytest.fixture(autouse=True)
@@ -22,7 +22,6 @@ def _quiet() -> Iterator[None]:
 
 
 @pytest.mark.slow
-def test_no_sequence_of_messages_ends_the_daemon(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_no_sequence_of_messages_ends_the_daemon() -> None:
     """All commands, right and wrong, of three sessions, while camera and light box fail and come back."""
-    monkeypatch.setattr("radiometer.daemon.acquisition._PAUSE_AFTER_ERROR_S", 0.001)
     run_state_machine_as_test(ScpiMachine, settings=machine_settings(25))

@@ -3,20 +3,15 @@
 from __future__ import annotations
 
 import asyncio
-import math
 import struct
 from collections.abc import Coroutine
 from dataclasses import replace
-from functools import partial
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
-from radiometer.daemon.limits import Limits, is_allowed, parse_networks
-from radiometer.daemon.scpi import server
+from radiometer.daemon.limits import is_allowed, parse_networks
 from radiometer.daemon.scpi.errors import ScpiError
-from radiometer.daemon.scpi.server import ScpiConnection, ScpiServer
 from radiometer.daemon.scpi.session import Session
 from radiometer.daemon.scpi.table import command_table
 from radiometer.data import Flag, ResponseCurve
@@ -243,62 +238,6 @@ async def test_full_light_is_one(session, box):
     assert (await ask(session, "SYST:ERR?")).endswith('outside 0 to 1"')
 
 
-async def test_a_connection_that_is_lost_leaves_nothing_waiting(station):
-    """Its timers are cancelled, those that there are, its measurement is given up, and its place is free again."""
-    server = ScpiServer(station)
-    connection = ScpiConnection(server)
-    connection.session = Session(station, TABLE)
-    task = connection.session.start()
-    server.connections.add(connection)
-    server.places.enter(connection, "127.0.0.1")
-    timers = [asyncio.get_running_loop().call_later(1e6, print) for _ in range(2)]
-    connection._timer, connection._idle_timer = timers
-    connection.connection_lost(None)
-    assert [timer.cancelled() for timer in timers] == [True, True]
-    assert (len(server.connections), len(server.places), connection.session.pending) == (0, 0, None)
-    with pytest.raises(asyncio.CancelledError):
-        await task
-
-
-class Hours:
-    """A clock that is moved by hand, and what is due by it."""
-
-    def __init__(self):
-        self.now, self._due_at, self._call = 0.0, math.inf, None
-
-    def time(self):
-        return self.now
-
-    def call_later(self, pause_s, call, *arguments):
-        self._due_at, self._call = self.now + pause_s, partial(call, *arguments)
-
-    def move_to(self, then):
-        while self._due_at <= then:
-            self.now, self._due_at = self._due_at, math.inf
-            self._call()
-        self.now = then
-
-
-async def test_only_a_session_that_is_idle_is_ended(station, monkeypatch):
-    """Warned at 90 of 100 s and kept; kept while its command runs, however long; ended soon after that."""
-    hours, ended = Hours(), []
-    monkeypatch.setattr(server, "asyncio", SimpleNamespace(get_running_loop=lambda: hours))
-    connection = ScpiConnection(ScpiServer(station, limits=Limits(idle_s=100.0)))
-    connection.session = Session(station, TABLE)
-    connection._transport = SimpleNamespace(abort=lambda: ended.append(hours.now))
-    connection._start_idle_timer()
-    hours.move_to(89.0)
-    assert connection.session.status.error_count == 0
-    hours.move_to(95.0)
-    assert (connection.session.status.error_count, ended) == (1, [])
-    connection._task = object()  # a command that waits for its measurement
-    hours.move_to(150.0)
-    assert ended == []
-    connection._task = None
-    hours.move_to(152.0)
-    assert ended == [pytest.approx(151.0, abs=1.0)]
-
-
 @pytest.mark.parametrize("quantity", ["RAD", "LUM"])
 async def test_a_quantity_is_chosen_with_its_patch_or_without(session, quantity):
     """CONFigure alone takes the patch that is measured for all."""
@@ -332,13 +271,3 @@ async def test_a_measurement_has_two_minutes(session, station, monkeypatch):
     monkeypatch.setattr(station.acquisition, "measure", timed)
     await ask(session, "READ?")
     assert given_s == [120.0]
-
-
-async def test_a_command_that_outlives_its_connection_replies_to_nobody(station):
-    """Its line is gone: nothing is written and nothing breaks."""
-    connection = ScpiConnection(ScpiServer(station))
-    connection.session = Session(station, TABLE)
-    connection.connection_lost(None)
-    await connection._wait(connection.session.execute("READ?"))
-    assert connection.session.status.error_count == 0
-    connection._send("42")

@@ -4,48 +4,40 @@ from __future__ import annotations
 
 import asyncio
 import os
+import re
 import signal
 import stat
 import subprocess
 import sys
 from collections.abc import Awaitable, Callable
+from dataclasses import dataclass
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import pytest
 
+from radiometer.daemon.epics import PvaOptions
 from radiometer.daemon.journal import Journal
 from radiometer.daemon.limits import parse_networks
 from radiometer.daemon.service import Service, ServiceOptions
 from radiometer.daemon.station import Station
 from radiometer.errors import CalibrationError, OutputError, RadiometerError
+from testing.fake_station import QUICK, FakeBox, FakeInstrument
 from testing.patience import within
-from tests.unit.daemon.conftest import QUICK, FakeBox, FakeInstrument
 
 Eventually = Callable[..., Awaitable[None]]
 
 
-class Fed:
-    """A watchdog that wants to be fed every few milliseconds."""
+class Told:
+    """systemd, which wants to hear every few milliseconds that the daemon lives, and keeps what it receives."""
 
     watchdog_period_s = 0.005
 
     def __init__(self) -> None:
-        self.times = 0
+        self.fed, self.lines = 0, list[str]()
 
     def alive(self) -> None:
-        self.times += 1
-
-
-class Told(Fed):
-    """systemd, which keeps what it is told."""
-
-    watchdog_period_s = None  # type: ignore[assignment]
-
-    def __init__(self) -> None:
-        super().__init__()
-        self.lines: list[str] = []
+        self.fed += 1
 
     def ready(self, status: str) -> None:
         self.lines.append(f"ready {status}")
@@ -60,79 +52,59 @@ class Told(Fed):
         self.lines.append(f"status {text}")
 
 
-def service_of(station: Station, fed: Fed) -> Any:
-    return Service(station, ServiceOptions(), notifier=fed)  # type: ignore[arg-type]
+@dataclass
+class Daemon:
+    """A service on fakes that has not begun, what it announces, and what it sends to systemd."""
+
+    service: Service
+    station: Station
+    instrument: FakeInstrument
+    said: list[str]
+    told: Told
 
 
-async def test_the_watchdog_is_fed_until_the_daemon_is_told_to_end(station: Station) -> None:
-    """While every loop runs it is fed again and again, and nothing is raised."""
-    fed = Fed()
-    service = service_of(station, fed)
-    watching = asyncio.create_task(service._watch())
-    while fed.times < 3:
-        await asyncio.sleep(0.005)
-    service._stop.set()
-    await watching
-    assert fed.times >= 3
-
-
-async def test_a_camera_that_hangs_lets_the_watchdog_bite(station: Station, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A call that has not returned for minutes is not fed away; the loops themselves still run."""
-    fed = Fed()
-    service = service_of(station, fed)
-    monkeypatch.setattr(
-        service, "_station", SimpleNamespace(failed_task=lambda: None, camera=SimpleNamespace(stuck_s=1e6))
-    )
-    watching = asyncio.create_task(service._watch())
-    await asyncio.sleep(0.03)
-    assert fed.times == 0
-    service._stop.set()
-    await watching
-
-
-@pytest.mark.parametrize(("stuck_s", "fed"), [(599.0, True), (600.0, False)])
-async def test_a_call_may_take_ten_minutes(
-    station: Station, monkeypatch: pytest.MonkeyPatch, stuck_s: float, fed: bool
-) -> None:
-    """The longest exposures and the longest patience lie below; what takes longer never ends."""
-    notifier = Fed()
-    service = service_of(station, notifier)
-    camera = SimpleNamespace(stuck_s=stuck_s)
-    asked: list[float] = []
-
-    def failed_task() -> None:
-        asked.append(stuck_s)
-        if len(asked) == 3:
-            service._stop.set()
-
-    monkeypatch.setattr(service, "_station", SimpleNamespace(failed_task=failed_task, camera=camera))
-    await service._watch()
-    assert (notifier.times > 0) == fed
-
-
-async def test_a_loop_that_ended_ends_the_daemon_with_its_error(station: Station) -> None:
-    """The error says which part it was; the watchdog is not fed any more."""
-    fed = Fed()
-    service = service_of(station, fed)
-
-    async def broken() -> None:
-        raise ValueError("the journal's disk is gone")
-
-    task = asyncio.create_task(broken())
-    await asyncio.wait([task])
-    station._tasks.append(task)
-    with pytest.raises(RadiometerError, match="ValueError: the journal's disk is gone"):
-        await service._watch()
-    station._tasks.remove(task)
-    assert fed.times == 0
-
-
-def fresh(tmp_path: Path, **options: Any) -> tuple[Any, FakeInstrument, list[str], Told]:
-    """Return a service on fakes that has not begun, and what it announces and tells systemd."""
+def fresh(tmp_path: Path, **options: Any) -> Daemon:
+    """Return a service on free ports, with other options as given."""
     instrument, said, told = FakeInstrument(), list[str](), Told()
     station = Station(instrument, Journal(tmp_path / "journal.sqlite"), box=FakeBox(), times=QUICK)
     chosen = ServiceOptions(**{"scpi_port": 0, "http_port": 0, **options})
-    return Service(station, chosen, said.append, told), instrument, said, told  # type: ignore[arg-type]
+    return Daemon(Service(station, chosen, said.append, told), station, instrument, said, told)  # type: ignore[arg-type]
+
+
+async def ended(running: asyncio.Task[None]) -> None:
+    """End a daemon as systemd does."""
+    os.kill(os.getpid(), signal.SIGTERM)
+    await running
+
+
+@pytest.mark.parametrize(("stuck_s", "fed"), [(0.0, True), (599.0, True), (600.0, False)])
+async def test_the_watchdog_is_fed_unless_a_call_takes_ten_minutes(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, eventually: Eventually, stuck_s: float, fed: bool
+) -> None:
+    """The longest exposures and the longest patience are below; a call that takes longer never ends."""
+    one = fresh(tmp_path)
+    monkeypatch.setattr(type(one.station.camera), "stuck_s", stuck_s)
+    running = asyncio.create_task(one.service.run())
+    await eventually(lambda: one.told.lines)
+    if fed:
+        await eventually(lambda: one.told.fed >= 3)
+    else:
+        await asyncio.sleep(0.03)
+        assert one.told.fed == 0
+    await ended(running)
+
+
+async def test_a_loop_that_ended_ends_the_daemon_with_its_error(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The error names its kind and reason; the watchdog is not fed any more, and the camera is closed."""
+    one = fresh(tmp_path)
+    monkeypatch.setattr(one.station, "failed_task", lambda: ValueError("the journal's disk is gone"))
+    with pytest.raises(RadiometerError, match="ValueError: the journal's disk is gone"):
+        await one.service.run()
+    assert one.told.fed == 0
+    assert one.told.lines[-1] == "stopping"
+    assert not one.instrument.is_open
 
 
 async def asked(path: Path, message: bytes) -> bytes:
@@ -152,8 +124,9 @@ async def test_a_service_listens_reloads_and_ends_as_signals_say(tmp_path: Path,
     place = tmp_path / "scpi"
     left = await asyncio.start_unix_server(lambda reader, writer: None, place)
     left.close()
-    service, instrument, said, told = fresh(tmp_path, scpi_socket=place)
-    running = asyncio.create_task(service.run())
+    one = fresh(tmp_path, scpi_socket=place)
+    instrument, said, told = one.instrument, one.said, one.told
+    running = asyncio.create_task(one.service.run())
     await eventually(lambda: told.lines or running.done())
     assert told.lines == ["ready ready"]
     port, web = said[0].split()[2].rpartition(":")[2], said[2].rpartition(":")[0]
@@ -180,67 +153,67 @@ async def test_a_service_listens_reloads_and_ends_as_signals_say(tmp_path: Path,
     await eventually(lambda: len(said) == 6)
     assert said[5] == "calibration not reloaded: calibration.yaml: no scale"
     await eventually(lambda: told.lines[-1].startswith("ready alarm: calibration not reloaded, the old one stays"))
-    await eventually(lambda: not service._reloads)  # of one that has ended nothing is kept
     instrument.reload_calibration = lambda: "again"  # type: ignore[method-assign]
-    await service._station.reload_calibration()
-    service._station.set_every(50.0)
+    await one.station.reload_calibration()
+    one.station.set_every(50.0)
     await eventually(lambda: told.lines[-1] == "status measuring")
-    os.kill(os.getpid(), signal.SIGTERM)
-    await running
+    await ended(running)
     assert told.lines[-1] == "stopping"
     assert not place.exists()
     assert not instrument.is_open
     assert signal.getsignal(signal.SIGTERM) is signal.SIG_DFL
     assert signal.getsignal(signal.SIGHUP) is signal.SIG_DFL
-    assert service._housekeeping.cancelled() or service._housekeeping.cancelling()
 
 
-async def test_who_may_connect_is_announced(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Networks that are let in, that a token is needed, an IPv6 address in brackets, and what else is told whom."""
-    service, _, said, _ = fresh(
-        tmp_path, scpi_address="192.0.2.7", scpi_allow=parse_networks(["10.0.0.0/8", "192.0.2.0/24"]),
-        http_address="::1", token="secret",
-    )  # fmt: skip
-    begun: list[str] = []
-    other = SimpleNamespace(start=lambda: begun.append("mqtt"), target="broker:1883", topic="lab")
-    served = SimpleNamespace(start=lambda: begun.append("pva"), names=("a", "b"))
+async def test_a_storm_of_hangups_is_one_reload_and_one_more(tmp_path: Path, eventually: Eventually) -> None:
+    """Each reload stops the camera: 100 signals within a moment stop it twice, for the last one must count."""
+    one = fresh(tmp_path)
+    running = asyncio.create_task(one.service.run())
+    await eventually(lambda: one.told.lines or running.done())
+    for _ in range(100):
+        os.kill(os.getpid(), signal.SIGHUP)
+        await asyncio.sleep(0.001)
+    await eventually(lambda: one.instrument.reloads == 2)
+    await asyncio.sleep(0.05)
+    assert one.instrument.reloads == 2
+    await ended(running)
 
-    async def at(address: str, port: int) -> int:
-        return 5025 if address == "192.0.2.7" else 8080
 
-    monkeypatch.setattr(service._scpi, "listen_tcp", at)
-    monkeypatch.setattr(service._http, "listen", at)
-    service._mqtt, service._pva = other, served
-    await service._listen()
-    assert said[:4] == [
-        "SCPI on 192.0.2.7:5025 (no authentication: 10.0.0.0/8, 192.0.2.0/24 may connect)",
-        "HTTP on http://[::1]:8080/ (token needed)",
-        "MQTT to broker:1883 under lab/",
-        "pvAccess: a, b (no authentication; read only)",
-    ]
-    assert begun == ["mqtt", "pva"]
-    nobody, _, quiet, _ = fresh(tmp_path, scpi_address=None, http_address=None)
-    await nobody._listen()
-    assert len(quiet) == 1
+async def test_who_may_connect_is_announced(tmp_path: Path, eventually: Eventually) -> None:
+    """Networks that are let in, that a token is needed, and how pvAccess is served."""
+    options = {"scpi_address": "0.0.0.0", "scpi_allow": parse_networks(["10.0.0.0/8", "192.0.2.0/24"])}
+    one = fresh(tmp_path, **options, token="a secret of sixteen", pva=PvaOptions("lab", isolated=True))
+    running = asyncio.create_task(one.service.run())
+    await eventually(lambda: one.told.lines or running.done())
+    scpi, web, pva, journal = one.said
+    assert re.fullmatch(
+        r"SCPI on 0\.0\.0\.0:\d+ \(no authentication: 10\.0\.0\.0/8, 192\.0\.2\.0/24 may connect\)", scpi
+    )
+    assert re.fullmatch(r"HTTP on http://127\.0\.0\.1:\d+/ \(token needed\)", web)
+    assert pva.startswith("pvAccess: ")
+    assert pva.endswith("(no authentication; read only)")
+    assert journal == f"journal {tmp_path / 'journal.sqlite'}"
+    await ended(running)
+
+
+async def test_a_service_that_listens_nowhere_only_keeps_its_journal(tmp_path: Path, eventually: Eventually) -> None:
+    """No port is opened that was not asked for."""
+    one = fresh(tmp_path, scpi_address=None, http_address=None)
+    running = asyncio.create_task(one.service.run())
+    await eventually(lambda: one.told.lines)
+    assert one.said == [f"journal {tmp_path / 'journal.sqlite'}"]
+    await ended(running)
 
 
 async def test_a_service_that_cannot_listen_ends_with_all_that_it_began(tmp_path: Path) -> None:
     """A taken port is an error that names it; what was started before is stopped, and systemd is told."""
     taken = await asyncio.start_server(lambda reader, writer: None, "127.0.0.1", 0)
     port = taken.sockets[0].getsockname()[1]
-    service, instrument, said, told = fresh(tmp_path, http_address=None, scpi_port=port)
-    ended: list[str] = []
-
-    async def stop(name: str) -> None:
-        ended.append(name)
-
-    service._mqtt = SimpleNamespace(stop=lambda: stop("mqtt"))
-    service._pva = SimpleNamespace(stop=lambda: stop("pva"))
+    one = fresh(tmp_path, http_address=None, scpi_port=port)
     with pytest.raises(OutputError, match=f"cannot listen for SCPI on 127.0.0.1:{port}: "):
-        await service.run()
-    assert (said, told.lines) == ([], ["stopping"])
-    assert ended == ["pva", "mqtt"]
-    assert not instrument.is_open
+        await one.service.run()
+    assert (one.said, one.told.lines) == ([], ["stopping"])
+    assert not one.instrument.is_open
     taken.close()
 
 
@@ -248,17 +221,15 @@ async def test_a_socket_s_name_that_is_a_file_is_left_alone(tmp_path: Path) -> N
     """What is no socket is not removed: the error says that the name is taken."""
     place = tmp_path / "notes"
     place.write_text("keep me")
-    service, *_ = fresh(tmp_path, scpi_address=None, http_address=None, scpi_socket=place)
     with pytest.raises(OutputError, match=f"cannot listen for SCPI on {place}: "):
-        await service._listen()
+        await fresh(tmp_path, scpi_address=None, http_address=None, scpi_socket=place).service.run()
     assert place.read_text() == "keep me"
 
 
 async def test_hearing_from_other_machines_needs_a_list(tmp_path: Path) -> None:
     """An address beyond loopback is refused without one, in words that tell the way out."""
-    service, *_ = fresh(tmp_path, scpi_address="0.0.0.0")
     with pytest.raises(RadiometerError, match=r"--scpi-allow \(addresses or networks\), or stay on 127\.0\.0\.1"):
-        await service._listen()
+        await fresh(tmp_path, scpi_address="0.0.0.0").service.run()
 
 
 @pytest.mark.slow

@@ -200,25 +200,6 @@ async def test_a_locked_journal_holds_readings_back(station: Station, eventually
     assert len(numbers) > 5
 
 
-@pytest.mark.slow
-async def test_measuring_pauses_when_too_much_waits(
-    instrument: Any, tmp_path: Path, eventually: Eventually, make_reading: Any
-) -> None:
-    """A journal that stays full stops the acquisition instead of losing readings or filling the memory."""
-    station = Station(instrument, Journal(tmp_path / "j.sqlite", max_bytes=50_000))
-    station.writer._capacity = 20
-    await station.start()
-    station.set_every(0.0)
-    await eventually(lambda: station.writer.depth >= 20)
-    await asyncio.sleep(0.3)
-    measured, waiting = len(instrument.measured), station.writer.depth
-    assert waiting <= 21
-    assert station.shown.latest is not None
-    assert station.shown.latest.sequence + waiting == measured
-    await eventually(lambda: any("paused" in alarm.message for alarm in station.alarms.active))
-    await station.stop()
-
-
 async def test_a_damaged_journal_ends_the_start(instrument: Any, tmp_path: Path) -> None:
     """A file that will never become a journal is refused with the way out."""
     (tmp_path / "j.sqlite").write_bytes(b"x" * 5000)

@@ -12,7 +12,7 @@ from radiometer.daemon.instrument import MeasurementSettings
 from radiometer.daemon.journal import Journal
 from radiometer.daemon.patches import PatchLimits
 from radiometer.daemon.station import Station
-from radiometer.data import Flag, Patch, Quantity, Reading
+from radiometer.data import Patch
 from radiometer.errors import DeviceError, DeviceLost, SettingOutOfRange
 
 LAMP = Patch(1, 2, 3, 4)
@@ -130,35 +130,3 @@ async def test_gauges_show_the_devices_as_they_are(station: Station, instrument:
         "radiometer_alarms 1.0",
     ):
         assert line in shown
-
-
-async def test_gauges_show_the_latest_reading(station: Station, make_reading: Callable[..., Reading]) -> None:
-    """Its radiance and u under its unit, its longest exposure, and each of its flags counted."""
-    reading = make_reading(
-        radiance=Quantity(3.5, 0.25, "DN/s"), exposures_s=(0.5, 2.0, 1.0), flags=(Flag.SATURATED,), sequence=1
-    )
-    for _ in range(2):
-        station._publish(reading, None, 0.125)
-    shown = station.metrics.render().decode()
-    for line in (
-        'radiometer_radiance{unit="DN/s"} 3.5',
-        'radiometer_radiance_standard_uncertainty{unit="DN/s"} 0.25',
-        "radiometer_exposure_seconds 2.0",
-        "radiometer_readings_total 2.0",
-        f'radiometer_flagged_readings_total{{flag="{Flag.SATURATED}"}} 2.0',
-        "radiometer_commit_seconds_sum 0.25",
-    ):
-        assert line in shown
-
-
-async def test_an_alarm_that_turns_round_is_told_again(station: Station, make_reading: Callable[..., Reading]) -> None:
-    """From above the high limit to below the low one without a time between: the alarm stands and is announced anew."""
-    station.patches.set_limits("main", PatchLimits(1.0, 2.0))
-    for number, value in enumerate((3.0, 3.0, 0.5, 0.5, 0.5)):
-        station._publish(make_reading(radiance=Quantity(value, 0.01, "1"), sequence=number + 1), None, 0.0)
-    (alarm,) = station.alarms.active
-    assert (alarm.name, alarm.announced) == ("limit main", 2)
-    assert "below its low limit 1" in alarm.message
-    for number in range(2):
-        station._publish(make_reading(radiance=Quantity(1.5, 0.01, "1"), sequence=number + 6), None, 0.0)
-    assert station.alarms.active == ()

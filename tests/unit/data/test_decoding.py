@@ -13,7 +13,7 @@ import tifffile
 from cv2.utils import logging
 from PIL import Image
 
-from radiometer.data.decoding import _quiet, _without_remarks, decoded
+from radiometer.data.decoding import decoded
 
 
 def _tiff(path):
@@ -74,13 +74,6 @@ def test_damage_in_a_remark_alone_costs_no_picture():
     assert np.array_equal(decoded(content), codes)
 
 
-@pytest.mark.parametrize("end", [-4, 40, 12])
-def test_a_png_that_is_cut_off_goes_to_the_decoder_as_it_is(end):
-    """Chunks that end beyond the file are not left out, nor is anything before them."""
-    content = _png(np.zeros((4, 4), np.uint8), (b"tEXt", b"Comment\0nothing"))[:end]
-    assert np.array_equal(_without_remarks(content), content)
-
-
 @pytest.mark.parametrize("end", [0, 1, 60])
 def test_what_is_no_picture_is_none(end, tmp_path):
     """Nothing, a byte, a file cut within its first strip."""
@@ -92,15 +85,3 @@ def test_a_program_s_own_level_of_remarks_stays(tmp_path):
     before = logging.setLogLevel(logging.LOG_LEVEL_INFO)
     decoded(_tiff(tmp_path / "a.tif")[1])
     assert logging.setLogLevel(before) == logging.LOG_LEVEL_INFO
-
-
-def test_threads_that_decode_at_once_leave_the_level_as_it_was():
-    """Whichever comes in or goes out first: the level that was set before all of them is there again."""
-    before = logging.getLogLevel()
-    first, second = _quiet(), _quiet()
-    first.__enter__()
-    second.__enter__()
-    first.__exit__(None, None, None)
-    assert logging.getLogLevel() == logging.LOG_LEVEL_ERROR
-    second.__exit__(None, None, None)
-    assert logging.getLogLevel() == before != logging.LOG_LEVEL_ERROR

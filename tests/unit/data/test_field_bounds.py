@@ -13,7 +13,7 @@ from pydantic import BaseModel, TypeAdapter, ValidationError
 
 import radiometer
 from radiometer.adaptation.protocol import Fixation, FixationCheck, SteadyBleach
-from radiometer.data import CameraDescription, LensDescription, Scale, SourceDescription
+from radiometer.data import CameraDescription, FoundEffects, LensDescription, Scale, SourceDescription
 from radiometer.data.capture_set import FrameEntry
 from radiometer.data.validation import ConfigSection, FileSection
 from simulators.effects.lens import Lens
@@ -97,3 +97,19 @@ def test_a_simulated_lens_may_be_nearly_opaque() -> None:
     """1 % is a lens behind a grey filter of density 2, for the sun."""
     assert Lens(transmittance=0.01).transmittance == 0.01
     assert not math.isclose(Lens().transmittance, 0.01)
+
+
+@pytest.mark.parametrize(
+    ("gains_db", "errors", "taken"),
+    [((), (), True), ((0.0, 6.0), (0.01, 0.02), True), ((0.0, 6.0), (0.01,), False), ((0.0,), (0.01, 0.02), False),
+     ((6.0, 0.0), (0.01, 0.02), False), ((0.0, 0.0), (0.01, 0.02), False)],
+)  # fmt: skip
+def test_a_table_of_gains_has_one_error_for_each(
+    gains_db: tuple[float, ...], errors: tuple[float, ...], taken: bool
+) -> None:
+    """Gains rise, and none lacks its error."""
+    if taken:
+        assert FoundEffects(gains_db=gains_db, gain_errors_rel=errors).gain_errors_rel == errors
+    else:
+        with pytest.raises(ValidationError, match="one error per gain, gains rising"):
+            FoundEffects(gains_db=gains_db, gain_errors_rel=errors)

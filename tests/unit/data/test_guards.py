@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import contextlib
+import math
 import resource
 import struct
 import subprocess
 import sys
+import unicodedata
 import zlib
 from pathlib import Path
 
@@ -14,6 +16,8 @@ import cv2
 import numpy as np
 import pytest
 import tifffile
+from hypothesis import example, given
+from hypothesis import strategies as st
 
 from radiometer.cli.main import run
 from radiometer.data.capture_set import read_digital_numbers
@@ -23,10 +27,12 @@ from radiometer.data.guards import (
     refuse_deep_yaml,
     refuse_large_picture,
     refuse_size,
+    safe_file_name,
     safe_name,
 )
 from radiometer.data.storage import read_yaml
 from radiometer.errors import CaptureError, ConfigurationError, InputError, MissingLibrary, UsageError
+from radiometer.reporting.plain_text import printable, spreadsheet_cell
 from simulators.scenes.image_file import ImageScene
 from testing.patience import within
 
@@ -191,6 +197,52 @@ def test_a_subject_cannot_lead_out_of_the_folder(
         assert "--subject" in capsys.readouterr().err
     assert [path for path in tmp_path.rglob("*") if path.is_file()] == []
     assert safe_name("S-01 anna.b", "--subject") == "S-01 anna.b"
+
+
+@given(st.text(max_size=300))
+@example("..").via("a folder")
+@example("../../etc/passwd").via("FITS INSTRUME")
+@example("\U0001d7d8" * 64).via("four bytes each")
+@example("\ud800").via("half a character")
+def test_any_text_becomes_the_name_of_one_file(tmp_path_factory: pytest.TempPathFactory, text: str) -> None:
+    """In its own folder, with an ending; a name stays as it is, and one made of it is never another text's."""
+    name = safe_file_name(text)
+    folder = tmp_path_factory.getbasetemp()
+    file = folder / f"{name}.yaml"
+    file.touch()
+    assert file.resolve().parent == folder.resolve()
+    file.unlink()
+    assert not name.startswith((".", "-"))
+    assert safe_file_name(name) == name
+
+
+def test_two_texts_never_become_one_name() -> None:
+    """However alike they look once their slashes are gone."""
+    texts = ["a/b", "a_b", "a\\b", "a b", "a\0b", "x" * 65, "x" * 66, "", " ", ".", "..", "S/1 ", "S/1"]
+    assert len({safe_file_name(text) for text in texts}) == len(texts)
+
+
+@given(st.text())
+def test_no_text_from_outside_steers_a_terminal_or_a_spreadsheet(text: str) -> None:
+    """No control character but line feed and tab is left, whatever the text; no cell begins a formula."""
+    shown, cell = printable(text), spreadsheet_cell(text)
+    assert not [char for char in shown if unicodedata.category(char) == "Cc" and char not in "\n\t"]
+    assert shown == text or "\\x" in shown
+    assert cell[:1] not in ("=", "@", "\t")
+    assert cell[:1] not in ("+", "-") or math.isfinite(float(cell))
+
+
+def test_numbers_and_plain_texts_stay_as_they_are() -> None:
+    """Also negative ones, in a cell as anywhere; what is no text is no formula."""
+    assert [spreadsheet_cell(value) for value in ("-1.5e-3", "+2", "a=b", -1.5, None)] == [
+        "-1.5e-3",
+        "+2",
+        "a=b",
+        -1.5,
+        None,
+    ]
+    assert spreadsheet_cell("=1+1\x1b") == "'=1+1\\x1b"
+    assert printable("\x1b]0;x\x07 µ\n") == "\\x1b]0;x\\x07 µ\n"
 
 
 @pytest.mark.long

@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from radiometer.data.light_calibration import ChannelCalibration, LightCalibration, LightPoint, _level_of, _step_of
+from radiometer.data.light_calibration import ChannelCalibration, LightCalibration, LightPoint
 from radiometer.errors import CalibrationError, SettingOutOfRange
 
 STEPS = 8192
@@ -145,15 +145,6 @@ def test_what_is_brighter_at_its_start_stays_below_that(start_rel, bound):
     """A start above the settled radiance counts, one below it does not make light safer."""
     points = [replace_start(point(step, float(step), u_rel=0.0), start_rel) for step in (16, 4096)]
     assert calibration(*points).highest_radiance("spot", 800, True) == pytest.approx(bound)
-
-
-def test_every_step_has_a_level_that_the_box_rounds_to_it():
-    """Of 8192, 1024 and 10 steps: there and back, from darkness to all of them; levels rise with the steps."""
-    for steps in (8192, 1024, 10):
-        levels = [_level_of(step, steps) for step in range(steps + 1)]
-        assert [_step_of(level, steps) for level in levels] == list(range(steps + 1))
-        assert (levels[0], levels[-1]) == (0, 65535)
-        assert sorted(set(levels)) == levels
 
 
 def replace_start(one: LightPoint, start_rel: float) -> LightPoint:

@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
+import contextlib
 import errno
 import os
+import re
 import stat
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from radiometer.analysis.exports.maps import WRITERS, MapPicture, writer_for
-from radiometer.data import RadianceMap, storage
+from radiometer.data import CameraDescription, CaptureSet, CaptureSetWriter, Frame, FrameSettings, RadianceMap, storage
 from radiometer.data.storage import read_text, read_yaml
-from radiometer.errors import InputError, OutputError
+from radiometer.errors import InputError, OutputError, OutputRefused
 
 
 def test_a_full_disk_leaves_the_old_file_whole(tmp_path, monkeypatch):
@@ -30,35 +33,81 @@ def test_a_full_disk_leaves_the_old_file_whole(tmp_path, monkeypatch):
     assert [p.name for p in tmp_path.iterdir()] == ["result.yaml"]
 
 
-def test_an_unwritable_place_is_named(tmp_path):
-    """The message says which file and why."""
-    with pytest.raises(OutputError, match=r"cannot write .*absent/x: No such file"):
+def test_a_result_whose_folder_vanished_is_saved_elsewhere(tmp_path, monkeypatch):
+    """The message says which file, why, and where the result is now; the state folder comes first."""
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
+    with pytest.raises(OutputError, match=r"cannot write .*absent/x: No such file") as refusal:
         storage.write_text_atomic(tmp_path / "absent" / "x", "text")
+    (saved,) = (tmp_path / "state").rglob("x")
+    assert saved.read_text() == "text"
+    assert str(saved) in str(refusal.value)
 
 
-def test_what_cannot_be_written_is_refused_before_the_work(tmp_path, monkeypatch):
-    """A folder, a file in a folder that is not there, and one that takes no files; a file that can be is not."""
-    storage.refuse_unwritable(tmp_path / "map.exr")
-    with pytest.raises(OutputError, match="it is a folder"):
-        storage.refuse_unwritable(tmp_path)
-    with pytest.raises(OutputError, match=r"the folder .*absent does not exist"):
-        storage.refuse_unwritable(tmp_path / "absent" / "map.exr")
-    monkeypatch.setattr(storage.os, "access", lambda folder, mode: (folder, mode) != (tmp_path, os.W_OK | os.X_OK))
-    with pytest.raises(OutputError, match="takes no files"):
-        storage.refuse_unwritable(tmp_path / "map.exr")
+@pytest.mark.skipif(os.geteuid() == 0, reason="the system's administrator may write everywhere")
+def test_a_folder_that_takes_no_files_is_refused(tmp_path):
+    """Before the work, by what the system itself says."""
+    tmp_path.chmod(0o500)
+    with pytest.raises(OutputRefused, match="takes no files"):
+        storage.check_outputs(tmp_path / "map.exr")
 
 
-def test_an_exception_of_the_writer_leaves_nothing(tmp_path):
-    """Whatever goes wrong in the block, no file appears."""
+@pytest.mark.parametrize(
+    ("name", "force", "reason"),
+    [
+        ("new", False, None),
+        ("there", False, "exists already"),
+        ("there", True, None),
+        ("folder", True, "it is a folder"),
+        ("pipe", True, "no regular file"),
+        ("link", False, "exists already"),
+        ("absent/x", True, "does not exist"),
+        ("there/x", True, "Not a directory"),
+        ("n" * 300, True, "too long"),
+        ("a\0b", True, "null"),
+    ],
+)
+def test_an_output_is_refused_before_the_work(tmp_path, name, force, reason):
+    """What exists, is no regular file, or has no folder that takes it; --force replaces regular files only."""
+    (tmp_path / "there").touch()
+    (tmp_path / "folder").mkdir()
+    os.mkfifo(tmp_path / "pipe")
+    (tmp_path / "link").symlink_to("nowhere")
+    with pytest.raises(OutputRefused, match=reason) if reason else contextlib.nullcontext():
+        storage.check_outputs(tmp_path / name, None, force=force)
 
-    def fail():
-        with storage.atomic_file(tmp_path / "x") as stream:
-            stream.write("half")
-            raise KeyError("boom")
 
-    with pytest.raises(KeyError):
-        fail()
-    assert list(tmp_path.iterdir()) == []
+def test_one_file_for_two_outputs_is_refused(tmp_path):
+    """By whatever way it is named: the second would overwrite the first."""
+    (tmp_path / "a").mkdir()
+    with pytest.raises(OutputRefused, match="two outputs"):
+        storage.check_outputs(tmp_path / "x", tmp_path / "a" / ".." / "x")
+
+
+def test_a_folder_is_never_replaced(tmp_path):
+    """A new or empty one is filled, and made with those above it; one with content or below a file is refused."""
+    storage.check_new_folder(tmp_path)
+    storage.check_new_folder(tmp_path / "a" / "b")
+    (tmp_path / "file").touch()
+    with pytest.raises(OutputRefused, match="Not a directory"):
+        storage.check_new_folder(tmp_path / "file" / "b")
+    for taken in (tmp_path, tmp_path / "file"):
+        with pytest.raises(OutputRefused, match="name a new folder"):
+            storage.check_new_folder(taken)
+
+
+def test_a_replaced_file_keeps_its_mode_and_its_link(tmp_path):
+    """A new file has the mode of the user's mask; a link goes on leading to the same, new file."""
+    target, link = tmp_path / "a", tmp_path / "b"
+    before = os.umask(0o027)
+    try:
+        storage.write_text_atomic(target, "1")
+        assert target.stat().st_mode & 0o777 == 0o640
+        target.chmod(0o604)
+        link.symlink_to(target)
+        storage.write_text_atomic(link, "2")
+    finally:
+        os.umask(before)
+    assert (link.is_symlink(), target.read_text(), target.stat().st_mode & 0o777) == (True, "2", 0o604)
 
 
 def test_text_is_read_without_an_editor_s_mark(tmp_path):
@@ -73,7 +122,7 @@ def test_text_is_read_without_an_editor_s_mark(tmp_path):
         read_text(tmp_path / "no.csv")
 
 
-@pytest.mark.parametrize(("mask", "mode"), [(0o022, 0o644), (0o077, 0o600), (0o002, 0o664)])
+@pytest.mark.parametrize(("mask", "mode"), [(0o077, 0o600), (0o002, 0o664)])
 @pytest.mark.parametrize("ending", [".txt", *WRITERS])
 def test_a_file_may_be_read_by_whom_the_user_s_mask_allows(tmp_path, ending, mask, mode):
     """The owner alone under 077, members of the group too under 002: neither more nor fewer."""
@@ -87,12 +136,18 @@ def test_a_file_may_be_read_by_whom_the_user_s_mask_allows(tmp_path, ending, mas
 
 @pytest.mark.parametrize("ending", [".txt", *WRITERS])
 def test_a_file_gets_its_name_when_its_content_is_on_the_disk(tmp_path, monkeypatch, ending):
-    """A power cut leaves the old file or the whole new one: what is renamed was flushed before."""
+    """A power cut leaves the old file or the whole new one: the content is flushed before the name, then its folder."""
     path, steps, (fsync, replace) = tmp_path / f"result{ending}", [], (os.fsync, os.replace)
-    monkeypatch.setattr(os, "fsync", lambda file: steps.append(os.fstat(file).st_size) or fsync(file))
+
+    def flushed(file):
+        found = os.fstat(file)
+        steps.append("folder" if stat.S_ISDIR(found.st_mode) else found.st_size)
+        fsync(file)
+
+    monkeypatch.setattr(os, "fsync", flushed)
     monkeypatch.setattr(os, "replace", lambda old, new: steps.append(new) or replace(old, new))
     write(path)
-    assert steps == [path.stat().st_size, path]
+    assert steps == [path.stat().st_size, path, "folder"]
     assert steps[0] > 0
 
 
@@ -103,6 +158,31 @@ def write(path):
     one = np.ones((2, 2), np.float32)
     grey = RadianceMap(one, 0.1 * one, np.zeros((2, 2), np.uint8), "relative")
     return writer_for(path)(path, MapPicture({"mono": grey}))
+
+
+@pytest.mark.parametrize("taken", [2, 4])
+def test_frames_that_the_disk_does_not_take_are_finished_elsewhere(tmp_path, monkeypatch, taken):
+    """A full disk at the third of four frames, or after all: the set is whole in the state folder, which is named."""
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
+    out, fsync = tmp_path / "set", os.fsync
+
+    def full(file):
+        is_in_set = Path(f"/proc/self/fd/{file}").readlink().is_relative_to(out)
+        if is_in_set and len(list(tmp_path.rglob("*.png"))) >= taken:
+            raise OSError(errno.ENOSPC, "No space left on device")
+        fsync(file)
+
+    def capture():
+        with CaptureSetWriter(out, CameraDescription(bit_depth=12)) as writer:
+            for number in range(4):
+                writer.add(Frame(np.full((4, 5), number, np.uint16), 12, FrameSettings(0.01)))
+
+    monkeypatch.setattr(os, "fsync", full)
+    with pytest.raises(OutputError, match=r"No space left.*the finished capture set is saved as ") as refusal:
+        capture()
+    saved = CaptureSet.read(Path(re.search(r"saved as (.*): move", str(refusal.value))[1]))
+    assert [int(frame.dn[0, 0]) for frame in saved.frames()] == [0, 1, 2, 3]
+    assert not out.exists()
 
 
 @pytest.mark.parametrize(

@@ -13,7 +13,7 @@ import pytest
 
 from radiometer.analysis.photometry.photometry import luminous_efficacy_lm_per_w
 from radiometer.analysis.photometry.spectra import spectrum
-from radiometer.devices.retinal_safety import ChannelOptics, hazard_fractions
+from radiometer.devices.retinal_safety import ChannelOptics, blue_light_weight, hazard_fractions, thermal_weight
 
 # IEC 62471:2006, table 4.2: wavelength, B(λ), R(λ).
 TABLE_4_2 = """380 0.01 0.1|385 0.013 0.13|390 0.025 0.25|395 0.05 0.5|400 0.1 1|405 0.2 2|410 0.4 4|415 0.8 8|420 0.9 9
@@ -134,3 +134,10 @@ def test_flash_that_bleaches_most_rods_at_once_is_beyond_a_tenth_of_the_thermal_
     flash = ChannelOptics(None, 0.0, 40.0, exposure / 0.001)
     assert hazard_fractions(flash, exposure / 0.001, 0.001).thermal == pytest.approx(fraction, rel=0.01)
     assert fraction > 0.5
+
+
+def test_the_hazard_functions_are_the_standard_s_at_every_wavelength_of_its_table() -> None:
+    """B(λ) and R(λ) of table 4.2, its formulae above 500 nm, and between two rows the logarithm's straight line."""
+    nm = np.array([*ROWS[:, 0], 387.5, 452.5, 550.0, 620.0, 700.0])
+    assert blue_light_weight(nm) == pytest.approx([table_b(one) for one in nm], rel=1e-9)
+    assert thermal_weight(nm) == pytest.approx([table_r(one) for one in nm], rel=1e-9)

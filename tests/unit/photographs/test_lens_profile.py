@@ -5,7 +5,6 @@ from __future__ import annotations
 import csv
 import gzip
 import io
-import sys
 
 import numpy as np
 import pytest
@@ -13,7 +12,7 @@ import tifffile
 from PIL import Image
 
 from radiometer.cli.main import run
-from radiometer.errors import CaptureError, InputError, MissingLibrary
+from radiometer.errors import CaptureError, InputError
 from radiometer.photographs.lens_profile import LensRecord, lensfun_flat_field, read_lens_record
 
 LENS = "Canon EF 24-105mm f/4L IS USM"
@@ -73,7 +72,7 @@ def test_planted_falloff_is_taken_out(tmp_path, capsys):
     for seconds in (0.02, 0.04, 0.08):
         dn = rng.poisson(place * seconds * 300_000.0).astype(np.uint16)
         _photograph(folder / f"t{seconds}.png", dn, seconds)
-    words = ["merge", str(folder), "--linear", "-o", str(tmp_path / "map.tiff")]
+    words = ["merge", "--force", str(folder), "--linear", "-o", str(tmp_path / "map.tiff")]
     assert run([*words, "--vignetting", "lensfun"]) == 0
     assert f"{LENS} at 24 mm, f/4" in capsys.readouterr().out
     value = tifffile.imread(tmp_path / "map.tiff", key=0).astype(float)
@@ -98,13 +97,3 @@ def test_unknown_camera_or_lens_is_named(camera, lens):
     pytest.importorskip("lensfunpy")
     with pytest.raises(InputError, match="flat field of your own"):
         lensfun_flat_field(LensRecord("Canon", camera, lens, 24.0, 4.0), (40, 60))
-
-
-def test_missing_lensfunpy_names_the_extra(monkeypatch):
-    """Without the library the message says how to install it."""
-    from radiometer.photographs import lens_profile
-
-    lens_profile._database.cache_clear()
-    monkeypatch.setitem(sys.modules, "lensfunpy", None)
-    with pytest.raises(MissingLibrary, match=r"radiometer\[lens\]"):
-        lensfun_flat_field(RECORD, (40, 60))

@@ -10,12 +10,10 @@ import numpy as np
 import pytest
 
 from radiometer.reconciliation import engine
-from radiometer.reconciliation.advice.sizes import Asked, Grown, _Search
 from radiometer.reconciliation.fit.descent import first_state, refit
 from radiometer.reconciliation.fit.state import with_effects
 from radiometer.reconciliation.measure.design import Design
 from radiometer.reconciliation.measure.reduce import frame_reader, reduce_frames
-from simulators.effects.exposure_label_error import ExposureLabelError
 from simulators.effects.full_well_saturation import FullWellSaturation
 from simulators.effects.veiling_glare import VeilingGlare
 
@@ -48,11 +46,3 @@ def test_fit_holds_a_parameter_though_a_term_before_it_falls_to_nothing(make_cap
     fitted = refit(replace(added, frozen=frozenset({2})))
     assert fitted.parameters.names == ("full_well_e", "share")
     assert fitted.effects[1] == VeilingGlare(0.01)
-
-
-def test_an_entry_that_shows_at_no_size_at_all_has_no_limit_to_look_for() -> None:
-    """A label that other wrong labels stand beside shows even where it is right: the search ends."""
-    right = ExposureLabelError(1e-3, 1.0, 0.0, 1.0, (2e-3,), (0.1,), (0.0,), (1.0,))
-    near = Grown(right, "ratio", "1", 1e5, Asked(25.0, 50.0))
-    assert near.size == 0.0
-    assert _Search(0.5, near, above=near).next_look() is None

@@ -76,6 +76,7 @@ def test_a_black_level_that_moves_within_frames_is_measured() -> None:
         assert drift_of_black(design, seen) == 0.0
 
 
+@pytest.mark.slow
 def test_the_weights_hold_a_black_level_that_walks_at_random() -> None:
     """Rows that each add a random step to the row before: means, tilts and first frames scatter as the weights say."""
     rng, frames, series = np.random.default_rng(16), 5, 24

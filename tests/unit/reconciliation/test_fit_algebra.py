@@ -2,18 +2,14 @@
 
 from __future__ import annotations
 
-from types import SimpleNamespace
-
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from radiometer.reconciliation.fit.covariance import _BLOCKS, _groupings, _jackknife
 from radiometer.reconciliation.fit.covariates import Covariate
 from radiometer.reconciliation.fit.held_out import Groups, leave_one_group_out
 from radiometer.reconciliation.fit.linear import LinearFit, RowBlock, cholesky
-from radiometer.reconciliation.fit.nuisances import _light_factor
 
 seeds = st.integers(0, 10**6)
 quick = settings(max_examples=30, deadline=None)
@@ -151,21 +147,6 @@ def test_a_group_left_out_is_predicted_by_a_fit_to_the_others(seed, sizes):
     assert found.count.tolist() == list(sizes)
 
 
-@quick
-@given(seeds)
-def test_the_jackknife_is_that_of_fits_without_each_group(seed):
-    """(n − 1)/n·Σ of the squared shifts of the effects when one of eight groups is left out and all is fitted anew."""
-    fit, jacobian, residual, rng = fit_of(seed, rows=160)
-    group = rng.permutation(np.repeat(np.arange(8), 20))
-    state = SimpleNamespace(fit=fit, comparison=SimpleNamespace(size=160))
-    whole = np.linalg.lstsq(jacobian, residual, rcond=None)[0]
-    shifts = [
-        (np.linalg.lstsq(jacobian[group != g], residual[group != g], rcond=None)[0] - whole)[5:] for g in range(8)
-    ]
-    expected = 7.0 / 8.0 * np.sum(np.square(shifts), axis=0)
-    assert _jackknife(state, group, 5) == pytest.approx(expected, rel=1e-5)
-
-
 def test_an_effect_that_changes_nothing_predicts_nothing():
     """A column of noughts beside others leaves every group's density as it is."""
     fit, *_ = fit_of(5)
@@ -183,43 +164,3 @@ def test_waves_begin_with_half_a_turn():
     assert basis[[0, 100, 200], 0, 0] == pytest.approx([1.0, 0.0, -1.0], abs=1e-12)
     for number, wave in enumerate(basis[:, 0].T, 1):
         assert np.count_nonzero(np.diff(np.sign(wave[np.abs(wave) > 1e-9]))) == number
-
-
-def test_the_factor_of_light_stays_above_nought_with_the_slope_that_is_told():
-    """1 + x from −0.5 to 1 and rising beyond, e-folding over what is left there: 0.5/e at −1, 2·e at 3, no jump."""
-    relative = np.array([-3.0, -1.0, -0.5001, -0.4999, 0.0, 0.7, 0.9999, 1.0001, 3.0])
-    factor, slope = _light_factor(relative)
-    assert factor[[1, 4, 5, 8]] == pytest.approx([0.5 * np.exp(-1.0), 1.0, 1.7, 2.0 * np.exp(1.0)])
-    assert np.all(factor > 0.0)
-    step = 1e-6
-    (above, _), (below, _) = _light_factor(relative + step), _light_factor(relative - step)
-    assert slope == pytest.approx((above - below) / (2.0 * step), rel=1e-5)
-    assert factor[2] == pytest.approx(factor[3], abs=3e-4)
-    assert factor[6] == pytest.approx(factor[7], abs=3e-4)
-
-
-def test_a_radiance_that_a_step_of_a_fit_takes_to_nothing_stays_above_it() -> None:
-    """However far below the stated value: factor and slope are numbers, and so is the logarithm."""
-    factor, slope = _light_factor(np.array([-2000.0, -1e6]))
-    assert (factor > 0.0).all()
-    assert np.isfinite(np.log(factor)).all()
-    assert (slope / factor).tolist() == pytest.approx([2.0, 2.0])
-
-
-def test_settings_are_grouped_along_what_every_capture_states():
-    """By setting, then by exposure and level in a few blocks; a temperature that one does not state is none."""
-    size = 20
-    design = SimpleNamespace(
-        setting_id=np.arange(size),
-        exposure_s=np.geomspace(1e-4, 1.0, size),
-        temperature_c=np.where(np.arange(size) == 3, np.nan, 20.0 + np.arange(size)),
-        timestamp_s=np.full(size, 5.0),
-        gain_db=np.zeros(size),
-        source_level=np.tile([0.2, 0.9], size // 2),
-    )
-    found = list(_groupings(SimpleNamespace(design=design)))  # type: ignore[arg-type]
-    assert len(found) == 3
-    assert found[0] is design.setting_id
-    assert np.all(np.diff(found[1]) >= 0)
-    assert len(set(found[1])) == min(_BLOCKS, size)
-    assert found[2].tolist() == [0, 1] * (size // 2)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from itertools import count
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -101,12 +100,3 @@ def test_rest_is_one_entry_with_its_size(make_capture: Callable[..., Any]) -> No
     assert ratio == pytest.approx(e_per_dn, rel=0.01)
     assert done.result.global_p is not None
     assert done.result.global_p[0] < 1e-6
-
-
-def test_light_of_frames_is_relative_to_their_mean_in_clear_tiles() -> None:
-    """Frames of 2, 4 and 6 DN in two tiles that count: −½, 0 and ½, however dim; where there is no light, nothing."""
-    light: Any = SimpleNamespace(_light={n: np.array([0.1 * n, 0.1 * n, 900.0]) for n in (1, 2, 3)})
-    clear = np.array([True, True, False])
-    assert FrameLight.of_capture(light, (1, 2, 3), clear) == pytest.approx([-0.5, 0.0, 0.5])
-    dark: Any = SimpleNamespace(_light=dict.fromkeys((1, 2, 3), np.zeros(3)))
-    assert FrameLight.of_capture(dark, (1, 2, 3), clear).tolist() == [0.0, 0.0, 0.0]

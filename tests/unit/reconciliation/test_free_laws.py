@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -17,7 +16,7 @@ from radiometer.reconciliation.measure.design import Design
 from radiometer.reconciliation.measure.reduce import frame_reader, reduce_frames
 from radiometer.reconciliation.result import FittedParameter, LawCurve
 from radiometer.reconciliation.search.free_forms import free_forms, worth
-from radiometer.reconciliation.search.free_laws import by_a_free_law, nowhere_near
+from radiometer.reconciliation.search.free_laws import by_a_free_law
 from radiometer.reconciliation.search.screening import best_start
 from radiometer.reconciliation.verdict import sizes_by_own_law
 from simulators.effects.angle_dependence import AngleDependence
@@ -97,16 +96,6 @@ def test_the_size_of_another_law_is_told_with_its_u(late: FitState) -> None:
     assert told.value == 12e-6
     assert told.u is not None
     assert abs(plain.offset_s - 12e-6) <= told.u < 16e-6
-
-
-@pytest.mark.parametrize(("left", "most"), [(8.0, 10.0 + 4000.0), (10.0, 10.0 + 4000.0), (60.0, 10.0 + 100.0 + 4000.0)])
-def test_a_law_may_leave_twice_what_was_left_beyond_chance(left: float, most: float) -> None:
-    """And 2000 nats more; of ten entries that count a χ² of 10 is chance, 60 is 50 beyond it."""
-    residual = np.full(4, np.sqrt(left / 4.0))
-    base: Any = SimpleNamespace(
-        comparison=SimpleNamespace(residual=lambda prediction: residual * prediction, counts=lambda: np.ones(10, bool))
-    )
-    assert nowhere_near(base, SimpleNamespace(prediction=1.0)) == pytest.approx(most)  # type: ignore[arg-type]
 
 
 def test_a_variant_far_off_speaks_for_the_others(late: FitState) -> None:

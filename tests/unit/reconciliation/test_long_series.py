@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -13,8 +12,6 @@ from radiometer.data import CameraDescription, CaptureHeader, Frame, FrameEntry
 from radiometer.reconciliation import reconcile
 from radiometer.reconciliation.measure.design import Design, group_captures
 from radiometer.reconciliation.measure.series import jumps
-from radiometer.reconciliation.noise.darkness import black_by_noise
-from radiometer.reconciliation.noise.repeatability import _relaxing
 
 BLACK, E_PER_DN, NOISE_E = 200.0, 2.0, 3.0
 STATED = {"conversion_gain_e_per_dn": E_PER_DN, "read_noise_e": NOISE_E, "full_well_e": 3e4, "black_level_dn": BLACK}
@@ -101,43 +98,6 @@ def test_jumps_are_told_and_lone_frames_are_none() -> None:
     assert told(2.0 * (k == 33)) == ()
     assert told(0.05 * k) == ()
     assert told(0.0 * k) == ()
-
-
-def test_repeats_do_not_tell_a_jump_from_a_wandering_lamp() -> None:
-    """What is taken out of their scatter: a step at the time, and one that has died away to e⁻⁴ at the end."""
-    found = _relaxing(np.array([0.0, 10.0, 15.0, 20.0]), 10.0)
-    np.testing.assert_allclose(found, [[0, 0], [1, 1], [1, np.exp(-2.0)], [1, np.exp(-4.0)]])
-
-
-def seen(mean: list[float], variance: list[float]) -> Any:
-    one = np.ones((1, len(mean)))
-    return SimpleNamespace(
-        mean=np.array([mean]), variance=np.array([variance]), variance_dof=1000.0 * one, high=0.0 * one, low=0.0 * one
-    )
-
-
-def test_noise_tells_a_black_level_that_one_setting_does_not() -> None:
-    """A line of half a DN² per DN through 200 DN ends there; level noise, or falling noise, tells nothing: 0 DN."""
-    head = header(16, known=False)
-    mean = [400.0, 600.0, 800.0, 1000.0, 1200.0]
-    at = Design.of(head, (48, 64))
-    assert black_by_noise(at, seen(mean, [0.5 * (y - 200.0) for y in mean])) == pytest.approx(200.0, abs=1e-6)
-    assert black_by_noise(at, seen(mean, [40.0 + 0.5 * y for y in mean])) == 0.0
-    assert black_by_noise(at, seen(mean, [300.0] * 5)) == 0.0
-    assert black_by_noise(at, seen(mean, [800.0 - 0.5 * y for y in mean])) == 0.0
-    assert black_by_noise(at, seen(mean[:3], [100.0, 200.0, 300.0])) == 0.0
-
-
-def test_noise_is_not_asked_where_something_else_tells() -> None:
-    """A stated black level, darks, or a second exposure."""
-    shown = seen([400.0, 600.0, 800.0, 1000.0], [100.0, 200.0, 300.0, 400.0])
-    assert black_by_noise(Design.of(header(16), (48, 64)), shown) is None
-    head = header(16, known=False)
-    other = head.frames[-1].model_copy(update={"exposure_s": 0.024})
-    longer = head.model_copy(update={"frames": (*head.frames[:-1], other)})
-    assert black_by_noise(Design.of(longer, (48, 64)), shown) is None
-    assert black_by_noise(Design.of(header(16, known=False, shutter="closed"), (48, 64)), shown) is None
-    assert black_by_noise(Design.of(header(16, known=False, source_level=0.0), (48, 64)), shown) is None
 
 
 @pytest.mark.slow

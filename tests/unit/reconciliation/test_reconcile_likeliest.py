@@ -17,14 +17,12 @@ from radiometer.reconciliation.measure.design import Design
 from radiometer.reconciliation.measure.reduce import frame_reader, reduce_frames
 from radiometer.reconciliation.noise.fixed_patterns import renewed_patterns
 from radiometer.reconciliation.noise.shared_errors import mixing_of_bands, mixing_of_lines
-from radiometer.reconciliation.search.screening import _rigid, of_seen_codes
+from radiometer.reconciliation.search.screening import of_seen_codes
 from radiometer.reconciliation.search.starts import StartPool
 from simulators.effects.base import EXPOSURE, Stage, parameter
 from simulators.effects.brighter_fatter import push_of
 from simulators.effects.catalogue import Scaling
 from simulators.effects.context import ExposureContext
-from simulators.effects.event_offset import EventOffset
-from simulators.effects.exposure_quantisation import ExposureQuantisation
 from simulators.effects.missing_codes import MissingCodes
 from simulators.effects.pwm_flicker import PwmFlicker
 
@@ -49,40 +47,6 @@ def test_search_for_a_flicker_begins_near_it(make_capture: Callable[..., Any]) -
     assert first.frequency_hz == pytest.approx(480.0, rel=0.02)
     if first.duty == 0:
         assert first.modulation == pytest.approx(0.09, rel=0.4)
-
-
-def test_of_many_offsets_those_are_picked_that_explain_most(make_capture: Callable[..., Any]) -> None:
-    """A black level that jumps by 2 DN at 100 s and relaxes within 30 s: picked as by the whole chain, in its order."""
-    now = iter(2.5 * np.arange(1, 1000))
-
-    def lifted(setting: Any) -> float:
-        since = float(next(now)) - 100.0
-        return 2.0 * float(np.exp(-since / 30.0)) if since >= 0 else 0.0
-
-    plan = [{"t": float(t), "d": d} for d in (0.9, 0.0) for t in np.geomspace(2e-4, 4e-3, 10)]
-    state = _state(make_capture(8, plan=plan, extra_dn=lifted))
-    starts = EventOffset.starts(state.model.context)
-    assert len(starts) > 50
-    picked = StartPool().likeliest(state, EventOffset)
-    assert len(picked) == 8
-    whole = sorted(_rigid(state, starts), key=lambda candidate: -candidate.gain)
-    assert picked[0] == whole[0].effect
-    assert len({*picked} & {candidate.effect for candidate in whole[:10]}) >= 6
-    assert abs(picked[0].values()["event_s"] - 100.0) < 12.0
-    assert picked[0].values()["offset_dn"] > 0
-
-
-def test_of_many_rounded_clocks_those_are_picked_that_explain_most(make_capture: Callable[..., Any]) -> None:
-    """Exposures in steps of 40 µs: the best pick is the best of all by the whole chain, whose order the others keep."""
-    plan = [{"t": float(t), "d": d} for d in (0.9, 0.3) for t in np.geomspace(2e-4, 4e-3, 10)]
-    state = _state(make_capture(9, plan=plan, exposure=lambda t: round(t / 40e-6) * 40e-6))
-    starts = ExposureQuantisation.starts(state.model.context)
-    assert len(starts) > 100
-    picked = StartPool().likeliest(state, ExposureQuantisation)
-    by_all = {candidate.effect: candidate.gain for candidate in _rigid(state, starts)}
-    gains = [by_all[start] for start in picked]
-    assert gains[0] == pytest.approx(max(by_all.values()), rel=0.01)
-    assert gains == pytest.approx(sorted(by_all.values(), reverse=True)[:8], rel=0.05)
 
 
 @pytest.mark.slow

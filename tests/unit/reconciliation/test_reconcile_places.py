@@ -10,19 +10,16 @@ import numpy as np
 import pytest
 
 from radiometer.data import CameraDescription, CaptureHeader, FrameEntry
-from radiometer.reconciliation.fit.covariates import covariates
 from radiometer.reconciliation.fit.descent import first_state
 from radiometer.reconciliation.fit.state import FitState
 from radiometer.reconciliation.measure.design import Design
 from radiometer.reconciliation.measure.reduce import frame_reader, reduce_frames
 from radiometer.reconciliation.noise.repeatability import estimate_tau
 from radiometer.reconciliation.search.localise import (
-    _least_of_draws,
     axis_of,
     global_p_value,
     localise,
     places,
-    trend_bases,
 )
 from radiometer.reconciliation.thresholds import SIGNIFICANCE
 
@@ -124,17 +121,3 @@ def test_global_p_lies_within_what_overlapping_tests_allow(make_capture: Callabl
         found = global_p_value(state, (best, *tests[1:]))
         assert 0.3 * len(tests) * chance < found <= min(1.25 * len(tests) * chance, 1.0)
     assert global_p_value(state, (replace(tests[0], p_value=1e-9), *tests[1:])) == pytest.approx(len(tests) * 1e-9)
-
-
-@pytest.mark.slow
-def test_rounding_draws_no_other_residuals(make_capture: Callable[..., Any], monkeypatch: pytest.MonkeyPatch) -> None:
-    """Columns that differ by a part in 10¹² give the same draws: a p-value is no matter of the machine."""
-    monkeypatch.setitem(_least_of_draws.__globals__, "_DRAWS", 50)
-    state = _state(make_capture(seed=4, frames=2))
-    bases = list(trend_bases(state, covariates(state.model, state.prediction)))
-    rng = np.random.default_rng(1)
-    rounded = [
-        replace(basis, columns=basis.columns * (1.0 + 1e-12 * rng.standard_normal(basis.columns.shape)))
-        for basis in bases
-    ]
-    assert _least_of_draws(state, rounded) == pytest.approx(_least_of_draws(state, bases), rel=1e-3)

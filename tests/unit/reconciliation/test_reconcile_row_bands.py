@@ -14,7 +14,7 @@ from radiometer.reconciliation.fit.descent import first_state
 from radiometer.reconciliation.fit.state import FitState
 from radiometer.reconciliation.measure.design import Design
 from radiometer.reconciliation.measure.reduce import frame_reader, reduce_frames
-from radiometer.reconciliation.measure.row_bands import RowBins, TileBands, _white, wave_power
+from radiometer.reconciliation.measure.row_bands import RowBins, TileBands, wave_power
 from radiometer.reconciliation.search.localise import localise, significant
 from radiometer.reconciliation.verdict import place_of_scatter
 
@@ -110,6 +110,7 @@ def test_bands_and_flicker_show_in_statistics_of_their_own(make_capture: Callabl
     assert "bands" not in shaken
 
 
+@pytest.mark.slow
 def test_scatter_without_any_trend_is_told(make_capture: Callable[..., Any]) -> None:
     """Patches that differ at random from frame to frame by 0.5 % scatter the means beyond their noise."""
     rng = np.random.default_rng(9)
@@ -124,16 +125,3 @@ def test_scatter_without_any_trend_is_told(make_capture: Callable[..., Any]) -> 
     assert not is_misfit(calm)
     assert is_misfit(restless)
     assert place_of_scatter(restless)[0] in ("mean", "first", "bands")
-
-
-def test_noise_that_rows_share_is_no_noise_of_pixels() -> None:
-    """Of 2000 tiles of 4 rows by 3 pixels, σ² = 4 of a pixel beside 1 of its row: the mean of what is told is 4."""
-    rng = np.random.default_rng(12)
-    frames, tiles, height, width = 6, 2000, 4, 3
-    values = 2.0 * rng.standard_normal((frames, tiles, height, width)) + rng.standard_normal((frames, tiles, height, 1))
-    deviations = values - values.mean(axis=(2, 3), keepdims=True)
-    variance = np.mean(np.var(deviations, axis=0, ddof=1), axis=(1, 2)) * height * width / (height * width - 1)
-    told = _white(deviations.sum(axis=3), np.full((tiles, height), width), variance, width)
-    scatter = 4.0 * np.sqrt(2.0 / ((frames - 1) * height * (width - 1) * tiles))
-    assert np.mean(told) == pytest.approx(4.0, abs=4.0 * scatter)
-    assert _white(deviations[:1].sum(axis=3), np.full((tiles, height), width), variance, width) is variance

@@ -5,7 +5,6 @@ from __future__ import annotations
 import re
 from dataclasses import replace
 
-import numpy as np
 import pytest
 
 from radiometer.reconciliation.engine import Reconciled, examine, whole_catalogue
@@ -14,15 +13,14 @@ from radiometer.reconciliation.fit.state import FitState, with_effects
 from radiometer.reconciliation.measure.design import Design
 from radiometer.reconciliation.measure.reduce import frame_reader, reduce_frames
 from radiometer.reconciliation.report.html import outcome, report_html
-from radiometer.reconciliation.report.pictures import _absolute, _left, _relative, effect_plot, unnamed_plot
+from radiometer.reconciliation.report.pictures import effect_plot, unnamed_plot
 from radiometer.reconciliation.report.words import along, axis_label, seen_in
 from radiometer.reconciliation.result import FoundEffect, Verdict
 from radiometer.reporting.numbers import rounded
 from simulators.effects.black_level_offset import BlackLevelOffset
 from simulators.effects.crosstalk import Crosstalk
 from testing.generator.session import make_session
-from testing.report_checks import assert_reports_hold
-from tests.unit.reporting.test_page import HOSTILE
+from testing.report_checks import HOSTILE, assert_reports_hold
 
 
 @pytest.fixture(scope="module")
@@ -124,52 +122,12 @@ def test_every_entry_has_words_for_where_it_shows(kind):
     assert axis_label(kind.where)[0]
 
 
-@pytest.mark.usefixtures("unrendered")
-@pytest.mark.slow
-@pytest.mark.parametrize("settings", [1, 3])
-def test_frames_without_light_are_reported_in_dn(make_capture, settings):
-    """Darks alone have no light to be relative to: the opening picture is in DN over the settings, also of one."""
-    plan = [{"t": t, "shutter": "closed"} for t in (1e-4, 1e-2, 1.0)[:settings]]
-    captured = make_capture(7, plan=plan)
-    entries = {"black_level_offset": whole_catalogue()["black_level_offset"]}
-    found = examine(
-        captured.header, frame_reader(captured.frames), captured.frames[0].shape, catalogue=entries, with_limits=False
-    )
-    page = report_html(found, "darks")
-    assert "class='outcome'" in page
-    x, dn = _absolute(found.outcome.start)
-    assert np.array_equal(np.unique(np.round(x)), np.arange(1, settings + 1))
-    assert np.max(np.abs(dn)) < 1.0  # of means of 1.4 DN / √(pixels and frames)
-    assert _relative(found.outcome.start)[0].size == 0
-
-
-def test_deviations_are_told_in_percent_of_the_light(make_capture):
-    """Means 1 % above what is simulated lie at 1 %, and those of dark frames are left out."""
-    captured = make_capture(8, plan=[{"t": 1e-3}, {"t": 3e-3}, {"t": 1e-3, "shutter": "closed"}])
-    design = Design.of(captured.header, captured.frames[0].shape)
-    state = first_state(design, *reduce_frames(design, frame_reader(captured.frames)))
-    brighter = replace(state.seen, mean=state.prediction.mean + 0.01 * state.sensitivity)
-    light, percent = _relative(replace(state, seen=brighter))
-    assert percent == pytest.approx(1.0)
-    assert light.min() > 3.0
-    assert light.size <= 2 * len(design.tiles)
-
-
 @pytest.fixture(scope="module")
 def lit_and_dark(make_capture) -> FitState:
     """Return the fitted start of a session with patches of many levels, gains, temperatures and dark frames."""
     captured = make_capture(9)
     design = Design.of(captured.header, captured.frames[0].shape)
     return first_state(design, *reduce_frames(design, frame_reader(captured.frames)))
-
-
-@pytest.mark.parametrize("name", sorted(whole_catalogue()))
-def test_every_entry_s_statistic_can_be_drawn(lit_and_dark, name):
-    """What shows an entry is drawn from one statistic, or from both directions of it: never from none."""
-    kind = whole_catalogue()[name]
-    values, left = _left(lit_and_dark, np.ones((1, 1)), kind.block, lit_and_dark.prediction)
-    assert values.size == left.size > 0
-    assert np.sqrt(np.mean(left**2)) < 1.5  # nothing is missing: noise alone
 
 
 @pytest.mark.parametrize("kind", [Crosstalk, BlackLevelOffset])

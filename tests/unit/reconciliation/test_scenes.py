@@ -95,6 +95,7 @@ def reconciled(*shots: tuple[Picture, float]) -> Any:
     return reconcile(CaptureHeader(camera=camera, frames=tuple(entries)), frames, with_limits=False)
 
 
+@pytest.mark.slow
 def test_each_scene_has_radiances_of_its_own() -> None:
     """Two scenes at two exposures each agree with the model; that the scene changes is told."""
     one, other = scene(10), scene(11, contrast=0.1)

@@ -14,7 +14,6 @@ from radiometer.reconciliation.fit.descent import first_state
 from radiometer.reconciliation.fit.state import FitState, with_effects
 from radiometer.reconciliation.measure.design import Design
 from radiometer.reconciliation.measure.reduce import frame_reader, reduce_frames
-from radiometer.reconciliation.model import several
 from radiometer.reconciliation.model.several import predict_several
 from radiometer.reconciliation.prediction import Prediction
 from simulators.effects.brighter_fatter import BrighterFatter
@@ -90,10 +89,3 @@ def test_models_of_other_light_other_links_and_other_effects_go_together(named: 
         for row, number in enumerate(numbers):
             model, nuisance = models[number]
             assert differing(expected, row, model.predict(nuisance)) == []
-
-
-def test_large_sets_go_in_several_walks(named: FitState, monkeypatch: pytest.MonkeyPatch) -> None:
-    """No more models are stacked than the processor's nearest memory holds; one goes alone where none fits."""
-    models = [(named.model.with_effects((ExposureTimeOffset(size),)), named.trace.nuisance) for size in (1e-6, 2e-6)]
-    monkeypatch.setattr(several, "_AT_ONCE", 1)
-    assert [numbers for numbers, _ in predict_several(models, named.trace)] == [[0], [1]]

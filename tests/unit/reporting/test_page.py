@@ -13,8 +13,7 @@ from matplotlib.figure import Figure
 from radiometer.reporting.numbers import rounded, unit_text, with_u
 from radiometer.reporting.page import escaped, folded, heading, listed, page, paragraph, prose, section, table
 from radiometer.reporting.pictures import dress, label, mark, picture, shortened
-
-HOSTILE = "<script>alert(1)</script>\" onload='x' $\\frac$ \x1b[31m 灯 --> &amp;"
+from testing.report_checks import HOSTILE
 
 
 def test_no_text_becomes_markup():

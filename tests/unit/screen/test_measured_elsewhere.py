@@ -204,7 +204,7 @@ def test_command_imports_and_says_what_it_took(tmp_path: Path, capsys: pytest.Ca
     assert "relative to a white of 200 cd/m²" in told.err
     assert "red left out" in told.err
     assert "meter's scale: 4 %" in told.out
-    assert run(["screen", "import", str(file), "-o", str(out), "--primaries", "oled", "--json"]) == 0
+    assert run(["screen", "import", str(file), "-o", str(out), "--primaries", "oled", "--json", "--force"]) == 0
     assert set(json.loads(capsys.readouterr().out)["channels"]) == {"grey", "red"}
     assert run(["screen", "import", str(tmp_path / "none.ti3")]) == 1
     assert capsys.readouterr().err.startswith("error:")

@@ -80,6 +80,7 @@ def test_csv_has_one_row_per_level_with_uncertainty(screen: ScreenCalibration) -
     assert float(last["u_luminance_cd_m2"]) == pytest.approx(224.032 * 0.01005, rel=1e-2)
 
 
+@pytest.mark.slow
 def test_inverse_table_rises_and_meets_its_targets(screen: ScreenCalibration) -> None:
     """Levels never fall, and what they show is nearer to the target than half a step."""
     rows = [line.split(",") for line in to_inverse_csv(screen).splitlines()[1:]]

@@ -6,14 +6,8 @@ import json
 
 import numpy as np
 import pytest
-from scipy.special import ndtri
 
 from radiometer.analysis.calibration.flat_field import (
-    _TILES_ACROSS,
-    _focal_length_px,
-    _Tiles,
-    _tiles,
-    _without_outliers,
     fit_flat_field,
 )
 from radiometer.analysis.merge.bracket import merge
@@ -22,18 +16,15 @@ from radiometer.cli.main import run
 from radiometer.data import (
     Bracket,
     Calibration,
-    CameraDescription,
     CaptureSetWriter,
-    LensDescription,
+    FlatField,
     Patch,
-    PixelMask,
     RadianceMap,
 )
 from radiometer.errors import CalibrationError, MeasurementError
 
 SHAPE = (120, 160)
 CENTRE = (84.0, 57.0)
-FOCAL_PX = 16e3 / 4.5  # 16 mm at 4.5 µm
 
 
 def falloff(k2=-0.18, k4=-0.05, focal_px=150.0):
@@ -68,6 +59,7 @@ def test_the_falloff_is_found(rig):
     np.testing.assert_allclose(flat.at(x, y), falloff(), atol=1e-3)
 
 
+@pytest.mark.slow
 def test_its_stated_uncertainty_is_that_of_the_correction(rig):
     """Over 20 noisy maps the rms error of the correction stays within a factor of 2 of what is stated."""
     camera, lens = wide(rig)
@@ -189,63 +181,6 @@ def test_coefficients_are_told_at_half_the_diagonal(rig):
     assert flat.coefficients == pytest.approx((-0.18, -0.05, 0.0), abs=3e-3)
 
 
-@pytest.mark.parametrize(("across", "left"), [(5, 25), (8, 62)])
-def test_outliers_stay_where_too_few_tiles_would_be_left(across, left):
-    """Two shadows of 30 % among 64 tiles are left out; among 25, of which 24 are needed, they are not."""
-    y, x = (axis.ravel().astype(float) for axis in np.mgrid[:across, :across])
-    value = 1.0 + 1e-4 * np.random.default_rng(2).standard_normal(x.size)
-    value[[7, 20]] = 0.7
-    middle = np.full(2, 0.5 * (across - 1))
-    tiles = _without_outliers(_Tiles(x, y, value, np.full(x.size, 1e-4)), middle, float(across), None)
-    assert tiles.value.size == left
-
-
-def test_what_sets_a_tile_apart_is_five_sigmas_of_the_others():
-    """Sigma is that of a normal scatter, which a few dark tiles do not move: 4.7 of it stays, 5.3 does not."""
-    y, x = (axis.ravel().astype(float) for axis in np.mgrid[:40, :40])
-    scatter = ndtri((np.random.default_rng(4).permutation(x.size) + 0.5) / x.size)  # a normal distribution's quantiles
-    middle, dark, stays, goes = np.full(2, 19.5), [100, 500, 900, 1300], 630, 970
-    value = 1.0 + 1e-3 * scatter
-    value[dark], value[stays], value[goes] = 0.7, 1.0 + 4.7e-3, 1.0 - 5.3e-3
-    tiles = _without_outliers(_Tiles(x, y, value, np.full(x.size, 1e-3)), middle, 40.0, None)
-    left_out = set(range(x.size)) - {int(40 * row + column) for row, column in zip(tiles.y, tiles.x, strict=True)}
-    assert left_out == {*dark, goes}
-
-
-@pytest.mark.parametrize("shape", [SHAPE, (161, 125)], ids=["wide", "high"])
-def test_a_tile_is_the_mean_of_its_sound_pixels_where_they_lie(shape):
-    """Of a plane each tile tells the plane at its own place, whatever is masked; of less than half it is none."""
-    y, x = np.mgrid[: shape[0], : shape[1]].astype(float)
-    plane, rng = 0.07 + 3e-4 * x + 1.1e-4 * y, np.random.default_rng(3)
-    mask = np.where(rng.random(shape) < 0.2, PixelMask.SATURATED, 0).astype(np.uint8)
-    mask |= np.where(rng.random(shape) < 0.1, PixelMask.EXTRAPOLATED, 0).astype(np.uint8)  # sound
-    mask[:30, :40] = PixelMask.DEFECTIVE
-    u = np.full(shape, 0.05, np.float32)
-    even = RadianceMap(np.where(mask & PixelMask.SATURATED, 99.0, plane).astype(np.float32), u, mask, "relative")
-    found = _tiles(even)
-    assert found.value == pytest.approx(0.07 + 3e-4 * found.x + 1.1e-4 * found.y, rel=1e-5)
-    assert not np.any((found.x < 36) & (found.y < 26))
-    sound, side = (0.05 / found.u) ** 2, min(shape) // _TILES_ACROSS
-    assert sound == pytest.approx(np.round(sound), rel=1e-4)
-    assert 0.5 * side**2 <= round(sound.min()) < round(sound.max()) <= side**2
-    assert found.x.max() > shape[1] - 2 * side
-    assert found.y.max() > shape[0] - 2 * side
-    assert np.mean(sound) == pytest.approx(0.8 * side**2, rel=0.05)
-
-
-@pytest.mark.parametrize(
-    ("focal_mm", "pitch_um", "spacing_um", "expected"),
-    [(16.0, 4.5, None, 16e3 / 4.5), (16.0, 4.5, 9.0, 16e3 / 9.0), (None, 4.5, None, None), (16.0, None, None, None),
-     (None, None, None, None)],
-)  # fmt: skip
-def test_a_focal_length_in_pixels_needs_both(focal_mm, pitch_um, spacing_um, expected):
-    """Millimetres over the distance of pixels, that of the binned ones where it differs; unknown without either."""
-    camera = CameraDescription(bit_depth=12, pixel_pitch_um=pitch_um, pixel_spacing_um=spacing_um)
-    assert _focal_length_px(camera, LensDescription(focal_length_mm=focal_mm)) == (
-        None if expected is None else pytest.approx(expected)
-    )
-
-
 def test_a_picture_on_its_side_has_its_falloff_on_its_side(rig):
     """Rows and columns exchanged exchange the coordinates of the axis, and nothing else."""
     camera, lens = wide(rig)
@@ -264,3 +199,9 @@ def test_a_point_that_is_not_fitted_is_the_lens_s_or_the_middle_pixel(rig, state
     lens = lens.model_copy(update={"principal_point_px": stated})
     flat = fit_flat_field(even_map(falloff()), camera, lens, fit_centre=False)
     assert flat.principal_point_px == (stated or (79.5, 59.5))
+
+
+def test_a_flat_field_without_coefficients_is_flat():
+    """1 at the axis and in every corner."""
+    flat = FlatField(principal_point_px=(50.0, 40.0), radius_px=64.0, shape=(80, 100))
+    assert flat.at(np.array([50.0, 0.0, 100.0]), np.array([40.0, 0.0, 80.0])) == pytest.approx([1.0, 1.0, 1.0])

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -14,30 +13,25 @@ from scipy.stats import linregress
 from radiometer.analysis.characterise import characterise, report_plots
 from radiometer.analysis.characterise.dark_figures import typical_dark_current, typical_rates
 from radiometer.analysis.characterise.dark_signal import dark_signal
-from radiometer.analysis.characterise.dark_transfer import _halves_u
-from radiometer.analysis.characterise.emva_export import _photons
-from radiometer.analysis.characterise.frame_groups import FrameGroup
 from radiometer.analysis.characterise.group_statistics import GroupStatistics, statistics_of_group
 from radiometer.analysis.characterise.inconsistent import contradicting_darks, contradicting_steps
 from radiometer.analysis.characterise.line_fit import fit_line
 from radiometer.analysis.characterise.linearity import linearity
-from radiometer.analysis.characterise.nonuniformity import best_stack, dsnu, prnu
-from radiometer.analysis.characterise.partial import _of_masked_rows, bent, disagreeing_gains
+from radiometer.analysis.characterise.nonuniformity import dsnu, prnu
+from radiometer.analysis.characterise.partial import bent, disagreeing_gains
 from radiometer.analysis.characterise.photon_flux import PhotonFlux, photon_flux
 from radiometer.analysis.characterise.photon_transfer import photon_transfer
-from radiometer.analysis.characterise.report import _straightness, outcome
-from radiometer.analysis.characterise.report_plots import _signal
+from radiometer.analysis.characterise.report import outcome
 from radiometer.analysis.characterise.result import Characterisation
-from radiometer.analysis.characterise.saturation import _spacing_u, find_saturation
+from radiometer.analysis.characterise.saturation import find_saturation
 from radiometer.analysis.characterise.sensitivity import responsivity, sensitivity_figures, sigma_d
 from radiometer.analysis.characterise.spatial_split import NoiseLeft, SpatialSplit, split_spatial_variance
 from radiometer.analysis.characterise.steps import make_steps
-from radiometer.analysis.characterise.subject import Subject, _inside
+from radiometer.analysis.characterise.subject import Subject
 from radiometer.data import (
     CameraDescription,
     FrameSettings,
     LensDescription,
-    Patch,
     PatchDescription,
     Provenance,
     Quantity,
@@ -250,18 +244,6 @@ def test_linearity_is_of_five_to_ninety_five_percent_of_saturation(saturation_dn
     assert inner.size == used
 
 
-def test_the_picture_of_the_photon_transfer_tells_steps_of_the_fit_from_others():
-    """Filled marks are those up to 70 % of saturation, white ones the steps that were left out."""
-    result = whole(group(BLACK_DN, 40.0, dark=True))
-    axes = Figure().subplots()
-    report_plots._transfer(axes, result)
-    marks = {line.get_label(): list(line.get_xdata()) for line in axes.lines}
-    used = [step.signal_dn for step in result.transfer.used]
-    left = [step.signal_dn for step in result.steps if step.signal_dn not in used]
-    assert (marks["steps of the fit"], marks["steps left out"]) == (used, left)
-    assert min(len(used), len(left)) > 1
-
-
 def test_photons_of_a_surface():
     """Proportional to exposure and level, none in the dark; u of radiance, lens and lamp in squares; fewer off axis."""
     flux = PhotonFlux(1000.0, 0.0)
@@ -329,15 +311,6 @@ def test_a_dark_group_off_the_line_of_the_others_is_named(slope, wrong_dn, named
         assert said.endswith(f"({round(100.0 * wrong_dn / straight):+d} %)")
 
 
-def test_a_bend_of_the_dark_transfer_is_a_range_of_slopes():
-    """Slopes of 1 below the middle and of 2 above it leave 1/√12; a straight line nothing; too few numbers nothing."""
-    x = np.arange(1.0, 11.0)
-    bent = np.where(x <= 5.5, x, 2.0 * x)
-    assert _halves_u(x, bent, np.ones(10)) == pytest.approx(1.0 / math.sqrt(12.0))
-    assert _halves_u(x, 3.0 * x + 1.0, np.ones(10)) == pytest.approx(0.0, abs=1e-12)
-    assert _halves_u(x[[0, 1, 9]], bent[[0, 1, 9]], np.ones(3)) == 0.0
-
-
 LEVELS = np.geomspace(0.02, 1.0, 12)
 CAMERA = CameraDescription(bit_depth=12)
 NO_SPLIT = SpatialSplit(0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
@@ -396,17 +369,6 @@ def test_the_outcome_names_the_capacity_where_it_is_known(full, ends):
     assert ends in outcome(replace(result, figures=figures)).replace("\u202f", "").replace("\u00a0", " ")
 
 
-def test_pictures_say_what_the_light_is_counted_in():
-    """Photons where the responsivity is known, else seconds."""
-    result = whole(group(BLACK_DN, 40.0, dark=True))
-    labels = []
-    for more in ({}, {"R": Quantity(0.3, 0.01, "DN/p")}):
-        axes = Figure().subplots()
-        _signal(axes, replace(result, figures={**result.figures, **more}))
-        labels.append(axes.get_xlabel())
-    assert labels == ["exposure × level in s", "photons per pixel"]
-
-
 def test_on_a_phone_the_panels_stand_one_below_the_other(monkeypatch):
     """Three of one width, the photon transfer half as high again as the others; on a desk they stand side by side."""
     drawn = {}
@@ -451,14 +413,6 @@ def test_variances_of_few_lines_scatter_by_their_stated_uncertainty():
         assert np.mean(told) == pytest.approx(np.std(values), rel=0.08)
 
 
-def test_masked_rows_tell_the_black_level_by_their_mean_and_scatter():
-    """Three rows of 100, 100 and 104 DN; equal ones leave rounding, one alone a whole DN of doubt."""
-    found = _of_masked_rows([100.0, 100.0, 104.0])
-    assert (found.value, found.u) == pytest.approx((304.0 / 3.0, 4.0 / math.sqrt(3.0)))
-    assert _of_masked_rows([100.0, 100.0]).u == pytest.approx(1.0 / math.sqrt(12.0))
-    assert _of_masked_rows([100.0]).u == 1.0
-
-
 @pytest.mark.parametrize(
     ("dark", "word"), [(0.4901, "agrees with"), (0.4899, "differs from"), (0.5101, "differs from")]
 )
@@ -490,16 +444,6 @@ def test_darkness_begins_at_the_shortest_exposure_where_two_make_no_line():
     assert found.mean_line.slope == pytest.approx(1.0)
 
 
-def test_a_region_lies_in_a_patch_where_all_its_pixels_do():
-    """Held against sets of pixels, for every place and size on a small frame."""
-    outer = Patch(3, 2, 3, 4)
-    pixels = {(x, y) for x in range(3, 6) for y in range(2, 6)}
-    for x, y, width, height in np.ndindex(7, 7, 4, 5):
-        if width and height:
-            own = {(a, b) for a in range(x, x + width) for b in range(y, y + height)}
-            assert _inside(Patch(x, y, width, height), outer) is (own <= pixels)
-
-
 def test_degrees_of_freedom_are_those_of_frames_and_pixels():
     """(L − 1)·(N − 1), one at least; a variance is known to √(2/ν) of itself, a mean to σ/√(L·N), rounding included."""
     few = GroupStatistics(FrameSettings(1.0), 3, 5, 100.0, 8.0, 2.0, 0.0)
@@ -525,53 +469,6 @@ def test_a_line_through_one_light_tells_no_linearity():
     assert found(2000.0, 2000.0, 2000.0, 2000.0) is None
     assert found(2000.0, 4000.0, 6000.0) is None
     assert found(2000.0, 2000.0, 4000.0, 4000.0) is not None
-
-
-@pytest.mark.parametrize(
-    ("low", "high", "u", "said"),
-    [
-        (-3.0, 1.0, 0.2, "off by −3.00 to 1.00 %, each ± 0.40 %): recover"),
-        (-1.0, 3.0, 0.2, "off by −1.00 to 3.00 %, each ± 0.40 %): recover"),
-        (-0.39, 0.1, 0.2, "off by"),
-        (-0.41, 0.1, 0.2, "recover its response"),
-    ],
-)
-def test_straightness_is_judged_by_the_farther_end(low, high, u, said):
-    """Beyond twice its u on either side a response is asked for, within it none; of nothing known nothing is said."""
-    text = _straightness(Quantity(low, u, "%"), Quantity(high, u, "%"))
-    assert said.replace("−", "-") in text.replace("−", "-")
-    assert ("recover" in text) is (max(-low, high) > 2.0 * u)
-    assert _straightness(None, Quantity(high, u, "%")) == "" == _straightness(Quantity(low, u, "%"), None)
-
-
-def test_where_a_largest_value_lies_is_known_between_its_neighbours():
-    """The steps that may hold it, by their variances' u, and the gap beside them, as a rectangle; at an end, too."""
-
-    def u(variances, top, **more):
-        lights = (100.0, 200.0, 400.0, 500.0, 900.0)
-        bright = [group(BLACK_DN + x, v, photons=x, **more) for x, v in zip(lights, variances, strict=True)]
-        return _spacing_u(make_steps(bright, [group(BLACK_DN, 40.0, dark=True)]), top) * math.sqrt(3.0)
-
-    assert u((10.0, 20.0, 40.0, 20.0, 10.0), 2) == pytest.approx(200.0)  # from 200 to 500
-    assert u((10.0, 20.0, 40.0, 40.0, 10.0), 2) == pytest.approx(500.0)  # 500 as likely: up to 900
-    assert u((10.0, 40.0, 40.0, 20.0, 10.0), 2) == pytest.approx(300.0)  # 200 as likely: down to 100
-    assert u((10.0, 20.0, 20.0, 20.0, 40.0), 4) == pytest.approx(400.0)
-    assert u((40.0, 20.0, 20.0, 20.0, 10.0), 0) == pytest.approx(100.0)
-    assert u((10.0, 20.0, 40.0, 30.0, 10.0), 2, pixels=8) == pytest.approx(500.0)  # variances known to a half
-
-
-def test_photons_of_an_export_are_those_stated_else_of_the_largest_region():
-    """A group's own number stands first, then the flux of the largest region; without either there is none."""
-    large, small = PhotonFlux(3000.0, 0.01), PhotonFlux(7.0, 0.01)
-    regions = (Patch(0, 0, 2, 2), Patch(4, 4, 5, 5))
-
-    def photons(stated, fluxes):
-        own = FrameGroup(FrameSettings(0.01, source_level=0.5), (), stated)
-        return _photons(Subject("a", CameraDescription(bit_depth=12), LensDescription(), (own,), regions, fluxes), own)
-
-    assert photons(123.0, (small, large)) == 123.0
-    assert photons(None, (small, large)) == pytest.approx(15.0)
-    assert photons(None, (small, None)) == 0.0
 
 
 def test_codes_that_follow_one_another_round_by_a_twelfth():
@@ -620,8 +517,27 @@ def test_up_to_a_fifth_of_the_dark_groups_are_exceptions(off, named):
     assert [one.settings.exposure_s for one, _ in contradicting_darks(darks, 3000.0)] == [times[k] for k in off[:named]]
 
 
-def test_nonuniformity_is_taken_from_half_of_saturation_above_black():
-    """Of groups with equally many frames the one at 64 + 500 of 1000; one with more frames goes before it."""
-    groups = [SimpleNamespace(frames=4, mean_dn=mean_dn) for mean_dn in (430.0, 500.0, 560.0, 640.0)]
-    assert best_stack(groups, 1000.0, 64.0).mean_dn == 560.0
-    assert best_stack([*groups, SimpleNamespace(frames=5, mean_dn=200.0)], 1000.0, 64.0).mean_dn == 200.0
+def test_the_noise_that_an_average_keeps_is_parted_into_rows_columns_and_the_rest():
+    """9 DN² of a pixel, 2 of a row's mean and 1 of a column's, over 4 × 5 pixels and two frames: 6/0.6 are left."""
+    left = NoiseLeft.of(9.0, 2.0, 1.0, 2, (4, 5))
+    assert (left.row_means_dn2, left.column_means_dn2) == (1.0, 0.5)
+    assert left.rest_dn2 == pytest.approx(6.0 / ((1 - 1 / 4) * (1 - 1 / 5)) / 2)
+    assert NoiseLeft.of(2.0, 2.0, 1.0, 2, (4, 5)).rest_dn2 == 0.0
+
+
+@pytest.mark.parametrize(("temperatures_c", "own"), [((20.0, 26.0), 1), ((24.0, 31.0), 0)])
+def test_light_is_compared_with_darkness_at_its_own_temperature(temperatures_c, own):
+    """Of two plateaus the one nearest to the lit frames' 25 °C counts, colder or warmer: its black is the camera's."""
+
+    def warm(one, celsius):
+        return replace(one, settings=replace(one.settings, temperature_c=celsius))
+
+    darks = [
+        warm(group(BLACK_DN + shift, 40.0, dark=True, split=NO_SPLIT), celsius)
+        for shift, celsius in zip((0.0, 8.0), temperatures_c, strict=True)
+    ]
+    bright = [
+        warm(group(BLACK_DN + 3000.0 * x, 40.0 + 1500.0 * x, level=float(x), split=NO_SPLIT), 25.0) for x in LEVELS
+    ]
+    found = characterise(subject(), [*bright, *darks]).figures["mu_y_dark"]
+    assert found.value == pytest.approx(BLACK_DN + (0.0, 8.0)[own])

@@ -23,7 +23,7 @@ from radiometer.reporting.numbers import rounded
 from simulators.cameras.simulated_capture import simulate_capture
 from simulators.chain.camera_model import CameraModel
 from simulators.scenes import StepChartScene, UniformScene
-from tests.unit.reporting.test_page import HOSTILE
+from testing.report_checks import HOSTILE
 
 CAMERA = CameraDescription(
     bit_depth=12,

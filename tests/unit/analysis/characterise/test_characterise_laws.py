@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import math
-import re
 from dataclasses import replace
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -13,21 +11,18 @@ from matplotlib.figure import Figure
 
 from radiometer.analysis.characterise import characterise, report_plots
 from radiometer.analysis.characterise.dark_figures import doubling_of, gain_from_darks, typical_rates
-from radiometer.analysis.characterise.dark_signal import by_temperature, doubling_temperature, pooled_frame_sd
-from radiometer.analysis.characterise.dark_transfer import _bulk, _clipped_variance, _unmixed, dark_transfer
-from radiometer.analysis.characterise.frame_groups import _temperature_plateaus
+from radiometer.analysis.characterise.dark_signal import doubling_temperature, pooled_frame_sd
+from radiometer.analysis.characterise.dark_transfer import dark_transfer
 from radiometer.analysis.characterise.group_statistics import GroupStatistics, statistics_of_group
-from radiometer.analysis.characterise.inconsistent import _beside, contradicting_darks, contradicting_steps
-from radiometer.analysis.characterise.nonuniformity import _root, best_stack, nonuniformity_by_part
+from radiometer.analysis.characterise.inconsistent import contradicting_darks, contradicting_steps
+from radiometer.analysis.characterise.nonuniformity import best_stack, nonuniformity_by_part
 from radiometer.analysis.characterise.partial import stated_gain_doubt
 from radiometer.analysis.characterise.photon_transfer import photon_transfer, transfer_of_few
-from radiometer.analysis.characterise.report import _dark, _figures, _noise, _range
 from radiometer.analysis.characterise.saturation import find_saturation
 from radiometer.analysis.characterise.sensitivity import propagated, responsivity
 from radiometer.analysis.characterise.spatial_split import SpatialSplit, typical_mean
 from radiometer.analysis.characterise.steps import make_steps
 from radiometer.analysis.characterise.subject import Subject
-from radiometer.analysis.characterise.symbols import SYMBOLS
 from radiometer.data import CameraDescription, FrameSettings, LensDescription, Quantity
 from radiometer.errors import MeasurementError
 
@@ -166,6 +161,18 @@ def test_a_variance_that_still_rises_is_no_saturation_unless_pixels_clip(share, 
     assert (found.reached, found.limited_by == "converter") == (reached, reached)
 
 
+@pytest.mark.parametrize(("below_u", "gaps"), [(3.9, 2), (4.1, 1)])
+def test_the_place_of_the_largest_variance_is_known_to_the_steps_next_to_what_it_may_be(below_u, gaps):
+    """Four uncertainties apart, twice either's, two variances may be the largest alike; the step beyond then bounds."""
+    variances = 40.0 + 0.5 * SIGNALS
+    u_rel = math.sqrt(2.0 / 89_999.0)
+    variances[-4:] = variances[-5] * np.array([1.5, 1.5 * (1.0 - below_u * u_rel), 1.0, 0.9])
+    found = find_saturation(steps_of(variances))
+    apart = SIGNALS[1] - SIGNALS[0]
+    assert found.light == 2.0 * SIGNALS[-4]
+    assert found.u_light_rel == pytest.approx(gaps * apart / math.sqrt(3.0) / SIGNALS[-4])
+
+
 def test_propagation_is_that_of_a_straight_function():
     """2a − 3b: 4·u_a² + 9·u_b²; a constant has none; a figure without doubt adds none."""
     a, b = Quantity(5.0, 0.3, "x"), Quantity(1.0, 0.4, "x")
@@ -191,19 +198,6 @@ def test_a_dark_current_that_doubles_tells_by_how_many_kelvin(doubling_k):
         faint = (20.0, Quantity(1.0, u_rel, "DN/s"))
         assert (doubling_temperature([faint, (40.0, Quantity(9.0, 0.1, "DN/s"))]) is not None) is told
     assert doubling_of([(None, 0.0, rates[0][1]), (30.0, 0.0, rates[1][1])]) is None
-
-
-def test_plateaus_of_temperature_lie_more_than_one_and_a_half_kelvin_apart():
-    """From one reading to the next; the coldest first; without a thermometer all is one."""
-    readings = [21.5, 20.0, 23.01, 30.0, 23.0]
-    darks = [group(BLACK_DN, 40.0, dark=True, celsius=t) for t in readings]
-    found = [[d.settings.temperature_c for d in plateau] for plateau in by_temperature(darks)]
-    assert found == [[20.0, 21.5, 23.0, 23.01], [30.0]]
-    apart = [group(BLACK_DN, 40.0, dark=True, celsius=t) for t in (20.0, 21.51)]
-    assert len(by_temperature(apart)) == 2
-    assert len(by_temperature([group(BLACK_DN, 40.0, dark=True), *darks])) == 2
-    assert _temperature_plateaus([21.5, None, 20.0, 23.01, 30.0]) == [0, -1, 0, 1, 2]
-    assert _temperature_plateaus([None]) == [-1]
 
 
 def test_means_of_frames_scatter_by_their_pooled_deviation():
@@ -257,35 +251,6 @@ def test_plateaus_of_darks_that_disagree_widen_their_mean(monkeypatch):
     assert gain_from_darks(SUBJECT, plateaus[0])[0].u == pytest.approx(0.01)
 
 
-def test_variances_that_a_line_has_mixed_come_out_again():
-    """E[r_i²] = Σ (I − H)_ij²·σ_j² of seven frames, solved for σ_j²; each known to √(2/N) and more by the mixing."""
-    x = np.arange(7.0)
-    design = np.column_stack([np.ones(7), x])
-    left = np.eye(7) - design @ np.linalg.inv(design.T @ design) @ design.T
-    truth = 4.0 + 0.5 * x
-    found, u = _unmixed(left**2, (left**2) @ truth, 5001)
-    assert found == pytest.approx(truth)
-    assert np.all(u > 0.9 * math.sqrt(2.0 / 5000.0) * (left**2 @ truth))
-    _, wide = _unmixed(left**2, (left**2) @ truth, 1251)
-    assert wide == pytest.approx(2.0 * u)
-
-
-def test_hot_and_hit_pixels_are_left_out_of_a_dark_transfer():
-    """Four robust deviations of the means, half a DN at least; six of what is left of a pixel; the rest keep all."""
-    mean = np.concatenate([np.linspace(99.0, 101.0, 101), [107.0]])
-    sigma = 1.4826 * np.median(np.abs(mean - np.median(mean)))
-    for off, kept in ((3.9, True), (4.1, False)):
-        mean[-1] = np.median(mean) + off * sigma
-        assert bool(_bulk(mean)[-1]) is kept
-    assert _bulk(np.array([100.0] * 9 + [102.0])).all()
-    assert not _bulk(np.array([100.0] * 9 + [102.1])).all()
-    noise = np.concatenate([np.linspace(-2.0, 2.0, 401), [0.0]])
-    spread = 1.4826 * np.median(np.abs(noise))
-    for off, larger in ((5.9, True), (6.2, False)):
-        noise[-1] = off * spread
-        assert bool(_clipped_variance(noise) > np.var(noise[:-1])) is larger
-
-
 def test_a_dark_transfer_needs_five_frames():
     """Shot noise of a dark current over five exposures gives K; four frames, or one exposure, give none."""
     rng = np.random.default_rng(8)
@@ -296,15 +261,6 @@ def test_a_dark_transfer_needs_five_frames():
     assert found.K.u < 0.05 * found.K.value
     assert dark_transfer(darks[:4]) is None
     assert dark_transfer([darks[0]] * 6) is None
-
-
-def test_the_root_of_a_variance_spans_it_by_twice_its_uncertainty():
-    """9 ± 0.5 DN² is 3 ± 0.083; of nothing, or less, the root is 0 and its u half the root of twice that of s²."""
-    found = _root(9.0, 0.5)
-    assert (found.value, found.u) == (3.0, pytest.approx((3.0 - math.sqrt(8.0)) / 2.0))
-    for variance in (0.0, -1.0):
-        nothing = _root(variance, 2.0)
-        assert (nothing.value, nothing.u) == (0.0, pytest.approx(1.0))
 
 
 def test_patterns_of_each_kind_are_light_s_less_darkness_s():
@@ -335,13 +291,6 @@ def test_a_typical_pixel_is_no_hot_one():
     reach = 4.0 * 1.4826 * 5.0
     assert typical_mean(np.append(spread, 100.0 + 1.06 * reach)) == pytest.approx(100.0)
     assert typical_mean(np.append(spread, 100.0 + 0.98 * reach)) == pytest.approx(100.0 + 0.98 * reach / 102.0)
-
-
-def test_neighbours_stand_on_both_sides():
-    """Two below and two above, fewer near the ends, none at an end."""
-    assert [_beside(k, 7) for k in range(7)] == [
-        [], [0, 2], [0, 1, 3, 4], [1, 2, 4, 5], [2, 3, 5, 6], [4, 6], []
-    ]  # fmt: skip
 
 
 @pytest.mark.parametrize(("part", "count", "named"), [(0.89, 16, 1), (0.91, 16, 0), (0.5, 6, 1), (0.5, 5, 0)])
@@ -395,20 +344,6 @@ def test_a_desk_s_picture_has_a_panel_beside_the_first_for_each_other(straight, 
     assert left.width / right[0].width == pytest.approx(1.25)
 
 
-def test_words_of_a_report_hold_their_figures():
-    """4 e⁻ of noise are met by 16 e⁻ of light, 8 DN at 0.5; 16 e⁻² at 2 e⁻/s take 8 s; SNR 200 is half a per cent."""
-    read, K = Quantity(4.0, 0.1, "e-"), Quantity(0.5, 0.01, "DN/e-")
-    assert "From 16 e⁻ (8 DN above black) on" in _noise(read, K)
-    assert _noise(replace(read, value=0.0), K) == _noise(read, None) == ""
-    assert "spans 60 dB; the best pixel of one frame is uncertain by 0.5 %" in _range(
-        Quantity(60.0, 1.0, "dB"), Quantity(200.0, 1.0, "1")
-    )
-    assert "reaches the read noise at 8 s" in _dark(Quantity(2.0, 0.1, "e-/s"), read)
-    assert _dark(Quantity(2.0, 1.0, "e-/s"), read).startswith("No dark current is seen")
-    assert _dark(Quantity(2.0, 0.99, "e-/s"), read).startswith("Every pixel gathers")
-    assert _dark(None, read) == _dark(Quantity(math.nan, 1.0, "e-/s"), read) == ""
-
-
 def test_a_dark_group_that_contradicts_those_of_its_gain_is_left_out_and_named():
     """One of eight at 0 dB shows 200 DN too much; those at 20 dB, three times as dark, are no judges of it."""
     bright = [group(BLACK_DN + s, 40.0 + 0.5 * s, s / 6000.0) for s in SIGNALS]
@@ -441,30 +376,18 @@ def test_shares_at_both_ends_are_of_all_frames():
     assert (found.floor_share, found.clipped_share, found.frames, found.pixels) == (3 / 24, 4 / 24, 3, 8)
 
 
-def test_a_sign_is_short_and_a_meaning_is_words():
-    """Each figure is printed as the letters of its name, Greek ones as such, and told in words without them."""
-    greek = str.maketrans({"η": "eta", "σ": "sigma", "μ": "mu", " ": "", ".": ""})
-    for name in SYMBOLS:
-        page = _figures(SimpleNamespace(figures={name: Quantity(2.0, 0.05, "e-")}))
-        sign, meaning, value, expanded, _ = re.findall(r"<td[^>]*>(.*?)</td>", page)
-        assert name.replace("_", "").startswith(sign.translate(greek)[:3]), name
-        assert len(meaning) > len(sign)
-        assert meaning.isascii()
-        assert (value, expanded.split()) == ("2.00", ["±", "0.10"])
-
-
-def test_the_fit_is_drawn_through_the_variances_that_it_is_of():
-    """A line of 40 DN² at no signal that rises by 0.5 DN² per DN, to the last step used; filled marks are its steps."""
-    bright = [group(BLACK_DN + s, 40.0 + 0.5 * s, s / 6000.0) for s in SIGNALS]
-    result = characterise(SUBJECT, [*bright, group(BLACK_DN, 40.0, dark=True)])
-    axes = Figure().add_subplot()
-    report_plots._variance(axes, result)
-    drawn = {line.get_label(): line for line in axes.get_lines()}
-    x, y = (np.asarray(values, float) for values in drawn["fit"].get_data())
-    last = max(step.signal_dn for step in result.transfer.used)
-    assert x.tolist() == [0.0, last]
-    assert y == pytest.approx([0.0, 0.5 * last], abs=0.1)
-    for label, count in (("steps of the fit", len(result.transfer.used)), ("steps left out", None)):
-        shown = np.asarray(drawn[label].get_data()[1], float)
-        assert len(shown) == (len(SIGNALS) - len(result.transfer.used) if count is None else count)
-        assert shown == pytest.approx(0.5 * np.asarray(drawn[label].get_data()[0], float))
+def test_variances_of_a_stack_scatter_by_their_stated_uncertainty():
+    """150 stacks of four frames, noise of 3 DN and a pattern of 4 DN: both variances, to 25 % (sigma is 5.8 %)."""
+    rng = np.random.default_rng(20261126)
+    stacks = []
+    for _ in range(150):
+        pattern = 2000.0 + 4.0 * rng.standard_normal((24, 24))
+        frames = [np.rint(pattern + 3.0 * rng.standard_normal((24, 24))).astype(np.uint16) for _ in range(4)]
+        stacks += statistics_of_group(frames, FrameSettings(1e-3), (None,), 4095)
+    temporal, spatial = (
+        np.array([getattr(s, name) for s in stacks]) for name in ("variance_dn2", "spatial_variance_dn2")
+    )
+    assert temporal.std() == pytest.approx(np.mean([s.u_variance_dn2 for s in stacks]), rel=0.25)
+    assert spatial.std() == pytest.approx(np.mean([s.u_spatial_variance_dn2 for s in stacks]), rel=0.25)
+    assert temporal.mean() == pytest.approx(9.0 + 1 / 12, rel=0.02)
+    assert spatial.mean() == pytest.approx(16.0, rel=0.02)

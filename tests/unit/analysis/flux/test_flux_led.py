@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -243,3 +244,13 @@ def test_saturated_brackets_and_missing_figures_are_refused() -> None:
         flux_scale(CameraDescription(bit_depth=12, pixel_pitch_um=18.0), setup.scene().source, None)
     with pytest.raises(UsageError, match="half angle 95° is out of range"):
         led_flux(setup.frames(), scale, setup.lens, replace(_emitter(setup), half_angle=Quantity(95.0, 0.0, "°")))
+
+
+def test_the_step_through_the_pupil_says_what_share_it_takes_in() -> None:
+    """The share in words is the flux behind the pupil over the emitted one."""
+    setup = Setup()
+    report = _report(setup, _emitter(setup), setup.frames())
+    flux = {one.name: one.flux.value for one in report.corrections}
+    (note,) = [one.note for one in report.corrections if one.name == "light that missed the lens"]
+    share = float(re.search(r"takes in ([\d.e-]+) %", note)[1])
+    assert share == pytest.approx(100.0 * flux["light lost in the lens"] / flux["light that missed the lens"], rel=0.01)

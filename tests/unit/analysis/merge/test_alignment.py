@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -12,12 +11,6 @@ import pytest
 from radiometer.analysis.merge.alignment import (
     Alignment,
     Movement,
-    _after,
-    _has_white_rims,
-    _pair_movement,
-    _Pictures,
-    _shift,
-    _steady,
     aligned,
     find_alignment,
 )
@@ -152,33 +145,11 @@ def test_a_rim_of_one_value_is_no_scene(waves, rim_dn, contrast):
     assert np.diff(away) == pytest.approx([1.5, -1.5], abs=0.15)
 
 
-def test_a_sky_that_clips_is_scene():
-    """White at the edges that longer exposures show as white is light: its outline holds the movement."""
-    white, top = np.full((60, 80), 100.0, np.float32), 255.0
-    white[:20] = top
-    longer = np.full_like(white, 200.0)
-    longer[:25] = top
-    assert not _has_white_rims([white, longer], top)
-    longer[:12] = 200.0  # what clips in the shorter one does not here: more than half of it is no light
-    longer[8:25] = 200.0
-    assert _has_white_rims([white, longer], top)
-
-
 def test_the_frame_that_was_seen_to_move_is_named():
     """A frame of which it cannot be told goes with its neighbour, and the neighbour is the one that is named."""
     moved = Movement(_place(np.array([3.0, 0.0]), 0.0))
     found = Alignment((replace(moved, known=False), moved, Movement(np.eye(2, 3))), 2, (HEIGHT, WIDTH))
     assert found.sentence(["a", "b", "c"]).startswith("aligned to c: moved by up to 3 pixels (b)")
-
-
-def test_one_movement_after_another(waves):
-    """A pixel goes through both, the second taken where the first has put it."""
-    first, second = _place(np.array([20.0, -7.0]), 3.0), _place(np.array([-4.0, 11.0]), -8.0)
-    point = np.array([31.0, 87.0])
-    there = first[:, :2] @ point + first[:, 2]
-    there = second[:, :2] @ there + second[:, 2]
-    both = _after(second, first)
-    assert both[:, :2] @ point + both[:, 2] == pytest.approx(there)
 
 
 def test_photographs_far_apart_are_found_from_afar(waves):
@@ -190,75 +161,6 @@ def test_photographs_far_apart_are_found_from_afar(waves):
         for one, place in zip(found.movements, places, strict=True)
     ]
     assert max(gaps) < 0.2
-
-
-@pytest.mark.parametrize(
-    ("away", "believed"),
-    [
-        ((9, -6), True), ((-9, 6), True), ((9, 18), False), ((9, -18), False), ((-25, 0), False), ((25, 0), False),
-        ((0, 0), True),
-    ],
-)  # fmt: skip
-def test_a_shift_of_more_than_a_quarter_is_not_believed(away, believed):
-    """Of pictures 64 by 48 that go round; to half a pixel, which is a start for the climb."""
-    x, y = away
-    picture = np.random.default_rng(3).normal(100.0, 20.0, (48, 64)).astype(np.float32)
-    other = np.roll(picture, (y, x), axis=(0, 1))
-    kept = picture.copy(), other.copy()
-    found = _shift(picture, other)
-    assert found == pytest.approx(away if believed else (0.0, 0.0), abs=0.5)
-    # Sides of 64 and 48 are a transform's: OpenCV would leave its window in both.
-    assert np.array_equal(picture, kept[0])
-    assert np.array_equal(other, kept[1])
-
-
-def _pair(waves, shape, black_dn, dn, rng):
-    """Return two noisy pictures of little contrast, a shift and a turn apart, and the movement between them."""
-    place = _place(np.array([1.7, -1.2]), 0.3)
-    seen = [np.log(_radiance(waves, one))[: shape[0], : shape[1]] for one in (np.eye(2, 3), place)]
-    noisy = (black_dn + dn * one / seen[0].std() + rng.normal(0.0, dn / 10.0, shape) for one in seen)
-    return [np.rint(one).astype(np.float32) for one in noisy], place
-
-
-@pytest.mark.parametrize("shape", [(64, 90), (72, 96), (90, 81)])
-def test_pictures_whose_sides_are_a_transform_s_are_found(waves, shape):
-    """So small that the coarsest picture is the only one, and left as they were: to three u, less than 0.3 pixels."""
-    (here, there), place = _pair(waves, shape, 1000.0, 100.0, np.random.default_rng(5))
-    kept = here.copy(), there.copy()
-    inside = np.zeros(shape, np.uint8)
-    inside[5:-5, 5:-5] = 1
-    found = _pair_movement(here, there, inside, 4095)
-    gap = Movement(found.to_frame - place + np.eye(2, 3)).largest_px(shape)
-    assert gap < 3.0 * found.u_px < 0.3
-    assert np.array_equal(here, kept[0])
-    assert np.array_equal(there, kept[1])
-
-
-@pytest.mark.parametrize(("black_dn", "dn", "top"), [(0.0, 40.0, 4095), (3000.0, 40.0, 4095), (30000.0, 200.0, 65535)])
-def test_a_black_level_moves_nothing(waves, black_dn, dn, top):
-    """Little contrast on a level that nobody subtracted, where a rim shows nothing: the movement to three of its u."""
-    shape = (HEIGHT, WIDTH)
-    (here, there), place = _pair(waves, shape, black_dn + 5.0 * dn, dn, np.random.default_rng(6))
-    inside = np.zeros(shape, np.uint8)
-    inside[10:-10, 10:-10] = 1
-    found = _pair_movement(here, there, inside, top)
-    gap = Movement(found.to_frame - place + np.eye(2, 3)).largest_px(shape)
-    assert found.moved
-    assert gap < 3.0 * found.u_px < 0.15
-
-
-def test_what_is_cut_off_says_nothing_of_the_noise():
-    """Nine tenths of two pictures are cut off and do not differ: the noise of the rest is still no movement."""
-    rng = np.random.default_rng(7)
-    one, two = (np.full((200, 200), 100.0, np.float32) for _ in range(2))
-    for picture in (one, two):
-        picture[:20] = 50.0 + rng.normal(0.0, 2.0, (20, 200))
-    inside = np.ones(one.shape, np.uint8)
-    assert _steady(one, two, inside, np.eye(2, 3)).mean() > 0.999
-    two[5:15, 50:60] += 30.0
-    steady = _steady(one, two, inside, np.eye(2, 3))
-    assert steady[5:15, 50:60].max() == 0
-    assert 0.98 < steady.mean() < 0.996
 
 
 def test_what_all_frames_show_is_left_by_the_largest_displacement():
@@ -286,24 +188,6 @@ def test_corners_that_move_by_a_quarter_pixel_call_for_alignment(shift, degrees,
     found = Alignment((Movement(np.eye(2, 3)), moved), 0, (HEIGHT, WIDTH))
     assert found.needed is needed
     assert found.sentence(["a", "b"]).startswith("aligned already") is not needed
-
-
-@pytest.mark.parametrize(
-    ("u_px", "moved", "told", "still"),
-    [(0.04, True, True, False), (0.09, True, True, False), (0.11, True, False, False), (0.19, True, False, False),
-     (0.09, False, True, True), (0.11, False, False, False)],
-)  # fmt: skip
-def test_a_movement_known_to_a_fifth_of_a_pixel_is_told(monkeypatch, u_px, moved, told, still):
-    """In pictures reduced to half a shift of 3 is one of 6, and its u twice as large; of standing still likewise."""
-    shift = np.array([[1.0, 0.0, 3.0], [0.0, 1.0, -2.0]])
-    pair = SimpleNamespace(u_px=u_px, to_frame=shift, moved=moved)
-    monkeypatch.setattr(_Pictures, "_pair", lambda self, first, second: (pair, 2.0))
-    pictures = _Pictures(SimpleNamespace(), 1, white_rims=False)
-    found = pictures.movement(0, 1)
-    assert (found is not None) == told
-    if told:
-        assert found == pytest.approx(np.array([[1.0, 0.0, 6.0], [0.0, 1.0, -4.0]]))
-    assert pictures.stand_still(0, 1) == still
 
 
 @pytest.mark.parametrize("degrees", [0.05, 0.5, 20.0])

@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 import pytest
 
-from radiometer.analysis.merge.climb import BLUR_PX, Climb
+from radiometer.analysis.merge.climb import Climb
 from radiometer.errors import MeasurementError
 
 STILL = np.eye(2, 3)
@@ -61,40 +61,6 @@ def test_little_contrast_on_a_pedestal_is_climbed(pedestal_dn, left_out):
     corners = np.array([(0.0, 0.0, 1.0), (199.0, 0.0, 1.0), (0.0, 149.0, 1.0), (199.0, 149.0, 1.0)])
     assert np.linalg.norm(corners @ (found - movement).T, axis=1).max() < 0.1
     assert correlation > 0.99
-
-
-def apart(shape, inside):
-    """Return a window that is 0 within eight pixels of the edges and of what is left out, and 1 where it matters."""
-    far = cv2.erode(inside, np.ones((17, 17), np.uint8), borderValue=0)
-    far |= 1 - cv2.dilate(inside, np.ones((17, 17), np.uint8))
-    return cv2.GaussianBlur(cv2.erode(far, np.ones((13, 13), np.uint8)).astype(np.float32), (13, 13), 0)
-
-
-@pytest.mark.parametrize("rows_of_a_block", [None, 1, 7])
-@pytest.mark.parametrize("steps", [1, 2, 3, 15])
-@pytest.mark.parametrize(("pedestal_dn", "left_out"), [(0.0, True), (7.0, True), (40.0, False), (3000.0, True)])
-def test_steps_are_those_of_opencv(monkeypatch, rows_of_a_block, steps, pedestal_dn, left_out):
-    """One by one, with and without a part of the picture, in whatever blocks: to a ten thousandth of a pixel.
-
-    Of pictures without slopes at the rim of what is shown: elsewhere OpenCV does not centre the moved picture.
-    """
-    inside = np.zeros((150, 200), np.uint8)
-    inside[6:-6, 6:-6] = 1
-    inside[50:90, 80:150] = not left_out
-    window = apart(inside.shape, inside)
-    here = (scene(2) - 100.0) * window
-    there = 0.5 * moved(here, place(0.8, -0.5, 0.3))
-    there += window * np.random.default_rng(3).normal(0.0, 2.0, there.shape).astype(np.float32)
-    there[58:82, 88:142] += 50.0 * left_out
-    here, there = (np.asarray(one + pedestal_dn, np.float32) for one in (here, there))
-    if rows_of_a_block is not None:
-        monkeypatch.setattr("radiometer.analysis.merge.climb._BLOCK_PX", rows_of_a_block * here.shape[1])
-    stop = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, steps, 1e-6)
-    start = STILL.astype(np.float32)
-    expected, at = cv2.findTransformECC(here, there, start, cv2.MOTION_EUCLIDEAN, stop, inside, BLUR_PX)
-    correlation, found = Climb(here, there, inside).climbed(STILL, steps)
-    assert correlation == pytest.approx(expected, abs=2e-6)
-    assert found == pytest.approx(np.asarray(at, float), abs=1e-4)
 
 
 def test_a_start_is_left_as_it_is():

@@ -14,7 +14,7 @@ from scipy.stats import norm
 from radiometer import compiled as merge_compile
 from radiometer.analysis.merge import censored as merge_censored
 from radiometer.analysis.merge import records as merge_records
-from radiometer.analysis.merge.bracket import FRAMES_PER_PLANE, StreamingMerge, merge
+from radiometer.analysis.merge.bracket import StreamingMerge, merge
 from radiometer.data import (
     BlackLevel,
     Bracket,
@@ -160,21 +160,6 @@ def test_streaming_holds_less_than_three_planes_beyond_the_result(rig):
     tracemalloc.stop()
     result = found.radiance.nbytes + found.u_radiance.nbytes + found.mask.nbytes
     assert peak - result < 3.0 * plane
-
-
-@pytest.mark.parametrize("kind", [np.uint8, np.uint16])
-def test_a_batch_is_as_large_as_leaves_sums_and_frames_under_three_planes(rig, kind):
-    """Per pixel Σx² takes 4 bytes and the bits of the frames used 2 for every sixteen; one frame at least is taken."""
-    merging = StreamingMerge(rig.description, rig.lens, rig.calibration())
-    frame = Frame(np.full((4, 4), 100, kind), 8, FrameSettings(1e-3, f_number=4.0, black_level_dn=16.0))
-    sizes = []
-    for count in range(1, 34):
-        merging._terms = [object()] * count
-        size, beside = merging._batch_size(frame), 4 + 2 * -(-count // FRAMES_PER_PLANE)
-        assert size == 1 or beside + size * frame.dn.itemsize < 12
-        assert beside + (size + 1) * frame.dn.itemsize >= 12
-        sizes.append(size)
-    assert (sizes[0], sizes[-1]) == {1: (5, 1), 2: (2, 1)}[frame.dn.itemsize]
 
 
 def test_what_clips_everywhere_is_a_marked_lower_bound(rig):

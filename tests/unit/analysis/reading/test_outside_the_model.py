@@ -5,7 +5,6 @@ from __future__ import annotations
 import datetime as dt
 import math
 from dataclasses import replace
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -14,9 +13,9 @@ from hypothesis import strategies as st
 
 from radiometer.analysis.calibration.calibrate import KnownSource, scale_by_source
 from radiometer.analysis.reading.contributions import local_scatter
-from radiometer.analysis.reading.flags import _is_nonuniform
 from radiometer.analysis.reading.outside import conditions_of, frame_u_rel, stray_light
-from radiometer.analysis.reading.reading import read_patch
+from radiometer.analysis.reading.reading import patch_situation, read_patch
+from radiometer.analysis.uncertainty.monte_carlo import propagate_distributions
 from radiometer.data import (
     BlackLevel,
     Bracket,
@@ -456,17 +455,6 @@ def test_frames_that_do_not_belong_together_are_refused(rig):
     assert kept.radiance.value == pytest.approx(scene[0, 0], rel=0.05)
 
 
-@pytest.mark.parametrize(("excess", "nonuniform"), [(0.9, False), (1.2, True)])
-def test_what_chance_makes_of_noise_is_no_structure(excess, nonuniform):
-    """A slope over 10 × 10 noisy pixels counts from six standard deviations of their variance on, √(3/100) each."""
-    noise, rate = 0.2, 1.0
-    ramp = np.tile(np.linspace(-1.0, 1.0, 10), (10, 1))
-    pixels = rate + noise * np.sqrt(1.0 + excess) * ramp / ramp.std()
-    estimate = SimpleNamespace(pixel_rates=pixels, u_pixel=noise, rate=rate)
-    found = _is_nonuniform(SimpleNamespace(estimate=estimate, good=np.ones((10, 10), bool)))
-    assert found == nonuniform
-
-
 def test_what_all_pixels_share_grows_with_the_calibration_s_age(rig):
     """1 %/year after 3 years is 3 %, beside what else is shared in quadrature; before the calibration it is nothing."""
     calibration = calibrated(rig, uncertainties=only(drift_u_rel_per_year=0.01))
@@ -523,3 +511,38 @@ def test_a_falloff_counts_from_the_middle_to_the_corner_and_back(rig, corner_cal
     patch = Patch(5, 5, 2, 2) if corner_calibrated else Patch(11, 11, 1, 1)
     found = read(rig, calibration, camera=wide(rig), lens=lens, patch=patch)
     assert line(found, "fall-off") == pytest.approx(expected, rel=0.02)
+
+
+@pytest.mark.parametrize(("level", "left"), [(0.9, 0.12), (0.5, math.sqrt(0.13**2 - 0.05**2 - 0.04**2))])
+def test_what_a_reading_shares_with_its_calibration_counts_once(rig, level, left):
+    """13 % without the 5 % of the clock are 12 %; read at the calibration's level the curve's 4 % drop out as well."""
+    base = calibrated(rig, ScaleConditions(inverse_exposure_per_s=1e3, temperature_c=25.0, level=level))
+    budget = {"exposure time": 0.05, "response curve": 0.04}
+    found = read(rig, replace(base, scale=base.scale.model_copy(update={"u_rel": 0.13, "budget": budget})))
+    assert line(found, "scale") == pytest.approx(left, rel=1e-6)
+
+
+@pytest.mark.parametrize("steps", [(1, -1, 2, 0, -2, 0), (3, -3), (1, 1, -2)])
+def test_a_source_that_fluctuates_is_known_by_its_sample_standard_deviation(rig, steps):
+    """s/√n, s with n − 1: of frames that differ by per cents, with a noise of 0.05 %, to half a step of 12 %."""
+    full, rng = rig.radiance_of_full_scale(1e-3), np.random.default_rng(7)
+    frames = [rig.frame(np.full((12, 12), 0.5 * full * (1.0 + 0.02 * step)), 1e-3, rng) for step in steps]
+    found = next(one for one in read(rig, calibrated(rig), frames=frames).budget if one.name == "source fluctuation")
+    means = np.array([frame.dn[PATCH.slices].mean() - 64.0 for frame in frames])
+    assert found.u_rel == pytest.approx(means.std(ddof=1) / math.sqrt(len(steps)) / means.mean(), rel=0.065)
+    assert found.degrees_of_freedom == len(steps) - 1
+
+
+def test_four_equal_contributions_have_the_interval_of_the_guide_s_additive_model(rig):
+    """JCGM 101, 9.2.2: four normal inputs of u = 1 give u = 2.00 and, at 95.45 %, ±4.00; here 1 ‰ each."""
+    scene = np.full((120, 120), 0.5 * rig.radiance_of_full_scale(1e-3))
+    frames = rig.frames(scene, np.random.default_rng(3), STEADY)
+    stated = only(exposure_u_rel=1e-3, temperature_u_rel_per_k=1e-3, drift_u_rel_per_year=1e-3, gain_step_u_rel=1e-3)
+    conditions = ScaleConditions(inverse_exposure_per_s=1e3, temperature_c=24.0, gain_db=6.0)
+    calibration = calibrated(rig, conditions, uncertainties=stated, validity_days=3650.0)
+    later = NOON + dt.timedelta(days=365.25)
+    situation = patch_situation(frames, Patch(0, 0, 120, 120), calibration, rig.description, rig.lens, None, later)
+    found = propagate_distributions(situation, np.random.default_rng(1), 200_000)
+    assert found.u / found.mean == pytest.approx(2.0e-3, rel=0.01)
+    low, high = found.low / found.mean - 1.0, found.high / found.mean - 1.0
+    assert (low, high) == (pytest.approx(-4.0e-3, abs=1e-4), pytest.approx(4.0e-3, abs=1e-4))

@@ -14,8 +14,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from radiometer.analysis.reading.estimate import _variances
-from radiometer.analysis.reading.frames import _brightest_part, _neighbour_noise, crop_frames
+from radiometer.analysis.reading.frames import crop_frames
 from radiometer.analysis.reading.reading import patch_situation, read_patch
 from radiometer.analysis.signal.model import signal_model
 from radiometer.analysis.signal.situation import situation_of
@@ -261,26 +260,6 @@ def test_one_pixel_in_a_hundred_is_a_defect(rig, clipped, used):
         assert found.radiance.value == pytest.approx(read(rig, [flat(1000)]).radiance.value, rel=1e-12)
 
 
-@pytest.mark.parametrize("sigma", [20.0, 80.0])
-def test_the_noise_between_neighbours_is_its_standard_deviation(sigma):
-    """Of independent pixels over a slope: the differences' median over √2 of it, whatever few spikes there are."""
-    rng = np.random.default_rng(6)
-    dn = 1000.0 + 0.2 * np.arange(100.0) + rng.normal(0.0, sigma, (100, 100))
-    dn[::25, ::25] = 4095.0
-    assert _neighbour_noise(np.rint(dn).astype(np.uint16)) == pytest.approx(sigma, rel=0.05)
-    assert _neighbour_noise(np.array([[7]], np.uint16)) == 0.0
-
-
-def test_the_brightest_part_is_not_the_noise_s_upper_end():
-    """Of an even patch its middle; of two halves the brighter one, though it is less than half of the pixels."""
-    rng = np.random.default_rng(6)
-    even = np.rint(rng.normal(1000.0, 20.0, (100, 100))).astype(np.uint16)
-    assert _brightest_part(even) == pytest.approx(1000.0, abs=2.0)
-    halves = even.copy()
-    halves[:40] += 500
-    assert _brightest_part(halves) == pytest.approx(1500.0, abs=15.0)
-
-
 @pytest.mark.parametrize(("brightest", "unclipped"), [(254, True), (255, False)])
 def test_beyond_a_curve_s_data_only_white_clips(brightest, unclipped):
     """Numbers from 201 on have no curve: a frame at 199 is not used, but clips only where a pixel is at full scale."""
@@ -362,22 +341,6 @@ def test_another_focus_costs_what_the_change_is_known_to(rig):
     for magnification, u_rel in ((0.2, 2 * 0.01 / 1.2), (0.1, 0.0)):
         lens = LensDescription(focal_length_mm=16.0, f_number=4.0, magnification=magnification)
         assert line(read(rig, [flat(1000)] * 5, known, lens), "focus") == pytest.approx(u_rel)
-
-
-def test_frames_are_weighed_by_noise_curve_and_dark(rig):
-    """Variances of an expected signal: one pixel's, (u of the curve × signal)², and the dark level's."""
-    known = exact(rig, uncertainties=NOTHING_STATED.model_copy(update={"linearity_u_rel": 0.02}))
-    found = patch_situation(Bracket.from_frames([flat(564), flat(1064, 2e-3)]), PATCH, known, rig.description, rig.lens)
-    expected, single, curve, dark = _variances(
-        found.estimate.rate, found.frames, found.dark, found.exposures, found.model
-    )
-    assert expected == pytest.approx([500.0, 1000.0], rel=1e-6)
-    assert single == pytest.approx(expected / GAIN_E + (READ_E / GAIN_E) ** 2 + 1 / 12)
-    assert curve == pytest.approx((0.02 * expected) ** 2)
-    assert dark == pytest.approx([0.0, 0.0])
-    weights = np.array([1e-3, 2e-3]) / (single / 100 + curve)
-    shares = weights * [1e-3, 2e-3] / (weights @ [1e-3, 2e-3])
-    assert found.estimate.coefficients * found.exposures == pytest.approx(shares, rel=1e-6)
 
 
 def test_the_surround_is_the_mean_of_the_picture(rig):

@@ -6,7 +6,6 @@ import math
 
 import numpy as np
 import pytest
-import scipy.linalg as la
 import scipy.sparse as sp
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -14,12 +13,12 @@ from hypothesis import strategies as st
 from radiometer.analysis.response.basis import ValueBasis, hat_weight
 from radiometer.analysis.response.curves import black_of_curve, finished_curve, rising, u_with_extrapolation
 from radiometer.analysis.response.estimate import inner_range, median_uncertainty, spread_rms
-from radiometer.analysis.response.limits import _CLEAR, _STILL_SHARE, ValueLimits, _common_peak
+from radiometer.analysis.response.limits import ValueLimits
 from radiometer.analysis.response.noise import LogNoise, fit_log_noise
 from radiometer.analysis.response.noise_shift import mean_exposure_dn
-from radiometer.analysis.response.normal import _restricted_deviance, eliminate_groups, solve_penalised
+from radiometer.analysis.response.normal import eliminate_groups, solve_penalised
 from radiometer.analysis.response.weights import dn_at
-from radiometer.data import Frame, FrameSettings, ResponseCurve
+from radiometer.data import ResponseCurve
 from radiometer.data.provenance import Provenance
 from radiometer.errors import MeasurementError
 from testing.golden.nist_linear import LONGLEY, NORRIS
@@ -131,20 +130,6 @@ def test_the_chosen_smoothing_follows_the_noise():
         solve_penalised(empty, np.zeros((30, 30)), gauge, 0.0)
 
 
-@pytest.mark.parametrize("order", [1, 2, 3])
-def test_beyond_a_straight_line_more_smoothing_tells_nothing(order):
-    """The restricted likelihood has a limit: what the penalty leaves free is all that is left, and it stays."""
-    rng = np.random.default_rng(7)
-    place, group = np.repeat(np.arange(20), 4), np.sort(rng.integers(0, 9, 80))
-    target = 0.1 * place + rng.normal(size=9)[group] + 0.3 * rng.normal(size=80)
-    normal = eliminate_groups(sp.csr_array(np.eye(20)[place]), target, np.ones(80), group)
-    bent = np.diff(np.eye(20), order, axis=0)
-    gauge = np.eye(20)[10]
-    fixed = normal.matrix + np.outer(gauge, gauge) * float(np.trace(normal.matrix))
-    at = [_restricted_deviance(normal, bent.T @ bent, fixed, weight, order) for weight in (1e5, 1e7)]
-    assert at[1] == pytest.approx(at[0], abs=0.01)
-
-
 def test_a_curve_that_meets_every_mean_is_no_reason_for_no_smoothness():
     """As many differences as coefficients, rounding in them: λ stays where the curve is known to 1e-4, not at 0."""
     rng = np.random.default_rng(3)
@@ -153,30 +138,6 @@ def test_a_curve_that_meets_every_mean_is_no_reason_for_no_smoothness():
     normal = eliminate_groups(sp.csr_array(np.eye(30)[place]), target, np.ones(58), np.repeat(np.arange(29), 2))
     bent = np.diff(np.eye(30), 2, axis=0)
     assert solve_penalised(normal, bent.T @ bent, np.eye(30)[15], order=2).smoothing > 1e-8
-
-
-@pytest.mark.parametrize("order", [1, 2, 3])
-def test_restricted_likelihood_is_that_of_the_contrasts_themselves(order):
-    """−2 ln of the density of all contrasts free of group means and of what the penalty leaves, at the best σ²."""
-    rng = np.random.default_rng(5)
-    place, group = rng.permutation(np.repeat(np.arange(10), 3)), np.repeat(np.arange(6), 5)
-    target = np.sin(place) + rng.normal(size=6)[group] + 0.3 * rng.normal(size=30)
-    design, bent = np.eye(10)[place], np.diff(np.eye(10), order, axis=0)
-    normal = eliminate_groups(sp.csr_array(design), target, np.ones(30), group)
-    fixed = normal.matrix + np.outer(np.eye(10)[5], np.eye(10)[5]) * float(np.trace(normal.matrix))
-    free = np.hstack([np.eye(6)[group], design @ la.null_space(bent)])
-    contrasts = la.null_space(free.T)
-    assert contrasts.shape[1] == 30 - 6 - (order - 1)  # a constant is free in both
-    spread = contrasts.T @ design @ la.pinv(bent.T @ bent) @ design.T @ contrasts
-
-    def directly(weight):
-        variance = np.eye(len(spread)) + spread / weight
-        left = contrasts.T @ target
-        return len(spread) * np.log(left @ la.solve(variance, left)) + np.linalg.slogdet(variance)[1]
-
-    weights = (1e-3, 0.1, 10.0)
-    found = [_restricted_deviance(normal, bent.T @ bent, fixed, weight, order) for weight in weights]
-    assert np.diff(found) == pytest.approx(np.diff([directly(weight) for weight in weights]), rel=1e-6)
 
 
 @pytest.mark.parametrize("leverage", [0.0, 0.5, 0.8])
@@ -298,25 +259,6 @@ def test_a_middle_without_data_makes_the_whole_curve_less_certain():
     stray = np.full(256, 0.01)
     stray[240:] = 0.2
     assert finished_curve(g, stray, (10, 250), method="m", channel="mono").valid_dn == (10, 239)
-
-
-@pytest.mark.parametrize("mirrored", [False, True])
-def test_what_most_pixels_show_is_no_end_of_the_range_beside_that_end(mirrored):
-    """Frames agree on a value within the width of a peak, and all of them lie clear of black and of white."""
-    width = int(_STILL_SHARE * 1023)
-    clear = math.ceil(_CLEAR * width)
-
-    def common(*values):
-        told = [1023 - value if mirrored else value for value in values]
-        frames = [Frame(np.full((4, 5), value, np.uint16), 10, FrameSettings(0.1)) for value in told]
-        found = _common_peak(frames, 1023)
-        return found is not None and found == max(told)
-
-    assert width > 1
-    assert common(400, 400 + width)
-    assert not common(400, 401 + width)
-    assert common(clear, clear + width)
-    assert not common(clear - 1, clear - 1 + width)  # one of them too near, the other not
 
 
 def test_the_fog_of_frames_stays_with_their_curve():

@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
-from radiometer.analysis.response import auto
 from radiometer.analysis.response.auto import recover_response_auto
 from radiometer.data import Bracket
 
@@ -187,6 +185,7 @@ def test_a_wrong_label_is_found_with_its_size(make_stack, inner_error):
     assert recover_response_auto(make_stack("gamma")).details["wrong_labels"] == []
 
 
+@pytest.mark.slow
 def test_frames_that_no_curve_joins_are_said_to_be_so(make_stack):
     """Of three frames the middle one's time is 1.5 times too long: the curve is not to be relied on, and says so."""
     bracket = make_stack("gamma", bit_depth=8)
@@ -212,30 +211,3 @@ def test_a_date_stamped_into_every_frame_is_no_exposure(make_stack):
     u = np.hypot(found.u_log_exposure, clean.u_log_exposure)[inside]
     assert np.sqrt(np.mean((gap - gap.mean()) ** 2)) < 1.5 * np.sqrt(np.mean(u**2))
     assert np.sqrt(np.mean(u**2)) < 0.02
-
-
-@pytest.mark.parametrize(
-    ("changes", "said"),
-    [
-        ({}, []), ({"time_spread": 0.01}, ["differ from their labels by some 1 %; most for 2 s, which has 1.1 of"]),
-        ({"edge_scatter": 9.0}, ["vary 3 times as much at edges"]), ({"times": (1.0, 2.0, 4.0)}, ["whole stops apart"]),
-        ({"doubt": "no curve"}, ["no curve"]), ({"inflation": 1.1}, ["parts disagree"]), ({"inflation": 1.0}, []),
-        ({"inflation": 1.1, "doubt": "no curve"}, ["no curve"]),
-    ],
-)  # fmt: skip
-def test_each_note_is_said_where_it_holds_and_nowhere_else(monkeypatch, changes, said):
-    """Times that differ, edges, whole stops, frames that follow no curve, or else parts that disagree."""
-    given = {"time_spread": 0.0, "edge_scatter": 0.0, "times": (1.0, 2.0, 5.0), "doubt": None, "inflation": 1.0}
-    given |= changes
-    if "inflation" in changes:
-        given["inflation"] = changes["inflation"] * auto.MANY_AS_ONE
-    monkeypatch.setattr(auto, "_no_curve", lambda _result: given["doubt"])
-    monkeypatch.setattr(auto, "_note_on_disagreement", lambda *_: "parts disagree")
-    fit = SimpleNamespace(time_spread=given["time_spread"], log_time_errors=np.log([1.01, 1.1, 0.95]))
-    result = SimpleNamespace(fit=fit, choices=SimpleNamespace(inflation=given["inflation"]))
-    samples = SimpleNamespace(
-        edge_scatter=given["edge_scatter"], frame_log_time=np.log(given["times"]), frame_labels=()
-    )
-    notes = auto._notes(result, samples, [], SimpleNamespace())
-    assert len(notes) == len(said)
-    assert all(part in note for part, note in zip(said, notes, strict=True))

@@ -61,6 +61,7 @@ def test_disjoint_pixels_give_curves_that_agree(make_stack):
     assert stability.rms_log < 0.01
 
 
+@pytest.mark.slow
 def test_several_brackets_are_fitted_jointly(make_stack, inner_error):
     """Two brackets of different scenes give one curve, nearer the truth than the worse of the two alone."""
     pair = [make_stack("gamma", seed=seed) for seed in (3, 4)]

@@ -55,6 +55,7 @@ def test_white_and_black_regions_put_the_exponent_right(stretched):
     assert np.min(np.abs(wrong - truth)) > 0.1
 
 
+@pytest.mark.slow
 def test_errors_lie_within_the_stated_uncertainty(stretched):
     """Over readings rounded to whole numbers the mean squared error of γ in units of u lies between 0.3 and 1.7."""
     rng = np.random.default_rng(4)

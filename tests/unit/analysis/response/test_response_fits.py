@@ -7,13 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from radiometer.analysis.response import linear_spline
-from radiometer.analysis.response.dynamic_range import _run_to
 from radiometer.analysis.response.fit import fit_response, information
 from radiometer.analysis.response.samples import gather_samples
-from radiometer.data import Bracket, Frame, FrameSettings, ResponseCurve
+from radiometer.data import Bracket, Frame, FrameSettings
 
-LINE = np.log(np.maximum(np.arange(256.0), 0.5) / 128.0)
 TIMES = (0.5, 1.0, 2.0, 4.0)
 
 
@@ -29,23 +26,6 @@ def samples():
 def fit(samples):
     """Return a fit of a straight line at one smoothing, its times taken as exact."""
     return fit_response(samples, samples.dn, np.full(samples.dn.size, 1e-4), time_spread=0.0, smoothing=1e-3)
-
-
-def curve(g, u=0.01, valid=(10, 240)):
-    return ResponseCurve(np.asarray(g, dtype=float), np.full(len(g), u), valid_dn=valid)
-
-
-@pytest.mark.parametrize("valid", [(120, 122), (126, 130), (10, 240)])
-def test_a_misfit_is_at_least_that_of_its_own_digital_number(valid):
-    """However narrow the supported range: alike curves miss by nothing, one that is 2 % off at one place by 2 %."""
-    g = LINE - LINE[128]
-    finer = curve(g, valid=valid)
-    assert linear_spline._misfit(g, finer, valid) == pytest.approx(0.0, abs=1e-3)
-    away = np.where(np.arange(256) == valid[0] + 1, g + 0.02, g)
-    found = linear_spline._misfit(away, finer, valid)
-    assert found[valid[0] + 1] == pytest.approx(0.02, rel=1e-3)
-    assert found[128] == 0.0
-    assert found.max() == found[valid[0] + 1]
 
 
 def test_a_fit_follows_from_the_noise_s_proportions_alone(samples, fit):
@@ -98,22 +78,3 @@ def test_a_label_known_to_nothing_is_found_and_one_known_exactly_is_kept(samples
 def test_what_is_known_exactly_counts_as_known_to_a_millionth(u):
     """Information is the inverse of a variance, at most that of rounding."""
     assert information(np.diag([u**2, 0.25])) == pytest.approx(np.diag([max(u, 1e-6) ** -2.0, 4.0]), rel=1e-6)
-
-
-@pytest.mark.parametrize(("dn", "wanted", "moves"), [(2.0, -5.0, True), (2.0, -1.0, False), (250.0, 1.0, True),
-                                                     (250.0, 0.4, False), (100.0, 9.0, False)])  # fmt: skip
-def test_a_curve_runs_to_a_region_only_on_that_region_s_side_of_its_edge(dn, wanted, moves):
-    """Below the range to less light than at its edge, above it to more; within it, and the wrong way round, nowhere."""
-    g = LINE - LINE[128]
-    u = np.full(256, 0.01)
-    ran, spread = _run_to(g, u, (20, 200), dn, wanted, 0.05)
-    assert np.array_equal(ran[20:201], g[20:201])
-    assert np.array_equal(spread[20:201], u[20:201])
-    if not moves:
-        assert (np.array_equal(ran, g), np.array_equal(spread, u)) == (True, True)
-        return
-    assert ran[int(dn)] == pytest.approx(wanted)
-    assert spread[int(dn)] == pytest.approx(0.05)
-    assert np.all(np.diff(ran) >= 0.0)
-    other = slice(0, 20) if dn > 128 else slice(201, 256)
-    assert np.array_equal(ran[other], g[other])

@@ -4,17 +4,14 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
-from radiometer.analysis.response import auto, linear_spline, mitsunaga1999, pixel_noise, predicting, settle
-from radiometer.analysis.response import robertson1999 as robertson
-from radiometer.analysis.response.displacement import _parts
+from radiometer.analysis.response import pixel_noise
 from radiometer.analysis.response.dynamic_range import RangePoint, dynamic_range, with_dynamic_range
 from radiometer.analysis.response.effective import places_as_one, tones_as_one
-from radiometer.analysis.response.estimate import Agreement, compare_thirds
+from radiometer.analysis.response.estimate import compare_thirds
 from radiometer.analysis.response.fit import time_error_modes
 from radiometer.analysis.response.jackknife import jackknife, jackknife_u
 from radiometer.analysis.response.left_out import error_dn
@@ -23,10 +20,8 @@ from radiometer.analysis.response.methods import METHODS, method_names
 from radiometer.analysis.response.noise import LogNoise
 from radiometer.analysis.response.noise_shift import mean_exposure_dn
 from radiometer.analysis.response.pairs import Gauge, Pairs, with_log_ratios
-from radiometer.analysis.response.polynomial import Polynomial
-from radiometer.analysis.response.proportion import _power
-from radiometer.analysis.response.samples import _edge_scatter, gather_samples
-from radiometer.analysis.response.weights import row_variance, slope_at
+from radiometer.analysis.response.samples import gather_samples
+from radiometer.analysis.response.weights import slope_at
 from radiometer.data import Bracket, Frame, FrameSettings, ResponseCurve
 from radiometer.errors import InputError, MeasurementError, UsageError
 
@@ -44,22 +39,6 @@ def samples():
 
 def curve(g, u=0.01, valid=(10, 240)):
     return ResponseCurve(np.asarray(g, dtype=float), np.full(len(g), u), valid_dn=valid)
-
-
-@pytest.mark.parametrize(
-    ("short", "long", "ratio", "power"),
-    [
-        (0.2, 0.4, 2.0, 1.0), (0.2, 0.2 * 2.0**0.45, 2.0, 0.45), (0.1001, 0.2, 2.0, None), (0.0999, 0.2, 2.0, "none"),
-        (0.5, 0.9499, 2.0, None), (0.5, 0.9501, 2.0, "none"), (0.4, 0.5, 1.21, None), (0.4, 0.5, 1.19, "none"),
-    ],
-)  # fmt: skip
-def test_the_power_of_two_frames_is_told_between_a_tenth_and_nineteen_twentieths(short, long, ratio, power):
-    """Of numbers clear of both ends, of exposures a fifth apart or more; fifty pixels are the fewest."""
-    found = _power(np.full(50, short), np.full(50, long), math.log(ratio))
-    assert (found is None) is (power == "none")
-    if isinstance(power, float):
-        assert found == pytest.approx(power)
-    assert _power(np.full(49, short), np.full(49, long), math.log(ratio)) is None
 
 
 def test_pairs_are_of_frames_that_follow_and_clear_of_black(samples):
@@ -147,20 +126,6 @@ def test_a_region_is_a_fifth_away_in_ln_exposure_at_least(dn, taken):
             dynamic_range(curve(LINE), [replace(point, exposure_s=time_s)], 1.0, 128.0)
 
 
-def test_the_lattice_of_pixels_has_odd_steps_and_spares_the_rim():
-    """Some six thousand pixels; the step shares no factor with blocks of eight; each has neighbours on all sides."""
-    for shape in ((480, 640), (64, 64), (2000, 3000), (100, 90)):
-        rows, columns = pixel_noise._lattice(shape)
-        steps = set(np.diff(rows).tolist()) | set(np.diff(columns).tolist())
-        (step,) = steps
-        assert step % 2 == 1
-        assert (step + 2) ** 2 > shape[0] * shape[1] / 6000 or step == 1
-        assert step == 1 or (step - 2) ** 2 < shape[0] * shape[1] / 6000
-        assert 1 <= rows[0] <= max(step // 2, 1)
-        assert shape[0] - 1 - step <= rows[-1] <= shape[0] - 2
-        assert shape[1] - 1 - step <= columns[-1] <= shape[1] - 2
-
-
 def test_noise_of_a_pixel_is_that_of_electrons_above_black():
     """shot 1/4000 at H = 1 is 4000 e⁻ there; read noise of 10 e⁻; of the top's electrons each DN has its part."""
     g = np.log(np.maximum(np.arange(256.0) - 16.0, 0.5) / 112.0)
@@ -178,32 +143,6 @@ def test_what_a_curve_does_not_say_is_held_at_its_ends():
     """From the first and last finite number on; a gap is bridged by a line."""
     g = np.array([-np.inf, np.nan, 1.0, np.nan, 3.0, np.inf])
     assert pixel_noise.finite(g).tolist() == [1.0, 1.0, 1.0, 2.0, 3.0, 3.0]
-
-
-def test_amplitudes_at_or_above_nothing_are_those_of_all_rows():
-    """As by the whole matrix: free ones are ordinary least squares, what would be negative is 0, alike ones are one."""
-    rng = np.random.default_rng(2)
-    columns = rng.uniform(0.5, 1.5, (400, 3)) * np.array([1e-6, 1.0, 1e5])
-    for truth in (np.array([2e6, 3.0, 1e-5]), np.array([2e6, 0.0, 1e-5])):
-        found = pixel_noise._least_squares_above_zero(columns, columns @ truth)
-        assert found * [1e-6, 1.0, 1e5] == pytest.approx(truth * [1e-6, 1.0, 1e5], rel=1e-4, abs=1e-4)
-    wanted = columns @ np.array([2e7, -1.0, 2e-4])
-    found = pixel_noise._least_squares_above_zero(columns, wanted)
-    assert found[1] == 0.0
-    free = np.linalg.lstsq(columns[:, [0, 2]], wanted, rcond=None)[0]
-    assert found[[0, 2]] == pytest.approx(free, rel=1e-4)
-    nothing = np.column_stack([columns, np.zeros(400)])
-    assert pixel_noise._least_squares_above_zero(nothing, columns @ truth)[:3] == pytest.approx(
-        pixel_noise._least_squares_above_zero(columns, columns @ truth)
-    )
-
-
-def test_parts_of_a_picture_are_eighths_each_way():
-    """64 parts, numbered by rows; each pixel's rows lie in its own."""
-    row, column = (index.ravel() for index in np.indices((16, 24)))
-    pixels = SimpleNamespace(row=row, column=column, samples=SimpleNamespace(group=np.arange(row.size)[::-1]))
-    found = _parts((16, 24), pixels)[::-1].reshape(16, 24)
-    assert np.array_equal(found, np.kron(np.arange(64).reshape(8, 8), np.ones((2, 3), int)))
 
 
 @pytest.mark.parametrize("alike", [1, 3])
@@ -278,15 +217,6 @@ def test_the_error_is_a_mean_size_of_what_is_known():
     assert error_dn(np.array([3.0, np.nan, -5.0])) == 4.0
 
 
-def test_rows_within_a_twentieth_of_the_ends_fade(samples):
-    """By the square of their distance, to a millionth of their weight; the middle counts in full, to 1e-4 in ln H."""
-    limits = samples.limits
-    at = limits.black_dn + (limits.saturated_dn - limits.black_dn) * np.array([0.5, 0.05, 0.025, 0.0])
-    rows = SimpleNamespace(limits=limits, pixels=np.full(4, 1e12), frame_log_time=samples.frame_log_time)
-    found = row_variance(rows, at, LINE, LogNoise(0.0, 0.0, 10.0, 0.0))
-    assert found == pytest.approx(np.array([1e-8, 1e-8, 4e-8, 1e-2]), rel=1e-3)
-
-
 @pytest.mark.parametrize(
     ("apart", "slope"), [(0.02, 0.1 / (1.0 + 2.0 + 5.0 / 3.0)), (0.2, 0.2 / (1.0 + 7.0 + 10.0 / 3.0))]
 )
@@ -296,190 +226,3 @@ def test_repeats_of_an_exposure_are_no_step(apart, slope, samples):
     numbers = np.arange(256.0) - 100.0
     kinked = np.where(numbers > 0.0, 0.03, 0.01) * numbers
     assert slope_at(kinked, np.array([101.0]), near) == pytest.approx([slope], rel=1e-6)
-
-
-def test_a_polynomial_of_the_first_order_is_a_line():
-    """1 + c·(x − x_mid)·2: 1 in the middle, so that g is 0; it rises where c does, and misfits by pairs' ratios."""
-    x = np.linspace(0.0, 1.0, 256)
-    line = Polynomial(x, np.array([0.5]), np.log([2.0]))
-    assert line.values(np.array([128.0, 255.0])) == pytest.approx([1.0, 1.0 + (1.0 - x[128])])
-    assert line.log_curve()[128] == 0.0
-    pairs = SimpleNamespace(
-        shorter=np.array([50.0, 60.0]),
-        longer=np.array([100.0, 120.0]),
-        pair=np.array([0, 0]),
-        sigma=np.array([0.1, 0.2]),
-    )
-    short, long = line.values(pairs.shorter), line.values(pairs.longer)
-    assert line.misfit(pairs) == pytest.approx(np.sum((np.log(2.0 * short / long) / pairs.sigma) ** 2))
-    assert line.rises(pairs)
-    assert not replace(line, coefficients=np.array([-0.5])).rises(pairs)
-
-
-@pytest.mark.parametrize(("span", "refused"), [(0.69, True), (0.70, False)])
-def test_a_curve_spans_the_smallest_step_of_its_frames_at_least(span, refused):
-    """ln 2 = 0.693 between two frames that differ."""
-    pairs = SimpleNamespace(nominal_log_ratio=np.log([4.0, 2.0]))
-    if refused:
-        with pytest.raises(MeasurementError, match="finds no response"):
-            mitsunaga1999._refuse_flat(np.array([0.0, span / 2, span]), pairs)
-    else:
-        mitsunaga1999._refuse_flat(np.array([0.0, span / 2, span]), pairs)
-
-
-def test_a_polynomial_owns_up_to_what_it_lies_off_beyond_three_sigma():
-    """0.05 off a curve known to 0.01 leaves 0.02; within three sigma, or where nothing is known, nothing."""
-    first = SimpleNamespace(log_exposure=np.zeros(4), u_log_exposure=np.array([0.01, 0.02, np.inf, 0.01]))
-    here = SimpleNamespace(log_curve=lambda: np.array([0.05, 0.05, 9.0, -0.04]))
-    found = mitsunaga1999._off_the_first(SimpleNamespace(first=first), here)
-    assert found == pytest.approx([0.02, 0.0, 0.0, 0.01])
-
-
-@pytest.mark.parametrize(
-    ("notes", "bound"), [(mitsunaga1999._notes, 0.01), (linear_spline._notes, 0.005)], ids=["polynomial", "spline"]
-)
-def test_a_method_that_does_not_follow_says_so(notes, bound):
-    """From 1 % of residuals on for a polynomial, half a per cent of misfit for a nearly straight line; not at it."""
-    assert notes(bound) == ()
-    (said,) = notes(1.2 * bound)
-    assert f"{100 * 1.2 * bound:.1f} %" in said
-    assert "use auto" in said
-
-
-def test_a_spline_s_misfit_is_what_it_lies_off_the_finer_curve():
-    """A step of 0.1 is seen where it is and, by its mean square, around it; at the gauge and outside nothing is."""
-    finer = curve(LINE, valid=(10, 240))
-    off = LINE.copy()
-    off[60:100] += 0.1
-    found = linear_spline._misfit(off, finer, (20, 230))
-    assert found[60:100] == pytest.approx(np.full(40, 0.1), rel=1e-4)
-    width = (230 - 20) // 8
-    assert 0.0 < found[58] < 0.1
-    assert found[60 - width] == pytest.approx(1e-4)
-    assert found[128] == 0.0
-    assert found[[12, 235]] == pytest.approx([1e-4, 1e-4])
-    assert linear_spline._misfit(LINE + 3.0, finer, (20, 230))[70] == pytest.approx(1e-4)
-
-
-def test_a_line_s_black_is_the_stated_one_or_that_which_makes_frames_agree(samples):
-    """Stated 3 is 3; frames with 6 DN of offset show 6."""
-    stated = replace(samples, limits=ValueLimits(3, 255))
-    assert linear_spline._black(stated) == 3.0
-    shifted = replace(samples, dn=samples.dn + 6.0, limits=ValueLimits(0, 255))
-    assert linear_spline._black(shifted) == pytest.approx(6.0, abs=0.3)
-    assert linear_spline._spline(samples, np.array([0.0, 77.7, 255.0])).toarray().sum(axis=1) == pytest.approx(1.0)
-
-
-def test_robertson_s_curve_has_256_nodes_at_most(samples):
-    """One for each number at 8 bits, evenly over more; its logarithm is 0 in the middle and straight between nodes."""
-    assert np.array_equal(robertson._nodes(samples), np.arange(256.0))
-    deep = replace(samples, bit_depth=12)
-    nodes = robertson._nodes(deep)
-    assert (nodes.size, nodes[-1]) == (256, 4095.0)
-    g = robertson._log_curve(deep, np.exp(0.01 * nodes))
-    assert g == pytest.approx(0.01 * (np.arange(4096.0) - 2048.0), abs=1e-9)
-
-
-def test_rivals_that_predict_as_well_are_in_the_doubt():
-    """Curves 0.03 and 0.06 off beside the best: the root mean square over all three."""
-
-    def one(off):
-        return SimpleNamespace(relative=np.array([0.0, off]))
-
-    judged = predicting.Judged(one(0.0), (one(0.03), one(-0.06)))
-    assert judged.u_among(judged.other_smoothness) == pytest.approx([0.0, math.sqrt((0.03**2 + 0.06**2) / 3.0)])
-    assert judged.u_among(()) == pytest.approx([0.0, 0.0])
-
-
-@pytest.mark.parametrize(("frames", "folds"), [(3, 3), (8, 8), (9, 8), (20, 8)])
-def test_frames_are_left_out_one_by_one_up_to_eight(frames, folds):
-    """More fall into eight folds."""
-    assert predicting.frame_folds(SimpleNamespace(frame_log_time=np.arange(float(frames)))) == folds
-
-
-@pytest.mark.parametrize(
-    ("stops", "whole"),
-    [
-        ((0.0, 1.0, 3.0), True), ((0.0, 1.019, 2.0), True), ((0.0, 1.021, 2.0), False), ((2.0, 0.0, 1.0), True),
-        ((0.0, 1.0 / 3.0, 2.0), False),
-    ],
-)  # fmt: skip
-def test_whole_stops_are_so_to_a_fiftieth(stops, whole):
-    """Whatever the order of the frames; a third of a stop is none."""
-    assert auto._at_whole_stops(SimpleNamespace(frame_log_time=math.log(2.0) * np.array(stops))) is whole
-
-
-def test_what_is_said_of_wrong_labels_and_of_parts_that_disagree():
-    """Frames by their label or time; rivals with their ratio; per cents of quadrants and of frames."""
-    plain = SimpleNamespace(frame_labels=(), frame_log_time=np.log([0.01, 0.5]))
-    named = SimpleNamespace(frame_labels=("1/100 s (a.jpg)", "0.5 s (b.jpg)"), frame_log_time=plain.frame_log_time)
-    assert [auto._label(one, 1) for one in (plain, named)] == ["0.5 s", "0.5 s (b.jpg)"]
-    label = SimpleNamespace(rivals=((0, 1.2345),))
-    assert "changing instead 0.01 s to 1.234 predicts" in auto._rivals(label, plain)
-    assert auto._rivals(SimpleNamespace(rivals=()), plain) == ""
-    result = SimpleNamespace(samples=SimpleNamespace(dn=np.array([0.0, 255.0])))
-    parts = SimpleNamespace(agreement=lambda inner: Agreement(0.012, 0.034))
-    said = auto._note_on_disagreement(result, parts)
-    assert "one quadrant of the picture differ by 1.2 %" in said
-    assert "some of the frames by 3.4 %" in said
-    assert "quadrant" not in auto._note_on_disagreement(result, SimpleNamespace(agreement=lambda inner: None))
-
-
-@pytest.mark.parametrize(("after", "loose"), [((0.8, 0.99), True), ((0.82, 1.0), False), ((0.5, 1.01), False)])
-def test_times_are_freed_where_all_quadrants_gain_and_a_tenth_in_all(after, loose, monkeypatch):
-    """From 1 and 1: 1.79 is a tenth less; 1.82 is not; one quadrant that loses forbids it."""
-    samples = SimpleNamespace(frame_log_time=np.arange(4.0), without_quadrant=(1, 2))
-    found = SimpleNamespace(log_exposure=None, choices=SimpleNamespace(free=(), known=()))
-    freed = SimpleNamespace(fit=SimpleNamespace(time_spread=0.01))
-    monkeypatch.setattr(auto, "settle", lambda *_: freed)
-    monkeypatch.setattr(auto, "error_of_quadrants", lambda _, one: np.array((1.0, 1.0) if one is found else after))
-    assert (auto._with_times(samples, found) is freed) is loose
-    samples.frame_log_time = np.array([0.0, 1.0, 2.0, 2.0])
-    assert auto._with_times(samples, found) is found
-    samples.frame_log_time, samples.without_quadrant = np.arange(4.0), ()
-    assert auto._with_times(samples, found) is found
-    samples.without_quadrant, freed.fit.time_spread = (1, 2), 0.0
-    assert auto._with_times(samples, found) is found
-
-
-def test_robertson_s_residual_knows_no_common_factor(samples):
-    """A first guess ten times too large is brought to its gauge: frames that agree leave the same residual."""
-    line = np.maximum(np.arange(256.0), 0.5) / 128.0
-    right, large = (robertson._iterate(samples, factor * line, 1) for factor in (1.0, 10.0))
-    assert large[0] == pytest.approx(right[0])
-    assert large[1] == pytest.approx(right[1])
-    assert (right[1], right[2]) == (pytest.approx(0.015, abs=0.015), 1)
-
-
-def test_pixels_without_noise_have_that_of_rounding():
-    """1/6 DN² at edges beside none on even ground is twice a twelfth; none beside none is no difference."""
-    even, edges = (np.zeros((4, 1, 1)) for _ in range(2))
-    even[:3, 0, 0] = 100.0, 100.0 * 50.0, 100.0 * 50.0**2
-    edges[:3, 0, 0] = 100.0, 100.0 * 50.0, 100.0 * (50.0**2 + 1.0 / 6.0)
-    assert _edge_scatter(even, edges) == pytest.approx(2.0)
-    assert _edge_scatter(even, even) == 1.0
-
-
-@pytest.mark.parametrize(
-    ("tones", "places", "quadrants", "found"),
-    [(2.0, 5.0, 4, 5.0), (7.0, 5.0, 4, 7.0), (2.0, 90.0, 4, 25.0), (2.0, 90.0, 3, 100.0 / 3.0), (2.0, 90.0, 2, 2.0)],
-)
-def test_groups_count_as_one_by_tones_or_places_but_quadrants_are_their_own(
-    tones, places, quadrants, found, monkeypatch
-):
-    """The larger of both; of 100 groups no more than 100 by the quadrants, of which three at least say something."""
-    rows = SimpleNamespace(dn=np.arange(10.0, 20.0), pixels=np.ones(10), group=None, frame=None, group_count=100)
-    fit = SimpleNamespace(
-        normal=SimpleNamespace(residuals=lambda _: np.zeros(10)), solution=None, leverage=lambda: np.zeros(10),
-        covariance=lambda: None,
-    )  # fmt: skip
-    whole = SimpleNamespace(fit=fit, samples=rows, dn=rows.dn, log_exposure=LINE, u_of=lambda _: np.ones(256))
-    stands = {
-        "fit_log_noise": lambda *_: None, "slope_at": lambda *_: np.ones(10), "row_variance": lambda *_: np.ones(10),
-        "tones_as_one": lambda *_: tones, "places_as_one": lambda *_: places,
-        "refit": lambda part, _: SimpleNamespace(relative=part * LINE),
-    }  # fmt: skip
-    for name, stand in stands.items():
-        monkeypatch.setattr(settle, name, stand)
-    samples = SimpleNamespace(without_quadrant=np.arange(1.0, 1.0 + quadrants))
-    assert settle._inflation(samples, whole) == pytest.approx(found)

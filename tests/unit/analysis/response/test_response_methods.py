@@ -84,6 +84,7 @@ def test_mitsunaga_follows_a_film_with_a_long_toe(make_stack, true_log_exposure)
     assert estimate.stability.rms_log < 0.01
 
 
+@pytest.mark.slow
 def test_mitsunaga_says_how_the_exponent_is_fixed(make_stack):
     """Without a known ratio the product of the stated times fixes γ, and the result says so."""
     estimate = recover_response_mitsunaga1999(make_stack("gamma", bit_depth=8))

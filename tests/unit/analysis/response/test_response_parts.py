@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -17,8 +16,7 @@ from radiometer.analysis.response.noise import LogNoise, fit_log_noise
 from radiometer.analysis.response.noise_shift import mean_exposure_dn
 from radiometer.analysis.response.pairs import Pairs
 from radiometer.analysis.response.pixel_noise import pixel_noise
-from radiometer.analysis.response.samples import _gather_one, gather_samples
-from radiometer.analysis.response.weights import row_variance
+from radiometer.analysis.response.samples import gather_samples
 from radiometer.data import Bracket, Frame, FrameSettings, ResponseCurve
 
 
@@ -157,26 +155,6 @@ def test_samples_without_a_quadrant_lack_its_pixels():
     assert min(without) > 2.0 * max(own)
 
 
-def test_every_share_holds_every_fourth_cell_of_the_picture():
-    """Light in a corner of a quarter of the width falls on all four alike, on one quadrant alone."""
-    radiance = np.zeros((64, 64))
-    radiance[:16, :16] = np.exp(np.random.default_rng(1).uniform(-3.0, 0.0, (16, 16)))
-    radiance[40:, 40:] = 0.02 * radiance[:16, :16].mean()
-    frames = [
-        Frame(np.clip(radiance * t * 255, 0, 255).astype(np.uint8), 8, FrameSettings(float(t))) for t in (1, 2, 4, 8)
-    ]
-    samples = _gather_one(Bracket.from_frames(frames), ValueLimits(0, 255), 0, 0)
-    whole, quadrants, without, shares = (
-        [part.pixels[part.frame == 0].sum() for part in samples[first:last]]
-        for first, last in ((0, 1), (5, 9), (9, 13), (13, 17))
-    )
-    assert quadrants[0] == whole[0]
-    assert quadrants[1:] == [0.0, 0.0, 0.0]
-    assert min(shares) > 0.15 * whole[0]
-    assert sum(shares) == pytest.approx(whole[0], rel=0.05)
-    assert sum(without) == pytest.approx(3.0 * whole[0], rel=0.05)
-
-
 def test_neighbouring_groups_that_err_together_count_as_one():
     """White residuals count singly; those that keep their sign over ten groups count about ten as one."""
     rng = np.random.default_rng(5)
@@ -238,18 +216,6 @@ def test_levelling_listens_to_what_is_known():
     level = rising(g, u, (0, 7))
     assert np.all(np.diff(level) >= 0)
     assert np.max(np.abs(level - g)[[0, 1, 2, 3, 5, 6, 7]]) < 0.01
-
-
-def test_rows_near_black_and_saturation_fade_by_the_square_of_their_distance():
-    """At a half and a quarter of 5 % of the range a row counts for a quarter and a sixteenth; in the middle in full."""
-    dn = np.array([500.0, 50.0, 25.0, 12.5, 975.0, 0.0])
-    samples = SimpleNamespace(
-        limits=ValueLimits(0, 1000), pixels=np.ones(dn.size), frame_log_time=np.log([1.0, 2.0, 4.0])
-    )
-    noise = SimpleNamespace(variance=lambda log_exposure, slope, pixels: np.full(dn.size, 0.01))
-    curve = np.log(np.maximum(np.arange(1001.0), 0.5))
-    found = row_variance(samples, dn, curve, noise)
-    assert found / 0.01 == pytest.approx([1.0, 1.0, 4.0, 16.0, 4.0, 1e6], rel=1e-5)
 
 
 def test_ratios_of_exposures_are_means_by_inverse_variance():

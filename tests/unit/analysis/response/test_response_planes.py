@@ -266,6 +266,7 @@ def test_a_curve_at_given_labels_is_the_fit_with_these_labels_held(lying: list[P
     assert moved.fit.time_modes[0] == pytest.approx(-0.1)
 
 
+@pytest.mark.slow
 def test_shares_are_judged_as_quadrants_are(lying: list[Plane]) -> None:
     """What is left out is cut in another way; of two planes alike the errors and the rows are twice those of one."""
     plane = lying[0]

@@ -10,7 +10,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from radiometer.analysis.characterise.line_fit import fit_line, is_bent
-from radiometer.analysis.uncertainty import monte_carlo
 from radiometer.analysis.uncertainty.budget import (
     Term,
     combined_u,
@@ -113,19 +112,6 @@ def test_a_bend_is_seen_above_the_noise_only():
         assert is_bent(x, x + 0.01 * x**2, np.full(21, 1e-3), through_origin=tied)
         assert not is_bent(x, x + 0.01 * x**2, np.full(21, 1.0), through_origin=tied)
     assert not is_bent(x[:3], x[:3] ** 2, np.full(3, 1e-3))
-
-
-def test_the_shortest_interval_of_an_additive_model():
-    """JCGM 101, 9.2.2: four normal inputs of u = 1 give u = 2.00 and, at 95.45 %, ±4.00; four rectangles ±3.9."""
-    rng = np.random.default_rng(1)
-    normal = monte_carlo._summary(rng.standard_normal((4, 200_000)).sum(axis=0))
-    assert (normal.mean, normal.u) == (pytest.approx(0.0, abs=0.02), pytest.approx(2.0, rel=0.01))
-    assert (normal.low, normal.high) == (pytest.approx(-4.0, abs=0.1), pytest.approx(4.0, abs=0.1))
-    rectangles = monte_carlo._summary(rng.uniform(-(3**0.5), 3**0.5, (4, 200_000)).sum(axis=0))
-    assert rectangles.u == pytest.approx(2.0, rel=0.01)
-    assert rectangles.high - rectangles.low == pytest.approx(7.84, abs=0.1)  # 95 %: 2 × 3.88 in the table
-    lopsided = monte_carlo._summary(rng.exponential(1.0, 200_000))
-    assert (lopsided.low, lopsided.high) == (pytest.approx(0.0, abs=0.01), pytest.approx(-math.log(0.0455), abs=0.05))
 
 
 def reading(value, own, shared):

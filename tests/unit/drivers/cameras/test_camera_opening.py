@@ -8,7 +8,7 @@ import pytest
 
 from drivers.cameras import camera_opening
 from drivers.cameras.camera_checks import check_features
-from drivers.cameras.camera_opening import _gige_address_of, _set_if_offered, open_session
+from drivers.cameras.camera_opening import open_session
 from drivers.cameras.camera_quirks import quirks_for
 from drivers.cameras.chunk_data import changed_chunks, switch_on_chunks
 from drivers.cameras.link_throughput import LIMIT, SPEED, choose_throughput
@@ -119,31 +119,6 @@ def test_what_was_changed_says_which_chunks_must_agree():
     assert changed_chunks(before, CameraSettings(0.01, 6.0, 60.0)) == {"Gain", "BlackLevel"}
 
 
-@pytest.mark.parametrize(
-    ("options", "reason"),
-    [
-        ({"refused": ("AcquisitionFrameRateEnable",)}, "access denied"),
-        ({"stuck": ("AcquisitionFrameRateEnable",)}, "it took the write and kept its value"),
-    ],
-    ids=["refused", "kept"],
-)
-def test_a_locked_feature_is_noted_with_its_value(wooden_camera, options, reason):
-    """A frame rate that cannot be switched off keeps nobody from measuring; it is told with the reason."""
-    _, features = wooden_camera({"AcquisitionFrameRateEnable": True}, **options)
-    notes: list[str] = []
-    _set_if_offered(features, "AcquisitionFrameRateEnable", False, notes)
-    assert "AcquisitionFrameRateEnable stays at True, not False" in notes[0]
-    assert reason in notes[0]
-
-
-def test_a_locked_feature_that_stands_right_is_left_alone(wooden_camera):
-    """What has its value already is not written, so that its lock does not matter."""
-    camera, features = wooden_camera({"AcquisitionFrameRateEnable": False}, refused=("AcquisitionFrameRateEnable",))
-    notes: list[str] = []
-    _set_if_offered(features, "AcquisitionFrameRateEnable", False, notes)
-    assert (notes, camera.written) == ([], [])
-
-
 def throughput(wooden_camera, *, gige: bool, limit: int, speed: int | None, **options):
     features = {LIMIT: limit} | ({} if speed is None else {SPEED: speed})
     camera, access = wooden_camera(features, **options)
@@ -185,19 +160,6 @@ def test_slowing_down_goes_by_quarters_to_the_lowest(wooden_camera):
     assert found.limit_bytes_s == camera.features[LIMIT] == 1_000_000
     _, stubborn, _ = throughput(wooden_camera, gige=True, limit=2_000_000, speed=None, refused=(LIMIT,))
     assert stubborn.slow_down() is False
-
-
-@pytest.mark.parametrize(
-    ("identity", "address"),
-    [
-        (CameraIdentity("", "", "", "192.168.1.7"), "192.168.1.7"),
-        (CameraIdentity("FLIR", "BFS", "1", "FLIR-BFS-1", "GigEVision 10.0.0.2"), "10.0.0.2"),
-        (CameraIdentity("FLIR", "BFS", "0138C343", "FLIR-1E10-0138C343", "USB3Vision"), ""),
-    ],
-)
-def test_the_address_is_known_before_a_camera_is_opened(identity, address):
-    """A network camera's address stands in its id or its interface; a USB camera has none."""
-    assert _gige_address_of(identity) == address
 
 
 def test_a_camera_in_use_is_told_before_the_library_is_asked(monkeypatch):

@@ -16,7 +16,6 @@ import yaml
 
 import radiometer as rm
 from drivers.cameras import own_cameras
-from drivers.cameras.gphoto_library import _said
 from drivers.cameras.pi_link import PiLink, green_of
 from drivers.cameras.plain_camera import PlainCamera
 from drivers.cameras.tethered_link import TetheredLink, seconds_of
@@ -26,7 +25,7 @@ from radiometer.bench.config import read_bench
 from radiometer.cli.main import run
 from radiometer.data import CaptureSet, CaptureSetWriter, LensDescription
 from radiometer.devices import CameraIdentity, CameraSettings, Health, Roi
-from radiometer.errors import DeviceError, DeviceInUse, DeviceLost, DeviceNotFound, DeviceTimeout, MissingLibrary
+from radiometer.errors import DeviceError, DeviceInUse, DeviceLost, DeviceTimeout, MissingLibrary
 from testing.edge_devices import (
     ControlRange,
     SimulatedPiCamera,
@@ -368,33 +367,6 @@ def test_a_bench_file_names_such_a_camera(webcam, monkeypatch, tmp_path):
     camera.close()
 
 
-@pytest.mark.slow
-def test_devices_lists_them_with_the_name_to_ask_for(monkeypatch, capsys):
-    """Each stands in the list as it is named; a library that is not installed keeps no other from being listed."""
-
-    def absent() -> list[CameraIdentity]:
-        raise MissingLibrary("pip install")
-
-    webcams = [CameraIdentity("", "C920", "", "v4l2:/dev/video0", "V4L2 /dev/video0")]
-    monkeypatch.setattr(own_cameras, "_LISTED", {"picamera": absent, "v4l2": lambda: webcams})
-    assert run(["devices"]) == 0
-    assert "C920  V4L2 /dev/video0  --camera v4l2:/dev/video0" in capsys.readouterr().out
-    assert own_cameras.listed() == (webcams, ["pip install"])
-
-
-def test_a_camera_is_found_by_kind_alone_if_there_is_one(monkeypatch):
-    """Nothing behind the colon means the only one; none, or several, is an error that says so."""
-    known = [CameraIdentity("", "C920", "", "v4l2:/dev/video0"), CameraIdentity("", "C270", "", "v4l2:/dev/video2")]
-    monkeypatch.setattr(own_cameras, "_LISTED", {"v4l2": lambda: known})
-    assert own_cameras.open_own("v4l2:/dev/video2").identity.model == "C270"
-    assert own_cameras.open_own("v4l2:C920").identity.device_id == "v4l2:/dev/video0"
-    with pytest.raises(DeviceNotFound, match="several cameras answer"):
-        own_cameras.open_own("v4l2:")
-    monkeypatch.setattr(own_cameras, "_LISTED", {"v4l2": list})
-    with pytest.raises(DeviceNotFound, match="no v4l2 camera answers"):
-        own_cameras.open_own("v4l2:")
-
-
 @pytest.mark.parametrize("library", ["linuxpy", "picamera2", "gphoto2"])
 def test_without_its_library_the_message_says_what_to_install(library, monkeypatch):
     """A library that is not there is told by name, and the doctor notes it."""
@@ -405,15 +377,6 @@ def test_without_its_library_the_message_says_what_to_install(library, monkeypat
         own_cameras.open_own(f"{kind}:")
     (finding,) = [f for f in own_cameras.check_libraries() if f.check == f"library {kind}"]
     assert finding.health is Health.NOTE
-
-
-@pytest.mark.parametrize(
-    ("code", "kind"), [(-105, DeviceNotFound), (-53, DeviceInUse), (-7, DeviceLost), (-1, DeviceError)]
-)
-def test_codes_of_libgphoto2_become_the_projects_errors(code, kind):
-    """Each says the camera and the way out."""
-    error = type("GPhoto2Error", (Exception,), {"code": code, "string": "text"})()
-    assert type(_said(error, "camera gphoto2:usb")) is kind
 
 
 VIRTUAL = """

@@ -8,7 +8,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from drivers.cameras.v4l2_library import LinuxpyDevice, LinuxpyVideo, _said
+from drivers.cameras.v4l2_library import LinuxpyDevice, LinuxpyVideo
 from radiometer.errors import DeviceError, DeviceInUse, DeviceLost, DeviceNotFound, DeviceTimeout
 from testing.patience import within
 
@@ -156,22 +156,6 @@ def test_a_device_held_elsewhere_is_in_use(webcam):
     device.refuses = OSError(errno.EBUSY, "Device or resource busy")
     with pytest.raises(DeviceInUse, match="in use by another program"):
         opened.start("GREY", 640, 480)
-
-
-@pytest.mark.parametrize(
-    ("code", "kind", "words"),
-    [
-        (errno.ENOENT, DeviceNotFound, "radiometer devices"),
-        (errno.EACCES, DeviceError, "usermod -aG video"),
-        (errno.EIO, DeviceLost, "check its cable"),
-        (errno.EINVAL, DeviceError, "refused"),
-    ],
-)
-def test_errors_of_the_kernel_become_the_projects(code, kind, words):
-    """Each says the way out."""
-    told = _said(OSError(code, "text"), "/dev/video0")
-    assert type(told) is kind
-    assert words in str(told)
 
 
 def test_a_path_that_is_not_there_is_not_opened(tmp_path):

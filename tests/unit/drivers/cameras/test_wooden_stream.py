@@ -220,6 +220,10 @@ def wooden_session(discard: int, answers: bool = True):
         temperature_c=lambda: None,
         answers=lambda: answers,
         require_answer=require_answer,
+        camera=None,
+        features=None,
+        chunk_names=(),
+        is_lost=None,
     )
 
 
@@ -228,14 +232,38 @@ def frame(frame_id: int, exposure_us: float | None = None, **others: float) -> R
     return RawFrame(bytes(4), 0x01080001, 2, 2, frame_id, float(frame_id), chunks)
 
 
+class Scripted:
+    """An acquisition that hands over given frames, and keeps how long it was to wait for each."""
+
+    def __init__(self, frames: list[RawFrame]) -> None:
+        self.frames, self.deadlines = list(frames), []
+
+    def __call__(self, *_arguments: object) -> Scripted:
+        return self
+
+    def start(self) -> None: ...
+
+    def stop(self, *, camera_is_there: bool) -> None: ...
+
+    def next_frame(self, deadline_s: float, _trigger: object) -> RawFrame:
+        self.deadlines.append(deadline_s)
+        return self.frames.pop(0)
+
+
 @pytest.fixture
 def fresh(monkeypatch):
-    """Return a function that makes FreshFrames over given raw frames, and its tally."""
+    """Return a function that makes FreshFrames over given raw frames, and its tally.
 
-    def make(frames: list[RawFrame], discard: int):
-        tally, queue = Tally(), iter(frames)
+    With `shown` its settings have been shown by frames before these.
+    """
+
+    def make(frames: list[RawFrame], discard: int, *, shown: bool = False):
+        tally = Tally()
+        monkeypatch.setattr(fresh_frames, "FrameStream", Scripted([frame(0, NEW)] * shown * (discard + 1) + frames))
         made = FreshFrames(SimpleNamespace(), wooden_session(discard), LensDescription(), tally, 0.1)
-        monkeypatch.setattr(made, "_raw_frame", lambda: next(queue))
+        if shown:
+            assert made.next().frame_id == 0
+            tally.extra["stale_discarded"] = 0
         return made, tally
 
     return make
@@ -254,8 +282,9 @@ BEFORE = CameraSettings(exposure_s=0.009, pixel_format="Mono8")
 
 def test_chunks_tell_how_many_frames_are_stale(fresh):
     """Two frames of the old exposure are thrown away, and the first of the new one is taken: none is waited for."""
-    frames, tally = fresh([frame(1, NEW), frame(2, OLD), frame(3, OLD), frame(4, NEW), frame(5, NEW)], discard=2)
-    frames._stale = 0
+    frames, tally = fresh(
+        [frame(1, NEW), frame(2, OLD), frame(3, OLD), frame(4, NEW), frame(5, NEW)], discard=2, shown=True
+    )
     assert frames.next().frame_id == 1
     frames.settings_changed(BEFORE)
     assert frames.next().frame_id == 4
@@ -264,8 +293,7 @@ def test_chunks_tell_how_many_frames_are_stale(fresh):
 
 def test_a_new_exposure_of_30_s_is_not_waited_for_thrice(fresh):
     """A first frame whose chunk has the exposure that was set is the answer: one exposure, not three."""
-    frames, tally = fresh([frame(1, NEW)], discard=2)
-    frames._stale = 0
+    frames, tally = fresh([frame(1, NEW)], discard=2, shown=True)
     frames.settings_changed(BEFORE)
     assert frames.next().frame_id == 1
     assert tally.extra["stale_discarded"] == 0
@@ -273,8 +301,7 @@ def test_a_new_exposure_of_30_s_is_not_waited_for_thrice(fresh):
 
 def test_a_change_that_no_chunk_tells_is_waited_for_by_number(fresh):
     """The black level has no chunk here: that the exposure's agrees says nothing of it."""
-    frames, tally = fresh([frame(n, NEW) for n in range(1, 5)], discard=2)
-    frames._stale = 0
+    frames, tally = fresh([frame(n, NEW) for n in range(1, 5)], discard=2, shown=True)
     frames.settings_changed(CameraSettings(exposure_s=0.005, black_level_dn=5.1, pixel_format="Mono8"))
     assert frames.next().frame_id == 3
     assert tally.extra["stale_discarded"] == 2
@@ -283,8 +310,7 @@ def test_a_change_that_no_chunk_tells_is_waited_for_by_number(fresh):
 @pytest.mark.parametrize(("percent", "taken"), [(0.0, 1), (7.0, 3)], ids=["confirmed", "another"])
 def test_a_black_level_is_confirmed_by_its_chunk(fresh, percent, taken):
     """A chunk of the black level that was set ends the wait; one of another never makes it endless."""
-    frames, _ = fresh([frame(n, NEW, BlackLevel=percent) for n in range(1, 5)], discard=2)
-    frames._stale = 0
+    frames, _ = fresh([frame(n, NEW, BlackLevel=percent) for n in range(1, 5)], discard=2, shown=True)
     frames.settings_changed(CameraSettings(exposure_s=0.005, black_level_dn=5.1, pixel_format="Mono8"))
     assert frames.next().frame_id == taken
 
@@ -292,8 +318,7 @@ def test_a_black_level_is_confirmed_by_its_chunk(fresh, percent, taken):
 @pytest.mark.parametrize(("said", "taken"), [((2.0, 2.0, 2.0, 0.0), 4), ((2.0,) * 6, 5), ((7.0,) * 6, 3)])
 def test_a_late_frame_of_the_black_level_before_is_thrown_away(fresh, said, taken):
     """Three say the old level where two are known of: the fourth is taken. As many again at most, and what says it."""
-    frames, _ = fresh([frame(n, NEW, BlackLevel=level) for n, level in enumerate(said, start=1)], discard=2)
-    frames._stale = 0
+    frames, _ = fresh([frame(n, NEW, BlackLevel=level) for n, level in enumerate(said, start=1)], discard=2, shown=True)
     frames.settings_changed(CameraSettings(exposure_s=0.005, black_level_dn=5.1, pixel_format="Mono8"))  # 2.0 percent
     assert frames.next().frame_id == taken
 
@@ -301,8 +326,7 @@ def test_a_late_frame_of_the_black_level_before_is_thrown_away(fresh, said, take
 def test_a_frame_still_in_the_format_before_is_thrown_away(fresh):
     """No chunk tells a format, but the frame itself does: two of Mono10p pass by, a third would be an error."""
     stale = [replace(frame(n, NEW), format_code=0x010A0046) for n in (1, 2, 3)]
-    frames, tally = fresh([*stale[:2], frame(3, NEW)], discard=2)
-    frames._stale = 0
+    frames, tally = fresh([*stale[:2], frame(3, NEW)], discard=2, shown=True)
     frames.settings_changed(replace(BEFORE, exposure_s=0.005, pixel_format="Mono10p"))
     assert frames.next().frame_id == 3
     assert tally.extra["stale_discarded"] == 2
@@ -313,24 +337,22 @@ def test_a_frame_still_in_the_format_before_is_thrown_away(fresh):
 
 def test_a_change_that_no_frame_has_shown_is_not_forgotten(fresh):
     """A second change before the first frame leaves the first one to be waited for too."""
-    frames, _ = fresh([frame(n, NEW) for n in range(1, 5)], discard=2)
-    frames._stale = 0
+    frames, _ = fresh([frame(n, NEW) for n in range(1, 5)], discard=2, shown=True)
     frames.settings_changed(CameraSettings(exposure_s=0.005, black_level_dn=5.1, pixel_format="Mono8"))
     frames.settings_changed(BEFORE)
     assert frames.next().frame_id == 3
 
 
-def test_a_frame_of_the_settings_before_is_waited_for_as_long_as_they_say(fresh, monkeypatch):
+def test_a_frame_of_the_settings_before_is_waited_for_as_long_as_they_say(monkeypatch):
     """After 30 s a short exposure's deadline is that of the frame still in the sensor, until the first fresh one."""
-    frames, _ = fresh([], discard=0)
-    deadlines = []
-    monkeypatch.setattr(frames, "_next_whole", lambda deadline_s: deadlines.append(deadline_s) or frame(1, NEW))
-    monkeypatch.setattr(frames, "_raw_frame", FreshFrames._raw_frame.__get__(frames))
+    acquisition = Scripted([frame(n, NEW) for n in (1, 2, 3)])
+    monkeypatch.setattr(fresh_frames, "FrameStream", acquisition)
+    frames = FreshFrames(SimpleNamespace(), wooden_session(0), LensDescription(), Tally(), 0.1)
     frames.next()
     frames.settings_changed(CameraSettings(exposure_s=30.0, pixel_format="Mono8"))
     frames.next()
     frames.next()
-    assert deadlines == pytest.approx([0.11, 60.1, 0.11])
+    assert acquisition.deadlines == pytest.approx([0.11, 60.1, 0.11])
 
 
 class Lossy:
@@ -358,9 +380,8 @@ def test_a_camera_that_sends_too_fast_is_slowed_down(monkeypatch, possible, star
     """Each time that no frame comes whole it is slowed down and started anew, at its slowest once more."""
     monkeypatch.setattr(fresh_frames, "FrameStream", Lossy)
     monkeypatch.setattr(Lossy, "starts", 0)
-    frames, tally = silent(answers=True)
-    session = frames._session
-    session.camera = session.features = session.chunk_names = session.is_lost = None
+    session, tally = wooden_session(0), Tally()
+    frames = FreshFrames(SimpleNamespace(), session, LensDescription(), tally, 0.05)
     left = iter([True] * possible)
     session.slow_down = lambda: next(left, False)
     if possible == 1:
@@ -398,7 +419,6 @@ def test_an_acquisition_without_frames_is_restarted_then_given_up(monkeypatch):
     """A camera that answers but sends nothing is started again twice, then it is a timeout with the deadline."""
     monkeypatch.setattr(fresh_frames, "FrameStream", NothingComes)
     frames, tally = silent(answers=True)
-    frames._session.camera = frames._session.features = frames._session.chunk_names = frames._session.is_lost = None
     with pytest.raises(DeviceTimeout, match=r"no frame within 0\.1 s, 3 times over, though it answers"):
         frames.next()
     assert tally.extra["restarts"] == 3
@@ -408,7 +428,6 @@ def test_a_camera_without_an_answer_is_lost_at_once(monkeypatch):
     """A camera that sends nothing and does not answer is lost; it is not started again."""
     monkeypatch.setattr(fresh_frames, "FrameStream", NothingComes)
     frames, tally = silent(answers=False)
-    frames._session.camera = frames._session.features = frames._session.chunk_names = frames._session.is_lost = None
     with pytest.raises(DeviceLost):
         frames.next()
     assert tally.extra["restarts"] == 0

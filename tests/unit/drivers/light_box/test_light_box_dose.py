@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
+import threading
 from dataclasses import replace
-from types import SimpleNamespace
 
 import pytest
 
@@ -202,15 +202,6 @@ def test_times_beyond_the_protocol_are_refused(low):
     assert box.blink("field", level, 60.0, 60.0, 2).drive == level
 
 
-@pytest.mark.parametrize(("seconds", "milliseconds"), [(1.001, 1001), (0.0025, 2), (0.0035, 4), (16.32, 16320)])
-def test_durations_are_rounded_to_whole_milliseconds(seconds, milliseconds):
-    """What binary numbers hold a little below is not cut by a millisecond."""
-    _, _, box = bench()
-    assert box._milliseconds("duration", seconds, 600.0) == milliseconds
-    with pytest.raises(SettingOutOfRange):
-        box._milliseconds("duration", 600.001, 600.0)
-
-
 def test_a_box_that_shines_otherwise_than_asked_is_darkened(monkeypatch):
     """Another level read back is no level: every channel goes dark and it is said."""
     twin, _, box = bench()
@@ -223,32 +214,30 @@ def test_a_box_that_shines_otherwise_than_asked_is_darkened(monkeypatch):
     assert twin.duty("field") == 0.0
 
 
-def test_a_keeper_whose_box_is_gone_ends(monkeypatch):
-    """It leaves the reason to whoever asks next, and asks no more."""
-    _, _, box = bench()
-    asked = []
-
-    def gone(self):
-        asked.append(1)
-        raise DeviceError("gone")
-
-    monkeypatch.setattr(SerialLightBox, "tend_if_due", gone)
-    box._closing = SimpleNamespace(wait=lambda _: False)
-    box._keep()
-    assert asked == [1]
+def keepers():
+    """Return how many threads keep a light box alive just now."""
+    return sum(thread.name == "light box" for thread in threading.enumerate())
 
 
-def test_a_box_that_is_opened_again_is_kept_alive_again(monkeypatch):
+def test_a_box_that_is_opened_again_is_kept_alive_again():
     """Each opening has a keeper that goes on until the box is closed; without keep-alive there is none."""
-    told_to_end = []
-    monkeypatch.setattr(SerialLightBox, "_keep", lambda self: told_to_end.append(self._closing.is_set()))
     _, _, box = bench()
-    assert (box._keeper, told_to_end) == (None, [])
+    before = keepers()
     box.close()
     box.keep_alive = True
     for _ in range(2):
         box.open()
-        assert box._keeper is not None
+        assert keepers() == before + 1
         box.close()
-        assert (box._keeper, box._closing.is_set()) == (None, True)
-    assert told_to_end == [False, False]
+        assert keepers() == before
+
+
+@pytest.mark.parametrize(("seconds", "taken"), [(600.0, True), (600.001, False), (0.0, False), (-1.0, False)])
+def test_a_pulse_lasts_ten_minutes_at_most(seconds, taken):
+    """What the box's timer holds is taken, and nothing beyond it or without a length."""
+    _, _, box = bench()
+    if taken:
+        assert box.pulse("field", DriveLevel(1), seconds).drive == DriveLevel(1)
+    else:
+        with pytest.raises(SettingOutOfRange, match="duration"):
+            box.pulse("field", DriveLevel(1), seconds)

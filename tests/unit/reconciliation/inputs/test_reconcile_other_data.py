@@ -7,7 +7,6 @@ import math
 import re
 from dataclasses import replace
 from pathlib import Path
-from types import SimpleNamespace
 
 import cv2
 import numpy as np
@@ -16,7 +15,7 @@ import pytest
 from radiometer.analysis.response.shutter_offset import Exposures
 from radiometer.analysis.response.wrong_labels import WrongLabel
 from radiometer.cli.main import run
-from radiometer.data import Bracket, Frame, FrameSettings
+from radiometer.data import Frame, FrameSettings
 from radiometer.errors import CaptureError, InputError
 from radiometer.importing import open_capture
 from radiometer.reconciliation.inputs import photographs
@@ -234,16 +233,7 @@ def test_labels_that_may_be_meant_instead_are_told(monkeypatch: pytest.MonkeyPat
     told = (f"exposure_label_error of {names[0]} (ratio 0.900)", f"exposure_label_error of {names[3]} (ratio 1.100)")
     assert effect.alternatives == told
     assert f", or {names[0]} 0.900, or {names[3]} 1.100: these cannot show which." in (done.result.extra["remarks"][0])
-    assert outcome(done.result, done.findings).endswith(f"cannot show which, {' or '.join(told)} instead.")
-
-
-def test_a_rounded_label_is_held_against_what_is_printed(monkeypatch: pytest.MonkeyPatch) -> None:
-    """1/60 s that was 0.8 of 1/64 s is 0.75 of what is printed: stops are what is meant, print is what is read."""
-    label = WrongLabel(2, 0.8, 0.016, 0.5)
-    bracket = Bracket.from_frames(_photographs([1 / 250, 1 / 125, 1 / 60], EXACT[4:1:-1]))
-    judged = SimpleNamespace(log_time=np.log([2.0**-8, 2.0**-7, 0.8 * 2.0**-6]))
-    found = photographs._of_printed(label, judged, bracket)  # type: ignore[arg-type]
-    assert found == pytest.approx((0.8 * 60 / 64, 0.016 * 60 / 64))
+    assert outcome(done.result, done.findings).endswith(f"cannot decide, {' or '.join(told)} instead.")
 
 
 def test_emva_descriptor_becomes_a_capture_set(shared_data: Path) -> None:

@@ -1,25 +1,18 @@
 """Laws are found in sessions of the outside generators: stage, covariates, size, and what is written of them."""
 
-from importlib import import_module
 from pathlib import Path
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
-import yaml
 
 from radiometer.data import CaptureSet
 from radiometer.reconciliation.fit.descent import first_state
-from radiometer.reconciliation.fit.full_fit import UnfitError
-from radiometer.reconciliation.inputs.sources import DoneCapture
 from radiometer.reconciliation.measure.design import Design
 from radiometer.reconciliation.measure.reduce import reduce_frames
 from radiometer.reconciliation.propose import propose_law, search
 from radiometer.reconciliation.propose.grammar import Term
 from radiometer.reconciliation.propose.law import Law
 from radiometer.reconciliation.propose.law_effect import effect_of
-from radiometer.reconciliation.propose.search import _plainest
-from radiometer.reconciliation.result import FoundEffect
 from testing.generator.session import make_session
 from testing.outside import two
 from testing.outside.two_hidden import HIDDEN
@@ -54,55 +47,7 @@ def test_a_law_of_columns_of_noise_and_of_some_stops(name, along, law, parameter
     assert abs(found.value - made.truth[name][drawn]) < 4.0 * found.u
 
 
-def test_a_law_that_cannot_be_fitted_is_none(monkeypatch):
-    """The others contend without it, be it the best; where none can be fitted none is proposed."""
-    laws = [(SimpleNamespace(name=name), nats) for name, nats in (("worst", 10.0), ("wild", 30.0), ("best", 20.0))]
-
-    def contended(fits, rated):
-        for fitted, _ in rated:
-            if fitted.name in fits:
-                raise UnfitError(fitted.name)
-        return rated
-
-    monkeypatch.setattr(search, "contenders_of", contended)
-    assert [fitted.name for fitted, _ in search._fitted_in_full({"wild"}, laws)] == ["worst", "best"]
-    assert search._fitted_in_full({"wild", "worst", "best"}, laws) == []
-
-
-def test_what_goes_with_a_place_is_not_multiplied_by_another(monkeypatch):
-    """A column's light goes with the time and not with a place of the picture; a row goes with the exposure."""
-    known = {
-        "exposure_s": np.geomspace(1e-3, 1.0, 6)[:, None, None],
-        "timestamp_s": np.stack([np.linspace(0.0, 60.0, 6)] * 2)[:, :, None, None],
-        "image_x": np.linspace(0.0, 1.0, 9)[None, :, None],
-        "image_y": np.linspace(0.0, 0.7, 9)[None, :, None],
-        "column_light": np.geomspace(1e3, 1e5, 9)[None, :, None],
-    }
-    monkeypatch.setattr(search, "known_values", lambda state: known)
-
-    def beside(link, form, covariate, **values):
-        law = search.Screened(Law(link, (Term(form, covariate, {}, values),)), 1.0, 100.0)
-        return {made.terms[1].covariate for made in search._products(None, [law])}
-
-    assert beside("transfer", "proportion", "column_light") == {"exposure_s", "timestamp_s"}
-    assert beside("digital", "border", "image_y", at=0.3) == {"exposure_s", "timestamp_s"}
-    assert beside("charge", "power", "exposure_s", power=0.5) == {"timestamp_s", "image_x", "image_y"}
-
-
-def test_light_through_the_lens_is_asked_about_where_a_stop_varies(monkeypatch):
-    """At one f-number it is light past the lens, which stands for both."""
-    known = {
-        "timestamp_s": np.stack([np.linspace(0.0, 60.0, 6)] * 2)[:, :, None, None],
-        "f_number": np.array([2.8, 4.0, 8.0])[:, None, None],
-    }
-    monkeypatch.setattr(search, "known_values", lambda state: known)
-    assert {"light", "lens_light"} <= {law.link for law in search._singles(None)}
-    del known["f_number"]
-    links = {law.link for law in search._singles(None)}
-    assert "light" in links
-    assert "lens_light" not in links
-
-
+@pytest.mark.slow
 def test_a_first_look_sees_a_gain_between_patches_whose_radiances_make_room(tmp_path):
     """A gain that steps between two rows of patches is no error of their radiances: their noise says so from the start.
 
@@ -114,23 +59,6 @@ def test_a_first_look_sees_a_gain_between_patches_whose_radiances_make_room(tmp_
     as_gain, as_light = search.screened(state, [row, light])
     assert as_gain.amplitude == pytest.approx(session.secret.drawn["step"], rel=0.1)
     assert as_gain.gain > as_light.gain + 100.0
-
-
-@pytest.mark.parametrize(("freed", "told"), [(1005.0, "single"), (992.1, "single"), (991.9, "product")])
-def test_a_second_factor_predicts_better_than_any_curve_of_the_first(freed, told, monkeypatch):
-    """A product worth 1000 needs 8 nats more than a free curve along its first covariate has."""
-    first, second = (Term("ramp", name, {"reference": 0.5}, {}) for name in ("timestamp_s", "temperature_C"))
-    single = (Law("light", (first,)), SimpleNamespace(effect="single"), 900.0)
-    product = (Law("light", (first, second)), SimpleNamespace(effect="product"), 1000.0)
-    stranger = (Law("optics", (first,)), SimpleNamespace(effect="stranger"), 950.0)
-    worths = {"product": 1000.0, "single": 900.0, "stranger": 950.0, "freed": freed}
-    monkeypatch.setattr(search, "worth", worths.get)
-    monkeypatch.setattr(search, "free_forms", lambda state, effect: ["freed"] if effect == "single" else ["stranger"])
-    monkeypatch.setattr(search, "included", lambda state, effect, far: effect)
-    fits = SimpleNamespace(state=None, included=lambda effect, far: effect)
-    found = search._without_its_second(fits, product, [product, stranger, single])
-    assert found is {"single": single, "product": product}[told]
-    assert search._without_its_second(fits, single, [product, single]) is single
 
 
 @pytest.fixture(scope="module")
@@ -173,34 +101,6 @@ def test_the_law_holds_in_another_session(glow, tmp_path):
     before, _ = state_of(tmp_path / "before", 11, "corner_glow", "darks", again=1)
     after, _ = state_of(tmp_path / "after", 11, "corner_glow", "darks", (effect,), again=1)
     assert after.gap - 1.0 < 0.1 * (before.gap - 1.0)
-
-
-@pytest.mark.slow
-def test_files_are_written_only_for_what_has_no_name(glow, tmp_path, monkeypatch):
-    """An unnamed rest gives effect, test and plan; where all has a name none."""
-    start = glow[0].before
-    package = import_module("radiometer.reconciliation.propose")
-    monkeypatch.setattr(package, "propose_law", {start: glow[0]}.get)  # searched once is enough
-    unnamed = SimpleNamespace(effects=(FoundEffect("unnamed", {}, "image_x", 2.0, 1.0),))
-    named = SimpleNamespace(effects=(FoundEffect("dark_current", {}, "exposure_s", 2.0, 1.0),))
-
-    def done(result):
-        return DoneCapture(SimpleNamespace(result=result, start=start), Path("first"), None)
-
-    assert done(named).propose(tmp_path / "none") is None
-    assert not (tmp_path / "none").exists()
-    found = done(unnamed).propose(tmp_path / "laws")
-    assert found.name == "charge_rate_spot"
-    assert sorted(p.name for p in (tmp_path / "laws").iterdir()) == [
-        "charge_rate_spot.py",
-        "plan.yaml",
-        "test_charge_rate_spot.py",
-    ]
-    plan = yaml.safe_load((tmp_path / "laws" / "plan.yaml").read_text())
-    assert plan["format"] == "radiometer-plan/1"
-    assert len(plan["frames"]) == len(plan["reasons"]) > 0
-    assert all(frame["shutter"] == "closed" or frame["exposure_s"] > 0 for frame in plan["frames"])
-    assert "refuted" in plan["reasons"][0]
 
 
 @pytest.mark.slow
@@ -255,18 +155,3 @@ def test_the_time_since_the_last_frame_is_told_of_first_and_other_frames(glow):
     one = design.captures[1].frames
     assert first[1] == pytest.approx(stamps[one[0]] - stamps[one[0] - 1])
     assert later[1] == pytest.approx((stamps[one[-1]] - stamps[one[0]]) / (len(one) - 1))
-
-
-def judged(link, nats, *terms):
-    """Return a law of a term for each covariate as it was judged."""
-    return Law(link, tuple(Term("ramp", name, {"reference": 0.5}, {}) for name in terms)), None, nats
-
-
-def test_of_laws_that_data_hardly_rule_out_the_plainer_is_taken():
-    """Within 5 nats the optics go before charge, beyond them they do not; a second factor pays 8 nats more."""
-    assert _plainest([judged("charge_rate", 104.9, "image_x"), judged("optics", 100.0, "image_x")])[0].link == "optics"
-    far = [judged("charge_rate", 105.1, "image_x"), judged("optics", 100.0, "image_x")]
-    assert _plainest(far)[0].link == "charge_rate"
-    one, two_factors = judged("analog", 100.0, "image_x"), judged("analog", 107.9, "image_x", "image_y")
-    assert _plainest([one, two_factors]) is one
-    assert _plainest([one, judged("analog", 108.1, "image_x", "image_y")]) is not one

@@ -15,7 +15,7 @@ from scipy.signal import fftconvolve
 from simulators.effects.brighter_fatter import BrighterFatter, push_of
 from simulators.effects.catalogue import well_e
 from simulators.effects.tile_moments import TileMoments
-from tests.unit.simulators.effects.test_catalogue import _context
+from testing.effect_context import effect_context
 
 FAR = BrighterFatter(share=0.01, reach_px=8.0, height_x_px=0.6, height_y_px=0.4)
 
@@ -43,10 +43,10 @@ def test_borders_move_by_the_field_over_them() -> None:
 
 def test_four_neighbours_share_where_only_the_nearest_borders_move() -> None:
     """By the plain form each neighbour of a lone full pixel gets b·z/2·S, no other gets anything, and none is lost."""
-    well = well_e(_context())
+    well = well_e(effect_context())
     spot = np.zeros((9, 9))
     spot[4, 4] = well
-    moved = BrighterFatter(share=1e-6).sample(spot, _context(), np.random.default_rng(0)) - spot
+    moved = BrighterFatter(share=1e-6).sample(spot, effect_context(), np.random.default_rng(0)) - spot
     expected = np.zeros((9, 9))
     expected[[3, 5, 4, 4], [4, 4, 3, 5]] = 0.5 * 1e-6 * well
     expected[4, 4] = -4 * 0.5 * 1e-6 * well
@@ -56,16 +56,16 @@ def test_four_neighbours_share_where_only_the_nearest_borders_move() -> None:
 def test_no_charge_is_lost_however_far_it_pushes() -> None:
     """The sum over a picture stays to rounding, and so does an even field."""
     picture = np.random.default_rng(3).uniform(0.0, 9000.0, (40, 50))
-    after = FAR.sample(picture, _context(), np.random.default_rng(0))
+    after = FAR.sample(picture, effect_context(), np.random.default_rng(0))
     assert after.sum() == pytest.approx(picture.sum(), rel=1e-12)
     assert np.abs(after - picture).max() > 1.0
     even = np.full((40, 50), 5000.0)
-    np.testing.assert_allclose(FAR.sample(even, _context(), np.random.default_rng(0)), even, rtol=1e-12)
+    np.testing.assert_allclose(FAR.sample(even, effect_context(), np.random.default_rng(0)), even, rtol=1e-12)
 
 
 def test_noise_of_flats_has_the_moments_that_are_predicted() -> None:
     """Variance and covariances of neighbours of 40 flats, within 5 standard errors; beyond, what the kernel says."""
-    context, size, level, frames, strong = _context(), 200, 6000.0, 40, replace(FAR, share=0.1)
+    context, size, level, frames, strong = effect_context(), 200, 6000.0, 40, replace(FAR, share=0.1)
     rng = np.random.default_rng(11)
     lags = {(0, 0): 0.0, (0, 1): 0.0, (1, 0): 0.0, (1, 1): 0.0, (0, 2): 0.0}
     for _ in range(frames):
@@ -90,7 +90,7 @@ def test_noise_of_flats_has_the_moments_that_are_predicted() -> None:
 
 def _of_gathered_noise(effect: BrighterFatter, level: float, terms: int = 16) -> np.ndarray:
     """Return covariances over shot noise by lag: Σ (2aμ)ⁿ/(n+1)! of Astier et al. (2019), powers by convolution."""
-    a = effect.slopes_per_e(well_e(_context())) * level
+    a = effect.slopes_per_e(well_e(effect_context())) * level
     total = np.zeros((97, 97))
     total[48, 48] = 1.0
     power = total.copy()
@@ -104,7 +104,7 @@ def test_sums_over_farther_pixels_are_those_of_all_covariances() -> None:
     """Along a row, a column, and over all rows below; all lags together sum to the shot noise: no charge is lost."""
     level, strong = 6000.0, replace(FAR, share=0.08)
     one = np.full((1, 1, 1), level)
-    told = strong.moments(replace(TileMoments.exactly(one), variance=one), _context())
+    told = strong.moments(replace(TileMoments.exactly(one), variance=one), effect_context())
     expected = level * _of_gathered_noise(strong, level)
     middle = expected.shape[0] // 2
     beyond_x, beyond_y = float(np.ravel(told.beyond_x)[0]), float(np.ravel(told.beyond_y)[0])
@@ -121,17 +121,18 @@ def test_the_nearest_borders_alone_leave_little_beyond() -> None:
     """The plain form gives four neighbours all to first order: farther ones have what is pushed again."""
     level = 6000.0
     one = np.full((1, 1, 1), level)
-    told = BrighterFatter(share=0.002).moments(replace(TileMoments.exactly(one), variance=one), _context())
+    told = BrighterFatter(share=0.002).moments(replace(TileMoments.exactly(one), variance=one), effect_context())
     assert abs(float(np.ravel(told.beyond_x)[0])) < 0.01 * told.neighbour_x.item()
     assert abs(float(np.ravel(told.beyond_rows)[0])) < 0.02 * told.neighbour_x.item()
 
 
+@pytest.mark.slow
 def test_noise_gathers_while_borders_move() -> None:
     """Charge that comes in 150 steps, each moved by what has come, has the variance that is told, to 5 sigma.
 
     A push of all charge at the end would leave 5 % less.
     """
-    context, size, level, steps, flats, strong = _context(), 128, 5000.0, 150, 12, replace(FAR, share=0.06)
+    context, size, level, steps, flats, strong = effect_context(), 128, 5000.0, 150, 12, replace(FAR, share=0.06)
     a = strong.slopes_per_e(well_e(context))
     wide = np.zeros((size, size))
     wide[: a.shape[0], : a.shape[1]] = a
@@ -157,13 +158,13 @@ def test_noise_gathers_while_borders_move() -> None:
 
 def test_a_step_between_patches_loses_what_its_last_line_does() -> None:
     """The share of a step that the last line inside a patch loses is the predicted one, by a picture of two halves."""
-    well = well_e(_context())
+    well = well_e(effect_context())
     low, step = 0.5 * well, 1e-3 * well
     halves = np.where(np.arange(60) < 30, low + step, low)[None, :] * np.ones((60, 1))
     even = replace(FAR, share=1e-4, edge_fill=1.0, height_y_px=FAR.height_x_px)
-    moved = even.sample(halves, _context(), np.random.default_rng(0)) - halves
+    moved = even.sample(halves, effect_context(), np.random.default_rng(0)) - halves
     lost = -moved[30, 29] / step
-    told = even.moments(TileMoments.exactly(np.full((1, 1, 1), low)), _context()).edge_share.item()
+    told = even.moments(TileMoments.exactly(np.full((1, 1, 1), low)), effect_context()).edge_share.item()
     assert lost == pytest.approx(told, rel=5e-3)
     assert lost > 1.2 * 1e-4 * 0.5  # more than the nearest border alone
 
@@ -171,11 +172,11 @@ def test_a_step_between_patches_loses_what_its_last_line_does() -> None:
 def test_a_fit_may_take_the_far_form() -> None:
     """The plain form loosens to one with heights, once."""
     plain = BrighterFatter(0.005)
-    (far,) = plain.loosened(_context())
+    (far,) = plain.loosened(effect_context())
     assert plain.free() == ("share", "edge_fill")
     assert far.free() == ("share", "edge_fill", "height_x_px", "height_y_px")
     assert far.share == 0.005
-    assert far.loosened(_context()) == ()
+    assert far.loosened(effect_context()) == ()
 
 
 @pytest.mark.parametrize("sensor", ["e2v", "itl"])
@@ -192,7 +193,7 @@ def test_two_ccds_are_followed_from_variance_and_neighbours(sensor: str, shared_
     for line in path.read_text(encoding="utf-8").splitlines()[1:]:
         if len(cells := line.split()) == 4:
             table[int(cells[0]), int(cells[1])], spread[int(cells[0]), int(cells[1])] = map(float, cells[2:])
-    context, mean = _context(), np.array([2000.0, 4000.0]).reshape(-1, 1, 1)
+    context, mean = effect_context(), np.array([2000.0, 4000.0]).reshape(-1, 1, 1)
 
     def slopes(p: np.ndarray) -> np.ndarray:
         effect = BrighterFatter(p[0] / 100, reach_px=8.0, height_x_px=p[1], height_y_px=p[2])

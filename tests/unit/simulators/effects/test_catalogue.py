@@ -9,12 +9,11 @@ import numpy as np
 import pytest
 from scipy.optimize import least_squares
 
-from radiometer.data import CameraDescription, FrameSettings, LensDescription
 from simulators.chain.camera_model import CameraModel
 from simulators.effects.base import Moments, Stage
 from simulators.effects.black_level_gain_slope import BlackLevelGainSlope
 from simulators.effects.catalogue import CatalogueEffect
-from simulators.effects.context import ExposureContext, FrameGeometry
+from simulators.effects.context import ExposureContext
 from simulators.effects.exposure_label_error import ExposureLabelError
 from simulators.effects.full_well_saturation import FullWellSaturation
 from simulators.effects.image_lag import ImageLag
@@ -32,9 +31,9 @@ from simulators.effects.registry import EFFECTS
 from simulators.effects.soft_saturation import SoftSaturation
 from simulators.effects.source_not_proportional_to_exposure import SourceNotProportionalToExposure
 from simulators.effects.tile_moments import TileMoments
+from testing.effect_context import CATALOGUE, HEIGHT, WIDTH, effect_context, starts_of
 
-CATALOGUE = {name: kind for name, kind in EFFECTS.items() if issubclass(kind, CatalogueEffect)}
-FRAMES, HEIGHT, WIDTH = 240, 24, 32
+FRAMES = 240
 NAMES = """
 black_level_offset black_level_gain_slope black_level_drift dark_current dark_current_clamped
 dark_current_nonuniformity gain_step_error conversion_gain_error excess_read_noise missing_codes gamma_enabled
@@ -59,41 +58,11 @@ black_level_gain_slope
 """.split()  # noqa: SIM905
 
 
-def _context(frame: int = 0) -> ExposureContext:
-    camera = CameraDescription(
-        bit_depth=12,
-        pixel_pitch_um=4.5,
-        conversion_gain_e_per_dn=2.6,
-        read_noise_e=2.4,
-        full_well_e=10_500,
-        dark_current_e_per_s=1.0,
-        quantum_efficiency=0.6,
-    )
-    geometry = FrameGeometry.of_image(WIDTH, HEIGHT)
-    settings = FrameSettings(1 / 60, 6.0, 5.6, 64.0, 40.0, 60.0, 0.8, pattern="red")
-    lens = LensDescription(focal_length_mm=16.0, f_number=5.6)
-    return ExposureContext(
-        settings,
-        geometry,
-        camera,
-        lens,
-        code=np.full((HEIGHT, WIDTH), 0.5),
-        peak_radiance=1.0,
-        previous_e=np.full((HEIGHT, WIDTH), 4000.0),
-        frame_index=frame,
-        device_seed=5,
-    )
-
-
 def _radiance(context: ExposureContext) -> float:
     model = CameraModel.ideal(context.camera, context.lens)
     flat = np.ones((HEIGHT, WIDTH))
     electrons = model.mean(flat, context, until=Stage.WELL).mean()
     return 3000.0 / float(electrons)
-
-
-def _starts(kind: type[CatalogueEffect], context: ExposureContext) -> tuple[CatalogueEffect, ...]:
-    return kind.starts(context) or (kind(),)
 
 
 def test_the_catalogue_is_whole() -> None:
@@ -105,20 +74,20 @@ def test_the_catalogue_is_whole() -> None:
 @pytest.mark.parametrize("name", sorted(CATALOGUE))
 def test_entry_simulates_what_its_moments_say(name: str) -> None:
     """Frames through the whole chain have the expected mean: within 5 sigma of the mean over pixels and frames."""
-    _check_mean(_starts(CATALOGUE[name], _context())[0])
+    _check_mean(starts_of(CATALOGUE[name], effect_context())[0])
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", FLEXIBLE)
 def test_flexible_form_simulates_what_its_moments_say(name: str) -> None:
     """The same holds for the forms that an entry takes where its plain one leaves structure."""
-    form = _starts(CATALOGUE[name], _context())[0].loosened(_context())[0]
+    form = starts_of(CATALOGUE[name], effect_context())[0].loosened(effect_context())[0]
     assert len(form.free()) >= len(CATALOGUE[name].fitted)
     _check_mean(form)
 
 
 def _check_mean(effect: CatalogueEffect) -> None:
-    name, context = effect.name, _context()
+    name, context = effect.name, effect_context()
     model = CameraModel.ideal(context.camera, context.lens).with_effect(effect)
     scene = np.full((HEIGHT, WIDTH), _radiance(context))
     expected = model.moments(scene, context)
@@ -141,8 +110,8 @@ def test_entry_says_what_reconcile_needs(name: str) -> None:
     kind = CATALOGUE[name]
     assert kind.where
     assert kind.settles
-    starts = _starts(kind, _context())
-    for effect in (*starts, *kind.covers(_context()), *starts[0].loosened(_context())):
+    starts = starts_of(kind, effect_context())
+    for effect in (*starts, *kind.covers(effect_context()), *starts[0].loosened(effect_context())):
         known = {entry.name for entry in effect.parameters()}
         assert {entry.split("[")[0] for entry in effect.free()} <= known
 
@@ -150,9 +119,9 @@ def test_entry_says_what_reconcile_needs(name: str) -> None:
 @pytest.mark.parametrize("name", ["exposure_time_offset", "veiling_glare", "gamma_enabled", "dsnu", "crosstalk"])
 def test_switched_off_effect_changes_nothing(name: str) -> None:
     """A model whose added effect is switched off gives the frames of the model without it."""
-    context = _context()
+    context = effect_context()
     plain = CameraModel.ideal(context.camera, context.lens)
-    effect = _starts(CATALOGUE[name], context)[0]
+    effect = starts_of(CATALOGUE[name], context)[0]
     scene = np.full((HEIGHT, WIDTH), _radiance(context)) * np.linspace(0.2, 1.0, WIDTH)
     switched = plain.with_effect(effect).without_effect(name)
     np.testing.assert_array_equal(switched.sample(scene, context, (1,)).dn, plain.sample(scene, context, (1,)).dn)
@@ -175,7 +144,7 @@ def test_disc_carries_across_an_edge_what_its_image_shows() -> None:
     """The share of a step in the last line before it, of a picture spread over a disc, is the predicted one to 4e-3."""
     step = np.repeat(np.where(np.arange(WIDTH) < WIDTH // 2, 0.0, 1.0)[None, :], HEIGHT, axis=0)
     for radius in (0.4, 0.8, 1.5, 3.0):
-        before = float(spread_over_disc(step, radius, _context())[HEIGHT // 2, WIDTH // 2 - 1])
+        before = float(spread_over_disc(step, radius, effect_context())[HEIGHT // 2, WIDTH // 2 - 1])
         assert before == pytest.approx(float(disc_edge_share(radius)), abs=4e-3)
 
 
@@ -194,7 +163,7 @@ def test_uneven_exchange_changes_noise_as_its_moments_say() -> None:
 def test_barrel_spares_a_circle_that_grows_with_the_f_number() -> None:
     """Behind a barrel of radius b the light is whole where s·ρ + 2/N ≤ b, and falls towards the corner."""
     effect = MechanicalVignetting(strength=0.0, barrel=0.5, shift=0.3)
-    context = _context()
+    context = effect_context()
     rho = context.geometry.field_radius()
     factor = np.asarray(effect.factor(context))
     whole = 0.3 * rho + 2.0 / 5.6 <= 0.5
@@ -212,7 +181,7 @@ def test_uneven_wells_leave_the_moments_of_pixels_that_differ(mean_e: float) -> 
     seen = np.minimum(mean_e + np.sqrt(mean_e) * rng.standard_normal((frames, pixels)), wells)
     nothing = np.zeros(1)
     before = Moments(np.array([mean_e]), np.array([mean_e]), nothing, nothing)
-    expected = FullWellSaturation(9450.0, 0.01).moments(before, _context())
+    expected = FullWellSaturation(9450.0, 0.01).moments(before, effect_context())
     of_pixels, noise = seen.mean(axis=0), seen.var(axis=0, ddof=1)
     assert float(of_pixels.mean()) == pytest.approx(float(expected.mean[0]), abs=5 * of_pixels.std() / pixels**0.5)
     assert float(noise.mean()) == pytest.approx(float(expected.variance[0]), abs=5 * noise.std() / pixels**0.5)
@@ -229,11 +198,11 @@ def test_missing_codes_leave_the_moments_of_the_codes_that_occur(
     """Rounded normal values, drawn one by one and freed of the missing codes, have the mean and noise predicted."""
     rng, count, sigma = np.random.default_rng(4), 400_000, 1.1
     effect = MissingCodes(float(step), float(kept), float(added))
-    codes = effect.mean(np.rint(mean_dn + sigma * rng.standard_normal(count)), _context())
+    codes = effect.mean(np.rint(mean_dn + sigma * rng.standard_normal(count)), effect_context())
     assert set(np.unique(codes % step)) <= set(range(kept))
     nothing = np.zeros(1)
     before = Moments(np.array([mean_dn]), np.array([sigma**2]), nothing, nothing)
-    expected = effect.moments(Quantisation().moments(before, _context()), _context())
+    expected = effect.moments(Quantisation().moments(before, effect_context()), effect_context())
     assert float(codes.mean()) == pytest.approx(float(expected.mean[0]), abs=5 * codes.std() / count**0.5)
     square = np.square(codes - codes.mean())
     assert float(square.mean()) == pytest.approx(float(expected.variance[0]), abs=5 * square.std() / count**0.5)
@@ -243,7 +212,7 @@ def test_dead_time_spares_the_first_frame() -> None:
     """Frame 0 of a run has its whole exposure, the next one is shorter by the dead time."""
     effect = EFFECTS["shutter_dead_time"](dead_time_s=1e-4)  # type: ignore[call-arg]
     signal = np.ones((HEIGHT, WIDTH))
-    first, second = (effect.mean(signal, replace(_context(), frame_index=i)).mean() for i in (0, 1))
+    first, second = (effect.mean(signal, replace(effect_context(), frame_index=i)).mean() for i in (0, 1))
     assert first == 1.0
     assert second == pytest.approx(1 - 1e-4 * 60)
 
@@ -251,16 +220,16 @@ def test_dead_time_spares_the_first_frame() -> None:
 def test_dead_time_beyond_the_exposure_leaves_nothing() -> None:
     """No frame loses more than its light: 20 ms of 1/60 s are all of it, for one frame and for the mean of a run."""
     effect = EFFECTS["shutter_dead_time"](dead_time_s=0.01)  # type: ignore[call-arg]
-    short = replace(_context(), settings=replace(_context().settings, exposure_s=1e-3), frame_index=1)
+    short = replace(effect_context(), settings=replace(effect_context().settings, exposure_s=1e-3), frame_index=1)
     assert effect.mean(np.ones((HEIGHT, WIDTH)), short).max() == 0.0
 
 
 def test_lag_of_traps_fills_up_and_no_pixel_leaves_more_than_its_well() -> None:
     """Traps of 20 electrons release 20·(1 − exp(−l·S/20)); a frame beyond full well leaves what the well held."""
-    well = _context().camera.full_well_e
+    well = effect_context().camera.full_well_e
     assert well is not None
     held = np.array([[500.0, 5000.0, 2.0 * well]])
-    context = replace(_context(), previous_e=held)
+    context = replace(effect_context(), previous_e=held)
     nothing = np.zeros((1, 3))
     plain = ImageLag(share=0.002).mean(nothing, context)
     np.testing.assert_allclose(plain, [[1.0, 10.0, 0.002 * well]])
@@ -269,7 +238,7 @@ def test_lag_of_traps_fills_up_and_no_pixel_leaves_more_than_its_well() -> None:
 
 
 def _at(exposure_s: float, timestamp_s: float) -> ExposureContext:
-    base = _context()
+    base = effect_context()
     return replace(base, settings=replace(base.settings, exposure_s=exposure_s, timestamp_s=timestamp_s))
 
 
@@ -288,7 +257,7 @@ def test_sixtieth_of_a_second_counts_as_a_printed_stop() -> None:
     """Of all printed times 1/60 s lies farthest from its stop, 1/64 s; a time between two stops is none."""
 
     def usable(*times: float) -> bool:
-        base = _context()
+        base = effect_context()
         exposure: Any = np.array(times)
         return NominalSettings.usable(replace(base, settings=replace(base.settings, exposure_s=exposure)))
 
@@ -299,7 +268,7 @@ def test_sixtieth_of_a_second_counts_as_a_printed_stop() -> None:
 def test_lamp_that_settles_at_once_is_no_lamp_of_its_own() -> None:
     """Where a lamp settles within the shortest exposure, its light grows with time plus a constant: a time offset."""
     times = np.geomspace(60e-6, 20e-3, 8)
-    context = _context()
+    context = effect_context()
     context = replace(context, settings=replace(context.settings, exposure_s=times))
     quick, slow = (SourceNotProportionalToExposure(-0.5, tau_s) for tau_s in (12e-6, 600e-6))
     for lamp, alike in ((quick, True), (slow, False)):
@@ -315,9 +284,9 @@ def test_soft_saturation_is_never_a_clip(form: dict[str, float]) -> None:
     """Wherever the ceiling is put, light one percent of the full well above the knee still counts for a part."""
     effect = SoftSaturation(knee=0.8, ceiling=0.5, **form)
     above = np.array([0.80, 0.81]) * 10_500.0
-    kept = np.diff(np.asarray(effect.mean(above, _context())))[0] / np.diff(above)[0]
+    kept = np.diff(np.asarray(effect.mean(above, effect_context())))[0] / np.diff(above)[0]
     assert 0.5 < kept < 0.95
-    rise = np.asarray(effect.slope(above, _context()))
+    rise = np.asarray(effect.slope(above, effect_context()))
     assert rise[0] == pytest.approx(1.0)
     assert 0.2 < rise[1] < kept
 
@@ -325,28 +294,28 @@ def test_soft_saturation_is_never_a_clip(form: dict[str, float]) -> None:
 def test_looser_knee_follows_a_law_that_no_plain_one_follows() -> None:
     """Of a knee of hardness 1.4 one of a free hardness leaves nothing, one of 2 leaves 0.2 % of the well."""
     light = np.linspace(0.5, 1.3, 81) * 10_500.0
-    true = np.asarray(SoftSaturation(0.67, 1.05, 1.4).mean(light, _context()))
+    true = np.asarray(SoftSaturation(0.67, 1.05, 1.4).mean(light, effect_context()))
 
     def misfit(form: SoftSaturation) -> float:
         def left(values: Any) -> Any:
             moved = form.with_parameters(**dict(zip(form.free(), values.tolist(), strict=True)))
-            return (np.asarray(moved.mean(light, _context())) - true) / 10_500.0
+            return (np.asarray(moved.mean(light, effect_context())) - true) / 10_500.0
 
         found = least_squares(left, [getattr(form, name) for name in form.free()], bounds=(0.5, 1.9), x_scale=0.1)
         return float(np.max(np.abs(found.fun)))
 
     plain = SoftSaturation(0.7, 1.0)
-    free, charging = plain.loosened(_context())
+    free, charging = plain.loosened(effect_context())
     assert misfit(free) < 1e-4
     assert misfit(plain) > 2e-3
     assert charging.charging
     assert charging.free() == plain.free() == ("knee", "ceiling")
-    assert [form.free() for form in charging.loosened(_context())] == [("knee", "ceiling", "hardness")]
+    assert [form.free() for form in charging.loosened(effect_context())] == [("knee", "ceiling", "hardness")]
 
 
 def test_amplified_offset_may_bend_with_the_gain() -> None:
     """An offset of 0.5 DN with a bend of −0.02 adds 0.5·(9 − 0.02·81) DN at a gain of ten, and nothing at 0 dB."""
-    base = _context()
+    base = effect_context()
     gains: Any = np.array([0.0, 20.0])
     context = replace(base, settings=replace(base.settings, gain_db=gains))
     *_, bent = BlackLevelGainSlope(0.5).loosened(context)
@@ -364,15 +333,15 @@ def _grown(effect: CatalogueEffect, field: str) -> Any:
     amounts = {name: np.full((1, 1, 1), 50.0 + 4.0 * n) for n, name in enumerate(TileMoments.squared)}
     before = replace(TileMoments.exactly(np.full((1, 1, 1), 900.0)), first_excess=np.full((1, 1, 1), 3.0), **amounts)
     more = replace(before, **{field: getattr(before, field) + 7.0})
-    left, rest = (np.asarray(getattr(effect.moments(moments, _context()), field)) for moments in (more, before))
+    left, rest = (np.asarray(getattr(effect.moments(moments, effect_context()), field)) for moments in (more, before))
     return np.mean(left - rest) / 7.0
 
 
 @pytest.mark.parametrize("name", sorted(CATALOGUE.keys() - APART - NEEDS_A_PICTURE))
 def test_noise_from_before_passes_by_the_slope(name: str) -> None:
     """Variances and covariances by its square, differences of means by itself, shares and counts as they are."""
-    effect = _starts(CATALOGUE[name], _context())[0]
-    slope = np.asarray(effect.slope(np.full((1, 1, 1), 900.0), _context()))
+    effect = starts_of(CATALOGUE[name], effect_context())[0]
+    slope = np.asarray(effect.slope(np.full((1, 1, 1), 900.0), effect_context()))
     for field in TileMoments.squared:
         assert _grown(effect, field) == pytest.approx(np.mean(slope**2), rel=1e-9), field
     assert _grown(effect, "first_excess") == pytest.approx(np.mean(slope), rel=1e-9)
@@ -386,7 +355,7 @@ def test_the_slope_is_that_of_the_mean(name: str) -> None:
 
     Glare goes by the mean of the frame, and what is told of it is one pixel's part.
     """
-    effect, context = _starts(CATALOGUE[name], _context())[0], _context()
+    effect, context = starts_of(CATALOGUE[name], effect_context())[0], effect_context()
     for signal in (40.0, 900.0, 3000.0):
         even = np.full((HEIGHT, WIDTH), signal)
         high, low = (np.asarray(effect.mean(even + way, context)) for way in (0.5, -0.5))

@@ -14,7 +14,7 @@ from simulators.effects.base import Moments
 from simulators.effects.context import ExposureContext, FrameGeometry
 from simulators.effects.dark_frame_subtracted import DarkFrameSubtracted
 from simulators.effects.tile_moments import TileMoments
-from tests.unit.simulators.effects.test_catalogue import _context
+from testing.effect_context import effect_context
 
 ROWS, COLUMNS, FRAMES = 150, 200, 16
 READ_E, E_PER_DN, BLACK_DN = 2.4, 2.6, 64.0
@@ -22,7 +22,7 @@ READ_E, E_PER_DN, BLACK_DN = 2.4, 2.6, 64.0
 
 def _setting(exposure_s: float = 0.1, gain_db: float = 0.0, dark_e: float = 20.0) -> ExposureContext:
     """Return a camera whose pixels gather so many dark electrons in 0.1 s."""
-    base = _context()
+    base = effect_context()
     camera = base.camera.model_copy(update={"dark_current_e_per_s": dark_e / 0.1})
     settings = FrameSettings(exposure_s, gain_db, 5.6, BLACK_DN, 25.0, 60.0, 0.8)
     return replace(base, camera=camera, settings=settings, geometry=FrameGeometry.of_image(COLUMNS, ROWS), code=None)
@@ -53,7 +53,7 @@ def _told(light_e: float, context: ExposureContext, effect: DarkFrameSubtracted)
     return effect.moments(replace(TileMoments.exactly(held * one), variance=variance * one), context)
 
 
-@pytest.mark.parametrize("count", [1, 3, 9, 25])
+@pytest.mark.parametrize("count", [1, 9])
 @pytest.mark.parametrize(("pedestal", "dark_e"), [(0.0, 0.4), (32.0, 20.0)])
 @pytest.mark.parametrize(("light_e", "gain_db"), [(0.0, 0.0), (4.0, 0.0), (500.0, 0.0), (4.0, 12.0)])
 def test_moments_are_those_of_frames_less_a_drawn_dark(

@@ -3,20 +3,22 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 
 from radiometer.data import CameraDescription, FrameSettings
+from simulators.effects.black_level_offset import BlackLevelOffset
 from simulators.effects.catalogue import CatalogueEffect
 from simulators.effects.context import ExposureContext, FrameGeometry
 from simulators.effects.excess_read_noise import ExcessReadNoise
 from simulators.effects.exposure_time_offset import ExposureTimeOffset
 from simulators.effects.free_law import FreeLaw, axis_values, freed
 from simulators.effects.gamma_enabled import GammaEnabled
+from simulators.effects.image_lag import ImageLag
 from simulators.effects.mechanical_vignetting import MechanicalVignetting
+from simulators.effects.natural_vignetting import NaturalVignetting
 from simulators.effects.registry import EffectEntry, make_effect
 from simulators.effects.response_nonlinearity import ResponseNonlinearity
 from simulators.effects.stray_light_kernel import StrayLightKernel
@@ -117,12 +119,14 @@ def test_no_law_goes_beyond_the_entrys_own_bounds(plain: CatalogueEffect, highes
 
 
 @pytest.mark.parametrize(("unit", "well_e", "added"), [
-    ("e-", 10_000.0, 10.0), ("e-", 50_000.0, 50.0), ("e-", None, 10.0), ("DN", None, 4.095), ("J m-2", None, 0.0),
+    ("e-", 10_000.0, 10.0), ("e-", 50_000.0, 50.0), ("e-", None, 10.0), ("DN", None, 4.095), ("W m-2", None, 0.0),
 ])  # fmt: skip
 def test_a_signal_counts_from_black_on_with_a_thousandth_of_its_range(unit: str, well_e: Any, added: float) -> None:
     """Of the full well, 10 000 e⁻ where nobody states it, or of full scale; black is taken off digital numbers only."""
     context = replace(_context(), camera=CameraDescription(bit_depth=12, full_well_e=well_e))
-    effect: Any = SimpleNamespace(unit_in=unit)
+    kinds = {"e-": ImageLag, "DN": BlackLevelOffset, "W m-2": NaturalVignetting}
+    effect = kinds[unit]()
+    assert effect.unit_in == unit
     black = 100.0 if unit == "DN" else 0.0
     found = axis_values(effect, "signal", np.array([0.0, black, black + 500.0]), context)
     assert found == pytest.approx(np.array([0.0, 0.0, 500.0]) + added)

@@ -3,23 +3,27 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from types import SimpleNamespace
-from typing import cast
+from typing import Any
 
 import numpy as np
 import pytest
 
-from radiometer.data import CameraDescription
-from simulators.effects.context import ExposureContext
+from radiometer.data import CameraDescription, FrameSettings
+from radiometer.reconciliation.model.tile_context import TileContext
+from simulators.effects.context import FrameGeometry
 from simulators.effects.image_lag import ImageLag
 from simulators.effects.tile_moments import TileMoments
 
 
+def context_of(held_e: Any, full_well_e: float = 10_000.0, **more: Any) -> TileContext:
+    """Return the circumstances of frames before which the pixels held so many electrons."""
+    camera = CameraDescription(bit_depth=12, full_well_e=full_well_e)
+    settings, geometry = FrameSettings(0.01), FrameGeometry.of_image(np.shape(held_e)[-1], np.shape(held_e)[-2])
+    return TileContext(settings, geometry, camera, previous_e=np.asarray(held_e), **({"frames": None} | more))
+
+
 def _left(lag: ImageLag, previous: float) -> float:
-    context = SimpleNamespace(
-        previous_e=np.array([[previous]]), camera=SimpleNamespace(full_well_e=10000.0), frames=None
-    )
-    return float(lag.mean(np.zeros((1, 1)), context)[0, 0])
+    return float(lag.mean(np.zeros((1, 1)), context_of([[previous]]))[0, 0])
 
 
 @pytest.mark.parametrize(("power", "expected"), [(1.0, 80.0), (0.5, 40.0), (2.0, 320.0)])
@@ -35,7 +39,7 @@ def test_the_power_is_fitted_where_it_is_not_one() -> None:
     """The plain share alone is fitted of a line; a form of another power comes among its forms."""
     assert ImageLag(share=0.02).free() == ("share",)
     assert ImageLag(share=0.02, power=0.6).free() == ("share", "power")
-    context = SimpleNamespace()
+    context = context_of([[0.0]])
     assert any(form.power != 1.0 for form in ImageLag.covers(context))
     assert any(form.power != 1.0 for form in ImageLag(share=0.02).loosened(context))
     assert [form.free() for form in ImageLag(share=0.02, power=0.6).loosened(context)] == [("share", "power", "noise")]
@@ -46,7 +50,7 @@ def test_the_power_is_fitted_where_it_is_not_one() -> None:
 def test_what_stays_behind_scatters_by_its_share_of_the_noise_of_light(noise: float) -> None:
     """Of 4000 e- 2 % stay: 80 e- with a variance of 0, 20 or 80 e-², drawn in 200,000 pixels and predicted."""
     held = np.full((400, 500), 4000.0)
-    context = SimpleNamespace(previous_e=held, camera=SimpleNamespace(full_well_e=10000.0), frames=None)
+    context = context_of(held)
     lag, nothing = ImageLag(share=0.02, noise=noise), np.zeros(held.shape)
     drawn = lag.sample(nothing, context, np.random.default_rng(8))
     assert drawn.mean() == pytest.approx(80.0, abs=5.0 * np.sqrt(80.0 / held.size))
@@ -56,9 +60,7 @@ def test_what_stays_behind_scatters_by_its_share_of_the_noise_of_light(noise: fl
 
 def test_nothing_is_left_by_a_dark_frame() -> None:
     """A frame that held nothing leaves neither charge nor noise; a share below zero takes charge and adds no noise."""
-    context = SimpleNamespace(
-        previous_e=np.array([[0.0, 500.0]]), camera=SimpleNamespace(full_well_e=10000.0), frames=None
-    )
+    context = context_of([[0.0, 500.0]])
     signal = np.full((1, 2), 100.0)
     assert ImageLag(share=0.02).variance(signal, context).tolist() == [[0.0, 10.0]]
     assert ImageLag(share=-0.02).variance(signal, context).tolist() == [[0.0, 0.0]]
@@ -71,15 +73,7 @@ def test_noise_that_comes_back_makes_frames_alike(frames: int, share: float, old
     rng, pixels = np.random.default_rng(frames), 400_000
     held = 5000.0 + np.sqrt(5000.0) * rng.standard_normal((frames + 2, pixels))
     seen = held[2:] + share * held[1:-1] + older * held[:-2]
-    context = cast(
-        ExposureContext,
-        SimpleNamespace(
-            camera=CameraDescription(bit_depth=12, full_well_e=20_000.0),
-            previous_e=np.array([[[5000.0]]]),
-            frames=float(frames),
-            first_frame=None,
-        ),
-    )
+    context = context_of([[[5000.0]]], full_well_e=20_000.0, frames=float(frames))
     before = replace(TileMoments.exactly(np.array([[[5000.0]]])), variance=np.array([[[5000.0]]]))
     lag = ImageLag(share=share, older_share=older, noise=0.0)
     told = lag.moments(before, context)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -191,6 +190,11 @@ def test_leaks_that_differ_are_drawn_with_the_spread_that_is_stated() -> None:
     np.testing.assert_array_equal(again, drawn)
 
 
+def context_of(settings):
+    """Return the circumstances of frames of these settings, before a lens that states nothing."""
+    return ExposureContext(settings, FrameGeometry.of_image(4, 3), CameraDescription(bit_depth=12))
+
+
 @pytest.mark.parametrize(
     ("times_s", "usable"),
     [
@@ -201,13 +205,12 @@ def test_leaks_that_differ_are_drawn_with_the_spread_that_is_stated() -> None:
 )  # fmt: skip
 def test_printed_stops_are_near_stops_and_not_all_on_them(times_s, usable):
     """Within 7 % of one, to more than a thousandth off, in more than two ways: else nothing was rounded."""
-    context: Any = SimpleNamespace(settings=SimpleNamespace(exposure_s=np.array(times_s)), f_number=None)
-    assert NominalSettings.usable(context) is usable
+    assert NominalSettings.usable(context_of(FrameSettings(np.array(times_s)))) is usable
 
 
 def test_a_printed_stop_gives_the_light_of_the_exact_one():
     """1/60 s at f/5.6 is 1/64 s at f/5.657; time and stop each by their own switch."""
-    context: Any = SimpleNamespace(settings=SimpleNamespace(exposure_s=1 / 60), f_number=5.6)
+    context = context_of(FrameSettings(1 / 60, f_number=5.6))
     time, stop = 60 / 64, (5.6 / 2**2.5) ** 2
     for times, stops, factor in ((1.0, 1.0, time * stop), (1.0, 0.0, time), (0.0, 1.0, stop)):
         assert NominalSettings(times, stops).factor(context) == pytest.approx(factor)

@@ -11,13 +11,13 @@ from simulators.chain.camera_model import CameraModel
 from simulators.effects.context import ExposureContext, FrameGeometry
 from simulators.effects.parasitic_light_sensitivity import ParasiticLightSensitivity
 from simulators.effects.row_dependent_exposure import RowDependentExposure
-from tests.unit.simulators.effects.test_catalogue import _context
+from testing.effect_context import effect_context
 
 ROWS = 96
 
 
 def _at(exposure_s: float) -> ExposureContext:
-    context = _context()
+    context = effect_context()
     geometry = FrameGeometry.of_image(40, ROWS)
     return replace(context, settings=replace(context.settings, exposure_s=exposure_s), geometry=geometry)
 

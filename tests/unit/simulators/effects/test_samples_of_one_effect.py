@@ -8,7 +8,7 @@ import pytest
 from simulators.effects.base import Moments
 from simulators.effects.catalogue import CatalogueEffect
 from simulators.effects.context import ExposureContext
-from tests.unit.simulators.effects.test_catalogue import CATALOGUE, HEIGHT, WIDTH, _context, _starts
+from testing.effect_context import CATALOGUE, HEIGHT, WIDTH, effect_context, starts_of
 
 FRAMES, SIGMAS = 16, 5.0
 SIGNALS = (40.0, 900.0, 9000.0, 10_200.0)
@@ -19,14 +19,14 @@ SPREAD_OVER_CODES = {"missing_codes"}  # what lies between two codes is noise in
 
 def forms(kind: type[CatalogueEffect], context: ExposureContext) -> list[CatalogueEffect]:
     """Return the first start of an entry and its last, what it loosens to, and what it covers."""
-    starts = _starts(kind, context)
+    starts = starts_of(kind, context)
     return [starts[0], starts[-1], *starts[0].loosened(context)[:3], *kind.covers(context)[:2]]
 
 
 @pytest.mark.parametrize("name", sorted(CATALOGUE.keys() - APART))
 def test_samples_have_the_moments_that_are_predicted(name: str) -> None:
     """Mean, noise from frame to frame and fixed pattern of 16 frames of an even signal, within 5 standard errors."""
-    context, pixels = _context(), HEIGHT * WIDTH
+    context, pixels = effect_context(), HEIGHT * WIDTH
     for effect in forms(CATALOGUE[name], context):
         for signal in SIGNALS:
             even = np.full((HEIGHT, WIDTH), signal)

@@ -4,14 +4,15 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
-from types import SimpleNamespace
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 import pytest
 
 from radiometer.data import CameraDescription, FrameSettings, LensDescription
+from radiometer.reconciliation.model.tile_context import TileContext
 from simulators.chain.camera_model import CameraModel
+from simulators.effects.angle_dependence import AngleDependence
 from simulators.effects.context import ExposureContext, FrameGeometry
 from simulators.effects.conversion_gain_error import ConversionGainError
 from simulators.effects.correlated_read_noise import CorrelatedReadNoise
@@ -27,6 +28,7 @@ from simulators.effects.lamp_step import LampStep
 from simulators.effects.line_start_offset import LineStartOffset
 from simulators.effects.natural_vignetting import NaturalVignetting
 from simulators.effects.readout_dark_charge import ReadoutDarkCharge
+from simulators.effects.rolling_shutter_banding import RollingShutterBanding
 from simulators.effects.series_settling import SeriesSettling
 from simulators.effects.source_not_proportional_to_exposure import SourceNotProportionalToExposure
 from simulators.effects.stray_light_kernel import StrayLightKernel
@@ -38,8 +40,14 @@ def _context(**settings: Any) -> ExposureContext:
     return ExposureContext(own, FrameGeometry.of_image(8, 5), CameraDescription(bit_depth=12))
 
 
-def _series(times_s: np.ndarray) -> Any:
-    return replace(_context(), settings=cast(Any, SimpleNamespace(timestamp_s=times_s)))
+def _series(times_s: np.ndarray) -> ExposureContext:
+    return _context(timestamp_s=times_s)
+
+
+def _tiles(**more: Any) -> TileContext:
+    """Return the circumstances of a capture of several frames."""
+    plain = _context()
+    return TileContext(**({"settings": plain.settings, "geometry": plain.geometry, "camera": plain.camera} | more))
 
 
 def test_a_lamp_jumps_at_its_moment() -> None:
@@ -65,7 +73,7 @@ def test_an_event_lifts_black_and_is_forgotten() -> None:
 def test_an_event_within_a_series_is_in_the_frames_behind_it() -> None:
     """The first of four frames lies before it, the others on average half a time constant behind."""
     first, later = _series(np.array(90.0)), _series(np.array(110.0))
-    series = cast(Any, SimpleNamespace(frames=4.0, first_frame=first, later_frames=later, settings=later.settings))
+    series = _tiles(frames=4.0, first_frame=first, later_frames=later, settings=later.settings)
     effect = EventOffset(offset_dn=6.0, tau_s=20.0, event_s=100.0)
     assert float(effect.offset(series)) == pytest.approx(0.75 * 6.0 * math.exp(-0.5))
     after = effect.moments(TileMoments.exactly(np.full((1, 1, 4), 100.0)), series)
@@ -95,7 +103,7 @@ def test_the_first_frame_alone_is_off() -> None:
     effect, signal = FirstFrameOffset(offset_dn=4.0), np.full((5, 8), 100.0)
     assert float(effect.mean(signal, _context())[0, 0]) == 104.0
     assert float(effect.mean(signal, replace(_context(), frame_index=1))[0, 0]) == 100.0
-    series = cast(Any, SimpleNamespace(frames=np.full((1, 1, 1), 4.0), first_frame=None, later_frames=None))
+    series = _tiles(frames=np.full((1, 1, 1), 4.0))
     after = effect.moments(TileMoments.exactly(np.full((1, 1, 4), 100.0)), series)
     assert isinstance(after, TileMoments)
     assert float(after.mean[0, 0, 0]) == 101.0
@@ -133,7 +141,7 @@ def test_all_rows_wait_before_the_first_is_read() -> None:
 )
 def test_a_rate_is_stated_at_a_temperature_of_the_session(warm_c: tuple[float, ...], stated_c: float) -> None:
     """25 °C where a dark frame is within 10 K of it, else the nearest whole °C that they have, or the only one."""
-    session = replace(_context(), settings=cast(Any, SimpleNamespace(temperature_c=np.array(warm_c))))
+    session = _context(temperature_c=np.array(warm_c))
     for kind in (DarkCurrent, DarkCurrentClamped, DarkCurrentNonuniformity, HotPixels, ReadoutDarkCharge):
         starts = kind.starts(session)
         assert {start.reference_C for start in starts} == {stated_c}
@@ -143,8 +151,7 @@ def test_a_rate_is_stated_at_a_temperature_of_the_session(warm_c: tuple[float, .
 
 def test_a_rate_is_stated_at_a_temperature_of_darks() -> None:
     """Light at 25 and 45 °C beside darks at 40.2 °C alone: their very temperature, where no doubling matters."""
-    warm, dark = np.array([25.0, 40.2, 45.0]), np.array([False, True, False])
-    session = replace(_context(), settings=cast(Any, SimpleNamespace(temperature_c=warm, is_dark=dark)))
+    session = _context(temperature_c=np.array([25.0, 40.2, 45.0]), shutter=np.array(["open", "closed", "open"]))
     assert {start.reference_C for start in DarkCurrent.starts(session)} == {40.2}
     assert "doubling_K" not in DarkCurrentNonuniformity.starts(session)[0].free()
 
@@ -152,7 +159,7 @@ def test_a_rate_is_stated_at_a_temperature_of_darks() -> None:
 def test_leaks_bring_their_own_doubling_where_temperatures_differ() -> None:
     """Readings within 2 K tell no law: the doubling is the usual one and stays."""
     for warm_c, free in (((20.0, 45.0), True), ((24.9, 25.1), False), ((np.nan,), False)):
-        session = replace(_context(), settings=cast(Any, SimpleNamespace(temperature_c=np.array(warm_c))))
+        session = _context(temperature_c=np.array(warm_c))
         for start in DarkCurrentNonuniformity.starts(session):
             assert ("doubling_K" in start.free()) is free
 
@@ -166,10 +173,8 @@ def test_leaks_below_nothing_and_those_left_out_move_the_mean() -> None:
     for signal in (0.0, 10.0, 1000.0):
         told = float(effect.mean(np.full(1, signal), dark)[0])
         assert told == pytest.approx(float(np.maximum(signal + leak, 0.0).mean()), abs=0.06)
-    settings = SimpleNamespace(
-        exposure_s=np.array([1.0, 0.1])[:, None, None], temperature_c=None, is_dark=np.full((2, 1, 1), True)
-    )
-    series = cast(Any, SimpleNamespace(settings=settings, camera=dark.camera, frames=4.0, tile_pixels=1.0))
+    settings = FrameSettings(np.array([1.0, 0.1])[:, None, None], shutter=np.full((2, 1, 1), "closed"))
+    series = _tiles(settings=settings, camera=dark.camera, frames=4.0, tile_pixels=1.0)
     told = np.ravel(effect.mean(np.full((2, 1, 1), 1000.0), series)) - 1000.0
     spread = math.sqrt(math.exp(0.36) * (math.exp(0.36) - 1.0))
     noise2 = (1000.0 + 3.0**2) / 4.0
@@ -255,7 +260,7 @@ def test_tiles_have_mean_slope_and_columns_of_their_pixels(
     middle, side = np.array([255.5, 767.5]), np.array([-1.0, 1.0, -1.0, 1.0]) / math.sqrt(3.0)
     geometry = FrameGeometry((middle[:, None] + 256.0 * side)[None], np.zeros((1, 2, 4)), 1024, 512)
     ones = np.ones((1, 1, 1))
-    tiles = cast(Any, SimpleNamespace(geometry=geometry, tile_height=512 * ones, tile_pixels=512.0**2 * ones))
+    tiles = _tiles(geometry=geometry, tile_height=512 * ones, tile_pixels=512.0**2 * ones)
     points = np.asarray(effect.offset(tiles))[0]
     assert points.mean(axis=1) == pytest.approx(line.mean(axis=1), rel=1e-3, abs=1e-6)
     assert points @ side / (side @ side) * (u @ u) == pytest.approx(line @ u, rel=0.02, abs=0.05)
@@ -272,7 +277,7 @@ def test_a_source_settles_within_each_series(frames: int) -> None:
     effect = SeriesSettling(excess_rel=0.02, ratio=0.5)
     one = [float(effect.mean(np.full((1, 1), 100.0), replace(_context(), frame_index=k))[0, 0]) for k in range(frames)]
     assert one == pytest.approx([100.0 * (1 + 0.02 * 0.5**k) for k in range(frames)])
-    series = cast(Any, SimpleNamespace(frames=np.full((1, 1, 1), float(frames)), first_frame=None, later_frames=None))
+    series = _tiles(frames=np.full((1, 1, 1), float(frames)))
     after = effect.moments(TileMoments.exactly(np.full((1, 1, 4), 100.0)), series)
     assert isinstance(after, TileMoments)
     counted = one[1:] if frames > 2 else one  # of three and more the first has a statistic of its own
@@ -385,8 +390,7 @@ def test_what_was_fitted_is_fitted_on_where_the_axis_is_free() -> None:
 
 def test_a_table_does_not_stand_on_a_law_that_was_fitted() -> None:
     """What a looser form does not fit it does not hold either: the table over the gains begins at the exact gain."""
-    gains = SimpleNamespace(gain_db=np.array([0.0, 6.0, 12.0]))
-    (table,) = GainStepError(error_rel=0.02).loosened(replace(_context(), settings=cast(Any, gains)))
+    (table,) = GainStepError(error_rel=0.02).loosened(_context(gain_db=np.array([0.0, 6.0, 12.0])))
     assert table.error_rel == 0.0
     assert table.free() == ("errors_rel[1]", "errors_rel[2]")
 
@@ -420,3 +424,29 @@ def test_a_sag_is_freed_to_either_side_of_an_exponential() -> None:
     assert {(form.droop_rel, form.tau_s) for form in forms} == {(0.03, 0.002)}
     assert min(form.stretch for form in forms) < 1.0 < max(form.stretch for form in forms)
     assert forms[0].loosened(_context()) == ()
+
+
+def test_bands_of_a_flickering_lamp_have_the_variance_that_is_predicted() -> None:
+    """A row's light over random phases: (m·L·sinc(f·t))²/2 of 100 Hz in 2 ms, as frames and tiles have it."""
+    effect = RollingShutterBanding(modulation=0.1, frequency_hz=100.0, row_time_s=2e-5)
+    context, rng = _context(exposure_s=2e-3), np.random.default_rng(6)
+    rows = np.array([effect.sample(np.full((5, 8), 1000.0), context, rng)[2, 0] for _ in range(4000)])
+    told = effect.tile(
+        TileMoments.exactly(np.full((1, 1, 1), 1000.0)), TileMoments.exactly(np.full((1, 1, 1), 1000.0)), context
+    )
+    by_hand = (0.1 * 1000.0 * math.sin(0.2 * math.pi) / (0.2 * math.pi)) ** 2 / 2.0
+    assert float(np.ravel(told.band_variance)[0]) == pytest.approx(by_hand)
+    assert rows.var() == pytest.approx(by_hand, rel=0.05)
+    assert rows.mean() == pytest.approx(1000.0, abs=5.0 * math.sqrt(by_hand / rows.size))
+
+
+@pytest.mark.parametrize(
+    ("powers", "fitted"),
+    [
+        ((2.0, 1.0), ("strength",)), ((2.5, 1.0), ("strength", "radius_power", "stop_power")),
+        ((2.0, -0.5), ("strength", "radius_power", "stop_power")), ((2.0, 0.0), ("strength", "cone")),
+    ],
+)  # fmt: skip
+def test_powers_of_an_angle_are_fitted_where_they_are_not_the_plain_ones(powers, fitted):
+    """One unknown for a loss as radius squared over the stop; all three else; slant and cone where no stop counts."""
+    assert AngleDependence(0.03, *powers).free() == fitted

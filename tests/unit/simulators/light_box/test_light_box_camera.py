@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from types import SimpleNamespace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
@@ -15,17 +14,30 @@ from simulators.clock import SimulatedClock
 from simulators.light_box.camera import BoxView, HookedClock, LightBoxCamera
 
 
+class Named(NamedTuple):
+    name: str
+
+
+class Settings(NamedTuple):
+    channels: list[Named]
+
+
+class Shining(NamedTuple):
+    radiance_w_sr_m2: float
+    peak_nm: float | None
+
+
 class Twin:
     """A box whose channels shine as they are told, brighter by one part per second."""
 
     def __init__(self, **channels: tuple[float, float | None]) -> None:
         self.channels, self.time_s = channels, 0.0
-        self.settings = SimpleNamespace(channels=[SimpleNamespace(name=name) for name in channels])
+        self.settings = Settings([Named(name) for name in channels])
 
-    def emission(self, name: str, time_s: float) -> SimpleNamespace:
+    def emission(self, name: str, time_s: float) -> Shining:
         assert time_s >= self.time_s, "a box is not asked for what is past"
         radiance, peak_nm = self.channels[name]
-        return SimpleNamespace(radiance_w_sr_m2=radiance * (1.0 + time_s), peak_nm=peak_nm)
+        return Shining(radiance * (1.0 + time_s), peak_nm)
 
 
 def seen(ambient: float = 0.0, time_s: float = 0.0, **channels: tuple[float, float | None]) -> tuple[float, float]:

@@ -1,0 +1,42 @@
+"""The dark room of the adaptation test, measured by a camera."""
+
+from __future__ import annotations
+
+from typing import Final
+
+from radiometer.adaptation.checks import Finding, judge_room
+from radiometer.adaptation.protocol import AdaptationProtocol
+from radiometer.adaptation.request import RunRequest
+from radiometer.analysis.photometry.photometry import luminous_efficacy_lm_per_w
+from radiometer.analysis.photometry.spectra import spectrum
+from radiometer.bench.assembly import open_instrument
+from radiometer.bench.instrument import Instrument
+from radiometer.errors import CalibrationError
+
+ROOM_U_REL: Final = 0.05
+
+
+def measured_room(instrument: Instrument, protocol: AdaptationProtocol, white: str) -> Finding:
+    """Return whether what a camera sees is dark enough.
+
+    Args:
+        instrument: Sees the dark field.
+        protocol: States the limit.
+        white: Spectrum that light in the room is taken to have.
+
+    Raises:
+        CalibrationError: If the camera tells no radiance.
+        DeviceError: If it fails.
+        InputError: If the spectrum is unknown.
+    """
+    if instrument.calibration is None or not instrument.calibration.absolute:
+        raise CalibrationError("the camera has no absolute calibration, so it cannot tell how dark the room is")
+    lm_per_w = luminous_efficacy_lm_per_w(spectrum(white), "photopic")
+    radiance = instrument.measure(target_u_rel=ROOM_U_REL).radiance
+    return judge_room(radiance.value * lm_per_w, radiance.u * lm_per_w, protocol)
+
+
+def room_by_camera(request: RunRequest) -> Finding:
+    """Open a camera, measure the dark field, and close it again; raises as `measured_room` and `open_instrument`."""
+    with open_instrument(request.bench, request.camera) as instrument:
+        return measured_room(instrument, request.protocol, request.white)

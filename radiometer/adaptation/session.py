@@ -1,0 +1,180 @@
+"""Composition of a run: the stage that a request asks for, its checks, its journal, and who watches it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import AbstractContextManager, ExitStack, contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from radiometer.adaptation.box_setup import SIMULATED, open_box_stage
+from radiometer.adaptation.checks import Check
+from radiometer.adaptation.controls import Controls
+from radiometer.adaptation.journal import Event, RunJournal
+from radiometer.adaptation.live_page import LivePage, replayed
+from radiometer.adaptation.live_text import LiveText, event_line
+from radiometer.adaptation.outcome import Outcome
+from radiometer.adaptation.prompts import Prompter
+from radiometer.adaptation.request import RunRequest
+from radiometer.adaptation.run import run_test
+from radiometer.adaptation.run_facts import facts_of
+from radiometer.adaptation.screen_setup import open_screen_stage
+from radiometer.adaptation.screen_stage import ScreenStage
+from radiometer.adaptation.simulated_stage import simulated_stage
+from radiometer.adaptation.stage import DescribedStage, Stage
+from radiometer.bench.box_holder import darken_held
+from radiometer.data.json_text import json_text
+from radiometer.errors import UsageError
+
+Watcher = Callable[[Event], None]
+
+
+@dataclass(frozen=True, slots=True)
+class Session:
+    """A run whose devices and journal are open.
+
+    Attributes:
+        request: What was asked for.
+        stage: The devices before the subject.
+        checks: What is checked before the bleach.
+        journal: Every event, before the next one happens.
+        controls: Where pauses and the end are asked for.
+    """
+
+    request: RunRequest
+    stage: Stage
+    checks: Sequence[Check]
+    journal: RunJournal
+    controls: Controls = field(default_factory=Controls)
+
+    def run(self, watch: Watcher = lambda event: None) -> Outcome:
+        """Run the test from the beginning, or from where its journal ends. Raises as `run_test`.
+
+        Args:
+            watch: Called with every new event.
+        """
+        asked = self.request
+        return run_test(
+            self.stage.protocol, self.stage, self.journal, subject=asked.subject, seed=asked.seed, watch=watch,
+            controls=self.controls, checks=self.checks, eye=asked.eye if asked.protocol.fixation_check else None,
+        )  # fmt: skip
+
+    @staticmethod
+    def event_line(event: Event) -> str | None:
+        """Return one line for an event; None for one that a reader need not see."""
+        return event_line(event)
+
+    @staticmethod
+    def event_json(event: Event) -> str:
+        """Return an event as one line of JSON, as the journal holds it."""
+        return json_text(event)
+
+    def live_text(self) -> LiveText:
+        """Return the running test as lines of text, with what the journal holds already."""
+        return LiveText(self.stage.protocol, self.journal.events)
+
+    @contextmanager
+    def page(self, port: int, *, audio: bool, announce: Callable[[str], None]) -> Iterator[Watcher]:
+        """Serve the running test as a page for the block; yield what takes its events.
+
+        Args:
+            port: Port of the page; 0 for any free one.
+            audio: Whether the page sounds prompts.
+            announce: Called with its address.
+
+        Raises:
+            DeviceInUse: If the port is taken.
+        """
+        stage = self.stage
+
+        def health() -> Mapping[str, str]:
+            return stage.health() if isinstance(stage, DescribedStage) else {}
+
+        with LivePage(stage.protocol, self.controls, port, audio=audio, health=health, darken=darken_held) as page:
+            announce(page.url)
+            replayed(page, self.journal.events)
+            yield page.tell
+
+    def with_prompts(self, watch: Watcher, sound: Watcher) -> Watcher:
+        """Return a watcher that journals prompts and has them sounded as well."""
+        prompter = Prompter(self.journal, sound)
+        prompter.catch_up()
+
+        def watch_and_prompt(event: Event) -> None:
+            watch(event)
+            prompter.after(event)
+
+        return watch_and_prompt
+
+    def table(self, outcome: Outcome) -> str:
+        """Return the thresholds as CSV, with the facts that belong to their fit."""
+        shared = [event["u_scale_log10"] for event in self.journal.of_kind("stage") if event.get("u_scale_log10")]
+        facts = facts_of(self.request.protocol, shared[-1] if shared else None, outcome.reliability)
+        return outcome.to_csv(facts)
+
+    def reach_sentence(self) -> str | None:
+        """Return how the devices narrow the protocol's spot; None where they give all of it."""
+        asked, shown = self.request.protocol.spot, self.stage.protocol.spot
+        if (asked.lowest_log10, asked.highest_log10) == (shown.lowest_log10, shown.highest_log10):
+            return None
+        return (
+            f"the {asked.channel} spot goes from {shown.lowest_log10:.2f} to {shown.highest_log10:.2f} log10 "
+            f"scotopic cd/m² on this screen; {self.request.protocol.name} asks for {asked.lowest_log10:g} to "
+            f"{asked.highest_log10:g}"
+        )
+
+
+@contextmanager
+def open_session(
+    request: RunRequest,
+    journal: Path,
+    controls: Controls | None = None,
+    *,
+    announce: Callable[[str], None] = lambda url: None,
+    notice: Callable[[str], None] = lambda line: None,
+) -> Iterator[Session]:
+    """Open devices and journal of a run for the block.
+
+    Args:
+        request: What is asked for.
+        journal: File of the journal; one that exists is taken up.
+        controls: Where pauses and the end are asked for.
+        announce: Called with the address of the subject's page.
+        notice: Gets what must be known before the run, a line each.
+
+    Raises:
+        UsageError: If protocol, box, screen and subject exclude each other.
+        RadiometerError: If a device or calibration cannot be used.
+    """
+    with ExitStack() as held:
+        stage, checks = held.enter_context(_stage(request, announce))
+        for warning in stage.screen.warnings() if isinstance(stage, ScreenStage) else ():
+            notice(f"warning: {warning}")
+        begun = journal.is_file() and journal.stat().st_size > 0
+        written = held.enter_context(RunJournal(journal, relive=request.box == SIMULATED))
+        session = Session(request, stage, checks, written, controls or Controls())
+        narrowed = session.reach_sentence()
+        if narrowed is not None:
+            notice(narrowed)
+        if begun:
+            notice(f"{journal} holds a run: taking it up")
+        yield session
+
+
+def _stage(
+    request: RunRequest, announce: Callable[[str], None]
+) -> AbstractContextManager[tuple[Stage, Sequence[Check]]]:
+    protocol = request.protocol
+    on_screen = protocol.spot.device == "screen"
+    if request.screen is not None and not on_screen:
+        raise UsageError(f"protocol {protocol.name} shows its spot by the light box; --screen is for screen-only")
+    if on_screen and request.box is None and (request.screen is not None or request.simulate is None):
+        return open_screen_stage(request, announce)
+    if request.simulate is not None and request.box is None:
+        return _simulated(request, request.simulate)
+    return open_box_stage(request)
+
+
+@contextmanager
+def _simulated(request: RunRequest, behaviour: str) -> Iterator[tuple[Stage, Sequence[Check]]]:
+    yield simulated_stage(request.protocol, behaviour, seed=request.seed), ()

@@ -1,0 +1,470 @@
+"""The dark-adaptation test: run, fitted, compared between visits; its protocols, and what a field bleaches."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import AbstractContextManager, ExitStack
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from radiometer.adaptation.adaptation_fit import AdaptationFit, FitRequest, fit_adaptation, intercept_verdict
+from radiometer.adaptation.bleach import bleached_fraction, bleached_range, pupil_diameter_mm, retinal_illuminance_td
+from radiometer.adaptation.controls import Controls
+from radiometer.adaptation.journal import Event
+from radiometer.adaptation.outcome import Outcome
+from radiometer.adaptation.protocol import SHIPPED, AdaptationProtocol, read_protocol
+from radiometer.adaptation.reliability import NAMES, Reliability
+from radiometer.adaptation.report import LABELS, curve_csv, label_of, to_mapping, write_page
+from radiometer.adaptation.request import RunRequest
+from radiometer.adaptation.retest import FEWEST_PAIRS, Compared, compare_visits
+from radiometer.adaptation.run_facts import intercept_of, number_of
+from radiometer.adaptation.session import Session as Session
+from radiometer.adaptation.session import Watcher as Watcher
+from radiometer.adaptation.session import open_session
+from radiometer.adaptation.threshold_series import ThresholdSeries
+from radiometer.api.files import PathLike
+from radiometer.api.outputs import check_outputs
+from radiometer.api.result import Notice, Result, unheard
+from radiometer.data.guards import safe_name
+from radiometer.data.json_text import json_text
+from radiometer.data.storage import write_text_atomic
+from radiometer.errors import MeasurementError, UsageError
+
+# Opens what watches a run for as long as it lasts, such as a live view of a terminal.
+View = Callable[[Session], AbstractContextManager[Watcher]]
+
+
+@dataclass(frozen=True, repr=False)
+class AdaptationRun(Result):
+    """A run of the test.
+
+    Attributes:
+        outcome: Verdict, thresholds and reliability.
+        journal: Its journal.
+        table: Table of thresholds; None where none was written.
+        fit_options: Options of `adapt fit` that belong to the run's protocol.
+    """
+
+    outcome: Outcome
+    journal: Path
+    table: Path | None
+    fit_options: str = ""
+
+    def to_mapping(self) -> dict[str, Any]:
+        """Return the documented JSON form."""
+        one = self.outcome
+        return {
+            "verdict": str(one.verdict),
+            "explanation": one.explanation,
+            "thresholds": len(one.times_min),
+            "catches": one.catches,
+            "false_presses": one.false_presses,
+            "reliability": one.reliability.to_mapping(),
+            "csv": None if self.table is None else str(self.table),
+        }
+
+    def lines(self) -> list[str]:
+        """Return verdict, counts and reliability in words."""
+        one = self.outcome
+        wrote = "they stay in the journal (--csv writes them)" if self.table is None else f"wrote {self.table}"
+        rates = [f"{NAMES[name]}: {rate}" for name, rate in one.reliability.rates.items()]
+        unchecked = [] if "fixation_losses" in one.reliability.rates else ["fixation was not checked"]
+        counts = f"{len(one.times_min)} thresholds, {one.false_presses} false presses; {wrote}"
+        return [f"{one.verdict}: {one.explanation}", counts, *rates, *unchecked]
+
+    def __str__(self) -> str:
+        """Return verdict and number of thresholds."""
+        return f"{self.outcome.verdict}: {len(self.outcome.times_min)} thresholds in {self.journal}"
+
+
+def adapt_run(
+    protocol: str,
+    subject: str,
+    out: PathLike | None = None,
+    *,
+    csv: PathLike | None = None,
+    box: str | None = None,
+    calibration: PathLike | None = None,
+    accept_stale: bool = False,
+    camera: str | None = None,
+    bench: PathLike | None = None,
+    white: str = "white_led",
+    fixation: float | None = None,
+    simulate: str | None = None,
+    room: float = 0.0,
+    slow_s: float = 0.0,
+    seed: int = 0,
+    eye: str = "right",
+    preset: PathLike | None = None,
+    screen: PathLike | None = None,
+    display: str = "browser",
+    port: int = 0,
+    page: bool = False,
+    page_port: int = 0,
+    audio: bool = False,
+    force: bool = False,
+    watch: Watcher | None = None,
+    view: View | None = None,
+    bell: Callable[[], None] = lambda: None,
+    notice: Notice = unheard,
+    announce: Callable[[str], None] = lambda url: None,
+) -> AdaptationRun:
+    """Run a dark-adaptation test; where the journal exists, take it up where it ends.
+
+    Examples:
+        >>> import radiometer as rm
+        >>> rm.adapt_run("quick", "S1", "s1.jsonl", simulate="never")
+        <AdaptationRun no_response: 0 thresholds in s1.jsonl>
+
+    Args:
+        protocol: Protocol file, or the name of a shipped one.
+        subject: Pseudonym of the subject.
+        out: Journal; SUBJECT-PROTOCOL.jsonl by default.
+        csv: Table of thresholds; next to the journal where they can be fitted.
+        box: Light box: "sim", a serial number or a port.
+        calibration: Light calibration; the box's own by default.
+        accept_stale: Go on with a calibration older than the protocol allows.
+        camera: Camera that checks the dark room.
+        bench: Bench file of that camera.
+        white: Spectrum of the bleaching light.
+        fixation: Radiance of the red mark in W·sr⁻¹·m⁻²; the protocol's luminance by default.
+        simulate: Simulated subject: "steady", "never", "always", "leaves", "wanders"; before the simulated box also
+            "healthy" and "amd".
+        room: Luminance of the simulated box's room in cd·m⁻².
+        slow_s: Real time in s per simulated trial, to watch it.
+        seed: Seed of catches and of the simulated subject.
+        eye: "right" or "left".
+        preset: Light-box preset: bounds and places of its channels.
+        screen: Calibration of the screen that shows the spot.
+        display: That screen: "browser", or a simulated one: "lcd", "pwm_lcd", "oled".
+        port: Port of the subject's page; 0 for any free one.
+        page: Serve the live curve as a page.
+        page_port: Port of that page; 0 for any free one.
+        audio: Sound prompts: on the page, else by the bell.
+        force: Replace tables that exist; a journal is never replaced.
+        watch: Called with every event.
+        view: Opens what watches the run for as long as it lasts.
+        bell: Sounds once.
+        notice: Gets what the user must know, a line each.
+        announce: Called with the address of the subject's page.
+
+    Raises:
+        UsageError: If arguments exclude each other, or the journal belongs to another run.
+        CalibrationError: If a calibration is too old or of another device.
+        MeasurementError: If the room is not dark.
+        UnsafeStimulus: If the light is too much for the eye.
+        DeviceError: If a device fails; the run can be taken up again.
+    """
+    safe_name(subject, "--subject")
+    chosen = read_protocol(protocol)
+    known, presets, screens, benches = (Path(one) if one else None for one in (calibration, preset, screen, bench))
+    request = RunRequest(
+        chosen, subject, eye, seed, box, known, presets, white, fixation, accept_stale,
+        measure_room=camera is not None or bench is not None, camera=camera, bench=benches, room_cd_m2=room,
+        simulate=simulate, screen=screens, display=display, port=port,
+    )  # fmt: skip
+    journal = Path(out) if out else Path(f"{subject}-{chosen.name}.jsonl")
+    resumed = journal.exists()
+    table_file = Path(csv) if csv else journal.with_suffix(".csv")
+    check_outputs(None if resumed else journal, table_file, force=force or resumed)
+    with (
+        open_session(request, journal, Controls(linger_s=slow_s), announce=announce, notice=notice) as session,
+        ExitStack() as held,
+    ):
+        watchers: list[Watcher] = [watch] if watch else []
+        if page or page_port > 0:
+            told = held.enter_context(session.page(page_port, audio=audio, announce=lambda url: notice(_at(url))))
+            watchers.append(told)
+        if view:
+            watchers.append(held.enter_context(view(session)))
+        tell = _all_of(watchers, slow_s)
+        if audio:
+            ring = (lambda: None) if page or page_port > 0 else bell
+            tell = session.with_prompts(tell, _sounded(tell, ring))
+        outcome = session.run(tell)
+        table = table_file if csv or outcome.can_be_fitted else None
+        if table is not None:
+            write_text_atomic(table, session.table(outcome))
+    return AdaptationRun(outcome, journal, table, _fit_options(chosen))
+
+
+def _at(url: str) -> str:
+    return f"the running test, dim and red, is at\n  {url}"
+
+
+def _all_of(watchers: Sequence[Watcher], slow_s: float) -> Watcher:
+    def tell(event: Event) -> None:
+        for watcher in watchers:
+            watcher(event)
+        if slow_s and event["kind"] == "trial":
+            time.sleep(slow_s)
+
+    return tell
+
+
+def _sounded(tell: Watcher, ring: Callable[[], None]) -> Watcher:
+    def sound(event: Event) -> None:
+        tell(event)
+        ring()
+
+    return sound
+
+
+def _fit_options(protocol: AdaptationProtocol) -> str:
+    """Return the option for a protocol that ends at a criterion which is no published rod intercept."""
+    met = protocol.end.criterion_log10
+    return "" if met is None or protocol.intercept is not None else f" --criterion {met:g}"
+
+
+@dataclass(frozen=True, repr=False)
+class AdaptationCurve(Result):
+    """Cone and rod branches fitted to thresholds.
+
+    Attributes:
+        fit: Estimates with their intervals.
+        series: The thresholds.
+        name: Name of the table.
+    """
+
+    fit: AdaptationFit
+    series: ThresholdSeries
+    name: str
+
+    def to_mapping(self) -> dict[str, Any]:
+        """Return the documented JSON form."""
+        return to_mapping(self.fit)
+
+    def lines(self) -> list[str]:
+        """Return each estimate with its interval, then the reliability of the run where it is known."""
+        found = []
+        for name, estimate in self.fit.estimates.items():
+            interval = estimate.profile or estimate.bootstrap
+            shown = f"   {interval.low:.3f} to {interval.high:.3f} (95 %)" if interval else ""
+            found.append(f"{label_of(name, self.fit):<32} {estimate.value:9.3f} {estimate.unit:<10}{shown}")
+        rates = Reliability.of_facts(self.series.facts).rates
+        return [*found, *(f"{NAMES[name]:<32} {rate}" for name, rate in rates.items())]
+
+    def verdicts(self) -> list[str]:
+        """Return what the fit finds, and how it compares with the limit of the protocol's rod intercept."""
+        met = intercept_verdict(self.fit)
+        return [self.fit.verdict, *([] if met is None else [met])]
+
+    def write_report(self, path: PathLike) -> None:
+        """Write the report (HTML). Raises OutputError."""
+        write_page(self.fit, Path(path), f"Dark adaptation: {self.name}")
+
+    def write_csv(self, path: PathLike) -> None:
+        """Write thresholds, fit and residuals as CSV. Raises OutputError."""
+        write_text_atomic(Path(path), curve_csv(self.fit))
+
+    def __str__(self) -> str:
+        """Return the verdict."""
+        return f"{self.name}: {self.fit.verdict}"
+
+
+def adapt_fit(
+    data: PathLike,
+    criterion: float | None = None,
+    *,
+    stimulus_u_log10: float | None = None,
+    bootstrap: int = 200,
+    seed: int = 1,
+) -> AdaptationCurve:
+    """Fit cone and rod branches to thresholds: plateau, rod–cone break, S2, rod intercept, final threshold.
+
+    Examples:
+        >>> import radiometer as rm
+        >>> curve = rm.adapt_fit("thresholds.csv", bootstrap=0)
+        >>> abs(curve.fit.estimates["break_min"].value - 9.0) < 1.5
+        True
+
+    Args:
+        data: Table of times and thresholds, perhaps with their sigma.
+        criterion: log10 threshold of which the time is found, in place of the protocol's rod intercept.
+        stimulus_u_log10: Standard uncertainty of the stimulus calibration in log10 units; the table's own by default.
+        bootstrap: Bootstrap redraws; 0 for none.
+        seed: Makes the redraws.
+
+    Raises:
+        InputError: If the table cannot be read.
+        MeasurementError: If the thresholds determine no branch.
+    """
+    series = ThresholdSeries.read(Path(data))
+    if stimulus_u_log10 is None:
+        stimulus_u_log10 = number_of(series.facts, "u_scale_log10") or 0.0
+    rule = intercept_of(series.facts) if criterion is None else None
+    request = FitRequest(criterion, stimulus_u_log10, bootstrap, intercept=rule)
+    return AdaptationCurve(fit_adaptation(series, request, np.random.default_rng(seed)), series, Path(data).stem)
+
+
+@dataclass(frozen=True, repr=False)
+class Retest(Result):
+    """How well repeated visits agree.
+
+    Attributes:
+        comparisons: One per quantity that both visits of a pair have.
+    """
+
+    comparisons: tuple[Compared, ...]
+
+    def to_mapping(self) -> dict[str, Any]:
+        """Return the documented JSON form."""
+        return {one.name: one.to_mapping() for one in self.comparisons}
+
+    def lines(self) -> Iterator[tuple[str, list[str]]]:
+        """Yield for each quantity its heading and its lines."""
+        for one in self.comparisons:
+            said = [f"{a:9.3f} then {b:9.3f}   difference {b - a:+.3f}" for a, b in one.visits]
+            said += [f"not in both visits of pair {', '.join(map(str, one.missing))}"] if one.missing else []
+            said.append(f"standard uncertainty of a difference by the fits alone: {one.u_fits:.3f}")
+            limits = one.agreement
+            if limits is None:
+                said.append(f"limits of agreement need {FEWEST_PAIRS} pairs")
+            else:
+                bounds = ("mean difference", limits.mean), ("lower limit", limits.lower), ("upper limit", limits.upper)
+                said += [f"{name:<16} {b.value:+.3f}   {b.low:+.3f} to {b.high:+.3f} (95 %)" for name, b in bounds]
+            yield f"{LABELS[one.name]} ({one.unit}), {len(one.visits)} pairs", said
+
+    def __str__(self) -> str:
+        """Return the names of the quantities."""
+        return ", ".join(f"{LABELS[one.name]}: {len(one.visits)} pairs" for one in self.comparisons)
+
+
+def adapt_retest(visits: Sequence[PathLike]) -> Retest:
+    """Find how well repeated visits agree: differences of break, S2, rod intercept and plateau.
+
+    Examples:
+        >>> import radiometer as rm
+        >>> found = rm.adapt_retest(["thresholds.csv", "thresholds.csv"])
+        >>> {b - a for one in found.comparisons for a, b in one.visits} == {0.0}
+        True
+
+    Args:
+        visits: Tables of thresholds: first and second visit of each subject, in turn.
+
+    Raises:
+        UsageError: If their number is odd.
+        MeasurementError: If thresholds determine no branch.
+    """
+    if len(visits) % 2:
+        raise UsageError(f"{len(visits)} tables: give two for each subject, first and second visit")
+    fits = [_fitted(Path(one)) for one in visits]
+    return Retest(tuple(compare_visits(list(zip(fits[::2], fits[1::2], strict=True)))))
+
+
+def _fitted(file: Path) -> AdaptationFit:
+    series = ThresholdSeries.read(file)
+    request = FitRequest(bootstrap_draws=0, intercept=intercept_of(series.facts))
+    try:
+        return fit_adaptation(series, request, np.random.default_rng(1))
+    except MeasurementError as error:
+        raise MeasurementError(f"{file}: {error}") from error
+
+
+@dataclass(frozen=True, repr=False)
+class Protocols(Result):
+    """The shipped protocols.
+
+    Attributes:
+        protocols: In their order.
+    """
+
+    protocols: tuple[AdaptationProtocol, ...]
+
+    def to_json(self) -> str:
+        """Return the documented JSON form: a list."""
+        return json_text([one.model_dump() for one in self.protocols])
+
+    def to_mapping(self) -> dict[str, Any]:
+        """Return the protocols by name."""
+        return {one.name: one.model_dump() for one in self.protocols}
+
+    def __str__(self) -> str:
+        """Return their names."""
+        return ", ".join(one.name for one in self.protocols)
+
+
+def adapt_protocols() -> Protocols:
+    """List the shipped protocols of the dark-adaptation test.
+
+    Examples:
+        >>> import radiometer as rm
+        >>> "classic" in str(rm.adapt_protocols())
+        True
+    """
+    return Protocols(tuple(read_protocol(name) for name in SHIPPED))
+
+
+@dataclass(frozen=True, repr=False)
+class Bleach(Result):
+    """How much of the visual pigment a field bleaches.
+
+    Attributes:
+        pupil_mm: Diameter of the pupil.
+        retinal_td: Retinal illuminance in td.
+        retinal_td_s: Retinal exposure in td·s.
+        rods_bleached: Share of the rods' pigment.
+        cones_bleached: Share of the cones' pigment.
+        rods_bleached_range: Its range over published constants.
+        cones_bleached_range: The same of the cones.
+    """
+
+    pupil_mm: float
+    retinal_td: float
+    retinal_td_s: float
+    rods_bleached: float
+    cones_bleached: float
+    rods_bleached_range: tuple[float, float]
+    cones_bleached_range: tuple[float, float]
+
+    def to_mapping(self) -> dict[str, Any]:
+        """Return the documented JSON form."""
+        return {name: getattr(self, name) for name in self.__dataclass_fields__}
+
+    def __str__(self) -> str:
+        """Return retinal exposure and both shares."""
+        return (
+            f"{self.retinal_td_s:.4g} td·s: rods {100 * self.rods_bleached:.1f} %, "
+            f"cones {100 * self.cones_bleached:.1f} % bleached"
+        )
+
+
+def adapt_bleach(
+    luminance: float,
+    duration: float,
+    *,
+    pupil: float | None = None,
+    field: float = 100.0,
+    age: float = 28.58,
+    scotopic_ratio: float = 2.0,
+) -> Bleach:
+    """Find how much of the visual pigment a field bleaches.
+
+    Examples:
+        >>> import radiometer as rm
+        >>> rm.adapt_bleach(1000.0, 120.0, pupil=7.0)
+        <Bleach 4.618e+06 td·s: rods ... %, cones ... % bleached>
+
+    Args:
+        luminance: Luminance of the bleaching field in cd·m⁻².
+        duration: Its duration in s.
+        pupil: Diameter of the pupil in mm; the natural one by default.
+        field: Area of the field in square degrees.
+        age: Age in years, for the natural pupil.
+        scotopic_ratio: Scotopic over photopic luminance of the light, for the rods.
+    """
+    diameter_mm = pupil if pupil is not None else pupil_diameter_mm(luminance, field, age)
+    trolands = retinal_illuminance_td(luminance, diameter_mm)
+    return Bleach(
+        diameter_mm,
+        trolands,
+        trolands * duration,
+        bleached_fraction(trolands * scotopic_ratio, duration, "rods"),
+        bleached_fraction(trolands, duration, "cones"),
+        bleached_range(trolands * scotopic_ratio, duration, "rods"),
+        bleached_range(trolands, duration, "cones"),
+    )

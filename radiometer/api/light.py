@@ -1,0 +1,629 @@
+"""The light box by hand: lit, pulsed, blinked, darkened, watched and calibrated."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any, Final
+
+from radiometer.api.files import PathLike
+from radiometer.api.meter import PatchLike, as_patch
+from radiometer.api.outputs import check_outputs
+from radiometer.api.result import Notice, Progress, Result, unheard
+from radiometer.bench.boxes import (
+    ExposureReport,
+    OpenedBox,
+    calibration_file,
+    confirm_no_exposure,
+    darken,
+    exposure_reports,
+    nothing_answers,
+    open_light_box,
+    require_known_box,
+)
+from radiometer.bench.light_bench import SurveyRequest, open_light_camera, survey_box
+from radiometer.data.json_text import json_text
+from radiometer.data.light_calibration import LevelChoice, LightCalibration
+from radiometer.devices import ChannelMode, ChannelState, CurrentRange, DriveLevel, Radiance
+from radiometer.devices.light_box import Level
+from radiometer.errors import DeviceError, DeviceNotFound, UsageError
+
+_LOOK_S: Final = 0.25  # how often the light is looked at: half of the time in which a lost box must be reported
+_BUDGET_USED_UP: Final = 0.02  # of the full budget: it refills from the moment the light went out
+_FOREVER_S: Final = 1e9
+
+
+@dataclass(frozen=True, repr=False)
+class LitChannel(Result):
+    """What a channel does now.
+
+    Attributes:
+        box: Serial number of the box.
+        state: The channel as it was read back.
+        choice: Radiance that it really gives where one was asked for; None where a raw level was.
+        asked: Radiance that was asked for in W·sr⁻¹·m⁻².
+    """
+
+    box: str
+    state: ChannelState
+    choice: LevelChoice | None = None
+    asked: float | None = None
+
+    def to_mapping(self) -> dict[str, Any]:
+        """Return the documented JSON form."""
+        report: dict[str, Any] = {
+            "box": self.box,
+            "channel": self.state.channel,
+            "mode": str(self.state.mode),
+            "level": self.state.drive.level,
+            "current_range": str(self.state.drive.current_range),
+        }
+        if self.choice is not None:
+            one = self.choice
+            report["radiance"] = {
+                "value": one.radiance_w_sr_m2, "u": one.u_w_sr_m2, "unit": "W sr-1 m-2", "asked": self.asked
+            }  # fmt: skip
+            report["start_rel"], report["settle_s"] = one.start_rel, one.settle_s
+        return report
+
+    def __str__(self) -> str:
+        """Return channel, mode, level and current range."""
+        state = self.state
+        return f"{state.channel}  {state.mode}  level {state.drive.level} of 65535, {state.drive.current_range} current"
+
+
+Lit = Callable[[LitChannel], None]
+
+
+def _unwatched(lit: LitChannel) -> None:
+    """Drop a report."""
+
+
+def light_set(
+    channel: str,
+    radiance: float | None = None,
+    *,
+    level: int | None = None,
+    low: bool = False,
+    hold_s: float | None = None,
+    box: str | None = None,
+    calibration: PathLike | None = None,
+    preset: PathLike | None = None,
+    lit: Lit = _unwatched,
+    notice: Notice = unheard,
+) -> LitChannel:
+    """Light a channel steadily until a time is over: the box goes dark without its host.
+
+    Examples:
+        >>> import radiometer as rm
+        >>> rm.light_set("spot", level=20000, hold_s=0.5, box="sim")
+        <LitChannel spot  steady  level 20000 of 65535, high current>
+
+    Args:
+        channel: "bleach", "spot", "spot_red" or "fixation".
+        radiance: Radiance in W·sr⁻¹·m⁻²; needs a calibrated channel.
+        level: Raw level instead of a radiance, 0 to 65535.
+        low: Raw level on the low current range.
+        hold_s: Time in s; until an interrupt by default.
+        box: "sim", a serial number or a port; the only one by default.
+        calibration: Light calibration; the box's own by default.
+        preset: Light-box preset with safety bounds.
+        lit: Called once the channel is lit.
+        notice: Gets what the user must know meanwhile.
+
+    Raises:
+        UsageError: If not exactly one of radiance and level is given.
+        UnsafeStimulus: If it is too much for the eye or the box.
+        DeviceError: If the box fails or ends the light early.
+    """
+    wanted = _level(radiance, level, low=low)
+    with _opened(box, calibration, preset) as opened:
+        found = _found(opened, opened.box.set_level(channel, wanted), radiance)
+        lit(found)
+        _stay(opened, hold_s, channel if found.state.drive.level else None, notice)
+    return found
+
+
+def light_pulse(
+    channel: str,
+    duration_s: float,
+    radiance: float | None = None,
+    *,
+    level: int | None = None,
+    low: bool = False,
+    box: str | None = None,
+    calibration: PathLike | None = None,
+    preset: PathLike | None = None,
+    lit: Lit = _unwatched,
+    notice: Notice = unheard,
+) -> LitChannel:
+    """Give one pulse, timed by the box.
+
+    Examples:
+        >>> import radiometer as rm
+        >>> rm.light_pulse("spot", 0.2, level=20000, box="sim").state.channel
+        'spot'
+
+    Args:
+        channel: As all further ones for `light_set`.
+        duration_s: Length in s, at most 600.
+        radiance: See there.
+        level: See there.
+        low: See there.
+        box: See there.
+        calibration: See there.
+        preset: See there.
+        lit: See there.
+        notice: See there.
+
+    Raises:
+        RadiometerError: As `light_set`.
+    """
+    wanted = _level(radiance, level, low=low)
+    with _opened(box, calibration, preset) as opened:
+        found = _found(opened, opened.box.pulse(channel, wanted, duration_s), radiance)
+        lit(found)
+        _stay(opened, duration_s, None, notice)
+    return found
+
+
+def light_blink(
+    channel: str,
+    on_s: float = 0.2,
+    off_s: float = 0.8,
+    count: int = 0,
+    radiance: float | None = None,
+    *,
+    level: int | None = None,
+    low: bool = False,
+    hold_s: float | None = None,
+    box: str | None = None,
+    calibration: PathLike | None = None,
+    preset: PathLike | None = None,
+    lit: Lit = _unwatched,
+    notice: Notice = unheard,
+) -> LitChannel:
+    """Blink a channel, timed by the box.
+
+    Examples:
+        >>> import radiometer as rm
+        >>> rm.light_blink("spot", 0.1, 0.1, 2, level=20000, box="sim").state.channel
+        'spot'
+
+    Args:
+        channel: As all further ones for `light_set`.
+        on_s: Bright time in s.
+        off_s: Dark time in s.
+        count: Number of blinks; 0 without end.
+        radiance: See there.
+        level: See there.
+        low: See there.
+        hold_s: Stop after this time in s.
+        box: See there.
+        calibration: See there.
+        preset: See there.
+        lit: See there.
+        notice: See there.
+
+    Raises:
+        RadiometerError: As `light_set`.
+    """
+    wanted = _level(radiance, level, low=low)
+    lit_s = hold_s if hold_s is not None else (on_s + off_s) * count if count else None
+    with _opened(box, calibration, preset) as opened:
+        found = _found(opened, opened.box.blink(channel, wanted, on_s, off_s, count), radiance)
+        lit(found)
+        _stay(opened, lit_s, channel if count == 0 else None, notice)
+    return found
+
+
+@dataclass(frozen=True, repr=False)
+class Darkness(Result):
+    """A box that is dark.
+
+    Attributes:
+        box: Its serial number.
+        dark: Whether each channel is, by name; empty where another program did it.
+        darkened_by: Process that holds the box and darkened it; None where none does.
+    """
+
+    box: str
+    dark: dict[str, bool]
+    darkened_by: int | None = None
+
+    def to_mapping(self) -> dict[str, Any]:
+        """Return the documented JSON form."""
+        if self.darkened_by is not None:
+            return {"box": self.box, "darkened_by": self.darkened_by}
+        return {"box": self.box, "dark": self.dark}
+
+    def __str__(self) -> str:
+        """Return the box, and who darkened it."""
+        by = "" if self.darkened_by is None else f", by process {self.darkened_by}, which holds it"
+        return f"light box {self.box}: dark{by}"
+
+
+def light_off(
+    channel: str | None = None, *, box: str | None = None, darkened: Callable[[Darkness], None] = lambda one: None
+) -> list[Darkness]:
+    """Darken every box that can be reached, or one of them, or one channel; also while another program holds it.
+
+    A program that holds a box darkens all of it.
+
+    Examples:
+        >>> import radiometer as rm
+        >>> rm.light_off(box="sim")
+        [<Darkness light box SIM00001: dark>]
+
+    Args:
+        channel: One channel; all by default.
+        box: "sim", a serial number or a port; all by default.
+        darkened: Called with every box that is dark, also where another one fails.
+
+    Raises:
+        DeviceNotFound: If no box answers.
+        DeviceError: If a box fails, or the program that holds it does not answer.
+    """
+    found, failures = darken(box, channel)
+    dark = [Darkness(one.serial, dict(one.dark), one.darkened_by) for one in found]
+    for entry in dark:
+        darkened(entry)
+    if failures:
+        raise DeviceError("; ".join(map(str, failures)))
+    if not dark:
+        raise DeviceNotFound(nothing_answers(box))
+    return dark
+
+
+@dataclass(frozen=True, repr=False)
+class BoxStatus(Result):
+    """Identity, supply, temperature, clock, channels and limits of a box.
+
+    Attributes:
+        report: All of it as plain values.
+    """
+
+    report: dict[str, Any]
+
+    def to_mapping(self) -> dict[str, Any]:
+        """Return the documented JSON form."""
+        return self.report
+
+    def __str__(self) -> str:
+        """Return serial number, firmware and port."""
+        return f"light box {self.report['serial']}, firmware {self.report['firmware']}, on {self.report['port']}"
+
+
+def light_status(*, box: str | None = None) -> BoxStatus:
+    """Show identity, supply, temperature, clock, channels and limits of a box.
+
+    Examples:
+        >>> import radiometer as rm
+        >>> rm.light_status(box="sim").report["serial"]
+        'SIM00001'
+
+    Args:
+        box: "sim", a serial number or a port; the only one by default.
+
+    Raises:
+        DeviceError: If the box does not answer.
+    """
+    with open_light_box(box) as opened:
+        return BoxStatus(_status(opened))
+
+
+@dataclass(frozen=True, repr=False)
+class ButtonPress(Result):
+    """The button of a box pressed or let go.
+
+    Attributes:
+        pressed: Whether it was pressed.
+        time_s: When, in s from the opening of the box.
+        u_s: Standard uncertainty of that time.
+    """
+
+    pressed: bool
+    time_s: float
+    u_s: float
+
+    def to_mapping(self) -> dict[str, Any]:
+        """Return the documented JSON form."""
+        return {"pressed": self.pressed, "time_s": self.time_s, "u_s": self.u_s}
+
+    def __str__(self) -> str:
+        """Return the time with its expanded uncertainty, and what was done."""
+        what = "pressed" if self.pressed else "released"
+        return f"{self.time_s:10.4f} s ± {2e3 * self.u_s:.2f} ms (k = 2)  {what}"
+
+
+def light_watch_buttons(
+    hold_s: float | None = None, count: int | None = None, *, box: str | None = None
+) -> Iterator[ButtonPress]:
+    """Yield presses and releases as they come, with the uncertainty of their times.
+
+    Examples:
+        >>> import radiometer as rm
+        >>> list(rm.light_watch_buttons(0.2, box="sim"))
+        []
+
+    Args:
+        hold_s: Stop after this time in s; never by default.
+        count: Stop after so many presses.
+        box: "sim", a serial number or a port; the only one by default.
+
+    Raises:
+        DeviceError: If the box fails.
+    """
+    presses = 0
+    with open_light_box(box) as opened:
+        start_s = opened.box.link.line.now()
+        for event in opened.box.buttons(_FOREVER_S if hold_s is None else hold_s):
+            presses += event.pressed
+            yield ButtonPress(event.pressed, event.time_s - start_s, event.u_time_s)
+            if count is not None and presses >= count:
+                return
+
+
+@dataclass(frozen=True, repr=False)
+class ExposureAccount(Result):
+    """What boxes and eyes have used up of the blue-light limit within 10⁴ s.
+
+    Attributes:
+        reports: One per box and eye.
+    """
+
+    reports: tuple[ExposureReport, ...]
+
+    def to_json(self) -> str:
+        """Return the documented JSON form: a list."""
+        return json_text([asdict(one) for one in self.reports])
+
+    def to_mapping(self) -> dict[str, Any]:
+        """Return the reports by name."""
+        return {one.name: asdict(one) for one in self.reports}
+
+    def lines(self) -> list[str]:
+        """Return a line for every box and eye."""
+        return [_account_line(one) for one in self.reports]
+
+    def __str__(self) -> str:
+        """Return how many boxes and eyes are known."""
+        return f"{len(self.reports)} boxes and eyes"
+
+
+def _account_line(one: ExposureReport) -> str:
+    if one.unknown_for_s > 0:
+        minutes = -(-one.unknown_for_s // 60)
+        return f"{one.name}: its history is unknown; it counts as used up for {minutes:.0f} min"
+    free = f"; free again in {-(-one.frees_in_s // 60):.0f} min" if one.blue_light > 0 else ""
+    return f"{one.name}: {100 * one.blue_light:.3g} % of the blue-light limit within 10⁴ s{free}"
+
+
+def light_account(box: str | None = None, *, confirm_unexposed: bool = False) -> ExposureAccount:
+    """Return how much of the blue-light limit boxes and eyes have used up within 10⁴ s.
+
+    A box without a history on this computer counts as used up, and so does every box where the account was lost,
+    damaged or from the future. That ends after 10⁴ s, or with `confirm_unexposed`.
+
+    Examples:
+        >>> import radiometer as rm
+        >>> isinstance(rm.light_account().lines(), list)
+        True
+
+    Args:
+        box: Serial number of a light box; all by default.
+        confirm_unexposed: State that no eye that will look into the box saw its light, or another light as bright, in
+            the last 10⁴ s.
+
+    Raises:
+        UsageError: If the account does not know the box, or none is named to confirm.
+        UnsafeStimulus: If the account cannot be read or stored.
+    """
+    if box is not None or confirm_unexposed:
+        box = require_known_box(box)
+    if confirm_unexposed:
+        confirm_no_exposure(box or "")
+    return ExposureAccount(tuple(one for one in exposure_reports() if box is None or one.name == f"box {box}"))
+
+
+@dataclass(frozen=True, repr=False)
+class CalibratedBox(Result):
+    """A light box whose channels were measured.
+
+    Attributes:
+        calibration: Its calibration.
+        channels: Channels that were measured now.
+        file: Where it was written.
+    """
+
+    calibration: LightCalibration
+    channels: tuple[str, ...]
+    file: Path
+
+    def to_mapping(self) -> dict[str, Any]:
+        """Return the documented JSON form."""
+        known = self.calibration.channels
+        report = {
+            name: {
+                "limits_W_per_sr_m2": self.calibration.limits(name),
+                "points": len(known[name].points),
+                "common_u_rel": known[name].common_u_rel,
+                "drift_u_rel": known[name].drift_u_rel,
+                "settle_s": known[name].settle_s,
+            }
+            for name in self.channels
+        }
+        return {"box": self.calibration.box_serial, "file": str(self.file), "channels": report}
+
+    def __str__(self) -> str:
+        """Return box, channels and file."""
+        return f"light box {self.calibration.box_serial}: {', '.join(self.channels)}; {self.file}"
+
+
+def light_calibrate(
+    channel: Sequence[str] | None = None,
+    *,
+    box: str | None = None,
+    camera: str | None = None,
+    bench: PathLike | None = None,
+    patch: PatchLike | None = None,
+    camera_calibration: PathLike | None = None,
+    points_per_decade: float = 4.0,
+    responsivity: PathLike | None = None,
+    spectral_u_rel: float | None = None,
+    seed: int | None = None,
+    preset: PathLike | None = None,
+    out: PathLike | None = None,
+    force: bool = False,
+    progress: Progress | None = None,
+) -> CalibratedBox:
+    """Measure the radiance of a box's channels over their levels with the camera, on both current ranges.
+
+    Examples:
+        >>> import radiometer as rm
+        >>> done = rm.light_calibrate(["fixation"], box="sim", points_per_decade=1, seed=1, out="box.yaml")
+        >>> done.channels
+        ('fixation',)
+
+    Args:
+        channel: Channels to calibrate; all by default.
+        box: "sim", a serial number or a port; the only one by default.
+        camera: Camera that looks at the box.
+        bench: Bench file of the camera.
+        patch: Lit area in the frame; the bench's by default.
+        camera_calibration: Calibration of the camera; the bench's by default.
+        points_per_decade: Density of the levels.
+        responsivity: CSV of the camera's relative responsivity per W; flat quantum efficiency without.
+        spectral_u_rel: Relative standard uncertainty of the spectral correction.
+        seed: Makes the random order of the levels.
+        preset: Light-box preset with safety bounds.
+        out: File to write; the box's own by default.
+        force: Calibrate channels anew that the box's own file holds already.
+        progress: Called after every level.
+
+    Raises:
+        UsageError: If the box has no such channel.
+        MeasurementError: If a channel does not rise above the noise.
+        DeviceError: If box or camera fails.
+        OutputError: If the file cannot be written.
+    """
+    known = Path(camera_calibration) if camera_calibration else None
+    with (
+        open_light_box(box, preset=Path(preset) if preset else None) as opened,
+        open_light_camera(opened, camera, Path(bench) if bench else None, as_patch(patch), known) as instrument,
+    ):
+        channels = tuple(channel or opened.box.channels)
+        for name in channels:
+            if name not in opened.box.channels:
+                raise UsageError(f"the box has no channel {name!r}; it has {', '.join(opened.box.channels)}")
+        file = Path(out) if out else calibration_file(opened.box.identity.serial)
+        if out is None:
+            file.parent.mkdir(parents=True, exist_ok=True)
+            known_channels = opened.calibration.channels if opened.calibration else {}
+            # The other channels of the file stay.
+            check_outputs(file, force=force or not set(channels) & set(known_channels))
+        request = SurveyRequest(
+            channels, points_per_decade, seed, Path(responsivity) if responsivity else None, spectral_u_rel
+        )
+        found = survey_box(opened, instrument, request, progress)
+    found.write(file)
+    return CalibratedBox(found, channels, file)
+
+
+@contextlib.contextmanager
+def _opened(box: str | None, calibration: PathLike | None, preset: PathLike | None) -> Iterator[OpenedBox]:
+    known, bounds = (Path(one) if one else None for one in (calibration, preset))
+    with open_light_box(box, calibration=known, preset=bounds) as opened:
+        yield opened
+
+
+def _level(radiance: float | None, level: int | None, *, low: bool) -> Level:
+    if (radiance is None) == (level is None):
+        raise UsageError("give either --radiance or --level")
+    if radiance is not None:
+        if low:
+            raise UsageError("--low belongs to --level; a radiance chooses its range by itself")
+        return Radiance(radiance)
+    assert level is not None
+    return DriveLevel(level, CurrentRange.LOW if low else CurrentRange.HIGH)
+
+
+def _found(opened: OpenedBox, state: ChannelState, asked: float | None) -> LitChannel:
+    known = opened.calibration
+    choice = known.choose(state.channel, asked) if known and asked is not None else None
+    return LitChannel(opened.box.identity.serial, state, choice, asked)
+
+
+def _stay(opened: OpenedBox, lit_s: float | None, channel: str | None, notice: Notice) -> None:
+    """Keep the box lit for a time, or until an interrupt, and watch it; a simulated box needs no watching.
+
+    Args:
+        opened: The box.
+        lit_s: How long in s; None until an interrupt.
+        channel: The channel that must stay lit for that time; None where it ends by itself.
+        notice: Gets how to stop.
+
+    Raises:
+        DeviceError: If the box was lost, or ended the light before its time.
+    """
+    if lit_s is None and opened.twin is not None:
+        return
+    if lit_s is None:
+        notice("stop with Ctrl-C")
+    now_s = opened.box.link.line.now
+    start_s = now_s()
+    end_s = start_s + (_FOREVER_S if lit_s is None else lit_s)
+    with contextlib.suppress(KeyboardInterrupt):
+        while (left_s := end_s - now_s()) > 0:
+            opened.wait(min(left_s, _LOOK_S))
+            if channel is None:
+                opened.box.status()  # raises where the box was lost
+            elif opened.box.read_channel(channel).mode is ChannelMode.OFF and now_s() < end_s - _LOOK_S:
+                raise _ended_early(opened, channel, now_s() - start_s, lit_s)
+
+
+def _ended_early(opened: OpenedBox, channel: str, after_s: float, lit_s: float | None) -> DeviceError:
+    left = opened.box.read_channel(channel).energy_left
+    reason = (
+        "its energy budget is used up; take a lower level or a shorter time"
+        if left < _BUDGET_USED_UP
+        else "another program asked for darkness, or the button of the box was held"
+    )
+    wanted = "" if lit_s is None else f" of {lit_s:g} s"
+    return DeviceError(
+        f"the light box ended the light of {channel} by itself after {after_s:.1f} s{wanted}"
+        f" (known to {_LOOK_S:g} s): {reason}"
+    )
+
+
+def _status(opened: OpenedBox) -> dict[str, Any]:
+    box, calibration = opened.box, opened.calibration
+    found, clock = box.status(), box.synchronise()
+    return {
+        "serial": box.identity.serial,
+        "firmware": box.identity.firmware,
+        "protocol": box.identity.protocol_version,
+        "port": box.identity.port,
+        "supply_v": found.supply_v,
+        "temperature_C": found.temperature_celsius,
+        "damaged_lines": found.damaged_lines,
+        "darkened": found.darkened,
+        "reset_cause": found.reset_cause,
+        "button_pressed": found.button_pressed,
+        "clock": {"drift_ppm": clock.drift_ppm, "u_drift_ppm": clock.u_drift_ppm, "u_offset_s": clock.u_offset_s},
+        "calibrated": calibration.created if calibration else None,
+        "channels": {
+            name: {
+                "peak_nm": limits.peak_nm,
+                "duty_steps": limits.duty_steps,
+                "pwm_hz": limits.pwm_hz,
+                "level_limit": {str(current): limit for current, limit in limits.level_limit.items()},
+                "radiance_limits_W_per_sr_m2": calibration.limits(name)
+                if calibration and name in calibration.channels
+                else None,
+            }
+            for name, limits in box.channels.items()
+        },
+    }

@@ -1,0 +1,101 @@
+"""What the log of a camera next to a reference meter lacks."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from radiometer.api.files import PathLike
+from radiometer.api.result import Result
+from radiometer.importing.log_table import LogColumns, read_log
+from radiometer.reconciliation.logs.log_fit import LogFit, fit_log
+from radiometer.reconciliation.result import ReconcileResult
+
+
+@dataclass(frozen=True, repr=False)
+class LogFinding(Result):
+    """The term that a log lacks against its reference, or that it lacks none.
+
+    Attributes:
+        fit: Result, errors before and after, and the negative control.
+    """
+
+    fit: LogFit
+
+    @property
+    def result(self) -> ReconcileResult:
+        """Return the result in the form of reconcile."""
+        return self.fit.result
+
+    @property
+    def taken(self) -> tuple[str, ...]:
+        """Return how columns and units were read, a line each."""
+        return tuple(self.fit.state.log.taken)
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """Return the number of readings and of nights."""
+        return self.fit.state.log.size, self.fit.state.log.nights
+
+    def to_mapping(self) -> dict[str, Any]:
+        """Return the documented JSON form."""
+        return self.result.to_mapping()
+
+    def to_json(self) -> str:
+        """Return the documented JSON form as text."""
+        return self.result.to_json()
+
+    def __str__(self) -> str:
+        """Return verdict, names and the error of a night predicted from the others."""
+        names = ", ".join(one.name for one in self.result.effects) or "nothing missing"
+        before, after = 100 * self.fit.error_before, 100 * self.fit.error_after
+        return f"{self.result.verdict}: {names}; error of a night {before:.2f} % → {after:.2f} %"
+
+
+def log_fit(
+    table: PathLike,
+    beside: PathLike | None = None,
+    *,
+    value: str | None = None,
+    reference: str | None = None,
+    exposure: str | None = None,
+    gain: str | None = None,
+    temperature: str | None = None,
+    colour: str | None = None,
+    gain_unit: str | None = None,
+    black: float = 0.0,
+    control: bool = True,
+) -> LogFinding:
+    """Name the term that the log of a camera under automatic exposure lacks against a reference meter.
+
+    Examples:
+        >>> import radiometer as rm
+        >>> found = rm.log_fit("sky.csv", control=False)
+        >>> found.size[1] > 1
+        True
+
+    Args:
+        table: CSV of the camera's value and exposure, a reference, and perhaps gain, temperature, time, colour.
+        beside: File of the reference meter with times of its own, where it is not a column.
+        value: Column of the camera's value in DN.
+        reference: Column of the reference.
+        exposure: Column of the exposure time.
+        gain: Column of the gain.
+        temperature: Column of the sensor temperature.
+        colour: Column of the light's colour.
+        gain_unit: "db", "0.1db", "x" or "iso", where the column's name leaves it open.
+        black: Black level in DN to take off the value.
+        control: Do the same search over values that lack nothing, as a negative control.
+
+    Raises:
+        InputError: If the table cannot be read or a column is missing.
+        MeasurementError: If it holds too few nights.
+    """
+    named = {
+        "value": value, "reference": reference, "exposure": exposure, "gain": gain, "temperature": temperature,
+        "colour": colour,
+    }  # fmt: skip
+    chosen = {key: column for key, column in named.items() if column is not None}
+    log = read_log(Path(table), LogColumns(chosen, gain_unit, black), Path(beside) if beside else None)
+    return LogFinding(fit_log(log, control=control))

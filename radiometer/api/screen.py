@@ -1,0 +1,313 @@
+"""A screen as a calibrated light source: calibrated, looked up, exported, imported."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, Final
+
+from radiometer.api.files import PathLike
+from radiometer.api.meter import PatchLike, as_patch
+from radiometer.api.outputs import check_outputs
+from radiometer.api.result import Notice, Progress, Result, unheard
+from radiometer.bench.screen import BROWSER, lights, open_screen_bench, primaries_of
+from radiometer.data import Quantity
+from radiometer.data.statements import StatementMap
+from radiometer.errors import UsageError
+from radiometer.screen.calibration import LUMINANCE, RADIANCE, SCOTOPIC, ChannelCurve, ScreenCalibration
+from radiometer.screen.calibration_run import Options, calibrate_screen
+from radiometer.screen.exports import EXPORTS, write_export
+from radiometer.screen.exports.chromaticity import argyll_line
+from radiometer.screen.measured_elsewhere import METER_U_REL, imported, read_screen_readings
+from radiometer.screen.plan import parse_levels
+
+# Names of what a level is looked up by, as the command line writes them.
+_UNITS: Final[Mapping[str, str]] = {"cd": LUMINANCE, "scotopic": SCOTOPIC, "W": RADIANCE}
+
+
+@dataclass(frozen=True, repr=False)
+class CalibratedScreen(Result):
+    """A screen's calibration and where it stands.
+
+    Attributes:
+        calibration: Its channels, checks and provenance.
+        file: The file; None where none was written.
+        taken: What was made of the file that it was imported from, a line each.
+        doubts: What that file leaves open and how it was read, a line each.
+        left_out: Channels of that file whose spectra are not known.
+    """
+
+    calibration: ScreenCalibration
+    file: Path | None
+    taken: tuple[str, ...] = ()
+    doubts: tuple[str, ...] = ()
+    left_out: tuple[str, ...] = ()
+
+    def to_mapping(self) -> dict[str, Any]:
+        """Return the documented JSON form."""
+        report = {"taken": list(self.taken), "doubts": list(self.doubts)} if self.taken or self.doubts else {}
+        return {"file": None if self.file is None else str(self.file), **report, **self.calibration.to_mapping()}
+
+    def luminance_range(self, curve: ChannelCurve) -> tuple[Quantity, Quantity]:
+        """Return the luminance of a channel's darkest and brightest level in cd·m⁻²."""
+        return curve.at(curve.levels[0], LUMINANCE), curve.at(curve.levels[-1], LUMINANCE)
+
+    def detection_limit(self, curve: ChannelCurve) -> float | None:
+        """Return the luminance in cd·m⁻² that the darkest level is below; None where it was measured."""
+        lost = curve.radiance_is_lost(curve.levels[0])
+        return curve.detection_limit * curve.efficacy(LUMINANCE) if lost else None
+
+    def argyll_lines(self) -> list[str]:
+        """Return the line that ArgyllCMS's spotread prints, for every level measured."""
+        return [
+            argyll_line(name, curve.at(n, LUMINANCE).value)
+            for name, curve in self.calibration.channels.items()
+            for n in curve.levels
+        ]
+
+    def __str__(self) -> str:
+        """Return the name and each channel's brightest luminance."""
+        known = self.calibration.channels.values()
+        ends = ", ".join(f"{one.name} to {self.luminance_range(one)[1].value:.4g} cd·m⁻²" for one in known)
+        return f"{self.calibration.name}: {ends}"
+
+
+@dataclass(frozen=True, repr=False)
+class ScreenLevel(Result):
+    """The level that shows a requested value.
+
+    Attributes:
+        channel: Name of the channel.
+        level: The level.
+        shown: What it shows, with its standard uncertainty.
+        target: What was asked for, in the same unit.
+    """
+
+    channel: str
+    level: int
+    shown: Quantity
+    target: float
+
+    def to_mapping(self) -> dict[str, Any]:
+        """Return the documented JSON form."""
+        return {"channel": self.channel, "level": self.level, "shown": self.shown.to_mapping(), "target": self.target}
+
+    def __str__(self) -> str:
+        """Return level, channel and what it shows."""
+        return f"level {self.level} of {self.channel} shows {self.shown.value:.5g} {self.shown.unit}"
+
+
+def screen_calibrate(
+    out: PathLike | None = None,
+    display: str = BROWSER,
+    *,
+    name: str | None = None,
+    levels: str = "33",
+    quick: bool = False,
+    channels: Sequence[str] = ("grey",),
+    repeats: int = 1,
+    size: float = 1.0,
+    pixel_mm: float | None = None,
+    warm_up_s: float = 900.0,
+    white: str = "white_led",
+    primaries: str | None = None,
+    camera: str | None = None,
+    bench: PathLike | None = None,
+    calibration: PathLike | None = None,
+    patch: PatchLike | None = None,
+    port: int = 0,
+    export: Sequence[str] = (),
+    seed: int = 1,
+    force: bool = False,
+    announce: Callable[[str], None] = lambda url: None,
+    notice: Notice = unheard,
+    progress: Progress | None = None,
+) -> CalibratedScreen:
+    """Measure which level of a screen gives which radiance and luminance, with uncertainty.
+
+    Examples:
+        >>> import radiometer as rm
+        >>> rm.screen_calibrate("screen.yaml", "lcd", quick=True)
+        <CalibratedScreen lcd: grey to 2... cd·m⁻²>
+
+    Args:
+        out: Calibration file to write; none by default.
+        display: "browser", or a simulated one: "lcd", "pwm_lcd", "oled".
+        name: Name of the screen; the display's by default.
+        levels: "all", "quick", a count such as "33", or a list such as "0,16,255".
+        quick: Darkest, brightest and five levels between.
+        channels: "grey", "red", "green", "blue" or some of them.
+        repeats: Readings of every patch.
+        size: Patch size as a share of the screen's.
+        pixel_mm: Distance of two pixels in mm, for an adaptation test.
+        warm_up_s: Longest wait for the screen to settle in s.
+        white: Spectrum assumed for grey.
+        primaries: Spectra of red, green and blue: a display type, or a CSV of them.
+        camera: Camera by id, serial number or address.
+        bench: Bench file; the simulated bench by default.
+        calibration: The camera's calibration; the bench's by default.
+        patch: Where the camera sees the patch.
+        port: Port of the page; 0 for any free one.
+        export: Forms to write as well, such as "psychopy" or "ti3".
+        seed: Seed of the random order.
+        force: Replace exports that exist.
+        announce: Called with the page's address.
+        notice: Gets warnings of the page.
+        progress: Called after every patch.
+
+    Raises:
+        UsageError: If display, channel, level or form is unknown.
+        DeviceError: If display or camera fails.
+        OutputError: If a file cannot be written.
+    """
+    kinds = _kinds(export)
+    if out is not None:
+        check_outputs(*_export_files(kinds, Path(out)), force=force)
+    options = Options(
+        name=name or display, levels=parse_levels("quick" if quick else levels), channels=tuple(channels),
+        repeats=repeats, patch_size=size, warm_up_limit_s=warm_up_s, seed=seed, pixel_mm=pixel_mm,
+    )  # fmt: skip
+    lamps = lights(white, primaries_of(display, options.channels, primaries))
+    known_bench, known_calibration = (Path(one) if one else None for one in (bench, calibration))
+
+    def advance(done: int, total: int, _step: object) -> None:
+        if progress:
+            progress("measuring the screen", done, total)
+
+    with open_screen_bench(
+        display, bench=known_bench, camera=camera, calibration=known_calibration, patch=as_patch(patch), port=port,
+        announce=announce,
+    ) as opened:  # fmt: skip
+        found = calibrate_screen(opened, options, lamps, progress=advance)
+        warnings = getattr(opened.display, "warnings", None)
+        for warning in warnings() if warnings else ():
+            notice(f"warning: {warning}")
+    if out is not None:
+        found.write(Path(out))
+        _exports(found, kinds, Path(out))
+    return CalibratedScreen(found, Path(out) if out is not None else None)
+
+
+def screen_level(
+    calibration: PathLike | ScreenCalibration, target: float, unit: str = "cd", channel: str = "grey"
+) -> ScreenLevel:
+    """Find which level shows a requested luminance or radiance.
+
+    Examples:
+        >>> import radiometer as rm
+        >>> screen = rm.screen_calibrate(display="lcd", quick=True).calibration
+        >>> rm.screen_level(screen, 50.0).level in range(1, 255)
+        True
+
+    Args:
+        calibration: Screen calibration, or its file.
+        target: Requested value.
+        unit: "cd", "scotopic" (both cd·m⁻²) or "W" (W·sr⁻¹·m⁻²).
+        channel: "grey", "red", "green" or "blue".
+
+    Raises:
+        UsageError: If unit or channel is unknown.
+        CalibrationError: If the screen does not reach the value.
+    """
+    if unit not in _UNITS:
+        raise UsageError(f"--unit {unit!r}: choose {', '.join(_UNITS)}")
+    known = calibration if isinstance(calibration, ScreenCalibration) else ScreenCalibration.read(Path(calibration))
+    curve = known.channel(channel)
+    level = curve.level_for(target, _UNITS[unit])
+    return ScreenLevel(channel, level, curve.at(level, _UNITS[unit]), target)
+
+
+def screen_export(
+    calibration: PathLike, kinds: Sequence[str], out: PathLike | None = None, *, force: bool = False
+) -> list[Path]:
+    """Write a screen calibration in the forms of other programs, and return the files.
+
+    Examples:
+        >>> import radiometer as rm
+        >>> done = rm.screen_calibrate("lcd.yaml", "lcd", quick=True)
+        >>> rm.screen_export("lcd.yaml", ["csv"])
+        [PosixPath('lcd.csv')]
+
+    Args:
+        calibration: Screen calibration file.
+        kinds: "psychopy", "ti3", "csv", "inverse", "vcgt", "cal" or some of them.
+        out: Folder; where the calibration is by default.
+        force: Replace files that exist.
+
+    Raises:
+        UsageError: If no form is named, or one that is unknown.
+        OutputError: If a file cannot be written.
+    """
+    chosen = _kinds(kinds)
+    if not chosen:
+        raise UsageError(f"name at least one form: {','.join(EXPORTS)}")
+    file = Path(calibration)
+    base = Path(out or file.parent) / file.name
+    check_outputs(*_export_files(chosen, base), force=force)
+    return _exports(ScreenCalibration.read(file), chosen, base)
+
+
+def screen_import(
+    file: PathLike,
+    out: PathLike | None = None,
+    *,
+    name: str | None = None,
+    white: str = "white_led",
+    primaries: str | None = None,
+    meter_u_rel: float = METER_U_REL,
+    white_luminance: float | None = None,
+    gamma: float = 2.2,
+    mapped: StatementMap | Sequence[str] = (),
+) -> CalibratedScreen:
+    """Make a screen calibration of measurements made elsewhere, with their uncertainty.
+
+    Examples:
+        >>> import radiometer as rm
+        >>> rm.screen_import("luminances.csv", "elsewhere.yaml")
+        <CalibratedScreen luminances: grey to 120 cd·m⁻²>
+
+    Args:
+        file: ArgyllCMS .ti3 or .cal, pacsdisplay uLR, or a table of level and luminance in cd·m⁻².
+        out: Calibration file to write; none by default.
+        name: Name of the screen; the file's own by default.
+        white: Spectrum assumed for grey.
+        primaries: Spectra of red, green and blue: a display type, or a CSV of them.
+        meter_u_rel: Relative standard uncertainty of the meter's scale.
+        white_luminance: Luminance of white in cd·m⁻², which a .cal does not hold.
+        gamma: Exponent that a .cal was made for.
+        mapped: Column of a table and its unit: "level=drive:8bit", "luminance=Y:cd/m2"; or a YAML file.
+
+    Raises:
+        UnsettledError: If a table's columns or units are not known.
+        InputError: If the file cannot be read or holds too few levels.
+        OutputError: If the calibration cannot be written.
+    """
+    stated = mapped if isinstance(mapped, StatementMap) else StatementMap.parse(mapped)
+    readings = read_screen_readings(Path(file), white_luminance, gamma, stated)
+    if name is not None:
+        readings = replace(readings, name=name)
+    found = imported(readings, lights(white, primaries), meter_u_rel, Path(file).name)
+    if out is not None:
+        found.write(Path(out))
+    left_out = tuple(sorted(set(readings.primaries) - set(found.channels)))
+    place = Path(out) if out is not None else None
+    return CalibratedScreen(found, place, tuple(readings.taken), tuple(readings.doubts), left_out)
+
+
+def _kinds(names: Sequence[str]) -> list[str]:
+    for kind in names:
+        if kind not in EXPORTS:
+            raise UsageError(f"export {kind!r} is unknown; choose from {', '.join(EXPORTS)}")
+    return list(names)
+
+
+def _exports(calibration: ScreenCalibration, kinds: list[str], beside: Path) -> list[Path]:
+    files = _export_files(kinds, beside)
+    for kind, path in zip(kinds, files, strict=True):
+        write_export(calibration, kind, path)
+    return files
+
+
+def _export_files(kinds: list[str], base: Path) -> list[Path]:
+    return [base.with_suffix(EXPORTS[kind][1]) for kind in kinds]

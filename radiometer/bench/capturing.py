@@ -1,0 +1,109 @@
+"""Captures planned exposures into a new folder: the frames with camera, lens, light and known patches."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+from radiometer.acquire.bracketing import BracketRequest, take_plan
+from radiometer.acquire.capture_plan import CapturePlan, take_capture_plan
+from radiometer.acquire.exposure_plan import ExposurePlan
+from radiometer.bench.assembly import known_patches
+from radiometer.bench.config import BenchConfig
+from radiometer.bench.staging import stage_of
+from radiometer.data import CaptureSet, CaptureSetWriter
+from radiometer.data.provenance import utc_now
+from radiometer.devices import Camera
+from radiometer.errors import DeviceError
+
+Ask = Callable[[str], None]
+Taken = Callable[[int, int], None]
+
+
+def shutter_by_hand(camera: Camera, ask: Ask | None) -> Callable[[bool], None]:
+    """Return what has the lens covered (True) and uncovered (False) by whoever is asked.
+
+    Raises:
+        DeviceError: If `ask` is missing.
+    """
+    if ask is None:
+        raise DeviceError(
+            f"{camera.identity.model} has no shutter for dark frames. Run at a terminal, where you are asked to cover "
+            "the lens, or leave the dark frames out"
+        )
+    return lambda closed: ask(f"{'Cover' if closed else 'Uncover'} the lens")
+
+
+def capture_exposures(
+    out: Path,
+    camera: Camera,
+    plan: ExposurePlan,
+    request: BracketRequest,
+    config: BenchConfig,
+    ask: Ask | None = None,
+    taken: Taken | None = None,
+) -> CaptureSet:
+    """Capture the planned exposures into a new folder and return what was written.
+
+    Args:
+        out: Folder to create.
+        camera: An open camera.
+        plan: Exposures in s.
+        request: Dark frames and limits.
+        config: The bench: its light and its patches stand in the header.
+        ask: Has the lens covered where the camera has no shutter.
+        taken: Called after every frame with how many are taken, and of how many.
+
+    Raises:
+        DeviceError: If the camera fails, or needs a hand and `ask` is missing.
+        OutputError: If the folder exists or cannot be written.
+    """
+    by_hand = request.dark_frames and not camera.capabilities.has_shutter
+    shutter = shutter_by_hand(camera, ask) if by_hand else None
+    total = len(plan.exposures_s) + request.dark_frames * len(set(plan.exposures_s))
+    with CaptureSetWriter(
+        out, camera.description, camera.lens, config.source, known_patches(config), extra={"created": utc_now()}
+    ) as writer:
+        for number, frame in enumerate(take_plan(camera, plan, request, close_shutter=shutter), 1):
+            writer.add(frame)
+            if taken:
+                taken(number, total)
+    return CaptureSet.read(out)
+
+
+def capture_settings(
+    out: Path,
+    camera: Camera,
+    plan: CapturePlan,
+    config: BenchConfig,
+    ask: Ask | None = None,
+    taken: Taken | None = None,
+) -> CaptureSet:
+    """Capture the settings of a plan into a new folder and return what was written.
+
+    Args:
+        out: As all further ones for `capture_exposures`.
+        camera: See there.
+        plan: Settings with what must be arranged for each.
+        config: See there.
+        ask: Arranges what a setting needs.
+        taken: See there.
+
+    Raises:
+        DeviceError: If the camera fails, or needs a hand and `ask` is missing.
+        OutputError: If the folder exists or cannot be written.
+    """
+
+    def asked(wish: str) -> None:
+        if ask is None:
+            raise DeviceError(f"the plan needs a hand: {wish}. Run at a terminal")
+        ask(f"Please {wish}")
+
+    patterns = tuple(dict.fromkeys(planned.pattern for planned in plan.frames))
+    header = (camera.description, camera.lens, config.source, known_patches(config), patterns)
+    with CaptureSetWriter(out, *header, extra={"created": utc_now()}) as writer:
+        for number, frame in enumerate(take_capture_plan(camera, plan, stage_of(camera, asked)), 1):
+            writer.add(frame)
+            if taken:
+                taken(number, plan.total)
+    return CaptureSet.read(out)

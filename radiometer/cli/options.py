@@ -1,0 +1,71 @@
+"""Arguments and options that several commands share, and what every group of commands is made with."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from radiometer.cli.arguments import parse_f_number, parse_relative
+
+_CAMERA = "sim, a GenICam id, serial number or address, or v4l2:, picamera:, gphoto2:."
+
+CameraOption = Annotated[str | None, typer.Option("--camera", help=_CAMERA)]
+BenchOption = Annotated[Path | None, typer.Option("--bench", help="Bench file; the simulated bench by default.")]
+PatchOption = Annotated[
+    str | None, typer.Option("--patch", help="Region X,Y,W,H in pixels; the bench's, else each capture's, by default.")
+]
+CalibrationOption = Annotated[
+    Path | None, typer.Option("--calibration", help="Calibration file of the camera; the bench's by default.")
+]
+UncalibratedOption = Annotated[bool, typer.Option("--uncalibrated", help="Use no calibration: relative values.")]
+JsonOption = Annotated[bool, typer.Option("--json", help="JSON on standard output.")]
+ReportOption = Annotated[
+    Path | None, typer.Option("--report", help="Report (HTML) to write: outcome, pictures, figures.")
+]
+BoxOption = Annotated[
+    str | None, typer.Option("--box", help="sim, a serial number or a port; the only one by default.")
+]
+BoxPresetOption = Annotated[Path | None, typer.Option("--preset", help="Light-box preset with safety bounds.")]
+WhiteOption = Annotated[str, typer.Option("--white", help="Spectrum assumed for white: white_led, cie_d65, a CSV …")]
+PrimariesOption = Annotated[
+    str | None,
+    typer.Option("--primaries", help="Spectra of red, green, blue: led_lcd, ccfl_lcd, oled, crt, or a CSV of them."),
+]
+URelOption = Annotated[
+    float | None,
+    typer.Option(
+        "--u-rel",
+        parser=lambda text: parse_relative(text, "--u-rel"),
+        metavar="FRACTION",
+        help="Repeat until noise is below this relative u (k = 1): 0.01 or 1%.",
+    ),
+]
+FNumberOption = Annotated[
+    float | None,
+    typer.Option(
+        "--f-number",
+        parser=lambda text: parse_f_number(text, "--f-number"),
+        metavar="N",
+        help="f-number (1 of a lens whose iris cannot change) where the frames or the bench do not state it.",
+    ),
+]
+SeedOption = Annotated[int, typer.Option("--seed", min=0, help="Seed of the random draws.")]
+
+
+def command_group(text: str) -> typer.Typer:
+    """Return an empty group of commands with its help text."""
+    return typer.Typer(
+        add_completion=False,
+        rich_markup_mode=None,
+        pretty_exceptions_enable=False,
+        no_args_is_help=True,
+        context_settings={"help_option_names": ["-h", "--help"]},
+        help=text,
+    )
+
+
+def words(text: str) -> list[str]:
+    """Return the parts of a list such as "grey,red"; empty ones are left out."""
+    return [part.strip() for part in text.split(",") if part.strip()]

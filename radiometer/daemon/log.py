@@ -1,0 +1,236 @@
+"""Readings, alarms and budgets of a journal, whether the daemon runs or not."""
+
+from __future__ import annotations
+
+import datetime as dt
+import io
+import json
+import math
+import statistics
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+from radiometer.api.files import PathLike
+from radiometer.api.result import Result
+from radiometer.daemon.journal import default_journal_path
+from radiometer.daemon.journal_reader import JournalReader, ReadingFilter, to_csv
+from radiometer.daemon.timestamps import parse_moment
+from radiometer.data.drawing import new_axes
+from radiometer.data.storage import write_bytes_atomic
+from radiometer.errors import UsageError
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+_PICTURES: Final = (".png", ".pdf", ".svg")
+
+
+@dataclass(frozen=True)
+class Place:
+    """Readings of one place: a patch that has a name, that a client measured, or that is measured for all.
+
+    Attributes:
+        name: The place in words.
+        readings: Its readings, oldest first.
+    """
+
+    name: str
+    readings: tuple[Mapping[str, Any], ...]
+
+    def summary(self) -> str:
+        """Return number, time span, mean and standard deviation in one line."""
+        values = [one["radiance"]["value"] for one in self.readings if one["radiance"]["value"] is not None]
+        span = f"{self.readings[0]['time'][:19]} to {self.readings[-1]['time'][:19]}"
+        head = f"{self.name}: {len(self.readings)} readings, {span}"
+        if len(values) < 2:
+            return head
+        mean, spread = statistics.fmean(values), statistics.stdev(values)
+        relative = f" ({100 * spread / abs(mean):.2g} %)" if mean else ""
+        return f"{head}: mean {mean:.6g}, standard deviation {spread:.2g}{relative}"
+
+
+@dataclass(frozen=True, repr=False)
+class LoggedReadings(Result):
+    """Readings of a journal, oldest first.
+
+    Examples:
+        >>> import radiometer as rm
+        >>> logged = rm.log("journal.sqlite")
+        >>> logged
+        <LoggedReadings 3 readings of 2 places>
+        >>> [place.name for place in logged.places]
+        ['patch 40,24 16 × 16', 'patch 0,0 8 × 8']
+
+    Attributes:
+        stored: The readings as the journal holds them: a line of JSON each.
+    """
+
+    stored: tuple[str, ...]
+
+    @cached_property
+    def readings(self) -> list[dict[str, Any]]:
+        """Return the readings as plain values."""
+        return [json.loads(line) for line in self.stored]
+
+    @cached_property
+    def places(self) -> list[Place]:
+        """Return the readings of each place; readings of different places share neither mean nor line."""
+        found: dict[tuple[Any, ...], list[dict[str, Any]]] = {}
+        for one in self.readings:
+            patch = one["patch"]
+            where = (one.get("name", ""), one.get("session", ""), one["instrument"], *patch.values())
+            found.setdefault((*where, one["radiance"]["unit"]), []).append(one)
+        return [Place(_place_name(key, found), tuple(readings)) for key, readings in found.items()]
+
+    def to_mapping(self) -> dict[str, Any]:
+        """Return the readings as plain values."""
+        return {"readings": self.readings}
+
+    def to_json(self) -> str:
+        """Return the documented JSON form: one object per line."""
+        return "\n".join(self.stored)
+
+    def to_csv(self) -> str:
+        """Return the readings as CSV."""
+        return to_csv(self.stored)
+
+    def plot(self, axes: Axes | None = None) -> Axes:
+        """Draw the readings with a band of their expanded uncertainty, a line for each place, flagged ones marked.
+
+        Args:
+            axes: Where to draw; a new figure by default.
+
+        Raises:
+            UsageError: If there is no reading with a value.
+        """
+        where, drawn = axes if axes is not None else new_axes(), 0
+        for place in self.places:
+            known = [one for one in place.readings if None not in (one["radiance"]["value"], one["radiance"]["u"])]
+            if known:
+                _draw(where, place.name, known)
+                drawn += 1
+        if not drawn:
+            raise UsageError("there is no reading to draw; widen --since and --until")
+        units = sorted({one["radiance"]["unit"] for one in self.readings})
+        where.set_ylabel(f"radiance / {', '.join(units)}")
+        where.set_xlabel("time (UTC)")
+        where.grid(alpha=0.25)
+        where.legend(frameon=False)
+        return where
+
+    def write_plot(self, path: PathLike) -> None:
+        """Draw the readings into a PNG, PDF or SVG file. Raises UsageError for another ending."""
+        target = Path(path)
+        if target.suffix.lower() not in _PICTURES:
+            raise UsageError(f"{target}: name a .png, .pdf or .svg file")
+        figure: Any = self.plot(new_axes()).figure
+        figure.set_size_inches(9, 4.2)
+        content = io.BytesIO()
+        figure.savefig(content, format=target.suffix.lower()[1:], dpi=150)
+        write_bytes_atomic(target, content.getvalue())
+
+    def __str__(self) -> str:
+        """Return how many readings of how many places."""
+        return f"{len(self.stored)} readings of {len(self.places)} places"
+
+
+def _place_name(key: tuple[Any, ...], all_places: Mapping[tuple[Any, ...], Sequence[Any]]) -> str:
+    name, session, instrument, x, y, width, height, unit = key
+    said = name or f"patch {x},{y} {width} × {height}"
+    said += f" of session {session}" if session else ""
+    said += f" of {instrument}" if len({other[2] for other in all_places}) > 1 else ""
+    return said + (f" ({unit})" if len({other[-1] for other in all_places}) > 1 else "")
+
+
+def _draw(axes: Axes, name: str, readings: Sequence[Mapping[str, Any]]) -> None:
+    times: Any = [dt.datetime.fromisoformat(one["time"]) for one in readings]
+    values = [one["radiance"]["value"] for one in readings]
+    spread = [one["radiance"]["u"] * one["coverage_factor"] for one in readings]
+    (line,) = axes.plot(times, values, "-" if len(values) > 1 else "o", linewidth=1.2, label=name)
+    low, high = ([v + sign * s for v, s in zip(values, spread, strict=True)] for sign in (-1, 1))
+    axes.fill_between(times, low, high, alpha=0.22, color=line.get_color(), linewidth=0)
+    flagged: Any = [(t, v) for t, v, one in zip(times, values, readings, strict=True) if one["flags"]]
+    if flagged:
+        axes.plot(*zip(*flagged, strict=True), ".", color="#b3261e", label=f"{name}, flagged")
+
+
+def log(
+    journal: PathLike | None = None,
+    *,
+    since: str | None = None,
+    until: str | None = None,
+    after: int | None = None,
+    flag: str | None = None,
+    clean: bool = False,
+    limit: int | None = None,
+) -> LoggedReadings:
+    """Return the readings of the daemon's journal that match.
+
+    Examples:
+        >>> import radiometer as rm
+        >>> rm.log("journal.sqlite", limit=1)
+        <LoggedReadings 1 readings of 1 places>
+
+    Args:
+        journal: Journal file; the daemon's default one by default.
+        since: Not before: ISO 8601, or an age such as "15min", "2h", "7d".
+        until: Before this time.
+        after: Only readings with a number above this.
+        flag: Only readings with this flag.
+        clean: Only readings without any flag.
+        limit: At most this many, the newest.
+
+    Raises:
+        InputError: If there is no journal, or it cannot be read.
+        UsageError: If a time cannot be understood.
+    """
+    since_us, until_us = (parse_moment(moment) if moment else None for moment in (since, until))
+    wanted = ReadingFilter(since_us, until_us, after, flag, clean, limit, newest_first=limit is not None)
+    lines = _reader(journal).lines(wanted)
+    return LoggedReadings(tuple(reversed(lines)) if wanted.newest_first else tuple(lines))
+
+
+def log_events(journal: PathLike | None = None, *, since: str | None = None, limit: int = 200) -> list[dict[str, str]]:
+    """Return alarms and recoveries of a journal, oldest first: time, kind and message of each.
+
+    Examples:
+        >>> import radiometer as rm
+        >>> rm.log_events("journal.sqlite")
+        []
+
+    Args:
+        journal: Journal file; the daemon's default one by default.
+        since: Not before: ISO 8601, or an age such as "7d".
+        limit: At most this many, the newest.
+
+    Raises:
+        InputError: If there is no journal, or it cannot be read.
+    """
+    return _reader(journal).events(parse_moment(since) if since else None, limit)
+
+
+def log_budget(sequence: int, journal: PathLike | None = None) -> dict[str, float]:
+    """Return the relative standard uncertainties of one logged reading by contribution, the largest first.
+
+    Examples:
+        >>> import radiometer as rm
+        >>> budget = rm.log_budget(1, "journal.sqlite")
+        >>> list(budget)[-1], round(budget["combined (k = 1)"], 4)
+        ('combined (k = 1)', 0.005)
+
+    Args:
+        sequence: Number of the reading.
+        journal: Journal file; the daemon's default one by default.
+
+    Raises:
+        InputError: If there is no such journal or reading.
+    """
+    parts = dict(sorted(_reader(journal).budget(sequence).items(), key=lambda entry: -entry[1]))
+    return {**parts, "combined (k = 1)": math.sqrt(sum(u * u for u in parts.values()))}
+
+
+def _reader(journal: PathLike | None) -> JournalReader:
+    return JournalReader(Path(journal) if journal else default_journal_path())

@@ -1,0 +1,202 @@
+"""Limits of memory, time and size for every reader of a file, whatever library it uses, and one line where it fails."""
+
+from __future__ import annotations
+
+import bz2
+import functools
+import lzma
+import resource
+import signal
+import stat
+import threading
+import zlib
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from types import FrameType
+from typing import Any, Final, ParamSpec, TypeVar
+
+from radiometer.data.guards import MOST_FILE_BYTES
+from radiometer.errors import CaptureError, InputError, RadiometerError
+
+READER_BYTES: Final = 2_000_000_000  # a picture of 400 MB, decoded, converted and copied
+RAW_READER_BYTES: Final = 5_000_000_000  # 151 million raw pixels: LibRaw keeps four values of 16 bits for each
+READER_SECONDS: Final = 60.0  # of processor time; the largest pictures take some 5 s
+_P = ParamSpec("_P")
+_R = TypeVar("_R")
+_PACKED: Final[dict[bytes, Callable[[], Any]]] = {
+    b"\x1f\x8b": functools.partial(zlib.decompressobj, 16 + zlib.MAX_WBITS),
+    b"BZh": bz2.BZ2Decompressor,
+    b"\xfd7zXZ": lzma.LZMADecompressor,
+}
+_LOCK: Final = threading.Lock()
+_THREAD: Final = threading.local()
+
+
+class _TooLong(BaseException):
+    """The time of a reader is over: no `except Exception` of a library may keep it."""
+
+
+class _Budget:
+    """The memory that readers at work may take together; kept for the process, as the system counts it so."""
+
+    def __init__(self) -> None:
+        self.readers, self.granted, self.before = 0, 0, (resource.RLIM_INFINITY, resource.RLIM_INFINITY)
+
+
+_BUDGET: Final = _Budget()
+
+
+def bounded_reader(
+    memory_bytes: int = READER_BYTES, *, error: type[RadiometerError] = CaptureError
+) -> Callable[[Callable[_P, _R]], Callable[_P, _R]]:
+    """Return a decorator that keeps a reader of a file within limits.
+
+    The first argument of the reader that is a path names the file. It must be a regular file of at most
+    `MOST_FILE_BYTES`; a folder or a missing file is left to the reader. Whatever a damaged file makes a library raise
+    becomes one line that names the file. The limit of time holds in the main thread, where Python lets signals in.
+
+    Args:
+        memory_bytes: Memory in bytes that the reader may take beyond what the process has.
+        error: Kind of error that names the file.
+    """
+
+    def decorate(read: Callable[_P, _R]) -> Callable[_P, _R]:
+        @functools.wraps(read)
+        def bounded(*args: _P.args, **kwargs: _P.kwargs) -> _R:
+            if getattr(_THREAD, "reading", False):  # within the limits of the reader that asked for this one
+                return read(*args, **kwargs)
+            path = next((one for one in args if isinstance(one, Path)), None)
+            if path is not None:
+                refuse_endless(path, error)
+            where = str(path) if path is not None else "the data"
+            _THREAD.reading = True
+            try:
+                with _limited_memory(memory_bytes), _limited_time():
+                    return read(*args, **kwargs)
+            except RadiometerError:
+                raise
+            except MemoryError as failure:
+                raise error(
+                    f"{where}: reading it takes more than {memory_bytes / 1e9:g} GB of memory; look whether the file is"
+                    " what it says"
+                ) from failure
+            except _TooLong as failure:
+                raise error(
+                    f"{where}: reading it takes more than {READER_SECONDS:g} s of processor time; look whether the file"
+                    " is what it says"
+                ) from failure
+            except OSError as failure:
+                raise error(f"cannot read {where}: {failure.strerror or failure}") from failure
+            except Exception as failure:  # a damaged file makes libraries raise nearly anything
+                if path is None:
+                    raise
+                reason = (str(failure).strip().splitlines() or [""])[0][:200]
+                kind = type(failure).__name__
+                raise error(f"{where}: damaged, or of a form that is not read ({kind}: {reason})") from failure
+            finally:
+                _THREAD.reading = False
+
+        return bounded
+
+    return decorate
+
+
+def refuse_endless(path: Path, error: type[RadiometerError] = InputError) -> None:
+    """Refuse a file that has no end, or is larger than any that is read.
+
+    Raises:
+        InputError: If it is a device, pipe or socket, or larger than `MOST_FILE_BYTES`.
+    """
+    try:
+        found = path.stat()
+    except (OSError, ValueError):
+        return  # its reader names what is missing
+    if stat.S_ISDIR(found.st_mode):
+        return
+    if not stat.S_ISREG(found.st_mode):
+        raise error(f"{path}: no regular file (a device, pipe or socket); save its content as a file first")
+    if found.st_size > MOST_FILE_BYTES:
+        raise error(f"{path}: {found.st_size / 1e6:.0f} MB; at most {MOST_FILE_BYTES / 1e6:.0f} MB are read")
+
+
+def unpacked(path: Path, content: bytes, most_bytes: int) -> bytes:
+    """Return the bytes of a gzip, bzip2 or xz file, unpacked no further than a limit; others as they are.
+
+    Args:
+        path: The file, for the message.
+        content: Its bytes.
+        most_bytes: Most bytes once unpacked.
+
+    Raises:
+        InputError: If there are more, or the stream is damaged or ends too early.
+    """
+    pieces, size = list[bytes](), 0
+    try:
+        while kind := next((kind for magic, kind in _PACKED.items() if content.startswith(magic)), None):
+            unpacker = kind()
+            pieces.append(unpacker.decompress(content, most_bytes + 1 - size))
+            size += len(pieces[-1])
+            if size > most_bytes:
+                raise InputError(f"{path}: more than {most_bytes / 1e6:g} MB once unpacked; unpack and cut it first")
+            if not unpacker.eof:
+                raise InputError(f"{path}: its packed data end too early; copy it again")
+            content = unpacker.unused_data  # several packed files may stand one after the other
+    except (OSError, EOFError, zlib.error, lzma.LZMAError) as error:
+        raise InputError(f"{path}: its packed data are damaged ({error}); copy it again") from error
+    return b"".join(pieces) if pieces else content
+
+
+@contextmanager
+def _limited_memory(extra_bytes: int) -> Iterator[None]:
+    """Let the process take so many bytes more while the block runs; readers in other threads add theirs."""
+    with _LOCK:
+        if not _BUDGET.readers:
+            _BUDGET.before = resource.getrlimit(resource.RLIMIT_AS)
+            _BUDGET.granted = _virtual_bytes()
+        _BUDGET.readers += 1
+        _BUDGET.granted += extra_bytes
+        _set_limit(_BUDGET.granted)
+    try:
+        yield
+    finally:
+        with _LOCK:
+            _BUDGET.readers -= 1
+            if _BUDGET.readers:
+                _BUDGET.granted -= extra_bytes
+                # What finished readers returned is the process's now: the others keep the room they were promised.
+                _BUDGET.granted = max(_BUDGET.granted, _virtual_bytes())
+                _set_limit(_BUDGET.granted)
+            else:
+                resource.setrlimit(resource.RLIMIT_AS, _BUDGET.before)
+
+
+def _set_limit(size: int) -> None:
+    soft, hard = _BUDGET.before
+    known = [limit for limit in (soft, hard) if limit != resource.RLIM_INFINITY]
+    resource.setrlimit(resource.RLIMIT_AS, (min([size, *known]), hard))
+
+
+def _virtual_bytes() -> int:
+    """Return the address space of the process in bytes (proc(5), statm: pages)."""
+    pages = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[0])
+    return pages * resource.getpagesize()
+
+
+@contextmanager
+def _limited_time() -> Iterator[None]:
+    """End the block after `READER_SECONDS` of processor time; only the main thread can be interrupted."""
+    if threading.current_thread() is not threading.main_thread() or signal.getitimer(signal.ITIMER_VIRTUAL)[0]:
+        yield
+        return
+
+    def stop(_signal: int, _frame: FrameType | None) -> None:
+        raise _TooLong
+
+    before = signal.signal(signal.SIGVTALRM, stop)
+    signal.setitimer(signal.ITIMER_VIRTUAL, READER_SECONDS, 1.0)  # again, where a library kept the first one
+    try:
+        yield
+    finally:
+        signal.setitimer(signal.ITIMER_VIRTUAL, 0.0)
+        signal.signal(signal.SIGVTALRM, before)

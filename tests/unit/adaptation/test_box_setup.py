@@ -1,0 +1,203 @@
+"""What is checked before a test on the box: age of its calibration, its and the eye's limits, the dark room."""
+
+from __future__ import annotations
+
+import datetime as dt
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from radiometer.adaptation.box_setup import SIMULATED_CALIBRATION, open_box_stage
+from radiometer.adaptation.checks import Finding, judge_age, judge_room
+from radiometer.adaptation.protocol import AdaptationProtocol, FlashBleach, read_protocol
+from radiometer.adaptation.request import RunRequest
+from radiometer.bench.served_box import served_box
+from radiometer.data.config_files import shipped_config
+from radiometer.data.light_calibration import LightCalibration
+from radiometer.errors import (
+    CalibrationError,
+    MeasurementError,
+    RadiometerError,
+    SettingOutOfRange,
+    UnsafeStimulus,
+    UsageError,
+)
+
+NOW = dt.datetime(2026, 11, 21, tzinfo=dt.UTC)
+
+
+@pytest.fixture
+def quick() -> AdaptationProtocol:
+    return read_protocol("quick")
+
+
+def before_box(protocol: AdaptationProtocol, **asked: Any) -> RunRequest:
+    """Return the request of a run before the simulated box."""
+    return RunRequest(protocol, box="sim", **asked)
+
+
+def findings(protocol: AdaptationProtocol, **asked: Any) -> list[Finding]:
+    """Return what the checks of a simulated box find."""
+    with open_box_stage(before_box(protocol, **asked)) as (_, checks):
+        return [check() for check in checks]
+
+
+def changed(protocol: AdaptationProtocol, section: str, **values: Any) -> AdaptationProtocol:
+    """Return a protocol with other values in a section."""
+    return protocol.model_copy(update={section: getattr(protocol, section).model_copy(update=values)})
+
+
+def refusal(protocol: AdaptationProtocol, **asked: Any) -> RadiometerError:
+    """Return why a test would not begin."""
+    refused = [f.refusal for f in findings(protocol, **asked) if f.refusal is not None]
+    assert refused
+    return refused[0]
+
+
+@pytest.mark.parametrize("name", ["classic", "quick", "led-only", "questplus"])
+def test_shipped_protocols_are_within_the_limits_of_eye_and_box(name: str) -> None:
+    """Every one for the box can be run on the reference box, the flash too; the journal gets the hazard fractions."""
+    (safety,) = findings(read_protocol(name))
+    assert safety.refusal is None
+    assert 0 < safety.facts["blue_light"] < safety.facts["allowed_fraction"]
+
+
+def test_calibration_age_against_the_protocols_limit(quick: AdaptationProtocol) -> None:
+    """30 days: 29 pass; 31 are refused with both figures and the way out, or accepted with a mark in the journal."""
+    age = {days: (NOW - dt.timedelta(days=days)).isoformat() for days in (29, 31)}
+    assert judge_age("box X", age[29], quick, NOW).refusal is None
+    refused = judge_age("box X", age[31], quick, NOW).refusal
+    assert isinstance(refused, CalibrationError)
+    assert all(word in str(refused) for word in ("box X", "31 days", "allows 30", "--accept-stale"))
+    accepted = judge_age("box X", age[31], quick, NOW, accept_stale=True)
+    assert accepted.refusal is None
+    assert accepted.facts["accepted_stale"] is True
+
+
+def test_own_calibration_of_a_box_is_checked_for_its_age(tmp_path: Path, quick: AdaptationProtocol) -> None:
+    """The check is made on the file that the levels come from."""
+    old = replace(LightCalibration.read(shipped_config(SIMULATED_CALIBRATION)), created="2020-01-01T00:00:00Z")
+    old.write(tmp_path / "old.yaml")
+    assert isinstance(refusal(quick, calibration=tmp_path / "old.yaml"), CalibrationError)
+    accepted = findings(quick, calibration=tmp_path / "old.yaml", accept_stale=True)
+    assert [finding.refusal for finding in accepted] == [None, None]
+
+
+def test_flash_beyond_the_box_is_refused_with_the_time_it_would_need(quick: AdaptationProtocol) -> None:
+    """6e6 td·s in 20 ms are 19 kW/sr/m²; at 2.556 the same energy takes 152 s."""
+    flash = quick.model_copy(update={"bleach": FlashBleach(kind="flash", retinal_td_s=6e6, duration_s=0.02)})
+    assert "needs 152 s at least for 6e+06 td·s" in str(refusal(flash))
+
+
+def test_bleach_longer_than_the_firmware_allows_is_refused_before_it_begins() -> None:
+    """The white channel's energy budget ends 800 cd/m² after some 200 s; no half bleach is given."""
+    long = changed(read_protocol("led-only"), "bleach", luminance_cd_m2=800.0, duration_s=600.0)
+    refused = refusal(long)
+    assert isinstance(refused, UnsafeStimulus)
+    assert "energy budget" in str(refused)
+
+
+def test_bleach_beyond_the_exposure_limit_is_refused(quick: AdaptationProtocol) -> None:
+    """With a ten-thousandth of the limit allowed, the flash (3.4e-4 of it) is refused by IEC 62471's name."""
+    with open_box_stage(before_box(quick)) as (stage, checks):
+        stage.box.ledger.allowed_fraction = 1e-4  # type: ignore[attr-defined]
+        refused = checks[0]().refusal
+    assert isinstance(refused, UnsafeStimulus)
+    assert "IEC 62471" in str(refused)
+
+
+def test_spot_beyond_the_boxs_range_is_refused_with_the_range(quick: AdaptationProtocol) -> None:
+    """Without its filter the spot does not get as dim as the rods see; what it reaches is said."""
+    refused = refusal(changed(quick, "spot", filter_density=0.0))
+    assert not isinstance(refused, SettingOutOfRange)
+    assert "reaches -1.91 to 3.16 log10 scotopic cd/m²" in str(refused)
+
+
+def test_channel_of_another_colour_is_refused(quick: AdaptationProtocol) -> None:
+    """A 505 nm protocol on a 453 nm LED would be wrong by a factor of two without anybody noticing."""
+    assert "505 nm" in str(refusal(changed(quick, "spot", peak_nm=505.0)))
+
+
+@pytest.mark.slow
+def test_dark_room_is_measured_by_the_camera(quick: AdaptationProtocol) -> None:
+    """In the dark the reading is 0 within its uncertainty; at 0.01 cd/m² it is that, and refused."""
+    dark = findings(quick, measure_room=True)[-1]
+    assert dark.refusal is None
+    assert abs(dark.facts["luminance_cd_m2"]) < 3 * dark.facts["u_cd_m2"]
+    lit = findings(quick, measure_room=True, room_cd_m2=0.01)[-1]
+    assert isinstance(lit.refusal, MeasurementError)
+    # The simulated camera was calibrated at another wavelength than that of the room: 1 % of quantum efficiency.
+    assert lit.facts["luminance_cd_m2"] == pytest.approx(0.01, abs=3 * lit.facts["u_cd_m2"] + 0.0001)
+
+
+@pytest.mark.parametrize(("value", "u", "said"), [(2e-3, 1e-5, "darken it"), (5e-4, 1e-3, "does not show")])
+def test_room_must_be_shown_to_be_dark(quick: AdaptationProtocol, value: float, u: float, said: str) -> None:
+    """Too bright, and not known well enough, are told apart."""
+    assert said in str(judge_room(value, u, quick).refusal)
+
+
+def test_simulated_subject_sits_before_the_simulated_box_only(quick: AdaptationProtocol) -> None:
+    """No box is opened for the refusal."""
+    with pytest.raises(UsageError, match="--box sim"), open_box_stage(RunRequest(quick, box="LB1", simulate="steady")):
+        pass
+
+
+def test_red_mark_has_the_protocols_luminance(quick: AdaptationProtocol) -> None:
+    """0.1 cd/m² at the channel's 640 nm (119.5 lm/W, V = 0.175) unless a radiance is stated."""
+    with open_box_stage(before_box(quick)) as (stage, _):
+        assert stage.lights.fixation_w_sr_m2 == pytest.approx(0.1 / (683 * 0.175), rel=1e-3)
+        assert stage.facts()["u_scale_log10"] == pytest.approx(0.01127 / 2.3026, abs=1e-4)  # 1.127 % shared by all
+    with open_box_stage(before_box(quick, fixation_w_sr_m2=0.0)) as (stage, _):
+        assert stage.lights.fixation_w_sr_m2 == 0.0
+
+
+def test_served_box_has_its_subject_before_the_twin_only(tmp_path: Path) -> None:
+    """The firmware in simavr has pins, no LEDs."""
+    with pytest.raises(UsageError, match="leave out one"):
+        served_box("TWIN0001", tmp_path / "port", firmware=tmp_path / "x.hex", subject="steady")
+    with pytest.raises(UsageError, match="choose steady"):
+        served_box("TWIN0001", tmp_path / "port", subject="asleep")
+
+
+def test_light_in_the_blind_spot_is_as_bright_as_the_mark(quick: AdaptationProtocol) -> None:
+    """0.1 cd/m² at 640 nm (119.5 lm/W); the reference box has it 15.5° temporal."""
+    with open_box_stage(before_box(quick)) as (stage, _):
+        assert stage.checks_fixation
+        assert stage.lights.blind_spot_w_sr_m2 == pytest.approx(0.1 / (683 * 0.175), rel=1e-3)
+        assert "no_fixation_check" not in stage.facts()
+
+
+def test_light_in_the_blind_spot_beyond_the_channel_is_refused(quick: AdaptationProtocol) -> None:
+    """10⁻⁹ cd/m² is below what the red LED can be dimmed to: the message names the protocol's key."""
+    assert quick.fixation_check is not None
+    dim = quick.model_copy(update={"fixation_check": quick.fixation_check.model_copy(update={"luminance_cd_m2": 1e-9})})
+    assert "fixation_check.luminance_cd_m2" in str(refusal(dim))
+
+
+def _preset(path: Path, text: str) -> Path:
+    """Write the reference preset with another place of its red channel."""
+    whole = shipped_config("light_boxes/reference.yaml").read_text(encoding="utf-8")
+    stated = "place: {temporal_deg: 15.5, below_deg: 1.5}"
+    assert stated in whole
+    path.write_text(whole.replace(f",\n    {stated}", text), encoding="utf-8")
+    return path
+
+
+@pytest.mark.parametrize(
+    ("stated", "why"),
+    [("", "states no `place`"), (", place: {temporal_deg: 5, below_deg: 0}", "stands 5° temporal")],
+)
+def test_box_whose_red_light_stands_elsewhere_says_that_fixation_is_not_checked(
+    tmp_path: Path, quick: AdaptationProtocol, stated: str, why: str
+) -> None:
+    """The test is run all the same, and the journal tells why."""
+    with open_box_stage(before_box(quick, preset=_preset(tmp_path / "p.yaml", stated))) as (stage, _):
+        assert not stage.checks_fixation
+        assert why in str(stage.facts()["no_fixation_check"])
+
+
+def test_spot_of_a_channel_that_stands_elsewhere_is_refused(quick: AdaptationProtocol) -> None:
+    """The red channel of the reference box stands in the blind spot: nobody would see it as a test spot."""
+    assert "stands 15.6° from it" in str(refusal(changed(quick, "spot", channel="spot_red", peak_nm=640.0)))

@@ -1,0 +1,137 @@
+"""Clients that take no replies, drip their requests or never read: what they hold is bounded, and others are served."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import AsyncIterator
+from dataclasses import replace
+from typing import Any
+
+import aiohttp
+import pytest
+
+from radiometer.daemon.http.server import HttpServer
+from radiometer.daemon.hub import Hub
+from radiometer.daemon.limits import Limits, ReplyBudget
+from radiometer.daemon.scpi.server import ScpiServer
+from radiometer.daemon.station import Station
+from radiometer.errors import UsageError
+from testing.patience import within
+
+_LIMITS = Limits(http_connections=12, listeners=4, listening_s=0.0, http_requests_per_s=1e4)
+
+
+@pytest.fixture
+async def base(station: Station) -> AsyncIterator[str]:
+    """Return the address of an HTTP server with few places."""
+    server = HttpServer(station, limits=_LIMITS)
+    yield f"http://127.0.0.1:{await server.listen('127.0.0.1', 0)}"
+    await server.close()
+
+
+async def _open(base: str, text: str) -> asyncio.StreamWriter:
+    _, writer = await asyncio.open_connection("127.0.0.1", int(base.rsplit(":", 1)[1]))
+    writer.write(text.encode())
+    await writer.drain()
+    return writer
+
+
+async def test_clients_that_drip_bodies_do_not_lock_others_out(base: str) -> None:
+    """More of them than there are places, again and again: every honest request is answered."""
+    head = "POST /measure HTTP/1.1\r\nHost: localhost\r\nContent-Type: application/json\r\nContent-Length: 9\r\n\r\n{"
+    writers = []
+    async with aiohttp.ClientSession(connector=aiohttp.TCPConnector(force_close=True)) as session:
+        for _ in range(6):
+            writers += [await _open(base, head) for _ in range(2 * _LIMITS.http_connections)]
+            async with asyncio.timeout(within(10.0)), session.get(f"{base}/healthz") as reply:
+                assert reply.status == 200
+    for writer in writers:
+        writer.close()
+
+
+async def test_listeners_that_do_not_read_do_not_hold_all_streams(base: str, station: Station) -> None:
+    """As many as there are streams and more: a newcomer is served, and a reading reaches it."""
+    head = "GET /readings/stream HTTP/1.1\r\nHost: localhost\r\n\r\n"
+    writers = [await _open(base, head) for _ in range(_LIMITS.listeners + 1)]
+    async with (
+        aiohttp.ClientSession() as session,
+        asyncio.timeout(within(10.0)),
+        session.get(f"{base}/readings/stream", params={"format": "jsonl"}) as stream,
+    ):
+        assert stream.status == 200
+        await station.acquisition.measure()
+        assert b"radiance" in await stream.content.readline()
+    for writer in writers:
+        writer.close()
+
+
+async def test_the_stream_that_is_furthest_behind_ends_first() -> None:
+    """Then the oldest; none that is younger than asked for."""
+    now = [0.0]
+    hub = Hub(lambda: now[0])
+    oldest, behind = hub.subscribe(), hub.subscribe()
+    behind.offer(Any)
+    assert not hub.end_one(1.0)
+    now[0] = 2.0
+    newest = hub.subscribe()
+    assert hub.end_one(1.0)
+    assert (oldest.closed, behind.closed) == (False, True)
+    assert hub.end_one(1.0)
+    assert (oldest.closed, newest.closed) == (True, False)
+    assert not hub.end_one(1.0)
+
+
+async def test_one_message_has_bounded_replies(client: Any, instrument: Any, station: Station) -> None:
+    """Those without the largest: of 370 pictures of 2 MB two come, and an entry of the queue refuses the rest."""
+    instrument.shape = (1024, 1024)
+    await station.acquisition.measure()
+    async with asyncio.timeout(within(30.0)):
+        await client.send(";".join(["TRAC? IMAG"] * 370))
+        received = await client.reader.readexactly(2 * (9 + 2_097_152) + 2)
+        assert received.endswith(b"\n")
+        assert (await client.ask("SYST:ERR?")).startswith('-225,"Out of memory')
+
+
+def test_all_clients_together_hold_a_bounded_amount() -> None:
+    """By the budget that they share: small replies always pass, and so does a single one of any size."""
+    budget = ReplyBudget(10_000_000)
+    assert budget.take(302_000_000)
+    assert not budget.take(2_000_000)
+    assert all(budget.take(1_000_000) for _ in range(1000))
+    for _ in range(1000):
+        budget.give_back(1_000_000)
+    budget.give_back(302_000_000)
+    assert [budget.take(4_000_000) for _ in range(4)] == [True, True, False, False]
+
+
+async def test_a_client_that_takes_nothing_holds_memory_only_while_it_is_there(
+    instrument: Any, station: Station
+) -> None:
+    """It holds the budget; another's picture fails with -225 and its small queries do not; then it is gone."""
+    limits = replace(Limits(), large_replies_bytes=3_000_000, reply_bytes_waiting=1000)
+    instrument.shape = (6000, 1024)
+    await station.acquisition.measure()
+    server = ScpiServer(station, limits=limits)
+    port = await server.listen_tcp("127.0.0.1", 0)
+    lazy = await asyncio.open_connection("127.0.0.1", port, limit=2)
+    reader, writer = await asyncio.open_connection("127.0.0.1", port, limit=2**24)
+    async with asyncio.timeout(within(30.0)):
+        lazy[1].write(b"TRAC? IMAG\n")
+        while not server.budget.held_bytes:
+            await asyncio.sleep(0.01)
+        writer.write(b"TRAC? IMAG\nSYST:ERR?\n")
+        assert (await reader.readline()).startswith(b'-225,"Out of memory')
+        lazy[1].transport.abort()
+        while server.budget.held_bytes:
+            await asyncio.sleep(0.01)
+        writer.write(b"TRAC? IMAG\n")
+        assert (await reader.readexactly(10)) == b"#812288000"
+    writer.close()
+    await server.close()
+
+
+@pytest.mark.parametrize("token", ["1", "x" * 15, ""])
+def test_a_short_token_is_refused_wherever_it_comes_from(station: Station, token: str) -> None:
+    """By the server itself, so that file, environment and Python are alike."""
+    with pytest.raises(UsageError, match="use 16 or more"):
+        HttpServer(station, token=token)
