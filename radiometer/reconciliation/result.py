@@ -1,4 +1,4 @@
-"""What reconcile found, in the form of the documented JSON."""
+"""Holds the findings of reconcile, in the form of the documented JSON."""
 
 from __future__ import annotations
 
@@ -163,7 +163,8 @@ class CovariateGap:
 
 @dataclass(frozen=True, slots=True)
 class Place:
-    """Where the starting model disagrees, found without the catalogue: one test, the places before it taken out.
+    """A place where the starting model disagrees, found without the catalogue: one test, the places before it taken
+    out.
 
     Attributes:
         block: Statistic.

@@ -54,7 +54,7 @@ class Given(Enum):
 
 
 class Scale(Enum):
-    """How measured and predicted are subtracted."""
+    """Scale on which measured and predicted figures are subtracted."""
 
     PLAIN = "as they are"
     LOGARITHM = "logarithms of variances, freed of the bias of few degrees of freedom"
@@ -107,7 +107,7 @@ class Statistic:
 
 @dataclass(frozen=True, eq=False)
 class Counted:
-    """Which entries are free of clipping, have freedom left and are not formed by the spacing of the codes.
+    """Entries that are free of clipping, have freedom left and are not formed by the spacing of the codes.
 
     Attributes:
         design: Captures and tiles.
@@ -217,7 +217,7 @@ class Counted:
 
 @dataclass(frozen=True, eq=False)
 class Scatter:
-    """How far the statistics of a model that is right would scatter, each by itself.
+    """Scatter of the statistics of a correct model, each by itself.
 
     The weights never come from the prediction under test.
 

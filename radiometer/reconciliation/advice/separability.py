@@ -97,7 +97,8 @@ class Directions:
         return float(max(self.products[form.columns.start, form.columns.start], 0.0))
 
     def left(self, target: _Form, other: _Form) -> tuple[float, float]:
-        """Return the χ² of a start that another entry, about one of its own, does not follow, and the share of it."""
+        """Return the χ² of a start that another entry, about one of its starts, does not follow, and the share of
+        it."""
         whole = self.shown(target)
         left, taken = self._least(target, other)
         if taken[0] <= 0 or np.max(np.abs(taken[1:]), initial=0.0) > _REACH * taken[0]:  # another form than it can take
@@ -237,7 +238,7 @@ def _refitted_cost(exact: FitState, effect: CatalogueEffect) -> float:
 
 @dataclass(eq=False)
 class ConfusablePair:
-    """Which entries fit the noiseless data of another's start.
+    """Fits entries to the noiseless data of another entry's start.
 
     Derivatives show where one entry may imitate the other. They do not reach far enough to prove it: a change
     that is a small difference of large ones, or bends, is no such sum. Only what follows for the most part is fitted.

@@ -26,7 +26,7 @@ _NOTHING: Final = 1e-6  # a χ² that stands for none
 
 @dataclass(frozen=True, slots=True)
 class Asked:
-    """What is asked for.
+    """The detection that is asked for.
 
     Attributes:
         chi2: χ² by which an effect is to stand out, all nuisances and other effects following.
@@ -134,7 +134,7 @@ class Grown:
 
 @dataclass(frozen=True, eq=False)
 class _Search:
-    """The way to the size that is asked for.
+    """Search for the size that is asked for.
 
     Attributes:
         first: Size of the start.

@@ -57,7 +57,7 @@ def included(
 
 
 class FullFits:
-    """What was fitted in full from one model, so that nothing is fitted twice while a step is thought over.
+    """Full fits from one model, kept so that nothing is fitted twice while a step is decided.
 
     Attributes:
         state: The model.

@@ -37,7 +37,7 @@ _FREE_TEXTURE: Final = 10.0
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Change:
-    """What a step of a nuisance changes, per unit of the step: of the means in DN, and of the whitened residual."""
+    """Change by a step of a nuisance, per unit of the step: of the means in DN, and of the whitened residual."""
 
     mean: Array
     residual: Array
@@ -45,7 +45,7 @@ class Change:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class NuisanceLayout:
-    """Which nuisances are fitted, in which order, and with which prior.
+    """The fitted nuisances with their order and priors.
 
     Attributes:
         scalars: Names of scalar nuisances.

@@ -151,7 +151,7 @@ def reconcile_photographs(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Judged:
-    """What came of a stack: rounded stops or not, wrong labels, and the errors before and after each."""
+    """Outcome for a stack: rounded stops or not, wrong labels, and the errors before and after each."""
 
     samples: ResponseSamples
     fitted: FittedResponse

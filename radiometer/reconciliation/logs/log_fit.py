@@ -68,7 +68,7 @@ class LogStep:
 
 @dataclass(frozen=True, eq=False)
 class LogFit:
-    """What a log came to.
+    """The outcome for a log.
 
     Attributes:
         result: In the words of reconcile.

@@ -1,4 +1,4 @@
-"""What a camera's value should be under a reference's light, and the terms that may be missing from it.
+"""Predicts a camera's value from a reference's light, and lists the terms that may be missing.
 
 value = s·(1 + a·s/s̄) + b,  s = R·(L + L₀)·(t + δ)·10^(G/20)·c(colour, T, gain) + D·t·10^(G/20)·2^((T − 25 °C)/θ)
 

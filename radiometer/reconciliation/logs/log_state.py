@@ -23,7 +23,7 @@ Whiteners = tuple[tuple[NDArray[np.intp], Array], ...]
 
 @dataclass(frozen=True, slots=True)
 class Scatter:
-    """How readings scatter about a right model, in ln(value).
+    """Scatter of readings about a correct model, in ln(value).
 
     Attributes:
         reading: Standard deviation of a reading within its night.

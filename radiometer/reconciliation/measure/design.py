@@ -80,7 +80,7 @@ class Capture:
 
 @dataclass(frozen=True, eq=False)
 class Design:
-    """What was captured: settings per capture and the tiles, without any pixel.
+    """Plan of a capture set: settings per capture and the tiles, without any pixel.
 
     Attributes:
         header: What `capture.yaml` says, with a stand-in for exposures of 0 s and one temperature for readings in turn.

@@ -164,7 +164,7 @@ def wave_power(bins: RowBins, basis: Array, frequency: float) -> tuple[Array, Ar
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TileBands:
-    """What a wave along the rows leaves in each tile, (tiles,), amplitudes or shares of the wave's variance.
+    """Trace of a wave along the rows in each tile, (tiles,), amplitudes or shares of the wave's variance.
 
     Attributes:
         mean: Amplitude of the tile's mean.

@@ -1,4 +1,4 @@
-"""Whether frames of one pattern show one scene: a scene that changes is none of the camera's effects.
+"""Checks whether frames of one pattern show one scene: a changing scene is no effect of the camera.
 
 Lens, sensor and source change a picture smoothly, along its rows or along its columns. The residual of its logarithm
 is the scene's own fine structure, which exposure, gain and response leave in place.
@@ -28,7 +28,7 @@ _SAME: Final = 0.5  # least correlation of one scene's fine structure; that of d
 
 @dataclass(frozen=True, slots=True)
 class FineStructure:
-    """What a frame shows in blocks of pixels.
+    """Fine structure of a frame in blocks of pixels.
 
     Attributes:
         log_light: (rows, columns) logarithm of a block's mean above black; NaN where it is clipped or too dark.

@@ -1,4 +1,4 @@
-"""What was seen: the measured statistics of a capture set."""
+"""Holds the measured statistics of a capture set."""
 
 from __future__ import annotations
 

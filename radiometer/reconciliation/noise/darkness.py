@@ -1,4 +1,4 @@
-"""How far darkness differs from frame to frame: a black level that wanders, and a thermometer of coarse steps."""
+"""Estimates how darkness differs from frame to frame: a black level that wanders, a thermometer of coarse steps."""
 
 from __future__ import annotations
 

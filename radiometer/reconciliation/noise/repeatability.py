@@ -1,4 +1,4 @@
-"""How well the light repeats from capture to capture, from repeats of one setting alone."""
+"""Estimates the repeatability of the light between captures from repeats of one setting alone."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What equal frames differ by: the offset or the light of each frame of a series against the others of it.
+"""Measures how equal frames differ: the offset or the light of each frame of a series relative to its others.
 
 A frame's offset is seen in every tile, so what one frame shows is held out over the tiles of that frame. The scatter
 of all frames of all series shows whether one of them is an outlier.

@@ -33,7 +33,7 @@ _TOGETHER: Final = 0.85  # of the correlation of one wave's scores that is trust
 
 @dataclass(frozen=True, slots=True)
 class Repeatability:
-    """How far the light differs from one capture to the next, and from one frame to the next.
+    """Scatter of the light from one capture to the next, and from one frame to the next.
 
     Attributes:
         tau: Relative standard deviation from capture to capture.

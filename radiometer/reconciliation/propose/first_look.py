@@ -58,7 +58,7 @@ def screened(state: FitState, laws: Iterable[Law]) -> list[Screened]:
 
 @dataclass(frozen=True, slots=True)
 class _Values:
-    """What a law of amplitude 1 comes to in the tiles, broadcasting to (captures, tiles).
+    """Values of a law of amplitude 1 in the tiles, broadcasting to (captures, tiles).
 
     Attributes:
         mean: Its mean in a tile, over the frames of a capture.
@@ -87,7 +87,7 @@ class _Values:
 
 
 class _Look:
-    """What laws change of the statistics that are looked at, and how much of the residual they would take up."""
+    """Changes that laws make in the tested statistics, and how much of the residual they would take up."""
 
     def __init__(self, state: FitState) -> None:
         self._state = state

@@ -1,4 +1,4 @@
-"""What comes back every so many frames: found in the order of the frames, which no setting knows.
+"""Finds disturbances that recur every so many frames, from the order of the frames alone.
 
 Frames of one setting should show the same light, but for the noise of pixels and for what a source scatters from frame
 to frame at random. The light of each frame, relative to the mean of its setting, is sorted by its running number

@@ -1,4 +1,4 @@
-"""How a model with names is changed: a name dropped, swapped for another, several joined into one, a law loosened.
+"""Changes a model with names: drops a name, swaps it for another, joins several into one, loosens a law.
 
 What was named first knew nothing of what came later. Each move is judged by the score that also adds names: the
 held-out log density, every parameter paid for.

@@ -1,4 +1,4 @@
-"""What a search comes to: the steps it took, the model that is left, and the result drawn from it."""
+"""Holds the outcome of a search: its steps, the final model, and the result drawn from it."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Which other entries explain the data about as well as the chosen one."""
+"""Finds the other entries that explain the data about as well as the chosen one."""
 
 from __future__ import annotations
 

@@ -37,7 +37,7 @@ def usable_catalogue(
 
 @dataclass(frozen=True, slots=True)
 class Before:
-    """What another model's screening found, by which this one asks the likeliest entries first.
+    """Results of another model's screening, by which this one tests the likeliest entries first.
 
     Attributes:
         candidates: Its candidates.
