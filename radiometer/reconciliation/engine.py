@@ -245,7 +245,7 @@ def examine(
     known = any(kind.where == "frame" for kind in entries.values())  # an effect from outside, which may be just that
     again = None if known else periodic(design, light, seen.common_unit, clear)
     taken = None if again is None else partial(first_state, design, seen, images, given)
-    if again is not None:  # a source known to differ by so much from frame to frame: no flicker is asked for beside it
+    if again is not None:  # a source known to differ by so much from frame to frame: no flicker is searched for then
         seen = steadied(design, light, seen, again)
         design = replace(design, header=_wandering(header, again.rms))
     start = first_state(design, seen, images, given)

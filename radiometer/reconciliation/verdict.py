@@ -38,7 +38,7 @@ _LIT_DN: Final = 1.0  # light below which a share of it says nothing
 
 
 def verdict_of(outcome: Search, doubts: Sequence[str], again: Periodic | None = None) -> Verdict:
-    """Return what a search comes to.
+    """Return the verdict on a search.
 
     Args:
         outcome: The search.

@@ -92,7 +92,7 @@ def propose_for_unnamed(
     """Return the capture that would separate the possible causes of a disagreement without a name.
 
     Each entry that acts along the covariate is fitted in place of the empirical term. A setting by itself cannot be
-    foretold by the others, so that a new setting is asked for: there the entries, and no effect at all, must differ.
+    predicted by the others, so that a new setting is asked for: there the entries, and no effect at all, must differ.
 
     Args:
         state: The fitted model.

@@ -306,7 +306,7 @@ def triangular(factor: Array, right: Array, *, transposed: bool = False) -> Arra
     """
     if not right.size:
         return np.zeros(right.shape)
-    # LAPACK goes by columns: what lies in rows is the transpose to it, the upper factor Lᵀ.
+    # LAPACK reads columns first: our rows are the transpose to it, the upper factor Lᵀ.
     found, singular = dtrtrs(factor.T, right, lower=0, trans=0 if transposed else 1)
     if singular:
         raise np.linalg.LinAlgError(f"row {singular} of a Cholesky factor is nothing")

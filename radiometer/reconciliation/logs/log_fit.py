@@ -175,7 +175,7 @@ def _restricted(
 
 
 def _search(start: LogState) -> tuple[LogState, tuple[LogStep, ...]]:
-    """Return the model with every term that held-out nights speak for, and what was found in order."""
+    """Return the model with every term that held-out nights support, and the steps in order."""
     state, steps = start, list[LogStep]()
     every = [term for term in catalogue(start.log) if not is_lost_in_scatter(start.log, term.where)]
     for _ in range(MOST_STEPS):

@@ -1,4 +1,5 @@
-"""A first look at laws of the grammar: what each would explain of the tiles' means, linearised, nuisances following.
+"""Screens the laws of the grammar: the share of the tiles' means that each would explain, linearised, nuisances
+following.
 
 Statistics that follow the light of a tile move with the law as well: the nuisances take them along. A law that left
 them in place would seem to disagree with them as soon as a radiance adapts to it.

@@ -1,4 +1,4 @@
-"""The self-contained HTML report: one picture first, then each name with what speaks for it; tables last."""
+"""The self-contained HTML report: one picture first, then each name with its evidence; tables last."""
 
 from __future__ import annotations
 

@@ -196,7 +196,7 @@ def promise(base: FitState, form: CatalogueEffect) -> float:
 
 
 def _fitted(base: FitState, form: FreeLaw, least: float, most: float) -> Refined | None:
-    """Return the model with a form, fitted in full; None where its plain law is far from what it comes to.
+    """Return the model with a form, fitted in full; None where its plain law is far from the result.
 
     None too where it is not worth more than `least`, or leaves more than `most` under the weights of the model without
     it; how far its plain law comes is not asked then.

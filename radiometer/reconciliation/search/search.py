@@ -118,7 +118,7 @@ def search(
 def _to_its_end(
     start: FitState, state: FitState, tests: tuple[Disagreement, ...], run: _Run, barred: str = ""
 ) -> Search:
-    """Return what a search comes to from a model on, where one name may not be given at once."""
+    """Return the outcome of a search from a model on, where one name may not be given at once."""
     state, tests = _stepped(state, tests, run, MOST_STEPS, barred)
     for change in (_as_one, _refined):
         changed = change(start, state, tests, run)
