@@ -113,10 +113,10 @@ class Labels:
             f"{len(self.scenes_accused)}{_names(self.scenes_accused)}. {_LIES} times in every scene of which four "
             f"frames or more show anything (not: {', '.join(self.dark) or 'none'}) one label made wrong by a third of "
             f"a stop to two thirds: {found} of {self.planted} found "
-            f"(missed{_names(self.missed) or ': none'}), {len(self.ties)} told as one of several that it may be"
-            f"{_names(self.ties)}; another named beside or instead: {len(self.others)}"
+            f"(missed{_names(self.missed) or ': none'}), {len(self.ties)} reported as one of several"
+            f"{_names(self.ties)}; another named: {len(self.others)}"
             f"{_names(self.others)}. Scenes whose exposures are off their labels by one time, the shutter's offset "
-            f"(the sizes of planted labels are held against it, too): {'; '.join(self.offsets) or 'none'}. The "
+            f"(the sizes of planted labels are compared with it, too): {'; '.join(self.offsets) or 'none'}. The "
             f"G9's last frame really has 0.833 (i1) and 0.823 (i2, where the third is some 7 % short too): "
             f"{'. '.join(self.really)}."
         )

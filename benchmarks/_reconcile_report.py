@@ -22,7 +22,7 @@ def report(results: list[Result]) -> str:
     for r in results:
         if "error" not in r:
             fine[r["kind"]].append(r)
-    rows = ["| measure | wanted | reached | 95 % interval |", "|---|---|---|---|"]
+    rows = ["| measure | required | reached | 95 % interval |", "|---|---|---|---|"]
     rows += [_row(*line) for line in _measures(fine)]
     parts = [
         "\n".join(rows),
@@ -39,7 +39,7 @@ def report(results: list[Result]) -> str:
 
 
 HONESTY = {
-    "named": "named rightly (its rivals, if any, beside it)",
+    "named": "named rightly (its rivals, if any, with it)",
     "rival": "another name, the right one among its alternatives",
     "provisional": "incomplete or unnamed: the names are provisional",
     "blind": "agrees, and the limit is null: these data cannot see it",
@@ -98,7 +98,7 @@ def _other_equations(fine: dict[str, list[Result]]) -> str:
     share = _share(sum(counts.values()), len(hidden)).split(" | ")[0]
     return (
         "Hidden by another equation than the model's (another form of an entry, in a pair at least one of the two, or "
-        f"outside the catalogue; wanted: at least a third of all hidden cases): {share}: {listed}."
+        f"outside the catalogue; required: at least a third of all hidden cases): {share}: {listed}."
     )
 
 
@@ -122,7 +122,7 @@ def _measures(fine: dict[str, list[Result]]) -> list[tuple[str, str, list[Result
         ("null: false name", "≤ 1 %", fine["null"], lambda r: bool(r["judged"]["names"])),
         ("one hidden: right name first", "≥ 98 %", fine["single"], _is("first")),
         ("one hidden: exactly named", "≥ 95 %", fine["single"], _named_exactly),
-        ("– and sure of it: effects_found, nothing unnamed beside", "", fine["single"], _is("exact")),
+        ("– and sure of it: effects_found, nothing unnamed", "", fine["single"], _is("exact")),
         ("one hidden: confidently wrong", "≤ 1 %", fine["single"], _is("confident_wrong")),
         ("one hidden: missed", "", fine["single"], _is("missed")),
         ("0.3 of the size: right name first", "≥ 95 %", fine["weak"], _is("first")),
@@ -131,9 +131,9 @@ def _measures(fine: dict[str, list[Result]]) -> list[tuple[str, str, list[Result
         ("two hidden: both named", "≥ 95 %", fine["pair"], _is("named")),
         ("two hidden, both by the model's equation: both named", "≥ 95 %", own["pair"], _is("named")),
         ("two hidden: exactly named", "≥ 85 %", fine["pair"], _named_exactly),
-        ("– and sure of it: effects_found, nothing unnamed beside", "", fine["pair"], _is("exact")),
+        ("– and sure of it: effects_found, nothing unnamed", "", fine["pair"], _is("exact")),
         ("two hidden, both by the model's equation: exactly named", "≥ 85 %", own["pair"], _named_exactly),
-        ("– and sure of it: effects_found, nothing unnamed beside", "", own["pair"], _is("exact")),
+        ("– and sure of it: effects_found, nothing unnamed", "", own["pair"], _is("exact")),
         ("two hidden: confidently wrong", "≤ 1 %", fine["pair"] + fine["own_pair"], _is("confident_wrong")),
         ("another equation: right family, or its place", "≥ 95 %", fine["variant"], _is("family_or_place")),
         ("another equation, 0.3 of the size: right family, or its place", "", other["weak"], _is("family_or_place")),
@@ -168,7 +168,7 @@ def _fresh(fine: dict[str, list[Result]]) -> str:
     lines = [
         "Right name first, then a fresh session of the same rig, found effects frozen, only nuisances fitted:",
         "",
-        "| measure | wanted | reached | 95 % interval |",
+        "| measure | required | reached | 95 % interval |",
         "|---|---|---|---|",
     ]
     said = []
@@ -209,7 +209,7 @@ def _parameters(fine: dict[str, list[Result]]) -> str:
         by_name[p["parameter"]].append(abs(p["z"]))
     bad = {n: v for n, v in by_name.items() if max(v) > 3}
     share = _share(int((z <= 3).sum()), z.size).replace(" | ", ", ")
-    text = f"Parameters of exactly named effects within three of their reported sigmas (wanted ≥ 95 %): {share}."
+    text = f"Parameters of exactly named effects within three of their reported sigmas (required: ≥ 95 %): {share}."
     listed = ", ".join(f"{n} ({', '.join(f'{x:.1f}' for x in v)})" for n, v in bad.items())
     return f"{text} Outside, with all deviations in sigmas: {listed}." if bad else text
 
@@ -220,7 +220,7 @@ def _calibration(fine: dict[str, list[Result]]) -> str:
         return ""
     below, number = (sum(t[i] for t in tests) for i in (0, 1))
     share = f"{below}/{number} = {below / number:.4f}"
-    return f"Calibration of all tests under the null (wanted between 0.005 and 0.02): p < 0.01 in {share}."
+    return f"Calibration of all tests under the null (required: between 0.005 and 0.02): p < 0.01 in {share}."
 
 
 def _times(results: list[Result]) -> str:

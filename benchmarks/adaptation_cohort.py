@@ -196,7 +196,7 @@ def protocols_main(wanted: argparse.Namespace) -> None:
         "one-branch": lambda: false_breaks(wanted.first_seed + 3000, wanted.subjects),
     }
     rows = parts[wanted.part]()
-    body = f"Seeds from {wanted.first_seed} on.\n\n| what | wanted | reached | errors |\n|---|---|---|---|\n{rows}"
+    body = f"Seeds from {wanted.first_seed} on.\n\n| what | required | reached | errors |\n|---|---|---|---|\n{rows}"
     print(body)
     name = f"adaptation_{wanted.part.replace('-', '_')}"
     command = f"python -m benchmarks.adaptation_cohort --part {wanted.part} --subjects {wanted.subjects}"

@@ -114,13 +114,10 @@ def on_a_cluster(folder: Path) -> str:
     lost = len(one) - len(killed)
     doubled = int(killed.duplicated(["capture", "patch", "quantity"]).sum())
     return (
-        f"500 capture sets of 3 frames of {SIZE} × {SIZE} pixels, each figure of one process or worker: two workers of "
-        f"a cluster {250 / together:.1f}/s; two processes without a cluster, each on its half of the archive at the "
-        f"same time, {250 / shares:.1f}/s; one process alone on the computer {500 / alone:.1f}/s. So a worker runs at "
-        f"{100 * shares / together:.0f} % of a process on its own share, and that at "
-        f"{100 * alone / (2 * shares):.0f} % of one that has memory and caches to itself. Tables equal bit for bit: "
-        f"{one.equals(two)}. One worker killed in the middle: {lost} rows lost, {doubled} doubled, equal: "
-        f"{one.equals(killed)}."
+        f"Capture sets of 3 frames of {SIZE} × {SIZE} pixels, evaluated as an archive. Two workers of a cluster do "
+        f"{250 / together:.1f} sets per second, two separate processes {250 / shares:.1f}, and one process alone "
+        f"{500 / alone:.1f}.\n\nTables equal bit for bit: {one.equals(two)}. One worker killed in the middle: "
+        f"{lost} rows lost, {doubled} doubled, equal: {one.equals(killed)}."
     )
 
 
@@ -146,10 +143,9 @@ def drift(folder: Path) -> str:
     none = read_histories(folder / "400.parquet", "radiance")[0]
     planted = 0.2 / (1 + 0.002 * 500 / 30.436875 / 2)
     return (
-        f"Planted 0.2 %/month of the first level ({planted:.4f} %/month of the middle level): found "
-        f"{100 * found.drift_per_month:.4f} ± {200 * found.u_drift_per_month:.4f} %/month (k = 2), claimed: "
-        f"{found.drifts}. Nothing planted: {100 * none.drift_per_month:+.4f} ± {200 * none.u_drift_per_month:.4f}, "
-        f"claimed: {none.drifts}."
+        f"Planted drift: {planted:.4f} %/month of the middle level. Found: {100 * found.drift_per_month:.4f} ± "
+        f"{200 * found.u_drift_per_month:.4f} %/month (k = 2), claimed: {found.drifts}. Without a drift: "
+        f"{100 * none.drift_per_month:+.4f} ± {200 * none.u_drift_per_month:.4f} %/month, claimed: {none.drifts}."
     )
 
 

@@ -1,4 +1,4 @@
-"""Characterisation: coverage of its intervals on the simulated camera, a real CCD beside the `emva1288` package, times.
+"""Characterisation: coverage of its intervals on the simulated camera, a real CCD with the `emva1288` package, times.
 
     python -m benchmarks characterise
 
@@ -114,9 +114,9 @@ def coverage() -> str:
         held = 100 * np.mean(np.abs(z) <= 2)
         rows.append(f"| {name} | {value:.5g} {unit} | {2 * u:.2g} | {held:.0f} % | {z.mean():+.2f} | {z.std():.2f} |")
     return (
-        f"**Simulated camera, {len(SEEDS)} seeds that no test uses**: pairs of {WIDTH} × {HEIGHT} pixels, 30 "
-        "exposures, darks at two temperatures, stacks of 8. z is the error over its standard uncertainty; figures whose"
-        " uncertainty holds the spacing of the steps (saturation) or the extreme of noise (linearity) cover more.\n\n"
+        f"The simulated camera, {len(SEEDS)} seeds that no test uses; z is the error over its standard uncertainty. "
+        "Saturation and linearity cover more: their uncertainty holds the spacing of the steps and the extreme of "
+        "noise.\n\n"
         "| figure | truth | U (k = 2) | held by k = 2 | mean z | sd z |\n|---|---|---|---|---|---|\n" + "\n".join(rows)
     )
 
@@ -133,10 +133,10 @@ def ccd() -> str:
         for name, theirs in PACKAGE.items()
     ]
     return (
-        "**Real CCD (`ref001`, 12 bit), beside the package `emva1288` 1.0.2 on the same images**\n\n"
+        "The real CCD `ref001` (12 bit), next to the package `emva1288` 1.0.2 on the same images.\n\n"
         "| figure | here (k = 2) | package | difference |\n|---|---|---|---|\n" + "\n".join(rows) + "\n\n"
-        f"108 images of 640 × 480 pixels in {took:.2f} s. The package's fits weigh all points alike, ours by their "
-        "noise; dark current and DSNU are hardly determined by these few short frames, as the uncertainties say."
+        f"108 images of 640 × 480 pixels in {took:.2f} s. The package weighs all points alike, this program "
+        "by their noise. Dark current and DSNU are poorly determined by these short frames."
     )
 
 

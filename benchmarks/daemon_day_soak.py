@@ -385,11 +385,11 @@ def main() -> None:
     memory_mb = ", ".join(f"{value:.0f}" for value in result.memory_mb)
     losses = ", ".join(f"{name} {times}" for name, times in sorted(result.losses.items()))
     body = note + (
-        f"{result.hours:g} h of simulated time in {result.real_s / 60:.0f} min: the daemon's station, SCPI, HTTP and"
-        " MQTT in one process whose clock jumps to the next timer; three patches, clients of each, every answer held"
-        " against the radiance of its patch. Camera, box, broker and disk go away every 5 min for up to a minute.\n\n"
+        f"{result.hours:g} h of simulated time in {result.real_s / 60:.0f} min, with SCPI, HTTP and MQTT in one"
+        " process whose clock jumps to the next timer. Every answer is compared with the radiance of its patch."
+        " Camera, box, broker and disk go away every 5 min for up to a minute.\n\n"
         "| losses | readings in the journal | seen by clients | seen but missing | holes | not heard by the stream |"
-        " answers held against the scene | refused meanwhile | false values |\n|---|---|---|---|---|---|---|---|---|\n"
+        " answers compared with the scene | refused meanwhile | false values |\n|---|---|---|---|---|---|---|---|---|\n"
         f"| {losses} | {verdict.readings} | {verdict.seen} | {verdict.missing} | {verdict.holes} | {verdict.unheard} |"
         f" {answered} | {refused} | {counts['false'] + verdict.false_rows} |\n\n"
         f"Memory of the whole process at even steps in MB: {memory_mb}; slope {result.slope_mb_per_h:+.2f} ±"

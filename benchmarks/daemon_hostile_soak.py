@@ -178,9 +178,9 @@ def main() -> None:
     early = looks.memory_mb[len(looks.memory_mb) // 10]
     alarmed = ", ".join(f"{name} {count}×" for name, count in looks.alarmed.items()) or "none"
     body = note + (
-        f"For {seconds:g} s, {CLIENTS} SCPI connections ask `FETC?` {PER_CLIENT_PER_S:g} times a second each, beside"
-        f" {sum(count for count, _, _ in _HOSTILE)} hostile clients: they measure patches of their own without end,"
-        " never read replies or streams, drip bodies, send noise, connect and hang up. The small simulated camera"
+        f"For {seconds:g} s, {CLIENTS} SCPI connections ask `FETC?` {PER_CLIENT_PER_S:g} times a second each. At the"
+        f" same time {sum(count for count, _, _ in _HOSTILE)} hostile clients measure further patches without end,"
+        " never read replies or streams, drip bodies, send noise, connect and disconnect. The small simulated camera"
         f" measures every {EVERY_S:g} s.\n\n| what | figure |\n|---|---|\n"
         f"| replies, errors | {replies.asked}, {replies.errors} |\n"
         f"| median, p99, slowest | {replies.p50_ms:.1f} ms, {replies.p99_ms:.1f} ms, {replies.slowest_ms:.0f} ms |\n"

@@ -159,8 +159,8 @@ def main() -> None:
         print(rows[-1], flush=True)
     body = note + (
         f"{CLIENTS} SCPI connections, each asking `FETC?` {PER_CLIENT_PER_S:g} times a second for {SECONDS:g} s, while"
-        " the simulated camera measures; clients in a process of their own on the same machine. As fast as it goes, the"
-        " simulated camera fills both cores with painting pictures, so it loses what the clients take.\n\n"
+        " the simulated camera measures. At full speed the simulated camera uses both cores, so it loses what the"
+        " clients take.\n\n"
         "| camera | measuring | asked | rate | errors | cores of the clients | median | p99 | slowest |"
         " readings without load | under load | fall |\n"
         "|---|---|---|---|---|---|---|---|---|---|---|---|\n" + "".join(rows)

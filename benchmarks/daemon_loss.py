@@ -189,7 +189,7 @@ def main() -> None:
     rows = [
         f"| {what} | {statistics.median(times):.2f} s | {max(times):.2f} s |\n"
         for what, times in (
-            ("camera unplugged until SCPI, event stream and health all tell", result.told_s),
+            ("camera unplugged until SCPI, event stream and health all report it", result.told_s),
             ("camera replugged until the next reading, alarms clear", result.recovered_s),
             ("light box unplugged until the alarm", box.told_s),
             ("light box replugged until the alarm clears", box.recovered_s),

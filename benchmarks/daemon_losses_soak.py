@@ -170,7 +170,7 @@ def table(result: LossesSoakResult) -> str:
     losses = ", ".join(f"{name} {times}" for name, times in result.losses.items())
     return (
         "| time | losses | readings in the journal | seen by clients | seen but missing | holes | not heard by the"
-        " stream | answers held against the scene | refused meanwhile | false values |\n"
+        " stream | answers compared with the scene | refused meanwhile | false values |\n"
         "|---|---|---|---|---|---|---|---|---|---|\n"
         f"| {result.seconds:.0f} s | {losses} | {verdict.readings} | {verdict.seen} | {verdict.missing} |"
         f" {verdict.holes} | {verdict.unheard} | {answered} | {refused} | {false} |\n\n"
@@ -186,11 +186,8 @@ def main() -> None:
     seconds = float(sys.argv[1]) if len(sys.argv) > 1 else SECONDS
     result = run(seconds, every_s=min(EVERY_S, seconds / 4), warm_up_s=min(600.0, seconds / 4))
     body = note + (
-        "The journal holds two days before, so that answers are as long at first as at last. The camera on the wire is"
-        " killed and started, the box's pseudo-terminal closed and opened, the broker killed"
-        " and started, the disk of the journal filled and freed, each at its own random moments and gone for up to"
-        " 25 s; meanwhile SCPI, HTTP, event-stream and MQTT clients of three patches hold every answer against the"
-        " radiance of their own patch, and the light shown against what the box does.\n\n" + table(result)
+        "Camera, box, broker and disk fail at random moments for up to 25 s. Clients of three patches compare every"
+        " answer with the radiance of their patch. The journal holds two days before.\n\n" + table(result)
     )
     print(body)
     print(result.witness.counts, result.witness.false, result.errors_logged, result.exit_code, sep="\n")

@@ -45,8 +45,8 @@ def main() -> None:
         for what, times in (("it listens", result.listening_s), ("a client has its first reading", result.reading_s))
     ]
     body = note + (
-        f"`radiometer serve` on the shipped bench (1616 × 1240 pixels), started {STARTS} times as a process of its"
-        " own.\n\n| from the start until | median | longest |\n|---|---|---|\n" + "".join(rows)
+        f"`radiometer serve` on the shipped bench (1616 × 1240 pixels), started {STARTS} times as a separate"
+        " process.\n\n| from the start until | median | longest |\n|---|---|---|\n" + "".join(rows)
     )
     print(body, result)
     write_section("daemon-start", "Start of the daemon", "python -m benchmarks daemon_start", body)

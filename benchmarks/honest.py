@@ -62,7 +62,7 @@ class Condition:
         source: What is known of the light.
         frames: Use so many frames only; None for what the program takes.
         fixed: What is true at calibration and reading alike.
-        spectrum: What the bench states of the light's spectrum; None where nobody does.
+        spectrum: What the bench states of the light's spectrum; None where none is stated.
         response: What is known of the camera's spectral response.
         found: What reconcile found of the camera, and its uncertainties in place of the defaults.
         flat: What it found of the fall-off.
@@ -201,9 +201,9 @@ CONDITIONS = [
     *(Condition(f"{word}, its spectrum stated, response of the camera's family", lambda rng, name=name: {"light": name},
                 fixed=of_the_family, spectrum=name, response=FAMILY)
       for word, name in LIGHTS.items()),
-    Condition("incandescent light, nobody states a spectrum",
+    Condition("incandescent light, no spectrum stated",
               lambda rng: {"light": "cie_a"}, fixed=silicon, spectrum=None),
-    Condition("blue of an OLED, nobody states a spectrum",
+    Condition("blue of an OLED, no spectrum stated",
               lambda rng: {"light": "band:455,20"}, fixed=silicon, spectrum=None),
 ]
 # fmt: on
@@ -295,9 +295,9 @@ def table(conditions: list[Condition], seeds: int = SEEDS) -> list[str]:
 def write_report(lines: list[str]) -> None:
     """Write the section of a whole run; see `table` for its lines."""
     about = (
-        f"{SEEDS} calibrations (source known to {SOURCE_U_REL:.1%}, k = 1) and readings each, with draws that no other "
-        f"condition has (seed {SEED}), through `Instrument`; the world is simulated apart from forward model and "
-        "analysis (`_honest_world.py`). Held: |value − truth| ≤ U at 95.45 %; chance moves that by 1 % (k = 1)."
+        f"Each row has {SEEDS} calibrations (source known to {SOURCE_U_REL:.1%}, k = 1) and readings in a world that "
+        "differs from the model (`_honest_world.py`). Held is the share with |value − truth| ≤ U. Nominal are 95.45 %; "
+        "chance moves this by 1 % (k = 1)."
     )
     write_section(
         "honest",

@@ -1,4 +1,4 @@
-"""What the score of left-out frames can tell of a response: the fisheye's frames, and frames simulated after them.
+"""What the score of left-out frames can show of a response: the fisheye's frames, and frames simulated after them.
 
     python -m benchmarks.left_out_floor [COLOUR…]
 
@@ -97,17 +97,15 @@ def main() -> None:
     table = [row for stack in real_stacks(folder, ("fisheye",)) if stack.name in colours for row in rows(stack, runs)]
     heads = " | ".join(f"simulated by {name}'s curve: score | curve off by" for name in TRUTHS)
     body = (
-        "Mean size of the error of left-out frames of the fisheye in DN, as in the section on real photographs (`auto` "
-        "with the shutter's offset that it tells from the other frames, the others with exposures as labelled); with "
-        "one factor of each left-out frame's exposure free; and of frames simulated with a known response, exposure "
-        "times as stated and the residuals of the real frames with random signs.\n\n"
+        "Mean error of left-out frames of the fisheye in DN: as labelled, with a free exposure factor, and for frames "
+        "simulated with a known response. `auto` uses the shutter's offset that the other frames determine.\n\n"
         f"| colour | program | as stated | factor free | {heads} |\n|---|---|---|---|---|---|---|---|\n"
         + "\n".join(table)
     )
     print(body)
     write_section(
         "left_out_floor",
-        "What the score of left-out frames can tell",
+        "What the score of left-out frames can show",
         f"OMP_NUM_THREADS=1 python -m benchmarks.left_out_floor {' '.join(sys.argv[1:])}".strip(),
         body,
     )

@@ -195,23 +195,15 @@ def main() -> None:
         predictions.append(prediction_row(channel, values, bracket, curve, ours))
     toes = " | ".join(f"ln H at {dn} DN: by others, by itself, ours" for dn in _TOE_DN)
     body = (
-        "rms of ln (ours / memorial.hdr) over pixels without a flag, one factor free, nothing aligned (the file was "
-        "made from the frames as they lay); the same without the rims of the scans, which a frame or more is filled "
-        f"with blue in; where the frame of 32 s shows {_CLEAR_OF_TOE_DN} DN or more, rims and all; of the 99 % of "
-        "these that differ least; and of all of these by our curve with Debevec and Malik's hat in ln H in place of "
-        "our weights: frames that lie apart are then averaged as they were in the file. Then ln H of dark values less "
-        f"that of {_MIDDLE_DN} DN: what the file's pixels say of frames of 1/4 to 2 s, whose values longer frames "
-        "decide; what they say of the longest frame, which alone decides its own (–: it shows no such value); and our "
-        "curve. Where the first two differ, no single response made the file, and none can agree with it there.\n\n"
+        "Root mean square of ln (ours / memorial.hdr) over pixels without a flag, one factor free, nothing aligned. "
+        f"The share is where the frame of 32 s shows {_CLEAR_OF_TOE_DN} DN or more. Last is ln H of dark values less "
+        f"that of {_MIDDLE_DN} DN, by shorter frames, by the longest frame, and by our curve.\n\n"
         f"| colour | rms ln | without rims | share | rms there | 99 % of it | by the hat | {toes} |\n"
         "|---|---|---|---|---|---|---|---|---|\n"
         + "\n".join(rows)
-        + "\n\n**Which map is nearer to the photographs?** Mean size of the error in DN (mean of the frames) with "
-        f"which a map predicts their numbers from {_LEAST_DN} to {_MOST_DN}, through the rising curve that suits that "
-        "map best (isotonic regression, of each map its own); pixels without a flag. Then of frames that the map has "
-        "not seen: ours of the odd frames predicts the even ones and the other way round, memorial.hdr, which has seen "
-        "them, the same frames through a curve for each half. Last the two longest frames where 32 s shows less than "
-        f"{_CLEAR_OF_TOE_DN} DN.\n\n"
+        + "\n\nMean error in DN with which a map predicts the photographs' numbers from "
+        f"{_LEAST_DN} to {_MOST_DN}, through the rising curve that suits it best. The toe is the two longest frames "
+        f"where 32 s shows less than {_CLEAR_OF_TOE_DN} DN.\n\n"
         "| colour | pixels | memorial.hdr | ours | memorial.hdr, by halves | ours, frames not seen "
         "| toe: memorial.hdr | ours |\n|---|---|---|---|---|---|---|---|\n" + "\n".join(predictions)
     )

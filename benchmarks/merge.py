@@ -1,4 +1,4 @@
-"""Merging: speed beside OpenCV's MergeDebevec, memory while streaming, and the statistics of value and uncertainty."""
+"""Merging: speed and OpenCV's MergeDebevec, memory while streaming, and the statistics of value and uncertainty."""
 
 from __future__ import annotations
 
@@ -72,7 +72,7 @@ def frames_of(electrons_per_s: NDArray[np.float64], rng: np.random.Generator) ->
 
 
 def square_root(dn: NDArray[np.uint16]) -> NDArray[np.uint8]:
-    """Return what a camera of 8 bits stores whose numbers go with the root of the light."""
+    """Return what a camera of 8 bits stores whose numbers scale with the root of the light."""
     light = np.clip((dn - BLACK_DN) / (4095.0 - BLACK_DN), 0.0, 1.0)
     return np.rint(255.0 * np.sqrt(light)).astype(np.uint8)
 
@@ -161,17 +161,15 @@ def speed_and_memory() -> list[str]:
         "|---|---|---|---|---|---|",
         *rows,
         "",
-        "Merging a bracket takes, by processor time (least time of two threads against least time of one in brackets), "
+        "By processor time (in brackets: least time of two threads over that of one) merging a bracket takes "
         + ", ".join(
             f"{ours.cpu_s / one.cpu_s:.1f} times ({ours.least_wall_s / one.least_wall_s:.1f}) as long {name}"
             for name, one in against.items()
         )
-        + f". Reading, looking up and the first touch of the result, without any arithmetic, take {1e3 * floor:.1f} ms "
+        + f". Reading, looking up and the first touch of the result, without arithmetic, take {1e3 * floor:.1f} ms "
         f"of {1e3 * ours.cpu_s:.1f}. Load average at the end: {os.getloadavg()[0]:.1f} on {os.cpu_count()} cores.",
-        f"The first call of a process takes {first:.2f} s (loading the compiled loops, or compiling them where they "
-        "are not yet on disk).",
-        f"Peak memory while streaming, beyond the result: {peak_planes():.2f} frames of float32, the frame in hand "
-        "included.",
+        f"The first call of a process takes {first:.2f} s: it loads the compiled loops, or compiles them.",
+        f"Streaming needs {peak_planes():.2f} frames of float32 beyond the result.",
     ]
 
 
@@ -268,9 +266,8 @@ def statistics() -> list[str]:
             f"| {bias[part].mean():+.3f} |"
         )
     return [
-        "Variance of the merged value over the Cramér–Rao bound of the noise model, and what the uncertainty map "
-        f"covers; {rows_of_pixels * columns} pixels over six decades, {np.count_nonzero(found.mask & 16)} of them "
-        "called inconsistent.",
+        "Variance of the merged value over the Cramér–Rao bound, and the coverage of the uncertainty map. "
+        f"{rows_of_pixels * columns} pixels over six decades; {np.count_nonzero(found.mask & 16)} are inconsistent.",
         *table,
     ]
 

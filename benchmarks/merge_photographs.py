@@ -88,10 +88,8 @@ def main() -> None:
         rows += [row(f"{name}, {channel}", pair) for channel, pair in pairs.items()]
         lay.append(f"{name}: {sentence}.")
     parts = [
-        "Odd against even frames, each half with the response, labels and noise that it tells itself; aligned once. "
-        "One factor between the halves is free; pixels with any flag in either half are left out. z is the rms "
-        "difference over the rms of what both state, and the rms of difference over u pixel by pixel, of all and "
-        "of the brightest eighth.",
+        "Odd against even frames, each half with its response, labels and noise; aligned once, one factor free. Both "
+        "halves share what the ladder of stops leaves open, so z well below 1 does not show that u is too large.",
         "| set, colour | pixels | differ (rms) | stated | z | z by pixel | brightest |\n|---|---|---|---|---|---|---|\n"
         + "\n".join(rows),
         " ".join(lay),

@@ -103,9 +103,9 @@ def page_of_figures(results: Sequence[dict[str, list[float]]]) -> str:
 def judged(result: dict[str, Any]) -> str:
     """Return one word.
 
-    silent: nothing hidden, nothing said. missed: something hidden, nothing said. exact: right names and nothing else,
-    and sure; provisional: the same with a doubt. rival: a right name stands only among alternatives. beside: a right
-    name with more beside it, not sure of it all. place: no name that is right, none told as sure. wrong: a name that is
+    silent: nothing hidden, nothing named. missed: something hidden, nothing named. exact: right names and nothing else,
+    and sure; provisional: the same with a doubt. rival: a right name is only among alternatives. partly: a right
+    name with others, not sure. place: no name that is right, none sure. wrong: a name that is
     not right, and sure of it.
     """
     right, said, sure = set(result["right"]), result["said"], result["verdict"] == "effects_found"
@@ -114,15 +114,15 @@ def judged(result: dict[str, Any]) -> str:
     names = {entry["name"] for entry in said}
     strange = [e for e in said if e["name"] != "unnamed" and not right & {e["name"], *e["alternatives"]}]
     if strange:
-        return "wrong" if sure else "beside" if right & names else "place"
+        return "wrong" if sure else "partly" if right & names else "place"
     if names <= right:
         return "exact" if sure else "provisional"
-    return "beside" if right & names else "place" if names == {"unnamed"} else "rival"
+    return "partly" if right & names else "place" if names == {"unnamed"} else "rival"
 
 
 def page(results: Sequence[dict[str, Any]]) -> str:
     """Return what was said case by case, in Markdown."""
-    lines = ["| case | sessions | judged | said |", "|---|---|---|---|"]
+    lines = ["| case | sessions | judged | reported |", "|---|---|---|---|"]
     for case in sorted({result["case"] for result in results}):
         own = [result for result in results if result["case"] == case]
         words = [judged(result) if "said" in result else "error" for result in own]

@@ -225,17 +225,15 @@ def told(
     """Return the tables of what was measured, each with its sentence."""
     return [
         "One stack (four to eighteen frames of one channel) per fit; the same frames for every program.",
-        "**rms of ln H about the raw values of the same shots** (neutral patches of a chart, whose own unevenness and "
-        "rounding are some 2 to 4 %; for the linear Flea3 the straight line), digital numbers 13 to 242:",
+        "Root mean square of ln H about the raw values of the same shots, digital numbers 13 to 242. The patches' "
+        "unevenness and rounding are some 2 to 4 %.",
         table(tallies, "truth", with_truth, 100.0, "%") if with_truth else "No set with raw values was asked for.",
         of_samples,
-        "**Left-out frames**: mean size of the error in DN with which a frame left out of the fit is predicted "
-        "(hat-weighted mean exposure of the other frames, the same for all programs; exposures as labelled, for `auto` "
-        "with the shutter's offset where it tells one from the other frames, which no other program does):",
+        "Mean error in DN with which a frame left out of the fit is predicted. `auto` uses the shutter's offset where "
+        "the other frames determine it.",
         table(tallies, "left_out", cameras, 1.0, "DN"),
-        "**Are the stated uncertainties true?** rms difference over both uncertainties: from the raw values (theirs is "
-        "what a smooth curve leaves of the patches, and for the Flea3 what cutting 12 bits to 8 does), and between the "
-        "curves of odd and of even frames (six frames or more):",
+        "Root mean square difference over both stated uncertainties: from the raw values, and between odd and even "
+        "frames.",
         table({OURS: tallies[OURS]}, "z", with_truth, 1.0, "z from raw") if with_truth else "",
         table({OURS: tallies[OURS]}, "jackknife", cameras, 1.0, "z of odd against even frames"),
         labels.told(),

@@ -56,7 +56,7 @@ def judged(effect: Documented, result: ReconcileResult) -> str:
     if any(found.name in effect.names for found in result.effects):
         return "right"
     if said_of_frames(effect, result):
-        return "right: told"
+        return "right: reported"
     places = [place.covariate for place in result.localisation]
     if any(where in effect.covariates for where in places[:_LEADING]):
         return "right covariate"
@@ -91,7 +91,7 @@ def of_reconcile(known: RealSet, folder: Path) -> Iterator[Row]:
     wrong = wrong_names(known, result)
     provisional = "provisional " if result.verdict == "incomplete" else "confident "
     said = f"{result.verdict}; " + (", ".join(found.name for found in result.effects) or "no name")
-    verdict = "wrong: " + provisional + ", ".join(wrong) if wrong else "right: nothing that is not so"
+    verdict = "wrong: " + provisional + ", ".join(wrong) if wrong else "right: no false name"
     yield Row(known.name, "no other effect", "", said, verdict, seconds)
 
 
@@ -207,9 +207,8 @@ def of_covariances(folder: Path) -> Iterator[Row]:
         for effect in named:
             kernel = effect.slopes_per_e(WELL_E)
             said += f"; C₀₀ {kernel[8, 8]:.3g}/e⁻, C₀₁/C₁₀ {kernel[8, 9] / kernel[9, 8]:.2f} (the "
-            said += (
-                f"frames tell it to ± {100 * u_rel:.1f} %), sum over all lags {abs(kernel.sum() / kernel[8, 8]):.0e} "
-            )
+            said += f"frames determine it to ± {100 * u_rel:.1f} %), "
+            said += f"sum over all lags {abs(kernel.sum() / kernel[8, 8]):.0e} "
             said += "of C₀₀, second neighbours "
             said += f"{kernel[8, 10] + kernel[10, 8]:.2g}/e⁻ (measured {measured[0]:.2g} ± {measured[1]:.1g})"
         yield Row(
@@ -244,14 +243,14 @@ def main() -> None:
     for name, question in QUESTIONS:
         if not wanted or any(part in name for part in wanted):
             rows += _told(question(folder))
-    table = "| set | documented | by | what it says | judged | time |\n|---|---|---|---|---|---|\n"
+    table = "| set | documented | by | result | judged | time |\n|---|---|---|---|---|---|\n"
     asked = [row for row in rows if row.by and row.judged != _READ]
-    right = sum(row.judged in ("right", "right covariate", "right: told") for row in asked)
+    right = sum(row.judged in ("right", "right covariate", "right: reported") for row in asked)
     confident = sum(row.judged.startswith("wrong: confident") for row in rows)
     body = table + "\n".join(row.markdown() for row in rows)
-    body += f"\n\n{right} of {len(asked)} documented effects: right name, right covariate first, or (where frames "
-    body += f"of one setting differ) told with its size; {confident} sets "
-    body += "with a confidently wrong name. Time is processor time, reading included."
+    body += f"\n\n{right} of {len(asked)} documented effects are right: right name, right covariate first, or "
+    body += f"a reported size. {confident} sets have a confidently wrong name."
+    body += " Time is processor time, reading included."
     print(body)
     if not wanted:
         write_section("real-sensors", "Documented effects", "python -m benchmarks real_sensors", body, PAGE)

@@ -67,7 +67,7 @@ def page(records: list[Record]) -> str:
     """Return the section's body in Markdown."""
     alarms = [r for r in records if r["verdict"] != "agrees"]
     named = [r for r in alarms if any(name != "unnamed" for name, *_ in r["effects"])]
-    rows = ["| measure | wanted | reached | 95 % interval |", "|---|---|---|---|"]
+    rows = ["| measure | required | reached | 95 % interval |", "|---|---|---|---|"]
     rows += [
         f"| {what} | {wanted} | {_share(len(hits), len(records))} |"
         for what, wanted, hits in (("false alarm", "≤ 2 %", alarms), ("false name", "≤ 1 %", named))
@@ -94,7 +94,7 @@ def _calibration(records: list[Record]) -> str:
         by_axis[where].append(p)
     everything = np.concatenate([np.array(v) for v in by_block.values()])
     share = f"{int((everything < 0.01).sum())}/{everything.size} = {np.mean(everything < 0.01):.4f}"
-    parts = [f"Share of p < 0.01 among all tests of the starting model (wanted between 0.005 and 0.02): {share}."]
+    parts = [f"Share of p < 0.01 among all tests of the starting model (required: between 0.005 and 0.02): {share}."]
     for title, groups in (("statistic", by_block), ("along", by_axis)):
         parts.append(_table(title, groups))
     parts.append(

@@ -128,7 +128,7 @@ def page(results: list[dict[str, Any]]) -> str:
     looked = [r for r in proposed if "found" in r]
     again = [r for r in looked if r["found"][1:2] == [r["proposed"]]]
     lines = [
-        "| of the outsiders | reached | wanted |",
+        "| of the outsiders | reached | required |",
         "|---|---|---|",
         f"| a law is proposed | {len(proposed)}/{len(results)} | |",
         f"| the stage is right, alone or among those that the data leave open | "

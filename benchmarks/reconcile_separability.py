@@ -133,7 +133,7 @@ def of_plan(plan: str, most: int) -> tuple[str, int, int, int]:
     seconds = time.perf_counter() - begun
     head = f"**{plan}** ({PLANS[plan].__doc__}): {len(chosen)} of the {len(sizes)} entries that it shows, each against"
     head += f" all {len(whole_catalogue())} ({seconds:.0f} s); {silent} stand alone by both counts.\n\n"
-    table = ["| data of | fitted as well by (χ² left) | not said | said beside |", "|---|---|---|---|", *lines]
+    table = ["| data of | fitted as well by (χ² left) | not reported | also reported |", "|---|---|---|---|", *lines]
     return head + "\n".join(table), pairs, missed, more
 
 
@@ -147,8 +147,8 @@ def main() -> None:
         table, *counts = of_plan(plan, options.most)
         tables.append(table)
         pairs, missed, more = pairs + counts[0], missed + counts[1], more + counts[2]
-    head = f"Of {pairs} pairs that fit each other's noiseless data {pairs - missed} are said to stand together; "
-    head += f"{more} more are said: fitted from other starts, or marked by a setting that does not vary.\n\n"
+    head = f"Of {pairs} pairs that fit each other's noiseless data {pairs - missed} are reported together; "
+    head += f"{more} more are reported: fitted from other starts, or marked by a setting that does not vary.\n\n"
     command = f"python -m benchmarks.reconcile_separability --plans {options.plans} --most {options.most}"
     title = "Reconcile: which names a plan cannot separate"
     write_section("reconcile_separability", title, command, head + "\n\n".join(tables))

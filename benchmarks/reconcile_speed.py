@@ -90,9 +90,9 @@ def main() -> None:
         [
             f"The command with `--json`, start-up and reading included; load average {load:.0f} at first.",
             page(
-                f"{small[0]['frames'] // 4} settings × 4 frames of 144 × 96 pixels (wanted: median under 10 s)", small
+                f"{small[0]['frames'] // 4} settings × 4 frames of 144 × 96 pixels (required: median under 10 s)", small
             ),
-            page(f"{large[0]['frames']} frames of 1616 × 1240 pixels (wanted: under 60 s)", large),
+            page(f"{large[0]['frames']} frames of 1616 × 1240 pixels (required: under 60 s)", large),
         ]
     )
     print(body)

@@ -180,7 +180,7 @@ def main() -> None:
         parts += [off_the_ladder(bit_depth) for bit_depth in (8, 12)]
     write_section(
         "response_accuracy",
-        "Response recovery beside its peers",
+        "Response recovery compared with peers",
         f"OMP_NUM_THREADS=1 RESPONSE_BENCH_EVERY={os.environ.get('RESPONSE_BENCH_EVERY', '1')} "
         "python -m benchmarks response_accuracy",
         "\n\n".join(parts) + missing,

@@ -1,4 +1,4 @@
-"""Responses of real cameras beside what others found: a peer's .rsp curve, and raw values of the same shots.
+"""Responses of real cameras and what others found: a peer's .rsp curve, and raw values of the same shots.
 
     python -m benchmarks response_real
 
@@ -42,11 +42,11 @@ def canon() -> str:
     spread = np.ptp(np.array(times), axis=0)
     shortest = ", ".join(f"{value:.1f}" for value in np.array(times)[:, 0])
     return (
-        "**Canon EOS 5D Mark II, 18 JPEG, beside the `.rsp` curve (hdrgen, order 4) of its owners**\n\n"
+        "Canon EOS 5D Mark II, 18 JPEG files, next to the `.rsp` curve (hdrgen, order 4) of its owners.\n\n"
         "| channel | rms difference | largest | own u (median) | spread of ln E, peer curve | own curve |\n"
         "|---|---|---|---|---|---|\n" + "\n".join(rows) + "\n\n"
-        "The last two columns are the rms scatter of ln E that each curve leaves between the frames of one pixel "
-        "(values 13 to 242), with the stated exact stops for the peer and the fitted times for the own curve.\n\n"
+        "The last two columns are the rms scatter of ln E between the frames of one pixel (values 13 to 242). The peer "
+        "has the stated exact stops, the own curve the fitted times.\n\n"
         f"The three colours, fitted apart, find the same errors of the stated exact stops to {np.median(spread):.1f} % "
         f"(median spread): 1/8192 s is longer by {shortest} % in red, green and blue."
     )
@@ -76,11 +76,8 @@ def middlebury() -> str:
     for folder in sorted(path for path in (STACKS / "middlebury_jpg_raw_pairs").iterdir() if path.is_dir()):
         rows += [f"| {folder.name} | {row} |" for row in raw_prediction(folder)]
     return (
-        "**JPEG against raw of the same shots (middlebury pairs)**: the curves come from the JPEG files alone, two "
-        "illuminations × four exposures taken as one stop apart. Cameras mix the colours before the tone curve, so "
-        "the raw values are predicted as a 3 × 3 mixture of the three linearised JPEG channels, fitted once per "
-        "illumination over all exposures (raw values 16 to 240 of 255, JPEG values 13 to 242); beside it the same "
-        "with the sRGB curve in place of the recovered one, and with each channel by itself.\n\n"
+        "JPEG against raw of the same shots (Middlebury pairs), with curves from the JPEG files alone. Cameras mix "
+        "colours before the tone curve, so a 3 × 3 mixture is fitted per illumination.\n\n"
         "| camera | raw channel | median error | rms | sRGB curve: median | no mixture: median |\n"
         "|---|---|---|---|---|---|\n" + "\n".join(rows)
     )

@@ -88,9 +88,9 @@ def main() -> None:
         lines.append(f"| {history.name} | {history.weeks} | {claimed:.1%} | {left_open:.1%} | {u:.3%} |")
         print(lines[-1], flush=True)
     about = (
-        f"{SERIES} histories of each kind (seed {SEED}), one reading a week whose errors scatter by 0.3 % and state "
-        "0.5 %, cycles at any phase. Where nothing drifts every claim is a false one; a cycle of which the record holds"
-        " little more than a half (80 weeks in 52) is a drift to anybody, and claimed now and then."
+        f"Each row has {SERIES} histories of one reading a week (seed {SEED}), with 0.3 % scatter and a stated 0.5 %. "
+        "Where nothing drifts, every claim is false. A cycle of which the record holds little more than half looks "
+        "like a drift."
     )
     write_section(
         "trend_claims",

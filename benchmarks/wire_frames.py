@@ -63,7 +63,7 @@ def main() -> None:
     if found["gaps"] != found["counted"] + found["incomplete"] or found["sizes"] != 1:
         raise SystemExit(f"frames were lost unnoticed: {found}")
     body = (
-        f"The camera ({POOL} frames of the forward model, served again and again) runs in its own process on loopback, "
+        f"The camera ({POOL} frames of the forward model, served repeatedly) runs in a separate process on loopback, "
         "as fast as both ends can; 1616 × 1240 Mono12, 4.0 MB a frame.\n\n"
         "| | time per frame | frames | gaps in the numbers | counted as missed | as incomplete |\n"
         "|---|---|---|---|---|---|\n"
@@ -71,7 +71,7 @@ def main() -> None:
         f"| {found['frames']} | {found['gaps']} | {found['counted']} | {found['incomplete']} |\n"
         f"| `arv-camera-test-0.8`, buffers handed back unread | {theirs:.2f} ms | | | | |\n\n"
         "Every gap in the camera's running numbers is accounted for as missed or incomplete. The real camera sends a "
-        f"frame every 7.6 ms at most. Means of every 50th frame lie within {found['spread']:.2f} DN."
+        f"frame every 7.6 ms at most. Means of every 50th frame are within {found['spread']:.2f} DN."
     )
     print(body)
     write_section("wire_frames", "1,000 full frames over GigE Vision", "python -m benchmarks wire_frames", body)

@@ -57,7 +57,7 @@ def main() -> None:
         raise SystemExit("the wire gives another radiance than the simulator:\n" + "\n".join(rows))
     body = (
         "`radiometer measure` on the simulated bench, other noise on the wire (seed 2); W·sr⁻¹·m⁻², k = 1. "
-        "Both share the calibration, so the last column tells more than the one before it.\n\n"
+        "Both share the calibration, so the last column is the sharper test.\n\n"
         "| patch | in process | over the wire | distance / combined u | relative difference |\n"
         "|---|---|---|---|---|\n"
         + "\n".join(rows)

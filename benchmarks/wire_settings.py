@@ -69,8 +69,8 @@ def main() -> None:
                 if mixed:
                     raise SystemExit(f"{mixed} frames do not have the brightness of their settings: {rows}")
     body = (
-        f"Each change draws exposure (0.1 to 8 ms), gain (0 to 6 dB) and black level (20 to 199 DN) at random, takes "
-        f"{FRAMES_EACH} frames; the mean of each is held against its own settings in units of its predicted sigma.\n\n"
+        f"Each change draws exposure (0.1 to 8 ms), gain (0 to 6 dB) and black level (20 to 199 DN) and takes "
+        f"{FRAMES_EACH} frames. Each frame's mean is compared with its settings in units of its predicted sigma.\n\n"
         "| | changes | frames | beyond 6 sigma | std of the deviation | worst | time per change |\n"
         "|---|---|---|---|---|---|---|\n" + "\n".join(rows)
     )
