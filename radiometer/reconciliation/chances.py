@@ -52,7 +52,7 @@ def sine_freedom(frames: Array, share: Array) -> Array:
 
 
 def frames_counted(frames: Array) -> Array:
-    """Return how many frames of a capture count: the first of three or more may differ for a reason of its own."""
+    """Return how many frames of a capture count: the first of three or more may differ for another reason."""
     return np.asarray(np.maximum(np.where(frames > 2, frames - 1.0, frames), 2.0))
 
 

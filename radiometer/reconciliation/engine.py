@@ -44,17 +44,17 @@ from radiometer.reconciliation.search.frame_order import FrameLight, Periodic, p
 from radiometer.reconciliation.search.localise import Disagreement, axis_of, global_p_value, places
 from radiometer.reconciliation.search.outcome import Reconciled, Search, Step
 from radiometer.reconciliation.search.search import search
-from radiometer.reconciliation.shown import shown_by
+from radiometer.reconciliation.shown import evidence_for
 from radiometer.reconciliation.verdict import (
-    by_other_laws,
     doubts_of,
     faint,
-    faint_names,
+    insignificant_names,
     is_doubted,
     rest_of,
     size_of_rest,
     sizes_by_own_law,
     verdict_of,
+    with_other_functional_form,
 )
 from simulators.chain.camera_model import CameraModel
 from simulators.chain.ideal_chain import beside_ideal
@@ -142,12 +142,12 @@ def gaps_of(
         frames: Its frames.
     """
     held = frames if isinstance(frames, Sequence) else list(frames)
-    design, _, reduced = shown_by(header, held[0].shape, frame_reader(held))
+    design, _, reduced = evidence_for(header, held[0].shape, frame_reader(held))
     gaps = []
     for entry in found:
         if isinstance(entry, CameraModel):  # it may state another black level, which the reduction goes by
             changed, given = _adopted(header, entry)
-            own, _, read = shown_by(changed, held[0].shape, frame_reader(held))
+            own, _, read = evidence_for(changed, held[0].shape, frame_reader(held))
             gaps.append(first_state(own, *read, given).gap)
         else:
             gaps.append(first_state(design, *reduced, () if entry is None else entry.added).gap)
@@ -155,7 +155,7 @@ def gaps_of(
 
 
 def _adopted(header: CaptureHeader, model: CameraModel | None) -> tuple[CaptureHeader, tuple[CatalogueEffect, ...]]:
-    """Return the header with a model's camera and lens, and the effects that it holds beside the ideal chain."""
+    """Return the header with a model's camera and lens, and the effects that it adds to the ideal chain."""
     if model is None:
         return header, ()
     camera, further = beside_ideal(model.effects, model.camera, model.lens)
@@ -196,7 +196,7 @@ def plan_of(
     catalogue: Mapping[str, type[CatalogueEffect]] | None = None,
     progress: Progress | None = None,
 ) -> Separability:
-    """Return what the captures of a set can tell apart, whatever they showed.
+    """Return which entries the captures of a set can separate, whatever they showed.
 
     The nuisances alone (responsivity, radiances) are fitted to the frames.
 
@@ -213,7 +213,7 @@ def plan_of(
     header, given = _adopted(captured.header, model)
     shape, total = captured.read_frame(0).shape, len(header.frames)
     reading = (lambda done: progress(done, total)) if progress else None
-    design, _, read = shown_by(header, shape, captured.read_frame, reading)
+    design, _, read = evidence_for(header, shape, captured.read_frame, reading)
     start = first_state(design, *read, given)
     return separability(start, whole_catalogue() if catalogue is None else catalogue)
 
@@ -239,13 +239,13 @@ def examine(
     header, given = _adopted(header, model)
     total = len(header.frames)
     reading = (lambda done: progress(done, total)) if progress else None
-    design, light, (seen, images) = shown_by(header, shape, read, reading)
+    design, light, (seen, images) = evidence_for(header, shape, read, reading)
     entries = whole_catalogue() if catalogue is None else catalogue
     clear = (seen.high < _CLEAR) & (seen.low < _CLEAR)
     known = any(kind.where == "frame" for kind in entries.values())  # an effect from outside, which may be just that
     again = None if known else periodic(design, light, seen.common_unit, clear)
     taken = None if again is None else partial(first_state, design, seen, images, given)
-    if again is not None:  # a source known to differ by so much from frame to frame: no flicker is asked for beside it
+    if again is not None:  # a source known to differ by so much from frame to frame: no flicker is searched for then
         seen = steadied(design, light, seen, again)
         design = replace(design, header=_wandering(header, again.rms))
     start = first_state(design, seen, images, given)
@@ -256,15 +256,16 @@ def examine(
     notes: list[str] = []
     taken_dn = design.header.camera.black_level_dn
     if taken_dn != header.camera.black_level_dn:
-        told = "where the noise of the light would end" if taken_dn else "for the noise does not tell it either"
+        told = "where the noise of the light would end" if taken_dn else "since the noise does not determine it either"
         notes.append(
-            f"the black level is not declared, and one setting does not tell it: {taken_dn:.4g} DN is taken, {told}"
+            "the black level is not declared, and one setting does not determine it: "
+            f"{taken_dn:.4g} DN is taken, {told}"
         )
     scenes = set(design.patterns).difference(frame.pattern for frame in header.frames)
     if scenes:
-        notes.append(f"the scene changes: {1 + len(scenes)} are shown, each a pattern of its own")
+        notes.append(f"the scene changes: {1 + len(scenes)} are shown, each with a separate pattern")
     found = search(start, entries, say, is_doubted)
-    outcome = _spared("laws of no entry", lambda: held_to_laws(found, entries, say), notes) or found
+    outcome = _optional_step("laws of no entry", lambda: held_to_laws(found, entries, say), notes) or found
     result = _result(outcome, entries, again, total, begun, notes, with_limits=with_limits)
     return Reconciled(replace(result, repeats=_repeats(outcome.state, light, header)), outcome, taken)
 
@@ -302,9 +303,13 @@ def _result(
     state = outcome.state
     shown: Mapping[str, Limit] = {}
     if with_limits:
-        shown = _spared("the limits", lambda: limits(state, entries), failed) or {}
+        shown = _optional_step("the limits", lambda: limits(state, entries), failed) or {}
     settled = any(effect.next_capture for effect in effects) or verdict is Verdict.EFFECTS_FOUND
-    further = None if settled else _spared("the next capture", lambda: _further(state, entries, shown, effects), failed)
+    further = (
+        None
+        if settled
+        else _optional_step("the next capture", lambda: _further(state, entries, shown, effects), failed)
+    )
     return ReconcileResult(
         verdict=verdict,
         effects=effects,
@@ -342,13 +347,13 @@ def _global_p(outcome: Search) -> tuple[float, float]:
     return before, before if outcome.state is outcome.start else global_p_value(outcome.state, outcome.tests)
 
 
-def _spared(what: str, work: Callable[[], _T], failed: list[str]) -> _T | None:
-    """Return what is worked out beside the answer; None where that fails, for advice never costs the answer.
+def _optional_step(what: str, work: Callable[[], _T], failed: list[str]) -> _T | None:
+    """Return the result of an optional step; None where it fails, since advice must not cost the answer.
 
     Args:
         what: What it is, for the log and for the user.
         work: Works it out.
-        failed: Is told why it is missing.
+        failed: Receives the reason why it is missing.
     """
     try:
         return work()
@@ -378,25 +383,27 @@ def _found(
     *,
     provisional: bool,
 ) -> tuple[FoundEffect, ...]:
-    """Return the names in the order of finding, and what is left as one entry, where its largest part was found."""
-    state, weak = outcome.state, faint_names(outcome)
+    """Return the names in the order of finding, and the residual as one entry, where its largest part was found."""
+    state, weak = outcome.state, insignificant_names(outcome)
     parameters = fitted_parameters(state)
     present = {effect.name: effect for effect in state.effects}
     rest, found = rest_of(outcome, again), list[FoundEffect]()
-    others = by_other_laws(outcome)
+    others = with_other_functional_form(outcome)
     for step in outcome.steps:
         if step.name == "unnamed" and rest is not None and rest not in found:
             found.append(rest)
         elif step.name in present and step.name not in weak:
             own = present[step.name]
-            alike = _spared(f"what acts like {step.name}", partial(inseparable, state, own, entries), failed) or ()
+            alike = (
+                _optional_step(f"what acts like {step.name}", partial(inseparable, state, own, entries), failed) or ()
+            )
             rivals = tuple({rival.name: rival for rival in (*alike, *step.rivals)}.values())
-            what = f"the capture that tells {step.name} from its rivals"
-            advice = _spared(what, partial(propose, state, own, rivals), failed)
+            what = f"the capture that separates {step.name} from its rivals"
+            advice = _optional_step(what, partial(propose, state, own, rivals), failed)
             shown = replace(step, rivals=rivals)
             told = dict(parameters[step.name])
             if isinstance(own, FreeLaw):
-                sizes = _spared(
+                sizes = _optional_step(
                     f"how well the size of {step.name} is known", partial(sizes_by_own_law, state, own), failed
                 )
                 told |= {name: entry for name, entry in (sizes or {}).items() if told[name].u is None}

@@ -27,7 +27,7 @@ class Prediction:
         mixed_x: (captures, tiles) correlation of neighbours in a row that exchange charge, without what rows share.
         mixed_y: The same in a column.
         limit_variance: (captures, tiles) part of `fixed` in DN² that limits which differ from pixel to pixel leave.
-        renewed_variance: (captures, tiles) part of it that each setting has a pattern of its own for.
+        renewed_variance: (captures, tiles) part of it for which each setting has a separate pattern.
         beyond_x: (captures, tiles) sum of the correlations in a row from the second neighbour on, to one side.
         beyond_y: The same in a column.
         beyond_rows: The same with all pixels of the rows below, but for the vertical neighbour.
@@ -65,12 +65,12 @@ class Prediction:
 
     @cached_property
     def waves(self) -> bool:
-        """Tell whether any light goes as a wave along the rows."""
+        """Return whether any light goes as a wave along the rows."""
         return bool(self.band_variance.any())
 
     @cached_property
     def mixes(self) -> bool:
-        """Tell whether any neighbours in a row exchange charge."""
+        """Return whether any neighbours in a row exchange charge."""
         return bool(self.mixed_x.any())
 
     @property

@@ -1,4 +1,4 @@
-"""What reconcile found, in the form of the documented JSON."""
+"""Holds the findings of reconcile, in the form of the documented JSON."""
 
 from __future__ import annotations
 
@@ -84,7 +84,7 @@ class LawCurve:
         return cls(along, tuple(entry.value for entry in fitted), tuple(entry.u for entry in fitted))
 
     def to_mapping(self) -> dict[str, Any]:
-        """Return the mapping that stands in JSON."""
+        """Return the mapping of the JSON form."""
         along = {axis: list(knots) for axis, knots in self.along.items()}
         return {"along": along, "factor": list(self.factor), "u": list(self.u)}
 
@@ -96,11 +96,11 @@ class FoundEffect:
     Attributes:
         name: Catalogue name, or `unnamed`.
         parameters: Its parameters by name.
-        where: Covariate along which it lies.
+        where: Covariate along which it was found.
         gap_before: Held-out gap before it was added.
         gap_after: The same after.
-        alternatives: Catalogue names that these data cannot tell from it.
-        next_capture: The capture that would tell them apart; None where nothing rivals it.
+        alternatives: Catalogue names that these data cannot separate from it.
+        next_capture: The capture that would separate them; None where nothing rivals it.
         gain_nats: Improvement of the held-out log density.
         block: Statistic that shows it.
         provisional: Whether structure stays, so that the name may still change.
@@ -163,7 +163,8 @@ class CovariateGap:
 
 @dataclass(frozen=True, slots=True)
 class Place:
-    """Where the starting model disagrees, found without the catalogue: one test, the places before it taken out.
+    """A place where the starting model disagrees, found without the catalogue: one test, the places before it taken
+    out.
 
     Attributes:
         block: Statistic.
@@ -180,7 +181,7 @@ class Place:
     p_value: float
 
     def to_mapping(self) -> dict[str, Any]:
-        """Return the mapping that stands in JSON."""
+        """Return the mapping of the JSON form."""
         return {
             "block": self.block,
             "covariate": self.covariate,
@@ -200,7 +201,7 @@ class Series:
         temperature_c: Temperature of the sensor in °C; None where unknown.
         apart: Each frame less the mean of the others: its median over the tiles.
         u: Its standard uncertainty from the scatter of the tiles.
-        standing_out: Positions in the series of frames that lie farther off than all other repeats scatter.
+        standing_out: Positions in the series of frames that are farther off than all other repeats scatter.
     """
 
     frames: tuple[int, ...]
@@ -211,7 +212,7 @@ class Series:
     standing_out: tuple[int, ...] = ()
 
     def to_mapping(self) -> dict[str, Any]:
-        """Return the mapping that stands in JSON."""
+        """Return the mapping of the JSON form."""
         return {
             "frames": list(self.frames),
             "exposure_s": self.exposure_s,
@@ -224,7 +225,7 @@ class Series:
 
 @dataclass(frozen=True, slots=True)
 class Repeats:
-    """What frames of one setting differ by, and how much of it is taken for a wander that gets no name.
+    """Differences between frames of one setting, and the part of them that is treated as an unnamed wander.
 
     Attributes:
         kind: `dark` (black level and dark current, in DN) or `lit` (light, relative).
@@ -239,7 +240,7 @@ class Repeats:
     series: tuple[Series, ...]
 
     def to_mapping(self) -> dict[str, Any]:
-        """Return the mapping that stands in JSON."""
+        """Return the mapping of the JSON form."""
         return {
             "scatter": self.scatter.to_mapping(),
             "fitted_aside": self.aside,
@@ -251,7 +252,7 @@ class Repeats:
         """Return in words where differences between equal frames come from."""
         frames = sum(len(one.frames) for one in self.series)
         what = "black level or dark charge" if self.kind == "dark" else "light"
-        aside = f"; {self._shown(self.aside)} are taken for a wander and fitted aside, not named" if self.aside else ""
+        aside = f"; {self._shown(self.aside)} are treated as a wander and fitted without a name" if self.aside else ""
         first = (
             f"{frames} {self.kind} frames in {len(self.series)} series of one setting: their {what} differs by "
             f"{self._shown(self.scatter.value, self.scatter.u)} (standard deviation) from frame to frame{aside}"
@@ -263,7 +264,7 @@ class Repeats:
         out = [(one, at) for one in self.series for at in one.standing_out]
         if out:
             told = (f"frame {one.frames[at]} ({self._shown(one.apart[at], one.u[at])})" for one, at in out[:_MOST_SAID])
-            said.append(f"beyond what the others scatter by lie: {', '.join(told)}")
+            said.append(f"outside the scatter of the others: {', '.join(told)}")
         return tuple(said)
 
     def _listed(self, series: Sequence[Series]) -> str:
@@ -299,11 +300,11 @@ class ReconcileResult:
         report: Name of the report written.
         seconds: Time that it took.
         gap_unit: Unit of the gaps.
-        localisation: Where the starting model disagrees: each covariate once, each beside the places before it.
+        localisation: Where the starting model disagrees: each covariate once, each in addition to the places before it.
         calls: Tests of the starting model with p < 0.01, and tests in all.
         global_p: Chance that any of all tests is as significant without a disagreement, at the start and in the end.
-        added: The effects of the final model beside the ideal chain.
-        next_capture: Where no rivals are to be told apart: the capture that would show what these data cannot.
+        added: The effects that the final model adds to the ideal chain.
+        next_capture: Where no rivals need to be separated: the capture that would show what these data cannot.
         repeats: What frames of one setting differ by.
         extra: Further entries of the JSON object.
     """

@@ -19,13 +19,14 @@ from radiometer.reconciliation.search.frame_order import FrameLight
 Shown = tuple[Design, FrameLight, tuple[CaptureStatistics, PatternImages]]
 
 
-def shown_by(
+def evidence_for(
     header: CaptureHeader, shape: tuple[int, int], read: FrameReader, progress: Progress | None = None
 ) -> Shown:
     """Return the design of a capture set, the light of its frames, and what they show.
 
-    Where a series of equal frames jumps, one setting alone cannot tell a black level that nobody states, or the scene
-    changes, the design follows what was seen, and the frames are read again. Each scene is a pattern of its own then.
+    A series of equal frames may jump, one setting alone may not determine an undeclared black level, or the scene may
+    change. The design then follows what was seen, and the frames are read again. Each scene is a separate pattern
+    then.
 
     Args:
         header: What `capture.yaml` says.
@@ -34,7 +35,7 @@ def shown_by(
         progress: Called with the number of frames done.
 
     Raises:
-        CaptureError: If a scene is shown by one frame alone, which nothing can be held against.
+        CaptureError: If a scene is shown by one frame alone, which cannot be compared with any other.
     """
     design, light, shown = _read_by(Design.of(header, shape), read, progress)
     at, black_dn = jumps(design, light.of_tiles), black_by_noise(design, shown[0])
@@ -73,7 +74,7 @@ def _refuse_lone_frames(header: CaptureHeader, scenes: Mapping[int, int]) -> Non
     if lone:
         raise CaptureError(
             f"the frames show {len(times)} scenes, and no other frame shows that of {', nor that of '.join(lone)}: "
-            "nothing can be held against it; give two frames or more of each scene, or those of one scene only"
+            "it cannot be compared with any; give two frames or more of each scene, or those of one scene only"
         )
 
 

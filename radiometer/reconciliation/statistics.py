@@ -1,6 +1,6 @@
 """The table of statistics: what each is given for, on what scale it is compared, how far it scatters, when it counts.
 
-A statistic stands in one row. What is measured and what is predicted carry its name (`CaptureStatistics`,
+A statistic is one row. What is measured and what is predicted carry its name (`CaptureStatistics`,
 `Prediction`); everything that goes over statistics goes over this table.
 """
 
@@ -45,7 +45,7 @@ _COMB_SQUARES: Final = np.array([1.0 if period == 2 else 0.5 for period in COMB_
 
 
 class Given(Enum):
-    """What a statistic has one figure for, beside each capture."""
+    """Further axis of a statistic: it has one figure for each, per capture."""
 
     TILE = "tile"
     CAPTURE = "capture"
@@ -54,7 +54,7 @@ class Given(Enum):
 
 
 class Scale(Enum):
-    """How measured and predicted are subtracted."""
+    """Scale on which measured and predicted figures are subtracted."""
 
     PLAIN = "as they are"
     LOGARITHM = "logarithms of variances, freed of the bias of few degrees of freedom"
@@ -79,7 +79,7 @@ class Statistic:
         family: Name of the statistics that it is one direction of.
         tells_light: Whether it says how much light there is. Noise does so too, but a hundred times worse: a wrong
             noise figure would pull at the responsivity and show as a disagreement of all means.
-        follows_light: Whether it goes with the light of its tile without having a say in it.
+        follows_light: Whether it follows the light of its tile without determining it.
         holds_form: Whether the form of an accepted effect limits how well it is predicted.
     """
 
@@ -107,12 +107,12 @@ class Statistic:
 
 @dataclass(frozen=True, eq=False)
 class Counted:
-    """Which entries are free of clipping, have freedom left and are not formed by the spacing of the codes.
+    """Entries that are free of clipping, have freedom left and are not formed by the spacing of the codes.
 
     Attributes:
         design: Captures and tiles.
         seen: What was measured.
-        base: Prediction that tells where light is cut off.
+        base: Prediction that shows where light is cut off.
     """
 
     design: Design
@@ -126,13 +126,13 @@ class Counted:
 
     @cached_property
     def fine(self) -> Mask:
-        """Tell where the noise is not hidden below the spacing of the codes."""
+        """Return where the noise is not hidden below the spacing of the codes."""
         variance = self.base.variance
         return variance > (_FINE_NOISE * self.step) ** 2 if self.step > 1 else np.ones(variance.shape, np.bool_)
 
     @cached_property
     def inside(self) -> Mask:
-        """Tell which tiles are clipped neither as measured nor as predicted.
+        """Return which tiles are clipped neither as measured nor as predicted.
 
         What is predicted to clip but was not seen to clip counts: it is what a lower full well looks like.
         """
@@ -148,7 +148,7 @@ class Counted:
 
     @cached_property
     def knee(self) -> Mask:
-        """Tell where the declared full well just begins to bite: there the variance hangs on the light level."""
+        """Return where the declared full well just begins to bite: there the variance depends on the light level."""
         well = self.design.header.camera.full_well_e
         if well is None:
             return np.zeros(self.base.signal.shape, dtype=np.bool_)
@@ -157,50 +157,50 @@ class Counted:
 
     @cached_property
     def many(self) -> Mask:
-        """Tell which captures have several frames, (captures, 1)."""
+        """Return which captures have several frames, (captures, 1)."""
         return (self.design.frame_count > 1)[:, None]
 
     @cached_property
     def free(self) -> Mask:
-        """Tell which tiles are inside, off the knee of the full well, and not cut off by the converter."""
+        """Return which tiles are inside, off the knee of the full well, and not cut off by the converter."""
         return self.inside & ~self.knee & ~_cut_off(self.design, self.seen, self.base)
 
     @cached_property
     def noisy(self) -> Mask:
-        """Tell which tiles have a temporal variance that scatters as a normal one."""
+        """Return which tiles have a temporal variance that scatters as a normal one."""
         seen = np.nan_to_num(self.seen.variance) > 0
         return self.free & self.many & seen & (self.base.rounding < _COARSE_DN)
 
     @cached_property
     def calm(self) -> Mask:
-        """Tell which captures' lines of pixels do not feel the spacing of the codes, which they do sooner."""
+        """Return which captures' lines of pixels do not feel the spacing of the codes, which they do sooner."""
         return np.asarray((self.base.variance > self.step**2 if self.step > 1 else self.fine).all(axis=1))
 
     @cached_property
     def whole(self) -> Mask:
-        """Tell which captures of several frames have lines to compare."""
+        """Return which captures of several frames have lines to compare."""
         return self.many[:, 0] & self.calm
 
     @cached_property
     def patched(self) -> Mask:
-        """Tell which captures show even light, or none: without light a scene shows nothing but the sensor."""
+        """Return which captures show even light, or none: without light a scene shows nothing but the sensor."""
         even = ~(self.design.source_level > 0) | self.design.uniform
         return self.inside.any(axis=1) & self.calm & even
 
     def lines(self, name: str) -> Mask:
-        """Tell where a profile of lines has freedom left and is above zero."""
+        """Return where a profile of lines has freedom left and is above zero."""
         dof, ratio = getattr(self.seen, f"{name}_dof"), getattr(self.seen, name)
         return np.asarray((dof > 4) & (np.nan_to_num(ratio) > 0))
 
     @property
     def banded(self) -> Mask:
-        """Tell which captures tell of waves: the bright rows of a scene's tile are noisier than its mean noise."""
+        """Return which captures show waves: the bright rows of a scene's tile are noisier than its mean noise."""
         there = self.design.uniform & self.whole & ~self.knee.any(axis=1)
         return np.isfinite(self.seen.bands) & there[:, None]
 
     @property
     def combed(self) -> Mask:
-        """Tell which histograms are full enough, and of which periods; none that holds the highest code of all."""
+        """Return which histograms are full enough, and of which periods; none that holds the highest code of all."""
         highest = np.nan_to_num(self.seen.peak).max(axis=1)  # where light is cut off, few codes occur at the top
         dividing = np.array([self.step == 1 or self.step % period == 0 for period in COMB_PERIODS])
         full = (self.seen.comb_count > _FEWEST_CODES) & (highest < highest.max() - 1.0)
@@ -209,7 +209,7 @@ class Counted:
 
     @property
     def bordered(self) -> Mask:
-        """Tell in which captures patches have borders of light: in the others the steps are those of a pattern."""
+        """Return in which captures patches have borders of light: in the others the steps are those of a pattern."""
         light = np.max(self.base.signal * self.base.gain[:, None], axis=1)
         clear = light > _CLEAR_LIGHT * np.sqrt(np.median(self.base.variance, axis=1))
         return np.asarray(np.isfinite(self.seen.edge_u) & self.inside.any(axis=1) & clear)
@@ -217,14 +217,14 @@ class Counted:
 
 @dataclass(frozen=True, eq=False)
 class Scatter:
-    """How far the statistics of a model that is right would scatter, each by itself.
+    """Scatter of the statistics of a correct model, each by itself.
 
     The weights never come from the prediction under test.
 
     Attributes:
         design: Captures and tiles.
         seen: What was measured; its own scatter from frame to frame gives the weights.
-        base: Prediction, for what a measurement of few frames cannot tell.
+        base: Prediction, for what a measurement of few frames cannot determine.
         known: (captures, tiles) whether the measured temporal variance counts.
     """
 
@@ -252,7 +252,7 @@ class Scatter:
     def shared(self) -> Array:
         """Return the variance of a tile's sum over that of as many independent pixels.
 
-        Neighbours that move together average out less: a mean scatters more than its pixels' variance tells.
+        Neighbours that move together average out less: a mean scatters more than its pixels' variance predicts.
         """
         base = self.base
         white_x = base.neighbour_x - base.row_variance[:, None] / np.maximum(base.variance, 1e-30)
@@ -337,7 +337,7 @@ class Scatter:
         return np.asarray(np.hypot(1.0, 2.0 * _TAIL_FORM * many))
 
     def one(self, name: str) -> Array:
-        """Return 1 for what is in units of its own scatter already."""
+        """Return 1 for what is in units of its scatter already."""
         return np.ones(getattr(self.seen, name).shape)
 
 
@@ -445,9 +445,9 @@ def usable_entries(design: Design, seen: CaptureStatistics, base: Prediction) ->
 
 
 def partly_at_the_top(design: Design, seen: CaptureStatistics, base: Prediction) -> Mask:
-    """Tell which tiles of a scene are uneven and reach the brightest that was seen at their gain, within the noise.
+    """Return which tiles of a scene are uneven and reach the brightest that was seen at their gain, within the noise.
 
-    If that is where the camera saturates, part of such a tile does and part does not, and nothing tells which part.
+    If that is where the camera saturates, an unknown part of such a tile does.
     Where samples reach full scale the top is known, and what is clipped there has been counted. Patches are even.
     """
     if design.uniform:
@@ -465,7 +465,7 @@ def partly_at_the_top(design: Design, seen: CaptureStatistics, base: Prediction)
 
 
 def seen_step(seen: CaptureStatistics) -> int:
-    """Return the spacing of codes as far as the histograms tell it, 1 where all codes occur.
+    """Return the spacing of codes as far as the histograms show it, 1 where all codes occur.
 
     Where it is wide, noise below half of it leaves nothing normal of a tile, and periods that do not divide it show
     the shape of an honest histogram at an alias.
@@ -478,7 +478,7 @@ def seen_step(seen: CaptureStatistics) -> int:
 
 
 def _cut_off(design: Design, seen: CaptureStatistics, base: Prediction) -> Mask:
-    """Tell where light should bring noise and not even read noise is seen: nearly all samples show the highest code.
+    """Return where light should bring noise and not even read noise is seen: nearly all samples show the highest code.
 
     What is left there are a few samples, whose variance and correlations are far from normal.
     """

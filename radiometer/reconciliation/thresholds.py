@@ -67,7 +67,7 @@ FRAME_SIGNIFICANCE: Final = _row(
     "FRAME_SIGNIFICANCE",
     0.001,
     "chance",
-    "one of equal frames said to stick out of the others by chance",
+    "one of equal frames reported as an outlier by chance",
     "series drawn at random (tests/unit/reconciliation/test_repeats.py)",
 )
 SCATTER_SIGMAS: Final = _row(
@@ -94,18 +94,20 @@ NAMED_NATS: Final = _row(
     "a name, another law or another name in its place by chance: odds of 3000; also what a curve may predict better by",
     _ODDS,
 )
-LATER_NATS: Final = _row("LATER_NATS", 2.0, "nats", "further names beside one: they are less likely beforehand", _ODDS)
+LATER_NATS: Final = _row(
+    "LATER_NATS", 2.0, "nats", "further names after a first: they are less likely beforehand", _ODDS
+)
 FEW_TRIES: Final = _row(
     "FEW_TRIES", 2.0, "1", "one of many starts that fits by chance: ln(starts / 2) nats more", _ODDS
 )
 SHOWN_CHI2: Final = _row(
-    "SHOWN_CHI2", 8.0, "χ²", "a name whose own statistic does not speak for it, only others that it happens to mend"
+    "SHOWN_CHI2", 8.0, "χ²", "a name that its own statistic does not support, only others that it happens to improve"
 )
 STATED_NATS: Final = _row(
     "STATED_NATS",
     6.0,
     "nats",
-    "an error of calibration that goes with the level: stated radiances are measured once, their errors go together",
+    "an error of calibration that depends on the level: radiances are measured once, their errors are correlated",
     "sessions of a second generator with turned charts (docs/reconcile.md)",
 )
 STATED_SHARE: Final = _row("STATED_SHARE", 0.5, "1", "the same: share of the χ² from which they carry the evidence")
@@ -123,9 +125,9 @@ LAW_SHARE: Final = _row(
 )
 
 # ---- the search -----------------------------------------------------------------------------------------------------
-KEPT_NATS: Final = _row("KEPT_NATS", 4.0, "nats", "names that bring nothing any more beside a later one")
+KEPT_NATS: Final = _row("KEPT_NATS", 4.0, "nats", "names that a later one made superfluous")
 RIVAL_NATS: Final = _row(
-    "RIVAL_NATS", 5.0, "nats", "one name told where another is as good: rivals within odds of 150", _ODDS
+    "RIVAL_NATS", 5.0, "nats", "one name reported where another is as good: rivals within odds of 150", _ODDS
 )
 HUGE_NATS: Final = _row(
     "HUGE_NATS",
@@ -146,7 +148,7 @@ FAINT_NATS: Final = _row(
     "FAINT_NATS",
     40.0,
     "nats",
-    "what is left of a law that is not quite the one named, taken for one more effect",
+    "the residual of a law that is not quite the one named, treated as one more effect",
     _WEAK,
 )
 ESSENTIAL_SIGMAS: Final = _row(
@@ -156,7 +158,7 @@ TESTED_NATS: Final = _row(
     "TESTED_NATS",
     100.0,
     "nats",
-    "a size not told apart from its form, believed though its law is hardly tested: from here it is, to a tenth",
+    "a size not separated from its form, believed though its law is hardly tested: from here it is, to a tenth",
 )
 BOUND_CHI2: Final = _row(
     "BOUND_CHI2", 9.0, "χ²", "an entry bent to what it is not: what the end of a range brings over the usual value"

@@ -1,4 +1,4 @@
-"""What a search comes to: whether its names stand, what speaks against them, and what is left as one entry.
+"""Judges the outcome of a search: which names are significant, the doubts about them, and the residual as one entry.
 
 The tests of `localise` look for trends. What moves single tiles or frames at random leaves none, but a reduced χ²
 above 1.
@@ -38,14 +38,14 @@ _LIT_DN: Final = 1.0  # light below which a share of it says nothing
 
 
 def verdict_of(outcome: Search, doubts: Sequence[str], again: Periodic | None = None) -> Verdict:
-    """Return what a search comes to.
+    """Return the verdict on a search.
 
     Args:
         outcome: The search.
         doubts: What speaks against its names.
         again: What comes back in the order of the frames, which no name explains.
     """
-    named = len(outcome.state.effects) > len(faint_names(outcome))
+    named = len(outcome.state.effects) > len(insignificant_names(outcome))
     unnamed = leaves_structure(outcome) or again is not None
     if named:
         return Verdict.INCOMPLETE if unnamed or doubts else Verdict.EFFECTS_FOUND
@@ -53,7 +53,7 @@ def verdict_of(outcome: Search, doubts: Sequence[str], again: Periodic | None = 
 
 
 def is_doubted(outcome: Search) -> bool:
-    """Tell whether the names of a search are provisional though nothing structured is left."""
+    """Return whether the names of a search are provisional though nothing structured is left."""
     return not leaves_structure(outcome) and bool(doubts_of(outcome))
 
 
@@ -63,7 +63,8 @@ def doubts_of(outcome: Search) -> list[str]:
     said = [f"{name} ran to the end of its range: what the data hold is not quite that" for name in _at_bound(state)]
     said += [f"{name} alone may do what all the names do together" for name in one_for_all(outcome.steps, effects)]
     said += [
-        f"{name} is only the likelier of two, the other predicts better" for name in outdone(outcome.steps, effects)
+        f"{name} is only the likelier of two, the other predicts better"
+        for name in outperformed(outcome.steps, effects)
     ]
     said += [
         f"{name} fits by its further terms alone: what makes it {name} is within three uncertainties of nothing"
@@ -86,17 +87,18 @@ def doubts_of(outcome: Search) -> list[str]:
 
 
 def leaves_structure(outcome: Search) -> bool:
-    """Tell whether anything disagrees beside the names: tests, a term without a name, or scatter."""
+    """Return whether anything disagrees apart from the names: tests, a term without a name, or scatter."""
     unnamed = bool(outcome.left) or any(step.name == "unnamed" for step in outcome.steps)
     return unnamed or is_misfit(outcome.state)
 
 
-def faint_names(outcome: Search) -> list[str]:
+def insignificant_names(outcome: Search) -> list[str]:
     """Return names that are not worth telling where structure stays anyhow: faint ones, and those of no substance.
 
-    What a wrong law of a stronger name leaves, others take up in part; so they do with what a curve along one covariate
-    leaves of an unknown cause, where that brings most of what both bring. And an entry whose essential parameter is not
-    told from nothing, with an uncertainty that holds what is left, fits by its further terms, as any curve would.
+    Names may absorb a part of the residual of a stronger name's wrong law. They may also absorb the residual of a
+    curve along one covariate for an unknown cause, where that brings most of what both bring. An entry whose
+    essential parameter is not significant, its uncertainty including the residual, fits by its further terms, as any
+    curve would.
     """
     if not leaves_structure(outcome):
         return []
@@ -123,19 +125,19 @@ def faint(outcome: Search) -> list[str]:
     gains = {step.name: step.gain_nats for step in outcome.steps}
     little = _fainter_than_the_rest(outcome)
     return [
-        f"{name} is counted to what is left"
-        + (f": it brings {gains[name]:.0f} nats where structure stays beside more" if name in little else "")
-        for name in faint_names(outcome)
+        f"{name} is counted as part of the residual"
+        + (f": it brings {gains[name]:.0f} nats where structure remains that brings more" if name in little else "")
+        for name in insignificant_names(outcome)
     ]
 
 
-def by_other_laws(outcome: Search) -> tuple[CatalogueEffect, ...]:
+def with_other_functional_form(outcome: Search) -> tuple[CatalogueEffect, ...]:
     """Return the named effects whose equation is not the one that the data follow, though the name explains most of it.
 
-    What stays in the very statistic and along the very covariate that a name stands for is the rest of its law, not one
-    more cause, as long as the name brings most of what both bring.
+    A residual in a name's own statistic and along its own covariate is the rest of its law, not one more cause. This
+    holds as long as the name brings most of what both bring.
     """
-    departed, weak = departing(outcome.tests, outcome.state.effects), faint_names(outcome)
+    departed, weak = departing(outcome.tests, outcome.state.effects), insignificant_names(outcome)
     gains = {step.name: step.gain_nats for step in outcome.steps if step.name != "unnamed"}
     found = []
     for effect in outcome.state.effects:
@@ -148,7 +150,7 @@ def by_other_laws(outcome: Search) -> tuple[CatalogueEffect, ...]:
 
 
 def _places_of_law(effect: CatalogueEffect) -> set[tuple[str, str]]:
-    """Return where the rest of an effect's law lies: of a free one along all its covariates, in all that it moves."""
+    """Return where the rest of an effect's law shows: of a free one along all its covariates, in all that it moves."""
     axes = effect.axes if isinstance(effect, FreeLaw) else ()
     return {own_place(effect)} | {(axis, block) for axis in axes for block in (effect.block, *effect.also, *_LIGHT)}
 
@@ -158,19 +160,19 @@ def _place_of(step: Step) -> tuple[str, str]:
 
 
 def rest_of(outcome: Search, again: Periodic | None = None) -> FoundEffect | None:
-    """Return all that is left without a name as one entry: its clearest place, its size, and where else it lies.
+    """Return all that has no name as one entry: its clearest place, its size, and its other places.
 
     Args:
         outcome: The search.
         again: What comes back in the order of the frames.
     """
     state = outcome.state
-    told = {place for effect in by_other_laws(outcome) for place in _places_of_law(effect)}
+    told = {place for effect in with_other_functional_form(outcome) for place in _places_of_law(effect)}
     steps = [step for step in outcome.steps if step.name == "unnamed" and _place_of(step) not in told]
     places = [_place_of(step) for step in steps]
     places += [(axis_of(test.where, test.block), test.family) for test in outcome.left]
     places = [place for place in places if place not in told]
-    weak = faint_names(outcome)
+    weak = insignificant_names(outcome)
     places += [(step.where, "") for step in outcome.steps if step.name in weak]
     if not places and not told and is_misfit(state):
         block, where = place_of_scatter(state)
@@ -213,7 +215,7 @@ def _period(again: Periodic) -> dict[str, FittedParameter]:
 
 
 def size_of_rest(state: FitState, block: str) -> dict[str, FittedParameter]:
-    """Return how large what is left is, root mean square: of means in DN, e⁻ and of the light, of noise relative.
+    """Return the size of the residual, root mean square: of means in DN, e⁻ and of the light, of noise relative.
 
     It is what the unnamed terms took up; where there are none, what the residual holds beyond its uncertainties.
 
@@ -269,8 +271,8 @@ def _taken_up(state: FitState, block: str) -> Array:
 def sizes_by_own_law(state: FitState, effect: FreeLaw) -> dict[str, FittedParameter]:
     """Return the parameters of an effect of another law that its own equation would be fitted by, with u.
 
-    The law is a factor on what the effect does by its own equation, of the size that it was found with. How well that
-    size is known the fit by the own equation tells, and where that would have it differently, by how much.
+    The law is a factor on what the effect does by its own equation, of the size that it was found with. The
+    uncertainty of that size is that of the fit by the own equation, with the difference of both where they disagree.
 
     Args:
         state: The model with the effect by another law.
@@ -345,7 +347,7 @@ def _explained(values: Array, basis: Array) -> float:
 
 
 def one_for_all(steps: Sequence[Step], effects: Sequence[CatalogueEffect]) -> list[str]:
-    """Return the entries that stand as rivals beside every one of several names: one cause may do what they all do.
+    """Return the entries that rival every one of several names: one cause may do what they all do.
 
     Args:
         steps: What was added, in order.
@@ -358,7 +360,7 @@ def one_for_all(steps: Sequence[Step], effects: Sequence[CatalogueEffect]) -> li
     return sorted(set.intersection(*({rival.name for rival in step.rivals} for step in named)) - present)
 
 
-def outdone(steps: Sequence[Step], effects: Sequence[CatalogueEffect]) -> list[str]:
+def outperformed(steps: Sequence[Step], effects: Sequence[CatalogueEffect]) -> list[str]:
     """Return the names for which only what is usual speaks: something else predicts better.
 
     Args:
@@ -366,7 +368,7 @@ def outdone(steps: Sequence[Step], effects: Sequence[CatalogueEffect]) -> list[s
         effects: The effects of the model.
     """
     present = {effect.name for effect in effects}
-    return [step.name for step in steps if step.outdone and step.name in present]
+    return [step.name for step in steps if step.outperformed and step.name in present]
 
 
 def without_essential(
@@ -374,10 +376,10 @@ def without_essential(
     effects: Sequence[CatalogueEffect],
     parameters: Mapping[str, Mapping[str, FittedParameter]],
 ) -> list[str]:
-    """Return the names of effects of which an essential parameter lies within three standard uncertainties of nothing.
+    """Return the names of effects of which an essential parameter is within three standard uncertainties of nothing.
 
-    Where an effect names none, the one that it is fitted by first is its size. A size that is not told apart from the
-    form (a fall along a line, of any depth and as slow) doubts the name only where little else tests its law.
+    Where an effect names none, the one that it is fitted by first is its size. A size that is not separated from the
+    form (a fall along a line, of any depth and as slow) makes the name doubtful only where little else tests its law.
 
     Args:
         steps: What was added, in order.
@@ -398,7 +400,7 @@ def without_essential(
 
 
 def below_least(effects: Sequence[CatalogueEffect]) -> list[str]:
-    """Return names with a parameter that lies nearer to what does nothing than it does where they are the cause."""
+    """Return names with a parameter that is nearer to its value without effect than where they are the cause."""
     return [
         f"{effect.name} with {name} = {getattr(effect, name):.6g}"
         for effect in effects
@@ -408,7 +410,7 @@ def below_least(effects: Sequence[CatalogueEffect]) -> list[str]:
 
 
 def faint_beside_others(steps: Sequence[Step], effects: Sequence[CatalogueEffect]) -> list[str]:
-    """Return the names that bring little where another entry might take them, or beside others that bring more.
+    """Return the names that bring little where another entry might absorb them, or where others bring more.
 
     What is left of a law that is not quite the one that was named looks like one more effect, but a faint one.
 

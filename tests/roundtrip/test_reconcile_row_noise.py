@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from radiometer.reconciliation.fit.covariance import fitted_parameters
-from radiometer.reconciliation.fit.descent import first_state, refit, settled
+from radiometer.reconciliation.fit.descent import converged_fit, first_state, refit
 from radiometer.reconciliation.fit.full_fit import accepted
 from radiometer.reconciliation.fit.state import FitState
 from radiometer.reconciliation.measure.design import Design, rough_share
@@ -26,7 +26,7 @@ def dark_state() -> FitState:
     frames = list(session.frames())
     design = Design.of(session.header, frames[0].shape)
     state = first_state(design, *reduce_frames(design, frame_reader(frames)))
-    return settled(refit(accepted(state, RowTemporalNoise(0.3))))
+    return converged_fit(refit(accepted(state, RowTemporalNoise(0.3))))
 
 
 def test_uncertainty_is_no_smaller_than_the_rows_allow(dark_state: FitState) -> None:

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from radiometer.reconciliation.fit.covariance import fitted_parameters
-from radiometer.reconciliation.fit.descent import first_state, refit, settled
+from radiometer.reconciliation.fit.descent import converged_fit, first_state, refit
 from radiometer.reconciliation.fit.full_fit import accepted
 from radiometer.reconciliation.fit.state import FitState, with_effects
 from radiometer.reconciliation.measure.design import Design
@@ -30,7 +30,7 @@ def waving() -> tuple[FitState, dict[str, float]]:
     state = first_state(design, *reduce_frames(design, frame_reader(frames)))
     truth = {name: float(value) for name, value in session.truth["rolling_shutter_banding"].items()}  # type: ignore[arg-type]
     start = RollingShutterBanding(truth["depth"], truth["frequency_Hz"], truth["row_s"])
-    return settled(refit(accepted(state, start))), truth
+    return converged_fit(refit(accepted(state, start))), truth
 
 
 def test_parameters_agree_with_the_truth(waving: tuple[FitState, dict[str, float]]) -> None:

@@ -1,1 +1,1 @@
-"""What the data would have shown, and the capture to take next."""
+"""Advises on the limits of the data, and on the capture to take next."""

@@ -62,7 +62,7 @@ class CapturePool:
 
     @cached_property
     def is_new(self) -> NDArray[np.bool_]:
-        """Tell for each capture whether its settings differ from all that were taken."""
+        """Return for each capture whether its settings differ from all that were taken."""
         taken = {_settings_of(capture.settings) for capture in self.state.design.captures}
         return np.array([_settings_of(capture.settings) not in taken for capture in self.design.captures])
 
@@ -144,7 +144,7 @@ def _with_surrounds(design: Design, images: PatternImages, names: tuple[str, ...
 
 
 def _is_patch(design: Design, picture: Array, cell: int) -> NDArray[np.bool_]:
-    """Tell for each cell of a picture whether it shows its nearest patch, which may be larger than what is analysed."""
+    """Return for each cell of a picture whether it shows its nearest patch, which may exceed the analysed area."""
     tiles = design.tiles
     x = (np.arange(picture.shape[1])[None, :, None] + 0.5) * cell
     y = (np.arange(picture.shape[0])[:, None, None] + 0.5) * cell

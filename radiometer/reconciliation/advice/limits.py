@@ -1,4 +1,4 @@
-"""What these data would have shown: the amplitude of every entry that stands out by five sigma."""
+"""Computes the detection limits: the amplitude of every entry that would show at five sigma."""
 
 from __future__ import annotations
 

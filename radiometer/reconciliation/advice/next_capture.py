@@ -1,4 +1,4 @@
-"""The capture that tells rival explanations apart, or opens the eye for what these data are blind to.
+"""Proposes the capture that separates rival explanations, or that shows what these data cannot detect.
 
 Each rival is fitted to the data as they are; of a pool of settings the one is chosen under which most of them would
 then predict something else.
@@ -45,7 +45,7 @@ def propose(state: FitState, chosen: CatalogueEffect, rivals: Sequence[Catalogue
 
     Returns:
         Settings, what they separate and the χ² expected of it; None where there is no rival, or none that any capture
-        of the pool could tell apart.
+        of the pool could separate.
     """
     if not rivals:
         return None
@@ -89,10 +89,10 @@ def _held(state: FitState, effect: CatalogueEffect) -> FitState:
 def propose_for_unnamed(
     state: FitState, catalogue: Mapping[str, type[CatalogueEffect]], places: Sequence[tuple[str, str]]
 ) -> dict[str, Any] | None:
-    """Return the capture that would tell apart what could lie behind a disagreement without a name.
+    """Return the capture that would separate the possible causes of a disagreement without a name.
 
     Each entry that acts along the covariate is fitted in place of the empirical term. A setting by itself cannot be
-    foretold by the others, so that a new setting is asked for: there the entries, and no effect at all, must differ.
+    predicted by the others, so that a new setting is asked for: there the entries, and no effect at all, must differ.
 
     Args:
         state: The fitted model.
@@ -140,7 +140,7 @@ def propose_for_blind(
 ) -> dict[str, Any] | None:
     """Return the capture that would show most of the effects that these data cannot see at their usual size.
 
-    Each of them is put in at its typical size and the nuisances are fitted beside it: what stays invisible now must
+    Each of them is put in at its typical size, and the nuisances are fitted with it. What stays invisible now must
     show in the new capture.
 
     Args:
@@ -166,7 +166,7 @@ def propose_for_blind(
 
 
 def _would_show(limit: Limit, typical: CatalogueEffect) -> bool:
-    """Tell whether the limit lies well below an effect's typical size."""
+    """Return whether the limit is well below an effect's typical size."""
     value = typical.values().get(limit.parameter)
     if limit.amplitude is None or limit.parameter not in typical.free() or value is None:
         return limit.amplitude is not None
@@ -176,7 +176,7 @@ def _would_show(limit: Limit, typical: CatalogueEffect) -> bool:
 def _best(
     state: FitState, models: Mapping[str, FitState], enough: float = _TOLD_CHI2
 ) -> tuple[FrameEntry, list[str], float] | None:
-    """Return the capture that tells most models from the state, which of them, and the least χ² among those."""
+    """Return the capture that separates most models from the state, which of them, and the least χ² among those."""
     if not models:
         return None
     pool = CapturePool.of(state)

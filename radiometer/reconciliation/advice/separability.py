@@ -1,4 +1,4 @@
-"""Which entries a plan cannot tell apart: asked of the captures that were taken, not of what they showed.
+"""Finds the entries that a plan cannot separate. It uses the settings of the captures, not their measured statistics.
 
 An entry changes the expected statistics in some direction; others change them in the directions of their starts and of
 their parameters there. What follows the first for the most part, nuisances and all other effects moving too, is fitted
@@ -46,8 +46,8 @@ _DIRECTION: Final = 1e-6  # share of a column that the others of its entry must 
 class _Form:
     """One start of an entry, and where its columns stand: what it changes, and what its parameters do there.
 
-    The first column of what grows from nothing may be taken at any size; a limit or a step is there as it is or not at
-    all, and its first parameter moves it as the others do.
+    The first column of an effect that grows from nothing may be taken at any size. A limit or a step is there as it
+    is or not at all, and its first parameter moves it as the others do.
     """
 
     effect: CatalogueEffect
@@ -56,7 +56,7 @@ class _Form:
 
 @dataclass(frozen=True, eq=False)
 class Directions:
-    """What entries change in the statistics of a plan, beside its nuisances.
+    """Changes that entries make in the statistics of a plan, freed of its nuisances.
 
     Attributes:
         state: The model that they are added to.
@@ -97,8 +97,8 @@ class Directions:
         return float(max(self.products[form.columns.start, form.columns.start], 0.0))
 
     def left(self, target: _Form, other: _Form) -> tuple[float, float]:
-        """Return the χ² of a start that another entry, about one of its own starts, does not follow, and how much of
-        that start it takes."""
+        """Return the χ² of a start that another entry, about one of its starts, does not follow, and the share of
+        it."""
         whole = self.shown(target)
         left, taken = self._least(target, other)
         if taken[0] <= 0 or np.max(np.abs(taken[1:]), initial=0.0) > _REACH * taken[0]:  # another form than it can take
@@ -172,7 +172,7 @@ def _columns(state: FitState, starts: Sequence[CatalogueEffect]) -> Iterator[Arr
 def inseparable(
     state: FitState, chosen: CatalogueEffect, catalogue: Mapping[str, type[CatalogueEffect]]
 ) -> tuple[CatalogueEffect, ...]:
-    """Return entries, at a start of theirs, that these captures cannot tell from a named effect of its fitted size.
+    """Return entries, at a start of theirs, that these captures cannot separate from a named effect of its fitted size.
 
     Args:
         state: The fitted model that holds the effect.
@@ -188,7 +188,7 @@ def inseparable(
     if not directions.forms[chosen.name]:
         return ()
     (target,) = directions.forms[chosen.name]
-    alike = Alike(directions, target)
+    alike = ConfusablePair(directions, target)
     found = (alike.fitted(name) for name in kinds)
     return tuple(effect for effect in found if effect is not None)
 
@@ -237,11 +237,11 @@ def _refitted_cost(exact: FitState, effect: CatalogueEffect) -> float:
 
 
 @dataclass(eq=False)
-class Alike:
-    """Which entries fit the noiseless data of another's start.
+class ConfusablePair:
+    """Fits entries to the noiseless data of another entry's start.
 
-    Derivatives tell where an entry may be the other. They do not reach far enough to tell that it is: a change that is
-    a small difference of large ones, or bends, is no such sum. Only what follows for the most part is fitted.
+    Derivatives show where one entry may imitate the other. They do not reach far enough to prove it: a change
+    that is a small difference of large ones, or bends, is no such sum. Only what follows for the most part is fitted.
 
     Attributes:
         directions: Of the starts of all entries.
@@ -261,7 +261,7 @@ class Alike:
         return _refitted_cost(self._exact, self.target.effect)
 
     def fitted(self, name: str) -> CatalogueEffect | None:
-        """Return an entry that fits the noiseless data; None where these captures tell the two apart.
+        """Return an entry that fits the noiseless data; None where these captures separate the two.
 
         Args:
             name: The entry.
@@ -291,7 +291,7 @@ class Together:
     Attributes:
         name: An entry.
         others: Entries that could show the same.
-        capture: The capture that would tell them apart; None where none of the rig's would.
+        capture: The capture that would separate them; None where none of the rig's would.
     """
 
     name: str
@@ -299,13 +299,13 @@ class Together:
     capture: Mapping[str, Any] | None
 
     def to_mapping(self) -> dict[str, Any]:
-        """Return the mapping that stands in JSON."""
+        """Return the mapping of the JSON form."""
         return {"name": self.name, "others": list(self.others), "next_capture": self.capture and dict(self.capture)}
 
 
 @dataclass(frozen=True, slots=True)
 class Separability:
-    """What a plan can tell apart.
+    """The entries that a plan can and cannot separate.
 
     Attributes:
         together: Names that stand together, each set once.
@@ -316,14 +316,14 @@ class Separability:
     blind: tuple[str, ...]
 
     def to_mapping(self) -> dict[str, Any]:
-        """Return the mapping that stands in JSON."""
+        """Return the mapping of the JSON form."""
         return {"inseparable": [entry.to_mapping() for entry in self.together], "blind": list(self.blind)}
 
 
 def separability(
     state: FitState, catalogue: Mapping[str, type[CatalogueEffect]], *, every: bool = False
 ) -> Separability:
-    """Return which entries these captures can tell apart, each at a size of twenty sigma.
+    """Return which entries these captures can separate, each at a size of twenty sigma.
 
     Args:
         state: The starting camera, nuisances fitted; the data's disagreements have no part in it.
@@ -353,7 +353,7 @@ def _together(state: FitState, seen: Mapping[str, CatalogueEffect], *, every: bo
     told, context = set[frozenset[str]](), state.model.context
     directions = Directions.of(state, {n: (own, *_spread(type(own).starts(context))) for n, own in seen.items()})
     for name in seen:
-        alike = Alike(directions, directions.forms[name][0])
+        alike = ConfusablePair(directions, directions.forms[name][0])
         others = [effect for other in seen if other != name and (effect := alike.fitted(other)) is not None]
         names = frozenset({name, *(effect.name for effect in others)})
         if others and (every or names not in told):

@@ -26,7 +26,7 @@ _NOTHING: Final = 1e-6  # a χ² that stands for none
 
 @dataclass(frozen=True, slots=True)
 class Asked:
-    """What is asked for.
+    """The detection that is asked for.
 
     Attributes:
         chi2: χ² by which an effect is to stand out, all nuisances and other effects following.
@@ -97,17 +97,17 @@ class Grown:
 
     @property
     def size(self) -> float:
-        """Return how far the parameter lies from doing nothing."""
+        """Return the distance of the parameter from the value without effect."""
         return _amplitude(self.effect, self.parameter)
 
     @property
     def grows(self) -> bool:
-        """Tell whether it grows from nothing; if not, what counts is whether this very form would show."""
+        """Return whether it grows from nothing; if not, what counts is whether this very form would show."""
         return self.effect.grows and self.parameter in self.effect.values()
 
     @property
     def is_limit(self) -> bool:
-        """Tell whether it stands out by what is asked, or, where it does not grow, by as much at least."""
+        """Return whether it stands out by what is asked, or, where it does not grow, by as much at least."""
         if not self.grows:
             return self.information >= self.asked.chi2
         return bool(abs(np.log(max(self.information, _NOTHING) / self.asked.chi2)) < _CLOSE)
@@ -134,7 +134,7 @@ class Grown:
 
 @dataclass(frozen=True, eq=False)
 class _Search:
-    """The way to the size that is asked for.
+    """Search for the size that is asked for.
 
     Attributes:
         first: Size of the start.
@@ -154,7 +154,7 @@ class _Search:
         return replace(self, above=self.near) if shows else replace(self, below=self.near)
 
     def is_beyond(self, found: Mapping[str, Grown]) -> bool:
-        """Tell whether a milder form of the entry is known to show already than this one, which does not."""
+        """Return whether a milder form of the entry is known to show already than this one, which does not."""
         least = found.get(self.near.effect.name)
         return least is not None and self.below is not None and abs(self.below.size) >= abs(least.size)
 
@@ -202,7 +202,7 @@ def main_parameter(kind: type[CatalogueEffect], start: CatalogueEffect | None) -
 
 
 def _amplitude(effect: CatalogueEffect, name: str) -> float:
-    """Return how far a parameter lies from doing nothing; of a table, its largest entry."""
+    """Return the distance of a parameter from the value without effect; of a table, its largest entry."""
     if name not in effect.values():
         return 1.0
     values = np.atleast_1d(np.asarray(effect.values()[name], dtype=np.float64)) - effect.neutral(name)

@@ -58,7 +58,7 @@ class FittedCandidate:
         tries: Number of starts that the entry had.
         stated: χ² that it explains in the stated radiances alone.
         overrated: Nats that the scores of few frames' variances promise beyond their exact likelihood.
-        forms: The best of each variant: where to begin beside another model.
+        forms: The best of each variant: where to begin with another model.
     """
 
     effect: CatalogueEffect
@@ -85,7 +85,7 @@ def fit_candidate(state: FitState, candidate: Candidate, most: float = np.inf) -
     Args:
         state: The model.
         candidate: The effect at its starts.
-        most: χ² beyond which the likeliest variant speaks for the others too: they are not fitted then.
+        most: χ² beyond which the likeliest variant decides for the others too: they are not fitted then.
     """
     trials = _Trial.of_each(state, (candidate.effect, *candidate.others))
     best = min(trials, key=lambda trial: trial.cost)

@@ -1,7 +1,7 @@
 """Puts measured and predicted statistics on one scale: standardised residuals, whitened, in one vector.
 
 Means of one capture share its repeatability (a common relative error) and are whitened together; variances are
-compared as logarithms; the rest stands in units of its own standard uncertainty. The weights never come from the
+compared as logarithms; the rest is in units of its standard uncertainty. The weights never come from the
 prediction under test, so that two models compared on one `Comparison` differ in log-likelihood by Δχ²/2.
 """
 
@@ -70,7 +70,7 @@ class Comparison:
         deviation: Standard uncertainty of each entry (of its logarithm for variances).
         whiteners: Of the statistics whose entries share errors: (captures, entries, entries) inverse Cholesky factor of
             the covariance.
-        cuts: Where each block lies in the vector.
+        cuts: Rows of each block in the vector.
         flicker2: (captures,) relative variance from frame to frame of the accepted effects, of a whole frame.
         wander2: The same of the source itself, whatever the exposure, up to what its stated reproducibility allows.
         rows2: (captures,) row noise of the accepted effects in DN².
@@ -147,7 +147,7 @@ class Comparison:
         return np.concatenate([np.repeat(captures, count) for count in entries])
 
     def counts(self) -> Mask:
-        """Tell for each entry of the vector whether it counts."""
+        """Return for each entry of the vector whether it counts."""
         return np.concatenate([self.usable[name].ravel() for name in self.cuts])
 
     def _whitened(self, block: str, values: Array) -> Array:
@@ -266,7 +266,7 @@ class Comparison:
         return self.deviances_of_flicker(self.flicker_of(prediction), prediction.row_variance)
 
     def deviances_of_flicker(self, flicker2: Array, row_variance: Array) -> Array:
-        """Return the same for a relative variance of the light, (…, captures), beside row noise in DN², (captures,)."""
+        """Return the same for a relative variance of the light, (…, captures), with row noise in DN², (captures,)."""
         expected = self._expected_common(flicker2, row_variance)
         return deviances(self.seen.common, expected, self._common_freedom, self.usable["common"])
 
@@ -339,7 +339,7 @@ def compare(
     Args:
         design: Captures and tiles.
         seen: What was measured.
-        base: Prediction that tells which entries are free of clipping and how far means respond to light.
+        base: Prediction that shows which entries are free of clipping and how far means respond to light.
         sensitivity: (captures, tiles) d(mean)/d(log light) in DN, model-predicted.
         repeatability: Capture-to-capture and frame-to-frame scatter.
         variance_response: (captures, tiles) d(ln variance)/d(log light); large where a well fills up.

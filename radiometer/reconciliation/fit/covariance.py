@@ -1,8 +1,8 @@
 """The fitted parameters with their covariance, what statistics share included.
 
-The fit weights each statistic by itself. Where two of them see the same chance (the noise that the rows of a few frames
-happened to have), their information does not add up: with X the covariance between the statistics that the weights
-leave out, the estimate A⁻¹·Jᵀ·r has the covariance A⁻¹ + A⁻¹·Jᵀ·X·J·A⁻¹.
+The fit weights each statistic by itself. Two of them may share the same noise, such as the row noise of a few frames.
+Their information does not add up then. With X the covariance between statistics that the weights leave out, the
+estimate A⁻¹·Jᵀ·r has the covariance A⁻¹ + A⁻¹·Jᵀ·X·J·A⁻¹.
 """
 
 from __future__ import annotations
@@ -30,13 +30,13 @@ _SEES_WAVE: Final = ("variance", "neighbour_x", "neighbour_y", "row_temporal", _
 
 
 def is_misfit(state: FitState) -> bool:
-    """Tell whether structure is left: the gap of held-out settings lies above 1 by more than chance."""
+    """Return whether structure remains: the gap of held-out settings exceeds 1 by more than chance."""
     count = max(float(state.held_out.count[: state.settings].sum()), 1.0)
     return state.gap > max(CLOSED_GAP, 1.0 + SCATTER_SIGMAS * float(np.sqrt(2.0 / count)))
 
 
 def is_far(state: FitState) -> bool:
-    """Tell whether entries are off by ten of their uncertainties and more: what follows linearly tells little there."""
+    """Return whether entries are off by ten of their uncertainties and more: linear predictions mean little there."""
     return state.gap >= FAR_GAP
 
 
@@ -64,7 +64,7 @@ def effect_covariance(state: FitState) -> Array:
 
 
 def _by_misfit(state: FitState) -> Array:
-    """Return the variance of each free effect parameter that the structure left in the residual tells, (parameters,).
+    """Return the variance of each free effect parameter that follows from the structure in the residual, (parameters,).
 
     Where structure is left, entries are off by more than their uncertainty (by the gap of their statistic), and not
     independently of each other (along a covariate). The former is the sum over statistics of gap times what they

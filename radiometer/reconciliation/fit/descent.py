@@ -41,7 +41,7 @@ def first_state(
         design: Captures and tiles.
         seen: Measured statistics.
         images: Mean picture of each pattern.
-        given: Effects that the starting model holds beside the ideal chain; they are not fitted.
+        given: Effects that the starting model adds to the ideal chain; they are not fitted.
     """
     model = replace(TileModel.of(design, images), given=given, passes_well=_passes_well(design, seen))
     layout = NuisanceLayout.of(design)
@@ -57,10 +57,10 @@ def first_state(
 
 
 def _passes_well(design: Design, seen: CaptureStatistics) -> bool:
-    """Tell whether tiles hold more than the declared full well and still show the noise of their light.
+    """Return whether tiles hold more than the declared full well and still show the noise of their light.
 
     The declared well then is not where charge ends: a model that ends there would predict no noise where there is some.
-    A plateau that lies above it, for a wrong conversion gain, has lost its noise.
+    A plateau above it, due to a wrong conversion gain, has lost its noise.
     """
     camera = design.header.camera
     if camera.full_well_e is None or camera.conversion_gain_e_per_dn is None:
@@ -72,18 +72,18 @@ def _passes_well(design: Design, seen: CaptureStatistics) -> bool:
     return bool(np.any(alive & (held_e > _PAST_WELL * camera.full_well_e) & (seen.high < 1e-3)))
 
 
-def refit(state: FitState, iterations: int = _ITERATIONS, *, hurried: bool = False) -> FitState:
+def refit(state: FitState, iterations: int = _ITERATIONS, *, early_stop: bool = False) -> FitState:
     """Return the state at the least χ² over nuisances, term weights and effect parameters (damped Gauss–Newton).
 
     Parameters that come frozen within their bounds stay so. They are known by effect and name: a further term that
     falls to nothing on the way is none of its effect's parameters any more, and all behind it move up.
 
-    Where it is hurried it ends once it creeps. A name's fit goes on: that it leads to the end of a range tells of it.
+    With `early_stop` it ends once it creeps. A name's fit goes on: that it leads to the end of a range is a finding.
     """
     fixed, pace = _fixed(state), _Pace()
 
     def trials(at: FitState) -> Iterator[FitState]:
-        if hurried and pace.creeps(at):
+        if early_stop and pace.creeps(at):
             return
         for trial in _trials(at):
             yield _held_at_bounds(_glided(at, trial, at.cost - trial.cost)[0], fixed) if trial.cost < at.cost else trial
@@ -92,14 +92,14 @@ def refit(state: FitState, iterations: int = _ITERATIONS, *, hurried: bool = Fal
 
 
 class _Pace:
-    """How a fit comes on: where parameters nearly stand for each other it has no end, but gains next to nothing."""
+    """Progress of a fit: where parameters nearly replace each other it has no end, but gains next to nothing."""
 
     def __init__(self) -> None:
         self._before: FitState | None = None
         self._slow = 0
 
     def creeps(self, at: FitState) -> bool:
-        """Tell whether the steps to this point, the next one of a fit, were slow ones for too long."""
+        """Return whether the steps to this point, the next one of a fit, were slow ones for too long."""
         before, self._before = self._before, at
         if before is None:
             return False
@@ -109,7 +109,7 @@ class _Pace:
         return self._slow >= _PATIENCE
 
 
-def approached(state: FitState, *, hurried: bool = False) -> FitState:
+def coarse_fit(state: FitState, *, early_stop: bool = False) -> FitState:
     """Return the state near the least χ², for weights that will be brought up to date there.
 
     As `refit`, but the end is where derivatives of one point lead, if they hold all the way: none are taken there to
@@ -118,7 +118,7 @@ def approached(state: FitState, *, hurried: bool = False) -> FitState:
     fixed, pace = _fixed(state), _Pace()
     for _ in range(_ITERATIONS):
         state = _held_at_bounds(state, fixed)
-        if hurried and pace.creeps(state):
+        if early_stop and pace.creeps(state):
             break
         lower = next((trial for trial in _trials(state) if trial.cost < state.cost), None)
         if lower is None:
@@ -129,28 +129,28 @@ def approached(state: FitState, *, hurried: bool = False) -> FitState:
     return state
 
 
-def settled(state: FitState, *, hurried: bool = False) -> FitState:
-    """Return the state refitted under weights of its own, until these no longer move the parameters.
+def converged_fit(state: FitState, *, early_stop: bool = False) -> FitState:
+    """Return the state refitted under its own weights, until these no longer move the parameters.
 
-    `hurried` is that of `refit`. Of what does not settle the weights that speak less for it count.
+    `early_stop` is that of `refit`. Of what does not settle the weights that speak less for it count.
     """
     for _ in range(_REWEIGHTINGS):
-        before, state = state.parameters.values, approached(reweighted(state), hurried=hurried)
+        before, state = state.parameters.values, coarse_fit(reweighted(state), early_stop=early_stop)
         after = state.parameters.values
         if before.size != after.size:  # a further term fell to nothing, and the form is the plain one again
             continue
         if not after.size or float(np.max(np.abs(after - before) / state.parameters.scale)) < _SETTLED:
             return _held_at_bounds(state)
-    last = refit(state, hurried=hurried)
+    last = refit(state, early_stop=early_stop)
     # Beside realisations that its former size allowed a pattern may have been fitted to nothing.
-    own = refit(reweighted(last), hurried=hurried)
+    own = refit(reweighted(last), early_stop=early_stop)
     return min(last, own, key=lambda found: found.evidence)
 
 
 def beside(state: FitState, effect: CatalogueEffect, iterations: int = _ITERATIONS) -> FitState:
     """Return the state with a further effect as it is; all else follows by the derivatives of the state without it.
 
-    Where these lead nowhere all else is refitted by derivatives of its own, in so many iterations at most.
+    Where these lead nowhere all else is refitted with new derivatives, in so many iterations at most.
     """
     start = replace(with_effects(state, (*state.effects, effect)), held_terms=state.term_block)
     moved = _moved(start, state.fit.step_from(start.residual)[0], state)
@@ -230,7 +230,7 @@ def _glided(state: FitState, moved: FitState, gained: float) -> tuple[FitState, 
 
 
 def _is_within_range(trial: FitState) -> bool:
-    """Tell whether a trial step leads to a camera: not so far that the light overflows."""
+    """Return whether a trial step leads to a camera: not so far that the light overflows."""
     try:
         with np.errstate(over="raise"):
             return bool(np.isfinite(trial.cost))
@@ -239,7 +239,7 @@ def _is_within_range(trial: FitState) -> bool:
 
 
 def _moved(state: FitState, step: Array, origin: FitState | None = None) -> FitState:
-    """Return the state after a step of its own fit, or of the fit of the point where the derivatives were taken.
+    """Return the state after a step of this fit, or of the fit of the point where the derivatives were taken.
 
     Effects that the model there did not have stay as they are.
     """

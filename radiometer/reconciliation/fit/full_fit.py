@@ -9,7 +9,7 @@ import numpy as np
 from radiometer.errors import ConfigurationError
 from radiometer.reconciliation.fit.candidate_fit import FittedCandidate
 from radiometer.reconciliation.fit.covariance import is_far
-from radiometer.reconciliation.fit.descent import approached, settled
+from radiometer.reconciliation.fit.descent import coarse_fit, converged_fit
 from radiometer.reconciliation.fit.state import FitState, with_effects
 from radiometer.reconciliation.thresholds import HUGE_NATS, NEAR_SHARE
 from simulators.effects.catalogue import CatalogueEffect
@@ -28,7 +28,7 @@ def accepted(state: FitState, effect: CatalogueEffect) -> FitState:
 
 
 def included(
-    state: FitState, effect: CatalogueEffect, *, far: bool, most: float = np.inf, hurried: bool = False
+    state: FitState, effect: CatalogueEffect, *, far: bool, most: float = np.inf, early_stop: bool = False
 ) -> FitState:
     """Return the state with the effect in the model, refitted in full.
 
@@ -37,7 +37,7 @@ def included(
         effect: The effect at its best parameters, nuisances having followed linearly.
         far: Whether the nuisances stand so far off that they had better move first, and the effect's parameters then.
         most: χ² under the weights of the state that it may leave, to be refitted under its own.
-        hurried: Whether it ends where it creeps (`refit`).
+        early_stop: Whether it ends where it creeps (`refit`).
 
     Raises:
         UnfitError: If with it the model predicts what no camera does, or leaves more than that.
@@ -47,22 +47,22 @@ def included(
         if far:
             own = following.parameters.owner
             mine = frozenset(i for i, at in enumerate(own) if following.effects[at].name == effect.name)
-            following = replace(approached(replace(following, frozen=mine), hurried=hurried), frozen=frozenset())
-        near = approached(following, hurried=hurried)
+            following = replace(coarse_fit(replace(following, frozen=mine), early_stop=early_stop), frozen=frozenset())
+        near = coarse_fit(following, early_stop=early_stop)
         if near.cost > most:
             raise UnfitError(effect.name)
-        return settled(near, hurried=hurried)
+        return converged_fit(near, early_stop=early_stop)
     except (np.linalg.LinAlgError, ConfigurationError) as error:  # no covariance, or parameters that are no numbers
         raise UnfitError(effect.name) from error
 
 
 class FullFits:
-    """What was fitted in full from one model, so that nothing is fitted twice while a step is thought over.
+    """Full fits from one model, kept so that nothing is fitted twice while a step is decided.
 
     Attributes:
         state: The model.
-        most: χ² under its weights that a fit may leave; with such a bound fits are hurried, for they are held against
-            what was found.
+        most: χ² under its weights that a fit may leave; with such a bound fits stop early, since they are compared
+            with what was found.
     """
 
     def __init__(self, state: FitState, most: float = np.inf) -> None:
@@ -74,8 +74,8 @@ class FullFits:
         for known, was_far, fitted in self._known:
             if known is effect and was_far is far:
                 return fitted
-        hurried = bool(np.isfinite(self.most))
-        fitted = included(self.state, effect, far=far, most=self.most, hurried=hurried)
+        early_stop = bool(np.isfinite(self.most))
+        fitted = included(self.state, effect, far=far, most=self.most, early_stop=early_stop)
         self._known.append((effect, far, fitted))
         return fitted
 

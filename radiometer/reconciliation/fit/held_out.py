@@ -1,7 +1,7 @@
-"""How well each setting is predicted by the others: leave-one-group-out of a linear model, without refitting.
+"""Predicts each setting from the others: leave-one-group-out of a linear model, without refitting.
 
-With r the residual of the full fit and H its hat matrix, a group's own prediction error is (I − H_g)⁻¹·r_g with that
-covariance, so that ln p = −½·r_gᵀ(I − H_g)⁻¹r_g + ½·ln|I − H_g|. The hat matrix of the nuisances is factored once;
+Let r be the residual of the full fit and H its hat matrix. A group's prediction error is (I − H_g)⁻¹·r_g with that
+covariance. Hence ln p = −½·r_gᵀ(I − H_g)⁻¹r_g + ½·ln|I − H_g|. The hat matrix of the nuisances is factored once;
 effects, freed of what the nuisances explain, add V·Vᵀ to it, which Woodbury's identity takes in.
 """
 
@@ -26,7 +26,7 @@ _SMALLEST: Final = 1e-12
 
 @dataclass(frozen=True, slots=True)
 class HeldOut:
-    """How well each group of rows is predicted by the others.
+    """Quality of the prediction of each group of rows from the others.
 
     Attributes:
         log_density: (groups,) log predictive density, constants left out.

@@ -40,12 +40,12 @@ class RowBlock:
         return cls(rows, matrix[rows])
 
     def beside(self, other: RowBlock, size: int, below: Array) -> RowBlock:
-        """Return the block with another beside it, and with further rows below both that have one entry each.
+        """Return the block joined with another, and with further rows below both that have one entry each.
 
         Args:
             other: The other block, of the same rows.
             size: How many rows both have.
-            below: (columns,) the entry of each column in a row of its own.
+            below: (columns,) the entry of each column in its row.
         """
         rows = np.union1d(self.rows, other.rows)
         values = np.zeros((rows.size + below.size, below.size))
@@ -100,7 +100,7 @@ class LinearFit:
         residual: Whitened residual at the point of linearisation, priors included, followers followed.
         nuisances: N = −d(residual)/d(nuisance).
         effects: E = −d(residual)/d(effect parameter), (rows, parameters), followers followed.
-        followers: The same as N in rows that go with the nuisances but have no say in them.
+        followers: The same as N in rows that follow the nuisances but do not determine them.
     """
 
     residual: Array
@@ -264,7 +264,7 @@ class LinearFit:
         return replace(self, residual=self.followed(padded)).projected[: vector.size]
 
     def score(self, rows: slice, basis: Array, part: Array | None = None) -> tuple[float, int]:
-        """Return (χ², rank) of what a basis that touches only some rows would explain beside the parameters.
+        """Return (χ², rank) of what a basis that touches only some rows would explain in addition to the parameters.
 
         Args:
             rows: Rows that the basis touches.
@@ -288,7 +288,7 @@ class LinearFit:
 
 
 def cholesky(normal: Array, less: Array | float = 0.0) -> Array:
-    """Return the lower Cholesky factor of a normal matrix, a little ridge of its own keeping it regular.
+    """Return the lower Cholesky factor of a normal matrix, with a small ridge that keeps it regular.
 
     Args:
         normal: The matrix.
@@ -306,7 +306,7 @@ def triangular(factor: Array, right: Array, *, transposed: bool = False) -> Arra
     """
     if not right.size:
         return np.zeros(right.shape)
-    # LAPACK goes by columns: what lies in rows is the transpose to it, the upper factor Lᵀ.
+    # LAPACK reads columns first: our rows are the transpose to it, the upper factor Lᵀ.
     found, singular = dtrtrs(factor.T, right, lower=0, trans=0 if transposed else 1)
     if singular:
         raise np.linalg.LinAlgError(f"row {singular} of a Cholesky factor is nothing")

@@ -1,4 +1,4 @@
-"""The parameters that are always fitted and never named: responsivity, patch radiances, what nobody declared."""
+"""The parameters that are always fitted and never named: responsivity, patch radiances, undeclared figures."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ _FREE_TEXTURE: Final = 10.0
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Change:
-    """What a step of a nuisance changes, per unit of the step: of the means in DN, and of the whitened residual."""
+    """Change by a step of a nuisance, per unit of the step: of the means in DN, and of the whitened residual."""
 
     mean: Array
     residual: Array
@@ -45,7 +45,7 @@ class Change:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class NuisanceLayout:
-    """Which nuisances are fitted, in which order, and with which prior.
+    """The fitted nuisances with their order and priors.
 
     Attributes:
         scalars: Names of scalar nuisances.
@@ -113,7 +113,7 @@ class NuisanceLayout:
         return found
 
     def unpack(self, design: Design, values: Array) -> Nuisance:
-        """Return the nuisances that a parameter vector stands for."""
+        """Return the nuisances of a parameter vector."""
         start = Nuisance.start(design)
         radiance, slope, texture = start.log_radiance, start.slope, start.off.texture
         index = list(self.patterns)
@@ -131,7 +131,8 @@ class NuisanceLayout:
     def derivatives(
         self, comparison: Comparison, changes: Sequence[Change], values: Array
     ) -> tuple[RowBlock, RowBlock]:
-        """Return −d(residual)/d(parameter): of what tells the light, and of the variances as far as they follow it.
+        """Return −d(residual)/d(parameter): of the statistics that measure the light, and of the variances as far as
+        they follow it.
 
         The latter do not say how much light there is (see `_only_means`), but the light says how large they are.
 
@@ -161,7 +162,7 @@ class NuisanceLayout:
         return RowBlock(rows, tiles.matrix), self._followers(comparison, light, values)
 
     def _share(self, matrix: Array, values: Array) -> None:
-        """Turn columns of the light of each patch into those of its own error, and write those of shared ones."""
+        """Turn columns of the light of each patch into those of the patch's error, and write those of shared errors."""
         if self.patterns:
             matrix[:, self._radiances] *= self._light(values)[1].ravel()
             matrix[:, self._common] = self._summed(matrix[:, self._radiances])
@@ -226,7 +227,7 @@ class _TileColumns:
             change: What changes.
             first: The first of those columns.
             blocks: Statistics of which it is written.
-            only: The only pattern whose captures count; by default each has columns of its own.
+            only: The only pattern whose captures count; by default each has separate columns.
         """
         comparison = self._comparison
         pattern_of, tiles = comparison.design.pattern_index, np.arange(len(comparison.design.tiles))
@@ -247,7 +248,7 @@ class _TileColumns:
 
 
 def _moved_rows(comparison: Comparison, shows: Iterable[tuple[Change, tuple[str, ...]]]) -> NDArray[np.bool_]:
-    """Tell which entries changes move, each in its own statistics; means of one capture are whitened together."""
+    """Return which entries changes move, each in its own statistics; means of one capture are whitened together."""
     moved = np.zeros(comparison.size, np.bool_)
     for change, blocks in shows:
         for block in blocks:
@@ -278,7 +279,7 @@ def _light_factor(relative: Array) -> tuple[Array, Array]:
 def _only_means(matrix: Array, comparison: Comparison, column: int) -> None:
     """Let the means alone say how much light there is.
 
-    They tell it a hundred times better than the noise does; a wrong noise figure (crosstalk, a wrong conversion
+    They determine it a hundred times better than the noise does; a wrong noise figure (crosstalk, a wrong conversion
     gain) would otherwise pull at the responsivity and show as a disagreement of all means.
     """
     for block, cut in comparison.cuts.items():
@@ -295,9 +296,9 @@ def _radiance_prior(design: Design, pattern: int, tile: int) -> float:
 
 
 def dark_current_is_free(design: Design) -> bool:
-    """Tell whether the dark current is a nuisance: a camera whose noise is stated has the one stated, or none.
+    """Return whether the dark current is a nuisance: a camera whose noise is stated has the one stated, or none.
 
-    Where darks at several temperatures tell its whole law it is an effect to be named, not a nuisance.
+    Where darks at several temperatures determine its whole law it is an effect to be named, not a nuisance.
     """
     camera, dark_c = design.header.camera, design.temperature_c[design.closed]
     if dark_c.size and np.isfinite(dark_c).all() and np.ptp(dark_c) > _TOLD_K:
@@ -309,8 +310,8 @@ def dark_current_is_free(design: Design) -> bool:
 def _shared_errors(design: Design, patterns: tuple[int, ...]) -> NDArray[np.intp]:
     """Return which error of calibration each radiance has in common with others, (patterns, tiles).
 
-    A number that is stated at several places, where the chart was turned or shifted, was measured once: its error goes
-    with the number. What a place shows otherwise under several patterns has an error of the place.
+    A number that is stated at several places, where the chart was turned or shifted, was measured once: its error is
+    common to all of them. What a place shows otherwise under several patterns has an error of the place.
     """
     keys = np.array([[f"tile {k}" for k in range(len(design.tiles))] for _ in patterns], dtype=object)
     places: dict[float, list[tuple[int, int]]] = {}

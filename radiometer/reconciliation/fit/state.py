@@ -211,7 +211,7 @@ class FitState:
         return float(self.fit.residual @ self.fit.residual) - self.fit.gain
 
     def with_frozen(self, held: frozenset[int]) -> FitState:
-        """Return the state with these parameters frozen; what does not hang on that is kept."""
+        """Return the state with these parameters frozen; what does not depend on them is kept."""
         return _knowing(replace(self, frozen=held), self, _OF_THE_POINT)
 
     def effect_step(self, step: Array) -> Array:

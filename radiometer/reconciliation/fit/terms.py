@@ -54,7 +54,7 @@ class LinearTerm:
 
     @property
     def is_smooth(self) -> bool:
-        """Tell whether it is an unnamed empirical term (and not a realisation of an accepted effect)."""
+        """Return whether it is an unnamed empirical term (and not a realisation of an accepted effect)."""
         return bool(self.where)
 
 

@@ -66,7 +66,7 @@ class MeterReconciled:
     rows: tuple[MeterRow, ...]
 
     def write_model(self, path: Path, *, provisional: bool = False) -> str:
-        """Write what was found; a light meter is no camera, so that only the effect and the constants stand in it."""
+        """Write what was found; a light meter is no camera, so the file holds the effect and the constants only."""
         constants = {name: float(np.exp(np.mean(np.log(k)))) for name, k in _by_source(self.rows, exact=True).items()}
         effects = [{"name": effect.name, "enabled": True, "parameters": {}} for effect in self.result.effects]
         mapping = {"format": "radiometer-light-meter/1", "meter_constant_K": constants, "effects": effects}
@@ -197,7 +197,7 @@ def _said_of_rest(rest: float, widest: float) -> str:
     fraction = f"1/{round(1 / abs(stops))}" if whole else f"{abs(stops):.2f}"
     return (
         f"At f/{widest:.2g} K stays {'higher' if rest > 0 else 'lower'} by {fraction} stop: with these data the "
-        "resolution of a third-stop meter (±1/6 stop) cannot be told from light lost at full aperture "
+        "resolution of a third-stop meter (±1/6 stop) cannot be separated from light lost at full aperture "
         "(fnumber_tstop_error)."
     )
 

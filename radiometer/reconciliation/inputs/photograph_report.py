@@ -31,7 +31,7 @@ _TOLERATED: Final = 0.08
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FrameFinding:
-    """One photograph beside the others.
+    """One photograph compared with the others.
 
     Attributes:
         name: Of its file.
@@ -81,7 +81,7 @@ def report_html(result: ReconcileResult, frames: Sequence[FrameFinding], sentenc
             picture(
                 partial(_draw_ratios, frames=frames),
                 "What the other photographs say of each one's exposure, over its label, with U (k = 2): "
-                + (f"those off {line} are named." if wrong else f"all lie about {line}.")
+                + (f"those off {line} are named." if wrong else f"all are about {line}.")
                 + " Within the grey band no label is called wrong: one tone curve for all pictures is no better known.",
                 (10.0, 4.2),
                 (4.0, 4.4),
@@ -133,7 +133,7 @@ def outcome(result: ReconcileResult, frames: Sequence[FrameFinding]) -> str:
         if wrong or all(effect.name != OFFSET for effect in result.effects)
         else "with that all agree"
     )
-    others = f"or, as these photographs cannot tell, {' or '.join(rivals)} instead" if rivals else agree
+    others = f"or, as these photographs cannot decide, {' or '.join(rivals)} instead" if rivals else agree
     return f"{said[0].upper() if not wrong else said[0]}{said[1:]}; {others}."
 
 
@@ -157,13 +157,13 @@ def _what_to_do(wrong: Sequence[FrameFinding], result: ReconcileResult) -> str:
         return ""
     if not wrong:
         return paragraph(
-            "-o exposures.txt writes the exposures that agree, which every command takes from beside the photographs.",
+            "-o exposures.txt writes the exposures that agree, which every command reads with the photographs.",
             "do",
         )
     names = ", ".join(one.name for one in wrong)
     return paragraph(
         f"Look at the EXIF record of {names}, or take {'it' if len(wrong) == 1 else 'them'} again; -o exposures.txt "
-        "writes the exposures that agree, which every command takes from beside the photographs.",
+        "writes the exposures that agree, which every command reads with the photographs.",
         "do",
     )
 

@@ -1,10 +1,12 @@
 """Reconciles a stack of photographs through an unknown tone curve with its printed exposures.
 
-The response is unknown, so that only what breaks the agreement of all photographs with one curve can be told: stops
-that were rounded when printed, a shutter that exposes longer by one time, and single labels that are not the real
-exposure. The judge is the prediction of digital
-numbers: a quadrant of the picture is left out, curve and exposures come from the rest, and each photograph's values
-there are predicted from the other photographs. What does not predict them better is not named.
+The response is unknown. Only what breaks the agreement of all photographs with one curve can be found. Examples are
+stops that were rounded when printed, a shutter that exposes longer by one time, and single labels that are not the
+real exposure.
+
+The criterion is the prediction of digital numbers. A quadrant of the picture is left out, and curve and exposures come
+from the rest. Each photograph's values in the quadrant are then predicted from the other photographs. A cause that does
+not predict them better is not named.
 """
 
 from __future__ import annotations
@@ -105,8 +107,8 @@ def reconcile_photographs(
 
     Args:
         frames: Photographs of one scene, at least three with different exposures.
-        other_colours: The same photographs in other colours, each with a tone curve of its own: their labels are the
-            same, and all colours together tell a wrong one.
+        other_colours: The same photographs in other colours, each with a separate tone curve. Their labels are the
+            same, and all colours together show a wrong one.
 
     Raises:
         CaptureError: If there are too few, they hardly overlap, or all are equally bright.
@@ -121,7 +123,7 @@ def reconcile_photographs(
         samples = gather_samples(bracket)
         if not samples.quadrants:
             raise CaptureError(
-                f"{bracket.origin or 'the photographs'}: nearly all that there is to see lies in one quadrant of the "
+                f"{bracket.origin or 'the photographs'}: nearly all structure is in one quadrant of the "
                 "picture, so that none can be left out to judge by; take photographs that show something everywhere"
             )
         start = curve_debevec1997(samples).log_exposure
@@ -149,7 +151,7 @@ def reconcile_photographs(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Judged:
-    """What came of a stack: rounded stops or not, wrong labels, and the errors before and after each."""
+    """Outcome for a stack: rounded stops or not, wrong labels, and the errors before and after each."""
 
     samples: ResponseSamples
     fitted: FittedResponse
@@ -188,7 +190,7 @@ class _Judged:
 
     @property
     def follow_no_curve(self) -> bool:
-        """Tell whether unseen parts are predicted so badly that no labels can be said to agree."""
+        """Return whether unseen parts are predicted so badly that no labels can be called consistent."""
         return follow_no_curve(self.errors[2], self.fitted.samples, self.fitted.log_exposure)
 
 
@@ -306,7 +308,7 @@ def _result(judged: _Judged, bracket: Bracket, names: Sequence[str]) -> Reconcil
         frames=len(bracket.light),
         assumptions=(
             "the tone curve is unknown but one and the same for all photographs",
-            "a power of the tone curve and one of the exposures cannot be told apart: the printed ratios fix it",
+            "a power of the tone curve and one of the exposures cannot be separated: the printed ratios fix it",
         ),
         gap_unit=_GAP_UNIT,
         extra={"remarks": [_sentence(judged, bracket, names)]},
@@ -341,7 +343,7 @@ def _limits(judged: _Judged) -> list[float]:
 
 
 def _limit(judged: _Judged) -> float | None:
-    """Return the label error, as a ratio less 1, that is named in any frame that can tell one; None where none can."""
+    """Return the label error, as a ratio less 1, that is named in any frame that can show one; None where none can."""
     known = [limit for limit in _limits(judged) if math.isfinite(limit)]
     return math.expm1(max(known)) if known else None
 
@@ -360,7 +362,7 @@ def _error_sentence(judged: _Judged, bracket: Bracket, names: Sequence[str]) -> 
 
 def _no_curve(judged: _Judged, bracket: Bracket, names: Sequence[str]) -> str:
     """Return what to say of photographs that no tone curve joins."""
-    few = "" if judged.can_tell else ", wrong exposures (which of them, so few photographs cannot tell)"
+    few = "" if judged.can_tell else ", wrong exposures (so few photographs cannot show which)"
     step_dn = dial_step_dn(judged.fitted.samples, judged.fitted.log_exposure)
     return (
         f"These {len(bracket.light)} photographs follow no single tone curve with their exposures: left-out parts of "
@@ -398,7 +400,7 @@ def _sentence(judged: _Judged, bracket: Bracket, names: Sequence[str]) -> str:
     for one in judged.labels:
         ratio, u_ratio = _of_printed(one, judged, bracket)
         rivals = "".join(f", or {names[frame]} {other * judged.expected[frame]:.3f}" for frame, other in one.rivals)
-        tie = f"{rivals}: which of them, these cannot tell" if rivals else ""
+        tie = f"{rivals}: these cannot show which" if rivals else ""
         parts.append(
             f"{names[one.frame]}, labelled {exposure_label(bracket, one.frame)}, had "
             f"{ratio:.3f} ± {u_ratio:.3f} of that (k = 1){tie}"

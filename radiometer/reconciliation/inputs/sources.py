@@ -19,7 +19,7 @@ from simulators.chain.camera_model import CameraModel
 
 
 class Done(Protocol):
-    """A result that can write what goes with it."""
+    """A result that can write its files."""
 
     @property
     def result(self) -> ReconcileResult:
@@ -35,7 +35,7 @@ class Done(Protocol):
         ...
 
     def write_plan(self, path: Path) -> bool:
-        """Write the next capture as a plan for `radiometer bracket`, and tell whether there is one."""
+        """Write the next capture as a plan for `radiometer bracket`, and return whether there is one."""
         ...
 
 
@@ -51,7 +51,7 @@ class DoneCapture:
         return self._reconciled.result
 
     def propose(self, folder: Path) -> Proposal | None:
-        """Write the law that explains best what was left without a name as effect, test and plan, and return it.
+        """Write the law that explains the unnamed disagreement best as effect, test and plan, and return it.
 
         None where everything has a name already, or where no law is beyond chance.
 
@@ -84,7 +84,7 @@ class DoneCapture:
         return str(path)
 
     def write_plan(self, path: Path) -> bool:
-        """Write the captures of this set and the next one as a plan, and tell whether there is a next one."""
+        """Write the captures of this set and the next one as a plan, and return whether there is a next one."""
         from radiometer.reconciliation.advice.next_capture import write_plan
 
         return write_plan(path, self._reconciled.result, self._reconciled.outcome.state.design)
@@ -106,7 +106,7 @@ def reconcile_source(
         path: What the user names.
         model_path: Model file to start from.
         without: Entries to leave out of the catalogue.
-        photographs: Frames of a folder of photographs by colour, the one to tell of first, read by the caller.
+        photographs: Frames of a folder of photographs by colour, the one to report on first, read by the caller.
         progress: Called with frames done and frames in all.
         say: Told what happens.
         doubt: Told what is missing and what is doubted of files that are read where they are.

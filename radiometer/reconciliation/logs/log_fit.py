@@ -1,9 +1,9 @@
-"""Names the term that a log of a camera beside a reference meter lacks.
+"""Names the term that is missing when a log of a camera is compared with a reference meter.
 
-Readings of one night hang together: clouds and extinction move them alike, and neighbours more so. Their covariance is
-estimated with every term of the catalogue and free curves fitted (so that no effect is taken for scatter), the residual
-is whitened by it, and the search goes by reconcile's means: its linear fit, its leave-one-group-out with nights as
-groups, its thresholds.
+Readings of one night are correlated: clouds and extinction move them together, and neighbours more so. Their
+covariance is estimated with every term of the catalogue and free curves fitted, so that no effect counts as scatter.
+The residual is whitened by it. The search uses reconcile's linear fit, its leave-one-group-out with nights as groups,
+and its thresholds.
 """
 
 from __future__ import annotations
@@ -11,20 +11,31 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from itertools import product
 from typing import Any, Final
 
 import numpy as np
-from numpy.polynomial.legendre import legvander
 
 from radiometer.errors import MeasurementError
 from radiometer.importing.log_table import Array, LogTable
 from radiometer.reconciliation.chances import chi2_beyond
-from radiometer.reconciliation.logs.log_model import LogTerm, axes, catalogue, gain_levels, jacobian, predicted_log
+from radiometer.reconciliation.logs.log_model import (
+    MEASURED_TOO,
+    SIGNAL,
+    LogTerm,
+    axes,
+    catalogue,
+    gain_levels,
+    is_lost_in_scatter,
+    jacobian,
+    predicted_log,
+    trend,
+)
 from radiometer.reconciliation.logs.log_state import LogState, Scatter
 from radiometer.reconciliation.result import FittedParameter, FoundEffect, Limit, ReconcileResult, Verdict
 from radiometer.reconciliation.thresholds import (
+    ESSENTIAL_SIGMAS,
     FLEXIBLE_NATS,
     LATER_NATS,
     MOST_STEPS,
@@ -39,8 +50,8 @@ GAP_UNIT: Final = "reduced chi-square on held-out nights"
 # Share of a reading's variance that hangs together with its neighbours', and its correlation from one to the next.
 _CLOUDS: Final = ((0.0, 0.0), *product((0.3, 0.6, 0.9), (0.6, 0.8, 0.9, 0.96)))
 _NIGHTS: Final = (0.0, 0.3, 1.0, 3.0, 10.0)  # scatter of nights over that of readings
-_DEGREE: Final = 3
 _SIGMAS: Final = 5.0
+_WHOLE: Final = 100.0  # scales of a parameter (1 % of the light each): a limit beyond the light itself shows nothing
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,7 +68,7 @@ class LogStep:
 
 @dataclass(frozen=True, eq=False)
 class LogFit:
-    """What a log came to.
+    """The outcome for a log.
 
     Attributes:
         result: In the words of reconcile.
@@ -74,7 +85,6 @@ class LogFit:
     error_before: float
     error_after: float
     control: str = ""
-    notes: tuple[str, ...] = field(default_factory=tuple)
 
 
 def fit_log(log: LogTable, *, control: bool = True, seed: int = 1) -> LogFit:
@@ -115,10 +125,13 @@ def _scatter(state: LogState) -> Scatter:
     """Return the scatter about all terms and free curves at once, by restricted maximum likelihood on a grid."""
     log = state.log
     terms = catalogue(log)
-    terms = tuple(term for term in terms if not term.flexible or term.where == "gain")
+    # Signal, reference and exposure depend on one another. If one of the first two is scatter alone, curves along both
+    # would explain that scatter; the exposure then varies as the other one does.
+    left_out = MEASURED_TOO if any(is_lost_in_scatter(log, name) for name in MEASURED_TOO) else ()
+    terms = tuple(term for term in terms if term.where not in left_out)
     parameters = np.concatenate([state.parameters, *(term.begins for term in terms)])
     columns = jacobian(log, terms, parameters)
-    curves = [legvander(axis, _DEGREE)[:, 1:] for axis in axes(log).values()]
+    curves = [trend(log, name) for name in axes(log) if name not in left_out]
     design = _independent(np.column_stack([columns, *curves]))
     rest = np.log(log.value) - predicted_log(log, (), state.parameters)
     fits = [_restricted(log, design, rest, n, q) for n, q in product(_CLOUDS, _NIGHTS)]
@@ -162,9 +175,9 @@ def _restricted(
 
 
 def _search(start: LogState) -> tuple[LogState, tuple[LogStep, ...]]:
-    """Return the model with every term that held-out nights speak for, and what was found in order."""
+    """Return the model with every term that held-out nights support, and the steps in order."""
     state, steps = start, list[LogStep]()
-    every = catalogue(start.log)
+    every = [term for term in catalogue(start.log) if not is_lost_in_scatter(start.log, term.where)]
     for _ in range(MOST_STEPS):
         following = _one_step(state, every, later=bool(steps))
         if following is None:
@@ -178,11 +191,9 @@ def _search(start: LogState) -> tuple[LogState, tuple[LogStep, ...]]:
 def _one_step(state: LogState, every: Sequence[LogTerm], *, later: bool) -> tuple[LogState, LogStep] | None:
     there = {term.name for term in state.terms}
     tried = [(term, state.with_term(term)) for term in every if term.name not in there]
-    curves = [
-        (name, state.with_trend(name, np.asarray(legvander(axis, _DEGREE)[:, 1:])))
-        for name, axis in axes(state.log).items()
-    ]
-    curves = [(name, one) for name, one in curves if name not in [n for n, _ in state.trends]]
+    known = {name for name, _ in state.trends}
+    free = [name for name in axes(state.log) if name not in known and not is_lost_in_scatter(state.log, name)]
+    curves = [(name, state.with_trend(name, trend(state.log, name))) for name in free]
     limit = SIGNIFICANCE / max(len(tried) + len(curves), 1)
     named = [(term, one, _score(state, one, term)) for term, one in tried if _is_shown(state, one, limit, later=later)]
     smooth = [(name, one, _score(state, one)) for name, one in curves if _is_shown(state, one, limit, later=later)]
@@ -199,7 +210,7 @@ def _one_step(state: LogState, every: Sequence[LogTerm], *, later: bool) -> tupl
 
 
 def _ways(old: LogState, new: LogState) -> list[tuple[LogState, LogState]]:
-    """Return both models with the signal as predicted and as measured; once where nothing goes with it."""
+    """Return both models with the signal as predicted and as measured; once where nothing acts along it."""
     if new.other_way is new:
         return [(old, new)]
     return [(old, new), (old.other_way, new.other_way)]
@@ -208,7 +219,7 @@ def _ways(old: LogState, new: LogState) -> list[tuple[LogState, LogState]]:
 def _score(old: LogState, new: LogState, term: LogTerm | None = None) -> float:
     """Return the held-out nats that a model gains, less what its parameters and its flexibility cost.
 
-    What goes with the signal must gain them whichever way the signal is taken.
+    A term along the signal must gain them with the signal as predicted and as measured.
     """
     flexible = FLEXIBLE_NATS if term is not None and term.flexible else 0.0
     gained = min(after.evidence - before.evidence for before, after in _ways(old, new))
@@ -219,12 +230,25 @@ def _is_shown(old: LogState, new: LogState, limit: float, *, later: bool) -> boo
     needed = NAMED_NATS + (LATER_NATS if later else 0.0)
     ways = _ways(old, new)
     chance = max(chi2_beyond(before.chi2 - after.chi2, new.free - old.free) for before, after in ways)
-    signs = {float(np.sign(after.parameters[-1])) for _, after in ways}
-    return chance < limit and len(signs) == 1 and _score(old, new) + PARAMETER_NATS >= needed
+    if chance >= limit or _score(old, new) + PARAMETER_NATS < needed:
+        return False
+    known = len(new.terms) == len(old.terms) or _is_determined(new)
+    return known and night_error(new) <= night_error(old)
+
+
+def _is_determined(state: LogState) -> bool:
+    """Return whether the newest term's uncertainties are finite, and its first parameter (of a table: any) is not zero.
+
+    The difference between the signal as predicted and as measured is part of the uncertainty.
+    """
+    term = state.terms[-1]
+    found = [(one.value, math.inf if one.u is None else one.u) for one in fitted_parameters(state, term.name).values()]
+    essential = found if term.flexible else found[:1]
+    return all(math.isfinite(u) for _, u in found) and any(abs(value) > ESSENTIAL_SIGMAS * u for value, u in essential)
 
 
 def _pruned(state: LogState, steps: list[LogStep]) -> tuple[LogState, list[LogStep]]:
-    """Return the model without terms that bring nothing any more beside later ones."""
+    """Return the model without terms that later ones made superfluous."""
     for term in state.terms[:-1]:
         rest = replace(
             state, terms=tuple(t for t in state.terms if t is not term), parameters=_without(state, term)
@@ -303,11 +327,25 @@ def _result(
         gap_after=state.gap,
         limits=_limits(state),
         captures=log.size,
-        assumptions=log.assumptions,
+        assumptions=(*log.assumptions, *_advice(log)),
         gap_unit=GAP_UNIT,
         repeatability=state.scatter.reading,
         extra=extra,
     )
+
+
+def _advice(log: LogTable) -> list[str]:
+    """Return what to record so that the terms show that this log cannot show."""
+    remedies = {
+        SIGNAL: "record some readings at a half and a quarter of the exposure",
+        "reference": "record some readings under a half and a quarter of the light",
+    }
+    lines = []
+    for name, remedy in remedies.items():
+        terms = [term.name for term in catalogue(log) if term.where == name]
+        if terms and is_lost_in_scatter(log, name):
+            lines.append(f"none of {', '.join(terms)}: the {name} varies by less than its scatter; {remedy}")
+    return lines
 
 
 def _effect(state: LogState, step: LogStep, *, provisional: bool) -> FoundEffect:
@@ -327,8 +365,8 @@ def _effect(state: LogState, step: LogStep, *, provisional: bool) -> FoundEffect
 def fitted_parameters(state: LogState, name: str) -> dict[str, FittedParameter]:
     """Return the parameters of a named term with their standard uncertainties; none for a trend without a name.
 
-    Where the signal may be taken in two ways the value lies midway, and half their distance, taken as a rectangular
-    distribution (GUM 4.3.7), is part of its uncertainty.
+    Where the signal may be taken in two ways the value is midway between both. Half their distance, treated as a
+    rectangular distribution (GUM 4.3.7), is part of its uncertainty.
     """
     found, at = {}, 0
     ways = (state, state.other_way)
@@ -344,16 +382,20 @@ def fitted_parameters(state: LogState, name: str) -> dict[str, FittedParameter]:
 
 
 def _limits(state: LogState) -> dict[str, Limit]:
-    """Return the amplitude of each term that these readings would have shown at 5 sigma, beside what was found."""
+    """Return the amplitude of each further term that these readings would have shown at 5 sigma."""
     there = {term.name for term in state.terms}
     found: dict[str, Limit] = {}
     for term in catalogue(state.log):
         if term.flexible or term.name in there:
             continue
+        if is_lost_in_scatter(state.log, term.where):
+            found[term.name] = Limit(None, term.parameters[0], term.units[0])
+            continue
         more = state.with_term(term)
         ways = {id(way): way for way in (more, more.other_way)}.values()
         u = max(float(way.uncertainty()[-term.size]) for way in ways)
         apart = abs(more.parameters[-term.size] - more.other_way.parameters[-term.size]) / 2.0
-        seen = math.isfinite(u) and u < 1e3 * term.scales[0]
-        found[term.name] = Limit(_SIGMAS * u + float(apart) if seen else None, term.parameters[0], term.units[0])
+        least = _SIGMAS * u + float(apart)
+        shown = math.isfinite(least) and least < _WHOLE * term.scales[0]
+        found[term.name] = Limit(least if shown else None, term.parameters[0], term.units[0])
     return found

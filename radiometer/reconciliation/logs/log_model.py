@@ -1,13 +1,13 @@
-"""What a camera's value should be under a reference's light, and the terms that may be missing from it.
+"""Predicts a camera's value from a reference's light, and lists the terms that may be missing.
 
 value = s·(1 + a·s/s̄) + b,  s = R·(L + L₀)·(t + δ)·10^(G/20)·c(colour, T, gain) + D·t·10^(G/20)·2^((T − 25 °C)/θ)
 
 R is the responsivity; each term is off at zero. Terms bear the names of the catalogue of effects.
 
-What goes with the signal itself (b, a) needs care: automatic exposure holds the value, so that clouds, which the
-reference does not see, move what the reference predicts and not what is measured; at the longest exposure it is the
-other way about. Such a term is fitted with the signal as predicted and with the signal as measured; the truth lies
-between.
+Terms that follow the signal (b, a) or the reference (L₀) need care, for both are known with errors. Automatic exposure
+keeps the value constant: clouds, which the reference does not see, change the predicted signal and not the measured
+one. At the longest exposure it is the other way round. Such a term is therefore fitted twice: with the signal as
+predicted and with the signal as measured. The truth is between the two.
 """
 
 from __future__ import annotations
@@ -18,19 +18,25 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
+from numpy.polynomial.legendre import legvander
 
 from radiometer.importing.log_table import Array, LogTable
 
 SIGNAL: Final = "signal"
+MEASURED_TOO: Final = (SIGNAL, "reference")
+"""Columns that the reference predicts, with its errors. What acts along them is fitted along the measured ones too."""
+
 _STEP: Final = 1e-5  # of a parameter's scale, for differences
 _DARK_AT_C: Final = 25.0
 DOUBLING_K: Final = 6.5
 """Warming in K that doubles a dark current, where its fit begins: 5 K to 9 K are usual for silicon."""
 
 _LEAST_DOUBLING_K, _MOST_DOUBLING_K = 3.0, 20.0
-_LARGEST_LOG: Final = 200.0  # what a step of the fit may try; far beyond any camera
+_LARGEST_LOG: Final = 200.0  # limit of ln(signal) while a step is tried, far beyond any camera
 _NEAR_DB: Final = 0.05  # gains that differ less are one
 _MOST_GAINS: Final = 12
+_LEAST_CORRELATION: Final = 0.5  # of a column as predicted and as measured: there scatter and variation are equal
+_DEGREE: Final = 3  # of a trend without a name: a bend that changes its sign once
 
 
 Act = Callable[[LogTable, "_Light", Array], None]
@@ -76,6 +82,7 @@ class _Light:
     """The parts of a predicted value that terms change, per reading."""
 
     radiance: Array  # L, in the reference's unit
+    leak: float  # L₀, in the same unit
     exposure_s: Array
     log_factor: Array  # ln of what multiplies the light
     dark: Array  # D·t·G in DN over R·… (added to s, not multiplied by R)
@@ -84,7 +91,7 @@ class _Light:
 
 
 def amplitude(log: LogTable) -> float:
-    """Return the typical value in DN, by which a nonlinearity is told."""
+    """Return the typical value in DN, the scale of a nonlinearity."""
     return float(np.median(log.value))
 
 
@@ -95,24 +102,34 @@ def predicted_log(log: LogTable, terms: Sequence[LogTerm], parameters: Array, *,
         log: The readings.
         terms: The terms that are there.
         parameters: ln R, then theirs in order.
-        measured: Take the signal that bends and offsets act on from the values as measured.
+        measured: Take the signal that bends, offsets and leaks act on from the values as measured.
+
+    Returns:
+        (readings,) ln of the values; NaN where the parameters leave no light or no value to take a logarithm of.
     """
     size = log.size
-    light = _Light(log.reference.copy(), log.exposure_s.copy(), np.zeros(size), np.zeros(size), np.zeros(size))
+    light = _Light(log.reference, 0.0, log.exposure_s.copy(), np.zeros(size), np.zeros(size), np.zeros(size))
     at = 1
     for term in terms:
         term.act(log, light, parameters[at : at + term.size])
         at += term.size
     gain = 10.0 ** (log.gain_db / 20.0)
     level = np.clip(parameters[0] + light.log_factor, -_LARGEST_LOG, _LARGEST_LOG)
-    signal = np.exp(level) * light.radiance * light.exposure_s * gain + light.dark * gain
-    least = 1e-6 * log.value
+    per_radiance = np.exp(level) * light.exposure_s * gain
     if measured:
-        straight = np.maximum(log.value - light.offset_dn, least)
-        straight = straight / np.maximum(1.0 + light.curvature * straight, 1e-3)
-        return np.asarray(np.log(np.maximum(signal, least)) + np.log(log.value) - np.log(straight))
-    bent = signal * (1.0 + light.curvature * signal) + light.offset_dn
-    return np.asarray(np.log(np.maximum(bent, least)))
+        straight = log.value - light.offset_dn
+        straight = straight / _positive(1.0 + light.curvature * straight)
+        rest = _positive(straight - per_radiance * light.leak)
+        signal = per_radiance * light.radiance + light.dark * gain
+        return np.asarray(np.log(_positive(signal)) + np.log(log.value) - np.log(rest))
+    signal = per_radiance * (light.radiance + light.leak) + light.dark * gain
+    bent = _positive(signal) * (1.0 + light.curvature * signal) + light.offset_dn
+    return np.asarray(np.log(_positive(bent)))
+
+
+def _positive(values: Array) -> Array:
+    """Return the values, NaN for those that are not positive: parameters that give them describe no camera."""
+    return np.where(values > 0.0, values, np.nan)
 
 
 def jacobian(log: LogTable, terms: Sequence[LogTerm], parameters: Array, *, measured: bool = False) -> Array:
@@ -187,7 +204,7 @@ def _gain_terms(log: LogTable) -> list[LogTerm]:
 
 
 def gain_levels(log: LogTable) -> list[float]:
-    """Return the gains in dB, the one of most readings first: the others are told against it."""
+    """Return the gains in dB, the one of most readings first: the others are relative to it."""
     rounded = np.round(log.gain_db / _NEAR_DB) * _NEAR_DB
     levels, counts = np.unique(rounded, return_counts=True)
     most = float(levels[np.argmax(counts)])
@@ -199,7 +216,7 @@ def _black(log: LogTable, light: _Light, own: Array) -> None:
 
 
 def _ambient(log: LogTable, light: _Light, own: Array) -> None:
-    light.radiance = light.radiance + own[0]
+    light.leak += float(own[0])
 
 
 def _curvature(typical_dn: float) -> Act:
@@ -251,12 +268,18 @@ def _colour(mean: float) -> Act:
     return act
 
 
-def axes(log: LogTable) -> Mapping[str, Array]:
-    """Return each column on a scale from −1 to 1, for trends without a name."""
+def axes(log: LogTable, *, measured: bool = False) -> Mapping[str, Array]:
+    """Return each column on a scale from −1 to 1, for trends without a name.
+
+    Args:
+        log: The readings.
+        measured: Take signal and reference from the values as measured, not from the reference.
+    """
+    per_reference = np.log(log.exposure_s) + log.gain_db * math.log(10.0) / 20.0
+    reference = np.log(log.value) - per_reference if measured else np.log(log.reference)
     raw: dict[str, Array | None] = {
-        # As the reference predicts it: a value that stands on both sides would explain itself.
-        "signal": np.log(log.reference * log.exposure_s) + log.gain_db * math.log(10.0) / 20.0,
-        "reference": np.log(log.reference),
+        SIGNAL: reference + per_reference,
+        "reference": reference,
         "exposure": np.log(log.exposure_s),
         "gain": log.gain_db,
         "temperature": log.temperature_c,
@@ -269,3 +292,18 @@ def axes(log: LogTable) -> Mapping[str, Array]:
             low, high = float(values.min()), float(values.max())
             found[name] = np.asarray(2.0 * (values - low) / (high - low) - 1.0)
     return found
+
+
+def is_lost_in_scatter(log: LogTable, name: str) -> bool:
+    """Return whether a column varies by less than its readings scatter: nothing can be shown along it."""
+    if name not in MEASURED_TOO:
+        return False
+    predicted, measured = (axes(log, measured=way).get(name) for way in (False, True))
+    if predicted is None or measured is None:
+        return True
+    return float(np.corrcoef(predicted, measured)[0, 1]) < _LEAST_CORRELATION
+
+
+def trend(log: LogTable, name: str, *, measured: bool = False) -> Array:
+    """Return the columns of a free curve along a column, (readings, degree)."""
+    return np.asarray(legvander(axes(log, measured=measured)[name], _DEGREE)[:, 1:])

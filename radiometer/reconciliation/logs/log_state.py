@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from radiometer.importing.log_table import Array, LogTable
 from radiometer.reconciliation.fit.held_out import Groups, HeldOut, leave_one_group_out
 from radiometer.reconciliation.fit.linear import LinearFit, RowBlock
-from radiometer.reconciliation.logs.log_model import SIGNAL, LogTerm, jacobian, predicted_log
+from radiometer.reconciliation.logs.log_model import MEASURED_TOO, LogTerm, jacobian, predicted_log, trend
 
 _ITERATIONS: Final = 12
 _FARTHEST: Final = 100.0  # scales of a parameter (1 % of the light each) by which one iteration may move it
@@ -23,7 +23,7 @@ Whiteners = tuple[tuple[NDArray[np.intp], Array], ...]
 
 @dataclass(frozen=True, slots=True)
 class Scatter:
-    """How readings scatter about a right model, in ln(value).
+    """Scatter of readings about a correct model, in ln(value).
 
     Attributes:
         reading: Standard deviation of a reading within its night.
@@ -68,7 +68,7 @@ class LogState:
         parameters: ln R, then theirs.
         whiteners: What whitens each night.
         trends: Columns of trends without a name, with the axis of each.
-        measured: Whether terms that go with the signal take it as measured.
+        measured: Whether terms and trends along the signal or the reference take these as measured.
     """
 
     log: LogTable
@@ -125,12 +125,14 @@ class LogState:
 
     @property
     def free(self) -> int:
-        """Return the number of parameters beside the responsivity."""
+        """Return the number of parameters without the responsivity."""
         return int(self.parameters.size) - 1 + sum(int(c.shape[1]) for _, c in self.trends)
 
     @cached_property
     def cost(self) -> float:
-        """Return the χ² at the parameters as they stand, responsivity and trends alone at their best."""
+        """Return the χ² at these parameters, responsivity and trends at their best; infinite beyond any camera."""
+        if not np.all(np.isfinite(predicted_log(self.log, self.terms, self.parameters, measured=self.measured))):
+            return math.inf
         bare = replace(self.fit, effects=self.fit.effects[:, self.parameters.size - 1 :])
         return float(bare.projected @ bare.projected)
 
@@ -166,10 +168,16 @@ class LogState:
 
     @cached_property
     def other_way(self) -> LogState:
-        """Return the same model with the signal taken the other way, fitted; itself where nothing goes with it."""
-        if all(term.where != SIGNAL for term in self.terms):
+        """Return the model with signal and reference taken the other way; itself where nothing acts along them."""
+        if not {*(term.where for term in self.terms), *(name for name, _ in self.trends)} & set(MEASURED_TOO):
             return self
-        return replace(self, measured=not self.measured).fitted()
+        trends = tuple(
+            (name, trend(self.log, name, measured=not self.measured) if name in MEASURED_TOO else columns)
+            for name, columns in self.trends
+        )
+        # It begins where nothing is missing: the parameters that one way finds may be impossible in the other.
+        begins = np.concatenate([self.parameters[:1], *(term.begins for term in self.terms)])
+        return replace(self, measured=not self.measured, trends=trends, parameters=begins).fitted()
 
     def with_trend(self, name: str, columns: Array) -> LogState:
         """Return the fitted state with a further trend."""

@@ -80,7 +80,7 @@ class Capture:
 
 @dataclass(frozen=True, eq=False)
 class Design:
-    """What was captured: settings per capture and the tiles, without any pixel.
+    """Plan of a capture set: settings per capture and the tiles, without any pixel.
 
     Attributes:
         header: What `capture.yaml` says, with a stand-in for exposures of 0 s and one temperature for readings in turn.
@@ -110,7 +110,7 @@ class Design:
             jumps: Positions of frames at which a long series of equal ones is cut.
 
         Raises:
-            CaptureError: If a patch lies outside the frames or is too small to be judged.
+            CaptureError: If a patch is outside the frames or is too small to be judged.
         """
         reading_u_k = uncertainty_of_readings(readings_c(header))
         header = regulated(_without_zeros(header))
@@ -130,7 +130,7 @@ class Design:
 
     @property
     def has_known_radiance(self) -> bool:
-        """Tell whether the radiance of any tile is stated."""
+        """Return whether the radiance of any tile is stated."""
         return any(radiance for tile in self.tiles for radiance in tile.radiance)
 
     @cached_property
@@ -186,7 +186,7 @@ class Design:
 
     @cached_property
     def f_number(self) -> Array:
-        """Return the f-number of each capture; the lens's where a frame states none, 1 where nobody does."""
+        """Return the f-number of each capture; the lens's where a frame states none, 1 where neither does."""
         return self._column("f_number", self.header.lens.f_number or 1.0)
 
     @cached_property
@@ -253,7 +253,7 @@ class Design:
     def frame_numbers(self) -> tuple[Array, Array, Array]:
         """Return the numbers in the header of each capture's frames, of its first one and of the others.
 
-        Each of shape (captures, most frames of one), NaN beyond; a lone frame stands for others too.
+        Each of shape (captures, most frames of one), NaN beyond; a lone frame represents others too.
         """
         all_ = np.full((len(self.captures), int(self.frame_count.max())), np.nan)
         for row, capture in zip(all_, self.captures, strict=True):
@@ -275,7 +275,7 @@ class Design:
 
     @cached_property
     def has_timestamps(self) -> bool:
-        """Tell whether every capture states its time."""
+        """Return whether every capture states its time."""
         return not bool(np.isnan(self._column("timestamp_s")).any())
 
     @cached_property
@@ -294,7 +294,7 @@ class Design:
 
     @cached_property
     def closed(self) -> NDArray[np.bool_]:
-        """Tell for each capture whether the shutter was closed."""
+        """Return for each capture whether the shutter was closed."""
         return np.array([capture.settings.is_dark for capture in self.captures])
 
     @cached_property
@@ -310,7 +310,7 @@ class Design:
 
     @cached_property
     def black_level_dn(self) -> Array:
-        """Return the stated black level of each capture in DN; NaN where nobody states one."""
+        """Return the stated black level of each capture in DN; NaN where none is stated."""
         default = self.header.camera.black_level_dn
         return self._column("black_level_dn", np.nan if default is None else default)
 
@@ -339,9 +339,9 @@ def _without_zeros(header: CaptureHeader) -> CaptureHeader:
 
 
 def _steps_of_temperature(temperature_c: Array) -> Array:
-    """Return the number of the step of temperature that each value lies in; a number of its own where unknown.
+    """Return the number of the temperature step of each value; a separate number where it is unknown.
 
-    The steps are laid so that most values stand in the middle of one: two readings of one plateau are never apart.
+    The steps are placed so that most values are in the middle of one: two readings of one plateau are never apart.
     """
     turns = np.exp(2j * np.pi * temperature_c / _SAME_TEMPERATURE_K)
     middle = float(np.angle(np.mean(turns))) / (2.0 * np.pi) if np.isfinite(turns).all() else 0.0
@@ -371,8 +371,9 @@ def group_captures(header: CaptureHeader, jumps: Collection[int] = ()) -> tuple[
     """Return the frames of a header as captures.
 
     A capture is a run of frames of one setting. A run that is a whole multiple of the usual length is several
-    captures in a row; where no two neighbouring frames share a setting, the repeats are gathered wherever they lie.
-    A long series of one setting whose times are known is cut into pieces, so that it shows what goes with the time.
+    captures in a row. Where no two neighbouring frames share a setting, the repeats are gathered from the whole
+    series. A long series of one setting whose times are known is cut into pieces, so that it shows what changes with
+    time.
 
     Args:
         header: What `capture.yaml` says.
@@ -470,7 +471,7 @@ def _patch_tiles(header: CaptureHeader, shape: tuple[int, int]) -> tuple[Tile, .
     for patch in header.patches:
         if not patch.patch.fits(shape):
             raise CaptureError(
-                f"patch {patch.name!r} ({patch.x}, {patch.y}, {patch.width} × {patch.height}) lies outside the "
+                f"patch {patch.name!r} ({patch.x}, {patch.y}, {patch.width} × {patch.height}) is outside the "
                 f"{shape[1]} × {shape[0]} frames; correct it in capture.yaml"
             )
         smaller = min(patch.width, patch.height)

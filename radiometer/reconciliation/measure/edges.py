@@ -1,8 +1,9 @@
-"""How sharp the borders of patches are: the share of a step that lies in the last line before it.
+"""Measures how sharp the borders of patches are: the share of a step that is in the last line before it.
 
-That share tells of blur where a border runs along its line: the blend of a line that cuts a round outline is a matter
-of shape. What outline a patch has nobody states, so the pixels along each line say it: behind a straight border all
-have the blend, along a cut outline each has one side's light or the other's. Of a side that bends, thirds are tried.
+That share measures blur where a border runs along its line: the blend of a line that cuts a round outline is a matter
+of shape. The outline of a patch is not stated, so it is found from the pixels along each line. Behind a straight
+border all have the blend; along a cut outline each has one side's light or the other's. Of a side that bends, thirds
+are tried.
 """
 
 from __future__ import annotations
@@ -46,10 +47,10 @@ def edge_shares(
     """Return the blended share of each capture's borders and its standard uncertainty (infinite where none is seen).
 
     Each pattern's steps are found in the mean of its captures: the first line, going outwards, that leaves the
-    patch's level. Where most captures are too blurred to tell, those of the smallest aperture do. A sharp picture has
-    the patch's own level up to that line; what a blur carries into it is taken relative to the sum of what both lines
-    differ from the patch, which a symmetric blur leaves as it is. Sides that disagree with the others (a faint step
-    hidden before a strong one) are left out, and sides that do not run along their lines.
+    patch's level. Where most captures are too blurred, those of the smallest aperture decide. A sharp picture has the
+    patch's own level up to that line. The light that a blur carries into it is divided by the sum of both lines'
+    differences from the patch. A symmetric blur leaves that sum as it is. Sides that disagree with the others (a
+    faint step hidden before a strong one) are left out, and sides that do not run along their lines.
 
     Args:
         sides: Lines across the sides of the patches.
@@ -91,7 +92,7 @@ def edge_shares(
 
 
 def _chosen(clear: NDArray[np.bool_], straight: NDArray[np.bool_], sides: PatchSides) -> NDArray[np.bool_]:
-    """Tell which parts of sides count: the whole side where it is straight, else those of its parts that are."""
+    """Return which parts of sides count: the whole side where it is straight, else those of its parts that are."""
     good = (clear & straight).reshape(-1, sides.tile.size)
     good[1:] &= ~good[0]
     return np.asarray(good.ravel())
@@ -107,7 +108,7 @@ def _pixel_noise(lines: Array, mean: Array, spatial: Array, tile: NDArray[np.int
 
 @dataclass(frozen=True, slots=True)
 class _Straightness:
-    """What tells whether borders run along their lines.
+    """Statistics that show whether borders run along their lines.
 
     Attributes:
         step: (captures, sides, lines) deviation of each line from the patch in DN.
@@ -124,7 +125,7 @@ class _Straightness:
     pixels: NDArray[np.intp]
 
     def of(self, shown: NDArray[np.bool_], line: NDArray[np.intp], sides: int) -> NDArray[np.bool_]:
-        """Tell it of the borders behind a line each, from all captures that are shown.
+        """Return it for the borders behind a line each, from all captures that are shown.
 
         Outlines are alike: where most borders of the same part of a side are cut, those that pixel noise hides and
         those that happen to seem straight are, too.
@@ -177,7 +178,7 @@ def _positions(
 ) -> dict[int, tuple[NDArray[np.intp], NDArray[np.bool_]]]:
     """Return for each pattern the line before the step of every side, and whether that step is a clear one.
 
-    The smallest aperture at which they are clear tells where they lie. In a pattern that is seen only at f-numbers
+    The smallest aperture at which they are clear shows their place. In a pattern that is seen only at f-numbers
     that are blurred in another one no step is clear.
     """
     found, blurred, stops_of = {}, set[float](), {}
@@ -232,7 +233,7 @@ def _first_step(average: Array, sigma: Array) -> tuple[NDArray[np.intp], NDArray
 
 
 def _false_start(average: Array, after: NDArray[np.intp], earlier: NDArray[np.intp], sigma: Array) -> NDArray[np.bool_]:
-    """Tell where a small step came before the large one: it does not fall off inwards as a blur would."""
+    """Return where a small step came before the large one: it does not fall off inwards as a blur would."""
     index = np.arange(sigma.size)
     far, near, step = (average[index, line] for line in (earlier, np.maximum(after - 1, 0), after))
     rising = (np.abs(far) > _FALLS * np.abs(near)) | (np.sign(far) != np.sign(step))

@@ -97,7 +97,7 @@ def add_tiles(
 
 @compiled
 def _within(counts: NDArray[np.int64], middle: float, distance: float) -> int:
-    """Return how many samples lie no farther than a distance from the middle."""
+    """Return how many samples are within a distance of the middle."""
     first = max(int(np.ceil(middle - distance)), 0)
     last = min(int(np.floor(middle + distance)), counts.size - 1)
     return int(counts[first : last + 1].sum())

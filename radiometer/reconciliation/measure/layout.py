@@ -1,4 +1,4 @@
-"""Where the pixels of the tiles lie, arranged so that all tiles of one size are treated at once."""
+"""Places of the pixels of the tiles, arranged so that all tiles of one size are treated at once."""
 
 from __future__ import annotations
 
@@ -112,7 +112,7 @@ class PatchSides:
 
     @property
     def along_rows(self) -> NDArray[np.bool_]:
-        """Tell of each side whether its lines run along rows, so that what crosses it goes down the columns."""
+        """Return for each side whether its lines run along rows, so that what crosses it goes down the columns."""
         return np.asarray(self.rows[:, 0, 0] == self.rows[:, 0, -1])
 
     def lines(self, pixels: Array) -> tuple[Array, Array]:
@@ -129,7 +129,7 @@ class PatchSides:
 
 
 def _unevenness(pixels: Array) -> Array:
-    """Return the variance of pixels along the last axis; 0 where too few can tell it."""
+    """Return the variance of pixels along the last axis; 0 where they are too few."""
     if pixels.shape[-1] < SHORTEST_PART_PX:
         return np.zeros(pixels.shape[:-1])
     return np.asarray(pixels.var(axis=-1, ddof=1))

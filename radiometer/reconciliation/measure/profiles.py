@@ -18,8 +18,8 @@ def row_temporal_profile(
 ) -> dict[str, float]:
     """Return how much row means scatter from frame to frame, over what the pixels' own noise gives.
 
-    Each tile's frame mean is taken out beforehand, so that flicker does not enter; one degree of freedom per
-    tile and frame goes with it.
+    Each tile's frame mean is taken out beforehand, so that flicker does not enter; that takes one degree of freedom
+    per tile and frame.
 
     Args:
         groups: Groups of tiles.

@@ -1,8 +1,8 @@
 """Light that moves from row to row within a frame: which spatial frequencies of the rows hold it.
 
-Of each frame a = (light of a row − its mean over the frames) / light is taken, tiles weighted by their information,
-and laid on smooth functions of the row (cosines of rising order, orthonormal under the weights, the constant first).
-Without bands each coefficient is white noise of variance 1. A wave of ν periods per row at a random phase adds
+Of each frame a = (light of a row − its mean over the frames) / light is taken, tiles weighted by their information.
+It is projected on smooth functions of the row: cosines of rising order, orthonormal under the weights, the constant
+first. Without bands each coefficient is white noise of variance 1. A wave of ν periods per row at a random phase adds
 A²/2·|z|² to the variance of one whose projection of exp(2πi·ν·y) is z.
 """
 
@@ -68,7 +68,7 @@ def row_light(
 ) -> dict[str, Array | float]:
     """Return the statistics `bands…` and `row_temporal_light` of one capture; NaN where it has no light to show them.
 
-    The first frame of three or more is left out: it may differ for a reason of its own.
+    The first frame of three or more is left out: it may differ for another reason.
 
     Args:
         bins: Bins of rows.
@@ -164,7 +164,7 @@ def wave_power(bins: RowBins, basis: Array, frequency: float) -> tuple[Array, Ar
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TileBands:
-    """What a wave along the rows leaves in each tile, (tiles,), amplitudes or shares of the wave's variance.
+    """Trace of a wave along the rows in each tile, (tiles,), amplitudes or shares of the wave's variance.
 
     Attributes:
         mean: Amplitude of the tile's mean.

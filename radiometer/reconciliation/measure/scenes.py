@@ -1,7 +1,7 @@
-"""Whether frames of one pattern show one scene: a scene that changes is none of the camera's effects.
+"""Checks whether frames of one pattern show one scene: a changing scene is no effect of the camera.
 
-Lens, sensor and source change a picture smoothly, along its rows or along its columns; what is left of its logarithm
-without these is the scene's own fine structure, which exposure, gain and response leave in place.
+Lens, sensor and source change a picture smoothly, along its rows or along its columns. The residual of its logarithm
+is the scene's own fine structure, which exposure, gain and response leave in place.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ _SAME: Final = 0.5  # least correlation of one scene's fine structure; that of d
 
 @dataclass(frozen=True, slots=True)
 class FineStructure:
-    """What a frame shows in blocks of pixels.
+    """Fine structure of a frame in blocks of pixels.
 
     Attributes:
         log_light: (rows, columns) logarithm of a block's mean above black; NaN where it is clipped or too dark.
@@ -44,7 +44,7 @@ class FineStructure:
 
         Args:
             dn: (height, width) digital numbers.
-            black_dn: Black level; 0 where nobody states one.
+            black_dn: Black level; 0 where none is stated.
             full_scale_dn: Highest code: a block that holds it is clipped.
         """
         step = max(1, max(dn.shape) // (_MOST_BLOCKS * _SAMPLES))
@@ -62,7 +62,7 @@ class FineStructure:
         return cls(np.log(light), np.square(noise / light))
 
     def correlation(self, other: FineStructure) -> float | None:
-        """Return the correlation of two frames' fine structure; None where either has too little to tell."""
+        """Return the correlation of two frames' fine structure; None where either has too little structure."""
         known = np.isfinite(self.log_light) & np.isfinite(other.log_light)
         terms = _smooth_terms(known)
         if known.sum() - terms.shape[1] < _FEWEST_BLOCKS:
@@ -80,7 +80,7 @@ class FineStructure:
 def scenes_of(structures: Mapping[int, FineStructure]) -> dict[int, int]:
     """Return the number of the scene, from 0 on, that each frame of one pattern shows.
 
-    A frame that has too little to tell by shows the scene of the frame before.
+    A frame with too little structure counts as the scene of the frame before.
 
     Args:
         structures: Of each frame, by its position in the header.

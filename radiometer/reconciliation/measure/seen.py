@@ -1,4 +1,4 @@
-"""What was seen: the measured statistics of a capture set."""
+"""Holds the measured statistics of a capture set."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ COMB_PERIODS: Final = (2, 3, 4, 5)  # a coarser step shows at one of its divisor
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CaptureStatistics:
-    """What was seen, per capture and tile: arrays (captures, tiles) in DN, and (captures,) where said so.
+    """Measured statistics, per capture and tile: arrays (captures, tiles) in DN, or (captures,) where noted.
 
     Attributes:
         mean: Mean of all frames.
@@ -33,7 +33,7 @@ class CaptureStatistics:
         common_unit: (captures,) relative variance that pixel noise alone gives it.
         black: (captures,) variance in DN² of an offset that all tiles of a frame share, steady change taken out.
         black_unit: (captures,) what pixel noise alone gives it.
-        black_dof: (captures,) its degrees of freedom; 0 where too few frames tell it.
+        black_dof: (captures,) its degrees of freedom; 0 where the frames are too few.
         drift: (captures,) the same of half a wave down the frame, as a random walk of the black level has it.
         drift_unit: (captures,) what pixel noise alone gives it.
         drift_dof: (captures,) its degrees of freedom.
@@ -50,7 +50,7 @@ class CaptureStatistics:
         rows: (captures,) the same of rows.
         rows_weight: (captures,) in DN⁻².
         rows_dof: (captures,) degrees of freedom.
-        edge: (captures,) share of a step at a patch's edge that lies in the last line inside it.
+        edge: (captures,) share of a step at a patch's edge that is in the last line inside it.
         edge_u: (captures,) its standard uncertainty; infinite where no edge is seen.
         outliers: (captures,) pixels that stand out of their tile by more than 6 robust sigmas.
         comb: (captures, periods) amplitude of a regular comb in the histogram, real part of its Fourier term.

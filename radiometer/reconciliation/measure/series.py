@@ -1,4 +1,4 @@
-"""Where a long series of equal frames jumps: captures are cut there, so that none lies on both sides of an event."""
+"""Finds where a long series of equal frames jumps: captures are cut there, so that none spans an event."""
 
 from __future__ import annotations
 

@@ -182,7 +182,7 @@ class CaptureSums:
         return result, outlying
 
     def _half_waves(self) -> Array:
-        """Return the mean over each tile of half waves down the frame, (tiles, waves): as many as tiles can tell."""
+        """Return the mean over each tile of half waves down the frame, (tiles, waves): as many as tiles can resolve."""
         rows = np.zeros(self.low.size)
         for group in self.groups:
             rows[group.index] = group.rows[:, 0]
@@ -305,11 +305,11 @@ def _code_spacing(occurring: Mask) -> float:
 
 
 def _outlying(picture: Array, group: TileGroup, spacing_dn: float) -> Mask:
-    """Tell which pixels lie far off the quadratic surface through their tile, by a robust sigma.
+    """Return which pixels are far off the quadratic surface through their tile, by a robust sigma.
 
     A hot pixel bends the surface: after a first look those that stand out are put at the middle and the surface is
     laid anew. Where the noise hides below the spacing of the codes, most pixels show one code and the median
-    deviation tells no sigma: the neighbouring code is no outlier.
+    deviation gives no sigma: the neighbouring code is no outlier.
     """
     flat = picture.reshape(len(group.tiles), -1)
     step = _stride(flat.shape[1], group.width)
@@ -340,7 +340,7 @@ def _stride(pixels: int, width: int) -> int:
 
 
 def light_of_frames(means: Array, out: Mapping[str, Array], black_dn: float) -> dict[str, Array | float]:
-    """Return what goes with the frames of a capture: how the first differs, and what all tiles share, by name.
+    """Return the statistics of the frames of a capture: how the first differs, and what all tiles share, by name.
 
     Args:
         means: (frames, tiles) means in DN.
@@ -365,8 +365,8 @@ def _common_fluctuation(means: Array, out: Mapping[str, Array], black_dn: float)
 def _additive_fluctuation(means: Array, out: dict[str, Array], waves: Array) -> dict[str, float]:
     """Return the variance in DN² of an offset that all tiles of a frame share, and what pixel noise alone gives it.
 
-    Beside it that of half waves down the frame: of a random walk the k-th has 1/k of the first, so that k times their
-    sizes tell the first one's. What goes on steadily through the frames is a drift, not a wander: a straight line over
+    With it that of half waves down the frame: of a random walk the k-th has 1/k of the first, so k times their sizes
+    estimate the first one's. What goes on steadily through the frames is a drift, not a wander: a straight line over
     them is taken out.
 
     Args:
@@ -413,7 +413,7 @@ def _common_amplitude(means: Array, out: Mapping[str, Array], black_dn: float) -
 
 
 def _free(out: Mapping[str, Array]) -> Mask:
-    """Tell which tiles are not clipped, be it below full scale: there noise falls away that darker tiles have."""
+    """Return which tiles are not clipped, be it below full scale: there noise falls away that darker tiles have."""
     order = np.argsort(out["mean"], kind="stable")
     variance = np.nan_to_num(out["variance"][order])
     cut_off = np.zeros(order.size, dtype=np.bool_)

@@ -108,7 +108,7 @@ class EffectParameters:
 
 
 def _changed(effect: CatalogueEffect, values: dict[str, Any]) -> CatalogueEffect:
-    """Return the effect with other values; the very same one where nothing changes."""
+    """Return the effect with other values; the same object where nothing changes."""
     if all(getattr(effect, name) == value for name, value in values.items()):
         return effect
     return effect.with_parameters(**values)

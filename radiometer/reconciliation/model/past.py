@@ -1,4 +1,4 @@
-"""What earlier frames held, for all captures at once."""
+"""Holds the earlier frames of all captures at once."""
 
 from __future__ import annotations
 
@@ -69,7 +69,7 @@ class FrameTimes:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CapturesPast:
-    """What the frames of each capture held, as some of the frames of each see it.
+    """The earlier frames of each capture, as some of its frames see them.
 
     Attributes:
         times: When the frames were taken.

@@ -1,7 +1,7 @@
 """Predicts what several models expect in one walk of the chain.
 
-Models that are held against one that ran before differ from it in one step, as a rule: a parameter that moved, an
-effect more. Each goes through the steps of its own alone. Behind them all go on together, their moments stacked along
+Models that are compared with one that ran before differ from it in one step, as a rule: a parameter that moved, an
+effect more. Each runs only the steps in which it differs. Behind them all go on together, their moments stacked along
 an axis in front of the captures: the arrays of one model are so small that calling NumPy costs more than arithmetic.
 """
 
@@ -44,7 +44,7 @@ def predict_several(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Apart:
-    """A model that went through the steps of its own.
+    """A model after the steps in which it differs.
 
     Attributes:
         number: Its number.
@@ -60,7 +60,7 @@ class _Apart:
 
     @classmethod
     def of(cls, number: int, model: TileModel, nuisance: Nuisance, like: Trace) -> Self:
-        """Return a model that stands in front of the steps that it shares with a known chain."""
+        """Return a model just before the steps that it shares with a known chain."""
         walk = model.begun(nuisance, like)
         behind = zip(reversed(like.chain), reversed(walk.chain), strict=False)
         same = takewhile(lambda pair: pair[0] is pair[1] and not looks_back(pair[0]), behind)

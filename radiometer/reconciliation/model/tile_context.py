@@ -170,7 +170,7 @@ class TileContext(ExposureContext):
     times: FrameTimes | None = None
 
     def within_tiles(self, change: Callable[[ExposureContext], Signal]) -> tuple[Signal, Signal | float]:
-        """Return what a change that is steep within a tile comes to at its points, and the variance that is left.
+        """Return the values of a change that is steep within a tile at its points, and the residual variance.
 
         Args:
             change: Gives it for a context, (captures, tiles, points); here one whose points are a fine grid.
@@ -212,7 +212,7 @@ class TileContext(ExposureContext):
 
 
 def from_grid(values: Signal) -> tuple[Signal, Signal]:
-    """Return what values on the grid of a tile come to at its four points, and the variance that is left.
+    """Return values on the grid of a tile as values at its four points, and the residual variance.
 
     The four values have the mean and the least-squares slopes of all; the variance is that about a quadratic surface,
     as that of a tile's pixels is.

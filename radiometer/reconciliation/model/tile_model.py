@@ -28,7 +28,7 @@ _SMALLEST_VARIANCE_DN2: Final = 1e-3  # a value that always rounds or clips to o
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Nuisance:
-    """What is fitted beside the effects and never named.
+    """Parameters that are fitted with the effects and never named.
 
     Attributes:
         off: What the camera's description leaves out.
@@ -61,7 +61,7 @@ class TileModel:
         context: The captures as the effects see them.
         radiance: (patterns, tiles) radiance in W·sr⁻¹·m⁻².
         images: Mean picture of each pattern.
-        effects: Effects beside the ideal chain, to be fitted.
+        effects: Effects added to the ideal chain, to be fitted.
         given: Effects that the starting model holds already.
         passes_well: Whether the data pass the declared full well, which then limits nothing.
     """
@@ -112,7 +112,7 @@ class TileModel:
     def links(self, nuisance: Nuisance, like: Walk | None = None) -> tuple[Effect, ...]:
         """Return the links of the declared camera; effects act in front of the link that `place_for` gives.
 
-        Where a chain is known, its links that are as they were are the very ones.
+        Where a chain is known, its unchanged links are reused.
         """
         if like is not None and nuisance.off is like.nuisance.off:
             return like.links
@@ -189,7 +189,7 @@ class TileModel:
     # ---- from moments at points to statistics of tiles -----------------------------------------------------
 
     def summary(self, final: TileMoments, signal: Array, gain: Array) -> Prediction:
-        """Return the statistics that moments come to; those of several models lie along a first axis.
+        """Return the statistics that moments come to; those of several models are along a first axis.
 
         Args:
             final: Moments behind the chain.
@@ -287,7 +287,7 @@ class Walk:
         return 1 + next(at for at, step in enumerate(self.chain) if step is self.links[place - 1]) if place else 0
 
     def shows(self, nuisance: Nuisance) -> bool:
-        """Tell whether the scene is that of these nuisances."""
+        """Return whether the scene is that of these nuisances."""
         return nuisance.log_radiance is self.nuisance.log_radiance and nuisance.slope is self.nuisance.slope
 
 
@@ -303,7 +303,7 @@ class Trace(Walk):
 
 
 def looks_back(step: Effect) -> bool:
-    """Tell whether a step of the chain asks for what earlier frames held."""
+    """Return whether a step of the chain asks for what earlier frames held."""
     return isinstance(step, CatalogueEffect) and step.looks_back
 
 

@@ -1,1 +1,1 @@
-"""How far each statistic of a model that is right would scatter, alone and together with others."""
+"""Predicts the scatter of each statistic of a correct model, alone and together with others."""

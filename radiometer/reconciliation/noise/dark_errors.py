@@ -1,4 +1,4 @@
-"""What a capture's figures share by its darkness: a black level that wanders and walks, a coarse thermometer."""
+"""Models the errors that a capture's figures share in the dark: a wandering black level, a coarse thermometer."""
 
 from __future__ import annotations
 

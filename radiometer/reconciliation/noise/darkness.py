@@ -1,4 +1,4 @@
-"""How far darkness differs from frame to frame: a black level that wanders, and a thermometer of coarse steps."""
+"""Estimates how darkness differs from frame to frame: a black level that wanders, a thermometer of coarse steps."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _MOST_SHARE: Final = 0.3  # of a pixel's own noise: a black level that differs b
 
 @dataclass(frozen=True, slots=True)
 class Darkness:
-    """What is not known of a frame's darkness beside the noise of its pixels.
+    """Uncertainty of a frame's darkness in addition to the noise of its pixels.
 
     Attributes:
         black_dn: Standard deviation by which the black level wanders from frame to frame, in DN.
@@ -39,11 +39,12 @@ class Darkness:
 
 
 def black_by_noise(design: Design, seen: CaptureStatistics) -> float | None:
-    """Return the black level in DN at which the noise of light would end; None where other things tell it.
+    """Return the black level in DN at which the noise of light would end; None where other data determine it.
 
-    Frames of one setting, none of them dark, do not tell an offset from light; it is stated, or exposures, levels or
-    darks tell it otherwise. What noise tells is a line: σ² = K·(y − y₀) + what has no light. With nothing for the
-    latter y₀ is as high as can be. Where noise does not rise with the light beyond chance, nothing tells: it is 0.
+    Frames of one setting, none of them dark, do not separate an offset from light. It must be stated, or follow from
+    exposures, levels or darks. The noise follows a line: σ² = K·(y − y₀) + what has no light. With nothing for the
+    latter y₀ is as high as can be. Where noise does not rise with the light beyond chance, it is undetermined and set
+    to 0.
 
     Args:
         design: Captures and tiles.
@@ -69,8 +70,8 @@ def black_by_noise(design: Design, seen: CaptureStatistics) -> float | None:
 def wander_of_black(design: Design, seen: CaptureStatistics) -> float:
     """Return by how many DN the black level wanders from one dark frame to the next; 0 where it need not.
 
-    Frames of one setting tell it: what all tiles of a frame share beyond what pixels and rows give by chance. It is
-    pooled over the dark captures, and no more than 0.3 of a pixel's own noise.
+    Frames of one setting show it: what all tiles of a frame share beyond what pixels and rows give by chance. It is
+    pooled over the dark captures, and at most 0.3 of a pixel's own noise.
 
     Args:
         design: Captures.

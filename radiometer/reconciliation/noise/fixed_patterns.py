@@ -1,7 +1,7 @@
-"""What a fixed pattern does that a variance cannot tell: the one pattern that this camera happens to have.
+"""Fits the fixed pattern that a camera happens to have, which a variance cannot describe.
 
 A pattern of known variance still shifts each tile's mean, tilts it, and has by chance a little more or less spread
-than expected, in every capture alike. These are fitted beside an accepted fixed-pattern effect, with the prior that
+than expected, in every capture alike. These are fitted with an accepted fixed-pattern effect, with the prior that
 its variance gives, so that they neither pass for another effect nor let one hide.
 """
 
@@ -107,7 +107,7 @@ def renewed_patterns(design: Design, seen: CaptureStatistics, prediction: Predic
     """Return how far a pattern that each setting has for itself scatters means, slopes and its spread, by statistic.
 
     The m captures of one setting have the same pattern: each counts as if it were √m times as uncertain, so that
-    together they tell no more than one of them.
+    together they weigh as much as one of them.
 
     Args:
         design: Captures and tiles.
@@ -133,7 +133,7 @@ def error_of_borders(usable: NDArray[np.bool_]) -> tuple[FixedError, ...]:
     """Return what all borders share, whatever the blur: none is quite straight, and the source's least so.
 
     Args:
-        usable: (captures,) whether a capture's borders tell anything.
+        usable: (captures,) whether a capture's borders carry information.
     """
     part = {"edge": _of_captures(np.ones((usable.size, 1)))}
     return (FixedError("borders", lambda prediction: part, np.array([SHARPEST])),) if usable.any() else ()
@@ -177,7 +177,7 @@ def _offset_terms(
 def _root(covariance: Array) -> Array:
     """Return a matrix whose product with its transpose is the covariance.
 
-    Tiles of a grid share all their lines: where there is hardly a pattern beside that of lines, they move as one.
+    Tiles of a grid share all their lines: where there is hardly a pattern except that of lines, they move as one.
     """
     try:
         return np.asarray(np.linalg.cholesky(covariance), dtype=np.float64)

@@ -1,4 +1,4 @@
-"""How well the light repeats from capture to capture, from repeats of one setting alone."""
+"""Estimates the repeatability of the light between captures from repeats of one setting alone."""
 
 from __future__ import annotations
 
@@ -81,8 +81,8 @@ def estimate_tau(design: Design, scale: Array, variance: Array) -> float:
 def steady_wander2(tried: Array, deviances: Array, exposure_s: Array, declared: float | None) -> float:
     """Return the relative variance by which the source wanders from frame to frame, alike at all exposures.
 
-    It is the likeliest one. It is no more than the source's stated reproducibility, or 0.3 % where none is stated, and
-    none where it differs between exposures, for light that flickers averages out in long ones.
+    It is the likeliest one. It is at most the source's stated reproducibility, or 0.3 % where none is stated. It is
+    none where it differs between exposures, since flicker averages out in long ones.
 
     Args:
         tried: (values,) relative variances, 0 first.
@@ -109,7 +109,7 @@ def _bounds(design: Design, scale: Array, variance: Array, lit: _Lit) -> tuple[f
     """Return the bounds of τ, as far off as chance may have made the scatter of repeats.
 
     The scatter of repeats, each weighted by what τ and its own pixels leave it, is χ² at the right τ; captures whose
-    pixels are noisy then tell little of it, as they should.
+    pixels are noisy then weigh little, as they should.
 
     Source: Viechtbauer (2007), Statist. Med. 26 37: the Q-profile interval.
     """
@@ -130,7 +130,7 @@ class _Repeats:
         taken: (n,) which captures they are.
         scale: (n,) their common relative deviation from the model.
         variance: (n,) its variance from pixel noise alone.
-        basis: (n, terms) what repeats do not tell: the mean of each setting, slow change in time.
+        basis: (n, terms) what repeats cannot show: the mean of each setting, slow change in time.
     """
 
     taken: NDArray[np.intp]
@@ -140,10 +140,10 @@ class _Repeats:
 
     @classmethod
     def of(cls, design: Design, scale: Array, variance: Array, lit: _Lit) -> _Repeats:
-        """Return the repeats that tell of the light, slow change in time being none of their scatter.
+        """Return the repeats that measure the light; slow change in time is not part of their scatter.
 
-        Settings of which one capture stands out from all others are left out: it has a cause of its own (a wrong
-        label), which poor repeatability would hide.
+        Settings of which one capture stands out from all others are left out: it has another cause (a wrong label),
+        which poor repeatability would hide.
         """
         all_of_them = cls._taken(design, scale, variance, lit, waves=False)
         if not all_of_them.taken.size:
@@ -173,7 +173,7 @@ class _Repeats:
         return self.taken.size - int(np.linalg.matrix_rank(self.basis)) if self.taken.size else 0
 
     def apart(self, tau: float) -> Array:
-        """Return how far they lie from what the basis says, weighted as τ and pixel noise want it, (n,)."""
+        """Return their distance from the basis, weighted as τ and pixel noise want it, (n,)."""
         root = 1.0 / np.sqrt(self.variance + tau**2)
         solution = np.linalg.lstsq(self.basis * root[:, None], self.scale * root, rcond=None)[0]
         return np.asarray(self.scale - self.basis @ solution)

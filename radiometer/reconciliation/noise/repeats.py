@@ -1,7 +1,7 @@
-"""What equal frames differ by: the offset or the light of each frame of a series against the others of it.
+"""Measures how equal frames differ: the offset or the light of each frame of a series relative to its others.
 
-A frame's offset is seen in every tile, so that what one frame shows is held out over the tiles of that frame; what all
-frames of all series scatter by tells whether one of them sticks out.
+A frame's offset is seen in every tile, so what one frame shows is held out over the tiles of that frame. The scatter
+of all frames of all series shows whether one of them is an outlier.
 """
 
 from __future__ import annotations
@@ -63,7 +63,7 @@ def repeats_of(
 
 
 def _series(design: Design, number: int, means: Array) -> Series:
-    """Return each frame less the mean of the others of its capture, from (frames, tiles) in the unit to be told."""
+    """Return each frame less the mean of the others of its capture, from (frames, tiles) in the unit to be reported."""
     n = means.shape[0]
     apart = (means - means.mean(axis=0)) * n / (n - 1.0)
     middle = np.median(apart, axis=1)
@@ -112,7 +112,7 @@ def _square(series: Series) -> float:
 
 
 def _standing_out(series: Series, total: float, freedom: int) -> tuple[int, ...]:
-    """Return the positions of frames that lie farther off than the scatter of all others lets them.
+    """Return the positions of frames that are farther off than the scatter of all others allows.
 
     A frame less the mean of the n − 1 others, over their scatter times √(n/(n − 1)), follows Student's t.
 

@@ -1,4 +1,4 @@
-"""What a model makes of a little more light or warmth, and of each of its effects: by predictions beside its own."""
+"""Computes how a model responds to a little more light or warmth, and to each of its effects."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What an error that several figures share is: a basis and its variance, and the weights that hold it."""
+"""Describes an error that several figures share: a basis and its variance, and the weights that contain it."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from radiometer.reconciliation.measure.design import Array
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Part:
-    """What a shared error does to one statistic: amplitude · basis · z.
+    """Change of one statistic by a shared error: amplitude · basis · z.
 
     Attributes:
         amplitude: (captures, entries) in the statistic's own scale; 0 where an entry does not count.

@@ -1,7 +1,7 @@
 """Errors that several figures share: y = f(θ) + B·z + ε with z ~ N(0, Φ), each source stating its basis and variance.
 
-What is drawn anew in each capture is taken into the weights of the statistic that it moves (its z integrated out);
-what is the same in all captures, a fixed pattern, is fitted beside the parameters with its variance as prior
+An error that is drawn anew in each capture enters the weights of the statistic that it moves (its z integrated out).
+One that is the same in all captures, a fixed pattern, is fitted with the parameters, its variance as prior
 (`fixed_patterns`). Where one z moves several statistics, the weights hold it in each of them alone; what that leaves
 out is added to the parameters' covariance (`left_out`).
 
@@ -33,7 +33,7 @@ _TOGETHER: Final = 0.85  # of the correlation of one wave's scores that is trust
 
 @dataclass(frozen=True, slots=True)
 class Repeatability:
-    """How far the light differs from one capture to the next, and from one frame to the next.
+    """Scatter of the light from one capture to the next, and from one frame to the next.
 
     Attributes:
         tau: Relative standard deviation from capture to capture.
@@ -66,7 +66,7 @@ def shared_errors(
         usable: Which entries of each statistic count.
         sensitivity: (captures, tiles) d(mean)/d(log light) in DN.
         repeatability: Capture-to-capture and frame-to-frame scatter, the source's own wander included.
-        noise_response: (captures, tiles) how far what goes with a tile's noise follows its log light, by statistic.
+        noise_response: (captures, tiles) how far the statistics of a tile's noise follow its log light, by statistic.
     """
     n = design.frame_count
     first = 1.0 + 1.0 / np.maximum(n - 1.0, 1.0)  # of what a frame's tiles share, in the first less the others' mean
@@ -198,7 +198,7 @@ def chances_of_rows(
 ) -> tuple[SharedError, ...]:
     """Return what the rows' chance variance does to all statistics at once, bin of rows by bin of rows.
 
-    First what differs from frame to frame, then what is left in the mean of the frames; the two are independent.
+    First what differs from frame to frame, then what remains in the mean of the frames; the two are independent.
 
     Args:
         design: Captures and tiles.
@@ -288,7 +288,7 @@ def mixing_of_lines(prediction: Prediction, design: Design, name: str) -> Array:
 def mixing_of_bands(prediction: Prediction, design: Design) -> Array:
     """Return by what such pixels raise the ratios of the bands, (captures, orders).
 
-    Bands of coarse rows gain more than those of fine ones, by 1 + 2ρ·cos(2πν) for ν periods per row; what lies beyond
+    Bands of coarse rows gain more than those of fine ones, by 1 + 2ρ·cos(2πν) for ν periods per row; what is beyond
     the nearest rows counts as in them.
     """
     bins = RowBins.of(design)

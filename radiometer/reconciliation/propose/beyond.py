@@ -2,11 +2,11 @@
 
 A search can only say names that it knows. Where its names leave something, are several, or are doubted, the hypothesis
 that the cause is another one is asked too: names that one law outdoes by far are none. A single name that leaves
-nothing is held to the laws along its own covariate: where one of them predicts better, the name is provisional, or
-none where it brings far less. A name that had to be bent to the data is provisional where a law predicts as well.
+nothing is compared with the laws along its own covariate: where one of them predicts better, the name is provisional,
+or none where it brings far less. A name that had to be bent to the data is provisional where a law predicts as well.
 
 What is known of a name beforehand is its own equation: a table or a curve in its place would follow any law. What names
-bring is therefore what their own equations bring, without the curves that stand for no cause. A name by another
+bring is therefore what their own equations bring, without the curves that represent no cause. A name by another
 equation than the catalogue's is not meant by this: its own brings most of what any law along its covariate brings.
 """
 
@@ -59,7 +59,8 @@ def held_to_laws(
         if not bent or not predicts_as_well(outcome, law):
             return outcome
         said = (
-            f"{' and '.join(bent)} goes by no equation of its own, and {law.name}, a law of no entry, predicts as well"
+            f"{' and '.join(bent)} does not follow its catalogue equation, "
+            f"and {law.name}, a law of no entry, predicts as well"
         )
         say(said)
         return replace(outcome, remarks=(*outcome.remarks, said))
@@ -78,7 +79,7 @@ def held_to_laws(
 
 
 def by_one_form(outcome: Search, state: FitState, law: Proposal) -> Search:
-    """Return the outcome in which one entry in a looser form stands in place of all names; it is provisional.
+    """Return the outcome in which one entry in a looser form replaces all names; it is provisional.
 
     Args:
         outcome: What the search came to.
@@ -104,7 +105,7 @@ def own_covariates(effect: CatalogueEffect) -> tuple[str, ...]:
 
 
 def predicts_better(outcome: Search, law: Proposal) -> bool:
-    """Tell whether the odds are those of a name, each parameter paid for, that it is the law and not what was found.
+    """Return whether the odds are those of a name, each parameter paid for, that it is the law and not what was found.
 
     Args:
         outcome: What the search came to.
@@ -114,7 +115,7 @@ def predicts_better(outcome: Search, law: Proposal) -> bool:
 
 
 def predicts_as_well(outcome: Search, law: Proposal) -> bool:
-    """Tell whether a law is a rival of what was found, each parameter paid for.
+    """Return whether a law is a rival of what was found, each parameter paid for.
 
     An entry by its own equation is known beforehand, a law is not; one that had to be bent has that no more.
 
@@ -126,10 +127,10 @@ def predicts_as_well(outcome: Search, law: Proposal) -> bool:
 
 
 def brings_most(outcome: Search, law: Proposal) -> bool:
-    """Tell whether names stand though a law predicts better: it is their own law, by an equation unlike theirs.
+    """Return whether names stand though a law predicts better: it is their own law, by an equation unlike theirs.
 
-    Their own equations need to bring most of what the law brings and to leave nothing, unless the law goes with the
-    very covariate of the only name. One that acts as other causes would has brought nothing of its own.
+    Their own equations need to bring most of what the law brings and to leave nothing, unless the law depends on the
+    covariate of the only name. One that acts as other causes would has brought nothing new.
 
     Args:
         outcome: What the search came to.
@@ -146,7 +147,7 @@ def brings_most(outcome: Search, law: Proposal) -> bool:
 
 
 def is_bent(effect: CatalogueEffect, outcome: Search) -> bool:
-    """Tell whether an effect took a form with parameters that its own equation has not, or a law of its own."""
+    """Return whether an effect took a form with parameters that its own equation has not, or a free law."""
     return own_equation(effect, outcome) is not effect
 
 
@@ -161,7 +162,7 @@ def own_equation(effect: CatalogueEffect, outcome: Search) -> CatalogueEffect:
 
 
 def by_own_equations(outcome: Search) -> FitState:
-    """Return the model with the names by their own equations, fitted anew, and no curve without a name beside them."""
+    """Return the model with the names by their own equations, fitted anew, without any unnamed curve."""
     state = outcome.state
     if not any(is_bent(effect, outcome) for effect in state.effects) and not any(t.is_smooth for t in state.terms):
         return state
@@ -180,7 +181,7 @@ def without_names(outcome: Search, law: Proposal, said: str) -> Search:
     Args:
         outcome: What the search came to.
         law: The law that explains more.
-        said: What is said of it.
+        said: Remarks about it.
     """
     named = [step for step in outcome.steps if step.name != "unnamed"]
     nearest = max(named, key=lambda step: step.gain_nats)

@@ -125,7 +125,7 @@ def _plain_code(term: Term) -> str:
 
 
 def _closes_last(code: str) -> bool:
-    """Tell whether the first bracket closes at the very end."""
+    """Return whether the first bracket closes at the last character."""
     depth = 0
     for at, letter in enumerate(code):
         depth += {"(": 1, ")": -1}.get(letter, 0)
@@ -186,8 +186,8 @@ def _noise(link: Link) -> list[str]:
 def _per_frame(link: Link, law: Law) -> list[str]:
     """Return the lines of the variance by which frames of a series differ; of three and more the first does not count.
 
-    What goes with the time goes on among the others, evenly where they follow each other evenly; what goes with the
-    rest before a frame is the same for all of them, and of laws by the frame's number some have it and others not.
+    A law of time continues among the others, evenly where they follow each other evenly. A law of the rest before a
+    frame is the same for all of them. Of laws by the frame's number some have it and others not.
     """
     goes_on = "timestamp_s" in law.covariates
     others = "np.maximum(frames - 1.0, 0.0) / (3.0 * frames)" if goes_on else "0.0"
@@ -257,7 +257,7 @@ def source_of_test(
     Args:
         law: The law at its parameters.
         amplitude: Its amplitude.
-        file_name: Name of the effect file beside the test.
+        file_name: Name of the effect file in the folder of the test.
         context: Settings of the frame: those of SETTINGS, since_frame_s, and width and height of the sensor.
         values: Column, row, signal in front of it and what `acted` makes of it.
     """

@@ -59,7 +59,7 @@ def _test(proposal: Proposal, file_name: str) -> str:
 
 
 def _plan(proposal: Proposal) -> dict[str, Any]:
-    """Return captures that go beyond the ranges of the first ones, where the law foretells most, and a repeat."""
+    """Return captures beyond the ranges of the first ones, where the law predicts the largest change, and a repeat."""
     frames, reasons = refuting_frames(proposal)
     return {"format": PLAN_FORMAT, "reasons": reasons, "frames": frames}
 

@@ -1,7 +1,8 @@
-"""A first look at laws of the grammar: what each would explain of the tiles' means, linearised, nuisances following.
+"""Screens the laws of the grammar: the share of the tiles' means that each would explain, linearised, nuisances
+following.
 
-Statistics that go with the light of a tile move with the law as well: the nuisances take them along, and a law that
-left them where they were would seem to disagree with them as soon as a radiance makes room for it.
+Statistics that follow the light of a tile move with the law as well: the nuisances take them along. A law that left
+them in place would seem to disagree with them as soon as a radiance adapts to it.
 """
 
 from __future__ import annotations
@@ -58,7 +59,7 @@ def screened(state: FitState, laws: Iterable[Law]) -> list[Screened]:
 
 @dataclass(frozen=True, slots=True)
 class _Values:
-    """What a law of amplitude 1 comes to in the tiles, broadcasting to (captures, tiles).
+    """Values of a law of amplitude 1 in the tiles, broadcasting to (captures, tiles).
 
     Attributes:
         mean: Its mean in a tile, over the frames of a capture.
@@ -87,7 +88,7 @@ class _Values:
 
 
 class _Look:
-    """What laws change of the statistics that are looked at, and how much of the residual they would take up."""
+    """Changes that laws make in the tested statistics, and how much of the residual they would take up."""
 
     def __init__(self, state: FitState) -> None:
         self._state = state
@@ -193,7 +194,7 @@ def _varies(values: Array) -> bool:
 
 
 def _response(state: FitState, link: str) -> dict[str, Array]:
-    """Return what a unit of a constant law changes of means and of what goes with the light, (captures, tiles) each."""
+    """Return the change by a unit of a constant law in means and in statistics of the light, (captures, tiles) each."""
     exposure = state.design.exposure_s
     step = {
         "1": 1e-3,

@@ -1,8 +1,8 @@
 """The small grammar of laws: covariates with their units, and the forms that physicists write of them.
 
-A form is a line of NumPy that goes into the effect file as it stands, with the parameters that it needs beside the
-amplitude. Each constant carries a unit: that of the covariate for places, times and periods, none for exponents and
-phases; the amplitude's unit is that of the stage.
+A form is a line of NumPy that goes into the effect file as it stands, with the parameters that it needs in addition
+to the amplitude. Each constant carries a unit: that of the covariate for places, times and periods, none for
+exponents and phases; the amplitude's unit is that of the stage.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ _FRAMES: Final = range(2, 13)  # from one frame to the next of its kind
 
 @dataclass(frozen=True, slots=True)
 class Covariate:
-    """Something that a disagreement may go with.
+    """A variable on which a disagreement may depend.
 
     Attributes:
         name: Its name in results.
@@ -112,7 +112,7 @@ class Form:
     Attributes:
         name: Its name.
         code: A line of NumPy with the covariate as `{u}` and parameters as `{their role}`.
-        roles: Parameters beside the amplitude: role and whether they have the covariate's unit.
+        roles: Parameters without the amplitude: role and whether they have the covariate's unit.
         fixed: Roles that the fit leaves where they are, for the prediction jumps in them.
         said: Its words, with `{covariate}`.
         is_steep: Whether it changes along a place as no quadratic surface does.
@@ -225,7 +225,7 @@ class Term:
     Attributes:
         form: Name of the form.
         covariate: Name of its covariate; a spot stands under `image_x`.
-        constants: Numbers that stand in the formula itself: reference, end.
+        constants: Numbers in the formula itself: reference, end.
         values: Parameters by role.
     """
 

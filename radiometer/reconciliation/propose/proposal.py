@@ -1,4 +1,4 @@
-"""A proposed law with its evidence, and what is said of it."""
+"""Holds a proposed law with its evidence and the remarks about it."""
 
 from __future__ import annotations
 
@@ -20,9 +20,9 @@ _ENDS: Final = ("left", "middle", "right"), ("upper", "middle", "lower")
 
 @dataclass(frozen=True, slots=True)
 class Rival:
-    """Another law that the data do not rule out: name, stage, covariates, and how many nats it lies behind.
+    """Another law that the data do not rule out: name, stage, covariates, and how many nats it is behind.
 
-    Fewer than none where it lies ahead of one that acts at a plainer stage.
+    Negative where it is ahead of one that acts at a plainer stage.
     """
 
     name: str
@@ -70,7 +70,7 @@ class Proposal:
 
     @property
     def covariates(self) -> tuple[str, ...]:
-        """Return what it goes with; what its stage goes with too."""
+        """Return the covariates on which it depends, those of its stage included."""
         return tuple(dict.fromkeys((*self.law.covariates, *LINKS[self.law.link].goes_with)))
 
     @property
@@ -96,7 +96,7 @@ class Proposal:
         )
 
     def to_mapping(self) -> dict[str, Any]:
-        """Return the mapping that stands in JSON under `proposal`."""
+        """Return the mapping under `proposal` of the JSON form."""
         return {
             "name": self.name,
             "stage": self.stage,

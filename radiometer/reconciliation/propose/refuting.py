@@ -1,4 +1,4 @@
-"""The captures that would refute a law: settings not taken yet under which it foretells most."""
+"""Plans the captures that would refute a law: settings not taken yet under which it predicts most."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ _SHOWS_CHI2: Final = 9.0
 
 
 def refuting_frames(proposal: Proposal) -> tuple[list[dict[str, Any]], list[str]]:
-    """Return frames for `radiometer bracket --plan`, and for each what the law foretells there.
+    """Return frames for `radiometer bracket --plan`, and for each what the law predicts there.
 
-    Of the settings that the rig could take those come first that were not taken and where the camera with the law and
-    the one without it differ most; where there are none, the settings in use are repeated.
+    New settings come first, those where the camera with the law and the one without it differ most. Where the rig has
+    no new settings, those in use are repeated.
     """
     pool = CapturePool.of(proposal.after)
     with_law, without = pool.predicted(proposal.after), pool.predicted(proposal.before)
@@ -26,7 +26,7 @@ def refuting_frames(proposal: Proposal) -> tuple[list[dict[str, Any]], list[str]
     worth = np.where(pool.is_new, worth, 0.5 * worth)
     is_noise = LINKS[proposal.law.link].is_noise
     apart = np.sqrt(with_law.variance) - np.sqrt(without.variance) if is_noise else with_law.mean - without.mean
-    does = "scatters by" if is_noise else "lies"
+    does = "scatters by" if is_noise else "differs by"
     frames, reasons = list[dict[str, Any]](), list[str]()
     for index in np.argsort(-worth)[:_CAPTURES].tolist():
         if worth[index] < _SHOWS_CHI2 and frames:
@@ -38,6 +38,6 @@ def refuting_frames(proposal: Proposal) -> tuple[list[dict[str, Any]], list[str]
         reasons.append(
             f"{frame.exposure_s:.3g} s at {frame.gain_db:g} dB, source level {frame.source_level:g}, shutter "
             f"{frame.shutter}: with {proposal.name} patch {pool.design.tiles[tile].name} {does} "
-            f"{apart[index, tile]:+.3g} DN beside the camera without it; it is refuted where that is not seen"
+            f"{apart[index, tile]:+.3g} DN relative to the camera without it; the law is refuted where that is not seen"
         )
     return frames, reasons

@@ -1,8 +1,8 @@
 """Finds the law: stage, covariates and formula by what they predict of held-out settings, each parameter paid for.
 
-First all laws of the grammar are looked at in the tiles' means, slopes and first frames, linearised about the starting
-camera with all nuisances following; the best of each kind are then fitted to all statistics as the effects that they
-would be, and judged as names are. Source of the score: docs/decisions/0011.
+First all laws of the grammar are tested on the tiles' means, slopes and first frames, linearised about the starting
+camera with all nuisances following. The best of each kind are then fitted to all statistics as effects, and judged as
+names are. Source of the score: docs/decisions/0011.
 """
 
 from __future__ import annotations
@@ -138,7 +138,7 @@ def _finer(state: FitState, singles: Sequence[Screened], forms: Collection[str])
 
 
 def _is_sharp(law: Law) -> bool:
-    """Tell whether it has a single term whose only place the fit leaves where it is."""
+    """Return whether it has a single term whose only place the fit leaves where it is."""
     return [term.form for term in law.terms] in (["step"], ["border"])
 
 
@@ -164,7 +164,7 @@ def _goes_alone(law: Law) -> bool:
 
 
 def _links_of_product(link: str, first: str, second: str) -> tuple[str, ...]:
-    """Return where a product may act: at its first factor's place, and in the scene where it goes with the drive."""
+    """Return where a product may act: at its first factor's place, and in the scene where it depends on the drive."""
     scenic = "source_level" in (first, second) and (first in PLACES or second in PLACES)
     if scenic:
         return ("scene",)
@@ -208,7 +208,7 @@ def _judged(fits: FullFits, chosen: list[Screened], say: Say) -> list[_JudgedLaw
     """Return the laws fitted to all statistics, with the nats that they improve held-out settings by.
 
     Those that leave too much though the nuisances follow are not among them; where entries are far off, these follow
-    too badly to tell.
+    too badly to judge.
     """
     fitted, state = list[tuple[Law, FittedCandidate]](), fits.state
     most = np.inf if is_far(state) else fits.most
@@ -257,8 +257,8 @@ def _plainest(judged: Sequence[_JudgedLaw]) -> _JudgedLaw:
 def _without_its_second(fits: FullFits, best: _JudgedLaw, judged: Sequence[_JudgedLaw]) -> _JudgedLaw:
     """Return a law without its second factor where a free curve along the first one's covariate does as well.
 
-    Beside a huge disagreement a form that is a little off leaves more than chance, and whatever goes with its covariate
-    for the most part would mend it.
+    Where the disagreement is huge, a form that is a little off leaves more than chance. Any law that mostly depends
+    on its covariate would absorb that.
     """
     law, fitted, _ = best
     if len(law.terms) < 2:
@@ -276,7 +276,7 @@ def _without_its_second(fits: FullFits, best: _JudgedLaw, judged: Sequence[_Judg
 
 
 def _holds(law: Law, other: Law) -> bool:
-    """Tell whether a law is another one times something more."""
+    """Return whether a law is another one times something more."""
     return law.link == other.link and set(_formula(other)) < set(_formula(law))
 
 

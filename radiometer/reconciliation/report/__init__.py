@@ -1,1 +1,1 @@
-"""What was found, as result, report and camera model."""
+"""Writes the findings as result, report and camera model."""

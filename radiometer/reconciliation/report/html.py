@@ -1,4 +1,4 @@
-"""The self-contained HTML report: one picture first, then each name with what speaks for it; tables last."""
+"""The self-contained HTML report: one picture first, then each name with its evidence; tables last."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ def report_html(reconciled: Reconciled, title: str) -> str:
             *[_effect(effect, reconciled) for effect in result.effects],
             _following(result),
             _repeats(result),
-            section("Where the rest lies", pictures.rest_map(reconciled.outcome.state)),
+            section("Where the residual is", pictures.rest_map(reconciled.outcome.state)),
             heading("Figures"),
             folded("Equal frames, each less the others of its series", _frames(result)),
             folded(
@@ -86,7 +86,7 @@ def _size(effect: FoundEffect) -> str:
 
 
 def _plain(name: str, unit: str) -> str:
-    """Return a parameter's name without its unit, which stands beside the value."""
+    """Return a parameter's name without its unit, which is shown with the value."""
     stem, _, last = name.rpartition("_")
     return (stem if stem and last.casefold() == unit.casefold().rstrip("-") else name).replace("_", " ")
 
@@ -159,7 +159,7 @@ def _is_weak(effect: FoundEffect) -> bool:
 
 
 def _physics(kind: type[CatalogueEffect]) -> str:
-    """Return what an effect does, in the words of its own file."""
+    """Return the description of an effect from its file."""
     return (inspect.getdoc(kind) or "").partition("\n\n")[0].replace("\n", " ")
 
 
@@ -221,8 +221,8 @@ def _rivals(effect: FoundEffect) -> str:
     if not effect.alternatives:
         return closest
     others = listed([f"{name}.{_in_words(name)}" for name in effect.alternatives])
-    only = "Each ± holds only if it is this one: it knows nothing of the choice among them."
-    return f"{closest}{paragraph('These data cannot tell it from:')}{others}{paragraph(only, 'small')}"
+    only = "Each ± is conditional on this effect being the right one."
+    return f"{closest}{paragraph('These data cannot separate it from:')}{others}{paragraph(only, 'small')}"
 
 
 def _in_words(name: str) -> str:

@@ -1,4 +1,4 @@
-"""The pictures of the report: the gap as it closes, each effect along its covariate, and where the rest lies."""
+"""Draws the pictures of the report: the gap as it closes, each effect along its covariate, and the residual."""
 
 from __future__ import annotations
 
@@ -151,7 +151,7 @@ def effect_plot(state: FitState, effect: CatalogueEffect, u_rel: float | None) -
             axes.fill_between(x, curve - wide, curve + wide, color=AFTER, alpha=0.2, linewidth=0)
         _along(axes, effect.where, f"{effect.block}: residual in σ")
 
-    caption = "Points: what is left without it, with k = 1 bars. Line: what it predicts, with its k = 2 band."
+    caption = "Points: residual without it, with k = 1 bars. Line: what it predicts, with its k = 2 band."
     return picture(draw, caption, _WIDE, _NARROW)
 
 

@@ -1,4 +1,4 @@
-"""What statistics and covariates are called in the report."""
+"""Names of statistics and covariates in the report."""
 
 from __future__ import annotations
 

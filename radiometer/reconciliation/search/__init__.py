@@ -1,1 +1,1 @@
-"""Which effects are missing: places of disagreement, candidates, names, rivals."""
+"""Finds the missing effects: places of disagreement, candidates, names, rivals."""

@@ -1,9 +1,9 @@
-"""What comes back every so many frames: found in the order of the frames, which no setting knows.
+"""Finds disturbances that recur every so many frames, from the order of the frames alone.
 
 Frames of one setting should show the same light, but for the noise of pixels and for what a source scatters from frame
-to frame at random. The light of each frame against the mean of its own setting is looked at by its running number
-modulo every period; a camera or lamp that darkens each fifth frame stands out there, where a variance alone would pass
-for flicker.
+to frame at random. The light of each frame, relative to the mean of its setting, is sorted by its running number
+modulo every period. A camera or lamp that darkens each fifth frame shows there; a variance alone would look like
+flicker.
 
 Source: analysis of variance in one way, within settings; F test with Bonferroni's correction over the periods.
 """
@@ -88,8 +88,8 @@ class FrameLight:
 def periodic(design: Design, light: FrameLight, unit: Array, clear: NDArray[np.bool_]) -> Periodic | None:
     """Return the period in which the light of frames comes back; None where chance explains what there is.
 
-    What goes with a frame's place within its setting is taken out first: a first frame that differs, or a drift within
-    the repeats, has a statistic of its own.
+    Any dependence on a frame's place within its setting is removed first. A first frame that differs, or a drift
+    within the repeats, has a separate statistic.
 
     Args:
         design: Captures.
@@ -114,7 +114,7 @@ def periodic(design: Design, light: FrameLight, unit: Array, clear: NDArray[np.b
 def steadied(design: Design, light: FrameLight, seen: CaptureStatistics, again: Periodic) -> CaptureStatistics:
     """Return the statistics as they would be if all frames of a capture had its mean light.
 
-    What is known to go with the order of the frames would pass for flicker and for a first frame that differs. Means
+    A known dependence on the order of the frames would look like flicker and like a first frame that differs. Means
     stay as they are: the noise of the frames is that of the light that they had.
 
     Args:
@@ -163,5 +163,5 @@ def _rated(frames: list[tuple[int, ...]], apart: list[Array], weight: list[float
 
 
 def _beside(known: Array, values: Array) -> Array:
-    """Return what is left of values beside known columns."""
+    """Return the residual of values after known columns."""
     return np.asarray(values - known @ np.linalg.lstsq(known, values, rcond=_RANK)[0])

@@ -25,7 +25,7 @@ def free_forms(state: FitState, effect: CatalogueEffect) -> tuple[FreeLaw, ...]:
     """Return an effect with a free law: along each of its covariates, and along two together.
 
     Args:
-        state: The model, which tells what signals there are in front of the effect.
+        state: The model, which gives the signals in front of the effect.
         effect: The effect by its own law.
     """
     if isinstance(effect, FreeLaw) or not effect.free() or any("[" in name for name in effect.free()):
@@ -48,7 +48,7 @@ def _freed(effect: CatalogueEffect, at: Mapping[str, tuple[float, ...]]) -> Free
 
 
 def _knots(state: FitState, effect: CatalogueEffect, axis: str, count: int) -> tuple[float, ...]:
-    """Return where so many knots lie along a covariate; each of few levels is one, none where it does not vary."""
+    """Return the places of so many knots along a covariate; each of few levels is one, none where it does not vary."""
     before = state.trace.in_front(place_for(effect, state.trace.links))
     values = axis_values(effect, axis, before.mean, state.model.context)
     if values is None:
@@ -66,7 +66,7 @@ def _knots(state: FitState, effect: CatalogueEffect, axis: str, count: int) -> t
 
 
 def _acts(state: FitState, effect: CatalogueEffect, before: TileMoments) -> Mask:
-    """Tell where an effect does anything at all: elsewhere no law of it can be seen."""
+    """Return where an effect does anything at all: elsewhere no law of it can be seen."""
     after = effect.moments(before, state.model.context)
     names = ("mean", *before.squared, *before.linear)
     moved = [np.not_equal(getattr(after, name), getattr(before, name)) for name in names]

@@ -1,12 +1,13 @@
-"""One name by a looser form, or by a law of its own, in place of several that only mend a wrong equation.
+"""Replaces several names that only correct a wrong equation by one name with a looser form or a free law.
 
 A search adds what helps most, one name after the other, and comes to a looser form only by way of the plain one. A
-cause that the plain form does not meet well is then told as several that mend each other (wings of stray light as a
-display's gamma with a fall-off). Of models that predict as well the one of a single cause is told.
+cause that the plain form describes badly is then reported as several that correct each other (wings of stray light as
+a display's gamma with a fall-off). Of models that predict equally well the one of a single cause is reported.
 
 Where structure stays in the end, the names that were found may be one cause by another law than the catalogue's. Each
-entry's change is then tried times a free curve along its own covariates (`simulators/effects/free_law.py`), alone from
-the start on or in the place of a name, by the score of all models; it stays where nothing is left beside it.
+entry's change is then multiplied by a free curve along its own covariates (`simulators/effects/free_law.py`). It is
+tried alone from the start on or in the place of a name, by the score of all models. It is kept where it leaves
+nothing unexplained.
 """
 
 from __future__ import annotations
@@ -35,7 +36,7 @@ _FEW: Final = 6  # iterations that tell how the others do alone
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Mended:
+class Refined:
     """A model in which one name took a free law.
 
     Attributes:
@@ -129,7 +130,7 @@ def rated(state: FitState) -> float:
     return worth(state) + sum(effect.log_prior_odds for effect in state.effects)
 
 
-def by_a_free_law(start: FitState, state: FitState, alone: Sequence[CatalogueEffect]) -> Mended | None:
+def by_a_free_law(start: FitState, state: FitState, alone: Sequence[CatalogueEffect]) -> Refined | None:
     """Return the model with one name by a free law that does better than all that was found; None for none.
 
     Args:
@@ -137,31 +138,31 @@ def by_a_free_law(start: FitState, state: FitState, alone: Sequence[CatalogueEff
         state: What was found; structure stays in it.
         alone: Entries as they fit the start, each alone.
     """
-    found = list[Mended]()
+    found = list[Refined]()
     for promises in (_of_one(start, alone), _in_place(start, state)):
         found += _tried(promises, state)
-        if any(not is_misfit(mended.state) for mended in found):
+        if any(not is_misfit(refined.state) for refined in found):
             break
     if not found:
         return None
-    best = max(found, key=lambda mended: worth(mended.state))
-    closing = [mended for mended in found if not is_misfit(mended.state)]
+    best = max(found, key=lambda refined: worth(refined.state))
+    closing = [refined for refined in found if not is_misfit(refined.state)]
     return replace(best, rivals=tuple({m.name: m.form for m in closing if m.name != best.name}.values()))
 
 
 _Promise = tuple[float, FitState, FreeLaw]
 
 
-def _tried(promises: Iterator[_Promise], state: FitState) -> Iterator[Mended]:
+def _tried(promises: Iterator[_Promise], state: FitState) -> Iterator[Refined]:
     """Yield the models of the most promising forms, one for each name, that are worth more than what was found."""
     least = worth(state)
     tried = set[str]()
     for _, base, form in sorted(promises, key=lambda entry: -entry[0]):
         if form.name not in tried and len(tried) < _FITTED:
             tried.add(form.name)
-            mended = _fitted(base, form, least, nowhere_near(base, state))
-            if mended is not None:
-                yield mended
+            refined = _fitted(base, form, least, nowhere_near(base, state))
+            if refined is not None:
+                yield refined
 
 
 def _of_one(start: FitState, alone: Sequence[CatalogueEffect]) -> Iterator[_Promise]:
@@ -172,7 +173,7 @@ def _of_one(start: FitState, alone: Sequence[CatalogueEffect]) -> Iterator[_Prom
 
 
 def _in_place(start: FitState, state: FitState) -> Iterator[_Promise]:
-    """Yield the same of forms in the place of a name, the other names standing beside it."""
+    """Yield the same of forms in the place of a name, the other names kept."""
     for effect in state.effects if len(state.effects) > 1 else ():
         beside = with_terms(with_effects(state, [other for other in state.effects if other is not effect]), ())
         base = refit(beside, iterations=_FEW)
@@ -194,8 +195,8 @@ def promise(base: FitState, form: CatalogueEffect) -> float:
     return base.fit.score(slice(0, base.comparison.size), followed)[0] / 2.0 - PARAMETER_NATS * len(form.free())
 
 
-def _fitted(base: FitState, form: FreeLaw, least: float, most: float) -> Mended | None:
-    """Return the model with a form, fitted in full; None where its plain law is far from what it comes to.
+def _fitted(base: FitState, form: FreeLaw, least: float, most: float) -> Refined | None:
+    """Return the model with a form, fitted in full; None where its plain law is far from the result.
 
     None too where it is not worth more than `least`, or leaves more than `most` under the weights of the model without
     it; how far its plain law comes is not asked then.
@@ -210,4 +211,4 @@ def _fitted(base: FitState, form: FreeLaw, least: float, most: float) -> Mended 
     brought, whole = plain.evidence - base.evidence, state.evidence - base.evidence
     if brought < LAW_SHARE * whole:
         return None
-    return Mended(state, form.name, base)
+    return Refined(state, form.name, base)

@@ -131,7 +131,7 @@ def trend_bases(state: FitState, axes: Mapping[str, Covariate]) -> Iterator[Basi
 
 
 def score(state: FitState, basis: Basis, fit: LinearFit) -> Disagreement | None:
-    """Return the test of one trend beside a linear fit; None where the fit leaves nothing of the trend."""
+    """Return the test of one trend on top of a linear fit; None where the fit leaves nothing of the trend."""
     explained, rank = fit.score(state.comparison.cuts[basis.block], basis.columns)
     if not rank:
         return None
@@ -149,7 +149,8 @@ def global_p_value(state: FitState, tests: Sequence[Disagreement]) -> float:
 
     The tests are correlated: their columns overlap, and the nuisances take a part of each. Under no disagreement the
     whitened residual is normal, so that the products of all columns with it are normal too, with a covariance that is
-    known; their draws give the distribution of the least p. Below what the draws can tell, Bonferroni's bound stands.
+    known; their draws give the distribution of the least p. Below the resolution of the draws, Bonferroni's bound
+    holds.
 
     Source: N. Anau Montel, J. Alvey, C. Weniger, Phys. Rev. D 111 (2025) 083013, who ask many distortions at once and
     calibrate the least p by simulations.
@@ -258,7 +259,7 @@ def smooth_term(state: FitState, test: Disagreement) -> LinearTerm:
 
 
 def axis_of(where: str, block: str) -> str:
-    """Return the covariate that a test's axis stands for.
+    """Return the covariate of a test's axis.
 
     Args:
         where: Axis of the test.
@@ -297,15 +298,15 @@ def _beside(state: FitState, fit: LinearFit, basis: Basis) -> LinearFit:
 
 
 def own_place(effect: CatalogueEffect) -> tuple[str, str]:
-    """Return the covariate (as the picture shows it) and the statistic that an effect stands for."""
+    """Return the covariate (as the picture shows it) and the statistic of an effect."""
     return _AS_SEEN.get(effect.where, effect.where), effect.block
 
 
 def departing(tests: Sequence[Disagreement], effects: Sequence[CatalogueEffect]) -> list[str]:
-    """Return the names of effects beside which structure stays in the very statistic and place that they stand for.
+    """Return the names of effects that leave structure in their own statistic and place.
 
-    All tests together share one chance of a false alarm; the few that tell whether an effect follows its law have one
-    of their own. Another cause that looks much alike is found out there first.
+    All tests together share one chance of a false alarm; the few that test whether an effect follows its law have a
+    separate one. Another cause that looks much alike is found out there first.
 
     Args:
         tests: All tests of the final model.

@@ -1,4 +1,4 @@
-"""How a model with names is changed: a name dropped, swapped for another, several joined into one, a law loosened.
+"""Changes a model with names: drops a name, swaps it for another, joins several into one, loosens a law.
 
 What was named first knew nothing of what came later. Each move is judged by the score that also adds names: the
 held-out log density, every parameter paid for.
@@ -15,7 +15,7 @@ import numpy as np
 
 from radiometer.errors import ConfigurationError
 from radiometer.reconciliation.fit.candidate_fit import fit_candidate, judged_gain
-from radiometer.reconciliation.fit.descent import approached, refit, settled
+from radiometer.reconciliation.fit.descent import coarse_fit, converged_fit, refit
 from radiometer.reconciliation.fit.full_fit import FullFits, UnfitError, contenders_of, included
 from radiometer.reconciliation.fit.state import FitState, reweighted, with_effects, with_terms
 from radiometer.reconciliation.fit.terms import LinearTerm
@@ -31,7 +31,7 @@ _REFITTED: Final = 2  # forms that are fitted in full, the most promising first
 
 
 def pruned(state: FitState, say: Callable[[str], None]) -> tuple[FitState, list[str]]:
-    """Drop earlier effects and unnamed terms that bring nothing beside the newest.
+    """Drop earlier effects and unnamed terms that the newest made superfluous.
 
     Args:
         state: The model with the newest.
@@ -91,7 +91,7 @@ def _log_density(state: FitState) -> float:
 def better(
     state: FitState, name: str, catalogue: Mapping[str, type[CatalogueEffect]], pool: StartPool
 ) -> tuple[FitState, CatalogueEffect] | None:
-    """Return the model with another entry in place of one, where it predicts better beside what was named later.
+    """Return the model with another entry in place of one, where it predicts better together with what was named later.
 
     Args:
         state: The model with all names so far.
@@ -105,7 +105,7 @@ def better(
     own = next(effect for effect in state.effects if effect.name == name)
     present = {effect.name for effect in state.effects}
     try:
-        rest = settled(approached(with_effects(state, [effect for effect in state.effects if effect is not own])))
+        rest = converged_fit(coarse_fit(with_effects(state, [effect for effect in state.effects if effect is not own])))
         others = [candidate for candidate in screen(rest, catalogue, pool) if candidate.effect.name not in present]
         judged = [(fitted, judged_gain(rest, fitted)) for fitted in (fit_candidate(rest, c) for c in others[:_FITTED])]
         fits = FullFits(rest)
@@ -123,7 +123,7 @@ def better(
 
 
 def simpler(state: FitState, catalogue: Mapping[str, type[CatalogueEffect]]) -> tuple[FitState, CatalogueEffect] | None:
-    """Return the model with one entry in place of those that it may stand for, where fewer parameters predict as well.
+    """Return the model with one entry in place of those that it may replace, where fewer parameters predict as well.
 
     Each parameter that is saved is worth what a further one must bring.
 
@@ -238,7 +238,7 @@ def _fitted(state: FitState, index: int, form: CatalogueEffect) -> Loosened | No
     """
     others = [effect for place, effect in enumerate(state.effects) if place != index]
     try:
-        following = settled(approached(with_effects(state, [*others, form])))
+        following = converged_fit(coarse_fit(with_effects(state, [*others, form])))
     except (np.linalg.LinAlgError, ConfigurationError):  # no covariance, or parameters that are no numbers
         return None
     further = _further(state.effects[index], form)

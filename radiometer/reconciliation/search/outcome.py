@@ -1,4 +1,4 @@
-"""What a search comes to: the steps it took, the model that is left, and the result drawn from it."""
+"""Holds the outcome of a search: its steps, the final model, and the result drawn from it."""
 
 from __future__ import annotations
 
@@ -24,8 +24,8 @@ class Step:
         rivals: Effects within 5 nats.
         closest: For an unnamed term, the closest entry and the share of it that it explains.
         block: For an unnamed term, the statistic that shows it.
-        outdone: Whether a plain trend of fewer parameters along the same covariate, or another entry, predicts better:
-            only what is usual speaks for the name then.
+        outperformed: Whether a plain trend of fewer parameters along the same covariate, or another entry, predicts
+            better. The name is then supported only because it is usual.
     """
 
     name: str
@@ -36,7 +36,7 @@ class Step:
     rivals: tuple[CatalogueEffect, ...] = ()
     closest: tuple[str, float] | None = None
     block: str = ""
-    outdone: bool = False
+    outperformed: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,7 +50,7 @@ class Search:
         left: Disagreements that stay significant.
         tests: All tests of the final model.
         first_tests: All tests of the ideal camera.
-        remarks: What else is to be said of how it came about.
+        remarks: Further remarks on how it came about.
     """
 
     state: FitState

@@ -1,4 +1,4 @@
-"""Which other entries explain the data about as well as the chosen one."""
+"""Finds the other entries that explain the data about as well as the chosen one."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def rivals_of(
     linear: Judged,
     catalogue: Mapping[str, type[CatalogueEffect]],
 ) -> tuple[CatalogueEffect, ...]:
-    """Return the effects, at their best parameters, that the data cannot tell from the chosen one.
+    """Return the effects, at their best parameters, that the data cannot separate from the chosen one.
 
     Args:
         state: The model without the chosen one.
@@ -41,10 +41,10 @@ def rivals_of(
 
 
 def _is_rival(other: FittedCandidate, nats: float, chosen: Judged) -> bool:
-    """Tell whether another entry predicts about as well; each further parameter must be paid for.
+    """Return whether another entry predicts about as well; each further parameter must be paid for.
 
-    One with more parameters of which one lies on its bound is the chosen one's likeness in a limit: a kernel as wide as
-    the picture is a veil.
+    One with more parameters, one of them on its bound, imitates the chosen one in a limit: a kernel as wide as the
+    picture is a veil.
     """
     further = max(other.parameters - chosen[0].parameters, 0)
     if other.name == chosen[0].name or (further and other.columns.shape[1] < other.parameters):
@@ -68,7 +68,7 @@ def _unvaried(state: FitState, chosen: Judged, catalogue: Mapping[str, type[Cata
 
 
 def _is_absorbed(state: FitState, fitted: FittedCandidate) -> bool:
-    """Tell whether the nuisances take up all that an entry does: it is nobody's rival, whatever is left of it fits."""
+    """Return whether the nuisances absorb an entry entirely: it then rivals no effect."""
     part = state.fit.half(state.fit.pull(fitted.columns))
     whole = np.sum(fitted.columns**2, axis=0)
     return bool(np.all(whole - np.sum(part**2, axis=0) < _LEFT * np.maximum(whole, 1e-12)))

@@ -48,8 +48,8 @@ def likeliest(judged: list[tuple[FittedCandidate, float]]) -> tuple[FittedCandid
 def by_itself(full: list[Judged], alone: list[Judged], scatter: float) -> Judged:
     """Return of candidates that a full fit makes as good as the best the one that brings most by itself.
 
-    Where much is wrong still, what all else must move far for may look like anything: what scatters for no known reason
-    makes nats worth that much less, and within those of a rival the gain with all else near where it was decides.
+    Where much is still wrong, an entry for which all else must move far may look like anything. Unexplained scatter
+    makes nats worth that much less. Within the nats of a rival, the gain with all else near its former place decides.
 
     Args:
         full: Candidates as their full fits judge them; not none.
@@ -69,11 +69,11 @@ def log_chance(gain: float, parameters: int) -> float:
 
 
 def is_shown(fitted: FittedCandidate, nats: float, limit: float, *, later: bool, far: bool = False) -> bool:
-    """Tell whether settings held out are predicted better, beyond chance, and in the statistic that must show it.
+    """Return whether settings held out are predicted better, beyond chance, and in the statistic that must show it.
 
     Far off, where nuisances would have to move by much, the statistic is asked by the full fit alone. Of many starts
-    one fits by chance, and beside an effect that is there already a further one is less likely. The radiances of
-    patches are stated once: an error of their measurement that goes with the level looks like an effect.
+    one fits by chance, and after a first effect a further one is less likely. The radiances of
+    patches are stated once: an error of their measurement that depends on the level looks like an effect.
     """
     needed = NAMED_NATS - fitted.effect.log_prior_odds + float(np.log(max(fitted.tries / FEW_TRIES, 1.0)))
     needed += STATED_NATS if fitted.stated > STATED_SHARE * fitted.gain else 0.0

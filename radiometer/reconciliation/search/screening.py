@@ -37,11 +37,11 @@ def usable_catalogue(
 
 @dataclass(frozen=True, slots=True)
 class Before:
-    """What another model's screening found, by which this one asks the likeliest entries first.
+    """Results of another model's screening, by which this one tests the likeliest entries first.
 
     Attributes:
         candidates: Its candidates.
-        wanted: How many of the best are wanted now.
+        wanted: How many of the best are needed now.
     """
 
     candidates: Sequence[Candidate] = ()
@@ -56,9 +56,9 @@ def screen(
 ) -> list[Candidate]:
     """Return the best start of every usable entry (rigid and flexible apart), the most promising first.
 
-    Where a screening of the model before is known, entries are asked in the order of what they explained there, and no
-    more once enough explain twice what any of the rest did: what is left to explain falls from model to model. The rest
-    come as they were, behind these.
+    Where a screening of the model before is known, entries are tested in the order of what they explained there.
+    Testing stops once enough explain twice what any of the rest did, since the disagreement falls from model to
+    model. The rest come as they were, behind these.
 
     Args:
         state: The fitted model.
@@ -104,7 +104,7 @@ def _screened(state: FitState, kinds: Sequence[type[CatalogueEffect]], pool: Sta
 
 
 def of_seen_codes(seen: CaptureStatistics, starts: tuple[CatalogueEffect, ...]) -> tuple[CatalogueEffect, ...]:
-    """Return the starts that leave no gaps where codes occur: a step too coarse may mend what another effect moves.
+    """Return the starts that leave no gaps where codes occur: a coarse step may compensate another effect.
 
     Args:
         seen: What was measured.

@@ -118,9 +118,9 @@ def search(
 def _to_its_end(
     start: FitState, state: FitState, tests: tuple[Disagreement, ...], run: _Run, barred: str = ""
 ) -> Search:
-    """Return what a search comes to from a model on, where one name may not be given at once."""
+    """Return the outcome of a search from a model on, where one name may not be given at once."""
     state, tests = _stepped(state, tests, run, MOST_STEPS, barred)
-    for change in (_as_one, _mended):
+    for change in (_as_one, _refined):
         changed = change(start, state, tests, run)
         if changed is None:
             continue
@@ -167,7 +167,7 @@ def _as_one(start: FitState, state: FitState, tests: tuple[Disagreement, ...], r
     return found
 
 
-def _mended(start: FitState, state: FitState, tests: tuple[Disagreement, ...], run: _Run) -> FitState | None:
+def _refined(start: FitState, state: FitState, tests: tuple[Disagreement, ...], run: _Run) -> FitState | None:
     """Return the model with a free law for one name, where structure stays and it does better than what was found."""
     unnamed = any(step.name == "unnamed" for step in run.steps)
     stays = unnamed or significant(tests) or is_misfit(state) or departing(tests, state.effects)
@@ -176,15 +176,15 @@ def _mended(start: FitState, state: FitState, tests: tuple[Disagreement, ...], r
     found = by_a_free_law(start, state, run.first)
     if found is None:
         return None
-    run.say(f"{found.name} by a law of its own: gap {state.gap:.3f} → {found.state.gap:.3f}")
+    run.say(f"{found.name} by a free law: gap {state.gap:.3f} → {found.state.gap:.3f}")
     old = {step.name: step for step in run.steps}
-    mended, dropped = pruned(found.state, run.say)
+    refined, dropped = pruned(found.state, run.say)
     run.steps = []
-    for effect in sorted(mended.effects, key=lambda effect: effect.name == found.name):
-        step = Step(effect.name, effect.where, found.nats, found.beside.gap, mended.gap, found.rivals)
+    for effect in sorted(refined.effects, key=lambda effect: effect.name == found.name):
+        step = Step(effect.name, effect.where, found.nats, found.beside.gap, refined.gap, found.rivals)
         run.steps.append(step if effect.name == found.name else old[effect.name])
     run.refused |= set(dropped)
-    return mended
+    return refined
 
 
 def _one_step(state: FitState, tests: tuple[Disagreement, ...], run: _Run) -> FitState | None:
@@ -214,9 +214,9 @@ def _one_step(state: FitState, tests: tuple[Disagreement, ...], run: _Run) -> Fi
         if not _convinces(state, chosen, standing, plain) or _is_likelier(fits, looser, chosen):
             break
         others = judged if contenders is shown else contenders
-        outdone = any(_is_plainer(kind, chosen[0]) and lead > 0.0 for kind, lead in plain.items())
-        outdone |= any(_outdoes(other, chosen) for other in others)
-        following = _named(fits, chosen, others, judged, run, outdone=outdone)
+        outperformed = any(_is_plainer(kind, chosen[0]) and lead > 0.0 for kind, lead in plain.items())
+        outperformed |= any(_outperforms(other, chosen) for other in others)
+        following = _named(fits, chosen, others, judged, run, outperformed=outperformed)
         if following is not None:
             if (lead := _lead(chosen, others)) < NEAR_SHARE:
                 run.turns.append(_Turn(state, tests, chosen[0].name, lead, steps, refused))
@@ -228,7 +228,7 @@ def _one_step(state: FitState, tests: tuple[Disagreement, ...], run: _Run) -> Fi
 
 
 def _fitted(state: FitState, candidate: Candidate, run: _Run) -> FittedCandidate:
-    """Return a candidate fitted; it begins where it came to beside the model before, too."""
+    """Return a candidate fitted; it begins from its fit with the model before, too."""
     key = (candidate.effect.name, candidate.flexible)
     found = fit_candidate(state, replace(candidate, others=(*candidate.others, *run.forms.get(key, ()))))
     run.forms[key] = found.forms
@@ -236,7 +236,7 @@ def _fitted(state: FitState, candidate: Candidate, run: _Run) -> FittedCandidate
 
 
 def _is_likelier(fits: FullFits, looser: LooserForms, chosen: tuple[FittedCandidate, float]) -> bool:
-    """Tell whether another form of an effect that is there predicts better than a further effect.
+    """Return whether another form of an effect that is there predicts better than a further effect.
 
     The form is fitted in full, unless it promises too little; where the two are near, the further effect is too, before
     they are compared.
@@ -299,17 +299,17 @@ def _plain_lead(fits: FullFits, kind: type[CatalogueEffect], chosen: tuple[Fitte
 
 
 def _is_constant(kind: type[CatalogueEffect], fitted: FittedCandidate) -> bool:
-    """Tell whether a trend is a mere constant, of fewer parameters than an effect that hangs on some setting."""
+    """Return whether a trend is a mere constant, of fewer parameters than an effect that depends on some setting."""
     return not kind.where and len(kind.fitted) == 1 < fitted.parameters
 
 
 def _is_plainer(kind: type[CatalogueEffect], fitted: FittedCandidate) -> bool:
-    """Tell whether a trend follows an effect's very covariate with fewer parameters than it."""
+    """Return whether a trend follows an effect's very covariate with fewer parameters than it."""
     return kind.where == fitted.effect.where and len(kind.fitted) < fitted.parameters
 
 
-def _outdoes(other: tuple[FittedCandidate, float], chosen: tuple[FittedCandidate, float]) -> bool:
-    """Tell whether another entry predicts better, each parameter paid for, but for what is thought of it beforehand."""
+def _outperforms(other: tuple[FittedCandidate, float], chosen: tuple[FittedCandidate, float]) -> bool:
+    """Return whether another entry predicts better, each parameter paid for, its prior probability left out."""
     mine, others = (nats - PARAMETER_NATS * fitted.parameters for fitted, nats in (chosen, other))
     return other[0].name != chosen[0].name and others > mine + PARAMETER_NATS
 
@@ -336,7 +336,7 @@ def _named(
     judged: list[tuple[FittedCandidate, float]],
     run: _Run,
     *,
-    outdone: bool,
+    outperformed: bool,
 ) -> FitState | None:
     """Return the model with the chosen effect; None where, all refitted, it does not predict better after all.
 
@@ -354,7 +354,7 @@ def _named(
     again = next((i for i, step in enumerate(run.steps) if step.name == fitted.name), None)
     if again is None:
         where = fitted.effect.where
-        run.steps.append(Step(fitted.name, where, nats, gap_before, following.gap, rivals, outdone=outdone))
+        run.steps.append(Step(fitted.name, where, nats, gap_before, following.gap, rivals, outperformed=outperformed))
     else:
         old = run.steps[again]
         run.steps[again] = replace(old, gain_nats=old.gain_nats + nats, gap_after=following.gap)
@@ -363,13 +363,13 @@ def _named(
 
 
 def _joined(state: FitState, run: _Run) -> FitState:
-    """Return the model with one entry in place of names that may be no more than it."""
+    """Return the model with one entry in place of names that it may explain."""
     found = simpler(state, run.catalogue)
     return state if found is None else _in_place(state, found, found[1].stands_for, run)
 
 
 def _exchanged(state: FitState, tests: tuple[Disagreement, ...], run: _Run) -> FitState | None:
-    """Return the model with another name in place of one that leaves structure beside what came later, if any."""
+    """Return the model with another name in place of one that leaves structure after later ones, if any."""
     for name in departing(tests, state.effects) if len(state.effects) > 1 else ():
         found = better(state, name, run.catalogue, run.pool)
         if found is not None:

@@ -1,8 +1,8 @@
 """Picks the likeliest of many starts of one entry without running the whole chain for each.
 
 An exposure quantum or a wrong label scales whole captures, a flickering source shakes whole frames, a wave runs along
-the rows: what thousands of starts would explain follows from one small matrix, or from the exact likelihood of one
-statistic alone. Which starts there are, and which lie between and about them, the entry itself says.
+the rows. The gain of thousands of starts follows from one small matrix, or from the exact likelihood of one statistic
+alone. The entry itself gives its starts, and those between and around them.
 """
 
 from __future__ import annotations
@@ -125,7 +125,7 @@ def _of_all_captures(state: FitState, unit: Array) -> tuple[Array, Array]:
 
 
 def _goes_by_captures(state: FitState, start: CatalogueEffect) -> bool:
-    """Tell whether a start changes whole captures alike: in proportion, or by so many DN."""
+    """Return whether a start changes whole captures alike: in proportion, or by so many DN."""
     if isinstance(start, Scaling):
         return True
     if not isinstance(start, Offset) or start.unit_out != DIGITAL_NUMBER:

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from radiometer.reconciliation.fit.descent import first_state, settled
+from radiometer.reconciliation.fit.descent import converged_fit, first_state
 from radiometer.reconciliation.fit.state import with_effects
 from radiometer.reconciliation.measure.design import Design
 from radiometer.reconciliation.measure.reduce import frame_reader, reduce_frames
@@ -26,7 +26,7 @@ def chi2_of(captured: Any, *effects: Any) -> Chi2:
     """Return χ² and number of entries of each statistic, where these effects are part of the model."""
     design = Design.of(captured.header, captured.frames[0].shape)
     state = first_state(design, *reduce_frames(design, frame_reader(captured.frames)))
-    state = settled(with_effects(state, list(effects)) if effects else state)
+    state = converged_fit(with_effects(state, list(effects)) if effects else state)
     rest = state.data_residual
     return {
         name: (float(rest[cut] @ rest[cut]), state.comparison.degrees(name))

@@ -9,7 +9,7 @@ import pytest
 from radiometer.reconciliation.result import FittedParameter
 from radiometer.reconciliation.search.localise import Disagreement, departing
 from radiometer.reconciliation.search.outcome import Step
-from radiometer.reconciliation.verdict import faint_beside_others, one_for_all, outdone, without_essential
+from radiometer.reconciliation.verdict import faint_beside_others, one_for_all, outperformed, without_essential
 from simulators.effects.conversion_gain_error import ConversionGainError
 from simulators.effects.crosstalk import Crosstalk
 from simulators.effects.exposure_time_offset import ExposureTimeOffset
@@ -42,9 +42,9 @@ def test_rival_that_is_in_the_model_doubts_nothing() -> None:
 
 def test_name_that_something_else_outdoes_is_doubted() -> None:
     """The doubt holds as long as the name stands in the model."""
-    steps = [replace(_step("psf_blur"), outdone=True), _step("conversion_gain_error")]
-    assert outdone(steps, BLUR_AND_GAIN) == ["psf_blur"]
-    assert outdone(steps, BLUR_AND_GAIN[1:]) == []
+    steps = [replace(_step("psf_blur"), outperformed=True), _step("conversion_gain_error")]
+    assert outperformed(steps, BLUR_AND_GAIN) == ["psf_blur"]
+    assert outperformed(steps, BLUR_AND_GAIN[1:]) == []
 
 
 def test_fall_off_without_its_oblique_part_lacks_its_essential() -> None:

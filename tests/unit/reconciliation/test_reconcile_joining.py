@@ -10,7 +10,7 @@ import pytest
 
 from radiometer.reconciliation.engine import whole_catalogue
 from radiometer.reconciliation.fit.covariance import fitted_parameters
-from radiometer.reconciliation.fit.descent import first_state, refit, settled
+from radiometer.reconciliation.fit.descent import converged_fit, first_state, refit
 from radiometer.reconciliation.fit.full_fit import FullFits, UnfitError
 from radiometer.reconciliation.fit.state import FitState, with_effects
 from radiometer.reconciliation.measure.design import Design
@@ -30,7 +30,7 @@ pytestmark = pytest.mark.long  # each runs a whole search
 def _fitted(captured: Any, *effects: CatalogueEffect) -> FitState:
     design = Design.of(captured.header, captured.frames[0].shape)
     start = first_state(design, *reduce_frames(design, frame_reader(captured.frames)))
-    return settled(refit(with_effects(start, effects)))
+    return converged_fit(refit(with_effects(start, effects)))
 
 
 def _fall_off(picture: np.ndarray) -> np.ndarray:

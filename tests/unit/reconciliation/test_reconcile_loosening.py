@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from radiometer.reconciliation.fit.covariance import fitted_parameters
-from radiometer.reconciliation.fit.descent import first_state, refit, settled
+from radiometer.reconciliation.fit.descent import converged_fit, first_state, refit
 from radiometer.reconciliation.fit.state import FitState, with_effects
 from radiometer.reconciliation.measure.design import Design
 from radiometer.reconciliation.measure.reduce import frame_reader, reduce_frames
@@ -24,7 +24,7 @@ from simulators.effects.led_thermal_droop import LedThermalDroop
 def _with(effect: CatalogueEffect, captured: Any, *more: CatalogueEffect) -> FitState:
     design = Design.of(captured.header, captured.frames[0].shape)
     state = first_state(design, *reduce_frames(design, frame_reader(captured.frames)))
-    return settled(refit(with_effects(state, [effect, *more])))
+    return converged_fit(refit(with_effects(state, [effect, *more])))
 
 
 def _weaker(loss: float, onset: float) -> Callable[[Any, Any], Any]:

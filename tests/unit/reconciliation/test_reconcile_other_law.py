@@ -13,7 +13,7 @@ from radiometer.reconciliation.fit.state import FitState, with_effects
 from radiometer.reconciliation.measure.design import Design
 from radiometer.reconciliation.measure.reduce import frame_reader, reduce_frames
 from radiometer.reconciliation.search.outcome import Search, Step
-from radiometer.reconciliation.verdict import Verdict, by_other_laws, rest_of, verdict_of
+from radiometer.reconciliation.verdict import Verdict, rest_of, verdict_of, with_other_functional_form
 from simulators.effects.exposure_time_offset import ExposureTimeOffset
 
 PLAN = [{"t": float(t)} for t in np.geomspace(1e-4, 6e-3, 6) for _ in range(2)] + [{"t": 1e-2, "shutter": "closed"}]
@@ -40,7 +40,7 @@ def _left(where: str, block: str, nats: float) -> Step:
 def test_what_stays_in_a_names_own_place_is_its_law(late: FitState) -> None:
     """A curve along the exposure beside an exposure's error is no second cause; the verdict stays provisional."""
     outcome = _outcome(late, _left("exposure_s", "mean", 30.0))
-    assert [effect.name for effect in by_other_laws(outcome)] == ["exposure_time_offset"]
+    assert [effect.name for effect in with_other_functional_form(outcome)] == ["exposure_time_offset"]
     assert rest_of(outcome) is None
     assert verdict_of(outcome, []) is Verdict.INCOMPLETE
 
@@ -50,11 +50,11 @@ def test_what_stays_elsewhere_or_is_most_of_it_is_left_without_a_name(late: FitS
     for step in (_left("image_x", "mean", 30.0), _left("exposure_s", "variance", 30.0)):
         outcome = _outcome(late, step)
         rest = rest_of(outcome)
-        assert by_other_laws(outcome) == ()
+        assert with_other_functional_form(outcome) == ()
         assert rest is not None
         assert (rest.where, rest.block) == (step.where, step.block)
     most = _outcome(late, _left("exposure_s", "mean", 100.0))
     rest = rest_of(most)
-    assert by_other_laws(most) == ()
+    assert with_other_functional_form(most) == ()
     assert rest is not None
     assert (rest.where, rest.gain_nats) == ("exposure_s", 100.0)

@@ -13,7 +13,7 @@ from radiometer.data import CameraDescription, CaptureHeader, Frame, FrameEntry,
 from radiometer.errors import CaptureError
 from radiometer.reconciliation.advice.limits import limits
 from radiometer.reconciliation.fit.covariance import fitted_parameters
-from radiometer.reconciliation.fit.descent import first_state, refit, settled
+from radiometer.reconciliation.fit.descent import converged_fit, first_state, refit
 from radiometer.reconciliation.fit.state import FitState, with_effects
 from radiometer.reconciliation.fit.terms import LinearTerm
 from radiometer.reconciliation.measure.design import Design, group_captures
@@ -58,7 +58,7 @@ def test_interleaved_single_frames_are_gathered_by_setting() -> None:
 def test_patch_outside_the_frame_is_refused(make_capture: Callable[..., Any]) -> None:
     """A patch that does not fit the frames names itself and its place."""
     captured = make_capture(plan=[{"t": 1e-3}], frames=1)
-    with pytest.raises(CaptureError, match=r"patch 'p05' .* lies outside"):
+    with pytest.raises(CaptureError, match=r"patch 'p05' .* is outside"):
         Design.of(captured.header, (64, 90))
 
 
@@ -343,7 +343,7 @@ def test_row_pattern_is_known_no_better_than_so_few_rows_allow(make_capture: Cal
     sigma_e = 0.6
     rows = sigma_e * np.random.default_rng(11).standard_normal((64, 1))
     state = _state(make_capture(extra_dn=lambda setting: rows / 2.6 * 10 ** (setting["g"] / 20)))
-    found = settled(refit(with_effects(state, [RowPattern(sigma_e)])))
+    found = converged_fit(refit(with_effects(state, [RowPattern(sigma_e)])))
     entry = fitted_parameters(found)["row_pattern"]["sigma_e"]
     assert entry.u is not None
     assert entry.u / entry.value > 1.0 / np.sqrt(128.0)
@@ -354,7 +354,7 @@ def test_row_pattern_is_known_no_better_than_so_few_rows_allow(make_capture: Cal
 def test_parameter_on_its_bound_hides_nothing(make_capture: Callable[..., Any]) -> None:
     """A drift with temperature cannot stand for a constant offset, however far its reference: the tests say so."""
     state = _state(make_capture(extra_dn=lambda setting: 4.0))
-    found = settled(refit(with_effects(state, [BlackLevelDrift(0.1, -20.0)])))
+    found = converged_fit(refit(with_effects(state, [BlackLevelDrift(0.1, -20.0)])))
     assert found.parameters.on_bounds()[0].any(), "the reference temperature runs to its bound"
     assert ("mean", "temperature_C") in {(test.block, test.where) for test in significant(localise(found))}
 
@@ -379,7 +379,7 @@ def test_source_of_unknown_reproducibility_may_wander(make_capture: Callable[...
 def test_blur_that_moves_nothing_stands_still(make_capture: Callable[..., Any]) -> None:
     """A blur of a tenth of a pixel reaches no neighbour: the fit leaves it where it is and still finds the offset."""
     state = _state(make_capture(extra_dn=lambda setting: 0.9))
-    found = settled(refit(with_effects(state, [PsfBlur(0.1), BlackLevelOffset(0.1)])))
+    found = converged_fit(refit(with_effects(state, [PsfBlur(0.1), BlackLevelOffset(0.1)])))
     entry = fitted_parameters(found)["black_level_offset"]["offset_dn"]
     assert entry.u is not None
     assert entry.value == pytest.approx(0.9, abs=3.0 * entry.u)

@@ -41,7 +41,7 @@ def test_the_verdict_comes_first_and_pictures_before_tables(glaring):
         "class='outcome'",
         "<picture>",
         "<h2>veiling_glare",
-        "Where the rest lies",
+        "Where the residual is",
     ]
     places = [page.index(mark) for mark in marks]
     assert places == sorted(places)
@@ -52,7 +52,7 @@ def test_the_verdict_comes_first_and_pictures_before_tables(glaring):
 def test_a_name_says_what_it_is_and_what_shows_it(glaring):
     """The effect's own sentence, the statistic and covariate in words, a picture, and its size with ±."""
     page = report_html(glaring, "session")
-    part = page[page.index("<h2>veiling_glare") : page.index("Where the rest lies")]
+    part = page[page.index("<h2>veiling_glare") : page.index("Where the residual is")]
     assert "Spreads a share of all light evenly" in part
     assert "how bright patches are, with the brightness of the patch" in part
     assert "Line: what it predicts" in part
@@ -105,7 +105,7 @@ def test_rivals_are_told_in_words(glaring):
     page = report_html(replace(glaring, result=replace(glaring.result, effects=(effect,))), "session")
     assert "<li>ghost. " in page
     assert "<li>another_lab&#x27;s.</li>" in page
-    assert "Each\u00a0±\u00a0holds only if it is this one" in page
+    assert "Each\u00a0±\u00a0is conditional on this effect being the right one" in page
 
 
 @pytest.mark.slow
@@ -136,6 +136,6 @@ def test_what_an_entry_does_is_drawn_with_and_without_a_band(lit_and_dark, kind)
     """Also of an entry that shows in two directions at once, such as charge that goes to neighbours."""
     effect = kind()
     state = with_effects(lit_and_dark, [effect])
-    assert "what is left without it" in str(effect_plot(state, effect, 0.1))
+    assert "residual without it" in str(effect_plot(state, effect, 0.1))
     assert unnamed_plot(state, "signal", kind.block)
     assert unnamed_plot(state, "signal", "no such statistic") is None

@@ -15,7 +15,7 @@ from radiometer.cli.main import run
 from radiometer.data import CaptureSetWriter
 from radiometer.reconciliation import engine
 from radiometer.reconciliation.advice.separability import (
-    Alike,
+    ConfusablePair,
     Directions,
     Separability,
     asked_sizes,
@@ -192,7 +192,7 @@ def test_likeness_by_derivatives_is_held_to_a_fit(plain: FitState) -> None:
     directions = Directions.of(plain, {"mains_ripple": (shaken,), "series_settling": settling})
     (target,) = directions.forms["mains_ripple"]
     assert min(directions.left(target, form)[0] for form in directions.forms["series_settling"]) < 10.0
-    assert Alike(directions, target).fitted("series_settling") is None
+    assert ConfusablePair(directions, target).fitted("series_settling") is None
 
 
 @pytest.mark.parametrize("itself", [True, False])

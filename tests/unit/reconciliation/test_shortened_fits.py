@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from radiometer.reconciliation.fit import full_fit
-from radiometer.reconciliation.fit.descent import approached, beside, first_state, refit, settled
+from radiometer.reconciliation.fit.descent import beside, coarse_fit, converged_fit, first_state, refit
 from radiometer.reconciliation.fit.full_fit import FullFits, UnfitError
 from radiometer.reconciliation.fit.nuisances import NuisanceLayout
 from radiometer.reconciliation.fit.state import FitState, reweighted, with_effects
@@ -65,7 +65,7 @@ def test_a_fit_that_is_not_confirmed_ends_at_the_least_squares(plain: FitState) 
     """It comes to within a thirtieth of the uncertainties, by fewer derivatives."""
     start = with_effects(plain, [ExposureTimeOffset(4e-6), ResponseNonlinearity(0.02)])
     with derivatives_counted() as taken:
-        near = approached(start)
+        near = coarse_fit(start)
         few = len(taken)
         whole = refit(start)
     assert few < len(taken) - few
@@ -76,7 +76,7 @@ def test_a_fit_that_is_not_confirmed_ends_at_the_least_squares(plain: FitState) 
 
 def test_settled_parameters_are_those_of_their_own_weights(plain: FitState) -> None:
     """Another round of new weights moves them by far less than they are known to."""
-    found = settled(approached(with_effects(plain, [ExposureTimeOffset(2e-6), Prnu(0.02)])))
+    found = converged_fit(coarse_fit(with_effects(plain, [ExposureTimeOffset(2e-6), Prnu(0.02)])))
     again = refit(reweighted(found))
     assert (off_by(found, again) < 0.1).all()
 
@@ -102,9 +102,9 @@ def test_one_step_fits_nothing_twice(plain: FitState, monkeypatch: pytest.Monkey
     fitted: list[tuple[object, bool]] = []
     in_a_hurry: list[bool] = []
 
-    def counted(state: FitState, effect: Any, *, far: bool, most: float, hurried: bool) -> FitState:
+    def counted(state: FitState, effect: Any, *, far: bool, most: float, early_stop: bool) -> FitState:
         fitted.append((effect, far))
-        in_a_hurry.append(hurried)
+        in_a_hurry.append(early_stop)
         return with_effects(state, [effect])
 
     monkeypatch.setattr(full_fit, "included", counted)
@@ -120,7 +120,7 @@ def test_one_step_fits_nothing_twice(plain: FitState, monkeypatch: pytest.Monkey
 def test_what_leaves_more_than_it_may_is_not_refitted_under_its_own_weights(plain: FitState) -> None:
     """The χ² under the weights of the state decides, once all parameters have followed."""
     effect = ExposureTimeOffset(1e-6)
-    near = approached(full_fit.accepted(plain, effect)).cost
+    near = coarse_fit(full_fit.accepted(plain, effect)).cost
     assert FullFits(plain, near + 1.0).included(effect, far=False).effects
     with pytest.raises(UnfitError, match=effect.name):
         FullFits(plain, near - 1.0).included(effect, far=False)

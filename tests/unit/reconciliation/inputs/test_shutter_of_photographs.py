@@ -62,7 +62,7 @@ def test_the_report_says_it_and_what_to_do(done: PhotographsReconciled, tmp_path
     """With the line that photographs lie about, and how the exposures come to other commands."""
     page = (tmp_path / "report.html", done.write_report(tmp_path / "report.html"))[0].read_text()
     assert "(the shutter&#x27;s offset)" in page or "(the shutter's offset)" in page
-    assert "all lie about what label and shutter" in page
+    assert "all are about what label and shutter" in page
     assert "-o exposures.txt writes the exposures that agree" in page
 
 

@@ -77,6 +77,23 @@ def test_nothing_is_found_where_nothing_is(tmp_path, seed):
     assert 0.0 < result.limits["exposure_time_offset"].amplitude < 0.005
 
 
+@pytest.mark.parametrize("seed", [1, 2])
+def test_a_lamp_that_stays_the_same_shows_no_leak_of_light(tmp_path, seed):
+    """A meter that scatters by 1 % about 5 lx cannot show an ambient light: none is found, and the way out is given."""
+    rng, lines = np.random.default_rng(seed), ["utc,adu,exposure_s,gain_db,lux"]
+    for at in range(270):
+        seconds, stamp = (0.1, 0.2, 0.4)[at % 3], np.datetime64("2026-03-01T20:00") + at // 45 * 1440 + at % 45 * 8
+        value, lux = 2e4 * seconds * (1 + rng.normal(0, 0.003)), 5 * (1 + rng.normal(0, 0.01))
+        lines.append(f"{stamp},{value:.1f},{seconds},0,{lux:.4f}")
+    path = tmp_path / "lamp.csv"
+    path.write_text("\n".join(lines), encoding="utf-8")
+    result = fit_log(read_log(path), control=False).result
+    assert str(result.verdict) == "agrees"
+    assert 0.5 < result.gap_after < 1.5
+    assert result.limits["ambient_light_leak"].amplitude is None
+    assert any("a half and a quarter of the light" in line for line in result.assumptions)
+
+
 @pytest.mark.slow
 def test_command_says_what_it_took_and_its_control_is_silent(tmp_path, capsys):
     """Columns, unit of the gain, magnitudes, error before and after, the control; JSON in the words of reconcile."""
