@@ -8,8 +8,8 @@
 
 * A `python` block is run by itself.
 
-* A `text` block is the output of the block before it. Each of its lines must occur in that output. Words must be equal. A number
-  matches any number of the same kind. A number with ± must agree within its uncertainties.
+* A `text` block is the output of the block before it. Each of its lines must occur in that output. Words must be
+  equal. A number matches any number of the same kind. A number with ± must agree within its uncertainties.
 """
 
 from __future__ import annotations
