@@ -107,7 +107,7 @@ def test_what_displacement_explains_is_as_sure_as_its_neighbours():
 
 def test_what_displacement_does_not_explain_stays_a_ghost():
     """A lamp that one frame alone shows is left out of it as before."""
-    frames = list(_bracket(np.random.default_rng(4), np.zeros(4)))
+    frames = list(_bracket(np.random.default_rng(4), np.zeros(4)).light)
     lit = frames[1].dn.copy()
     lit[40:50, 20:30] = 3000
     frames[1] = Frame(lit, 12, frames[1].settings)
