@@ -95,7 +95,7 @@ class AdaptationFit:
 
     @property
     def has_break(self) -> bool:
-        """Tell whether a rod–cone break was found."""
+        """Return whether a rod–cone break was found."""
         return "break_min" in self.chosen.values
 
 
@@ -189,7 +189,7 @@ def _choose(fits: list[BranchFit]) -> BranchFit:
 
 
 def makes_sense(fit: BranchFit) -> bool:
-    """Tell whether a fit is physiological: cones that fall and are seen, rods that fall well below, S3 above S2."""
+    """Return whether a fit is physiological: cones that fall and are seen, rods that fall well below, S3 above S2."""
     values, times = fit.values, fit.series.time_min
     if values["amplitude"] <= 0:
         return False

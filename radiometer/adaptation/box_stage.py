@@ -56,7 +56,7 @@ class BoxLights:
 
     @property
     def by_flash(self) -> bool:
-        """Tell whether the photographic flash bleaches."""
+        """Return whether the photographic flash bleaches."""
         return isinstance(self.protocol.bleach, FlashBleach) and self.protocol.bleach.source == "flash"
 
     def spot(self, log10_level: float) -> Radiance:
@@ -159,7 +159,7 @@ class BoxStage:
 
     @property
     def checks_fixation(self) -> bool:
-        """Tell whether the box has a light in the blind spot."""
+        """Return whether the box has a light in the blind spot."""
         return self.protocol.fixation_check is not None and self.lights.blind_spot_w_sr_m2 > 0
 
     def blink_blind_spot(self, trial: int, number: int) -> list[float]:

@@ -290,7 +290,7 @@ class _Run:
         return threshold
 
     def _over(self, search: Method) -> bool:
-        """Tell whether a search has found its threshold, has no way on, has taken too long, or met a hasty press."""
+        """Return whether a search has found its threshold, has no way on, has taken too long, or met a hasty press."""
         ended = search.threshold is not None or search.exhausted
         return ended or self._hasty() or len(self._blinks) >= self.protocol.watch.most_blinks
 
@@ -378,7 +378,7 @@ class _Run:
         return None
 
     def _fruitless(self, trial: Event) -> bool:
-        """Tell whether a trial gave no threshold though a subject who is there would have given one."""
+        """Return whether a trial gave no threshold though a subject who is there would have given one."""
         blind = trial["seen"] == 0 and trial["minutes"] < self.protocol.watch.blind_min
         return trial["threshold"] is None and not trial["false_press"] and not blind
 

@@ -154,7 +154,7 @@ class ScreenStage:
 
     @property
     def checks_fixation(self) -> bool:
-        """Tell whether there is room for a light in the blind spot, and the protocol wants it."""
+        """Return whether there is room for a light in the blind spot, and the protocol wants it."""
         return self._blind_spot is not None
 
     def blink_blind_spot(self, trial: int, number: int) -> list[float]:

@@ -46,7 +46,7 @@ class SubjectStage:
 
     @property
     def checks_fixation(self) -> bool:
-        """Tell whether the protocol has a light in the blind spot."""
+        """Return whether the protocol has a light in the blind spot."""
         return self.protocol.fixation_check is not None
 
     def blink_blind_spot(self, trial: int, number: int) -> list[float]:

@@ -77,7 +77,7 @@ class FixationStage(Protocol):
 
     @property
     def checks_fixation(self) -> bool:
-        """Tell whether it can show one."""
+        """Return whether it can show one."""
         ...
 
     def blink_blind_spot(self, trial: int, number: int) -> list[float]:

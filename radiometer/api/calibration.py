@@ -475,7 +475,7 @@ def _with_statements(
 
 
 def _is_untold(seen: _Seen | None, curve: ResponseCurve | None) -> bool:
-    """Tell whether the exposures are those of a shutter whose offset is unknown."""
+    """Return whether the exposures are those of a shutter whose offset is unknown."""
     return seen is not None and seen.photographs is not None and has_untold_shutter(seen.photographs, curve)
 
 

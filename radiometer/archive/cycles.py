@@ -77,7 +77,7 @@ def hidden_cycles(
 
 
 def tells_apart(design: Array) -> bool:
-    """Tell whether the readings tell columns apart: not where they all lie at few times of a cycle."""
+    """Return whether the readings tell columns apart: not where they all lie at few times of a cycle."""
     sizes = np.linalg.svd(design / np.maximum(np.linalg.norm(design, axis=0), 1e-300), compute_uv=False)
     return bool(sizes[-1] > _LEAST_APART * sizes[0])
 

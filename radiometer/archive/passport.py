@@ -81,7 +81,7 @@ class DarkLaw:
 
     @property
     def is_one(self) -> bool:
-        """Tell whether no session lies off the law of the others by more than two u."""
+        """Return whether no session lies off the law of the others by more than two u."""
         return self.offset is None or abs(self.offset.value) <= _AGREE_SIGMAS * self.offset.u
 
 

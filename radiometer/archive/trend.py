@@ -101,7 +101,7 @@ class Trend:
 
     @property
     def drifts(self) -> bool:
-        """Tell whether the drift is claimed: beyond what chance shows in fewer than one archive in a hundred."""
+        """Return whether the drift is claimed: beyond what chance shows in fewer than one archive in a hundred."""
         return abs(self.drift_per_month) > self.claim_sigmas * self.u_drift_per_month
 
     @property

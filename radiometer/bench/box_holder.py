@@ -59,7 +59,7 @@ def runtime_folder(name: str) -> Path:
 
 
 def is_ours(folder: Path) -> bool:
-    """Tell whether a path is a folder, no link, of this user, into which no other user may write."""
+    """Return whether a path is a folder, no link, of this user, into which no other user may write."""
     try:
         found = folder.lstat()
     except OSError:

@@ -38,7 +38,7 @@ class Source:
 
 
 def is_photographs(path: Path) -> bool:
-    """Tell whether a path is a folder of photographs: neither a capture set nor files of another kind."""
+    """Return whether a path is a folder of photographs: neither a capture set nor files of another kind."""
     if not path.is_dir() or (path / HEADER_NAME).exists() or is_foreign(path):
         return False
     return bool(image_files(path)) or not (path / "frames").is_dir()

@@ -125,7 +125,7 @@ class DeviceKeeper:
 
     @property
     def is_ready(self) -> bool:
-        """Tell whether the device is open, so that it can be tried."""
+        """Return whether the device is open, so that it can be tried."""
         return self.state in (DeviceState.READY, DeviceState.OVERDUE, DeviceState.FAILING)
 
     @property

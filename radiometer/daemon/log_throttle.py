@@ -37,7 +37,7 @@ class LogThrottle(logging.Filter):
         return {**event, "suppressed": suppressed} if suppressed else event
 
     def filter(self, record: logging.LogRecord) -> bool:
-        """Tell whether a record of the standard library is written."""
+        """Return whether a record of the standard library is written."""
         suppressed = self._take(record.getMessage()[:80])
         if suppressed:
             record.msg = f"{record.msg} ({suppressed} more before were not written)"

@@ -73,7 +73,7 @@ class Places(Generic[_C]):
 
     @property
     def is_full(self) -> bool:
-        """Tell whether every place is held."""
+        """Return whether every place is held."""
         return len(self._places) >= self._limit
 
     def enter(self, connection: _C, peer: str) -> None:
@@ -85,7 +85,7 @@ class Places(Generic[_C]):
         self._places.pop(connection, None)
 
     def is_known(self, connection: _C) -> bool:
-        """Tell whether a connection has made sense at least once."""
+        """Return whether a connection has made sense at least once."""
         place = self._places.get(connection)
         return place is not None and place.known
 

@@ -49,7 +49,7 @@ class FrameSettings:
 
     @property
     def is_dark(self) -> bool:
-        """Tell whether the frame was taken with the shutter closed."""
+        """Return whether the frame was taken with the shutter closed."""
         return self.shutter == "closed"
 
     @property

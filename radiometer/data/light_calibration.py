@@ -167,7 +167,7 @@ class LightCalibration:
         return (choice.radiance_w_sr_m2 + COVERAGE * choice.u_w_sr_m2) * max(choice.start_rel, 1.0)
 
     def is_stale(self, now: dt.datetime) -> bool:
-        """Tell whether it is older at `now` (with time zone) than its validity."""
+        """Return whether it is older at `now` (with time zone) than its validity."""
         return (now - dt.datetime.fromisoformat(self.created)).total_seconds() > self.validity_days * 86400.0
 
     def write(self, path: Path) -> None:
@@ -242,7 +242,7 @@ class _Range:
         return cls(steps, log_duty, np.log(radiance) - log_duty, u_rel, start_rel, duty_steps)
 
     def holds(self, radiance: float) -> bool:
-        """Tell whether a radiance lies between the lowest and the highest measured one."""
+        """Return whether a radiance lies between the lowest and the highest measured one."""
         low, high = (math.exp(self.log_efficacy[end] + self.log_duty[end]) for end in (0, -1))
         return low * (1 - 1e-9) <= radiance <= high * (1 + 1e-9)
 

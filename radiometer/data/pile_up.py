@@ -302,7 +302,7 @@ def _mean_near(frame: _Ranks, centre: int, spread: float, step: int) -> int:
 
 
 def _strays_are_single(frame: _Ranks, top_dn: int) -> bool:
-    """Tell whether the pixels above a pile are single: an area of them records light that a full sensor would not."""
+    """Return whether the pixels above a pile are single: an area of them records light that a full sensor would not."""
     strays = frame.pixels_from(top_dn + 1)
     if strays < _FEWEST_PIXELS:
         return True

@@ -71,7 +71,7 @@ class Patch:
         return slice(self.y, self.y + self.height), slice(self.x, self.x + self.width)
 
     def fits(self, shape: tuple[int, int]) -> bool:
-        """Tell whether the patch lies wholly inside a frame of (height, width)."""
+        """Return whether the patch lies wholly inside a frame of (height, width)."""
         return (
             self.x >= 0
             and self.y >= 0

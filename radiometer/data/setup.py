@@ -38,5 +38,5 @@ class Setup:
 
     @property
     def spectrum_stated(self) -> bool:
-        """Tell whether somebody states the light's spectrum."""
+        """Return whether somebody states the light's spectrum."""
         return self.spectrum is not None

@@ -201,7 +201,7 @@ class _Codes:
 
 
 def _tells_step(pixels: Sequence[DigitalNumbers], bits: int) -> bool:
-    """Tell whether the codes are many enough to be multiples of more than 1 by no chance."""
+    """Return whether the codes are many enough to be multiples of more than 1 by no chance."""
     if bits == 0 or bits & 1:
         return False
     codes = set[int]()

@@ -85,7 +85,7 @@ class PhotographSettings:
 
 
 def is_dial_time(seconds: float) -> bool:
-    """Tell whether a time in s is one that a camera's dial prints."""
+    """Return whether a time in s is one that a camera's dial prints."""
     close = (abs(seconds * d - 1.0) < 0.005 for d in _DIAL_DENOMINATORS)
     return any(close) or any(abs(seconds / t - 1.0) < 0.005 for t in _DIAL_TIMES)
 

@@ -91,7 +91,7 @@ def _pixels(frame: FoundFrame) -> NDArray[Any]:
 
 
 def is_foreign(path: Path) -> bool:
-    """Tell whether a path names frames or statistics that are no capture set and no plain folder of photographs.
+    """Return whether a path names frames or statistics that are no capture set and no plain folder of photographs.
 
     Foreign are FITS files, raw TIFF files of cameras, EMVA 1288 descriptors and tables of statistics; a folder that
     holds some at any depth; and a pattern such as `night/*_1.tif.gz`.
@@ -317,7 +317,7 @@ def _is_frame_file(path: Path) -> bool:
 
 
 def _is_raw_tiff(file: Path) -> bool:
-    """Tell whether a TIFF is a camera's raw frame, with facts that photographs do not carry."""
+    """Return whether a TIFF is a camera's raw frame, with facts that photographs do not carry."""
     try:
         first = read_tiff_headers(file)[0]
     except UnsettledError:
@@ -437,7 +437,7 @@ def _of_descriptor(path: Path, options: ImportOptions) -> Assembled:
 
 
 def _is_steady(lit: Sequence[tuple[float, float]], brightest: float) -> bool:
-    """Tell whether all photons are those of one flux, rounded or cut to whole numbers."""
+    """Return whether all photons are those of one flux, rounded or cut to whole numbers."""
     flux = max(lit, default=(1.0, brightest))
     return all(abs(photons - flux[1] / flux[0] * seconds) <= 1.0 + 1e-4 * photons for seconds, photons in lit)
 

@@ -55,7 +55,7 @@ Row = Mapping[str, Any]
 
 
 def is_statistics_table(path: Path, mapped: StatementMap | None = None) -> bool:
-    """Tell whether a file is a table with a mean and a variance (or standard deviation) per row."""
+    """Return whether a file is a table with a mean and a variance (or standard deviation) per row."""
     if _suffix(path) not in TABLE_SUFFIXES:
         return False
     try:

@@ -83,7 +83,7 @@ class Photographs:
 
     @property
     def are_raw(self) -> bool:
-        """Tell whether all are camera raw files, whose numbers are proportional to light."""
+        """Return whether all are camera raw files, whose numbers are proportional to light."""
         return all("raw" in frame.extra for one in self.brackets.values() for frame in one.light)
 
     @property
@@ -251,7 +251,7 @@ def times_as_stated(photographs: Photographs) -> str:
 
 
 def has_untold_shutter(photographs: Photographs, curve: ResponseCurve | None) -> bool:
-    """Tell whether exposures are those of a shutter whose offset is unknown: EXIF's labels, as they are printed.
+    """Return whether exposures are those of a shutter whose offset is unknown: EXIF's labels, as they are printed.
 
     Args:
         photographs: As read.

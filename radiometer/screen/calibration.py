@@ -123,7 +123,7 @@ class ChannelCurve:
         return abs(line - float(self.table.at(level / self.top_level))) / math.sqrt(3.0)
 
     def radiance_is_lost(self, level: float) -> bool:
-        """Tell whether the radiance at a level is below what could be detected."""
+        """Return whether the radiance at a level is below what could be detected."""
         return float(self.table.at(level / self.top_level)) < self.detection_limit
 
     def efficacy(self, unit: str) -> float:

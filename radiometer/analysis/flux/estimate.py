@@ -192,7 +192,7 @@ class _Ways:
         )
 
     def _is_in_focus(self) -> bool:
-        """Tell whether the picture of the emitter has a plateau: half of the lit area is near its highest value."""
+        """Return whether the picture of the emitter has a plateau: half of the lit area is near its highest value."""
         light = self.measured.irradiance - self.measured.background_w / self._area()
         inside = _inside(light)
         if not inside.any():

@@ -121,7 +121,7 @@ class Alignment:
 
     @property
     def needed(self) -> bool:
-        """Tell whether any frame moved by more than a resampling would cost."""
+        """Return whether any frame moved by more than a resampling would cost."""
         return self.largest_px >= LEAST_MOVE_PX
 
     def sentence(self, names: Sequence[str], *, moved: bool = False) -> str:
@@ -177,7 +177,7 @@ class _Pictures:
         return None if pair is None or pair.u_px * scale > _WORST_U_PX else _full_size(pair.to_frame, scale)
 
     def stand_still(self, first: int, second: int) -> bool:
-        """Tell whether two frames lie in one place, known as well as any movement must be."""
+        """Return whether two frames lie in one place, known as well as any movement must be."""
         pair, scale = self._pair(first, second)
         return pair is not None and not pair.moved and pair.u_px * scale <= _WORST_U_PX
 
@@ -367,7 +367,7 @@ def _rim(picture: Image, dn: float) -> NDArray[np.bool_]:
 
 
 def _has_white_rims(pictures: Sequence[Image], top: int) -> bool:
-    """Tell whether white at the edges is a rim, in a colour filled with white: no light clips in one frame only.
+    """Return whether white at the edges is a rim, in a colour filled with white: no light clips in one frame only.
 
     Args:
         pictures: From the shortest exposure to the longest; what clips in one does in the last.

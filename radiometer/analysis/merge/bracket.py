@@ -390,7 +390,7 @@ class StreamingMerge:
         return np.asarray(self._on_axis() / place, dtype=np.float32)
 
     def _even(self) -> bool:
-        """Tell whether the sensitivity is taken as the same everywhere."""
+        """Return whether the sensitivity is taken as the same everywhere."""
         if self._calibration is None:
             return True
         flat = flat_field_for(self._calibration, self._known_shape())

@@ -82,7 +82,7 @@ class MergeSample:
         return replace(self, dn=np.ascontiguousarray(self.dn[pixels]), terms=terms, index=index)
 
     def is_like(self, other: MergeSample) -> bool:
-        """Tell whether both frames can go into the sums in one pass: both linear, or both through a table alone."""
+        """Return whether both frames can go into the sums in one pass: both linear, or both through a table alone."""
         linear = self.table is None and other.table is None
         alike = linear or (self.usable is not None and other.usable is not None)
         return alike and self.plane == other.plane and self.dn.dtype == other.dn.dtype

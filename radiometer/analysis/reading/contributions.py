@@ -126,7 +126,7 @@ class PatchSituation:
 
     @property
     def spectrum_stated(self) -> bool:
-        """Tell whether somebody states the light's spectrum."""
+        """Return whether somebody states the light's spectrum."""
         return self.settled.setup.spectrum_stated
 
     @property
@@ -136,7 +136,7 @@ class PatchSituation:
 
     @property
     def shares_level(self) -> bool:
-        """Tell whether the signal is as high as at calibration, so that the response's error drops out."""
+        """Return whether the signal is as high as at calibration, so that the response's error drops out."""
         if self.calibration is None or "conditions" not in self.calibration.scale.model_fields_set:
             return False
         return abs(self.conditions.level - self.calibration.scale.conditions.level) <= _SAME_LEVEL

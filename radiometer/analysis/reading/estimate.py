@@ -54,7 +54,7 @@ class PatchEstimate:
 
     @property
     def flickers(self) -> bool:
-        """Tell whether frames differ more than their noise and the calibration explain."""
+        """Return whether frames differ more than their noise and the calibration explain."""
         return self.fluctuation_rel >= _FLICKER_FLOOR_REL and self.evidence >= _FLICKER_EVIDENCE
 
 

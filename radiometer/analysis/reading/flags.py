@@ -72,13 +72,13 @@ def _dominant(value: float, terms: Sequence[Term]) -> set[Flag]:
 
 
 def _too_few_frames(situation: PatchSituation) -> bool:
-    """Tell whether the frames are too few to show that the light is steady."""
+    """Return whether the frames are too few to show that the light is steady."""
     longest = max(frame.settings.exposure_s for frame in situation.frames)
     return len(situation.frames) < (FEWEST_FRAMES if longest >= SHORT_FRAME_S else FEWEST_SHORT_FRAMES)
 
 
 def _extrapolates(situation: PatchSituation) -> bool:
-    """Tell whether the frames that carry most of the estimate lie outside the response curve's data."""
+    """Return whether the frames that carry most of the estimate lie outside the response curve's data."""
     if situation.model.linear:
         return False
     low, high = situation.model.valid_dn
@@ -89,7 +89,7 @@ def _extrapolates(situation: PatchSituation) -> bool:
 
 
 def _is_nonuniform(situation: PatchSituation) -> bool:
-    """Tell whether radiance changes over the patch by more than noise and 5 %."""
+    """Return whether radiance changes over the patch by more than noise and 5 %."""
     pixels, good = situation.estimate.pixel_rates, situation.good
     scatter, pairs = local_scatter(pixels, good)
     if pairs < 8:

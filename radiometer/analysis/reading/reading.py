@@ -135,7 +135,7 @@ def _corrected_scale(
 
 
 def _unsteady(light: list[PatchFrame]) -> bool:
-    """Tell whether a frame clips that was exposed no longer than one that does not."""
+    """Return whether a frame clips that was exposed no longer than one that does not."""
     unclipped = [one.settings.effective_exposure_s for one in light if one.unclipped]
     clipped = [one.settings.effective_exposure_s for one in light if not one.unclipped and one.clipped.all()]
     return bool(unclipped and clipped) and min(clipped) <= max(unclipped) * (1.0 + 1e-9)

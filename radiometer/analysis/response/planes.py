@@ -72,7 +72,7 @@ class JointFit:
 
 
 def tells_labels(fitted: FittedResponse) -> bool:
-    """Tell whether a plane can tell the exposures of its freed frames at all.
+    """Return whether a plane can tell the exposures of its freed frames at all.
 
     The curve and the exposures may both be multiplied by any power: what holds the exponent are pixels that two frames
     with trusted labels show. Where hardly any are, least squares takes a flat curve and makes all exposures equal, sure

@@ -54,7 +54,7 @@ class Polynomial:
         return float(np.sum(((short - long + self.log_ratios[pairs.pair]) / pairs.sigma) ** 2))
 
     def rises(self, pairs: Pairs) -> bool:
-        """Tell whether f rises over the digital numbers of these pairs."""
+        """Return whether f rises over the digital numbers of these pairs."""
         f = self.values(np.linspace(float(pairs.shorter.min()), float(pairs.longer.max()), 256))
         # At the dark end, where f is next to nothing, a polynomial may ripple below the noise.
         return bool(np.all(np.diff(f) > -1e-3 * float(f[-1])) and f[-1] > 0 and f[128] > 0)

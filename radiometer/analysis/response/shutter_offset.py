@@ -134,7 +134,7 @@ def _judged(planes: Sequence[Plane], offset: ShutterOffset | None) -> Exposures:
 
 
 def is_possible(seconds: float, shortest_s: float) -> bool:
-    """Tell whether a shutter can expose longer by a time in s whose shortest label is `shortest_s`."""
+    """Return whether a shutter can expose longer by a time in s whose shortest label is `shortest_s`."""
     return abs(seconds) < min(LARGEST_S, _LARGEST_PART * shortest_s)
 
 
@@ -286,7 +286,7 @@ class _Told:
         return seconds, float(sizes[0].mean()), float(sizes[1].mean())
 
     def _shares_no_worse(self) -> bool:
-        """Tell whether left-out shares are predicted as well as with the labels as they are, or better."""
+        """Return whether left-out shares are predicted as well as with the labels as they are, or better."""
         before = [_error_of_shares(plane.samples, fit) for plane, fit in zip(self.planes, self.plain, strict=True)]
         after = []
         for plane, fit in zip(self.planes, self.free, strict=True):

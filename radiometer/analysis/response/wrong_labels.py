@@ -234,7 +234,7 @@ def _freed(planes: Sequence[Plane], free: tuple[int, ...], now: _Tried) -> list[
 
 
 def _convincing(label: WrongLabel, tried: _Tried, now: _Tried, shutter_s: float = UNTOLD_OFFSET_S) -> bool:
-    """Tell whether a label is wrong: large enough, and what was left out is predicted better without it."""
+    """Return whether a label is wrong: large enough, and what was left out is predicted better without it."""
     size, u = np.abs(label.log_ratio)
     if size < max(_smallest(tried, label.frame, shutter_s), _SIGMA * u) or label.gain > 1.0:
         return False
@@ -252,7 +252,7 @@ def _smallest(tried: _Tried, frame: int, shutter_s: float) -> float:
 def _as_well(
     label: WrongLabel, tried: _Tried, best: WrongLabel, tried_best: _Tried, shutter_s: float = UNTOLD_OFFSET_S
 ) -> bool:
-    """Tell whether another label, wrong in place of the best, predicts both frames nearly as well."""
+    """Return whether another label, wrong in place of the best, predicts both frames nearly as well."""
     if abs(label.log_ratio[0]) < _smallest(tried, label.frame, shutter_s):
         return False
     here, there = (one.left_out.mean_dn(label.frame, best.frame) for one in (tried, tried_best))
