@@ -277,7 +277,7 @@ def _from_exif(folder: Path) -> dict[str, PhotographSettings]:
 
 
 def _from_a_dial(settings: Iterable[PhotographSettings]) -> bool:
-    """Return whether every time is one that a dial prints, or a longer one by hand: only then do they stand for stops."""
+    """Return whether every time is printed on a dial or is longer (set by hand): only then are they whole stops."""
     return all(is_dial_time(one.nominal_exposure_s) or one.nominal_exposure_s > LONGEST_OF_DIAL_S for one in settings)
 
 

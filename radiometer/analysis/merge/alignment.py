@@ -1,9 +1,9 @@
 """Photographs from the hand brought into one place: translation and rotation, to a fraction of a pixel.
 
-Neighbours of a bracket show the same scene at two exposures. Their cumulative histograms say which value of the one
-stands for which of the other, whatever the response and almost whatever the movement; the brighter one is brought to
-the values of the darker one by them, and both are cut off where the brighter one clips. The movement between the two
-is then the one of highest correlation, sought from coarse to fine.
+Neighbours of a bracket show the same scene at two exposures. Their cumulative histograms show which value of one
+corresponds to which of the other, for any response and almost any movement. With them the brighter one is brought to
+the values of the darker one. Both are cut off where the brighter one clips. The movement between the two is then the
+one of highest correlation, sought from coarse to fine.
 """
 
 from __future__ import annotations
@@ -66,11 +66,11 @@ _SUPPORT_PX: Final = 2
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Movement:
-    """Where a frame lies beside the reference frame.
+    """Place of a frame relative to the reference frame.
 
     Attributes:
         to_frame: Matrix, shape (2, 3), that takes a pixel (x, y, 1) of the reference to its place in the frame.
-        known: Whether the frames had enough in common to tell.
+        known: Whether the frames had enough in common to determine it.
     """
 
     to_frame: Array
@@ -177,12 +177,12 @@ class _Pictures:
         return None if pair is None or pair.u_px * scale > _WORST_U_PX else _full_size(pair.to_frame, scale)
 
     def stand_still(self, first: int, second: int) -> bool:
-        """Return whether two frames lie in one place, known as well as any movement must be."""
+        """Return whether two frames are in one place, known as well as any movement must be."""
         pair, scale = self._pair(first, second)
         return pair is not None and not pair.moved and pair.u_px * scale <= _WORST_U_PX
 
     def _pair(self, first: int, second: int) -> tuple[_PairMovement | None, float]:
-        """Return the movement in pixels of the pictures, and how many of the bracket's one of these stands for."""
+        """Return the movement in pixels of the pictures, and how many of the bracket's pixels one of these covers."""
         self._made = {k: self._made.get(k) or self._picture(k) for k in (first, second)}
         (here, shown), (there, also_shown) = (self._made[k] for k in (first, second))
         pair = _pair_movement(here, there, shown & also_shown, self._bracket.light[first].full_scale_dn)
@@ -201,9 +201,9 @@ class _PairMovement:
     """The movement between two pictures.
 
     Attributes:
-        to_frame: Matrix, shape (2, 3); no movement where it would mend nothing.
-        u_px: Standard uncertainty of where a corner lies, in pixels of these pictures.
-        moved: Whether it mends anything.
+        to_frame: Matrix, shape (2, 3); no movement where it would improve nothing.
+        u_px: Standard uncertainty of a corner's place, in pixels of these pictures.
+        moved: Whether it improves anything.
     """
 
     to_frame: Array
@@ -337,7 +337,7 @@ def _summit(pair: Climb, start: Array) -> tuple[float, Array]:
 
 
 def _believed(a: Image, b: Image, steady: NDArray[np.uint8], movement: Array) -> _PairMovement:
-    """Return a movement with its uncertainty, or none at all where it mends nothing."""
+    """Return a movement with its uncertainty, or no movement where it improves nothing."""
     size, flags = (a.shape[1], a.shape[0]), cv2.WARP_INVERSE_MAP
     # Beyond the edge stands black, which the blur draws in: up to the edges a high pedestal hides what is mended. With
     # the edge repeated there, half a pixel is believed of a camera that stood still and shows but stray light.
@@ -379,12 +379,12 @@ def _has_white_rims(pictures: Sequence[Image], top: int) -> bool:
 
 
 def _corner_u_px(a: Image, b: Image, inside: NDArray[np.uint8], difference: float) -> float:
-    """Return the standard uncertainty in pixels of where a corner lies, from the mean square difference that stays.
+    """Return the standard uncertainty in pixels of a corner's place, from the mean square difference that stays.
 
     The difference is linear in small shifts and turns: the slopes of the picture are its derivatives, and what they
     hold in both pictures is no noise. What the two do not share is taken to be alike within the blur, so that so many
-    pixels count as one. The part of the picture that tells most is left out: one lamp in the dark says nothing of the
-    far corners.
+    pixels count as one. The most informative part of the picture is left out: one lamp in the dark shows nothing of
+    the far corners.
 
     Args:
         a: The one picture.
@@ -450,7 +450,7 @@ def _alike(
 
 
 def _quantiles(counts: NDArray[np.float32], shares: Array) -> Array:
-    """Return the whole numbers below which these shares of the counted ones lie, between two of them in proportion.
+    """Return the whole numbers below which these shares of the counted ones are, interpolated linearly.
 
     Source: R. J. Hyndman, Y. Fan 1996, The American Statistician 50, 361–365, definition 7.
     """

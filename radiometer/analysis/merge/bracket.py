@@ -90,7 +90,7 @@ class _Excused:
     Attributes:
         pixels: Their indices.
         excess: Their squared scatter over what noise and displacement together make.
-        shift: Relative change by a displacement at every pixel, flat; None where the frames lie in one place.
+        shift: Relative change by a displacement at every pixel, flat; None where the frames are in one place.
     """
 
     pixels: NDArray[np.intp]
@@ -416,7 +416,7 @@ class StreamingMerge:
         return 0.0 if calibration is None else frame_u_rel(calibration, self._situation.lens, numbers, settings)
 
     def _doubt_falloff(self, radiance: NDArray[np.float32], u_radiance: NDArray[np.float32]) -> None:
-        """Add to the uncertainty of every pixel that of a natural fall-off which nobody declared or measured."""
+        """Add to the uncertainty of every pixel that of a natural fall-off that is neither declared nor measured."""
         calibration, lens = self._calibration, self._situation.lens
         if calibration is None or calibration.flat_field is not None or falloff_known(self._camera, lens) != "assumed":
             return

@@ -76,7 +76,7 @@ class MergeSample:
         return np.asarray(self.table[dn].astype(np.float64) - dark)
 
     def only(self, pixels: NDArray[np.intp], index: int) -> MergeSample:
-        """Return some pixels as a frame of its own at another place among the frames."""
+        """Return some pixels as a separate frame at another place among the frames."""
         dark = self.terms.dark
         terms = self.terms if dark.size == 1 else replace(self.terms, dark=np.ascontiguousarray(dark[pixels]))
         return replace(self, dn=np.ascontiguousarray(self.dn[pixels]), terms=terms, index=index)

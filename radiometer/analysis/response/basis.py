@@ -23,9 +23,9 @@ _ROUGHNESS_ORDER = 3
 class ValueBasis:
     """A linear model g(M) = Σ_k c_k·b_k(M) on digital numbers, whole or not.
 
-    Cubic B-splines on u(M) = ln[(M − M_min + a)/(M_max − M + a)]: g is nearly straight over u for gamma, linear and
-    sigmoid responses alike, and the knots lie where ln H bends, close to black and to saturation. The number of
-    unknowns is the same at 8 and at 16 bits.
+    Cubic B-splines on u(M) = ln[(M − M_min + a)/(M_max − M + a)]: For gamma, linear and sigmoid responses alike, g is
+    nearly straight over u. The knots are where ln H bends, close to black and to saturation. The number of unknowns
+    is the same at 8 and at 16 bits.
 
     Attributes:
         bit_depth: Bits per digital number.

@@ -95,7 +95,7 @@ def dynamic_range(
         reference_dn: Reference value M_ref.
 
     Raises:
-        InputError: If a number lies outside the curve or a time is not above 0.
+        InputError: If a number is outside the curve or a time is not above 0.
         MeasurementError: If a region is not clearly darker or brighter than the reference value, its time runs the
             wrong way, or the curve says nothing there.
 

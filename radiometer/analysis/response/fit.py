@@ -77,8 +77,8 @@ class ResponseFit:
     def frame_covariance(self, frame: NDArray[np.intp]) -> Array:
         """Return the covariance of the solution that whole frames make that are each off in their own way.
 
-        Every frame's score is taken as one draw (its residuals share flare, tone or shutter), with what the fit took
-        up of it given back: of a frame with leverage H the residual is (I − H)^½ of its error.
+        Every frame's score counts as one draw, because its residuals share flare, tone or shutter. The part that the
+        fit absorbed is restored: with leverage H, a frame's residual is (I − H)^½ of its error.
 
         Args:
             frame: Frame of every row.

@@ -23,7 +23,7 @@ _LEAST_PART_OF_START = 1e-3
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Polynomial:
-    """f = 1 + Σ c_n (T_n(2x − 1) − T_n(2x_mid − 1)) and the ratios that go with it.
+    """f = 1 + Σ c_n (T_n(2x − 1) − T_n(2x_mid − 1)) and its ratios.
 
     Attributes:
         argument: x at every digital number, rising from 0 to 1.
@@ -70,9 +70,9 @@ def design(argument: Array, dn: Array, order: int) -> Array:
 def fit_polynomial(pairs: Pairs, argument: Array, order: int, gauge: Gauge, start: Array) -> Polynomial:
     """Return the polynomial and the ratios under which the pairs agree best, residuals in units of their noise.
 
-    Known ratios are held to one another, not to their values: what a polynomial cannot follow is much the same in
-    every pair of frames and would pull the free ratios away from those that are held. The exponent that is left open
-    is brought to 1 by the sum of all ln ratios, which is held.
+    Known ratios are tied to one another, not to their values. What a polynomial cannot follow is much the same in
+    every pair of frames. It would pull the free ratios away from fixed ones. The exponent that is left open is
+    brought to 1 by the sum of all ln ratios, which is held.
 
     Args:
         pairs: The pairs.

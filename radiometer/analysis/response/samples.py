@@ -138,9 +138,9 @@ def gather_samples(brackets: Bracket | Sequence[Bracket]) -> ResponseSamples:
     """Return group means of all pixels of one or several brackets taken with one response.
 
     Every frame's value rises with the light, whatever the response; so does the sum over the frames. Pixels are
-    therefore gathered by that sum into narrow groups, without knowing the response, and each group's mean per
-    frame takes the place of its pixels: all pixels count, noise is averaged before any logarithm is taken, and
-    the groups spread evenly over both the values and the picture.
+    therefore gathered by that sum into narrow groups, without knowing the response. Each group's mean per frame
+    replaces its pixels. So all pixels count, noise is averaged before any logarithm is taken, and the groups spread
+    evenly over the values and the picture.
 
     A pixel at an edge sees another thing in another frame as soon as camera or scene moved by part of a pixel, and a
     mean over an edge of which part is white. Where equally bright pixels vary more at edges than on even ground, those

@@ -21,7 +21,7 @@ _UNSEEN_WAVE: Final = 2.0
 def unseen_factor(coefficients: Array, covariance: Array, basis: ValueBasis, valid_dn: tuple[int, int]) -> float:
     """Return the factor on the standard uncertainty that smoothness decides, at least 2.
 
-    One λ stands for the whole curve. Where a few kinks hold most of the roughness, the mean understates what may
+    One λ represents the whole curve. Where a few kinks hold most of the roughness, the mean understates what may
     have been smoothed away there: the squared third differences of the coefficients are weighted by themselves.
 
     Args:
