@@ -86,7 +86,7 @@ class Calibration:
         return (now - dt.datetime.fromisoformat(self.created)).total_seconds() > self.validity_days * 86400.0
 
     def to_mapping(self) -> dict[str, Any]:
-        """Return the mapping that stands in the file."""
+        """Return the mapping that is written to the file."""
         return {
             "format": FORMAT,
             "created": self.created,

@@ -92,7 +92,7 @@ def find_white_levels(frames: Iterable[Frame]) -> dict[float, WhiteLevel]:
     """Return the white level of every gain in dB among frames of one camera and pixel format.
 
     Frames are compared where pattern and drive of the source are the same. Where the frames of a gain show no pile,
-    the lowest that another gain shows is used for it unless areas of their pixels are above it: a converter ends at
+    the lowest of the other gains is used unless areas of their pixels are above it. The reason: a converter ends at
     one number for all gains, and a full well ends lower at lower gains only.
 
     Args:
@@ -367,7 +367,7 @@ def _standstill(
         longer: The frame with the pile.
         shorter: One of a shorter exposure.
         pile: The pile.
-        already: Values next to those pixels in the shorter exposure, which have their level and noise of their own.
+        already: Values next to those pixels in the shorter exposure, which have the same level and independent noise.
         floor_dn: Black, or a value not below it.
         step: Distance between codes in DN.
     """

@@ -25,9 +25,9 @@ class RawColours:
     """The three colours of a mosaic, or the one of a sensor without filters.
 
     Attributes:
-        values: Shape (height, width) of a sensor without filters, else (height, width, 3), red, green and blue: of the
-            pixels of one colour in a cell the first (at half size for Bayer's mosaic, a third for X-Trans), or of every
-            pixel where interpolated.
+        values: Shape (height, width) of a sensor without filters, else (height, width, 3), red, green and blue. These
+            are the first pixel of a colour in each cell (at half size for Bayer's mosaic, a third for X-Trans). Where
+            interpolated, they are of every pixel.
         bit_depth: Bits per value, 9 to 16.
         white_level_dn: White level as the file states it.
         black_levels_dn: Black level of red, green and blue.

@@ -277,7 +277,7 @@ def _lens(frames: Sequence[FoundFrame]) -> LensDescription:
 
 
 def _black_by_gain(frames: Sequence[FoundFrame]) -> list[str]:
-    """Return a line that says how masked rows lie above the black level tag at each gain."""
+    """Return a line that reports how far masked rows are above the black level tag at each gain."""
     by_gain: dict[float, list[float]] = {}
     for frame in frames:
         masked, stated = frame.extra.get("masked_rows_dn"), frame.settings.black_level_dn

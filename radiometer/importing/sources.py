@@ -336,7 +336,7 @@ def _matching(path: Path) -> list[Path]:
 
 
 def _listed(path: Path) -> list[Path]:
-    """Return the files that a path stands for."""
+    """Return the files that a path names."""
     if path.is_dir():
         return _frame_files(path)
     if path.is_file():
@@ -402,7 +402,7 @@ def _readable(frames: Sequence[FoundFrame], options: ImportOptions) -> tuple[lis
 
 
 def _of_descriptor(path: Path, options: ImportOptions) -> Assembled:
-    """Return a descriptor's images; the photons tell the light, whatever the exposures say."""
+    """Return a descriptor's images; the photons give the light, whatever the exposures are."""
     try:
         listing = EmvaListing.read(path)
     except InputError as error:
@@ -443,7 +443,7 @@ def _is_steady(lit: Sequence[tuple[float, float]], brightest: float) -> bool:
 
 
 def _light_off_exposure(lit: Sequence[tuple[float, float]]) -> str | None:
-    """Return a line where the photons do not go with the exposure."""
+    """Return a line where the photons are not proportional to the exposure."""
     fluxes = [photons / seconds for seconds, photons in lit]
     if not fluxes or math.isclose(max(fluxes), min(fluxes), rel_tol=0.02):
         return None

@@ -83,7 +83,7 @@ def _heading(path: Path) -> Sequence[Row]:
 def read_statistics_table(path: Path, mapped: StatementMap | None = None) -> CaptureHeader:
     """Return a table's rows as the header of a capture set without pictures.
 
-    Units stand in the names of the columns, such as exposure_ms. Without a column of frames, two columns that end in
+    Units are in the names of the columns, such as exposure_ms. Without a column of frames, two columns that end in
     _a and _b mean pairs.
 
     Args:

@@ -97,7 +97,7 @@ class PhotographFolder:
         *,
         interpolated: bool = False,
     ) -> list[Bracket]:
-        """Return one bracket of the wanted channel, or three (red, green, blue) for "each".
+        """Return one bracket of the requested channel, or three (red, green, blue) for "each".
 
         Grey photographs give one bracket whatever the channel. A colour photograph's luminance is the luma
         0.299 R + 0.587 G + 0.114 B of its stored values (ITU-R BT.601), clipped where any channel is.

@@ -182,7 +182,7 @@ def prepared(
         iso: ISO speed of photographs that state none.
         f_number: f-number of photographs that state none.
         align: "auto", "on" or "off".
-        beside: Keep a recovered response beside this file; None keeps none.
+        beside: Keep a recovered response next to this file; None keeps none.
 
     Raises:
         CalibrationError: If photographs and calibration do not go together.

@@ -94,7 +94,7 @@ class Movement:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Alignment:
-    """How the frames of a bracket lie to each other.
+    """Where the frames of a bracket are relative to each other.
 
     Attributes:
         movements: One per frame, in the bracket's order.
@@ -145,7 +145,7 @@ class Alignment:
 
 
 def find_alignment(bracket: Bracket) -> Alignment:
-    """Return how the frames of a bracket lie to each other.
+    """Return where the frames of a bracket are relative to each other.
 
     Args:
         bracket: Frames of one scene from the shortest exposure to the longest; of colour photographs one channel.

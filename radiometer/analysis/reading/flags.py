@@ -78,7 +78,7 @@ def _too_few_frames(situation: PatchSituation) -> bool:
 
 
 def _extrapolates(situation: PatchSituation) -> bool:
-    """Return whether the frames that carry most of the estimate lie outside the response curve's data."""
+    """Return whether the frames that carry most of the estimate are outside the response curve's data."""
     if situation.model.linear:
         return False
     low, high = situation.model.valid_dn

@@ -1,7 +1,7 @@
 """What makes the world differ from the model of a reading: a contribution for each, by its distance from calibration.
 
 A cause that calibration and reading share to the same degree drops out: every contribution below is a sensitivity
-times the *difference* between the two. The figures, and their sources, stand in `StatedUncertainties`.
+times the *difference* between the two. `StatedUncertainties` holds the figures and their sources.
 """
 
 from __future__ import annotations

@@ -171,7 +171,7 @@ def _least_squares_above_zero(columns: Array, wanted: Array) -> Array:
 
     Args:
         columns: A, shape (rows, k).
-        wanted: y, shape (rows,).
+        requested: y, shape (rows,).
     """
     gram, right = columns.T @ columns, columns.T @ wanted
     scale = np.sqrt(np.where(np.diag(gram) > 0.0, np.diag(gram), 1.0))

@@ -158,7 +158,7 @@ def black_from_darks(dark_frames: Sequence[Frame], calibration: Calibration) -> 
 
 
 def dark_u(settings: FrameSettings, model: SignalModel, black: BlackLevel) -> float:
-    """Return the standard uncertainty of a modelled dark signal; a dark current that nobody stated may be some e⁻/s."""
+    """Return the standard uncertainty of a modelled dark signal; an unstated dark current may be some e⁻/s."""
     if "dark_current_e_per_s" in model.noise.assumed:
         return UNKNOWN_DARK_E_PER_S * settings.exposure_s / model.electrons_per_unit
     return black.dark_u_rel * model.modelled_dark(settings)
