@@ -38,7 +38,7 @@ class FitRequest:
     """How to fit.
 
     Attributes:
-        criterion: log10 threshold of which the time is wanted; None for none.
+        criterion: log10 threshold of which the time is requested; None for none.
         stimulus_u_log10: Standard uncertainty of the stimulus calibration in log10 units, shared by all thresholds.
         bootstrap_draws: Redraws for the intervals of derived quantities; 0 leaves them out.
         confidence: Probability of the intervals.
@@ -131,7 +131,7 @@ def _intercept_estimate(series: ThresholdSeries, request: FitRequest) -> dict[st
 
 
 def intercept_verdict(fit: AdaptationFit) -> str | None:
-    """Return what the rod intercept says, beside its published limit; None where the protocol reports none."""
+    """Return what the rod intercept shows, with its published limit; None where the protocol reports none."""
     rule = fit.request.intercept
     if rule is None:
         return None

@@ -28,7 +28,7 @@ class Interval:
     high: float
 
     def holds(self, value: float) -> bool:
-        """Return whether a value lies inside."""
+        """Return whether a value is inside."""
         return self.low <= value <= self.high
 
     def widened(self, u: float, coverage_factor: float = 1.96) -> Interval:

@@ -54,8 +54,8 @@ class SteadyBleach(ConfigSection):
 class FlashBleach(ConfigSection):
     """A flash, given by what reaches the retina in scotopic trolands × seconds through a pupil of known diameter.
 
-    It must be short beside the pigment's regeneration (400 s in rods), so that only its energy counts. `source: flash`
-    is the photographic flash at the box's trigger, fired as often as the energy takes.
+    It must be short compared with the pigment's regeneration (400 s in rods), so that only its energy counts.
+    `source: flash` is the photographic flash at the box's trigger, fired as often as the energy takes.
     """
 
     kind: Literal["flash"]
@@ -174,9 +174,9 @@ class DownUpMethod(ConfigSection):
 
 
 class QuestPlusMethod(ConfigSection):
-    """QUEST+: each blink where it tells most, until the threshold is known to `stop_sd_log10`.
+    """QUEST+: each blink where it is most informative, until the threshold is known to `stop_sd_log10`.
 
-    Levels lie `step_log10` apart. The prior is a normal distribution around the last threshold. `slopes` are exponents
+    Levels are `step_log10` apart. The prior is a normal distribution around the last threshold. `slopes` are exponents
     of the Weibull function that are thought possible.
     """
 

@@ -1,4 +1,4 @@
-"""A calibrated screen as a stage: its field bleaches, its spot blinks beside a red mark, a key or touch answers."""
+"""A calibrated screen as a stage: its field bleaches, its spot blinks next to a red mark, a key or touch answers."""
 
 from __future__ import annotations
 
@@ -185,7 +185,8 @@ class ScreenStage:
         return seen.presses
 
     def long_press(self, at_least_s: float) -> float | None:
-        """Return when a press that lasts so long began, on the stage's clock; each is told once, None where none is."""
+        """Return when a press that lasts so long began, on the stage's clock; each is reported once, None where none
+        is."""
         begun_s, lasted_s = self._held
         if lasted_s < at_least_s:
             return None
@@ -193,7 +194,7 @@ class ScreenStage:
         return begun_s
 
     def _note(self, hold: Hold) -> None:
-        """Remember the longest press; one that was told already may still go on."""
+        """Remember the longest press; one that was reported already may still go on."""
         begun_s = self.now_s() - hold.began_ago_s
         if hold.lasted_s > self._held[1] and begun_s > self._told_s + _SAME_PRESS_S:
             self._held = (begun_s, hold.lasted_s)

@@ -60,7 +60,7 @@ class SubjectStage:
         self.clock.advance(seconds)
 
     def rest(self, seconds: float) -> int:
-        """Let time of a pause pass; nobody presses."""
+        """Let time of a pause pass; there are no presses."""
         self.clock.advance(seconds)
         return 0
 

@@ -41,7 +41,8 @@ class Stage(Protocol):
         ...
 
     def long_press(self, at_least_s: float) -> float | None:
-        """Return when a press that lasts so long began, on the stage's clock; each is told once, None where none is."""
+        """Return when a press that lasts so long began, on the stage's clock; each is reported once, None where none
+        is."""
         ...
 
     def resume_at(self, time_s: float) -> None:
@@ -51,7 +52,7 @@ class Stage(Protocol):
 
 @runtime_checkable
 class DescribedStage(Protocol):
-    """A stage that can tell of itself."""
+    """A stage that can describe itself."""
 
     def facts(self) -> Mapping[str, Any]:
         """Return what the journal should hold of it."""

@@ -164,8 +164,9 @@ def calibrate(
 ) -> Calibrated:
     """Give a response curve its absolute scale.
 
-    By a source of known radiance or luminance (a capture set, photographs, or `camera`), by the constant K of a light
-    meter and the settings it asked for, or by both: then the less uncertain scale is used.
+    Two scales are possible. One is a source of known radiance or luminance (a capture set, photographs, or `camera`).
+    The other is the constant K of a light meter and the settings that it shows. With both, the less uncertain scale
+    is used.
 
     Examples:
         >>> import radiometer as rm

@@ -12,7 +12,7 @@ from radiometer.data.provenance import source_hash
 
 @dataclass(frozen=True, slots=True)
 class JobSettings:
-    """One job with everything that its result depends on beside the capture set.
+    """One job with everything that its result depends on in addition to the capture set.
 
     Attributes:
         job: Name in the registry of `jobs.py`.

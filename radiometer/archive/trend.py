@@ -59,13 +59,13 @@ class Trend:
         u: Stated standard uncertainties, same shape.
         line: Fitted straight line at the times.
         u_line: Standard uncertainty of the line there.
-        outlier: Which readings lie further than 4 of their total sigmas off the line; they take no part.
+        outlier: Which readings are more than 4 of their total sigmas from the line; they take no part.
         excess_rel: Relative scatter from reading to reading beyond the stated uncertainties (k = 1).
         drift_per_month: Relative drift per month of 30.44 days.
         u_drift_per_month: Its standard uncertainty, neighbours' correlation and seasons counted.
         degrees_of_freedom: Behind that uncertainty: of the readings' effective number.
         correlation: Of a reading with the next one, beyond line and season.
-        season_rel: Amplitude of the yearly cycle; None where the readings do not tell it.
+        season_rel: Amplitude of the yearly cycle; None where the readings do not determine it.
         straight_per_month: Relative drift per month if there were no cycle that the readings do not show.
         u_straight_per_month: Its standard uncertainty.
         cycles: Period in s and relative amplitude of other cycles that the readings show.
@@ -108,7 +108,7 @@ class Trend:
     def verdict(self) -> str:
         """Return "drift", "season_or_drift" for a change that a season may be as well, or "no_drift".
 
-        The second stands for records of less than a year and a half alone: longer ones tell the two apart.
+        The second occurs for records of less than a year and a half alone: longer ones separate the two.
         """
         if self.drifts:
             return "drift"
@@ -118,7 +118,7 @@ class Trend:
 
     @property
     def told_from_s(self) -> float:
-        """Return from when on the record tells a season from a drift, in s since 1970."""
+        """Return from when on the record separates a season from a drift, in s since 1970."""
         return float(self.time_s[0]) + _TOLD_YEARS * _YEAR_S
 
     def to_mapping(self) -> dict[str, Any]:
@@ -145,14 +145,13 @@ class Trend:
 def fit_trend(time_s: Array, value: Array, u: Array, *, patch: str = "", quantity: str = "", unit: str = "") -> Trend:
     """Return the straight-line history of a quantity with the drift per month and its uncertainty.
 
-    The stated uncertainties hold what each reading shares with the others (the calibration) and what it does not;
-    only the scatter that is seen tells how much is not shared. So the readings are weighed by their own noise
-    u_rel² brought to the scatter about the line: smaller where the readings agree better than stated, larger by an
-    excess term where they agree worse. Outliers beyond 4 sigmas leave the fit, one at a time. What is left then goes
-    through generalised least squares: neighbours may be correlated (exp(−Δt/τ), averaged over τ by its restricted
-    likelihood), a yearly cycle is fitted beside the line (of a stated size where the record is too short to tell it),
-    and cycles of other periods where the readings show them. Cycles about as long as the record count as far as the
-    readings allow them.
+    The stated uncertainties combine what each reading shares with the others (the calibration) and what it does not.
+    Only the measured scatter shows how much is not shared. So the readings are weighted by their noise u_rel² brought
+    to the scatter about the line: smaller where the readings agree better than stated, larger by an excess term where
+    they agree worse. Outliers beyond 4 sigmas leave the fit, one at a time. Generalised least squares then fits the
+    others. Neighbours may be correlated (exp(−Δt/τ), averaged over τ by its restricted likelihood). A yearly cycle is
+    fitted with the line (of a stated size where the record is too short to show it). Cycles of other periods are
+    fitted where the readings show them. Cycles about as long as the record count as far as the readings allow them.
 
     Args:
         time_s: Times in s, shape (n,), any order.
@@ -222,7 +221,7 @@ def _amplitudes(periods_s: tuple[float, ...], line: Array) -> tuple[tuple[float,
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Season:
-    """Level, months and the year's sine and cosine as columns, how large each may be, whether readings tell it."""
+    """Level, months and the year's sine and cosine as columns, how large each may be, whether readings show it."""
 
     design: Array
     spread: Array
@@ -230,7 +229,7 @@ class _Season:
 
 
 def _season(months: Array, time_s: Array) -> _Season:
-    """Return the line with its yearly cycle, of stated size where the readings do not tell it from a drift."""
+    """Return the line with its yearly cycle, of stated size where the readings do not separate it from a drift."""
     phase = 2.0 * np.pi * (time_s - time_s.mean()) / _YEAR_S
     # The cosine is 0 in the middle of the record, where the level is told.
     design = np.stack([np.ones_like(months), months, np.sin(phase), np.cos(phase) - 1.0], axis=1)

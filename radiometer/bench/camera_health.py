@@ -128,7 +128,7 @@ def _halving_ratio(camera: Camera, settings: CameraSettings, black_dn: float) ->
 
 
 def _metered(camera: Camera, black_dn: float) -> CameraSettings | None:
-    """Return settings under which the brightest pixels lie between a third and three quarters of full scale."""
+    """Return settings under which the brightest pixels are between a third and three quarters of full scale."""
     low_s, high_s = camera.capabilities.exposure_s
     settings = replace(camera.settings, exposure_s=min(max(0.01, 2 * low_s), high_s))
     for _ in range(_METER_STEPS):

@@ -127,6 +127,6 @@ def _simulated(config: BenchConfig, wanted: SimulatedCameraConfig, where: Path) 
 
 
 def preset_path(name: str, where: Path) -> Path:
-    """Return the file of a camera preset: beside the bench file, or one that comes with the product."""
+    """Return the file of a camera preset: next to the bench file, or one that comes with the product."""
     beside = where.parent / "cameras" / f"{name}.yaml"
     return beside if beside.is_file() else shipped_config(f"cameras/{name}.yaml")

@@ -51,7 +51,7 @@ class Instrument:
 
     Attributes:
         camera: An open camera.
-        patch: Where to read where nothing else is said.
+        patch: Where to read by default.
         calibration: Absolute calibration of this camera; None gives relative readings flagged so.
         time_limit_s: Bound on the sum of the exposure times of one reading in s.
         f_number: f-number that the lens is set to where the camera's description does not hold.

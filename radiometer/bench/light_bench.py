@@ -40,7 +40,7 @@ class SurveyRequest:
         seed: Makes the random order; None for another one each time.
         responsivity: CSV of the camera's relative responsivity per watt; None takes its quantum efficiency as flat.
         spectral_u_rel: Relative standard uncertainty of the spectral correction; None for the default.
-        target_u_rel: Relative standard uncertainty wanted of a reading's noise.
+        target_u_rel: Relative standard uncertainty required of a reading's noise.
     """
 
     channels: tuple[str, ...]

@@ -118,7 +118,7 @@ def primaries_of(display: str, channels: Sequence[str], primaries: str | None) -
     Simulated displays are made with the primaries of a CRT; of a real one nothing is taken by silence.
 
     Raises:
-        UsageError: If colours are wanted of a real display and nothing is said of their spectra.
+        UsageError: If colours are requested of a real display and their spectra are not stated.
     """
     if primaries is not None or not set(channels) & set(PRIMARIES):
         return primaries

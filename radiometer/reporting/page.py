@@ -123,7 +123,7 @@ def table(head: Sequence[str], rows: Iterable[Sequence[str]], *, words: Sequence
 
 
 def side_by_side(*figures: str) -> str:
-    """Return figures beside each other where there is room."""
+    """Return figures side by side where there is room."""
     return f"<div class='side'>{''.join(figures)}</div>" if any(figures) else ""
 
 

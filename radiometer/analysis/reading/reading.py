@@ -65,7 +65,7 @@ def read_patch(
     Raises:
         CalibrationError: If the calibration is of another camera or lens.
         InputError: If there is no such spectrum.
-        MeasurementError: If the patch lies outside the frame, or there is no light frame.
+        MeasurementError: If the patch is outside the frame, or there is no light frame.
     """
     situation = patch_situation(frames, patch, setup, now)
     reading = _reading(situation, patch, sequence)
@@ -87,7 +87,7 @@ def patch_situation(
 
     Raises:
         CalibrationError: If the calibration is of another camera or lens.
-        MeasurementError: If the patch lies outside the frame, or there is no light frame.
+        MeasurementError: If the patch is outside the frame, or there is no light frame.
     """
     settled, calibration, camera = situation_of(setup), setup.calibration, setup.camera
     if calibration is not None:
