@@ -16,7 +16,7 @@ _PERIOD_S: Final = 1.0
 
 
 def steady_us() -> int:
-    """Return a time in µs that nobody can set and that goes on while the machine sleeps (Linux, CLOCK_BOOTTIME)."""
+    """Return a time in µs that cannot be set and that goes on while the machine sleeps (Linux, CLOCK_BOOTTIME)."""
     return time.clock_gettime_ns(time.CLOCK_BOOTTIME) // 1000
 
 
@@ -46,7 +46,7 @@ class Jump:
 
 
 class ClockWatch:
-    """Compares the wall clock with one that nobody can set.
+    """Compares the wall clock with one that cannot be set.
 
     Args:
         on_jump: Told of each jump.

@@ -33,6 +33,6 @@ class Patience:
         self._learnt_at, self._on_time = self._clock(), 0
 
     def was_on_time(self) -> bool:
-        """Note that an answer came in time, and tell whether enough did to believe that all is well."""
+        """Note that an answer came in time, and return whether enough did to believe that all is well."""
         self._on_time += 1
         return self._on_time >= ON_TIME

@@ -57,7 +57,8 @@ class Places(Generic[_C]):
         return "too many connections of one address" if held >= max(1, self._limit // 4) else ""
 
     def make_room(self) -> _C | None:
-        """Return who must go for the next one; None where there is room, or nobody may be put out: `is_full` tells."""
+        """Return who must go for the next one; None where there is room, or where no connection may be dropped:
+        `is_full` decides."""
         if not self.is_full:
             return None
         now = self._clock()

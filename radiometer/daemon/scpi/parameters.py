@@ -54,7 +54,7 @@ class ParameterLimits:
 
 @dataclass(frozen=True, slots=True)
 class Number:
-    """A number with a unit; MINimum, MAXimum and DEFault stand for the limits.
+    """A number with a unit; MINimum, MAXimum and DEFault mean the limits.
 
     Attributes:
         name: Name for messages.
