@@ -23,7 +23,7 @@ STEEPEST_S2: Final = (
     -0.6
 )  # the steepest published is about −0.3 (Lamb and Pugh 2004); beyond, wild presses make the line
 EVIDENCE_AICC: Final = 4.0  # an evidence ratio of e² = 7 (Burnham and Anderson 2002, section 2.6)
-SETTLED_TAUS: Final = 1.5  # cones have gone 78 % of their way at the break; else rods alone are taken for both
+SETTLED_TAUS: Final = 1.5  # cones have gone 78 % of their way at the break; else rods alone are treated as both
 FASTEST_CONES_MIN: Final = 0.5  # time constant of a cone branch that is seen to fall; published are 1 to 2 min
 SEEN_FALL: Final = 1.0  # log10 units of it in the thresholds from which its time constant is known
 LEAST_ROD_FALL: Final = 0.5  # log10 units by which rods must go below the cones for a break to be one

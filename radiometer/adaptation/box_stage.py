@@ -192,8 +192,7 @@ class BoxStage:
         return len(self._presses(self.box.buttons(seconds)))
 
     def long_press(self, at_least_s: float) -> float | None:
-        """Return when a press that lasts so long began, on the stage's clock; each is reported once, None where none
-        is."""
+        """Return when a press that lasts so long began, on the stage's clock; each once, None where none is."""
         begun_s, held_s = self._longest
         if self._pressed_s is not None and self.clock() - self._pressed_s > held_s:
             begun_s, held_s = self._pressed_s, self.clock() - self._pressed_s

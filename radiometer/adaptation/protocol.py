@@ -24,8 +24,9 @@ SHIPPED = (
     "screen-only",
 )
 BLEACH_CHANNEL = "bleach"
-# What a rod intercept at 5·10⁻³ scotopic cd·m⁻² was published for: spot of about 2°, 500 to 510 nm, 5° from fixation,
-# after three quarters to four fifths of the rods were bleached (Jackson and Edwards 2008; Jackson et al. 2014).
+# Conditions of the published rod intercept at 5·10⁻³ scotopic cd·m⁻²: spot of about 2°, 500 to 510 nm, 5° from
+# fixation. The bleach covered three quarters to four fifths of the rods (Jackson and Edwards 2008; Jackson et al. #
+# 2014).
 RIT_CRITERION_CD_M2 = 5e-3
 RIT_SIZE_DEG = (1.5, 2.5)
 RIT_PEAK_NM = (500.0, 510.0)
@@ -55,7 +56,7 @@ class FlashBleach(ConfigSection):
     """A flash, given by what reaches the retina in scotopic trolands × seconds through a pupil of known diameter.
 
     It must be short compared with the pigment's regeneration (400 s in rods), so that only its energy counts.
-    `source: flash` is the photographic flash at the box's trigger, fired as often as the energy takes.
+    The photographic flash at the box's trigger is `source: flash`, fired as often as the energy takes.
     """
 
     kind: Literal["flash"]

@@ -29,7 +29,7 @@ SUBJECT: Final = "subject"
 HOPELESS: Final = 15  # trials without one threshold, but with false presses, after which the test is over
 SAME_TIME_S: Final = 1e-4  # to which the journal gives times
 ABOVE_LOG10: Final = 1.0  # how far above the last threshold a spot is that only lapses miss; half of it at least
-LOST_OF: Final = (2, 3)  # of so many checks of fixation in a row so many seen: the subject is told to look at the mark
+LOST_OF: Final = (2, 3)  # of so many checks of fixation in a row so many seen: the subject is asked to look at the mark
 LOOK_S: Final = 0.5  # how often a rest looks whether a pause is asked for, or a pause whether it is over
 
 

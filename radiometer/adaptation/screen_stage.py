@@ -14,9 +14,9 @@ from radiometer.screen.calibration import ScreenCalibration
 from radiometer.screen.stimulus import Blink, Code, Hold, ScreenPicture, Shape, StimulusScreen, Viewing, in_codes
 
 # Reaction times by browser, keyboard or touch screen come out too long by tens of ms that differ from machine to
-# machine: Pronk et al. 2020, Behavior Research Methods 52, 1371. A rectangle from 0 to 0.1 s stands for it.
+# machine: Pronk et al. 2020, Behavior Research Methods 52, 1371. A rectangle from 0 to 0.1 s represents it.
 PRESS_LAG_S: Final = 0.1
-_SAME_PRESS_S: Final = 0.2  # two beginnings of a press that are told closer than this are one
+_SAME_PRESS_S: Final = 0.2  # two beginnings of a press that are reported closer than this are one
 
 
 @dataclass(slots=True)
@@ -185,8 +185,7 @@ class ScreenStage:
         return seen.presses
 
     def long_press(self, at_least_s: float) -> float | None:
-        """Return when a press that lasts so long began, on the stage's clock; each is reported once, None where none
-        is."""
+        """Return when a press that lasts so long began, on the stage's clock; each once, None where none is."""
         begun_s, lasted_s = self._held
         if lasted_s < at_least_s:
             return None

@@ -41,8 +41,7 @@ class Stage(Protocol):
         ...
 
     def long_press(self, at_least_s: float) -> float | None:
-        """Return when a press that lasts so long began, on the stage's clock; each is reported once, None where none
-        is."""
+        """Return when a press that lasts so long began, on the stage's clock; each once, None where none is."""
         ...
 
     def resume_at(self, time_s: float) -> None:

@@ -48,8 +48,8 @@ from radiometer.photographs.stated import with_f_number, with_gains, with_iso
 from radiometer.reconciliation.report.read_back import with_found_effects
 from radiometer.units import exact_exposure_s
 
-# Luminous efficacies of radiation (380 to 780 nm) of usual sources, 2856 K to a phosphor-converted LED, are from
-# 0.86 to 1.8 times that of equal energy: the root of the mean square of that rectangle about 1.
+# Luminous efficacies of radiation (380 to 780 nm) of usual sources, 2856 K to a phosphor-converted LED, are from 0.86
+# to 1.8 times that of equal energy. The constant is the root mean square of that rectangle about 1.
 UNKNOWN_EFFICACY_U_REL: Final = 0.43
 
 PatchLike = Patch | tuple[int, int, int, int]

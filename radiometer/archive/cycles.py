@@ -13,12 +13,12 @@ from numpy.typing import NDArray
 MOST_CYCLES: Final = 3
 _READINGS_PER_CYCLE: Final = 2.5
 _FINER: Final = 8
-# Cycles in the span that are told from a drift badly.
+# Cycles in the span that are hardly separable from a drift.
 _SLOW_PER_SPAN: Final = (0.75, 1.0, 1.25, 1.5, 1.75, 2.0, 2.5, 3.0, 4.0)
-_FEWEST_PER_SPAN: Final = 0.5  # below which a cycle is a drift for all that the record tells
-# Cycles in the span beyond the season's that may stand in its place.
+_FEWEST_PER_SPAN: Final = 0.5  # below which the record cannot separate a cycle from a drift
+# Cycles in the span beyond the season's that may replace it.
 _NEAR_THE_SEASON: Final = (-0.5, -0.375, -0.25, -0.125, 0.125, 0.25, 0.375, 0.5)
-_APART: Final = 0.6  # cycles per span that two cycles are told from each other by
+_APART: Final = 0.6  # cycles per span by which two separable cycles differ
 _TRIFLE: Final = 1e-3
 _LEAST_APART: Final = 1e-4  # smallest over largest singular value of columns of norm 1
 _MOST_ODDS: Final = 3.0  # for cycles that were not clear enough to be taken as found

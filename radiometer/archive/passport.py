@@ -205,7 +205,7 @@ def fit_dark_law(sessions: Sequence[Session]) -> DarkLaw | None:
         doubling, silicon = _doubling_law(temperatures, logs, u), _two_mechanisms(temperatures, logs, u)
         if doubling is None:
             return None
-        # Two points lie on either law, and tell nothing between them.
+        # Two points fit either law, and cannot decide between them.
         found, other = (doubling, silicon) if logs.size == _PARAMETERS else _better(doubling, silicon)
         slope = found.slope(temperatures)
     ends = np.array([temperatures.min(), temperatures.max()])

@@ -25,9 +25,9 @@ MONTH_S: Final = 365.25 / 12 * 86400.0
 # A drift is claimed where chance alone would show it in so many archives: 3 sigma of many readings. What is guessed of
 # the correlation costs a little more, and false claims stay below one in a hundred.
 CLAIM_CHANCE: Final = 0.0027
-# A year's cycle is always fitted beside the drift. From this part of a year on readings tell its size by themselves;
-# in shorter records it is taken to be of any phase and of amplitudes up to some 5 % (2 % each of sine and cosine,
-# k = 1): a lamp of 0.3 %/K whose room is 15 K warmer in summer.
+# A year's cycle is always fitted with the drift. From this part of a year on readings alone show its size. In shorter
+# records it is assumed to be of any phase and of amplitudes up to some 5 % (2 % each of sine and cosine, k = 1). An
+# example is a lamp of 0.3 %/K whose room is 15 K warmer in summer.
 _YEAR_S: Final = 365.25 * 86400.0
 _SEASON_YEARS: Final = 0.75
 _SEASON_REL: Final = 0.02
@@ -231,7 +231,7 @@ class _Season:
 def _season(months: Array, time_s: Array) -> _Season:
     """Return the line with its yearly cycle, of stated size where the readings do not separate it from a drift."""
     phase = 2.0 * np.pi * (time_s - time_s.mean()) / _YEAR_S
-    # The cosine is 0 in the middle of the record, where the level is told.
+    # The cosine is 0 in the middle of the record, where the level is determined.
     design = np.stack([np.ones_like(months), months, np.sin(phase), np.cos(phase) - 1.0], axis=1)
     long = time_s[-1] - time_s[0] >= _SEASON_YEARS * _YEAR_S and time_s.size >= 2 * _MINIMUM_READINGS
     told = bool(long and tells_apart(design))
@@ -330,7 +330,7 @@ def _generalised(design: Array, relative: Array, sigma: Array, time_s: Array, sp
     off = solutions - centre
     covariance = np.einsum("t,tij->ij", weight, covariances + off[:, :, None] * off[:, None, :])
     mean = phi.mean(axis=1) if gaps.size else np.zeros(len(phi))
-    # So many readings without correlation tell as much of a mean.
+    # So many readings without correlation determine a mean as well.
     freedom = np.maximum(count * (1.0 - mean) / (1.0 + mean) - columns, 1.0)
     return _Fit(centre, covariance, float(weight @ freedom), float(weight @ mean))
 

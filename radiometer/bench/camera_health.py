@@ -14,7 +14,7 @@ from radiometer.data.sensor_noise import SensorNoise
 from radiometer.devices import Camera, CameraSettings, Finding, Health
 
 _RATE_FRAMES, _RATE_LIMIT_S = 30, 5.0
-_HOT_C = 65.0  # dark current has grown a hundredfold over 20 °C there, and makers' limits lie near
+_HOT_C = 65.0  # dark current has grown a hundredfold over 20 °C there, and makers' limits are near
 _METER_STEPS = 12
 _LONGEST_CHECK_S = 1.0
 _LINEAR_WITHIN = 0.005  # beyond the noise: what a linear sensor and its exposure clock keep easily

@@ -66,7 +66,7 @@ def list_cameras(config: BenchConfig, where: Path) -> tuple[list[CameraIdentity]
     found: list[CameraIdentity] = []
     if isinstance(config.camera, SimulatedCameraConfig):
         found.append(make_camera(config, where).identity)
-    owned = listed()[0]  # a library that is not installed is told by `radiometer doctor`
+    owned = listed()[0]  # `radiometer doctor` reports a library that is not installed
     try:
         from drivers.cameras.aravis_camera import discover
 

@@ -26,7 +26,7 @@ from simulators.chain.camera_model import CameraModel
 from simulators.light_box.camera import BoxView, HookedClock, LightBoxCamera
 
 BENCH: Final = "bench-light-box.yaml"
-# The simulated sensor's quantum efficiency is flat by construction; what is left is the channels' line shape.
+# The simulated sensor's quantum efficiency is flat by construction; the residual is the channels' line shape.
 SIMULATED_SPECTRAL_U_REL: Final = 0.01
 
 
@@ -143,7 +143,7 @@ def _absolute(instrument: Instrument) -> Instrument:
             "the camera has no absolute calibration, so it cannot tell a radiance; "
             "make one with `radiometer calibrate` and give it with --calibration"
         )
-    # The box's light is known: the survey corrects every channel's readings for it, with an uncertainty of its own.
+    # The box's light is known: the survey corrects every channel's readings for it, with its uncertainty.
     return replace(instrument, spectrum_stated=True)
 
 

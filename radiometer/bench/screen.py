@@ -64,7 +64,7 @@ class ScreenBench:
         frames = camera.capture(_FLICKER_FRAMES)
         black = camera.description.black_level_dn or 0.0
         pixels = np.array([frame.dn[patch.slices] for frame in frames], dtype=np.float64) - black
-        # What all pixels of a frame share is the flicker; what is left is noise.
+        # What all pixels of a frame share is the flicker; the residual is noise.
         own = pixels - pixels.mean(axis=(1, 2), keepdims=True)
         noise_dn = float(np.sqrt(own.var(axis=0, ddof=1).mean() / own[0].size))
         means = pixels.mean(axis=(1, 2))

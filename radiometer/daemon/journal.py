@@ -23,7 +23,7 @@ from radiometer.data.json_text import json_text
 from radiometer.data.storage import state_folder
 from radiometer.errors import OutputError
 
-APPLICATION_ID: Final = 0x52414D4A  # "RAMJ": tells `file` and us that this is a radiometer journal
+APPLICATION_ID: Final = 0x52414D4A  # "RAMJ": identifies a radiometer journal to `file` and to us
 SCHEMA_VERSION: Final = 2
 OWN_STREAM: Final = "own"
 _BUSY_TIMEOUT_S: Final = 2.0

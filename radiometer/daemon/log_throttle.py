@@ -11,7 +11,7 @@ import structlog
 from structlog.typing import EventDict, WrappedLogger
 
 _WINDOW_S: Final = 60.0
-_MOST: Final = 10  # enough to see a pattern; a thousand connections refused a second tell nothing more
+_MOST: Final = 10  # enough to see a pattern; a thousand connections refused a second show nothing more
 _KINDS: Final = 256  # different lines that are remembered
 
 

@@ -12,7 +12,7 @@ from radiometer.data import Flag, Patch, Reading
 from radiometer.data.json_text import json_text
 from radiometer.errors import UsageError
 
-MAIN: Final = "main"  # stands for the patch that is measured for all where a name is asked for
+MAIN: Final = "main"  # means the patch that is measured for all where a name is asked for
 MOST_PATCHES: Final = 12
 _LONGEST_NAME: Final = 32
 _CONFIRMATIONS: Final = 2  # so many readings in a row must say the same: one outlier is no alarm, and no all-clear

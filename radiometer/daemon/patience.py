@@ -7,7 +7,7 @@ from collections.abc import Callable
 from typing import Final
 
 _MARGIN: Final = 1.5
-_LONGEST_S: Final = 3.0  # a device that is gone is told of this much later at most
+_LONGEST_S: Final = 3.0  # a device that is gone is reported this much later at most
 _HALVED_AFTER_S: Final = 60.0
 ON_TIME: Final = 2  # so many answers in time, one after the other, end the alarm: one of them may be luck
 

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from typing import Final, Generic, TypeVar
 
 _C = TypeVar("_C")
-_CROWD: Final = 8  # so many that have not said a thing are a crowd, and make room at once
+_CROWD: Final = 8  # so many that have sent nothing are a crowd, and make room at once
 
 
 @dataclass(slots=True)
@@ -57,8 +57,7 @@ class Places(Generic[_C]):
         return "too many connections of one address" if held >= max(1, self._limit // 4) else ""
 
     def make_room(self) -> _C | None:
-        """Return who must go for the next one; None where there is room, or where no connection may be dropped:
-        `is_full` decides."""
+        """Return who must go for the next one; None where there is room or none may be dropped (see `is_full`)."""
         if not self.is_full:
             return None
         now = self._clock()

@@ -36,7 +36,7 @@ class FrameEntry(FileSection):
     """One frame of a capture set as `capture.yaml` lists it."""
 
     file: str
-    exposure_s: float = Field(ge=0)  # 0 stands for a bias frame: shutter closed, read out at once
+    exposure_s: float = Field(ge=0)  # 0 means a bias frame: shutter closed, read out at once
     gain_db: float = 0.0
     f_number: float | None = Field(None, gt=0)
     black_level_dn: float | None = None

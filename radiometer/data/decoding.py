@@ -55,8 +55,7 @@ def _without_remarks(content: NDArray[np.uint8]) -> NDArray[np.uint8]:
 
 @contextmanager
 def _quiet() -> Iterator[None]:
-    """Have OpenCV report errors alone until the last thread is done: tags that it does not know do not concern a
-    user."""
+    """Have OpenCV report errors alone until the last thread is done: unknown tags do not concern a user."""
     with _COUNTED:
         _levels.append(logging.setLogLevel(logging.LOG_LEVEL_ERROR))
     try:

@@ -347,7 +347,7 @@ def _evidence(longer: _Ranks, shorter: _Ranks, pile: _Pile, places: NDArray[np.i
         # Rounding to codes may take one step off a range or add one.
         ln_ratio = math.log(max(high - low - step, 1e-9) / (pile.spread_dn * _NORMAL_QUARTILES + step))
         collapse = ln_ratio * math.sqrt(before.size) / _LN_RATIO_SIGMA if ln_ratio >= math.log(_COLLAPSE) else 0.0
-    # The pixels next to these have their level, and noise of their own.
+    # The pixels next to these have the same level and independent noise.
     neighbours = shorter.flat[np.where(places > 0, places - 1, 1)[_in(pile, before)]]
     return max(collapse, _standstill(longer, shorter, pile, neighbours, floor_dn, step))
 

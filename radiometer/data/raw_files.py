@@ -91,7 +91,7 @@ def read_raw_colours(path: Path, *, interpolated: bool = False) -> RawColours:
         values[_near_clipped(mosaic, letters, white)] = (1 << bit_depth) - 1
         return RawColours(values, bit_depth, white, (0.0, 0.0, 0.0))
     planes = [_plane(mosaic, letters, letter) for letter in _LETTERS]
-    if _CELLS[pattern.shape] == 2:  # the green that is read has a black level of its own
+    if _CELLS[pattern.shape] == 2:  # the green that is read has a separate black level
         row, column = np.argwhere(letters == "G")[0]
         levels[1] = float(black[pattern[row, column]])
     values = np.minimum(np.stack(planes, axis=2), (1 << bit_depth) - 1).astype(np.uint16)

@@ -28,7 +28,7 @@ _CAMERA_KEYS: Final = (
 )  # fmt: skip
 _OWN_KEYS: Final = ("vendor", "model", "serial", "band", "binning", "mode")  # what a camera is called by among several
 _MASKED_SAME_DN: Final = 1.0
-_UNEVEN_PERCENT: Final = 0.5  # of light that a calibration moves, from which it is told
+_UNEVEN_PERCENT: Final = 0.5  # of light that a calibration moves, above which it is reported
 
 
 @dataclass(frozen=True, slots=True)

@@ -27,7 +27,7 @@ discussions of 2005, uncertain by at least 1 %; a constant factor, which the cam
 _MAGNITUDES: Final = ("mag", "sqm", "mpsas", "msas")
 _GAP_S: Final = 3.0 * 3600.0  # without a reading: another night
 _DAY_S: Final = 86400.0
-_APART_S: Final = 300.0  # by which readings of a reference in a file of its own may lie from the camera's
+_APART_S: Final = 300.0  # by which readings of a reference in a separate file may differ in time from the camera's
 _FEWEST_NIGHTS: Final = 3
 _FEWEST_ROWS: Final = 12
 _MOST_PER_NIGHT: Final = 300

@@ -1,5 +1,4 @@
-"""Read what Micro-Manager and pymmcore-plus write with the pixels: exposure, gain, binning, bit depth, temperature,
-time.
+"""Read what Micro-Manager and pymmcore-plus write with the pixels: exposure, gain, binning, temperature and so on.
 
 Three places are read, in this order. First a page's own tag (Micro-Manager's MMStack files). Then the planes of
 OME-XML (pymmcore-plus, and anything else that writes it). Last a JSON file next to the pictures

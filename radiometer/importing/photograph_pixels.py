@@ -183,7 +183,7 @@ def _is_png(path: Path) -> bool:
         with path.open("rb") as file:
             return file.read(4) == _PNG_START
     except OSError:
-        return False  # said where it is read
+        return False  # reported where it is read
 
 
 def _has_palette(path: Path) -> bool:

@@ -45,7 +45,7 @@ _LOG: Final = structlog.get_logger(__name__)
 CHANNEL_CHOICES: Final = (*CHANNELS, "luminance", "each")
 _BITS_OF_PICTURES: Final = 8  # cameras develop JPEG files of 8 bits up to their full scale
 _NAMED: Final = 4  # photographs that a message names
-# So many pixels tell whether two pictures may be copies; so many different numbers make a picture.
+# So many pixels show whether two pictures may be copies; so many different numbers make a picture.
 _COMPARED_PIXELS: Final = 60_000
 _VALUES_OF_A_PICTURE: Final = 16
 

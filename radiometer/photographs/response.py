@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 ENOUGH_PIXELS = 1_000_000
 _KEY = "photographs_sha256"
 _VERSION_KEY = "recovery_version"
-# What a recovered response depends on beside the photographs.
+# What a recovered response depends on in addition to the photographs.
 _RECOVERY = "analysis/response"
 _BEYOND_THE_CONVERTER = 1.1
 # A power of growth with exposure that differs from 1 by more is no linear camera's: seven sets of JPEG and film have
@@ -221,7 +221,7 @@ def relative_calibration(
     black_dn = _black_dn(bracket, curve)
     displacement = displacement_of(bracket, curve)
     if displacement is None:
-        noise = SensorNoise.of(camera)  # too little overlap to tell: typical figures, said to be assumed
+        noise = SensorNoise.of(camera)  # too little overlap: typical figures, reported as assumed
     else:
         line = curve or _straight_line(bracket, black_dn)
         noise = sensor_noise(displacement.noise, line, black_dn)

@@ -14,7 +14,7 @@ from radiometer.units import exact_f_number
 
 # Printed f-numbers are this near to the exact stop behind them.
 _SAME_STOP_REL: Final = 0.03
-# Key in a frame's `extra`: gain in dB that an exposure list states beside the ISO speed.
+# Key in a frame's `extra`: gain in dB that an exposure list states with the ISO speed.
 LIST_GAIN: Final = "list_gain_db"
 
 

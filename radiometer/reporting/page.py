@@ -12,7 +12,7 @@ from collections.abc import Iterable, Sequence
 from typing import Final
 
 _POLICY: Final = "default-src 'none'; img-src data:; style-src 'unsafe-inline'"
-# Every colour of text has a contrast of 4.5 or more on what lies behind it (WCAG 2.1, 1.4.3).
+# Every colour of text has a contrast of 4.5 or more on what is behind it (WCAG 2.1, 1.4.3).
 _MANY_COLUMNS: Final = 5  # a table of so many scrolls on a phone rather than that its words break
 STYLE: Final = """
 :root{color-scheme:light}*{box-sizing:border-box}

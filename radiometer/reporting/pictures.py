@@ -23,8 +23,8 @@ MODEL: Final = "#1f618d"  # what the model says
 BEFORE: Final = "#b03a2e"  # what was before, what is out of bounds
 MARK: Final = "#9a5b00"  # what is pointed out
 DIMMED: Final = "#8a8a8a"  # what is not claimed
-RULE: Final = "#555555"  # lines that something is held against
-_FEW_DECADES: Final = 1.0 / 3.0  # below, labels of a logarithmic axis run into each other and tell no ratio
+RULE: Final = "#555555"  # lines that something is compared with
+_FEW_DECADES: Final = 1.0 / 3.0  # below, labels of a logarithmic axis run into each other and show no ratio
 _NARROW_PX: Final = 640
 _SMALLEST_PT: Final = 9.0
 

@@ -29,16 +29,17 @@ _ENOUGH_PIXELS: Final = 800_000
 # Of so many it is seen first whether a pair moved at all.
 _GLANCE_PIXELS: Final = 100_000
 _COARSEST_PX: Final = 48
-# From afar; where a coarser picture has said where, a few steps of Gauss and Newton lead to the top or there is none.
+# From afar; where a coarser picture has given the place, a few steps of Gauss and Newton lead to the top or there is
+# none.
 _ITERATIONS: Final = 60
 _ITERATIONS_NEAR: Final = 15
 # A step of less in pixels is none.
 _ARRIVED_PX: Final = 0.02
-# Corners that move less count as still: a resampling would change more than it mends.
+# Corners that move less count as still: a resampling would change more than it improves.
 LEAST_MOVE_PX: Final = 0.25
 # A movement must lessen the mean square difference of neighbours to this share, or it is noise.
 _LEAST_GAIN: Final = 0.97
-# A movement that is known worse than this, in pixels of the bracket, is not told.
+# A movement that is known worse than this, in pixels of the bracket, counts as unknown.
 _WORST_U_PX: Final = 0.2
 # Grey values are counted in so many steps.
 _STEPS: Final = 65536
@@ -136,7 +137,7 @@ class Alignment:
         if not (self.needed or moved):
             return f"aligned already: moving no frame by {LEAST_MOVE_PX:g} pixels or more mends anything{doubt}"
         turned = max(abs(one.rotation_deg) for one in self.movements)
-        # A frame of which it cannot be told goes with its neighbour: it is the neighbour that was seen to move.
+        # A frame of unknown movement moves like its neighbour, whose movement was measured.
         most = max(range(len(names)), key=lambda k: (self.movements[k].largest_px(self.shape), self.movements[k].known))
         return (
             f"aligned to {names[self.reference]}: moved by up to {self.largest_px:.2g} pixels ({names[most]}) and "
@@ -239,7 +240,7 @@ def _moved(frame: Frame, to_frame: Array) -> tuple[Any, NDArray[np.bool_]]:
     values = frame.dn.astype(np.float32)
     smooth = cv2.warpAffine(values, to_frame, size, flags=flags | cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE)
     dn = np.clip(np.rint(smooth), 0, top).astype(frame.dn.dtype)
-    # A number stands for "clipped" only where all that it is read from clips.
+    # A number means "clipped" only where all that it is read from clips.
     for end, clipped in ((0, frame.dn == 0), (top, frame.dn >= white)):
         share = cv2.warpAffine(clipped.astype(np.float32), to_frame, size, flags=flags | cv2.INTER_LINEAR)
         dn[share > 0.999] = end
@@ -339,7 +340,7 @@ def _summit(pair: Climb, start: Array) -> tuple[float, Array]:
 def _believed(a: Image, b: Image, steady: NDArray[np.uint8], movement: Array) -> _PairMovement:
     """Return a movement with its uncertainty, or no movement where it improves nothing."""
     size, flags = (a.shape[1], a.shape[0]), cv2.WARP_INVERSE_MAP
-    # Beyond the edge stands black, which the blur draws in: up to the edges a high pedestal hides what is mended. With
+    # Beyond the edge is black, which the blur draws in: up to the edges a high pedestal hides the improvement. With
     # the edge repeated there, half a pixel is believed of a camera that stood still and shows but stray light.
     moved = cv2.warpAffine(b, movement, size, flags=flags | cv2.INTER_LINEAR)
     shown = cv2.warpAffine(steady, movement, size, flags=flags | cv2.INTER_NEAREST) & steady
@@ -431,7 +432,7 @@ def _alike(
     swapped = float(here.mean()) > float(there.mean())
     dark, bright = (there, here) if swapped else (here, there)
     top = 0.97 * full_scale_dn
-    # The values are told apart to so many steps, 1/257 DN of 8 bits: counted so, no picture need be sorted.
+    # The values are resolved to so many steps, 1/257 DN of 8 bits: counted so, no picture need be sorted.
     step_dn = full_scale_dn / (_STEPS - 1)
     steps = [np.rint(one * (1.0 / step_dn)).astype(np.uint16) for one in (dark, bright)]
     counts = [cv2.calcHist([one], [0], inside, [_STEPS], [0, _STEPS]).ravel() for one in steps]

@@ -45,7 +45,7 @@ from radiometer.data.white_level import white_level_notes
 from radiometer.errors import MeasurementError
 
 MOST_FRAMES = 64
-_TOLD_REL = 0.001  # an offset of exposures that does less to the brightest pixels is not told of
+_TOLD_REL = 0.001  # an offset of exposures that does less to the brightest pixels is not reported
 
 
 def merge(

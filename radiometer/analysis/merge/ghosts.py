@@ -72,7 +72,7 @@ def find_strays(
             alone[here] = few
             for k in range(len(samples)):
                 bits[here[out[k]]] |= np.uint64(1 << k)
-    # The edge of what moved is only partly covered and hardly stands out: it goes with its neighbours.
+    # The edge of what moved is only partly covered and hardly stands out: it is treated like its neighbours.
     kernel = np.ones((3, 3), np.float32)
     for k in range(len(samples)):
         bit = np.uint64(1 << k)

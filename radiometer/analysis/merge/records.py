@@ -49,11 +49,12 @@ RECORD_SIZE = 24
 FIRST_POWER = 0.35
 # A frame expected to clip by more than this says nothing new: its censored score is below 0.001 sigma.
 CENSORED_SIGMA = 3.5
-# The scatter of a pixel's frames, and what a curve's uncertainty excuses of it: beyond five standard deviations a
-# normal error comes once in 3.5 million, so that not one pixel of a picture is called inconsistent by chance.
+# The scatter of a pixel's frames, and what a curve's uncertainty excuses of it. Beyond five standard deviations a
+# normal error comes once in 3.5 million. So hardly a pixel of a picture is called inconsistent by chance.
 AGREEMENT_SIGMA = 5.0
-# A frame that clipped, though the others put it this far below clipping: asked of every frame of every pixel, up to a
-# hundred times as often as the scatter, so that its chance must be as much smaller (one in a thousand million).
+# A frame that clipped, though the others put it this far below clipping. This is checked in every frame of every
+# pixel, up to a hundred times as often as the scatter. So its chance must be as much smaller (one in a thousand
+# million).
 CONTRADICTION_SIGMA = 6.0
 
 

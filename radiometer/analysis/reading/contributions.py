@@ -26,7 +26,7 @@ from radiometer.analysis.uncertainty.budget import Term
 from radiometer.data import Calibration, Flag, LensDescription, ScaleConditions, StatedUncertainties
 
 _FEWEST_PIXELS_FOR_SCATTER = 16
-# Where a dark level is from that nobody assumed.
+# Origins of a dark level that is not assumed.
 _MEASURED = ("dark frames", "masked pixels")
 # Readings of signals as near as this share the error of the response curve.
 _SAME_LEVEL = 0.1

@@ -17,9 +17,9 @@ _NONUNIFORM_REL = 0.05
 # A contribution dominates from this part of the variance on, where it is more than a trifle.
 _DOMINATES = 0.5
 _TRIFLE_REL = 0.01
-# From this on the natural fall-off that nobody declared is told of.
+# From this on an undeclared natural fall-off is reported.
 _FALLOFF_TOLD_REL = 0.002
-# Frames that tell whether the light flickers: these many; more where each is short against a period of mains light.
+# Frames that show whether the light flickers: these many; more where each is short against a period of mains light.
 FEWEST_FRAMES = 3
 FEWEST_SHORT_FRAMES = 5
 SHORT_FRAME_S = 0.01

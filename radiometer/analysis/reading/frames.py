@@ -19,7 +19,7 @@ from radiometer.units import gain_factor
 _CLEAR_OF_CLIPPING_SIGMA = 4.0
 # More clipped pixels than this are part of the scene, fewer are defects.
 _DEFECT_FRACTION = 0.01
-# So many pixels of the whole picture tell its mean.
+# So many pixels of the whole picture give its mean.
 _PIXELS_OF_THE_WHOLE = 4096
 
 

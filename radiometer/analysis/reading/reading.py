@@ -193,7 +193,7 @@ def _falloff(
         return Falloff(falloff_known(camera, lens))
     numbers = {one.settings.f_number or lens.f_number for one in chosen}
     same = flat.f_number is None or all(n is not None and abs(n / flat.f_number - 1.0) < 0.03 for n in numbers)
-    # Mechanical vignetting comes and goes with the iris: then half of the measured fall-off is in doubt.
+    # Mechanical vignetting depends on the iris: then half of the measured fall-off is in doubt.
     doubt = 0.0 if same else 0.5 * abs(1.0 - float(place.mean()))
     return Falloff("flat_field", math.hypot(flat.u_rel, doubt))
 

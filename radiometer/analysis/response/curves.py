@@ -18,7 +18,7 @@ _UNDETERMINED_U = 0.05
 # The gauge makes u vanish at the middle: levelling takes no value for better known than this part of the median.
 _LEVEL_FLOOR = 0.3
 BLACK_KEY = "black_dn"  # in a curve's parameters
-# Signal in DN that stands for black itself: the middle of what rounds to it.
+# Signal in DN that represents black: the middle of what rounds to it.
 _AT_BLACK_DN = 0.5
 
 

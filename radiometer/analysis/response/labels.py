@@ -65,8 +65,7 @@ def _refuse_falling(where: str, rising: int, count: int) -> None:
 
 
 def refuse_equal_throughout(bracket: Bracket) -> None:
-    """Refuse a bracket whose pictures are all alike though their labels differ: none of them shows which label is
-    wrong.
+    """Refuse a bracket of equal pictures under different labels: none of them shows which label is wrong.
 
     Args:
         bracket: Frames sorted by their stated exposure.

@@ -28,7 +28,7 @@ _ROUNDS: Final = 6
 _ROUNDING_DN2: Final = 1.0 / 12.0
 # Electrons of a sensor whose shot noise a stack does not show: many enough to weigh nothing.
 _MOST_ELECTRONS: Final = 1e7
-# Square of the length at which two unit columns that are told apart differ, beyond what sums in double precision lose.
+# Square of the length at which two separable unit columns differ, beyond what sums in double precision lose.
 _ALIKE: Final = 1e-13
 
 
@@ -171,7 +171,7 @@ def _least_squares_above_zero(columns: Array, wanted: Array) -> Array:
 
     Args:
         columns: A, shape (rows, k).
-        requested: y, shape (rows,).
+        wanted: y, shape (rows,).
     """
     gram, right = columns.T @ columns, columns.T @ wanted
     scale = np.sqrt(np.where(np.diag(gram) > 0.0, np.diag(gram), 1.0))

@@ -14,7 +14,7 @@ from radiometer.analysis.response.weights import value_at
 
 Array = NDArray[np.float64]
 
-# Weight of the row that holds the product of all ratios: firm beside the data, not singular.
+# Weight of the row that holds the product of all ratios: firm compared with the data, not singular.
 _FIRM = 1e7
 _GAUGE_ROUNDS, _GAUGE_MET = 4, 1e-6
 # Where f falls below this part of the first estimate its logarithm is held: a fit must be able to come back.
@@ -23,7 +23,7 @@ _LEAST_PART_OF_START = 1e-3
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Polynomial:
-    """f = 1 + Σ c_n (T_n(2x − 1) − T_n(2x_mid − 1)) and its ratios.
+    """f = 1 + Σ c_n (T_n(2x − 1) − T_n(2x_mid − 1)) and its exposure ratios.
 
     Attributes:
         argument: x at every digital number, rising from 0 to 1.

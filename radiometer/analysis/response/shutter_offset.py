@@ -30,10 +30,10 @@ from radiometer.errors import MeasurementError
 
 Array = NDArray[np.float64]
 
-# The travel of curtains (5 to 7 ms over 20 to 24 mm) is adjusted to ± 0.3 ms, that of the first against that of the
-# second to 0.05 to 0.1 ms: their delays cannot differ by more. It is the prior of the constant, and its bound. Source:
-# service manuals as collected in github.com/srozum/film_camera_tester/wiki/Curtains-Travel-Times; effective exposure
-# time as in ISO 516.
+# The travel of curtains (5 to 7 ms over 20 to 24 mm) is adjusted to ± 0.3 ms. That of the first is adjusted against
+# that of the second to 0.05 to 0.1 ms. Their delays cannot differ by more. It is the prior of the constant, and its
+# bound. Source: service manuals as collected in github.com/srozum/film_camera_tester/wiki/Curtains-Travel-Times;
+# effective exposure time as in ISO 516.
 LARGEST_S: Final = 3e-4
 # Nor by more than this part of the shortest exposure: 1/8000 s that was 1/5300 s or 1/16000 s would be another stop.
 _LARGEST_PART: Final = 0.5
@@ -41,9 +41,9 @@ _LARGEST_PART: Final = 0.5
 _LONGEST_S: Final = 0.01
 # An exposure counts as moved from this part on; below, shutters scatter from one release to the next.
 _MOVED: Final = 0.01
-# It must stand out of its own uncertainty by this factor, as a wrong label must.
+# It must stand out of its uncertainty by this factor, as a wrong label must.
 _SIGMA: Final = 3.0
-# Two exposures must be predicted, each by what the others tell: one alone may have a wrong label.
+# Two exposures must be predicted, each from the others: one alone may have a wrong label.
 _FEWEST_MOVED: Final = 2
 # Fewer rows than these are strays.
 _FEWEST_ROWS: Final = 4

@@ -13,8 +13,8 @@ from radiometer.analysis.response.estimate import inner_range
 Array = NDArray[np.float64]
 
 # Frames at whole stops do not show a wave of one stop's period, and real responses hold more of it than their
-# smoothness elsewhere says: by this factor, with which the mean squared error in units of u over the DoRF curves is
-# about 1 (benchmarks/response_accuracy.py states it).
+# smoothness elsewhere predicts. With this factor the mean squared error in units of u over the DoRF curves is about 1
+# (benchmarks/response_accuracy.py states it).
 _UNSEEN_WAVE: Final = 2.0
 
 

@@ -27,11 +27,11 @@ _LEAST_GAIN_OF_FRAME: Final = 0.8
 _LEAST_FALL_DN: Final = 0.5
 # ln of real over stated exposure from which a label is wrong (a ninth of a stop); below, shutters scatter.
 SMALLEST_LABEL_ERROR: Final = 0.08
-# Shutters are off by a time besides, the same in all exposures. Where the frames do not tell it, so much is allowed:
+# Shutters are off by a time besides, the same in all exposures. Where the frames do not show it, so much is allowed:
 # at 1/8000 s a third of a stop is then no wrong label.
 UNTOLD_OFFSET_S: Final = 30e-6
-# It must stand out of its own uncertainty by this factor: 95 % where four shares tell it (Student's t, three degrees of
-# freedom), and one frame in some 400 by chance where the fit does.
+# It must stand out of its uncertainty by this factor. This is 95 % where four shares show it (Student's t, three
+# degrees of freedom). Where the fit shows it, one frame in some 400 does so by chance.
 _SIGMA: Final = 3.0
 # An exposure known to no better than this in ln, a factor of e, is not known.
 _NOTHING_KNOWN: Final = 1.0
@@ -39,7 +39,7 @@ _NOTHING_KNOWN: Final = 1.0
 _SMALLEST_SEARCHED: Final = 0.5 * SMALLEST_LABEL_ERROR
 # A frame is the rival of another where freed in its place it predicts both of them, left out, within that same margin.
 _AS_WELL: Final = 1.0 / _LEAST_GAIN_OF_FRAME
-# λ of the search, smooth enough that a curve cannot follow a wrong label; the best are fitted with one of their own.
+# λ of the search, smooth enough that a curve cannot follow a wrong label; the best are fitted with a separate one.
 _SEARCH_SMOOTHING: Final = 1e3
 _TRIED: Final = 3
 _FEWEST_ROWS: Final = 4

@@ -16,7 +16,8 @@ from radiometer.units import gain_factor
 _SAME_EXPOSURE_REL = 0.01
 # Dark current of machine-vision sensors near 40 °C where a data sheet says nothing: 0 to some 20 e⁻/s.
 UNKNOWN_DARK_E_PER_S = 10.0
-# Masked pixels against those beside: half a digital number (a rectangle), and a tenth of the modelled dark signal.
+# Masked pixels against those next to them: half a digital number (a rectangle), and a tenth of the modelled dark
+# signal.
 _MASKED_U_DN = 0.29
 _MASKED_U_REL = 0.1
 
