@@ -1,11 +1,15 @@
-"""Follows a page word by word: writes its files, runs its commands, and compares what they print in kind.
+"""Follow a page word by word: write its files, run its commands, and compare their output with the page.
 
     python docs/_site/follow.py PAGE FOLDER [--skip-installing]
 
-* A `yaml` block with a title becomes that file; a `console` block is run line by line in one shell; a `python` block is
-  run by itself.
-* A `text` block is what the block before it prints, and each of its lines must be found in that output: words as they
-  stand, numbers as any number of the same kind, and a number with ± must agree within its uncertainties.
+* A `yaml` block with a title becomes that file.
+
+* A `console` block is run line by line in one shell.
+
+* A `python` block is run by itself.
+
+* A `text` block is the output of the block before it. Each of its lines must occur in that output. Words must be
+  equal. A number matches any number of the same kind. A number with ± must agree within its uncertainties.
 """
 
 from __future__ import annotations
@@ -40,7 +44,7 @@ def blocks_of(page: Path) -> list[Block]:
 
 
 def follow(page: Path, folder: Path, *, installing: bool) -> list[str]:
-    """Do what a page says in a folder and return what differs from it.
+    """Follow a page in a folder and return the differences from it.
 
     Args:
         page: The page.
@@ -98,7 +102,7 @@ def _plain(line: str) -> str:
 
 
 def _same_kind(expected: str, printed: str) -> bool:
-    """Tell whether a line begins as it should: same words, a number for each number, intervals that overlap."""
+    """Return whether a line begins as it should: same words, a number for each number, intervals that overlap."""
     pieces = [re.escape(piece) for piece in _NUMBER.split(expected)]
     found = re.match(f"({_NUMBER.pattern})".join(pieces), printed)
     if found is None:
@@ -108,12 +112,12 @@ def _same_kind(expected: str, printed: str) -> bool:
 
 
 def _agree(value: float, wide: float, found: float, found_wide: float) -> bool:
-    """Tell whether two intervals meet at twice their width, and are of one order."""
+    """Return whether two intervals meet at twice their width, and are of one order."""
     return abs(value - found) <= 2 * (wide + found_wide) and 0.2 <= found_wide / wide <= 5.0
 
 
 def main() -> int:
-    """Follow a page and say what differs."""
+    """Follow a page and print the differences."""
     parser = argparse.ArgumentParser(description="Follow a page word by word.")
     parser.add_argument("page", type=Path)
     parser.add_argument("folder", type=Path)

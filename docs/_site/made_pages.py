@@ -1,4 +1,4 @@
-"""Pages that are made from the program itself: commands, effects, notebooks, and texts that lie elsewhere."""
+"""Make pages from the program itself: commands, effects, notebooks, and texts from outside the documentation."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from typing import Any
 from mkdocs.structure.files import File, Files
 
 ROOT = Path(__file__).resolve().parents[2]
-# Texts beside what they are about, and where the site shows them.
+# Texts that are kept next to their subject, and where the site shows them.
 ELSEWHERE = {"firmware.md": "drivers/firmware/light_box/README.md", "changelog.md": "CHANGELOG.md"}
 
 
@@ -36,7 +36,7 @@ def on_files(files: Files, config: Any) -> Files:
 
 
 def on_page_markdown(markdown: str, **_: Any) -> str:
-    """Point links to texts that lie elsewhere at their pages."""
+    """Point links to texts outside the documentation at their pages."""
     for page, path in ELSEWHERE.items():
         markdown = markdown.replace(f"](../{path})", f"]({page})")
     return markdown

@@ -1,4 +1,4 @@
-"""Formulas become MathML while the site is built, so that a browser shows them without any script."""
+"""Turn formulas into MathML while the site is built, so that a browser shows them without any script."""
 
 from __future__ import annotations
 

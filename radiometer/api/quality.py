@@ -102,7 +102,7 @@ def quality_take(
         >>> import radiometer as rm
         >>> rm.quality_take("out/session", "range", ["12dB"], bench="bench.yaml")
         [PosixPath('out/session/range/12dB')]
-        >>> {frame.settings.gain_db for frame in rm.read("out/session/range/12dB").bracket.frames}
+        >>> {frame.settings.gain_db for frame in rm.read("out/session/range/12dB").bracket.light}
         {12.0}
 
     Args:

@@ -81,7 +81,7 @@ def test_group_means_keep_the_ratio_of_exposures(make_stack):
 
 def test_pixels_that_contradict_their_exposure_are_left_out(make_stack):
     """A region that turns black in one longer exposure (something moved) does not enter any group."""
-    frames = list(make_stack("gamma", bit_depth=8))
+    frames = list(make_stack("gamma", bit_depth=8).light)
     moved = np.array(frames[5].dn)
     moved[:40, :40] = 0
     disturbed = [*frames[:5], Frame(moved, 8, frames[5].settings), *frames[6:]]
