@@ -1,4 +1,4 @@
-"""What the fields of the box's answers mean."""
+"""Meaning of the fields of the box's answers."""
 
 from __future__ import annotations
 

@@ -114,7 +114,7 @@ class BoxLink:
         return events
 
     def take_turned_off(self) -> bool:
-        """Tell whether the button, held for 3 s, has turned every light off since the last call."""
+        """Return whether the button, held for 3 s, has turned every light off since the last call."""
         turned_off, self._turned_off = self._turned_off, False
         return turned_off
 

@@ -1,4 +1,4 @@
-"""What is checked before a bleach: calibration not too old, light safe, room dark. Each finding is journalled."""
+"""Checks before a bleach: calibration not too old, light safe, room dark. Each finding is journalled."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a test does: bleach, test spot, method, end; read from YAML and checked."""
+"""Protocol of a test: bleach, test spot, method, end; read from YAML and checked."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a calibrated screen can show as a spot: light above its own black, in whole levels."""
+"""Spots that a calibrated screen can show: light above its own black, in whole levels."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a test needs of the devices in front of a subject."""
+"""Interface that a test needs of the devices in front of a subject."""
 
 from __future__ import annotations
 

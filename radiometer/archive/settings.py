@@ -1,4 +1,4 @@
-"""What is done to every capture set of an archive, and the fingerprint of the code that does it."""
+"""Settings of the processing of every capture set of an archive, and the fingerprint of its code."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the daemon needs of an instrument; the bench gives it, tests give a fake."""
+"""Interface that the daemon needs of an instrument; the bench provides it, tests provide a fake."""
 
 from __future__ import annotations
 

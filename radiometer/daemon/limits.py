@@ -1,4 +1,4 @@
-"""What one client, and all together, may use."""
+"""Limits of what one client, and all together, may use."""
 
 from __future__ import annotations
 

@@ -25,9 +25,9 @@ class RawColours:
     """The three colours of a mosaic, or the one of a sensor without filters.
 
     Attributes:
-        values: Shape (height, width) of a sensor without filters, else (height, width, 3), red, green and blue. These
-            are the first pixel of a colour in each cell (at half size for Bayer's mosaic, a third for X-Trans). Where
-            interpolated, they are of every pixel.
+        values: Shape (height, width) of a sensor without filters, else (height, width, 3), red, green and blue. They
+            are values of the first pixel of a colour in each cell (at half size for Bayer's mosaic, a third for
+            X-Trans). Where interpolated, they are values of every pixel.
         bit_depth: Bits per value, 9 to 16.
         white_level_dn: White level as the file states it.
         black_levels_dn: Black level of red, green and blue.

@@ -331,7 +331,7 @@ class FileStore:
         moment: Returns the present time.
         sleep: Waits between two looks at a lock.
         holder: Name of this program.
-        running: Tells whether the program of a name still runs.
+        running: Returns whether the program of a name still runs.
     """
 
     folder: Path

@@ -1,4 +1,4 @@
-"""What every light box offers, real or simulated: LED channels, a button, and darkness when in doubt."""
+"""Interface of every light box, real or simulated: LED channels, a button, and darkness when in doubt."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a file says of the frames in it, before they become a capture set."""
+"""Facts that a file states of its frames, before they become a capture set."""
 
 from __future__ import annotations
 

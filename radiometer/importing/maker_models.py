@@ -1,4 +1,4 @@
-"""What makers of multispectral cameras state of their lens and of how rows are exposed."""
+"""Models that makers of multispectral cameras state of their lens and of how rows are exposed."""
 
 from __future__ import annotations
 

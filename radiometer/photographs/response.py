@@ -88,7 +88,7 @@ def in_their_own_depth(brackets: Sequence[Bracket]) -> list[Bracket]:
 
 
 def linear_doubt(bracket: Bracket) -> str | None:
-    """Return the evidence against photographs that are declared linear; None where nothing does.
+    """Return the evidence against photographs that are declared linear; None where there is none.
 
     Args:
         bracket: The photographs.

@@ -1,4 +1,4 @@
-"""What a calibration and a reading must share, and what is done where they do not: one table for all quantities.
+"""Quantities that a calibration and a reading must share, and the action where they do not: one table for all.
 
 A quantity is equal on both sides, different, or not stated by one of them. For each pair of states, `TABLE` gives the
 action: the reading is left as it is, corrected, made more uncertain, or refused. Every stage asks `handling_of` or

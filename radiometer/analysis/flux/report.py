@@ -1,4 +1,4 @@
-"""What is known of a light-emitting diode, and the report on its flux."""
+"""Known properties of a light-emitting diode, and the report on its flux."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What each frame brings into the merge: exposure, noise without light, where it clips, its dark level."""
+"""Contribution of each frame to the merge: exposure, noise without light, where it clips, its dark level."""
 
 from __future__ import annotations
 

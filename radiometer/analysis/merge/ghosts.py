@@ -1,4 +1,4 @@
-"""What moved through a scene: frames that contradict the others at a pixel are left out of it there.
+"""Movement in a scene: frames that contradict the others at a pixel are left out there.
 
 Every frame's value at a pixel says what each of the others should show. The value that most frames bear out is taken,
 of several the one that is known best, and what does not agree with it is another scene. Frames that clip bear out a

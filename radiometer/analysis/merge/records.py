@@ -1,4 +1,4 @@
-"""What the merge's last step knows of a set of frames: how their sums become a rate, and its variance.
+"""Records of the merge's last step on a set of frames: how their sums become a rate, and its variance.
 
 For independent samples x_i = E·t_i + noise with variance v_i = c_i + κ·E·t_i the maximum-likelihood weights are
 t_i/v_i. They depend on E, which a stream does not know yet, and weights that follow the noisy sample itself are

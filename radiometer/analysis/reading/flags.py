@@ -1,4 +1,4 @@
-"""What a user must know about a patch reading."""
+"""Flags that a user must know about a patch reading."""
 
 from __future__ import annotations
 

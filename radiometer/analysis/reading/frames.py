@@ -1,4 +1,4 @@
-"""What each frame of a bracket shows in a patch, and which frames may be used."""
+"""Statistics of each frame of a bracket in a patch, and which frames may be used."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What makes the world differ from the model of a reading: a contribution for each, by its distance from calibration.
+"""Differences between the world and the model of a reading: a contribution each, by its distance from calibration.
 
 A cause that calibration and reading share to the same degree drops out: every contribution below is a sensitivity
 times the *difference* between the two. `StatedUncertainties` holds the figures and their sources.

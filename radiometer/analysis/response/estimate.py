@@ -1,4 +1,4 @@
-"""What a response method hands back: the curve and what must be known to trust it."""
+"""Result of a response method: the curve and what must be known to trust it."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a smoothed curve may have missed: more than an evenly rough curve with the same λ would."""
+"""Error that a smoothed curve may have missed: more than an evenly rough curve with the same λ would."""
 
 from __future__ import annotations
 

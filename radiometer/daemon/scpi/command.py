@@ -1,4 +1,4 @@
-"""What one line of the command table holds, and how a header is found in it."""
+"""One line of the command table, and how a header is found in it."""
 
 from __future__ import annotations
 
