@@ -20,6 +20,7 @@ from radiometer.analysis.photometry.spectra import spectrum_from_csv
 from radiometer.analysis.response.dynamic_range import DynamicRange, RangePoint, dynamic_range, with_dynamic_range
 from radiometer.analysis.signal.dark import black_from_darks
 from radiometer.api.files import PathLike, stack_of
+from radiometer.api.read_back import with_found_effects
 from radiometer.api.result import Progress, Result
 from radiometer.bench.assembly import open_instrument
 from radiometer.bench.sources import is_photographs, open_source
@@ -45,7 +46,6 @@ from radiometer.photographs.iso_record import at_iso, reference_iso
 from radiometer.photographs.response import linear_doubt
 from radiometer.photographs.scene import UNTOLD_SHUTTER_U_S, Photographs, has_untold_shutter, with_offset
 from radiometer.photographs.stated import with_f_number, with_gains, with_iso
-from radiometer.reconciliation.report.read_back import with_found_effects
 from radiometer.units import exact_exposure_s
 
 # Luminous efficacies of radiation (380 to 780 nm) of usual sources, 2856 K to a phosphor-converted LED, are from 0.86

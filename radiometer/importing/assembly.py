@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -62,7 +63,7 @@ def _titles(keys: Sequence[tuple[Any, ...]]) -> list[str]:
     words = ["-".join(str(key[i]) for i in differing if key[i] is not None) or "camera" for key in keys]
     seen: Counter[str] = Counter()
     unique = []
-    for word in map(safe_file_name, words):  # they become folders
+    for word in (safe_file_name(re.sub(r"[^\w.+-]+", "_", word)) for word in words):  # they become folders
         seen[word] += 1
         unique.append(word if seen[word] == 1 else f"{word}-{seen[word]}")
     return unique

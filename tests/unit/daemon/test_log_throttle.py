@@ -13,6 +13,7 @@ from radiometer.daemon.log_throttle import LogThrottle
 
 @pytest.mark.parametrize("library", [False, True])
 def test_a_flood_is_ten_lines_a_minute_and_a_count(library: bool) -> None:
+    """61 000 equal lines in a minute become 20 and a count; each different line is written."""
     now = [0.0]
     throttle = LogThrottle(clock=lambda: now[0])
     lines: list[str] = []
@@ -38,6 +39,7 @@ def test_a_flood_is_ten_lines_a_minute_and_a_count(library: bool) -> None:
 
 
 def test_an_installed_throttle_still_lets_events_through() -> None:
+    """An event that occurs once is written once."""
     before = structlog.get_config()["processors"]
     try:
         LogThrottle().install()

@@ -36,10 +36,12 @@ def test_every_content_is_strict_json(content: Any) -> None:
 
 @given(_NUMBERS)
 def test_a_number_stays_what_it_is_or_is_null(number: float) -> None:
+    """NaN and infinity are null; any other number comes back to the bit."""
     assert json.loads(json_text([number])) == [number if math.isfinite(number) else None]
 
 
 def test_arrays_are_lists_and_what_has_no_form_is_refused() -> None:
+    """An array's NaN is null as well; an object without a JSON form is an error."""
     assert json_text({"u": np.array([1.0, np.nan, -np.inf])}) == '{"u": [1.0, null, null]}'
     with pytest.raises(TypeError):
         json_text(object())

@@ -47,7 +47,7 @@ def test_stated_uncertainty_covers_the_error(make_stack, inner_error):
 def test_values_beyond_the_data_are_flagged_and_uncertain(make_stack):
     """A bracket that never comes near white leaves the top extrapolated: out of valid_dn, u as large as the step."""
     bright = make_stack("gamma", frames=9)
-    dim = Bracket.from_frames([Frame(np.minimum(f.dn, 3000), 12, f.settings) for f in bright])
+    dim = Bracket.from_frames([Frame(np.minimum(f.dn, 3000), 12, f.settings) for f in bright.light])
     curve = recover_response_debevec1997(dim).curve
     assert curve.valid_dn is not None
     assert curve.valid_dn[1] <= 3000
