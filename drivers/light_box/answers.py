@@ -1,4 +1,4 @@
-"""What the fields of the box's answers mean."""
+"""Meaning of the fields of the box's answers."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ def read_capabilities(port: str, fields: tuple[str, ...]) -> tuple[ChannelCapabi
 
 
 def read_state(port: str, channel: str, bucket: int, fields: tuple[str, ...]) -> ChannelState:
-    """Return a channel's state as RB tells it."""
+    """Return a channel's state as RB reports it."""
     good = len(fields) == 5 and fields[0] in _MODES and fields[1] in _RANGES
     if not good or not all(field.isdigit() for field in fields[2:]):
         raise _senseless(port, "RB", fields)
@@ -62,7 +62,7 @@ def read_state(port: str, channel: str, bucket: int, fields: tuple[str, ...]) ->
 
 
 def read_status(port: str, fields: tuple[str, ...]) -> LightBoxStatus:
-    """Return the box's status as ST tells it."""
+    """Return the box's status as ST reports it."""
     numbers = [*fields[0:1], *(field.removeprefix("-") for field in fields[1:2]), *fields[2:5], *fields[6:8]]
     if len(fields) != 8 or not all(number.isdigit() for number in numbers) or fields[5] not in _CAUSES:
         raise _senseless(port, "ST", fields)
@@ -78,7 +78,7 @@ def read_status(port: str, fields: tuple[str, ...]) -> LightBoxStatus:
 
 
 def read_flash(port: str, fields: tuple[str, ...]) -> FlashState:
-    """Return how many flashes are left in a row and when the next may be fired, as FL and FS tell it."""
+    """Return how many flashes are left in a row and when the next may be fired, as FL and FS report it."""
     if len(fields) != 2 or not all(field.isdigit() for field in fields):
         raise _senseless(port, "FS", fields)
     return FlashState(int(fields[0]), int(fields[1]) / 1000.0)

@@ -79,7 +79,7 @@ class SerialLightBox:
         ledger: Account of the retinal exposure; refuses what is too much.
         calibration: Level ↔ radiance; None where levels can only be raw.
         mild: Wait for what answers to boot, ask it once, and let it be if it is silent: the port may be another's.
-        keep_alive: Tend the box from a thread of its own; without it the caller calls `tend` often enough.
+        keep_alive: Tend the box from a separate thread; without it the caller calls `tend` often enough.
         flash: The photographic flash at its trigger; None where there is none.
     """
 
@@ -159,7 +159,7 @@ class SerialLightBox:
         return self._shine("PU", channel, level, (ms,), ms / 1000.0, ms / 1000.0)
 
     def blink(self, channel: str, level: Level, on_s: float, off_s: float, count: int = 0) -> ChannelState:
-        """Blink a channel `count` times (0: until told otherwise), timed by the box.
+        """Blink a channel `count` times (0: until the next command), timed by the box.
 
         Raises:
             SettingOutOfRange: If count, times or level are outside the box's limits.
@@ -180,7 +180,7 @@ class SerialLightBox:
 
         Raises:
             SettingOutOfRange: If the level is beyond the channel's limits.
-            CalibrationError: If a radiance is wanted of a channel that is not calibrated.
+            CalibrationError: If a radiance is requested of a channel that is not calibrated.
             UnsafeStimulus: If it is too much for the eye, or for the channel's energy budget.
         """
         self._index(channel)

@@ -58,7 +58,7 @@ class ClockSample:
 class BoxClock:
     """Host time of the box's stamps: a straight line through the exchanges with the least delay.
 
-    The free delay may lie on either way, so that an offset is known to ± half of the least delay (rectangular,
+    The free delay may be on either way, so that an offset is known to ± half of the least delay (rectangular,
     standard uncertainty the half width by √3; GUM 4.3.7); scatter and rate add the rest.
     """
 

@@ -38,7 +38,7 @@ class EventInbox:
         if self.expected is None:
             return []
         ahead = (latest - self.expected + 1) % 256
-        if ahead >= 128:  # `latest` lies before what was released: an old answer
+        if ahead >= 128:  # `latest` is before what was released: an old answer
             return []
         numbers = [(self.expected + step) % 256 for step in range(ahead)]
         for number in numbers[: max(ahead - KEPT_BY_BOX, 0)]:

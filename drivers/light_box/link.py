@@ -85,7 +85,7 @@ class BoxLink:
     def compare_clocks(self) -> None:
         """Add one comparison of the clocks and fetch the events that were lost. Raises as `request`."""
         self._refuse_faulty()
-        for _ in range(ATTEMPTS):  # each try has a number of its own: a repeated answer would carry old times
+        for _ in range(ATTEMPTS):  # each try has a separate number: a repeated answer would carry old times
             self._sequence = (self._sequence + 1) % 256
             try:
                 fields, sent_s, received, request_bytes = self._exchange("TM", self._sequence, attempts=1)
@@ -114,7 +114,7 @@ class BoxLink:
         return events
 
     def take_turned_off(self) -> bool:
-        """Tell whether the button, held for 3 s, has turned every light off since the last call."""
+        """Return whether the button, held for 3 s, has turned every light off since the last call."""
         turned_off, self._turned_off = self._turned_off, False
         return turned_off
 

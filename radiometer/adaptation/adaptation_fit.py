@@ -23,7 +23,7 @@ STEEPEST_S2: Final = (
     -0.6
 )  # the steepest published is about −0.3 (Lamb and Pugh 2004); beyond, wild presses make the line
 EVIDENCE_AICC: Final = 4.0  # an evidence ratio of e² = 7 (Burnham and Anderson 2002, section 2.6)
-SETTLED_TAUS: Final = 1.5  # cones have gone 78 % of their way at the break; else rods alone are taken for both
+SETTLED_TAUS: Final = 1.5  # cones have gone 78 % of their way at the break; else rods alone are treated as both
 FASTEST_CONES_MIN: Final = 0.5  # time constant of a cone branch that is seen to fall; published are 1 to 2 min
 SEEN_FALL: Final = 1.0  # log10 units of it in the thresholds from which its time constant is known
 LEAST_ROD_FALL: Final = 0.5  # log10 units by which rods must go below the cones for a break to be one
@@ -38,7 +38,7 @@ class FitRequest:
     """How to fit.
 
     Attributes:
-        criterion: log10 threshold of which the time is wanted; None for none.
+        criterion: log10 threshold of which the time is requested; None for none.
         stimulus_u_log10: Standard uncertainty of the stimulus calibration in log10 units, shared by all thresholds.
         bootstrap_draws: Redraws for the intervals of derived quantities; 0 leaves them out.
         confidence: Probability of the intervals.
@@ -95,7 +95,7 @@ class AdaptationFit:
 
     @property
     def has_break(self) -> bool:
-        """Tell whether a rod–cone break was found."""
+        """Return whether a rod–cone break was found."""
         return "break_min" in self.chosen.values
 
 
@@ -131,7 +131,7 @@ def _intercept_estimate(series: ThresholdSeries, request: FitRequest) -> dict[st
 
 
 def intercept_verdict(fit: AdaptationFit) -> str | None:
-    """Return what the rod intercept says, beside its published limit; None where the protocol reports none."""
+    """Return what the rod intercept shows, with its published limit; None where the protocol reports none."""
     rule = fit.request.intercept
     if rule is None:
         return None
@@ -189,7 +189,7 @@ def _choose(fits: list[BranchFit]) -> BranchFit:
 
 
 def makes_sense(fit: BranchFit) -> bool:
-    """Tell whether a fit is physiological: cones that fall and are seen, rods that fall well below, S3 above S2."""
+    """Return whether a fit is physiological: cones that fall and are seen, rods that fall well below, S3 above S2."""
     values, times = fit.values, fit.series.time_min
     if values["amplitude"] <= 0:
         return False

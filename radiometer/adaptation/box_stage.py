@@ -56,7 +56,7 @@ class BoxLights:
 
     @property
     def by_flash(self) -> bool:
-        """Tell whether the photographic flash bleaches."""
+        """Return whether the photographic flash bleaches."""
         return isinstance(self.protocol.bleach, FlashBleach) and self.protocol.bleach.source == "flash"
 
     def spot(self, log10_level: float) -> Radiance:
@@ -159,7 +159,7 @@ class BoxStage:
 
     @property
     def checks_fixation(self) -> bool:
-        """Tell whether the box has a light in the blind spot."""
+        """Return whether the box has a light in the blind spot."""
         return self.protocol.fixation_check is not None and self.lights.blind_spot_w_sr_m2 > 0
 
     def blink_blind_spot(self, trial: int, number: int) -> list[float]:
@@ -192,7 +192,7 @@ class BoxStage:
         return len(self._presses(self.box.buttons(seconds)))
 
     def long_press(self, at_least_s: float) -> float | None:
-        """Return when a press that lasts so long began, on the stage's clock; each is told once, None where none is."""
+        """Return when a press that lasts so long began, on the stage's clock; each once, None where none is."""
         begun_s, held_s = self._longest
         if self._pressed_s is not None and self.clock() - self._pressed_s > held_s:
             begun_s, held_s = self._pressed_s, self.clock() - self._pressed_s

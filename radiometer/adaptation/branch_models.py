@@ -82,7 +82,7 @@ class BranchModel:
         return flat[flat[:, 2] > flat[:, 1] + 0.05 * length] if len(self.nonlinear) > 2 else flat
 
     def allowed(self, time_min: Array, nonlinear: Array) -> bool:
-        """Tell whether nonlinear parameters make sense for these times: breaks inside, in order, settled cones."""
+        """Return whether nonlinear parameters make sense for these times: breaks inside, in order, settled cones."""
         first, last = float(time_min[0]), float(time_min[-1])
         tau, breaks = nonlinear[0], nonlinear[1:]
         inside = all(first < b < last for b in breaks) and all(early < late for early, late in pairwise(breaks))

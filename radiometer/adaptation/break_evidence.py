@@ -48,7 +48,7 @@ class BreakEvidence:
 
     @property
     def shown(self) -> bool:
-        """Tell whether there is enough for a break."""
+        """Return whether there is enough for a break."""
         return self.deviance >= self.needed
 
 

@@ -1,4 +1,4 @@
-"""What is checked before a bleach: calibration not too old, light safe, room dark. Each finding is journalled."""
+"""Checks before a bleach: calibration not too old, light safe, room dark. Each finding is journalled."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ class Finding:
 
     Attributes:
         kind: Kind of the event: "room" or "check".
-        facts: What stands in the journal.
+        facts: What is written to the journal.
         refusal: Why the test must not begin; None where it may.
     """
 

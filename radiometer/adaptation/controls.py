@@ -9,13 +9,13 @@ from dataclasses import dataclass, field
 
 @dataclass(slots=True)
 class Controls:
-    """What somebody beside the run asks of it; safe to call from any thread.
+    """Requests to a run from outside; safe to call from any thread.
 
     The run looks at it after every blink: it goes dark, journals the pause, and waits. The eye adapts on.
 
     Attributes:
         paused_by: Who asked for the pause that is asked for now; None where none is.
-        stopped_by: Who asked for the end; None while nobody has.
+        stopped_by: Who asked for the end; None while there is no request.
         linger_s: Real time that each look at a pause takes besides; for runs in simulated time, where a pause would
             be over before anybody could end it.
     """

@@ -16,7 +16,7 @@ from radiometer.adaptation.branch_fit import HUBER_CONSISTENCY, BranchFit, proje
 
 Array = NDArray[np.float64]
 # Measured: over 500 simulated subjects (69 thresholds, 3 nonlinear parameters) the mean likelihood ratio of the truth
-# was 1.11 ± 0.03 of its limit, averaged over the 7 parameters; other subjects than those of the benchmark.
+# was 1.11 ± 0.03 of its limit, averaged over the 7 parameters. These are other subjects than those of the benchmark.
 BARTLETT: Final = 2.6
 
 
@@ -28,7 +28,7 @@ class Interval:
     high: float
 
     def holds(self, value: float) -> bool:
-        """Tell whether a value lies inside."""
+        """Return whether a value is inside."""
         return self.low <= value <= self.high
 
     def widened(self, u: float, coverage_factor: float = 1.96) -> Interval:
@@ -101,7 +101,7 @@ def _end(fit: BranchFit, name: str, best: float, step: float, limit: float) -> f
         outer = inner + step
         total, nonlinear = _profile(fit, name, outer, start)
         if total > limit:
-            if _excess(fit, name, start, limit, inner) >= 0.0:  # without noise: nothing but rounding lies between
+            if _excess(fit, name, start, limit, inner) >= 0.0:  # without noise: nothing but rounding is between
                 return inner
             return float(brentq(partial(_excess, fit, name, start, limit), inner, outer, xtol=1e-4))
         start, inner, step = nonlinear, outer, 1.3 * step

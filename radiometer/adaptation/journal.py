@@ -25,9 +25,9 @@ class RunJournal:
 
     Args:
         path: The file; created where it is not there.
-        relive: Take up a simulated run by living through it again: events come anew from the first on (or from the last
-            refused try on), must equal those in the file, and are written where the file ends. A simulated world that
-            died with its program is whole again then, down to the temperature of its LEDs.
+        relive: Resume a simulated run by simulating it again. Events come anew from the first on (or from the last
+            refused try on). They must equal those in the file, and are written where the file ends. A simulated world
+            that died with its program is whole again then, down to the temperature of its LEDs.
     """
 
     def __init__(self, path: Path, *, relive: bool = False) -> None:
@@ -108,7 +108,7 @@ class RunJournal:
             self._stream = None
 
     def _cut_torn_line(self) -> None:
-        """Cut off what a crash left of a half-written line, so that the next event begins a line of its own."""
+        """Cut off what a crash left of a half-written line, so that the next event begins a new line."""
         if self._stream is None:
             return
         whole = self.path.read_bytes().rfind(b"\n") + 1

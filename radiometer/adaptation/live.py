@@ -1,4 +1,4 @@
-"""The state of a test as its events tell it, for whoever watches: phase, thresholds, catches, the running fit."""
+"""The state of a test from its events, for whoever watches: phase, thresholds, catches, the running fit."""
 
 from __future__ import annotations
 

@@ -22,7 +22,7 @@ from radiometer.errors import DeviceError
 from radiometer.screen.loopback import Darken, LoopbackServer, Message, darkened, nothing_to_darken
 
 _SLOW_BROWSER_S: Final = 2.0
-_REFRESH_S: Final = 0.05  # events that come closer together are told together
+_REFRESH_S: Final = 0.05  # events that come closer together are reported together
 _BY: Final = "page"
 _LIGHTS_OFF: Final = "lights off"
 _OVER: Final = None
@@ -31,7 +31,7 @@ Health = Callable[[], Mapping[str, str]]
 
 
 class LivePage:
-    """Shows a running test to any number of browsers; one that goes away is missed by nobody.
+    """Shows a running test to any number of browsers; one that goes away does no harm.
 
     Args:
         protocol: What is done.
@@ -77,7 +77,7 @@ class LivePage:
         self._fitter.start()
 
     def close(self) -> None:
-        """Finish the last fit, tell the browsers that it is over, and stop serving."""
+        """Finish the last fit, report to the browsers that it is over, and stop serving."""
         self._points.put(_OVER)
         self._fitter.join()
         self._server.stop(self._say_goodbye)
@@ -114,7 +114,7 @@ class LivePage:
         self._sockets.discard(socket)
 
     def _ask_devices(self) -> dict[str, str]:
-        """Return the devices' state; where they do not tell, the run goes on and finds out for itself."""
+        """Return the devices' state; where they do not report it, the run goes on and finds out for itself."""
         try:
             return dict(self._health())
         except DeviceError as error:

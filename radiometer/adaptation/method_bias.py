@@ -1,4 +1,4 @@
-"""How far the threshold that a method finds lies from the eye's own, on average."""
+"""Mean difference between the threshold that a method finds and the eye's threshold."""
 
 from __future__ import annotations
 
@@ -27,7 +27,8 @@ class MethodBias:
 def method_bias(method: LimitsMethod | StaircaseMethod | DownUpMethod | QuestPlusMethod) -> MethodBias | None:
     """Return the bias of a method that takes the first level seen; None for the others, which aim at the 63 % point.
 
-    Exact for a usual psychometric function, averaged over where the levels lie; its uncertainty is that of the slope.
+    Exact for a usual psychometric function, averaged over the places of the levels; its uncertainty is that of the
+    slope.
 
     Args:
         method: The method and its steps.

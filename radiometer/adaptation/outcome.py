@@ -68,7 +68,7 @@ class Outcome:
 
     @property
     def can_be_fitted(self) -> bool:
-        """Tell whether the thresholds are a subject's."""
+        """Return whether the thresholds are a subject's."""
         return self.verdict in FITTED
 
     def to_csv(self, facts: Mapping[str, str] | None = None) -> str:
@@ -118,7 +118,7 @@ def outcome_of(journal: RunJournal, verdict: Verdict, protocol: AdaptationProtoc
 
 
 def _fixation_lost(reliability: Reliability, protocol: AdaptationProtocol) -> bool:
-    """Tell whether the subject certainly looked away from the mark more often than the protocol allows."""
+    """Return whether the subject certainly looked away from the mark more often than the protocol allows."""
     check, found = protocol.fixation_check, reliability.rates.get("fixation_losses")
     return check is not None and found is not None and found.low > check.most_lost_share
 
@@ -128,7 +128,7 @@ def _is_blank(trial: Event) -> bool:
 
 
 def too_many_false(trials: list[Event], protocol: AdaptationProtocol) -> bool:
-    """Tell whether a larger share than the protocol allows of the catches, or of all trials, had false presses."""
+    """Return whether a larger share than the protocol allows of the catches, or of all trials, had false presses."""
     catches = [t for t in trials if _is_blank(t)]
     caught = sum(bool(t["false_press"]) for t in catches)
     hasty = sum(bool(t["false_press"]) for t in trials) - caught

@@ -1,4 +1,4 @@
-"""What is said to subject and operator by sound: at the phases of a test and at every threshold; journalled."""
+"""Sounds for subject and operator: at the phases of a test and at every threshold; journalled."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a test does: bleach, test spot, method, end; read from YAML and checked."""
+"""Protocol of a test: bleach, test spot, method, end; read from YAML and checked."""
 
 from __future__ import annotations
 
@@ -24,8 +24,9 @@ SHIPPED = (
     "screen-only",
 )
 BLEACH_CHANNEL = "bleach"
-# What a rod intercept at 5·10⁻³ scotopic cd·m⁻² was published for: spot of about 2°, 500 to 510 nm, 5° from fixation,
-# after three quarters to four fifths of the rods were bleached (Jackson and Edwards 2008; Jackson et al. 2014).
+# Conditions of the published rod intercept at 5·10⁻³ scotopic cd·m⁻²: spot of about 2°, 500 to 510 nm, 5° from
+# fixation. The bleach covered three quarters to four fifths of the rods (Jackson and Edwards 2008; Jackson et al. #
+# 2014).
 RIT_CRITERION_CD_M2 = 5e-3
 RIT_SIZE_DEG = (1.5, 2.5)
 RIT_PEAK_NM = (500.0, 510.0)
@@ -54,8 +55,8 @@ class SteadyBleach(ConfigSection):
 class FlashBleach(ConfigSection):
     """A flash, given by what reaches the retina in scotopic trolands × seconds through a pupil of known diameter.
 
-    It must be short beside the pigment's regeneration (400 s in rods), so that only its energy counts. `source: flash`
-    is the photographic flash at the box's trigger, fired as often as the energy takes.
+    It must be short compared with the pigment's regeneration (400 s in rods), so that only its energy counts.
+    The photographic flash at the box's trigger is `source: flash`, fired as often as the energy takes.
     """
 
     kind: Literal["flash"]
@@ -174,9 +175,9 @@ class DownUpMethod(ConfigSection):
 
 
 class QuestPlusMethod(ConfigSection):
-    """QUEST+: each blink where it tells most, until the threshold is known to `stop_sd_log10`.
+    """QUEST+: each blink where it is most informative, until the threshold is known to `stop_sd_log10`.
 
-    Levels lie `step_log10` apart. The prior is a normal distribution around the last threshold. `slopes` are exponents
+    Levels are `step_log10` apart. The prior is a normal distribution around the last threshold. `slopes` are exponents
     of the Weibull function that are thought possible.
     """
 

@@ -1,4 +1,4 @@
-"""QUEST+ as a search for one threshold: each blink at the level that tells most, until the threshold is known well."""
+"""QUEST+ as a search for one threshold: each blink at the most informative level, until the threshold is known well."""
 
 from __future__ import annotations
 

@@ -32,7 +32,7 @@ _THRESHOLD: Final = ("thrs", "thresholds", "threshold", "Thrs")
 
 
 def is_r_file(beginning: bytes) -> bool:
-    """Tell whether a file with these first bytes is one that R saved."""
+    """Return whether a file with these first bytes is one that R saved."""
     return beginning.startswith(_BEGINNINGS)
 
 

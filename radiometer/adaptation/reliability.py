@@ -100,7 +100,7 @@ class Reliability:
         }
 
     def facts(self) -> dict[str, str]:
-        """Return the counts as they stand in a table of thresholds; those of what was tried."""
+        """Return the counts in the form of a table of thresholds; those of what was tried."""
         counts = {"false_alarms": self.false_alarms, "lapses": self.lapses, "seen_at_blind_spot": self.fixation}
         return {name: str(count) for name, count in counts.items() if count.of}
 

@@ -39,7 +39,7 @@ def label_of(name: str, fit: AdaptationFit) -> str:
 
 
 def to_mapping(fit: AdaptationFit) -> dict[str, Any]:
-    """Return what stands in the JSON."""
+    """Return what is written to the JSON."""
     return {
         "verdict": fit.verdict,
         "model": fit.chosen.model.name,
@@ -129,7 +129,7 @@ def _intercept(fit: AdaptationFit) -> str:
 
 
 def meaning(fit: AdaptationFit) -> list[str]:
-    """Return what the curve says of the eye, and what would tell more."""
+    """Return what the curve shows of the eye, and what would show more."""
     last_min = float(fit.chosen.series.time_min[-1])
     if not fit.has_break:
         earliest = fit.evidence.earliest_visible_min

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 _POINTS: Final = 600
-_LEFT_PART: Final = 0.45  # of the time axis; where the break lies there, its words stand to the right of it
+_LEFT_PART: Final = 0.45  # of the time axis; where the break is there, its words are to the right of it
 _INTERVAL_SIGMAS: Final = 1.96  # 95 %
 
 

@@ -1,4 +1,4 @@
-"""What a run of the test is asked to be: who, by which protocol, before which devices."""
+"""Request for a run of the test: who, by which protocol, before which devices."""
 
 from __future__ import annotations
 

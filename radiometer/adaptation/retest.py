@@ -26,7 +26,7 @@ class Bound:
     high: float
 
     def to_mapping(self) -> dict[str, float]:
-        """Return what stands in the JSON."""
+        """Return what is written to the JSON."""
         return {"value": self.value, "low": self.low, "high": self.high}
 
 
@@ -47,7 +47,7 @@ class Agreement:
     upper: Bound
 
     def to_mapping(self) -> dict[str, Any]:
-        """Return what stands in the JSON."""
+        """Return what is written to the JSON."""
         limits = {name: getattr(self, name).to_mapping() for name in ("mean", "lower", "upper")}
         return {**limits, "sd": self.sd}
 
@@ -73,7 +73,7 @@ class Compared:
     agreement: Agreement | None
 
     def to_mapping(self) -> dict[str, Any]:
-        """Return what stands in the JSON."""
+        """Return what is written to the JSON."""
         return {
             "unit": self.unit,
             "pairs": len(self.visits),

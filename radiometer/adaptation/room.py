@@ -25,7 +25,7 @@ def measured_room(instrument: Instrument, protocol: AdaptationProtocol, white: s
         white: Spectrum that light in the room is taken to have.
 
     Raises:
-        CalibrationError: If the camera tells no radiance.
+        CalibrationError: If the camera gives no radiance.
         DeviceError: If it fails.
         InputError: If the spectrum is unknown.
     """

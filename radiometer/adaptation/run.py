@@ -1,9 +1,9 @@
 """Runs a test: bleach, then one threshold after the other, everything journalled; can be taken up after a crash.
 
-Events of the journal: `start`, `stage` (what the devices are, where they can tell), `check`, `room`, `refused` (by a
-check), `bleach`, `dark`, then `blink` (after each blink, with its presses) and `trial` (after each threshold or catch);
-between them `pause`, `resume`, `taken_up` (after a crash), `fixation` (it was lost) and `prompt` (a sound); at last
-`stop` and `end`.
+Events of the journal, in this order. First `start`, `stage` (what the devices are, where they report it), `check`,
+`room`, `refused` (by a check), `bleach`, `dark`. Then `blink` (after each blink, with its presses) and `trial` (after
+each threshold or catch). Between them `pause`, `resume`, `taken_up` (after a crash), `fixation` (it was lost) and
+`prompt` (a sound). At last `stop` and `end`.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ SUBJECT: Final = "subject"
 HOPELESS: Final = 15  # trials without one threshold, but with false presses, after which the test is over
 SAME_TIME_S: Final = 1e-4  # to which the journal gives times
 ABOVE_LOG10: Final = 1.0  # how far above the last threshold a spot is that only lapses miss; half of it at least
-LOST_OF: Final = (2, 3)  # of so many checks of fixation in a row so many seen: the subject is told to look at the mark
+LOST_OF: Final = (2, 3)  # of so many checks of fixation in a row so many seen: the subject is asked to look at the mark
 LOOK_S: Final = 0.5  # how often a rest looks whether a pause is asked for, or a pause whether it is over
 
 
@@ -186,7 +186,7 @@ class _Run:
                 self._threshold(number, shift=rng.random())
 
     def _kind_of_trial(self, drawn: float) -> str | None:
-        """Return the kind of catch that a number drawn from 0 to 1 stands for; None for a threshold."""
+        """Return the kind of catch that a number drawn from 0 to 1 selects; None for a threshold."""
         if self._blinks:  # a trial that a crash has cut stays what it was
             return kind_of_catch(self._blinks[0])
         watch, check = self.protocol.watch, self.protocol.fixation_check
@@ -207,7 +207,7 @@ class _Run:
         return None if last is None or last + 0.5 * ABOVE_LOG10 > highest else min(last + ABOVE_LOG10, highest)
 
     def _rest_between(self) -> bool:
-        """Let the time between two trials pass, and tell whether a pause came."""
+        """Let the time between two trials pass, and return whether a pause came."""
         left_s = self.protocol.watch.pause_between_s
         while left_s > 0:
             self.stage.wait(min(left_s, LOOK_S))
@@ -284,13 +284,13 @@ class _Run:
         )
 
     def _shown(self, threshold: float) -> float:
-        """Return the level that was seen; other methods' thresholds lie between levels as it is."""
+        """Return the level that was seen; other methods' thresholds are between levels as it is."""
         if isinstance(self.stage, SteppedStage) and isinstance(self.protocol.method, LimitsMethod):
             return self.stage.shown_log10(threshold)
         return threshold
 
     def _over(self, search: Method) -> bool:
-        """Tell whether a search has found its threshold, has no way on, has taken too long, or met a hasty press."""
+        """Return whether a search has found its threshold, has no way on, has taken too long, or met a hasty press."""
         ended = search.threshold is not None or search.exhausted
         return ended or self._hasty() or len(self._blinks) >= self.protocol.watch.most_blinks
 
@@ -303,7 +303,7 @@ class _Run:
         return float(found[-1]) if found else None
 
     def _pause_asked(self) -> bool:
-        """Pause or stop if the subject or the operator asks for it, and tell whether the trial is off."""
+        """Pause or stop if the subject or the operator asks for it, and return whether the trial is off."""
         self._ask_again()
         held_since_s = self.stage.long_press(self.protocol.watch.hold_to_pause_s)
         by = self.controls.paused_by if held_since_s is None else SUBJECT
@@ -378,13 +378,13 @@ class _Run:
         return None
 
     def _fruitless(self, trial: Event) -> bool:
-        """Tell whether a trial gave no threshold though a subject who is there would have given one."""
+        """Return whether a trial gave no threshold though a subject who is there would have given one."""
         blind = trial["seen"] == 0 and trial["minutes"] < self.protocol.watch.blind_min
         return trial["threshold"] is None and not trial["false_press"] and not blind
 
 
 def _why_fruitless(trials: list[Event], *, known: bool) -> Verdict:
-    """Return why trials in a row gave no threshold; `known` tells whether earlier ones did."""
+    """Return why trials in a row gave no threshold; `known` states whether earlier ones did."""
     later = trials[1:] if known and len(trials) > 1 else trials  # presses may have stopped within the first of them
     if not any(trial["seen"] for trial in later):
         return Verdict.LEFT if known else Verdict.NO_RESPONSE

@@ -1,4 +1,4 @@
-"""What a table of thresholds says of the run it comes from, so that its fit reports what belongs to that protocol."""
+"""Facts that a table of thresholds states of its run, so that its fit reports what belongs to that protocol."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a calibrated screen can show as a spot: light above its own black, in whole levels."""
+"""Spots that a calibrated screen can show: light above its own black, in whole levels."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ class SpotLevels:
 
     Attributes:
         channel: Name of the channel.
-        codes: Whole levels that can be told from black, ascending, shape (n,).
+        codes: Whole levels that can be distinguished from black, ascending, shape (n,).
         log10: log10 of the scotopic luminance in cd·m⁻² that each adds to the black, behind the filter, shape (n,).
         u_log10: Its standard uncertainty without what all levels share, shape (n,).
         u_common_log10: What all share: the scale.
@@ -49,7 +49,8 @@ class SpotLevels:
 
         Raises:
             CalibrationError: If the channel was not measured.
-            ConfigurationError: If the screen has other than 8 bits, or none of its levels can be told from black.
+            ConfigurationError: If the screen has other than 8 bits, or none of its levels can be distinguished from
+                black.
         """
         curve = calibration.channel(channel)
         if curve.bits != 8:

@@ -1,4 +1,4 @@
-"""A calibrated screen as a stage: its field bleaches, its spot blinks beside a red mark, a key or touch answers."""
+"""A calibrated screen as a stage: its field bleaches, its spot blinks next to a red mark, a key or touch answers."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ from radiometer.screen.calibration import ScreenCalibration
 from radiometer.screen.stimulus import Blink, Code, Hold, ScreenPicture, Shape, StimulusScreen, Viewing, in_codes
 
 # Reaction times by browser, keyboard or touch screen come out too long by tens of ms that differ from machine to
-# machine: Pronk et al. 2020, Behavior Research Methods 52, 1371. A rectangle from 0 to 0.1 s stands for it.
+# machine: Pronk et al. 2020, Behavior Research Methods 52, 1371. A rectangle from 0 to 0.1 s represents it.
 PRESS_LAG_S: Final = 0.1
-_SAME_PRESS_S: Final = 0.2  # two beginnings of a press that are told closer than this are one
+_SAME_PRESS_S: Final = 0.2  # two beginnings of a press that are reported closer than this are one
 
 
 @dataclass(slots=True)
@@ -154,7 +154,7 @@ class ScreenStage:
 
     @property
     def checks_fixation(self) -> bool:
-        """Tell whether there is room for a light in the blind spot, and the protocol wants it."""
+        """Return whether there is room for a light in the blind spot, and the protocol wants it."""
         return self._blind_spot is not None
 
     def blink_blind_spot(self, trial: int, number: int) -> list[float]:
@@ -185,7 +185,7 @@ class ScreenStage:
         return seen.presses
 
     def long_press(self, at_least_s: float) -> float | None:
-        """Return when a press that lasts so long began, on the stage's clock; each is told once, None where none is."""
+        """Return when a press that lasts so long began, on the stage's clock; each once, None where none is."""
         begun_s, lasted_s = self._held
         if lasted_s < at_least_s:
             return None
@@ -193,7 +193,7 @@ class ScreenStage:
         return begun_s
 
     def _note(self, hold: Hold) -> None:
-        """Remember the longest press; one that was told already may still go on."""
+        """Remember the longest press; one that was reported already may still go on."""
         begun_s = self.now_s() - hold.began_ago_s
         if hold.lasted_s > self._held[1] and begun_s > self._told_s + _SAME_PRESS_S:
             self._held = (begun_s, hold.lasted_s)

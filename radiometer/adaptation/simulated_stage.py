@@ -46,7 +46,7 @@ class SubjectStage:
 
     @property
     def checks_fixation(self) -> bool:
-        """Tell whether the protocol has a light in the blind spot."""
+        """Return whether the protocol has a light in the blind spot."""
         return self.protocol.fixation_check is not None
 
     def blink_blind_spot(self, trial: int, number: int) -> list[float]:
@@ -60,7 +60,7 @@ class SubjectStage:
         self.clock.advance(seconds)
 
     def rest(self, seconds: float) -> int:
-        """Let time of a pause pass; nobody presses."""
+        """Let time of a pause pass; there are no presses."""
         self.clock.advance(seconds)
         return 0
 

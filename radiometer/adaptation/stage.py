@@ -1,4 +1,4 @@
-"""What a test needs of the devices in front of a subject."""
+"""Interface that a test needs of the devices in front of a subject."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ class Stage(Protocol):
         ...
 
     def long_press(self, at_least_s: float) -> float | None:
-        """Return when a press that lasts so long began, on the stage's clock; each is told once, None where none is."""
+        """Return when a press that lasts so long began, on the stage's clock; each once, None where none is."""
         ...
 
     def resume_at(self, time_s: float) -> None:
@@ -51,7 +51,7 @@ class Stage(Protocol):
 
 @runtime_checkable
 class DescribedStage(Protocol):
-    """A stage that can tell of itself."""
+    """A stage that can describe itself."""
 
     def facts(self) -> Mapping[str, Any]:
         """Return what the journal should hold of it."""
@@ -77,7 +77,7 @@ class FixationStage(Protocol):
 
     @property
     def checks_fixation(self) -> bool:
-        """Tell whether it can show one."""
+        """Return whether it can show one."""
         ...
 
     def blink_blind_spot(self, trial: int, number: int) -> list[float]:

@@ -65,9 +65,9 @@ def read_table(path: Path) -> TakenTable:
     """Return the thresholds in a file.
 
     Args:
-        path: CSV (comma, semicolon, tab or blanks; point or comma in numbers), with or without header and # lines;
-            what R writes of a `Dark` list by `write.csv`, `write.table`, `dput`, `save` or `saveRDS`; or a list of
-            trials, as OPI has them: when, which level, seen or not.
+        path: Three kinds of files are read. CSV (comma, semicolon, tab or blanks; point or comma in numbers), with or
+            without header and # lines. Files that R writes of a `Dark` list by `write.csv`, `write.table`, `dput`,
+            `save` or `saveRDS`. A list of trials, as OPI has them: when, which level, seen or not.
 
     Raises:
         InputError: If the file cannot be read or no time and threshold are found in it.

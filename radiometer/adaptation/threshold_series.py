@@ -61,7 +61,7 @@ class ThresholdSeries:
         return cls(rows[:, 0], rows[:, 1], sigma, table.facts, table.taken)
 
     def require_recovery(self) -> None:
-        """Refuse a series from which no adaptation can be told.
+        """Refuse a series that can show no adaptation.
 
         Raises:
             MeasurementError: If there are too few thresholds, or they do not fall: who never pressed, pressed always or

@@ -16,7 +16,7 @@ SEEN_WORDS: Final = ("seen", "response", "answer", "detected")
 ONSET_WORDS: Final = ("onset", "onset_s", "presented", "timestamp", "elapsed", "clock", "start", "t", "minutes", "time")
 YES: Final = ("true", "t", "1", "yes", "y", "seen")
 NO: Final = ("false", "f", "0", "no", "n", "unseen", "not seen")
-WIDEST_GAP: Final = 1.5  # times the typical gap: a search that begins anew far off tells little of the threshold
+WIDEST_GAP: Final = 1.5  # times the typical gap: a search that begins anew far off shows little of the threshold
 
 
 def column_of_answers(header: Sequence[str]) -> int | None:

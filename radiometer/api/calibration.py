@@ -48,8 +48,8 @@ from radiometer.photographs.scene import UNTOLD_SHUTTER_U_S, Photographs, has_un
 from radiometer.photographs.stated import with_f_number, with_gains, with_iso
 from radiometer.units import exact_exposure_s
 
-# Luminous efficacies of radiation (380 to 780 nm) of usual sources, 2856 K to a phosphor-converted LED, are from
-# 0.86 to 1.8 times that of equal energy: the root of the mean square of that rectangle about 1.
+# Luminous efficacies of radiation (380 to 780 nm) of usual sources, 2856 K to a phosphor-converted LED, are from 0.86
+# to 1.8 times that of equal energy. The constant is the root mean square of that rectangle about 1.
 UNKNOWN_EFFICACY_U_REL: Final = 0.43
 
 PatchLike = Patch | tuple[int, int, int, int]
@@ -164,8 +164,9 @@ def calibrate(
 ) -> Calibrated:
     """Give a response curve its absolute scale.
 
-    By a source of known radiance or luminance (a capture set, photographs, or `camera`), by the constant K of a light
-    meter and the settings it asked for, or by both: then the less uncertain scale is used.
+    Two scales are possible. One is a source of known radiance or luminance (a capture set, photographs, or `camera`).
+    The other is the constant K of a light meter and the settings that it shows. With both, the less uncertain scale
+    is used.
 
     Examples:
         >>> import radiometer as rm
@@ -475,7 +476,7 @@ def _with_statements(
 
 
 def _is_untold(seen: _Seen | None, curve: ResponseCurve | None) -> bool:
-    """Tell whether the exposures are those of a shutter whose offset is unknown."""
+    """Return whether the exposures are those of a shutter whose offset is unknown."""
     return seen is not None and seen.photographs is not None and has_untold_shutter(seen.photographs, curve)
 
 

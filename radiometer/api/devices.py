@@ -101,7 +101,7 @@ class Diagnosis(Result):
 
     @property
     def sound(self) -> bool:
-        """Tell whether nothing keeps one from measuring."""
+        """Return whether nothing keeps one from measuring."""
         return not any(one.health is Health.FAULT for one in self.findings)
 
     def to_mapping(self) -> dict[str, Any]:

@@ -188,7 +188,7 @@ def stack_of(found: Source, origin: str) -> Stack:
 
 
 def read_photographs(path: PathLike, channel: str = "each") -> Stack:
-    """Read a folder of photographs whose times are in EXIF or in a list beside them; colours apart by default.
+    """Read a folder of photographs whose times are in EXIF or in a list next to them; colours apart by default.
 
     Examples:
         >>> import radiometer as rm

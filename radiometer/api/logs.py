@@ -77,7 +77,7 @@ def log_fit(
 
     Args:
         table: CSV of the camera's value and exposure, a reference, and perhaps gain, temperature, time, colour.
-        beside: File of the reference meter with times of its own, where it is not a column.
+        beside: File of the reference meter with separate times, where it is not a column.
         value: Column of the camera's value in DN.
         reference: Column of the reference.
         exposure: Column of the exposure time.

@@ -80,7 +80,7 @@ class Meter:
             time_limit_s: Bound on the sum of the exposure times in s.
 
         Raises:
-            DeviceError: If the camera fails, or darks are wanted and it has no shutter.
+            DeviceError: If the camera fails, or darks are requested and it has no shutter.
         """
         camera = self.instrument.camera
         request = BracketRequest(as_patch(patch), None, time_limit_s, darks)
@@ -127,7 +127,7 @@ def open(
 
     Args:
         source: A bench file (.yaml), "sim", or a camera's id, serial number or address; the simulated bench by default.
-        patch: (x, y, width, height) to read where nothing else is said.
+        patch: (x, y, width, height) to read by default.
         calibration: Calibration file; the bench's own by default.
         uncalibrated: Use none: relative readings.
         f_number: f-number that the lens is set to.

@@ -61,7 +61,7 @@ def measure_photographs(
         measured_iso: Real ISO speed by stated one.
         iso: ISO speed of photographs that state none.
         f_number: f-number of frames that state none.
-        spectrum: Spectrum of the light; where nobody states it, all kinds of light count in the uncertainty.
+        spectrum: Spectrum of the light; where it is unknown, all kinds of light count in the uncertainty.
         monte_carlo: Add the interval by the propagation of distributions to `reading.more`.
         progress: Called as files are read.
 

@@ -347,7 +347,7 @@ def merge(
         luminance: Return cd·m⁻² instead of W·sr⁻¹·m⁻².
         spectrum: Spectrum for the luminance; the calibration's by default.
         scale: Lowest and highest value of the false colours; the picture's by default.
-        out: Files to write: .exr, .hdr, .tiff or .png. A recovered response is kept beside the first.
+        out: Files to write: .exr, .hdr, .tiff or .png. A recovered response is kept next to the first.
         progress: Called as the work goes on.
 
     Raises:

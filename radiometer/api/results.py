@@ -40,7 +40,7 @@ __all__ = [
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Separability(Result):
-    """Which effects captures could tell apart.
+    """Which effects captures could separate.
 
     Examples:
         >>> import radiometer as rm
@@ -58,7 +58,7 @@ class Separability(Result):
         return self.plan.to_mapping()
 
     def __str__(self) -> str:
-        """Return how many effects cannot be told from others, and which do not show."""
+        """Return how many effects cannot be separated from others, and which do not show."""
         together = ", ".join(one.name for one in self.plan.together) or "none"
         return f"not told from others: {together}; not shown: {', '.join(self.plan.blind) or 'none'}"
 
@@ -114,7 +114,7 @@ class Reconciliation(Result):
         return self.done.write_model(Path(path), provisional=provisional)
 
     def write_plan(self, path: PathLike) -> bool:
-        """Write the next capture as a plan for `bracket`, and tell whether there is one.
+        """Write the next capture as a plan for `bracket`, and return whether there is one.
 
         Raises:
             OutputError: If it cannot be written.
@@ -242,7 +242,7 @@ def reconcile_plan(
     progress: Progress | None = None,
     notice: Notice = unheard,
 ) -> Separability:
-    """Return which effects the captures of a set could tell apart, and which capture would separate the others.
+    """Return which effects the captures of a set could separate, and which capture would separate the others.
 
     Examples:
         >>> import radiometer as rm

@@ -1,4 +1,4 @@
-"""Cycles of unknown period in a history: a half of one that is taken for a drift would be claimed."""
+"""Cycles of unknown period in a history: half of a cycle would otherwise be claimed as a drift."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ from numpy.typing import NDArray
 MOST_CYCLES: Final = 3
 _READINGS_PER_CYCLE: Final = 2.5
 _FINER: Final = 8
-# Cycles in the span that are told from a drift badly.
+# Cycles in the span that are hardly separable from a drift.
 _SLOW_PER_SPAN: Final = (0.75, 1.0, 1.25, 1.5, 1.75, 2.0, 2.5, 3.0, 4.0)
-_FEWEST_PER_SPAN: Final = 0.5  # below which a cycle is a drift for all that the record tells
-# Cycles in the span beyond the season's that may stand in its place.
+_FEWEST_PER_SPAN: Final = 0.5  # below which the record cannot separate a cycle from a drift
+# Cycles in the span beyond the season's that may replace it.
 _NEAR_THE_SEASON: Final = (-0.5, -0.375, -0.25, -0.125, 0.125, 0.25, 0.375, 0.5)
-_APART: Final = 0.6  # cycles per span that two cycles are told from each other by
+_APART: Final = 0.6  # cycles per span by which two separable cycles differ
 _TRIFLE: Final = 1e-3
 _LEAST_APART: Final = 1e-4  # smallest over largest singular value of columns of norm 1
 _MOST_ODDS: Final = 3.0  # for cycles that were not clear enough to be taken as found
@@ -46,7 +46,7 @@ def hidden_cycles(
     Args:
         design: Columns of what is fitted without cycles, shape (n, columns).
         relative: Values, shape (n,).
-        sigma: Standard deviations of their own noise, up to a factor, same shape.
+        sigma: Standard deviations of their noise, up to a factor, same shape.
         time_s: Times in s, ascending, same shape.
         season_s: Periods in s of cycles that the design holds already.
 
@@ -77,7 +77,7 @@ def hidden_cycles(
 
 
 def tells_apart(design: Array) -> bool:
-    """Tell whether the readings tell columns apart: not where they all lie at few times of a cycle."""
+    """Return whether the readings separate columns: not where they are all at few times of a cycle."""
     sizes = np.linalg.svd(design / np.maximum(np.linalg.norm(design, axis=0), 1e-300), compute_uv=False)
     return bool(sizes[-1] > _LEAST_APART * sizes[0])
 
@@ -87,13 +87,13 @@ def slow_cycles(
 ) -> list[tuple[float, float]]:
     """Return periods in s of slow cycles that may be there as well, and their odds against none, by the readings.
 
-    Some one to four cycles in the span are told from a drift badly, and shown late: all of them count as far as the
-    readings allow them.
+    Some one to four cycles in the span are hardly separable from a drift, and show late. All of them count as far as
+    the readings allow them.
 
     Args:
         design: Columns of what is fitted, shape (n, columns).
         relative: Values, shape (n,).
-        sigma: Standard deviations of their own noise, up to a factor, same shape.
+        sigma: Standard deviations of their noise, up to a factor, same shape.
         time_s: Times in s, ascending, same shape.
         fitted_s: Periods in s of the cycles that the design holds: those nearby are theirs.
 
@@ -113,14 +113,14 @@ def slow_cycles(
 def near_the_season(
     others: Array, relative: Array, sigma: Array, time_s: Array, season_s: float
 ) -> list[tuple[float, float]]:
-    """Return periods in s of cycles that may stand in place of a season's, and their odds against it, by the readings.
+    """Return periods in s of cycles that may replace a season's, and their odds against it, by the readings.
 
-    A cycle that is nearly as long is told from it badly, and what is left of it would be taken for a drift.
+    A cycle that is nearly as long is hardly separable from it, and its residual would appear as a drift.
 
     Args:
         others: Columns of what is fitted besides the season, shape (n, columns).
         relative: Values, shape (n,).
-        sigma: Standard deviations of their own noise, up to a factor, same shape.
+        sigma: Standard deviations of their noise, up to a factor, same shape.
         time_s: Times in s, ascending, same shape.
         season_s: Period of the season in s.
     """
@@ -154,7 +154,7 @@ def with_period(design: Array, relative: Array, sigma: Array, time_s: Array, per
     Args:
         design: Columns of what is fitted without it, shape (n, columns).
         relative: Values, shape (n,).
-        sigma: Standard deviations of their own noise, up to a factor, same shape.
+        sigma: Standard deviations of their noise, up to a factor, same shape.
         time_s: Times in s, same shape.
         period_s: Its period in s.
     """

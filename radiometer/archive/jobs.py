@@ -101,7 +101,7 @@ def response(capture_set: CaptureSet, settings: JobSettings) -> list[Row]:
 
 
 def merge(capture_set: CaptureSet, settings: JobSettings) -> list[Row]:
-    """Return mean radiance and share of good pixels of the merged picture; write the map where maps are wanted.
+    """Return mean radiance and share of good pixels of the merged picture; write the map where maps are requested.
 
     Raises:
         MeasurementError: If no pixel is good.

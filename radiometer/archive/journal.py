@@ -25,12 +25,12 @@ def journal_of(table: Path) -> Path:
 
 
 class ResultJournal:
-    """Rows beside the table, one JSON line per capture set, flushed to disk as each task ends.
+    """Rows in a journal next to the table, one JSON line per capture set, flushed to disk as each task ends.
 
     A line that a kill cut short is left out when reading; its capture set is simply done again.
 
     Args:
-        table: The table's file, ending in .parquet or .csv; the journal lies beside it.
+        table: The table's file, ending in .parquet or .csv; the journal is next to it.
     """
 
     def __init__(self, table: Path) -> None:

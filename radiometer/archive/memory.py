@@ -16,7 +16,7 @@ _KEPT_BYTES: Final = 256 << 20
 
 @cache
 def keep_freed_memory() -> bool:
-    """Let this process keep up to 256 MB that it has freed, and tell whether that could be set (glibc only).
+    """Let this process keep up to 256 MB that it has freed, and return whether that could be set (glibc only).
 
     By default an array of a few megabytes comes from the kernel page by page and goes back when it is freed; Dask sets
     its workers so that even less is kept. Half of a worker's processor time then goes into clearing pages.

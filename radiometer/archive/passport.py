@@ -57,7 +57,7 @@ class DarkLaw:
             diffusion; None where D = D_0·2^(T / T_d) describes the points better.
         birge_ratio: Scatter over what the points' uncertainties allow.
         offset: Largest relative offset of one session from the law of the others, its u widened by the scatter; None
-            where one session is all there is, or temperatures and sessions cannot be told apart.
+            where one session is all there is, or temperatures and sessions cannot be separated.
         points: (session, temperature in °C, dark current in DN/s, its distance from the law in u).
         doublings: Doublings of the single sessions: with two mechanisms they differ with the temperature.
     """
@@ -81,7 +81,7 @@ class DarkLaw:
 
     @property
     def is_one(self) -> bool:
-        """Tell whether no session lies off the law of the others by more than two u."""
+        """Return whether every session is within two u of the law of the others."""
         return self.offset is None or abs(self.offset.value) <= _AGREE_SIGMAS * self.offset.u
 
 
@@ -101,7 +101,7 @@ class Passport:
     Attributes:
         camera: Maker, model, serial number, band.
         sessions: The sessions by time.
-        dark_law: The law of the dark current; None where fewer than two temperatures tell it.
+        dark_law: The law of the dark current; None where fewer than two temperatures show it.
         gain: Lines on the gain: stated against light against darks.
         changes: What changed and what did not, of the camera.
         light: What the light did, which is not the camera's.
@@ -205,7 +205,7 @@ def fit_dark_law(sessions: Sequence[Session]) -> DarkLaw | None:
         doubling, silicon = _doubling_law(temperatures, logs, u), _two_mechanisms(temperatures, logs, u)
         if doubling is None:
             return None
-        # Two points lie on either law, and tell nothing between them.
+        # Two points fit either law, and cannot decide between them.
         found, other = (doubling, silicon) if logs.size == _PARAMETERS else _better(doubling, silicon)
         slope = found.slope(temperatures)
     ends = np.array([temperatures.min(), temperatures.max()])
@@ -289,7 +289,7 @@ def _doubling_law(temperatures: Array, logs: Array, u: Array) -> _Fitted | None:
 def _mechanisms(celsius: float | Array) -> Array:
     """Return what diffusion and generation have grown by since 0 °C, (temperatures, 2).
 
-    The former goes with the square of the intrinsic density of carriers n_i, the latter with n_i.
+    The former is proportional to the square of the intrinsic density of carriers n_i, the latter to n_i.
 
     Source: Misiakos, Tsamakis, J. Appl. Phys. 74 (1993) 3293: n_i = 5.29e19 cm⁻³ (T/300 K)^2.54 exp(−6726 K/T).
     """
@@ -320,19 +320,19 @@ def _doublings(sessions: Sequence[Session], law: _Fitted) -> Iterator[SessionDou
 
 
 def _better(first: _Fitted, second: _Fitted) -> tuple[_Fitted, _Fitted]:
-    """Return the law that lies nearer to the points, and the other."""
+    """Return the law that is nearer to the points, and the other."""
     return (first, second) if first.chi2 <= second.chi2 else (second, first)
 
 
 def _largest_offset(
     names: Sequence[str], laws: tuple[_Fitted, _Fitted], temperatures: Array, logs: Array, u: Array
 ) -> Quantity | None:
-    """Return the offset of ln D of the session that lies farthest, in u, off the law that all share.
+    """Return the offset of ln D of the session that is farthest, in u, from the law that all share.
 
     Args:
         names: Session of each point.
-        laws: The law that is taken and the other: nobody knows which it is, so that what curves between sessions lies
-            off in one of them, and the u holds how far.
+        laws: The chosen law and the other. Which one is true is unknown, so a curvature between sessions is an offset
+            under one of them. The u includes the difference.
         temperatures: In °C.
         logs: ln D.
         u: Its standard uncertainty.
@@ -348,7 +348,7 @@ def _largest_offset(
 
 
 def _offset(law: _Fitted, own: Array, temperatures: Array, logs: Array, u: Array) -> Quantity | None:
-    """Return by how much the points of one session, told by ones, lie off a law beside the others; None if unknown."""
+    """Return the offset of one session's points, marked by ones, from the law of the others; None if unknown."""
     shared, beside = law.derivatives(temperatures), (logs - law.log_rate(temperatures)) / u
     design = np.column_stack([shared / np.abs(shared).max(axis=0), own]) / u[:, None]
     if own.all() or np.linalg.matrix_rank(design) <= _PARAMETERS:

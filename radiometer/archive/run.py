@@ -98,7 +98,7 @@ def _results(
         yield from _on_cluster(client, tasks)
 
 
-@on_one_blas_thread  # the order of a sum's terms goes with the number of threads, and Dask's workers have one
+@on_one_blas_thread  # the order of a sum's terms depends on the number of threads, and Dask's workers have one
 def _run_jobs(tasks: list[_Task]) -> list[list[Row]]:
     keep_freed_memory()
     return [run_job(*task) for task in tasks]

@@ -49,7 +49,7 @@ class Session:
         camera: Maker, model, serial number and band; what is unknown is left out.
         taken: Time of its first frame; None where unknown.
         stated_e_per_dn: Conversion gain that its headers state; None where unknown.
-        figures: EMVA 1288 figures that it tells.
+        figures: EMVA 1288 figures that it gives.
         dark_rates: (temperature in °C, u in K, dark current in DN/s) of each plateau.
         series: Repeated bright frames.
         notes: What a user must know.
@@ -92,7 +92,7 @@ def find_sessions(archive: Path) -> list[CaptureSet]:
 
 
 def read_session(capture: CaptureSet, report: Callable[[str], None] = lambda line: None) -> Session:
-    """Return what one session tells of its camera; what cannot be had is a note.
+    """Return what one session shows of its camera; a note replaces what cannot be determined.
 
     Raises:
         CaptureError: If a frame is unreadable.

@@ -1,4 +1,4 @@
-"""What is done to every capture set of an archive, and the fingerprint of the code that does it."""
+"""Settings of the processing of every capture set of an archive, and the fingerprint of its code."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from radiometer.data.provenance import source_hash
 
 @dataclass(frozen=True, slots=True)
 class JobSettings:
-    """One job with everything that its result depends on beside the capture set.
+    """One job with everything that its result depends on in addition to the capture set.
 
     Attributes:
         job: Name in the registry of `jobs.py`.

@@ -25,9 +25,9 @@ MONTH_S: Final = 365.25 / 12 * 86400.0
 # A drift is claimed where chance alone would show it in so many archives: 3 sigma of many readings. What is guessed of
 # the correlation costs a little more, and false claims stay below one in a hundred.
 CLAIM_CHANCE: Final = 0.0027
-# A year's cycle is always fitted beside the drift. From this part of a year on readings tell its size by themselves;
-# in shorter records it is taken to be of any phase and of amplitudes up to some 5 % (2 % each of sine and cosine,
-# k = 1): a lamp of 0.3 %/K whose room is 15 K warmer in summer.
+# A year's cycle is always fitted with the drift. From this part of a year on readings alone show its size. In shorter
+# records it is assumed to be of any phase and of amplitudes up to some 5 % (2 % each of sine and cosine, k = 1). An
+# example is a lamp of 0.3 %/K whose room is 15 K warmer in summer.
 _YEAR_S: Final = 365.25 * 86400.0
 _SEASON_YEARS: Final = 0.75
 _SEASON_REL: Final = 0.02
@@ -59,13 +59,13 @@ class Trend:
         u: Stated standard uncertainties, same shape.
         line: Fitted straight line at the times.
         u_line: Standard uncertainty of the line there.
-        outlier: Which readings lie further than 4 of their total sigmas off the line; they take no part.
+        outlier: Which readings are more than 4 of their total sigmas from the line; they take no part.
         excess_rel: Relative scatter from reading to reading beyond the stated uncertainties (k = 1).
         drift_per_month: Relative drift per month of 30.44 days.
         u_drift_per_month: Its standard uncertainty, neighbours' correlation and seasons counted.
         degrees_of_freedom: Behind that uncertainty: of the readings' effective number.
         correlation: Of a reading with the next one, beyond line and season.
-        season_rel: Amplitude of the yearly cycle; None where the readings do not tell it.
+        season_rel: Amplitude of the yearly cycle; None where the readings do not determine it.
         straight_per_month: Relative drift per month if there were no cycle that the readings do not show.
         u_straight_per_month: Its standard uncertainty.
         cycles: Period in s and relative amplitude of other cycles that the readings show.
@@ -101,14 +101,14 @@ class Trend:
 
     @property
     def drifts(self) -> bool:
-        """Tell whether the drift is claimed: beyond what chance shows in fewer than one archive in a hundred."""
+        """Return whether the drift is claimed: beyond what chance shows in fewer than one archive in a hundred."""
         return abs(self.drift_per_month) > self.claim_sigmas * self.u_drift_per_month
 
     @property
     def verdict(self) -> str:
         """Return "drift", "season_or_drift" for a change that a season may be as well, or "no_drift".
 
-        The second stands for records of less than a year and a half alone: longer ones tell the two apart.
+        The second occurs for records of less than a year and a half alone: longer ones separate the two.
         """
         if self.drifts:
             return "drift"
@@ -118,7 +118,7 @@ class Trend:
 
     @property
     def told_from_s(self) -> float:
-        """Return from when on the record tells a season from a drift, in s since 1970."""
+        """Return from when on the record separates a season from a drift, in s since 1970."""
         return float(self.time_s[0]) + _TOLD_YEARS * _YEAR_S
 
     def to_mapping(self) -> dict[str, Any]:
@@ -145,14 +145,13 @@ class Trend:
 def fit_trend(time_s: Array, value: Array, u: Array, *, patch: str = "", quantity: str = "", unit: str = "") -> Trend:
     """Return the straight-line history of a quantity with the drift per month and its uncertainty.
 
-    The stated uncertainties hold what each reading shares with the others (the calibration) and what it does not;
-    only the scatter that is seen tells how much is not shared. So the readings are weighed by their own noise
-    u_rel² brought to the scatter about the line: smaller where the readings agree better than stated, larger by an
-    excess term where they agree worse. Outliers beyond 4 sigmas leave the fit, one at a time. What is left then goes
-    through generalised least squares: neighbours may be correlated (exp(−Δt/τ), averaged over τ by its restricted
-    likelihood), a yearly cycle is fitted beside the line (of a stated size where the record is too short to tell it),
-    and cycles of other periods where the readings show them. Cycles about as long as the record count as far as the
-    readings allow them.
+    The stated uncertainties combine what each reading shares with the others (the calibration) and what it does not.
+    Only the measured scatter shows how much is not shared. So the readings are weighted by their noise u_rel² brought
+    to the scatter about the line: smaller where the readings agree better than stated, larger by an excess term where
+    they agree worse. Outliers beyond 4 sigmas leave the fit, one at a time. Generalised least squares then fits the
+    others. Neighbours may be correlated (exp(−Δt/τ), averaged over τ by its restricted likelihood). A yearly cycle is
+    fitted with the line (of a stated size where the record is too short to show it). Cycles of other periods are
+    fitted where the readings show them. Cycles about as long as the record count as far as the readings allow them.
 
     Args:
         time_s: Times in s, shape (n,), any order.
@@ -222,7 +221,7 @@ def _amplitudes(periods_s: tuple[float, ...], line: Array) -> tuple[tuple[float,
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Season:
-    """Level, months and the year's sine and cosine as columns, how large each may be, whether readings tell it."""
+    """Level, months and the year's sine and cosine as columns, how large each may be, whether readings show it."""
 
     design: Array
     spread: Array
@@ -230,9 +229,9 @@ class _Season:
 
 
 def _season(months: Array, time_s: Array) -> _Season:
-    """Return the line with its yearly cycle, of stated size where the readings do not tell it from a drift."""
+    """Return the line with its yearly cycle, of stated size where the readings do not separate it from a drift."""
     phase = 2.0 * np.pi * (time_s - time_s.mean()) / _YEAR_S
-    # The cosine is 0 in the middle of the record, where the level is told.
+    # The cosine is 0 in the middle of the record, where the level is determined.
     design = np.stack([np.ones_like(months), months, np.sin(phase), np.cos(phase) - 1.0], axis=1)
     long = time_s[-1] - time_s[0] >= _SEASON_YEARS * _YEAR_S and time_s.size >= 2 * _MINIMUM_READINGS
     told = bool(long and tells_apart(design))
@@ -331,7 +330,7 @@ def _generalised(design: Array, relative: Array, sigma: Array, time_s: Array, sp
     off = solutions - centre
     covariance = np.einsum("t,tij->ij", weight, covariances + off[:, :, None] * off[:, None, :])
     mean = phi.mean(axis=1) if gaps.size else np.zeros(len(phi))
-    # So many readings without correlation tell as much of a mean.
+    # So many readings without correlation determine a mean as well.
     freedom = np.maximum(count * (1.0 - mean) / (1.0 + mean) - columns, 1.0)
     return _Fit(centre, covariance, float(weight @ freedom), float(weight @ mean))
 

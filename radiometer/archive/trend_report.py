@@ -100,7 +100,7 @@ def outcome(ordered: Sequence[Trend]) -> str:
 
 
 def _undecided(changed: Sequence[Trend], count: int) -> str:
-    """Return that something changes of which the record does not tell whether a season makes it."""
+    """Return the verdict that something changes, and that the record does not show whether by season."""
     one = changed[0]
     of = "" if count == 1 else f" ({len(changed)} of {count} patches)"
     return (

@@ -81,7 +81,7 @@ def stated_source(config: BenchConfig) -> SourceDescription | None:
 
 
 def states_spectrum(config: BenchConfig, spectrum: str | None) -> bool:
-    """Tell whether bench file or user state the light's spectrum; that of a simulated bench is as it is assumed."""
+    """Return whether bench file or user state the light's spectrum; that of a simulated bench is as it is assumed."""
     return bool(spectrum or config.spectrum) or isinstance(config.camera, SimulatedCameraConfig)
 
 

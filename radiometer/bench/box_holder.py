@@ -1,4 +1,4 @@
-"""Asks whoever holds a light box to darken it: a socket beside each open box, for programs of the same user."""
+"""Asks whoever holds a light box to darken it: a socket for each open box, for programs of the same user."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ def runtime_folder(name: str) -> Path:
 
 
 def is_ours(folder: Path) -> bool:
-    """Tell whether a path is a folder, no link, of this user, into which no other user may write."""
+    """Return whether a path is a folder, no link, of this user, into which no other user may write."""
     try:
         found = folder.lstat()
     except OSError:
@@ -74,7 +74,7 @@ def holding(serial: str, port: str, darken: Callable[[], None]) -> Iterator[None
     Args:
         serial: Serial number of the box held.
         port: Its port.
-        darken: Darkens every channel; called from a thread of its own.
+        darken: Darkens every channel; called from a separate thread.
     """
     folder = runtime_folder("radiometer-held-boxes")
     address = folder / f"{hashlib.sha256(port.encode()).hexdigest()[:12]}-{os.getpid()}-{threading.get_ident()}"
@@ -116,7 +116,7 @@ def ask_for_darkness(held: HeldBox) -> None:
 def darken_held() -> str:
     """Have every program of this user that holds a light box darken it, and return in words which boxes are dark.
 
-    One that nobody holds is dark by itself: without a host it ends its light within 1 s.
+    A box without a holder is dark by itself: without a host it ends its light within 1 s.
 
     Raises:
         DeviceInUse: If a program that holds one does not answer; the others were asked all the same.

@@ -54,7 +54,7 @@ SIMULATED_PORTS: Final = "radiometer-light-boxes"
 
 
 class PlaceConfig(ConfigSection):
-    """Where a channel with an opening of its own stands, seen from the eye: temporal of and below the red mark."""
+    """Place of a channel with a separate opening, seen from the eye: temporal of and below the red mark."""
 
     temporal_deg: float = Field(ge=-60, le=90)
     below_deg: float = Field(0.0, ge=-60, le=60)

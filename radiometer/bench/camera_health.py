@@ -14,7 +14,7 @@ from radiometer.data.sensor_noise import SensorNoise
 from radiometer.devices import Camera, CameraSettings, Finding, Health
 
 _RATE_FRAMES, _RATE_LIMIT_S = 30, 5.0
-_HOT_C = 65.0  # dark current has grown a hundredfold over 20 °C there, and makers' limits lie near
+_HOT_C = 65.0  # dark current has grown a hundredfold over 20 °C there, and makers' limits are near
 _METER_STEPS = 12
 _LONGEST_CHECK_S = 1.0
 _LINEAR_WITHIN = 0.005  # beyond the noise: what a linear sensor and its exposure clock keep easily
@@ -128,7 +128,7 @@ def _halving_ratio(camera: Camera, settings: CameraSettings, black_dn: float) ->
 
 
 def _metered(camera: Camera, black_dn: float) -> CameraSettings | None:
-    """Return settings under which the brightest pixels lie between a third and three quarters of full scale."""
+    """Return settings under which the brightest pixels are between a third and three quarters of full scale."""
     low_s, high_s = camera.capabilities.exposure_s
     settings = replace(camera.settings, exposure_s=min(max(0.01, 2 * low_s), high_s))
     for _ in range(_METER_STEPS):

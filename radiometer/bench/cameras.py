@@ -66,7 +66,7 @@ def list_cameras(config: BenchConfig, where: Path) -> tuple[list[CameraIdentity]
     found: list[CameraIdentity] = []
     if isinstance(config.camera, SimulatedCameraConfig):
         found.append(make_camera(config, where).identity)
-    owned = listed()[0]  # a library that is not installed is told by `radiometer doctor`
+    owned = listed()[0]  # `radiometer doctor` reports a library that is not installed
     try:
         from drivers.cameras.aravis_camera import discover
 
@@ -127,6 +127,6 @@ def _simulated(config: BenchConfig, wanted: SimulatedCameraConfig, where: Path) 
 
 
 def preset_path(name: str, where: Path) -> Path:
-    """Return the file of a camera preset: beside the bench file, or one that comes with the product."""
+    """Return the file of a camera preset: next to the bench file, or one that comes with the product."""
     beside = where.parent / "cameras" / f"{name}.yaml"
     return beside if beside.is_file() else shipped_config(f"cameras/{name}.yaml")

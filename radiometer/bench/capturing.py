@@ -50,7 +50,7 @@ def capture_exposures(
         camera: An open camera.
         plan: Exposures in s.
         request: Dark frames and limits.
-        config: The bench: its light and its patches stand in the header.
+        config: The bench: its light and its patches are written to the header.
         ask: Has the lens covered where the camera has no shutter.
         taken: Called after every frame with how many are taken, and of how many.
 

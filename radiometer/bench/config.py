@@ -1,4 +1,4 @@
-"""What a bench file says: which camera, lens, scene, calibration, and where the patch lies."""
+"""Contents of a bench file: camera, lens, scene, calibration, and the place of the patch."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ class SimulatedCameraConfig(ConfigSection):
 
 
 def _as_text(value: object) -> object:
-    """Return a serial number that YAML took for a whole number as it was written, as far as can be told."""
+    """Return a serial number that YAML read as a whole number as it was written, as far as this can be recovered."""
     return str(value) if isinstance(value, int) and not isinstance(value, bool) else value
 
 
@@ -71,7 +71,7 @@ class LensConfig(ConfigSection):
 
     @property
     def description(self) -> LensDescription:
-        """Return the lens as it stands in capture sets; what the bench does not say stays unsaid."""
+        """Return the lens as capture sets record it; what the bench does not state is left out."""
         return LensDescription.model_validate(self.model_dump(exclude_unset=True))
 
 
@@ -110,12 +110,12 @@ class BenchConfig(ConfigSection):
 
     @property
     def lens_description(self) -> LensDescription:
-        """Return the lens as it stands in capture sets; all unknown where the bench does not know it."""
+        """Return the lens as capture sets record it; all unknown where the bench does not know it."""
         return self.lens.description if self.lens else LensDescription()
 
 
 def read_bench(path: Path | None = None, camera: str | None = None) -> tuple[BenchConfig, Path]:
-    """Return a validated bench file and where it lies; the simulated bench where neither file nor camera is named.
+    """Return a validated bench file and its path; the simulated bench where neither file nor camera is named.
 
     Args:
         path: The bench file.

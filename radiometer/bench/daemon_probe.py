@@ -32,7 +32,7 @@ def check_daemon(scpi_port: int = SCPI_PORT, http_port: int = HTTP_PORT) -> Find
 
 
 def _identity(port: int) -> str | None:
-    """Return the reply to *IDN?; None if nobody listens, "" if nobody answers."""
+    """Return the reply to *IDN?; None if nothing listens, "" if nothing answers."""
     try:
         with socket.create_connection(("127.0.0.1", port), timeout=_PATIENCE_S) as line:
             line.sendall(b"*IDN?\n")

@@ -51,7 +51,7 @@ class Instrument:
 
     Attributes:
         camera: An open camera.
-        patch: Where to read where nothing else is said.
+        patch: Where to read by default.
         calibration: Absolute calibration of this camera; None gives relative readings flagged so.
         time_limit_s: Bound on the sum of the exposure times of one reading in s.
         f_number: f-number that the lens is set to where the camera's description does not hold.
@@ -122,7 +122,7 @@ class Instrument:
         return frames
 
     def _clips_unforeseen(self, frames: list[Frame]) -> bool:
-        """Tell whether the patch clips in all frames, or in one exposed no longer than one in which it does not."""
+        """Return whether the patch clips in all frames, or in one exposed no longer than one in which it does not."""
         parts = [(float(np.mean(f.dn[self.patch.slices] >= 0.98 * f.saturated_dn)), f.settings) for f in frames]
         clear = [settings.exposure_s for part, settings in parts if part < _CLIPS]
         clipped = [settings.exposure_s for part, settings in parts if part >= _CLIPS]
@@ -138,7 +138,7 @@ class Instrument:
         return list(take_dark_frames(self.camera, exposures, _DARK_FRAMES, close))
 
     def _dark_matters(self, frames: list[Frame]) -> bool:
-        """Tell whether what is not known of the black level and the dark current weighs against the light."""
+        """Return whether what is not known of the black level and the dark current weighs against the light."""
         if self.calibration is None or not frames:
             return False
         longest = max(frames, key=lambda frame: frame.settings.effective_exposure_s)

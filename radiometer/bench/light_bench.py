@@ -26,7 +26,7 @@ from simulators.chain.camera_model import CameraModel
 from simulators.light_box.camera import BoxView, HookedClock, LightBoxCamera
 
 BENCH: Final = "bench-light-box.yaml"
-# The simulated sensor's quantum efficiency is flat by construction; what is left is the channels' line shape.
+# The simulated sensor's quantum efficiency is flat by construction; the residual is the channels' line shape.
 SIMULATED_SPECTRAL_U_REL: Final = 0.01
 
 
@@ -40,7 +40,7 @@ class SurveyRequest:
         seed: Makes the random order; None for another one each time.
         responsivity: CSV of the camera's relative responsivity per watt; None takes its quantum efficiency as flat.
         spectral_u_rel: Relative standard uncertainty of the spectral correction; None for the default.
-        target_u_rel: Relative standard uncertainty wanted of a reading's noise.
+        target_u_rel: Relative standard uncertainty required of a reading's noise.
     """
 
     channels: tuple[str, ...]
@@ -143,7 +143,7 @@ def _absolute(instrument: Instrument) -> Instrument:
             "the camera has no absolute calibration, so it cannot tell a radiance; "
             "make one with `radiometer calibrate` and give it with --calibration"
         )
-    # The box's light is known: the survey corrects every channel's readings for it, with an uncertainty of its own.
+    # The box's light is known: the survey corrects every channel's readings for it, with its uncertainty.
     return replace(instrument, spectrum_stated=True)
 
 

@@ -64,7 +64,7 @@ class ScreenBench:
         frames = camera.capture(_FLICKER_FRAMES)
         black = camera.description.black_level_dn or 0.0
         pixels = np.array([frame.dn[patch.slices] for frame in frames], dtype=np.float64) - black
-        # What all pixels of a frame share is the flicker; what is left is noise.
+        # What all pixels of a frame share is the flicker; the residual is noise.
         own = pixels - pixels.mean(axis=(1, 2), keepdims=True)
         noise_dn = float(np.sqrt(own.var(axis=0, ddof=1).mean() / own[0].size))
         means = pixels.mean(axis=(1, 2))
@@ -118,7 +118,7 @@ def primaries_of(display: str, channels: Sequence[str], primaries: str | None) -
     Simulated displays are made with the primaries of a CRT; of a real one nothing is taken by silence.
 
     Raises:
-        UsageError: If colours are wanted of a real display and nothing is said of their spectra.
+        UsageError: If colours are requested of a real display and their spectra are not stated.
     """
     if primaries is not None or not set(channels) & set(PRIMARIES):
         return primaries

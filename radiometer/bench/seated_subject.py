@@ -13,7 +13,7 @@ from simulators.observers.observer_at_box import ObserverAtBox
 
 
 def places_of(preset: LightBoxConfig) -> dict[str, tuple[float, float]]:
-    """Return where the channels with an opening of their own stand, in degrees temporal of and above the mark."""
+    """Return the places of the channels with separate openings, in degrees temporal of and above the mark."""
     known = preset.channels
     return {name: (c.place.temporal_deg, -c.place.below_deg) for name, c in known.items() if c.place is not None}
 

@@ -63,7 +63,7 @@ def served_camera(
         seed: Makes the noise; the bench's where None.
         real_time: Frames take their exposure time.
         pool: Frames served again and again; 0 makes every frame anew.
-        awkward: Serve one that is as awkward as a real Blackfly, with a serial number of its own where none is given.
+        awkward: Serve one that is as awkward as a real Blackfly, with a new serial number where none is given.
 
     Raises:
         ConfigurationError: If the bench has no simulated camera, or a file holds something not allowed.

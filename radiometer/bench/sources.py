@@ -38,7 +38,7 @@ class Source:
 
 
 def is_photographs(path: Path) -> bool:
-    """Tell whether a path is a folder of photographs: neither a capture set nor files of another kind."""
+    """Return whether a path is a folder of photographs: neither a capture set nor files of another kind."""
     if not path.is_dir() or (path / HEADER_NAME).exists() or is_foreign(path):
         return False
     return bool(image_files(path)) or not (path / "frames").is_dir()
@@ -71,10 +71,10 @@ def open_source(
     """Return what is in a capture set, a folder of photographs, or files of a laboratory (FITS, raw TIFF, EMVA).
 
     Every frame carries its file's name in `extra["file"]`. A capture set gives one bracket per displayed pattern; a
-    folder of colour photographs one of the wanted channel, or three for "each".
+    folder of colour photographs one of the requested channel, or three for "each".
 
     Args:
-        path: Folder with `capture.yaml`, or with photographs whose times are in EXIF or in a list beside them; FITS or
+        path: Folder with `capture.yaml`, or with photographs whose times are in EXIF or in a list next to them; FITS or
             raw TIFF files, a folder or pattern of them, or an EMVA 1288 descriptor.
         channel: "luminance", "red", "green", "blue" or "each"; grey frames have one channel whatever is asked.
         report: Called with (files read, files in all) as the work goes on.

@@ -197,7 +197,7 @@ class Acquisition:
         except DeviceError:
             self._due_at = time.monotonic() + _PAUSE_AFTER_ERROR_S  # the keeper has its alarm up already
         except RadiometerError as error:
-            if self._every_s is None:  # ended meanwhile: nobody waits for a next turn that might clear an alarm
+            if self._every_s is None:  # ended meanwhile: no client waits for a next turn that might clear an alarm
                 return
             self._alarms.put_up(ALARM, f"measuring failed: {error}")
             self._due_at = time.monotonic() + max(every_s, _PAUSE_AFTER_ERROR_S)

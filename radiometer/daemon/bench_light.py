@@ -47,7 +47,7 @@ class BenchLight:
 
     @property
     def late_at(self) -> float | None:
-        """Return None: every exchange with the box has a short deadline of its own."""
+        """Return None: every exchange with the box has a short deadline."""
         return None
 
     def open(self) -> None:

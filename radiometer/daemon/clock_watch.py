@@ -10,13 +10,13 @@ from typing import Final
 
 from radiometer.daemon.timestamps import iso_time, now_us
 
-JUMP_US: Final = 5_000_000  # time services move the clock in steps of less; what is more is told
+JUMP_US: Final = 5_000_000  # time services move the clock in steps of less; larger steps are reported
 _LONGEST_PAUSE_US: Final = 86_400_000_000  # a daemon that was off for longer may as well have a wrong clock
 _PERIOD_S: Final = 1.0
 
 
 def steady_us() -> int:
-    """Return a time in µs that nobody can set and that goes on while the machine sleeps (Linux, CLOCK_BOOTTIME)."""
+    """Return a time in µs that cannot be set and that goes on while the machine sleeps (Linux, CLOCK_BOOTTIME)."""
     return time.clock_gettime_ns(time.CLOCK_BOOTTIME) // 1000
 
 
@@ -46,7 +46,7 @@ class Jump:
 
 
 class ClockWatch:
-    """Compares the wall clock with one that nobody can set.
+    """Compares the wall clock with one that cannot be set.
 
     Args:
         on_jump: Told of each jump.

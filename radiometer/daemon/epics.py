@@ -202,7 +202,7 @@ class PvaServer:
 
 
 class _Watching:
-    """Tells whether anybody looks at the map, and refuses to be written."""
+    """Returns whether anybody looks at the map, and refuses to be written."""
 
     def __init__(self, server: PvaServer) -> None:
         self._server = server

@@ -11,7 +11,7 @@ from typing import Literal
 
 @dataclass(frozen=True, slots=True)
 class Event:
-    """Something that listeners are told.
+    """Something that is reported to listeners.
 
     Attributes:
         kind: "reading", "patch" (a reading of a patch with a name) or "status".

@@ -1,4 +1,4 @@
-"""What the daemon needs of an instrument; the bench gives it, tests give a fake."""
+"""Interface that the daemon needs of an instrument; the bench provides it, tests provide a fake."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ class DeviceReport:
     Attributes:
         temperature_c: Sensor or box temperature in °C; None where not reported.
         counters: Counts since it was opened, such as "missing_packets".
-        levels: Levels of the light channels as the device itself has just told them; None where it does not.
+        levels: Levels of the light channels as the device itself has just reported them; None where it does not.
     """
 
     temperature_c: float | None = None
@@ -91,7 +91,7 @@ class Measurement:
 
 
 class ServedInstrument(Protocol):
-    """A camera with its calibration, used from one thread at a time. Every call has a deadline of its own."""
+    """A camera with its calibration, used from one thread at a time. Every call has a separate deadline."""
 
     @property
     def identity(self) -> CameraIdentity:

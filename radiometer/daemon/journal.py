@@ -23,7 +23,7 @@ from radiometer.data.json_text import json_text
 from radiometer.data.storage import state_folder
 from radiometer.errors import OutputError
 
-APPLICATION_ID: Final = 0x52414D4A  # "RAMJ": tells `file` and us that this is a radiometer journal
+APPLICATION_ID: Final = 0x52414D4A  # "RAMJ": identifies a radiometer journal to `file` and to us
 SCHEMA_VERSION: Final = 2
 OWN_STREAM: Final = "own"
 _BUSY_TIMEOUT_S: Final = 2.0
@@ -84,7 +84,7 @@ class JournalError(OutputError):
 
 
 class Journal:
-    """Writes readings and events. Use it from one thread at a time; readers have connections of their own.
+    """Writes readings and events. Use it from one thread at a time; readers have separate connections.
 
     Args:
         path: The SQLite file; it and its folder are made where missing.
@@ -217,8 +217,8 @@ class Journal:
     def drop_older(self, before_us: int) -> int:
         """Delete readings and events older than a time, oldest first, and return how many readings went.
 
-        The newest reading always stays, and all that were made after the first that is young enough: where the clock
-        was set back, an old time stands among young ones, and a hole in the numbers would be damage.
+        The newest reading always stays, and so do all after the first that is young enough. Where the clock was set
+        back, an old time is among young ones, and a gap in the numbers would be damage.
 
         Works in small transactions so that writing is never held up for long.
 
@@ -431,7 +431,7 @@ class _Transaction:
 
 
 def default_journal_path() -> Path:
-    """Return where the journal lies unless told otherwise: systemd's state folder, else the user's."""
+    """Return the journal's default place: systemd's state folder, else the user's."""
     if folder := os.environ.get("STATE_DIRECTORY"):
         return Path(folder.split(":")[0]) / "journal.sqlite"
     return state_folder() / "journal.sqlite"

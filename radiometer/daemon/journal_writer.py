@@ -116,7 +116,7 @@ class JournalWriter:
 
     @property
     def has_room(self) -> bool:
-        """Tell whether fewer than `capacity` readings wait."""
+        """Return whether fewer than `capacity` readings wait."""
         return self._room.is_set()
 
     async def wait_for_room(self) -> None:

@@ -125,7 +125,7 @@ class DeviceKeeper:
 
     @property
     def is_ready(self) -> bool:
-        """Tell whether the device is open, so that it can be tried."""
+        """Return whether the device is open, so that it can be tried."""
         return self.state in (DeviceState.READY, DeviceState.OVERDUE, DeviceState.FAILING)
 
     @property
@@ -211,7 +211,7 @@ class DeviceKeeper:
         self._thread.shutdown(wait=False, cancel_futures=True)
 
     async def _look_after(self) -> None:
-        """Wait for trouble or, while nobody uses the device, ask it whether it is there."""
+        """Wait for trouble or, while the device is unused, ask it whether it is there."""
         self._trouble.clear()
         try:
             async with asyncio.timeout(self._times.check_every_s):

@@ -43,7 +43,7 @@ class Light:
 
     @property
     def is_confirmed(self) -> bool:
-        """Tell whether the levels are those that the box itself states: a lost one may do anything."""
+        """Return whether the levels are those that the box itself states: a lost one may do anything."""
         return self.keeper is not None and self.keeper.state is DeviceState.READY
 
     async def set_level(self, channel: str, level: float) -> float:

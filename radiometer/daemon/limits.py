@@ -1,4 +1,4 @@
-"""What one client, and all together, may use."""
+"""Limits of what one client, and all together, may use."""
 
 from __future__ import annotations
 
@@ -88,7 +88,7 @@ class TokenBucket:
 
     @property
     def is_full(self) -> bool:
-        """Tell whether nothing was used of late."""
+        """Return whether nothing was used of late."""
         return self._tokens + (self._clock() - self._filled_at) * self._per_s >= self._per_s
 
 
@@ -149,7 +149,7 @@ def parse_networks(texts: Sequence[str]) -> tuple[Network, ...]:
 
 
 def is_loopback(address: str) -> bool:
-    """Tell whether an address to listen on is reachable from this machine only."""
+    """Return whether an address to listen on is reachable from this machine only."""
     if address == "localhost":
         return True
     try:
@@ -159,7 +159,7 @@ def is_loopback(address: str) -> bool:
 
 
 def is_allowed(peer: str, networks: Sequence[Network]) -> bool:
-    """Tell whether a peer may connect: loopback always, others if a network of the allow-list holds them."""
+    """Return whether a peer may connect: loopback always, others if a network of the allow-list holds them."""
     try:
         address = ipaddress.ip_address(peer.partition("%")[0])
     except ValueError:

@@ -11,7 +11,7 @@ import structlog
 from structlog.typing import EventDict, WrappedLogger
 
 _WINDOW_S: Final = 60.0
-_MOST: Final = 10  # enough to see a pattern; a thousand connections refused a second tell nothing more
+_MOST: Final = 10  # enough to see a pattern; a thousand connections refused a second show nothing more
 _KINDS: Final = 256  # different lines that are remembered
 
 
@@ -37,7 +37,7 @@ class LogThrottle(logging.Filter):
         return {**event, "suppressed": suppressed} if suppressed else event
 
     def filter(self, record: logging.LogRecord) -> bool:
-        """Tell whether a record of the standard library is written."""
+        """Return whether a record of the standard library is written."""
         suppressed = self._take(record.getMessage()[:80])
         if suppressed:
             record.msg = f"{record.msg} ({suppressed} more before were not written)"

@@ -32,7 +32,7 @@ _COUNTER_FIELDS: Final = {
 
 
 class Metrics:
-    """All figures of one daemon, in a registry of its own."""
+    """All figures of one daemon, in a separate registry."""
 
     def __init__(self) -> None:
         self.registry = registry = CollectorRegistry()

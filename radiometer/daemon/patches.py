@@ -1,4 +1,4 @@
-"""Patches with names that are measured beside the one for all, and limits that alarm without flapping."""
+"""Patches with names that are measured in addition to the one for all, and limits that alarm without flapping."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from radiometer.data import Flag, Patch, Reading
 from radiometer.data.json_text import json_text
 from radiometer.errors import UsageError
 
-MAIN: Final = "main"  # stands for the patch that is measured for all where a name is asked for
+MAIN: Final = "main"  # means the patch that is measured for all where a name is asked for
 MOST_PATCHES: Final = 12
 _LONGEST_NAME: Final = 32
 _CONFIRMATIONS: Final = 2  # so many readings in a row must say the same: one outlier is no alarm, and no all-clear
@@ -81,7 +81,7 @@ class PatchWatch:
     _count: int = 0
 
     def take(self, reading: Reading) -> bool:
-        """Take a reading and tell whether the alarm has to be put up or taken down."""
+        """Take a reading and return whether the alarm has to be put up or taken down."""
         self.latest = reading
         found = self.limits.breach(reading, standing=bool(self.breached))
         self._count = self._count + 1 if found == self._saying else 1

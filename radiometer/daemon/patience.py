@@ -7,7 +7,7 @@ from collections.abc import Callable
 from typing import Final
 
 _MARGIN: Final = 1.5
-_LONGEST_S: Final = 3.0  # a device that is gone is told of this much later at most
+_LONGEST_S: Final = 3.0  # a device that is gone is reported this much later at most
 _HALVED_AFTER_S: Final = 60.0
 ON_TIME: Final = 2  # so many answers in time, one after the other, end the alarm: one of them may be luck
 
@@ -33,6 +33,6 @@ class Patience:
         self._learnt_at, self._on_time = self._clock(), 0
 
     def was_on_time(self) -> bool:
-        """Note that an answer came in time, and tell whether enough did to believe that all is well."""
+        """Note that an answer came in time, and return whether enough did to believe that all is well."""
         self._on_time += 1
         return self._on_time >= ON_TIME

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from typing import Final, Generic, TypeVar
 
 _C = TypeVar("_C")
-_CROWD: Final = 8  # so many that have not said a thing are a crowd, and make room at once
+_CROWD: Final = 8  # so many that have sent nothing are a crowd, and make room at once
 
 
 @dataclass(slots=True)
@@ -57,7 +57,7 @@ class Places(Generic[_C]):
         return "too many connections of one address" if held >= max(1, self._limit // 4) else ""
 
     def make_room(self) -> _C | None:
-        """Return who must go for the next one; None where there is room, or nobody may be put out: `is_full` tells."""
+        """Return who must go for the next one; None where there is room or none may be dropped (see `is_full`)."""
         if not self.is_full:
             return None
         now = self._clock()
@@ -73,7 +73,7 @@ class Places(Generic[_C]):
 
     @property
     def is_full(self) -> bool:
-        """Tell whether every place is held."""
+        """Return whether every place is held."""
         return len(self._places) >= self._limit
 
     def enter(self, connection: _C, peer: str) -> None:
@@ -85,7 +85,7 @@ class Places(Generic[_C]):
         self._places.pop(connection, None)
 
     def is_known(self, connection: _C) -> bool:
-        """Tell whether a connection has made sense at least once."""
+        """Return whether a connection has made sense at least once."""
         place = self._places.get(connection)
         return place is not None and place.known
 

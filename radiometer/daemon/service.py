@@ -30,14 +30,14 @@ _RELOAD_PAUSE_S: Final = 1.0  # between two reloads: a storm of signals leaves t
 
 @dataclass(frozen=True, slots=True)
 class ServiceOptions:
-    """Where the daemon listens and what it tells whom.
+    """Where the daemon listens and what it reports to whom.
 
     Attributes:
         every_s: Period of continuous measurement in s; None for on demand only.
         scpi_address: Address for SCPI; None for no TCP.
         scpi_port: Port for SCPI; 0 chooses a free one.
         scpi_socket: Unix socket for SCPI; None for none.
-        scpi_allow: Networks that may connect to SCPI beside loopback.
+        scpi_allow: Networks that may connect to SCPI in addition to loopback.
         http_address: Address for HTTP; None for none.
         http_port: Port for HTTP; 0 chooses a free one.
         token: Token for HTTP; None where only loopback is listened on.
@@ -134,7 +134,7 @@ class Service:
         self._announce(f"journal {self._station.journal_path}")
 
     async def _watch(self) -> None:
-        """Feed the watchdog while all is well; end when told to, or when a part has died."""
+        """Feed the watchdog while all is well; end on request, or when a part has died."""
         period_s = min(self._notifier.watchdog_period_s or 1.0, 1.0)
         while not self._stop.is_set():
             with suppress(TimeoutError):

@@ -204,7 +204,7 @@ class Station:
         return [self.camera, *([self.light.keeper] if self.light.keeper else [])]
 
     def _is_able(self) -> bool:
-        """Tell whether nothing but time keeps measurements from beginning."""
+        """Return whether nothing but time keeps measurements from beginning."""
         return self.camera.state in (DeviceState.READY, DeviceState.OVERDUE) and self.writer.has_room
 
     def _take_settings(self, settings: MeasurementSettings) -> None:

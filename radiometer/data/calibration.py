@@ -78,15 +78,15 @@ class Calibration:
 
     @property
     def absolute(self) -> bool:
-        """Tell whether readings come out in W·sr⁻¹·m⁻²."""
+        """Return whether readings come out in W·sr⁻¹·m⁻²."""
         return self.scale.method != "relative"
 
     def is_stale(self, now: dt.datetime) -> bool:
-        """Tell whether the calibration is older at `now` (with time zone) than its validity."""
+        """Return whether the calibration is older at `now` (with time zone) than its validity."""
         return (now - dt.datetime.fromisoformat(self.created)).total_seconds() > self.validity_days * 86400.0
 
     def to_mapping(self) -> dict[str, Any]:
-        """Return the mapping that stands in the file."""
+        """Return the mapping that is written to the file."""
         return {
             "format": FORMAT,
             "created": self.created,

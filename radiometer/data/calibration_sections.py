@@ -164,7 +164,7 @@ class FoundEffects(FileSection):
         well_a3: a₃.
         well_e: Electrons at z = 1.
         glare: Part of the picture's mean that the lens spreads over it.
-        names: Effects that these stand for.
+        names: Effects that these represent.
     """
 
     exposure_offset_s: float = 0.0
@@ -220,12 +220,12 @@ class StatedUncertainties(FileSection):
             0.3 %, on the axis of a lens without a beam splitter.
         prnu_u_rel: Spread of responsivity from pixel to pixel, where too few pixels show it. Default: 1 %, the usual
             upper end of EMVA 1288 data sheets.
-        falloff_u_rel: Of the natural fall-off cos⁴, as a part of it, where nobody measured it. Default: 0.6, which
+        falloff_u_rel: Of the natural fall-off cos⁴, as a part of it, where it was not measured. Default: 0.6, which
             reaches (k = 2) from no fall-off at all to twice the natural one.
         cos4_u_rel: The same where the lens description says that cos⁴ holds. Default: 0.05.
         spectral_u_rel: From the difference between the assumed spectrum and that of the source.
-        efficacy_u_rel: Of the luminous efficacy of the assumed spectrum, between luminance and radiance. Default: 0 for
-            a spectrum that somebody states; `radiometer calibrate` puts 43 % where nobody does.
+        efficacy_u_rel: Of the luminous efficacy of the assumed spectrum, between luminance and radiance. Default: 0
+            for a stated spectrum; `radiometer calibrate` puts 43 % where none is stated.
     """
 
     exposure_u_rel: float = Field(1e-4, ge=0)

@@ -1,4 +1,4 @@
-"""What `capture.yaml` says beside its frames: camera, lens, source and patches, as their datasheets believe."""
+"""Header of `capture.yaml` without the frames: camera, lens, source and patches, as their datasheets state them."""
 
 from __future__ import annotations
 

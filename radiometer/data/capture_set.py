@@ -36,7 +36,7 @@ class FrameEntry(FileSection):
     """One frame of a capture set as `capture.yaml` lists it."""
 
     file: str
-    exposure_s: float = Field(ge=0)  # 0 stands for a bias frame: shutter closed, read out at once
+    exposure_s: float = Field(ge=0)  # 0 means a bias frame: shutter closed, read out at once
     gain_db: float = 0.0
     f_number: float | None = Field(None, gt=0)
     black_level_dn: float | None = None
@@ -142,14 +142,14 @@ class CaptureHeader(FileSection):
         return self
 
     def to_mapping(self) -> dict[str, Any]:
-        """Return the plain mapping that stands in the file; what is unknown is left out."""
+        """Return the plain mapping that is written to the file; what is unknown is left out."""
         unknown = {name for name in ("lens", "source") if getattr(self, name) == type(getattr(self, name))()}
         unknown |= set() if self.statistics else {"statistics"}
         return self.model_dump(mode="json", exclude_none=True, exclude=unknown)
 
 
 class FrameStore(Protocol):
-    """Where the frames of a capture set lie when they are not the files of its folder."""
+    """Where the frames of a capture set are when they are not the files of its folder."""
 
     def read(self, file: str) -> DigitalNumbers:
         """Return the digital numbers of the frame that the header lists under a name."""
@@ -167,7 +167,7 @@ class CaptureSet:
     Attributes:
         path: The folder.
         header: What `capture.yaml` says.
-        store: Where the frames lie; None for the files of the folder.
+        store: Where the frames are; None for the files of the folder.
     """
 
     path: Path

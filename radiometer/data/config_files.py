@@ -1,4 +1,4 @@
-"""Where the configuration files that come with the product lie."""
+"""Location of the configuration files that come with the product."""
 
 from __future__ import annotations
 

@@ -33,10 +33,11 @@ def _without_remarks(content: NDArray[np.uint8]) -> NDArray[np.uint8]:
     """Return a PNG's bytes without its chunks that are no part of the picture; what is no whole PNG as it is.
 
     None are left where a check sum is wrong. libpng writes what it finds wrong straight to standard error, past
-    OpenCV's level: of a damaged picture, and of colour profiles that nobody asked for.
+    OpenCV's level: faults of a damaged picture, and of colour profiles that are not needed.
 
     Source: PNG specification, third edition, 5.2 to 5.5: length, type, data and check sum (of type and data) of every
-        chunk; one whose type begins with a small letter is not needed for the picture, but tRNS, which adds a channel.
+        chunk. A chunk whose type begins with a small letter is not needed for the picture. The exception is tRNS,
+        which adds a channel.
     """
     whole = content.tobytes()
     if not whole.startswith(_PNG_SIGNATURE):
@@ -54,7 +55,7 @@ def _without_remarks(content: NDArray[np.uint8]) -> NDArray[np.uint8]:
 
 @contextmanager
 def _quiet() -> Iterator[None]:
-    """Have OpenCV tell errors alone (tags that it does not know are no user's matter) until the last thread is done."""
+    """Have OpenCV report errors alone until the last thread is done: unknown tags do not concern a user."""
     with _COUNTED:
         _levels.append(logging.setLogLevel(logging.LOG_LEVEL_ERROR))
     try:

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 
 
 def new_axes() -> Axes:
-    """Return axes in a figure of its own, which no global list of figures holds."""
+    """Return axes in a new figure, which no global list of figures holds."""
     from matplotlib.figure import Figure
 
     return Figure(figsize=(6.4, 4.0), layout="constrained").subplots()

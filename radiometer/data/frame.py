@@ -49,7 +49,7 @@ class FrameSettings:
 
     @property
     def is_dark(self) -> bool:
-        """Tell whether the frame was taken with the shutter closed."""
+        """Return whether the frame was taken with the shutter closed."""
         return self.shutter == "closed"
 
     @property
@@ -93,7 +93,7 @@ class Frame:
 
     @property
     def masked_dn(self) -> float | None:
-        """Return what the sensor's masked pixels read in this frame, in DN; None where nobody states it."""
+        """Return what the sensor's masked pixels read in this frame, in DN; None where it is not stated."""
         told = self.extra.get(MASKED_PIXELS)
         return float(told) if isinstance(told, int | float) else None
 

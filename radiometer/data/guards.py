@@ -197,7 +197,7 @@ def refuse_deep_yaml(text: str, where: str) -> None:
 
 
 def _may_be_deep(text: str) -> bool:
-    """Tell whether a text could be nested deeper than the limit; cheap, and true too often rather than too seldom."""
+    """Return whether a text could be nested deeper than the limit; cheap, and true too often rather than too seldom."""
     openings = text.count("[") + text.count("{") + text.count("- ") + text.count("? ") + text.count("-\t")
     if openings > DEEPEST_NESTING // 2:
         return True
@@ -205,7 +205,7 @@ def _may_be_deep(text: str) -> bool:
 
 
 def is_file(path: Path) -> bool:
-    """Tell whether a path that a file names is a file; one that can be none (too long, a zero in it) is not."""
+    """Return whether a path that a file names is a file; one that can be none (too long, a zero in it) is not."""
     try:
         return path.is_file()
     except (OSError, ValueError):

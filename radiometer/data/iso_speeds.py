@@ -28,7 +28,7 @@ class IsoSpeeds:
         return self.measured.get(stated, stated)
 
     def gain_db(self, stated: float, in_use: Iterable[float]) -> float:
-        """Return the gain in dB of amplitude that a speed stands for.
+        """Return the gain in dB of amplitude of an ISO speed.
 
         Real speeds are compared where this one was measured; else stated ones, where the reference's is known. A
         speed that is only stated is compared with a real reference where nothing else is known of it.

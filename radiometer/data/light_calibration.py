@@ -32,7 +32,7 @@ class LightPoint(FileSection):
         level: Raw level.
         duty_step: Duty step that the box rounds it to.
         radiance_W_per_sr_m2: Settled radiance.
-        u_rel: Relative standard uncertainty of its own (noise, drift); what all points share is not in it.
+        u_rel: Relative standard uncertainty of this point alone (noise, drift); what all points share is not in it.
         start_rel: Radiance just after switching on, over the settled one.
     """
 
@@ -82,7 +82,7 @@ class _File(FileSection):
 
 @dataclass(frozen=True, slots=True)
 class LevelChoice:
-    """A raw level for a wanted radiance, with the radiance that it really gives.
+    """A raw level for a requested radiance, with the radiance that it really gives.
 
     Attributes:
         level: Raw level.
@@ -120,7 +120,7 @@ class LightCalibration:
     provenance: Provenance = field(default_factory=lambda: Provenance("unknown"))
 
     def choose(self, channel: str, radiance_w_sr_m2: float) -> LevelChoice:
-        """Return the level whose radiance is nearest to a wanted one.
+        """Return the level whose radiance is nearest to a requested one.
 
         Args:
             channel: Name of the channel.
@@ -167,7 +167,7 @@ class LightCalibration:
         return (choice.radiance_w_sr_m2 + COVERAGE * choice.u_w_sr_m2) * max(choice.start_rel, 1.0)
 
     def is_stale(self, now: dt.datetime) -> bool:
-        """Tell whether it is older at `now` (with time zone) than its validity."""
+        """Return whether it is older at `now` (with time zone) than its validity."""
         return (now - dt.datetime.fromisoformat(self.created)).total_seconds() > self.validity_days * 86400.0
 
     def write(self, path: Path) -> None:
@@ -214,7 +214,7 @@ class LightCalibration:
 class _Range:
     """Radiance over duty in one current range: ln(radiance/duty) is interpolated over ln(duty) in straight lines.
 
-    An LED under PWM is nearly proportional to its duty; what is left is smooth. The error of the straight lines is
+    An LED under PWM is nearly proportional to its duty; the residual is smooth. The error of the straight lines is
     taken as a rectangle of half width h²/8·|f''|, f'' from the divided differences of neighbouring points.
     """
 
@@ -242,7 +242,7 @@ class _Range:
         return cls(steps, log_duty, np.log(radiance) - log_duty, u_rel, start_rel, duty_steps)
 
     def holds(self, radiance: float) -> bool:
-        """Tell whether a radiance lies between the lowest and the highest measured one."""
+        """Return whether a radiance is between the lowest and the highest measured one."""
         low, high = (math.exp(self.log_efficacy[end] + self.log_duty[end]) for end in (0, -1))
         return low * (1 - 1e-9) <= radiance <= high * (1 + 1e-9)
 

@@ -92,7 +92,7 @@ def find_white_levels(frames: Iterable[Frame]) -> dict[float, WhiteLevel]:
     """Return the white level of every gain in dB among frames of one camera and pixel format.
 
     Frames are compared where pattern and drive of the source are the same. Where the frames of a gain show no pile,
-    the lowest that another gain shows is used for it unless areas of their pixels are above it: a converter ends at
+    the lowest of the other gains is used unless areas of their pixels are above it. The reason: a converter ends at
     one number for all gains, and a full well ends lower at lower gains only.
 
     Args:
@@ -302,7 +302,7 @@ def _mean_near(frame: _Ranks, centre: int, spread: float, step: int) -> int:
 
 
 def _strays_are_single(frame: _Ranks, top_dn: int) -> bool:
-    """Tell whether the pixels above a pile are single: an area of them records light that a full sensor would not."""
+    """Return whether the pixels above a pile are single: an area of them records light that a full sensor would not."""
     strays = frame.pixels_from(top_dn + 1)
     if strays < _FEWEST_PIXELS:
         return True
@@ -347,7 +347,7 @@ def _evidence(longer: _Ranks, shorter: _Ranks, pile: _Pile, places: NDArray[np.i
         # Rounding to codes may take one step off a range or add one.
         ln_ratio = math.log(max(high - low - step, 1e-9) / (pile.spread_dn * _NORMAL_QUARTILES + step))
         collapse = ln_ratio * math.sqrt(before.size) / _LN_RATIO_SIGMA if ln_ratio >= math.log(_COLLAPSE) else 0.0
-    # The pixels next to these have their level, and noise of their own.
+    # The pixels next to these have the same level and independent noise.
     neighbours = shorter.flat[np.where(places > 0, places - 1, 1)[_in(pile, before)]]
     return max(collapse, _standstill(longer, shorter, pile, neighbours, floor_dn, step))
 
@@ -367,7 +367,7 @@ def _standstill(
         longer: The frame with the pile.
         shorter: One of a shorter exposure.
         pile: The pile.
-        already: Values next to those pixels in the shorter exposure, which have their level and noise of their own.
+        already: Values next to those pixels in the shorter exposure, which have the same level and independent noise.
         floor_dn: Black, or a value not below it.
         step: Distance between codes in DN.
     """

@@ -56,7 +56,7 @@ class Provenance:
     software: str = f"radiometer {radiometer.__version__}"
 
     def to_mapping(self) -> dict[str, Any]:
-        """Return the plain mapping that stands in files."""
+        """Return the plain mapping that is written to files."""
         return {
             "method": self.method,
             "inputs": list(self.inputs),

@@ -25,9 +25,9 @@ class RawColours:
     """The three colours of a mosaic, or the one of a sensor without filters.
 
     Attributes:
-        values: Shape (height, width) of a sensor without filters, else (height, width, 3), red, green and blue: of the
-            pixels of one colour in a cell the first (at half size for Bayer's mosaic, a third for X-Trans), or of every
-            pixel where interpolated.
+        values: Shape (height, width) of a sensor without filters, else (height, width, 3), red, green and blue. They
+            are values of the first pixel of a colour in each cell (at half size for Bayer's mosaic, a third for
+            X-Trans). Where interpolated, they are values of every pixel.
         bit_depth: Bits per value, 9 to 16.
         white_level_dn: White level as the file states it.
         black_levels_dn: Black level of red, green and blue.
@@ -91,7 +91,7 @@ def read_raw_colours(path: Path, *, interpolated: bool = False) -> RawColours:
         values[_near_clipped(mosaic, letters, white)] = (1 << bit_depth) - 1
         return RawColours(values, bit_depth, white, (0.0, 0.0, 0.0))
     planes = [_plane(mosaic, letters, letter) for letter in _LETTERS]
-    if _CELLS[pattern.shape] == 2:  # the green that is read has a black level of its own
+    if _CELLS[pattern.shape] == 2:  # the green that is read has a separate black level
         row, column = np.argwhere(letters == "G")[0]
         levels[1] = float(black[pattern[row, column]])
     values = np.minimum(np.stack(planes, axis=2), (1 << bit_depth) - 1).astype(np.uint16)

@@ -71,7 +71,7 @@ class Patch:
         return slice(self.y, self.y + self.height), slice(self.x, self.x + self.width)
 
     def fits(self, shape: tuple[int, int]) -> bool:
-        """Tell whether the patch lies wholly inside a frame of (height, width)."""
+        """Return whether the patch is wholly inside a frame of (height, width)."""
         return (
             self.x >= 0
             and self.y >= 0
@@ -230,7 +230,7 @@ class Reading:
         return f"{said} (k = {self.coverage_factor:.3g}){flags}"
 
     def __repr__(self) -> str:
-        """Return value, patch and instrument in one line; every field stands in `to_mapping()`."""
+        """Return value, patch and instrument in one line; `to_mapping()` holds every field."""
         where = f"{self.patch.x},{self.patch.y} {self.patch.width} × {self.patch.height}"
         return f"<Reading {self}, patch {where} of {self.instrument}>"
 

@@ -82,7 +82,7 @@ class ResponseCurve:
         return "\n".join(rows) + "\n"
 
     def to_mapping(self) -> dict[str, Any]:
-        """Return the mapping that stands in YAML files."""
+        """Return the mapping that is written to YAML files."""
         return {
             "format": FORMAT,
             "bit_depth": self.bit_depth,

@@ -1,4 +1,4 @@
-"""What a sensor's noise is expected to be at a given signal: the weight of every sample, never its truth."""
+"""Expected noise of a sensor at a given signal: the weight of every sample, never its truth."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What measures, and what is measured: one object from the frames to a map or a reading."""
+"""The measuring setup and the measured light: one object from the frames to a map or a reading."""
 
 from __future__ import annotations
 
@@ -38,5 +38,5 @@ class Setup:
 
     @property
     def spectrum_stated(self) -> bool:
-        """Tell whether somebody states the light's spectrum."""
+        """Return whether somebody states the light's spectrum."""
         return self.spectrum is not None

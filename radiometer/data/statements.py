@@ -77,7 +77,7 @@ def gain_unit_of_maker(camera: str) -> str:
 
 
 def is_unknown(written: Any) -> bool:
-    """Tell whether what a file states is a blank or a word for "unknown"."""
+    """Return whether what a file states is a blank or a word for "unknown"."""
     if written is None or isinstance(written, bool):
         return True
     if isinstance(written, float) and not math.isfinite(written):

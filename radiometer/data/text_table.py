@@ -133,7 +133,7 @@ class TextTable:
         return [f"columns {', '.join(left)}"] if left else []
 
     def is_index(self, at: int) -> bool:
-        """Tell whether a column is a running number by its name."""
+        """Return whether a column is a running number by its name."""
         return bool(self.header) and self.plain[at] in _INDEX_NAMES
 
     def where(self, line: int) -> str:
@@ -157,7 +157,7 @@ class TextTable:
 
 
 def _may_be_unit(spelling: str) -> bool:
-    """Tell whether words in brackets look like a unit: short, no remark."""
+    """Return whether words in brackets look like a unit: short, no remark."""
     return 0 < len(spelling) <= 8 and " " not in spelling
 
 
@@ -271,7 +271,7 @@ def _fitness(lines: Sequence[str], separator: str) -> tuple[float, float, int]:
 
 
 def _is_cell(cell: str, separator: str) -> bool:
-    """Tell whether a cell is a number, a blank or a word, and not two cells of another separator."""
+    """Return whether a cell is a number, a blank or a word, and not two cells of another separator."""
     if _POINT.fullmatch(cell) or is_unknown(cell) or (separator != "," and _COMMA.fullmatch(cell)):
         return True
     return not re.search(r"[;\t,]", cell) and not re.fullmatch(rf"(?:{_POINT.pattern}\s+)+{_POINT.pattern}", cell)
@@ -284,7 +284,7 @@ def _split(line: str, separator: str) -> list[str]:
 
 
 def _names_rows(names: Sequence[str], width: int, separator: str, lines: Sequence[str]) -> bool:
-    """Tell whether a heading names all columns but the first: R's write.table names no column for the row names."""
+    """Return whether a heading names all columns but the first: R's write.table names no column for the row names."""
     quoted = all(line.lstrip().startswith('"') for line in lines)
     return len(names) == width - 1 and (quoted or not separator) and not any(_is_number(name) for name in names)
 

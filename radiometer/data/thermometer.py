@@ -12,7 +12,7 @@ from radiometer.data.capture_set import CaptureHeader
 
 _FINEST_STEP_K: Final = 0.05
 _WIDEST_STEP_K: Final = 0.75
-_REPEATED: Final = 0.5  # share of frames that may have a reading of their own before readings are no steps
+_REPEATED: Final = 0.5  # share of frames that may have a unique reading before readings are no steps
 _ALIKE_K: Final = 0.02  # by which two readings of one step differ
 _IN_TURN: Final = 2  # changes between two readings: a drift makes one
 
@@ -20,7 +20,7 @@ _IN_TURN: Final = 2  # changes between two readings: a drift makes one
 def uncertainty_of_readings(temperatures_c: NDArray[np.float64]) -> float:
     """Return the standard uncertainty in K of temperature readings that come in steps; 0 where they do not.
 
-    A regulated sensor shows two neighbouring readings in turn: their distance is the step, and the temperature lies
+    A regulated sensor shows two neighbouring readings in turn: their distance is the step, and the temperature is
     anywhere in it.
 
     Args:
@@ -45,8 +45,8 @@ def readings_c(header: CaptureHeader) -> NDArray[np.float64]:
 def regulated(header: CaptureHeader) -> CaptureHeader:
     """Return the header with one temperature for frames whose readings are two neighbouring steps in turn.
 
-    A sensor that is held at the border of two steps shows now the one and now the other and has one temperature: taken
-    as read, each change of the reading would be one of the dark current. The mean of the readings stands for all of
+    A sensor at the border of two steps has one temperature, yet shows now the one reading and now the other. Used as
+    read, each change of the reading would become one of the dark current. The mean of the readings replaces all of
     them. What changes once may be a drift, and stays as it is.
 
     Args:

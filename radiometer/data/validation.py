@@ -1,4 +1,4 @@
-"""Pydantic's findings, said in one plain line that names key, value and what is allowed."""
+"""Pydantic's findings in one plain line that names key, value and what is allowed."""
 
 from __future__ import annotations
 

@@ -49,7 +49,7 @@ class WhiteLevel:
 
     @property
     def disagrees(self) -> bool:
-        """Tell whether the frames show another white level than the stated one or that of the bit depth."""
+        """Return whether the frames show another white level than the stated one or that of the bit depth."""
         tolerance_dn = EDGE_SIGMAS * self.spread_dn + 1.0
         return self.measured_dn is not None and abs(self.measured_dn - self.stated_dn) > tolerance_dn
 

@@ -1,4 +1,4 @@
-"""What every camera offers, real or simulated."""
+"""Interface of every camera, real or simulated."""
 
 from __future__ import annotations
 

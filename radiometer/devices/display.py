@@ -1,4 +1,4 @@
-"""What every display offers, real or simulated."""
+"""Interface of every display, real or simulated."""
 
 from __future__ import annotations
 

@@ -78,7 +78,7 @@ def process_name(pid: int) -> str:
 
 
 def is_running(name: str) -> bool:
-    """Tell whether the process of a name still runs."""
+    """Return whether the process of a name still runs."""
     pid = name.partition(" ")[0]
     return pid.isdigit() and process_name(int(pid)) == name
 
@@ -262,7 +262,7 @@ class AccountStore(Protocol):
         ...
 
     def lives(self, holder: str) -> bool:
-        """Tell whether another program that entered light still runs."""
+        """Return whether another program that entered light still runs."""
         ...
 
     def now_s(self) -> float:
@@ -331,7 +331,7 @@ class FileStore:
         moment: Returns the present time.
         sleep: Waits between two looks at a lock.
         holder: Name of this program.
-        running: Tells whether the program of a name still runs.
+        running: Returns whether the program of a name still runs.
     """
 
     folder: Path
@@ -341,7 +341,7 @@ class FileStore:
     running: Callable[[str], bool] = is_running
 
     def lives(self, holder: str) -> bool:
-        """Tell whether another program that entered light still runs."""
+        """Return whether another program that entered light still runs."""
         return holder != self.holder and self.running(holder)
 
     @property

@@ -151,7 +151,7 @@ class ExposureLedger:
         return name
 
     def holds(self, name: str) -> bool:
-        """Tell whether a stimulus that was entered may still begin: nothing has darkened its channel since."""
+        """Return whether a stimulus that was entered may still begin: nothing has darkened its channel since."""
         with self._lock:
             return name in self._open
 
@@ -186,7 +186,7 @@ class ExposureLedger:
             self.settle()
 
     def is_kept(self) -> bool:
-        """Tell whether the account still holds what is lit: it may be deleted or damaged meanwhile."""
+        """Return whether the account still holds what is lit: it may be deleted or damaged meanwhile."""
         with self._lock:
             try:
                 account = self.store.look()

@@ -1,4 +1,4 @@
-"""What a check of a device found, and the way out."""
+"""Finding of a check of a device, and the way out."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What every light box offers, real or simulated: LED channels, a button, and darkness when in doubt."""
+"""Interface of every light box, real or simulated: LED channels, a button, and darkness when in doubt."""
 
 from __future__ import annotations
 
@@ -109,7 +109,7 @@ class LightBoxStatus:
 
     Attributes:
         supply_v: LED supply in V.
-        temperature_celsius: Temperature beside the LEDs in °C.
+        temperature_celsius: Temperature next to the LEDs in °C.
         damaged_lines: Lines with a wrong checksum that the box has seen since it was switched on.
         lost_bytes: Bytes that the box lost since it was switched on.
         darkened: How often the box itself has gone dark (host silent, energy budget used up).
@@ -219,7 +219,7 @@ class LightBox(Protocol):
         ...
 
     def blink(self, channel: str, level: Level, on_s: float, off_s: float, count: int = 0) -> ChannelState:
-        """Blink a channel `count` times (0: until told otherwise), timed by the box; raises as `set_level`."""
+        """Blink a channel `count` times (0: until the next command), timed by the box; raises as `set_level`."""
         ...
 
     def off(self, channel: str) -> None:

@@ -116,7 +116,7 @@ def relative_spectrum(optics: ChannelOptics) -> tuple[NDArray[np.float64], NDArr
     """Return wavelengths in nm and the relative spectral radiance of a channel, of sum 1.
 
     A coloured LED is a Gaussian line. White is a 450 nm pump (20 nm wide) with 40 % of the power and a phosphor at
-    560 nm (120 nm wide) with 60 %: bluer than most warm or neutral LEDs, hence on the safe side.
+    560 nm (120 nm wide) with 60 %. This is bluer than most warm or neutral LEDs, hence on the safe side.
     """
     wavelength_nm = np.arange(380.0, 781.0, 1.0)
     if optics.peak_nm is None:
@@ -136,8 +136,8 @@ def weighted_fractions(optics: ChannelOptics) -> tuple[float, float]:
 def hazard_fractions(optics: ChannelOptics, radiance_w_sr_m2: float, bright_s: float) -> HazardFractions:
     """Return which fractions of the limits an exposure uses up.
 
-    Blue light: L_B·t ≤ 10⁶ J·m⁻²·sr⁻¹ for t ≤ 10⁴ s, L_B ≤ 100 W·m⁻²·sr⁻¹ beyond; for a source that subtends less
-    than 11 mrad E_B·t ≤ 100 J·m⁻² for t ≤ 100 s, E_B ≤ 1 W·m⁻² beyond, E_B = L_B·π·α²/4.
+    Blue light: L_B·t ≤ 10⁶ J·m⁻²·sr⁻¹ for t ≤ 10⁴ s, L_B ≤ 100 W·m⁻²·sr⁻¹ beyond. For a source that subtends less
+    than 11 mrad, E_B·t ≤ 100 J·m⁻² for t ≤ 100 s, E_B ≤ 1 W·m⁻² beyond. Here E_B = L_B·π·α²/4.
     Thermal: L_R ≤ 50 000/(α·t^0.25) W·m⁻²·sr⁻¹, t from 10 µs to 10 s (longer ones count as 10 s), α from
     1.7 mrad (0.25 s), 1.7 mrad·√(t/0.25 s) or 11 mrad (10 s) to 100 mrad.
 

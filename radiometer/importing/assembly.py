@@ -29,7 +29,7 @@ _CAMERA_KEYS: Final = (
 )  # fmt: skip
 _OWN_KEYS: Final = ("vendor", "model", "serial", "band", "binning", "mode")  # what a camera is called by among several
 _MASKED_SAME_DN: Final = 1.0
-_UNEVEN_PERCENT: Final = 0.5  # of light that a calibration moves, from which it is told
+_UNEVEN_PERCENT: Final = 0.5  # of light that a calibration moves, above which it is reported
 
 
 @dataclass(frozen=True, slots=True)
@@ -202,7 +202,7 @@ class _Codes:
 
 
 def _tells_step(pixels: Sequence[DigitalNumbers], bits: int) -> bool:
-    """Tell whether the codes are many enough to be multiples of more than 1 by no chance."""
+    """Return whether the codes are many enough to be multiples of more than 1 by no chance."""
     if bits == 0 or bits & 1:
         return False
     codes = set[int]()
@@ -278,7 +278,7 @@ def _lens(frames: Sequence[FoundFrame]) -> LensDescription:
 
 
 def _black_by_gain(frames: Sequence[FoundFrame]) -> list[str]:
-    """Return a line that says how masked rows lie above the black level tag at each gain."""
+    """Return a line that reports how far masked rows are above the black level tag at each gain."""
     by_gain: dict[float, list[float]] = {}
     for frame in frames:
         masked, stated = frame.extra.get("masked_rows_dn"), frame.settings.black_level_dn

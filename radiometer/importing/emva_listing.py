@@ -69,7 +69,7 @@ def find_descriptor(path: Path) -> Path | None:
 
 
 def looks_like_descriptor(path: Path) -> bool:
-    """Tell whether a text file begins with the lines of a descriptor: v, n, b or d with numbers."""
+    """Return whether a text file begins with the lines of a descriptor: v, n, b or d with numbers."""
     try:
         with path.open(encoding="utf-8", errors="strict") as stream:
             head = [line.split() for line, _ in zip(stream, range(200), strict=False)]

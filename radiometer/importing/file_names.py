@@ -1,4 +1,4 @@
-"""What a file's name claims of its frame, to be held against what its header says."""
+"""Facts that a file's name states of its frame, to be compared with its header."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ class NameClaims:
 
     Attributes:
         exposure_s: Exposure in s; None where it names none.
-        exposure_has_unit: False where a bare number was taken for seconds.
+        exposure_has_unit: False where a bare number was read as seconds.
         kind: "dark", "light", or "".
     """
 

@@ -153,7 +153,7 @@ def _planes(unit: Any) -> int:
 
 
 def _is_frame(unit: Any, mapped: StatementMap) -> bool:
-    """Tell whether a unit states an exposure itself and is no map of errors or flags."""
+    """Return whether a unit states an exposure itself and is no map of errors or flags."""
     names = {*(place.name for place in _EXPOSURE), *(place.name for place in mapped.places.get("exposure", ()))}
     return any(name in unit.header for name in names) and str(unit.name).upper() not in _NO_FRAMES
 
@@ -363,7 +363,7 @@ def _gain(
 
 
 def _is_conversion(header: Header) -> bool:
-    """Tell whether GAIN is in electrons per DN, as observatories have it."""
+    """Return whether GAIN is in electrons per DN, as observatories have it."""
     unit = str(header["GAINUNIT"].written) if "GAINUNIT" in header else ""
     return "electron" in unit.lower() or unit_in_words(header["GAIN"].comment, "conversion_gain")[0] is not None
 

@@ -1,4 +1,4 @@
-"""What a file says of the frames in it, before they become a capture set."""
+"""Facts that a file states of its frames, before they become a capture set."""
 
 from __future__ import annotations
 
@@ -43,10 +43,10 @@ class ImportOptions:
             raise UsageError(f"a full scale of {self.full_scale:g} is not possible; give a number above 0")
 
     def cut(self, pixels: NDArray[Any], where: str) -> NDArray[Any]:
-        """Return the wanted part of a picture.
+        """Return the requested part of a picture.
 
         Raises:
-            CaptureError: If the crop does not lie on it.
+            CaptureError: If the crop is not inside it.
         """
         if self.crop is not None:
             height, width = pixels.shape
@@ -59,7 +59,7 @@ class ImportOptions:
         return np.ascontiguousarray(pixels[:: self.sample, :: self.sample])
 
     def digital_numbers(self, pixels: NDArray[Any], where: str) -> DigitalNumbers:
-        """Return stored values as the digital numbers of a frame, cut to the wanted part.
+        """Return stored values as the digital numbers of a frame, cut to the requested part.
 
         Integers of up to 16 bits without a sign are kept as they are. With a stated full scale above 65535, or one of
         floating-point numbers, values are scaled so that full scale becomes 65535.

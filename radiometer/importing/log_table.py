@@ -1,4 +1,4 @@
-"""A log of a camera under auto exposure beside a reference meter: which column is what, its unit, and the nights."""
+"""A log of a camera under auto exposure and a reference meter: the columns, their units, and the nights."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ discussions of 2005, uncertain by at least 1 %; a constant factor, which the cam
 _MAGNITUDES: Final = ("mag", "sqm", "mpsas", "msas")
 _GAP_S: Final = 3.0 * 3600.0  # without a reading: another night
 _DAY_S: Final = 86400.0
-_APART_S: Final = 300.0  # by which readings of a reference in a file of its own may lie from the camera's
+_APART_S: Final = 300.0  # by which readings of a reference in a separate file may differ in time from the camera's
 _FEWEST_NIGHTS: Final = 3
 _FEWEST_ROWS: Final = 12
 _MOST_PER_NIGHT: Final = 300
@@ -62,7 +62,7 @@ _TEXT: Final = ("night",)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LogTable:
-    """Readings of a camera beside a reference meter; arrays of one entry per reading.
+    """Readings of a camera and a reference meter; arrays of one entry per reading.
 
     Attributes:
         value: Camera value in DN, the stated black level taken off.
@@ -110,11 +110,11 @@ class LogTable:
 
 @dataclass(frozen=True, slots=True)
 class LogColumns:
-    """What is said of the columns beside their names.
+    """What is stated of the columns in addition to their names.
 
     Attributes:
-        chosen: Column by quantity ("value", "reference", …), where the names do not tell.
-        gain_unit: "db", "x", "0.1db" or "iso"; None where the column's name tells.
+        chosen: Column by quantity ("value", "reference", …), where the names do not state it.
+        gain_unit: "db", "x", "0.1db" or "iso"; None where the column's name states it.
         black_dn: Black level in DN to take off.
     """
 
@@ -128,8 +128,8 @@ def read_log(path: Path, said: LogColumns | None = None, reference: Path | None 
     """Return the readings of a table.
 
     Args:
-        path: CSV of the camera, the reference among its columns or in a file of its own.
-        said: What is said of the columns.
+        path: CSV of the camera, the reference among its columns or in a separate file.
+        said: What is stated of the columns.
         reference: File of the reference meter with its own times; the nearest readings are interpolated.
 
     Raises:
@@ -288,7 +288,7 @@ def _nights(names: Sequence[str] | None, times: Array | None, size: int, assumed
 def _beside(
     log: LogTable, columns: Mapping[str, list[Any]], own: TextTable, other: TextTable
 ) -> tuple[LogTable, list[str]]:
-    """Return the log with a reference from a file of its own, interpolated in time, without rows that have none."""
+    """Return the log with a reference from a separate file, interpolated in time, without rows that have none."""
     if log.time_s is None:
         raise InputError(f"{own.path}: has no column of times, by which {other.path} could be set beside it")
     places = _places(other, LogColumns(), wanted=("time", "reference"))

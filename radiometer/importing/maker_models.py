@@ -1,4 +1,4 @@
-"""What makers of multispectral cameras state of their lens and of how rows are exposed."""
+"""Models that makers of multispectral cameras state of their lens and of how rows are exposed."""
 
 from __future__ import annotations
 
@@ -75,7 +75,7 @@ def row_exposure_of(properties: Mapping[str, tuple[str, ...]]) -> RowExposure | 
 def corners_of_plane(properties: Mapping[str, tuple[str, ...]]) -> tuple[float, ...]:
     """Return the relative illumination of the corners by a polynomial in x and y (Parrot Sequoia); () without one.
 
-    The terms' powers stand in pairs in `VignettingPolynomial2DName`; x and y run from 0 to 1 over the frame. Values
+    The terms' powers are in pairs in `VignettingPolynomial2DName`; x and y run from 0 to 1 over the frame. Values
     are relative to the frame's middle.
 
     Source: Parrot, Sequoia application note "How to correct vignetting in images".

@@ -1,8 +1,8 @@
-"""What Micro-Manager and pymmcore-plus write beside the pixels: exposure, gain, binning, bit depth, temperature, time.
+"""Read what Micro-Manager and pymmcore-plus write with the pixels: exposure, gain, binning, temperature and so on.
 
-Three places are read, in this order: a page's own tag (Micro-Manager's MMStack files), the planes of OME-XML
-(pymmcore-plus, and anything else that writes it), and a JSON file beside the pictures (`_frame_metadata.json` of
-pymmcore-plus, `metadata.txt` of Micro-Manager).
+Three places are read, in this order. First a page's own tag (Micro-Manager's MMStack files). Then the planes of
+OME-XML (pymmcore-plus, and anything else that writes it). Last a JSON file next to the pictures
+(`_frame_metadata.json` of pymmcore-plus, `metadata.txt` of Micro-Manager).
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ _LARGEST_TEXT: Final = 50_000_000
 
 @dataclass(frozen=True, slots=True)
 class PlaneFacts:
-    """What is said of one picture; what is not said is None.
+    """What is stated of one picture; what is not stated is None.
 
     Attributes:
         source: Where it stands, in words.
@@ -62,7 +62,7 @@ class PlaneFacts:
 
 
 def planes_of(path: Path, pages: Sequence[Any], ome_xml: str | None) -> list[PlaneFacts | None]:
-    """Return what is said of each page of a TIFF file; None where nothing is.
+    """Return what is stated of each page of a TIFF file; None where nothing is.
 
     Args:
         path: The file.
@@ -144,7 +144,7 @@ def _of_micro_manager(said: Mapping[str, Any], source: str) -> PlaneFacts:
 
 
 def _flattened(said: Mapping[str, Any]) -> dict[str, Any]:
-    """Return keys and plain values; Micro-Manager 2 wraps values, and keeps the devices' in a mapping of their own."""
+    """Return keys and plain values; Micro-Manager 2 wraps values, and keeps the devices' in a separate mapping."""
     flat: dict[str, Any] = {}
     for key, value in said.items():
         if isinstance(value, Mapping) and "PropVal" in value:

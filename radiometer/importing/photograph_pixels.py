@@ -50,7 +50,7 @@ class Photograph:
 
     @property
     def is_grey(self) -> bool:
-        """Tell whether there is one channel only."""
+        """Return whether there is one channel only."""
         return self.values.ndim == 2
 
     @property
@@ -178,12 +178,12 @@ def _decode_lossless(path: Path) -> Any:
 
 
 def _is_png(path: Path) -> bool:
-    """Tell whether a file is a PNG whatever its name: read as a JPEG, 16 bits would be cut down to 8."""
+    """Return whether a file is a PNG whatever its name: read as a JPEG, 16 bits would be cut down to 8."""
     try:
         with path.open("rb") as file:
             return file.read(4) == _PNG_START
     except OSError:
-        return False  # said where it is read
+        return False  # reported where it is read
 
 
 def _has_palette(path: Path) -> bool:

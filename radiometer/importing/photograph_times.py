@@ -1,4 +1,4 @@
-"""Exposure times of photographs: EXIF, or a list beside them."""
+"""Exposure times of photographs: EXIF, or a list next to them."""
 
 from __future__ import annotations
 
@@ -68,7 +68,7 @@ class PhotographSettings:
         nominal_exposure_s: The time as printed.
         f_number: Exact f-number; None where unknown.
         iso: ISO speed as stated; None where unknown.
-        gain_db: Gain beside the ISO speed in dB of amplitude.
+        gain_db: Gain in addition to the ISO speed in dB of amplitude.
         iso_doubt: Why no speed is known though a tag states one; "" where that is not so.
     """
 
@@ -85,7 +85,7 @@ class PhotographSettings:
 
 
 def is_dial_time(seconds: float) -> bool:
-    """Tell whether a time in s is one that a camera's dial prints."""
+    """Return whether a time in s is one that a camera's dial prints."""
     close = (abs(seconds * d - 1.0) < 0.005 for d in _DIAL_DENOMINATORS)
     return any(close) or any(abs(seconds / t - 1.0) < 0.005 for t in _DIAL_TIMES)
 
@@ -95,7 +95,7 @@ def read_exif(path: Path) -> PhotographSettings | None:
     """Return the settings in a photograph's EXIF data; None where it holds no exposure time.
 
     A dial value (1/60 s) is turned into the exact stop behind it (2⁻⁶ s); any other time is taken as it stands. Of a
-    camera that states other times as well, none stands for a stop (`as_printed`).
+    camera that states other times as well, none means a whole stop (`as_printed`).
     """
     header, doubts = read_exif_header(path), list[str]()
     exposure = exposure_of(header, doubts, str(path))
@@ -122,10 +122,10 @@ def find_list(folder: Path) -> Path | None:
 def read_list(path: Path) -> dict[str, PhotographSettings]:
     """Return the settings of every file that a list names.
 
-    One file per line: `name seconds`, separated by blanks or a comma; a fraction such as 1/125 is allowed and taken
-    as it stands, a unit (s, ms, us, min) may follow, or stand in a heading (`name time_ms`). Lines that begin with #
-    are comments; where such a line names the columns and the second one is the shutter speed 1/t (Debevec's image
-    lists exist in both forms), its reciprocal is taken.
+    One file per line: `name seconds`, separated by blanks or a comma. A fraction such as 1/125 is allowed and used as
+    written. A unit (s, ms, us, min) may follow, or be in a heading (`name time_ms`). Lines that begin with # are
+    comments; where such a line names the columns and the second one is the shutter speed 1/t (Debevec's image lists
+    exist in both forms), its reciprocal is taken.
 
     Raises:
         CaptureError: If the list is unreadable, empty, names a file twice, or a line is not of that form; names file
@@ -171,7 +171,7 @@ def name_of_other_case(name: str, names: Iterable[str]) -> str | None:
 
 
 def _words(line: str, here: dict[str, str]) -> list[str]:
-    """Return a line's name and what follows; a name has blanks where a photograph of that name lies in the folder."""
+    """Return a line's name and what follows; a name has blanks where a photograph of that name is in the folder."""
     for gap in _GAP.finditer(line):
         name = _plain_name(line[: gap.start()])
         if name in here:

@@ -1,4 +1,4 @@
-"""What an import took from where, what is missing and what it doubts: kept in the capture set itself."""
+"""Record of an import: what it took from where, what is missing and what it doubts; kept in the capture set itself."""
 
 from __future__ import annotations
 

@@ -91,7 +91,7 @@ def _pixels(frame: FoundFrame) -> NDArray[Any]:
 
 
 def is_foreign(path: Path) -> bool:
-    """Tell whether a path names frames or statistics that are no capture set and no plain folder of photographs.
+    """Return whether a path names frames or statistics that are no capture set and no plain folder of photographs.
 
     Foreign are FITS files, raw TIFF files of cameras, EMVA 1288 descriptors and tables of statistics; a folder that
     holds some at any depth; and a pattern such as `night/*_1.tif.gz`.
@@ -317,7 +317,7 @@ def _is_frame_file(path: Path) -> bool:
 
 
 def _is_raw_tiff(file: Path) -> bool:
-    """Tell whether a TIFF is a camera's raw frame, with facts that photographs do not carry."""
+    """Return whether a TIFF is a camera's raw frame, with facts that photographs do not carry."""
     try:
         first = read_tiff_headers(file)[0]
     except UnsettledError:
@@ -336,7 +336,7 @@ def _matching(path: Path) -> list[Path]:
 
 
 def _listed(path: Path) -> list[Path]:
-    """Return the files that a path stands for."""
+    """Return the files that a path names."""
     if path.is_dir():
         return _frame_files(path)
     if path.is_file():
@@ -402,7 +402,7 @@ def _readable(frames: Sequence[FoundFrame], options: ImportOptions) -> tuple[lis
 
 
 def _of_descriptor(path: Path, options: ImportOptions) -> Assembled:
-    """Return a descriptor's images; the photons tell the light, whatever the exposures say."""
+    """Return a descriptor's images; the photons give the light, whatever the exposures are."""
     try:
         listing = EmvaListing.read(path)
     except InputError as error:
@@ -437,13 +437,13 @@ def _of_descriptor(path: Path, options: ImportOptions) -> Assembled:
 
 
 def _is_steady(lit: Sequence[tuple[float, float]], brightest: float) -> bool:
-    """Tell whether all photons are those of one flux, rounded or cut to whole numbers."""
+    """Return whether all photons are those of one flux, rounded or cut to whole numbers."""
     flux = max(lit, default=(1.0, brightest))
     return all(abs(photons - flux[1] / flux[0] * seconds) <= 1.0 + 1e-4 * photons for seconds, photons in lit)
 
 
 def _light_off_exposure(lit: Sequence[tuple[float, float]]) -> str | None:
-    """Return a line where the photons do not go with the exposure."""
+    """Return a line where the photons are not proportional to the exposure."""
     fluxes = [photons / seconds for seconds, photons in lit]
     if not fluxes or math.isclose(max(fluxes), min(fluxes), rel_tol=0.02):
         return None

@@ -55,7 +55,7 @@ Row = Mapping[str, Any]
 
 
 def is_statistics_table(path: Path, mapped: StatementMap | None = None) -> bool:
-    """Tell whether a file is a table with a mean and a variance (or standard deviation) per row."""
+    """Return whether a file is a table with a mean and a variance (or standard deviation) per row."""
     if _suffix(path) not in TABLE_SUFFIXES:
         return False
     try:
@@ -83,7 +83,7 @@ def _heading(path: Path) -> Sequence[Row]:
 def read_statistics_table(path: Path, mapped: StatementMap | None = None) -> CaptureHeader:
     """Return a table's rows as the header of a capture set without pictures.
 
-    Units stand in the names of the columns, such as exposure_ms. Without a column of frames, two columns that end in
+    Units are in the names of the columns, such as exposure_ms. Without a column of frames, two columns that end in
     _a and _b mean pairs.
 
     Args:

@@ -318,7 +318,7 @@ def _camera(facts: _Facts, taken: dict[str, str]) -> dict[str, Any]:
         camera |= {"stated_top_dn": top, "stated_white_dn": top}
     centre = numbers(xmp, "VignettingCenter")
     if centre and "serial" not in camera:
-        # Each unit has a lens calibration of its own, so that it tells units apart where no serial number does.
+        # Each unit has a separate lens calibration, so that it distinguishes units where no serial number does.
         camera["unit"] = f"{centre[0]:.2f}"
     for key, name in (("band", "BandName"), ("wavelength_nm", "CentralWavelength")):
         if xmp.get(name):

@@ -34,7 +34,7 @@ def read_xmp(packet: bytes) -> Mapping[str, tuple[str, ...]]:
 
 
 def numbers(properties: Mapping[str, tuple[str, ...]], name: str) -> tuple[float, ...]:
-    """Return a property's numbers, whether they stand in a sequence or between commas; () where there are none."""
+    """Return a property's numbers, whether they are in a sequence or between commas; () where there are none."""
     words = [word for value in properties.get(name, ()) for word in value.replace(",", " ").split()]
     try:
         return tuple(float(word) for word in words)

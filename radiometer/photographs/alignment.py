@@ -22,7 +22,7 @@ class Placed:
         brackets: By channel, as given or moved.
         common: The part of them that all frames show.
         absent: Where each frame shows nothing, shape (height, width) each; empty where nothing was moved.
-        sentence: How they lay, for people; None where nobody asked.
+        sentence: How they lay, for people; None where it was not asked for.
     """
 
     brackets: list[Bracket]

@@ -45,7 +45,7 @@ _LOG: Final = structlog.get_logger(__name__)
 CHANNEL_CHOICES: Final = (*CHANNELS, "luminance", "each")
 _BITS_OF_PICTURES: Final = 8  # cameras develop JPEG files of 8 bits up to their full scale
 _NAMED: Final = 4  # photographs that a message names
-# So many pixels tell whether two pictures may be copies; so many different numbers make a picture.
+# So many pixels show whether two pictures may be copies; so many different numbers make a picture.
 _COMPARED_PIXELS: Final = 60_000
 _VALUES_OF_A_PICTURE: Final = 16
 
@@ -97,7 +97,7 @@ class PhotographFolder:
         *,
         interpolated: bool = False,
     ) -> list[Bracket]:
-        """Return one bracket of the wanted channel, or three (red, green, blue) for "each".
+        """Return one bracket of the requested channel, or three (red, green, blue) for "each".
 
         Grey photographs give one bracket whatever the channel. A colour photograph's luminance is the luma
         0.299 R + 0.587 G + 0.114 B of its stored values (ITU-R BT.601), clipped where any channel is.
@@ -277,7 +277,7 @@ def _from_exif(folder: Path) -> dict[str, PhotographSettings]:
 
 
 def _from_a_dial(settings: Iterable[PhotographSettings]) -> bool:
-    """Tell whether every time is one that a dial prints, or a longer one by hand: only then do they stand for stops."""
+    """Return whether every time is printed on a dial or is longer (set by hand): only then are they whole stops."""
     return all(is_dial_time(one.nominal_exposure_s) or one.nominal_exposure_s > LONGEST_OF_DIAL_S for one in settings)
 
 

@@ -1,4 +1,4 @@
-"""The response behind a folder of photographs: as given, as kept beside an earlier map, or recovered now."""
+"""The response behind a folder of photographs: as given, as kept next to an earlier map, or recovered now."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 ENOUGH_PIXELS = 1_000_000
 _KEY = "photographs_sha256"
 _VERSION_KEY = "recovery_version"
-# What a recovered response depends on beside the photographs.
+# What a recovered response depends on in addition to the photographs.
 _RECOVERY = "analysis/response"
 _BEYOND_THE_CONVERTER = 1.1
 # A power of growth with exposure that differs from 1 by more is no linear camera's: seven sets of JPEG and film have
@@ -33,10 +33,10 @@ _UNDISPLACED = "frames lie in one place to parts of a pixel: too few pixels show
 def recovered_curves(
     brackets: Sequence[Bracket], beside: Path | None, say: Callable[[str], None]
 ) -> tuple[dict[str, ResponseCurve], list[Path]]:
-    """Return the response of every bracket by channel, kept beside a map, and the files it is kept in.
+    """Return the response of every bracket by channel, kept next to a map, and the files it is kept in.
 
     A file is taken up again where this version of the recovery made it, from the same photographs: the same values,
-    exposure times and colours. What an earlier version made of them is recovered anew, which is said.
+    exposure times and colours. A response that an earlier version made is recovered anew, with a note.
 
     Args:
         brackets: One per channel.
@@ -88,7 +88,7 @@ def in_their_own_depth(brackets: Sequence[Bracket]) -> list[Bracket]:
 
 
 def linear_doubt(bracket: Bracket) -> str | None:
-    """Return what speaks against photographs that are said to be linear; None where nothing does.
+    """Return the evidence against photographs that are declared linear; None where there is none.
 
     Args:
         bracket: The photographs.
@@ -150,7 +150,7 @@ def with_found_times(bracket: Bracket, curve: ResponseCurve) -> Bracket:
 
 
 def shutter_offset_of(curve: ResponseCurve | None) -> ShutterOffset | None:
-    """Return the shutter's offset that a response was recovered with; None where its file tells none."""
+    """Return the shutter's offset that a response was recovered with; None where its file states none."""
     from radiometer.analysis.response.shutter_offset import ShutterOffset
 
     parameters = curve.provenance.parameters if curve is not None else {}
@@ -162,7 +162,7 @@ def shutter_offset_of(curve: ResponseCurve | None) -> ShutterOffset | None:
 
 
 def offset_told(curve: ResponseCurve) -> str | None:
-    """Return what a map says of the shutter's offset that its photographs told; None where they told none."""
+    """Return what a map states of the shutter's offset that its photographs show; None where they show none."""
     offset = shutter_offset_of(curve)
     return f"all exposures {offset.told()} than their labels, the shutter's offset" if offset else None
 
@@ -172,8 +172,8 @@ def with_offset_of_response(
 ) -> tuple[Bracket, str | None, bool]:
     """Return photographs with the exposures that the shutter's offset of a given response makes of their labels.
 
-    The offset belongs to the camera's shutter, as the curve does to the camera. It is not taken where a list gives the
-    exposures, which may hold it, or where it is not short beside them.
+    The offset belongs to the camera's shutter, as the curve does to the camera. It is not applied where a list gives
+    the exposures, which may include it, or where it is not small compared with them.
 
     Args:
         bracket: Photographs as labelled.
@@ -181,7 +181,7 @@ def with_offset_of_response(
         listed: Name of the list that gives their exposures; None where EXIF does.
 
     Returns:
-        The photographs, what to say (None where the response tells no offset), and whether it was taken.
+        The photographs, what to say (None where the response states no offset), and whether it was taken.
     """
     from radiometer.analysis.response.shutter_offset import is_possible
 
@@ -221,7 +221,7 @@ def relative_calibration(
     black_dn = _black_dn(bracket, curve)
     displacement = displacement_of(bracket, curve)
     if displacement is None:
-        noise = SensorNoise.of(camera)  # too little overlap to tell: typical figures, said to be assumed
+        noise = SensorNoise.of(camera)  # too little overlap: typical figures, reported as assumed
     else:
         line = curve or _straight_line(bracket, black_dn)
         noise = sensor_noise(displacement.noise, line, black_dn)
@@ -247,11 +247,11 @@ def _black_dn(bracket: Bracket, curve: ResponseCurve | None) -> float:
 
 
 def displacement_of(bracket: Bracket, curve: ResponseCurve | None) -> Displacement | None:
-    """Return how far the frames are displaced by parts of a pixel; None where they overlap too little to tell.
+    """Return how far the frames are displaced by parts of a pixel; None where they overlap too little.
 
     Args:
         bracket: The frames.
-        curve: Their response; None where they are linear. One of another bit depth tells nothing.
+        curve: Their response; None where they are linear. One of another bit depth shows nothing.
     """
     from radiometer.analysis.response.displacement import find_displacement
     from radiometer.errors import MeasurementError
@@ -270,7 +270,7 @@ def with_displacement_told(found: RadianceMap, displacement: Displacement | None
 
     Args:
         found: The map.
-        displacement: As the frames tell it, with u; None where they cannot tell.
+        displacement: As the frames show it, with u; None where they cannot show it.
     """
     origin = found.provenance
     if displacement is None:

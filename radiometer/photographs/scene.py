@@ -83,7 +83,7 @@ class Photographs:
 
     @property
     def are_raw(self) -> bool:
-        """Tell whether all are camera raw files, whose numbers are proportional to light."""
+        """Return whether all are camera raw files, whose numbers are proportional to light."""
         return all("raw" in frame.extra for one in self.brackets.values() for frame in one.light)
 
     @property
@@ -182,7 +182,7 @@ def prepared(
         iso: ISO speed of photographs that state none.
         f_number: f-number of photographs that state none.
         align: "auto", "on" or "off".
-        beside: Keep a recovered response beside this file; None keeps none.
+        beside: Keep a recovered response next to this file; None keeps none.
 
     Raises:
         CalibrationError: If photographs and calibration do not go together.
@@ -251,7 +251,7 @@ def times_as_stated(photographs: Photographs) -> str:
 
 
 def has_untold_shutter(photographs: Photographs, curve: ResponseCurve | None) -> bool:
-    """Tell whether exposures are those of a shutter whose offset is unknown: EXIF's labels, as they are printed.
+    """Return whether exposures are those of a shutter whose offset is unknown: EXIF's labels, as they are printed.
 
     Args:
         photographs: As read.

@@ -14,7 +14,7 @@ from radiometer.units import exact_f_number
 
 # Printed f-numbers are this near to the exact stop behind them.
 _SAME_STOP_REL: Final = 0.03
-# Key in a frame's `extra`: gain in dB that an exposure list states beside the ISO speed.
+# Key in a frame's `extra`: gain in dB that an exposure list states with the ISO speed.
 LIST_GAIN: Final = "list_gain_db"
 
 
@@ -77,7 +77,7 @@ def with_iso(bracket: Bracket, iso: float | None) -> Bracket:
 
 
 def with_gains(bracket: Bracket, speeds: IsoSpeeds) -> Bracket:
-    """Return photographs with the gains that their ISO speeds stand for.
+    """Return photographs with the gains of their ISO speeds.
 
     Args:
         bracket: The photographs; those without a speed stay as they are.
@@ -96,7 +96,7 @@ def with_gains(bracket: Bracket, speeds: IsoSpeeds) -> Bracket:
 
 
 def with_gain(frame: Frame, speeds: IsoSpeeds, in_use: list[float]) -> Frame:
-    """Return a photograph with the gain that its ISO speed stands for; itself where it states none.
+    """Return a photograph with the gain of its ISO speed; itself where it states none.
 
     Args:
         frame: The photograph.

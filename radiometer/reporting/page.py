@@ -12,7 +12,7 @@ from collections.abc import Iterable, Sequence
 from typing import Final
 
 _POLICY: Final = "default-src 'none'; img-src data:; style-src 'unsafe-inline'"
-# Every colour of text has a contrast of 4.5 or more on what lies behind it (WCAG 2.1, 1.4.3).
+# Every colour of text has a contrast of 4.5 or more on what is behind it (WCAG 2.1, 1.4.3).
 _MANY_COLUMNS: Final = 5  # a table of so many scrolls on a phone rather than that its words break
 STYLE: Final = """
 :root{color-scheme:light}*{box-sizing:border-box}
@@ -123,7 +123,7 @@ def table(head: Sequence[str], rows: Iterable[Sequence[str]], *, words: Sequence
 
 
 def side_by_side(*figures: str) -> str:
-    """Return figures beside each other where there is room."""
+    """Return figures side by side where there is room."""
     return f"<div class='side'>{''.join(figures)}</div>" if any(figures) else ""
 
 

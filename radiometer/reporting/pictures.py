@@ -23,8 +23,8 @@ MODEL: Final = "#1f618d"  # what the model says
 BEFORE: Final = "#b03a2e"  # what was before, what is out of bounds
 MARK: Final = "#9a5b00"  # what is pointed out
 DIMMED: Final = "#8a8a8a"  # what is not claimed
-RULE: Final = "#555555"  # lines that something is held against
-_FEW_DECADES: Final = 1.0 / 3.0  # below, labels of a logarithmic axis run into each other and tell no ratio
+RULE: Final = "#555555"  # lines that something is compared with
+_FEW_DECADES: Final = 1.0 / 3.0  # below, labels of a logarithmic axis run into each other and show no ratio
 _NARROW_PX: Final = 640
 _SMALLEST_PT: Final = 9.0
 
@@ -36,7 +36,7 @@ def picture(draw: Draw, caption: str, wide: tuple[float, float], narrow: tuple[f
     """Return a figure in two forms, of which the browser takes the one that fits.
 
     Args:
-        draw: Draws into an empty figure; told whether it is the narrow one.
+        draw: Draws into an empty figure; its argument is whether it is the narrow one.
         caption: What is to be seen, for all readers.
         wide: Width and height in inches on a screen; 10 inches fill the page.
         narrow: The same on a phone; 4 inches fill it.
@@ -82,7 +82,7 @@ def dress(axes: Axes, x: str, y: str, title: str = "") -> None:
 def mark(
     axes: Axes, text: str, place: tuple[float, float], offset: tuple[float, float], colour: str, **form: Any
 ) -> None:
-    """Write a few words into a plot, in bold, readable across what lies under them.
+    """Write a few words into a plot, in bold, readable across what is under them.
 
     Args:
         axes: Where to.
@@ -121,7 +121,7 @@ def _entries(axes: Axes) -> tuple[list[Any], list[str]]:
 
 
 def _address(draw: Draw, size: tuple[float, float], *, narrow: bool) -> str:
-    """Return a picture as the address of its own content."""
+    """Return a picture as a data address that holds its content."""
     from matplotlib import rc_context
     from matplotlib.backends.backend_svg import FigureCanvasSVG
     from matplotlib.figure import Figure

@@ -42,7 +42,7 @@ class BrowserPage:
 
     @property
     def acknowledged(self) -> dict[str, Any]:
-        """Return what the page last said of itself, such as its size, its zoom and what it read back."""
+        """Return what the page last reported of itself, such as its size, its zoom and what it read back."""
         return dict(self._server.conditions)
 
     def open(self) -> None:
@@ -99,7 +99,7 @@ def page_warnings(seen: Mapping[str, Any]) -> list[str]:
 
 
 def require_shown(seen: object, wanted: object) -> None:
-    """Raise DeviceError unless the page read back the levels that it was told to show."""
+    """Raise DeviceError unless the page read back the levels that it was sent."""
     if seen != wanted:
         raise DeviceError(
             f"the browser shows {seen} where {wanted} was asked for; switch off colour filters, "

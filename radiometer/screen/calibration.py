@@ -39,7 +39,7 @@ class ChannelCurve:
         photopic_lm_per_w: Luminous efficacy of the channel's light.
         scotopic_lm_per_w: Scotopic luminous efficacy of the channel's light.
         spectrum: Name of the spectrum that the efficacies assume.
-        detection_limit: Radiance in W·sr⁻¹·m⁻² below which a level could not be told from no light.
+        detection_limit: Radiance in W·sr⁻¹·m⁻² below which a level could not be distinguished from no light.
         bits: Bits per level.
     """
 
@@ -76,9 +76,9 @@ class ChannelCurve:
         """Return the standard deviation of what interpolation misses within each gap between levels, shape (n − 1,).
 
         The largest by which any of the four nearest levels is missed when it is left out. Panels step from level to
-        level, so that a smaller gap misses no less, and where a curve has a kink one level tells of it, not all. Steps
-        that come back every few levels may spare all four by chance (a DELL 2001FP's every fifth step is a third too
-        small): so it is no less than what the sixteen nearest levels are typically missed by, as a share of the rise.
+        level, so that a smaller gap misses no less. Where a curve has a kink, one level shows it, not all. Steps that
+        recur every few levels may miss all four by chance (every fifth step of a DELL 2001FP is a third too small).
+        So it is at least the typical error at the sixteen nearest levels, as a share of the rise.
         """
         values = self.table.values
         errors = np.abs(_left_out_errors(np.array(self.levels) / self.top_level, values))
@@ -123,7 +123,7 @@ class ChannelCurve:
         return abs(line - float(self.table.at(level / self.top_level))) / math.sqrt(3.0)
 
     def radiance_is_lost(self, level: float) -> bool:
-        """Tell whether the radiance at a level is below what could be detected."""
+        """Return whether the radiance at a level is below what could be detected."""
         return float(self.table.at(level / self.top_level)) < self.detection_limit
 
     def efficacy(self, unit: str) -> float:
@@ -165,7 +165,7 @@ class ChannelCurve:
         return {name: fit_transfer(name, levels, self.radiance, self.u_independent) for name in usable}
 
     def to_mapping(self) -> dict[str, Any]:
-        """Return the mapping that stands in the file."""
+        """Return the mapping that is written to the file."""
         return {
             "levels": list(self.levels),
             "bits": self.bits,
@@ -218,7 +218,7 @@ class ScreenCalibration:
         channels: Curves by channel name; "grey" always.
         instrument: Serial number of the camera.
         created: ISO 8601 time in UTC.
-        checks: What was found beside the curves: drift, flicker, uniformity, additivity.
+        checks: Findings in addition to the curves: drift, flicker, uniformity, additivity.
         pixel_mm: Distance of two pixels in mm, where somebody has measured it.
         provenance: Method, inputs and assumptions.
     """
@@ -240,7 +240,7 @@ class ScreenCalibration:
         return self.channels[name]
 
     def to_mapping(self) -> dict[str, Any]:
-        """Return the mapping that stands in the file."""
+        """Return the mapping that is written to the file."""
         return {
             "format": FORMAT,
             "name": self.name,
@@ -291,8 +291,8 @@ def _length(value: object, path: Path) -> float | None:
 def _left_out_errors(levels: Array, values: Array) -> Array:
     """Return how far the curve through the others misses each level; the ends take their neighbour's figure.
 
-    With a level left out the gap is twice as wide: for a smooth curve this is more than is missed in the real gaps, for
-    a panel that steps from level to level it is as much.
+    With a level left out the gap is twice as wide. For a smooth curve this is more than is missed in the real gaps.
+    For a panel that steps from level to level it is as much.
     """
     errors = np.zeros_like(values)
     for i in range(1, len(levels) - 1):

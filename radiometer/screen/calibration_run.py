@@ -61,7 +61,7 @@ class Options:
         patch_size: Patch as a share of the screen's width and height.
         warm_up_limit_s: Longest wait for the screen to settle in s.
         seed: Seed of the random order.
-        pixel_mm: Distance of two pixels in mm; None where nobody has measured it.
+        pixel_mm: Distance of two pixels in mm; None where it was not measured.
     """
 
     name: str
@@ -125,7 +125,7 @@ def calibrate_screen(
 
 
 def _repeats(bench: Instrumented, least: int) -> int:
-    """Return how many readings of flickering light it takes for a mean of the wanted scatter; white is shown."""
+    """Return how many readings of flickering light it takes for a mean of the requested scatter; white is shown."""
     values = np.array([bench.read().radiance for _ in range(_PILOTS)])
     scatter = float(values.std(ddof=1) / values.mean())
     return int(np.clip(np.ceil((scatter / _WANTED_SCATTER_REL) ** 2), least, _MOST_REPEATS))

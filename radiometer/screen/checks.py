@@ -1,4 +1,4 @@
-"""Checks before and beside the levels: warm-up, flicker, uniformity, additivity of the primaries."""
+"""Checks before and between the levels: warm-up, flicker, uniformity, additivity of the primaries."""
 
 from __future__ import annotations
 
@@ -120,5 +120,5 @@ def additivity(whites: Mapping[str, float], blacks: float) -> float | None:
 
 
 def as_mapping(check: WarmUp | Flicker | Uniformity) -> dict[str, Any]:
-    """Return a check as it stands in the file."""
+    """Return a check as it is written to the file."""
     return {key: list(value) if isinstance(value, tuple) else value for key, value in asdict(check).items()}

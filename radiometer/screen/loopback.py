@@ -33,7 +33,7 @@ def nothing_to_darken() -> str:
 
 
 async def darkened(darken: Darken) -> Message:
-    """Darken the light box, however long it takes, and return what a page is told of it."""
+    """Darken the light box, however long it takes, and return the message for the page."""
     try:
         return {"kind": "told", "text": await asyncio.to_thread(darken)}
     except RadiometerError as error:
@@ -57,7 +57,7 @@ class Host(Protocol):
 
 
 class LoopbackServer:
-    """An HTTP server in a thread of its own, on 127.0.0.1.
+    """An HTTP server in a separate thread, on 127.0.0.1.
 
     Args:
         page: Text of the page.

@@ -218,7 +218,7 @@ _AXES: Final = {"grey": (1, 1, 1), "red": (1, 0, 0), "green": (0, 1, 0), "blue":
 
 
 def _grouped(patches: Sequence[tuple[float, ...]], axis: tuple[int, int, int], scale: float) -> dict[int, list[float]]:
-    """Return luminances by level of the patches (R, G, B in %, Y) that lie on an axis."""
+    """Return luminances by level of the patches (R, G, B in %, Y) that are on an axis."""
     found: dict[int, list[float]] = {}
     for red, green, blue, luminance in patches:
         rgb = (red, green, blue)

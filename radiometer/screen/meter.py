@@ -1,4 +1,4 @@
-"""What measures the screen: anything that gives a radiance with its two kinds of uncertainty."""
+"""Meter of the screen: anything that gives a radiance with its two kinds of uncertainty."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a subject sees on a screen: a field, a mark, a spot; where they stand for an eye at a distance."""
+"""Stimulus on a screen for a subject: a field, a mark, a spot; and their places for an eye at a distance."""
 
 from __future__ import annotations
 

@@ -13,7 +13,7 @@ from radiometer.data import Scale
 from radiometer.errors import InputError
 from radiometer.units import exact_exposure_s, exact_f_number
 
-# ISO 2720 allows K from 10.6 to 13.4 cd·m⁻²·s: ±11.7 %, taken as a rectangle, where nobody determined the camera's own.
+# ISO 2720 allows K from 10.6 to 13.4 cd·m⁻²·s: ±11.7 %, taken as a rectangle, where the camera's K was not determined.
 K_UNKNOWN_U_REL: Final = (13.4 - 10.6) / (13.4 + 10.6) / math.sqrt(3.0)
 # A meter that shows thirds of a stop is right to ±1/6 stop: a rectangle of half-width ln(2)/6 in ln L_v.
 METER_U_REL: Final = math.log(2.0) / 6.0 / math.sqrt(3.0)

@@ -53,7 +53,7 @@ class MeterReading:
         meter_k: K in cd·m⁻²·s.
         settings: Exact settings of the photograph.
         reference_dn: Digital number that the metered surface came out at.
-        k_u_rel: Relative standard uncertainty of K beyond the meter's ±1/6 stop; None where nobody determined it.
+        k_u_rel: Relative standard uncertainty of K beyond the meter's ±1/6 stop; None where it was not determined.
     """
 
     meter_k: float

@@ -41,9 +41,9 @@ def fit_flat_field(
 ) -> FlatField:
     """Return the sensitivity over the picture from a map of an evenly bright source.
 
-    The falloff is cos⁴α of the focal length (where that and the pixel pitch are known) times 1 + k₂ρ² + k₄ρ⁴ + k₆ρ⁶,
-    of which only the terms are kept that the data call for. Its uncertainty is what the fit leaves over, that of
-    the fit itself, and that of the source's evenness.
+    The falloff is cos⁴α of the focal length (where that and the pixel pitch are known) times 1 + k₂ρ² + k₄ρ⁴ + k₆ρ⁶.
+    Only the terms that the data require are kept. Its uncertainty is what the fit leaves over, that of the fit
+    itself, and that of the source's evenness.
 
     Args:
         even: Merged map of the source, without flat field correction; clipped pixels are left out.

@@ -1,7 +1,8 @@
-"""What a calibration and a reading must share, and what is done where they do not: one table for all quantities.
+"""Quantities that a calibration and a reading must share, and the action where they do not: one table for all.
 
-A quantity is equal on both sides, different, or not stated by one of them. `TABLE` says for each pair of states whether
-the reading is left as it is, corrected, made more uncertain, or refused. Every stage asks `handling_of` or `settle`.
+A quantity is equal on both sides, different, or not stated by one of them. For each pair of states, `TABLE` gives the
+action: the reading is left as it is, corrected, made more uncertain, or refused. Every stage asks `handling_of` or
+`settle`.
 """
 
 from __future__ import annotations

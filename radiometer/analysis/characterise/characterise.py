@@ -67,7 +67,7 @@ def characterise(subject: Subject, statistics: Sequence[GroupStatistics] | None 
 
 
 def _complete(bright: Sequence[GroupStatistics], dark: Sequence[GroupStatistics]) -> bool:
-    """Tell whether one gain has three bright levels and dark frames with noise at a temperature of theirs."""
+    """Return whether one gain has three bright levels and dark frames with noise at a temperature of theirs."""
     return any(
         len({(b.settings.exposure_s, b.settings.source_level, b.photons) for b in bright if b.settings.gain_db == gain})
         >= _FEWEST_LEVELS

@@ -61,7 +61,7 @@ class GroupStatistics:
 
     @property
     def has_noise(self) -> bool:
-        """Tell whether there are frames enough for a temporal variance."""
+        """Return whether there are frames enough for a temporal variance."""
         return self.frames > 1
 
     @property

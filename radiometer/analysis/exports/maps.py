@@ -28,7 +28,7 @@ class MapPicture:
 
     @property
     def is_colour(self) -> bool:
-        """Tell whether there are three channels."""
+        """Return whether there are three channels."""
         return len(self.maps) == 3
 
     @property

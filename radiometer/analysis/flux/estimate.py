@@ -42,8 +42,8 @@ def led_flux(
         frames: Bracket of the lit diode; frames with the source off and dark frames where there are any.
         scale: From digital numbers to exposure on the sensor.
         lens: The lens; its transmittance, f-number, focal length and magnification count.
-        emitter: The diode; without it the flux on the sensor is all that can be said.
-        region: Where the diode and its glow lie; None for the whole frame.
+        emitter: The diode; without it only the flux on the sensor can be given.
+        region: Where the diode and its glow are; None for the whole frame.
         f_number_u_rel: Relative standard uncertainty of the effective f-number.
 
     Raises:
@@ -192,7 +192,7 @@ class _Ways:
         )
 
     def _is_in_focus(self) -> bool:
-        """Tell whether the picture of the emitter has a plateau: half of the lit area is near its highest value."""
+        """Return whether the picture of the emitter has a plateau: half of the lit area is near its highest value."""
         light = self.measured.irradiance - self.measured.background_w / self._area()
         inside = _inside(light)
         if not inside.any():

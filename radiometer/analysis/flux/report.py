@@ -1,4 +1,4 @@
-"""What is known of a light-emitting diode, and the report on its flux."""
+"""Known properties of a light-emitting diode, and the report on its flux."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ class Correction:
 
 @dataclass(frozen=True, slots=True)
 class FluxReport:
-    """Flux by the thesis's formula and the emitted flux beside it.
+    """Flux by the thesis's formula, and the emitted flux.
 
     Attributes:
         thesis: Formula (2.13) on one frame, in W.

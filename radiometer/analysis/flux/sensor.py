@@ -1,4 +1,4 @@
-"""Radiant flux through the sensor: formula (2.13) of the thesis, and the merged bracket beside it."""
+"""Radiant flux through the sensor: formula (2.13) of the thesis, and the merged bracket."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ class FluxScale:
         black: Black level.
         joule_per_m2: Exposure per unit of the signal in J·m⁻².
         u_rel: Its relative standard uncertainty.
-        pixel_area_m2: Area that one stored pixel stands for in m².
+        pixel_area_m2: Area of the sensor that one stored pixel covers in m².
         assumptions: What was assumed rather than measured.
     """
 
@@ -137,7 +137,7 @@ def sensor_flux(frames: Sequence[Frame], scale: FluxScale, region: Patch | None 
     Args:
         frames: Light frames of the lit source, frames with source level 0, and dark frames, in any order.
         scale: From digital numbers to exposure.
-        region: Where the source and all its glow lie; None for the whole frame.
+        region: Where the source and all its glow are; None for the whole frame.
 
     Raises:
         MeasurementError: If no frame shows the lit source, or it clips everywhere.

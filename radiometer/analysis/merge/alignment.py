@@ -1,9 +1,9 @@
 """Photographs from the hand brought into one place: translation and rotation, to a fraction of a pixel.
 
-Neighbours of a bracket show the same scene at two exposures. Their cumulative histograms say which value of the one
-stands for which of the other, whatever the response and almost whatever the movement; the brighter one is brought to
-the values of the darker one by them, and both are cut off where the brighter one clips. The movement between the two
-is then the one of highest correlation, sought from coarse to fine.
+Neighbours of a bracket show the same scene at two exposures. Their cumulative histograms show which value of one
+corresponds to which of the other, for any response and almost any movement. With them the brighter one is brought to
+the values of the darker one. Both are cut off where the brighter one clips. The movement between the two is then the
+one of highest correlation, sought from coarse to fine.
 """
 
 from __future__ import annotations
@@ -29,16 +29,17 @@ _ENOUGH_PIXELS: Final = 800_000
 # Of so many it is seen first whether a pair moved at all.
 _GLANCE_PIXELS: Final = 100_000
 _COARSEST_PX: Final = 48
-# From afar; where a coarser picture has said where, a few steps of Gauss and Newton lead to the top or there is none.
+# From afar; where a coarser picture has given the place, a few steps of Gauss and Newton lead to the top or there is
+# none.
 _ITERATIONS: Final = 60
 _ITERATIONS_NEAR: Final = 15
 # A step of less in pixels is none.
 _ARRIVED_PX: Final = 0.02
-# Corners that move less count as still: a resampling would change more than it mends.
+# Corners that move less count as still: a resampling would change more than it improves.
 LEAST_MOVE_PX: Final = 0.25
 # A movement must lessen the mean square difference of neighbours to this share, or it is noise.
 _LEAST_GAIN: Final = 0.97
-# A movement that is known worse than this, in pixels of the bracket, is not told.
+# A movement that is known worse than this, in pixels of the bracket, counts as unknown.
 _WORST_U_PX: Final = 0.2
 # Grey values are counted in so many steps.
 _STEPS: Final = 65536
@@ -66,11 +67,11 @@ _SUPPORT_PX: Final = 2
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Movement:
-    """Where a frame lies beside the reference frame.
+    """Place of a frame relative to the reference frame.
 
     Attributes:
         to_frame: Matrix, shape (2, 3), that takes a pixel (x, y, 1) of the reference to its place in the frame.
-        known: Whether the frames had enough in common to tell.
+        known: Whether the frames had enough in common to determine it.
     """
 
     to_frame: Array
@@ -94,7 +95,7 @@ class Movement:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Alignment:
-    """How the frames of a bracket lie to each other.
+    """Where the frames of a bracket are relative to each other.
 
     Attributes:
         movements: One per frame, in the bracket's order.
@@ -121,7 +122,7 @@ class Alignment:
 
     @property
     def needed(self) -> bool:
-        """Tell whether any frame moved by more than a resampling would cost."""
+        """Return whether any frame moved by more than a resampling would cost."""
         return self.largest_px >= LEAST_MOVE_PX
 
     def sentence(self, names: Sequence[str], *, moved: bool = False) -> str:
@@ -136,7 +137,7 @@ class Alignment:
         if not (self.needed or moved):
             return f"aligned already: moving no frame by {LEAST_MOVE_PX:g} pixels or more mends anything{doubt}"
         turned = max(abs(one.rotation_deg) for one in self.movements)
-        # A frame of which it cannot be told goes with its neighbour: it is the neighbour that was seen to move.
+        # A frame of unknown movement moves like its neighbour, whose movement was measured.
         most = max(range(len(names)), key=lambda k: (self.movements[k].largest_px(self.shape), self.movements[k].known))
         return (
             f"aligned to {names[self.reference]}: moved by up to {self.largest_px:.2g} pixels ({names[most]}) and "
@@ -145,7 +146,7 @@ class Alignment:
 
 
 def find_alignment(bracket: Bracket) -> Alignment:
-    """Return how the frames of a bracket lie to each other.
+    """Return where the frames of a bracket are relative to each other.
 
     Args:
         bracket: Frames of one scene from the shortest exposure to the longest; of colour photographs one channel.
@@ -177,12 +178,12 @@ class _Pictures:
         return None if pair is None or pair.u_px * scale > _WORST_U_PX else _full_size(pair.to_frame, scale)
 
     def stand_still(self, first: int, second: int) -> bool:
-        """Tell whether two frames lie in one place, known as well as any movement must be."""
+        """Return whether two frames are in one place, known as well as any movement must be."""
         pair, scale = self._pair(first, second)
         return pair is not None and not pair.moved and pair.u_px * scale <= _WORST_U_PX
 
     def _pair(self, first: int, second: int) -> tuple[_PairMovement | None, float]:
-        """Return the movement in pixels of the pictures, and how many of the bracket's one of these stands for."""
+        """Return the movement in pixels of the pictures, and how many of the bracket's pixels one of these covers."""
         self._made = {k: self._made.get(k) or self._picture(k) for k in (first, second)}
         (here, shown), (there, also_shown) = (self._made[k] for k in (first, second))
         pair = _pair_movement(here, there, shown & also_shown, self._bracket.light[first].full_scale_dn)
@@ -201,9 +202,9 @@ class _PairMovement:
     """The movement between two pictures.
 
     Attributes:
-        to_frame: Matrix, shape (2, 3); no movement where it would mend nothing.
-        u_px: Standard uncertainty of where a corner lies, in pixels of these pictures.
-        moved: Whether it mends anything.
+        to_frame: Matrix, shape (2, 3); no movement where it would improve nothing.
+        u_px: Standard uncertainty of a corner's place, in pixels of these pictures.
+        moved: Whether it improves anything.
     """
 
     to_frame: Array
@@ -239,7 +240,7 @@ def _moved(frame: Frame, to_frame: Array) -> tuple[Any, NDArray[np.bool_]]:
     values = frame.dn.astype(np.float32)
     smooth = cv2.warpAffine(values, to_frame, size, flags=flags | cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE)
     dn = np.clip(np.rint(smooth), 0, top).astype(frame.dn.dtype)
-    # A number stands for "clipped" only where all that it is read from clips.
+    # A number means "clipped" only where all that it is read from clips.
     for end, clipped in ((0, frame.dn == 0), (top, frame.dn >= white)):
         share = cv2.warpAffine(clipped.astype(np.float32), to_frame, size, flags=flags | cv2.INTER_LINEAR)
         dn[share > 0.999] = end
@@ -337,9 +338,9 @@ def _summit(pair: Climb, start: Array) -> tuple[float, Array]:
 
 
 def _believed(a: Image, b: Image, steady: NDArray[np.uint8], movement: Array) -> _PairMovement:
-    """Return a movement with its uncertainty, or none at all where it mends nothing."""
+    """Return a movement with its uncertainty, or no movement where it improves nothing."""
     size, flags = (a.shape[1], a.shape[0]), cv2.WARP_INVERSE_MAP
-    # Beyond the edge stands black, which the blur draws in: up to the edges a high pedestal hides what is mended. With
+    # Beyond the edge is black, which the blur draws in: up to the edges a high pedestal hides the improvement. With
     # the edge repeated there, half a pixel is believed of a camera that stood still and shows but stray light.
     moved = cv2.warpAffine(b, movement, size, flags=flags | cv2.INTER_LINEAR)
     shown = cv2.warpAffine(steady, movement, size, flags=flags | cv2.INTER_NEAREST) & steady
@@ -367,7 +368,7 @@ def _rim(picture: Image, dn: float) -> NDArray[np.bool_]:
 
 
 def _has_white_rims(pictures: Sequence[Image], top: int) -> bool:
-    """Tell whether white at the edges is a rim, in a colour filled with white: no light clips in one frame only.
+    """Return whether white at the edges is a rim, in a colour filled with white: no light clips in one frame only.
 
     Args:
         pictures: From the shortest exposure to the longest; what clips in one does in the last.
@@ -379,12 +380,12 @@ def _has_white_rims(pictures: Sequence[Image], top: int) -> bool:
 
 
 def _corner_u_px(a: Image, b: Image, inside: NDArray[np.uint8], difference: float) -> float:
-    """Return the standard uncertainty in pixels of where a corner lies, from the mean square difference that stays.
+    """Return the standard uncertainty in pixels of a corner's place, from the mean square difference that stays.
 
     The difference is linear in small shifts and turns: the slopes of the picture are its derivatives, and what they
     hold in both pictures is no noise. What the two do not share is taken to be alike within the blur, so that so many
-    pixels count as one. The part of the picture that tells most is left out: one lamp in the dark says nothing of the
-    far corners.
+    pixels count as one. The most informative part of the picture is left out: one lamp in the dark shows nothing of
+    the far corners.
 
     Args:
         a: The one picture.
@@ -431,7 +432,7 @@ def _alike(
     swapped = float(here.mean()) > float(there.mean())
     dark, bright = (there, here) if swapped else (here, there)
     top = 0.97 * full_scale_dn
-    # The values are told apart to so many steps, 1/257 DN of 8 bits: counted so, no picture need be sorted.
+    # The values are resolved to so many steps, 1/257 DN of 8 bits: counted so, no picture need be sorted.
     step_dn = full_scale_dn / (_STEPS - 1)
     steps = [np.rint(one * (1.0 / step_dn)).astype(np.uint16) for one in (dark, bright)]
     counts = [cv2.calcHist([one], [0], inside, [_STEPS], [0, _STEPS]).ravel() for one in steps]
@@ -450,7 +451,7 @@ def _alike(
 
 
 def _quantiles(counts: NDArray[np.float32], shares: Array) -> Array:
-    """Return the whole numbers below which these shares of the counted ones lie, between two of them in proportion.
+    """Return the whole numbers below which these shares of the counted ones are, interpolated linearly.
 
     Source: R. J. Hyndman, Y. Fan 1996, The American Statistician 50, 361–365, definition 7.
     """

@@ -45,7 +45,7 @@ from radiometer.data.white_level import white_level_notes
 from radiometer.errors import MeasurementError
 
 MOST_FRAMES = 64
-_TOLD_REL = 0.001  # an offset of exposures that does less to the brightest pixels is not told of
+_TOLD_REL = 0.001  # an offset of exposures that does less to the brightest pixels is not reported
 
 
 def merge(
@@ -90,7 +90,7 @@ class _Excused:
     Attributes:
         pixels: Their indices.
         excess: Their squared scatter over what noise and displacement together make.
-        shift: Relative change by a displacement at every pixel, flat; None where the frames lie in one place.
+        shift: Relative change by a displacement at every pixel, flat; None where the frames are in one place.
     """
 
     pixels: NDArray[np.intp]
@@ -390,7 +390,7 @@ class StreamingMerge:
         return np.asarray(self._on_axis() / place, dtype=np.float32)
 
     def _even(self) -> bool:
-        """Tell whether the sensitivity is taken as the same everywhere."""
+        """Return whether the sensitivity is taken as the same everywhere."""
         if self._calibration is None:
             return True
         flat = flat_field_for(self._calibration, self._known_shape())
@@ -416,7 +416,7 @@ class StreamingMerge:
         return 0.0 if calibration is None else frame_u_rel(calibration, self._situation.lens, numbers, settings)
 
     def _doubt_falloff(self, radiance: NDArray[np.float32], u_radiance: NDArray[np.float32]) -> None:
-        """Add to the uncertainty of every pixel that of a natural fall-off which nobody declared or measured."""
+        """Add to the uncertainty of every pixel that of a natural fall-off that is neither declared nor measured."""
         calibration, lens = self._calibration, self._situation.lens
         if calibration is None or calibration.flat_field is not None or falloff_known(self._camera, lens) != "assumed":
             return

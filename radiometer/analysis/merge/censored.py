@@ -1,4 +1,4 @@
-"""What a frame that clips at a pixel still says: "at least so much".
+"""Information from a frame that clips at a pixel: "at least so much".
 
 Near clipping it enters with its censored likelihood, or the choice of frames by their own noisy values would bias the
 result (Tobin 1958, Econometrica 26, 24).

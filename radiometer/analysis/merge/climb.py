@@ -1,8 +1,9 @@
 """Steps of Gauss and Newton towards the movement of highest correlation between two pictures.
 
 The method is that of OpenCV's findTransformECC for a shift and a turn, whose every call blurs and derives anew and asks
-for a dozen arrays as large as the picture. Here all of a pair's climbs share what is made of the two pictures, and the
-sums of a step are made in blocks of rows that stay in a core's caches: less than half of the processor time.
+for a dozen arrays as large as the picture. Here all climbs of a pair share what is computed from the two pictures.
+The sums of a step are made in blocks of rows that stay in a core's caches. This takes less than half of the processor
+time.
 
 Every sum is one over the pixels that both pictures show, of what differs from its mean over these: so the coefficient
 is defined, and its slopes with it. OpenCV lets the slopes reach beyond them, where the moved picture is not centred:

@@ -1,8 +1,8 @@
-"""What frames that lie apart by parts of a pixel do to a map: more doubt at gradients, none on even ground.
+"""Effect of sub-pixel displacements on a map: more uncertainty at gradients, none on even ground.
 
 A displacement of one frame by δ pixels along any direction changes its value at a pixel by δ·L·|∇ln L|. The map holds
 the mean of its frames, each with its weight p, so that u gets δ·L·|∇ln L|·√Σp² where the displacements are independent.
-Frames that disagree by no more than their noise and this together do not contradict each other.
+Frames that disagree by at most their noise and this together do not contradict each other.
 """
 
 from __future__ import annotations

@@ -66,14 +66,14 @@ def finish(sums: Any, kept: Any, tables: Any, quantisation: Any, image: Any) -> 
 
     Args:
         sums: What was summed of each pixel: Σt^0.35·x and Σt·x, float32, which may be `radiance` and `u_radiance`
-            themselves; Σx², float32; the frames used, as bits; whether a frame was clipped at white, which is
+            themselves; Σx², float32; the frames used, as bits. Last, whether a frame was clipped at white, which is
             overwritten by PixelMask bits.
-        kept: What is kept from block to block: sets of frames, their `records` (as of `fill_record`, shape (sets,
-            RECORD_SIZE), their number a power of 2) and their `levels` (as in `moments.at_level`, shape (sets, levels,
-            4); of no size for a linear sensor).
+        kept: What is kept from block to block: sets of frames, their `records` and their `levels`. Records are as of
+            `fill_record`, shape (sets, RECORD_SIZE), their number a power of 2. Levels are as in `moments.at_level`,
+            shape (sets, levels, 4); of no size for a linear sensor.
         tables: The other `MergeTables.arguments`; their curve is None for a linear sensor.
         quantisation: Variance (dx/dM)²/12 over √x, for `from_root_table`; None for a linear sensor, where it is part
-            of `frames` (the loop is compiled for each, which needs an argument of its own).
+            of `frames` (the loop is compiled for each, which needs a separate argument).
         image: Radiance per rate, of every pixel or of all (size 1), float32; radiance and its standard uncertainty,
             written.
     """
@@ -217,7 +217,7 @@ def _find_sets(
 
 @compiled_apart
 def _at_home(bits: Any, known: Any, slots: Any) -> bool:  # pragma: no cover (compiled)
-    """Write the first place where each pixel's set of frames may be kept; tell whether all are kept there."""
+    """Write the first place where each pixel's set of frames may be kept; return whether all are kept there."""
     last, shift, elsewhere = np.uint64(known.size - 1), np.uint64(32), np.uint64(0)
     for i in range(bits.size):
         pattern = np.uint64(bits[i])

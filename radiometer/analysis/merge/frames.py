@@ -1,4 +1,4 @@
-"""What each frame brings into the merge: exposure, noise without light, where it clips, its dark level."""
+"""Contribution of each frame to the merge: exposure, noise without light, where it clips, its dark level."""
 
 from __future__ import annotations
 
@@ -66,7 +66,7 @@ def frame_terms(
         situation: What the merge rests on.
         dark_frames: Frames with the shutter closed; those of the same exposure are taken off pixel by pixel.
         through_lens: Whether the exposure carries the lens factor of the frame's f-number.
-        masked_dn: What masked pixels of the frame read in DN; None where nobody states it.
+        masked_dn: What masked pixels of the frame read in DN; None where it is not stated.
     """
     model = situation.model
     gain = gain_factor(settings.gain_db)

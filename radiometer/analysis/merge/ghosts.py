@@ -1,8 +1,8 @@
-"""What moved through a scene: frames that contradict the others at a pixel are left out of it there.
+"""Movement in a scene: frames that contradict the others at a pixel are left out there.
 
 Every frame's value at a pixel says what each of the others should show. The value that most frames bear out is taken,
 of several the one that is known best, and what does not agree with it is another scene. Frames that clip bear out a
-value too, or contradict it. Where two frames stand against each other and none between them, that is said.
+value too, or contradict it. Where two frames contradict each other and no third decides, this is reported.
 """
 
 from __future__ import annotations
@@ -57,7 +57,7 @@ def find_strays(
         doubtful: Where frames disagree beyond their noise, shape (height, width).
         absent: Where each frame shows nothing, same shape; empty where all show everything.
         shift: By how much a displacement by one standard deviation changes a frame's value, relative, flat; None
-            where the frames lie in one place.
+            where the frames are in one place.
     """
     shape = doubtful.shape
     bits = np.zeros(doubtful.size, np.uint64)
@@ -72,7 +72,7 @@ def find_strays(
             alone[here] = few
             for k in range(len(samples)):
                 bits[here[out[k]]] |= np.uint64(1 << k)
-    # The edge of what moved is only partly covered and hardly stands out: it goes with its neighbours.
+    # The edge of what moved is only partly covered and hardly stands out: it is treated like its neighbours.
     kernel = np.ones((3, 3), np.float32)
     for k in range(len(samples)):
         bit = np.uint64(1 << k)

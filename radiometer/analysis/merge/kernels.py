@@ -1,7 +1,7 @@
 """Compiled inner loops of the merge: samples into sums, as each frame arrives.
 
 All arrays are one-dimensional and contiguous: a block of whole rows. The functions hold no lock, so that a thread
-per core can work on a block each. Compiled code is kept on disk beside this module. Of clipping only white is marked:
+per core can work on a block each. Compiled code is kept on disk next to this module. Of clipping only white is marked:
 where no frame is of use and none was white, all were black.
 """
 

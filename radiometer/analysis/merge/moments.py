@@ -1,8 +1,8 @@
 """The best mixture of a pixel's two estimates where quantisation depends on the level: behind a response curve.
 
-What it is depends on the frames used and on the level alone, so that each set of frames has a table over √E of its own,
-of straight lines between the levels where rounding is tabulated for the frame that shows most; it is filled in where
-a pixel asks.
+It depends on the frames used and on the level alone. So each set of frames has a table over √E, with straight lines
+between the levels where rounding is tabulated for the frame that shows most. The table is filled in where a pixel
+asks.
 """
 
 from __future__ import annotations

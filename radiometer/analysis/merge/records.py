@@ -1,12 +1,12 @@
-"""What the merge's last step knows of a set of frames: how their sums become a rate, and its variance.
+"""Records of the merge's last step on a set of frames: how their sums become a rate, and its variance.
 
 For independent samples x_i = E·t_i + noise with variance v_i = c_i + κ·E·t_i the maximum-likelihood weights are
 t_i/v_i. They depend on E, which a stream does not know yet, and weights that follow the noisy sample itself are
-biased. Two sums with fixed weights, Σt^0.35·x and Σt·x, give two unbiased estimates of E, and the mixture of least
-variance follows from E at the end: over all ladders of 4 to 16 frames and all ratios of read to shot noise its
-variance is within 1.5 % of the optimum (with the powers 0 and 1 it would be 8 %). The error of that mixture is
-uncorrelated with the difference of the two estimates, so choosing it by the estimated E brings no bias to first
-order (Gauss–Markov).
+biased. Two sums with fixed weights, Σt^0.35·x and Σt·x, give two unbiased estimates of E. The mixture of least
+variance follows from E at the end. Its variance is within 1.5 % of the optimum over all ladders of 4 to 16 frames and
+all ratios of read to shot noise. With the powers 0 and 1 it would be 8 %. The error of that mixture is uncorrelated
+with the difference of the two estimates, so choosing it by the estimated E brings no bias to first order
+(Gauss–Markov).
 """
 
 from __future__ import annotations
@@ -49,11 +49,12 @@ RECORD_SIZE = 24
 FIRST_POWER = 0.35
 # A frame expected to clip by more than this says nothing new: its censored score is below 0.001 sigma.
 CENSORED_SIGMA = 3.5
-# The scatter of a pixel's frames, and what a curve's uncertainty excuses of it: beyond five standard deviations a
-# normal error comes once in 3.5 million, so that not one pixel of a picture is called inconsistent by chance.
+# The scatter of a pixel's frames, and what a curve's uncertainty excuses of it. Beyond five standard deviations a
+# normal error comes once in 3.5 million. So hardly a pixel of a picture is called inconsistent by chance.
 AGREEMENT_SIGMA = 5.0
-# A frame that clipped, though the others put it this far below clipping: asked of every frame of every pixel, up to a
-# hundred times as often as the scatter, so that its chance must be as much smaller (one in a thousand million).
+# A frame that clipped, though the others put it this far below clipping. This is checked in every frame of every
+# pixel, up to a hundred times as often as the scatter. So its chance must be as much smaller (one in a thousand
+# million).
 CONTRADICTION_SIGMA = 6.0
 
 
@@ -75,12 +76,11 @@ def fill_record(
 ) -> None:  # pragma: no cover (compiled)
     """Fill in what follows from which frames are used: sums, and the variances as lines in E.
 
-    With w = t^0.35, E_a = Σwx/Σwt and E_b = Σtx/Σt²: var E_a = a0 + a1·E, the variance of E_a − E_b is r0 + r1·E,
-    var E_b − cov = p0 + p1·E and so var E_a − cov = r − p; the best share of E_a is p/r. PLENTY is how often the
+    Let w = t^0.35, E_a = Σwx/Σwt and E_b = Σtx/Σt². Then var E_a = a0 + a1·E, and the variance of E_a − E_b is r0 +
+    r1·E. With var E_b − cov = p0 + p1·E, var E_a − cov = r − p. The best share of E_a is p/r. PLENTY is how often the
     expected scatter is still consistent whatever the level: by Cauchy and Schwarz the degrees of freedom are at most
     the frames. PLENTY0 + PLENTY1·E is that scatter. Below the rate NEAR the frame NEAREST may not have had to clip,
-    below NEXT others as well.
-    ROOT times √E is 1 where the frame that shows most is at the end of the response curve.
+    below NEXT others as well. ROOT times √E is 1 where the frame that shows most is at the end of the response curve.
 
     Args:
         record: float64, shape (RECORD_SIZE,), overwritten.

@@ -76,13 +76,13 @@ class MergeSample:
         return np.asarray(self.table[dn].astype(np.float64) - dark)
 
     def only(self, pixels: NDArray[np.intp], index: int) -> MergeSample:
-        """Return some pixels as a frame of its own at another place among the frames."""
+        """Return some pixels as a separate frame at another place among the frames."""
         dark = self.terms.dark
         terms = self.terms if dark.size == 1 else replace(self.terms, dark=np.ascontiguousarray(dark[pixels]))
         return replace(self, dn=np.ascontiguousarray(self.dn[pixels]), terms=terms, index=index)
 
     def is_like(self, other: MergeSample) -> bool:
-        """Tell whether both frames can go into the sums in one pass: both linear, or both through a table alone."""
+        """Return whether both frames can go into the sums in one pass: both linear, or both through a table alone."""
         linear = self.table is None and other.table is None
         alike = linear or (self.usable is not None and other.usable is not None)
         return alike and self.plane == other.plane and self.dn.dtype == other.dn.dtype

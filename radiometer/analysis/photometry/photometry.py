@@ -52,7 +52,7 @@ def luminous_efficacy_lm_per_w(spectrum: Spectrum, observer: Observer = "photopi
 
 
 def holds_visible_light(spectrum: Spectrum) -> bool:
-    """Tell whether a spectrum has a luminance: near-infrared and ultraviolet have a radiance only."""
+    """Return whether a spectrum has a luminance: near-infrared and ultraviolet have a radiance only."""
     return spectrum.integral(*luminous_efficiency()) > 0.0
 
 

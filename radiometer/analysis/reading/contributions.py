@@ -26,7 +26,7 @@ from radiometer.analysis.uncertainty.budget import Term
 from radiometer.data import Calibration, Flag, LensDescription, ScaleConditions, StatedUncertainties
 
 _FEWEST_PIXELS_FOR_SCATTER = 16
-# Where a dark level is from that nobody assumed.
+# Origins of a dark level that is not assumed.
 _MEASURED = ("dark frames", "masked pixels")
 # Readings of signals as near as this share the error of the response curve.
 _SAME_LEVEL = 0.1
@@ -126,7 +126,7 @@ class PatchSituation:
 
     @property
     def spectrum_stated(self) -> bool:
-        """Tell whether somebody states the light's spectrum."""
+        """Return whether somebody states the light's spectrum."""
         return self.settled.setup.spectrum_stated
 
     @property
@@ -136,7 +136,7 @@ class PatchSituation:
 
     @property
     def shares_level(self) -> bool:
-        """Tell whether the signal is as high as at calibration, so that the response's error drops out."""
+        """Return whether the signal is as high as at calibration, so that the response's error drops out."""
         if self.calibration is None or "conditions" not in self.calibration.scale.model_fields_set:
             return False
         return abs(self.conditions.level - self.calibration.scale.conditions.level) <= _SAME_LEVEL

@@ -54,7 +54,7 @@ class PatchEstimate:
 
     @property
     def flickers(self) -> bool:
-        """Tell whether frames differ more than their noise and the calibration explain."""
+        """Return whether frames differ more than their noise and the calibration explain."""
         return self.fluctuation_rel >= _FLICKER_FLOOR_REL and self.evidence >= _FLICKER_EVIDENCE
 
 
@@ -67,14 +67,14 @@ def estimate_patch(
 ) -> PatchEstimate:
     """Return the maximum-likelihood estimate over frames: weights t²/σ² of the *expected*, never the noisy, signal.
 
-    Weights that follow the noisy sample itself favour the samples that came out low; the expected signal of
-    the common estimate has, to first order, no such bias, for the error of the best linear estimate is
+    Weights that follow the noisy sample itself favour the samples that came out low. The expected signal of the
+    common estimate has, to first order, no such bias. The reason: the error of the best linear estimate is
     uncorrelated with the differences between frames.
 
     Args:
         frames: Usable frames, at least one.
         dark: Dark level of each.
-        exposures: Exposure time of each in s, times the lens factor in sr where wanted.
+        exposures: Exposure time of each in s, times the lens factor in sr where requested.
         good: Pixels to use, shape of the patch.
         model: Signal model of the camera.
 

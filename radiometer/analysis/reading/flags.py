@@ -1,4 +1,4 @@
-"""What a user must know about a patch reading."""
+"""Flags that a user must know about a patch reading."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ _NONUNIFORM_REL = 0.05
 # A contribution dominates from this part of the variance on, where it is more than a trifle.
 _DOMINATES = 0.5
 _TRIFLE_REL = 0.01
-# From this on the natural fall-off that nobody declared is told of.
+# From this on an undeclared natural fall-off is reported.
 _FALLOFF_TOLD_REL = 0.002
-# Frames that tell whether the light flickers: these many; more where each is short against a period of mains light.
+# Frames that show whether the light flickers: these many; more where each is short against a period of mains light.
 FEWEST_FRAMES = 3
 FEWEST_SHORT_FRAMES = 5
 SHORT_FRAME_S = 0.01
@@ -72,13 +72,13 @@ def _dominant(value: float, terms: Sequence[Term]) -> set[Flag]:
 
 
 def _too_few_frames(situation: PatchSituation) -> bool:
-    """Tell whether the frames are too few to show that the light is steady."""
+    """Return whether the frames are too few to show that the light is steady."""
     longest = max(frame.settings.exposure_s for frame in situation.frames)
     return len(situation.frames) < (FEWEST_FRAMES if longest >= SHORT_FRAME_S else FEWEST_SHORT_FRAMES)
 
 
 def _extrapolates(situation: PatchSituation) -> bool:
-    """Tell whether the frames that carry most of the estimate lie outside the response curve's data."""
+    """Return whether the frames that carry most of the estimate are outside the response curve's data."""
     if situation.model.linear:
         return False
     low, high = situation.model.valid_dn
@@ -89,7 +89,7 @@ def _extrapolates(situation: PatchSituation) -> bool:
 
 
 def _is_nonuniform(situation: PatchSituation) -> bool:
-    """Tell whether radiance changes over the patch by more than noise and 5 %."""
+    """Return whether radiance changes over the patch by more than noise and 5 %."""
     pixels, good = situation.estimate.pixel_rates, situation.good
     scatter, pairs = local_scatter(pixels, good)
     if pairs < 8:

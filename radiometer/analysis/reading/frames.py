@@ -1,4 +1,4 @@
-"""What each frame of a bracket shows in a patch, and which frames may be used."""
+"""Statistics of each frame of a bracket in a patch, and which frames may be used."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from radiometer.units import gain_factor
 _CLEAR_OF_CLIPPING_SIGMA = 4.0
 # More clipped pixels than this are part of the scene, fewer are defects.
 _DEFECT_FRACTION = 0.01
-# So many pixels of the whole picture tell its mean.
+# So many pixels of the whole picture give its mean.
 _PIXELS_OF_THE_WHOLE = 4096
 
 
@@ -36,7 +36,7 @@ class PatchFrame:
         clipped: Pixels at or above clipping, same shape.
         whole: Mean signal x of the whole picture, dark level not yet taken off.
         whole_clipped: Part of the whole picture that clips; the mean is too low then.
-        masked_dn: What the sensor's masked pixels read, in DN; None where nobody states it.
+        masked_dn: What the sensor's masked pixels read, in DN; None where it is not stated.
     """
 
     settings: FrameSettings
@@ -61,8 +61,8 @@ def crop_frames(
         model: Signal model of the camera.
 
     Raises:
-        MeasurementError: If there is no light frame, the patch lies outside the frame, or the frames do not
-            belong together.
+        MeasurementError: If there is no light frame, the patch is outside the frame, or the frames do not belong
+            together.
     """
     light: list[PatchFrame] = []
     dark: list[Frame] = []
@@ -122,8 +122,8 @@ def _crop(frame: Frame, patch: Patch, model: SignalModel) -> PatchFrame:
 def _brightest_part(dn: DigitalNumbers) -> float:
     """Return the level of the brightest part of a patch that is more than a defect, its noise taken off.
 
-    A patch may lie across an edge: then it is the bright half that must not clip. In an even patch the 95th
-    percentile lies 1.645 standard deviations of the noise above the level.
+    A patch may cross an edge: then it is the bright half that must not clip. In an even patch the 95th percentile is
+    1.645 standard deviations of the noise above the level.
     """
     high = float(np.percentile(dn, 95.0))
     return max(float(np.median(dn)), high - 1.645 * _neighbour_noise(dn))

@@ -1,7 +1,7 @@
-"""What makes the world differ from the model of a reading: a contribution for each, by its distance from calibration.
+"""Differences between the world and the model of a reading: a contribution each, by its distance from calibration.
 
 A cause that calibration and reading share to the same degree drops out: every contribution below is a sensitivity
-times the *difference* between the two. The figures, and their sources, stand in `StatedUncertainties`.
+times the *difference* between the two. `StatedUncertainties` holds the figures and their sources.
 """
 
 from __future__ import annotations
@@ -19,9 +19,9 @@ from radiometer.analysis.uncertainty.budget import Term
 from radiometer.data import Calibration, Flag, FrameSettings, LensDescription, StatedUncertainties
 from radiometer.data.calibration_sections import ScaleConditions
 
-# Sensors in a room; stands in where calibration or reading do not say their temperature.
+# Sensors in a room; used where calibration or reading do not state their temperature.
 UNKNOWN_TEMPERATURE_K = 3.0
-# Fall-off at the corner of a picture whose focal length or pixel size nobody states: cos⁴ at 27°, an ordinary lens.
+# Fall-off at the corner of a picture whose focal length or pixel size is unknown: cos⁴ at 27°, an ordinary lens.
 UNKNOWN_FALLOFF = 0.36
 _DAYS_PER_YEAR = 365.25
 _HANDLING = {"reseated": "reseated_u_rel", "refocused": "refocused_u_rel", "iris_reset": "iris_reset_u_rel"}

@@ -65,7 +65,7 @@ def read_patch(
     Raises:
         CalibrationError: If the calibration is of another camera or lens.
         InputError: If there is no such spectrum.
-        MeasurementError: If the patch lies outside the frame, or there is no light frame.
+        MeasurementError: If the patch is outside the frame, or there is no light frame.
     """
     situation = patch_situation(frames, patch, setup, now)
     reading = _reading(situation, patch, sequence)
@@ -87,7 +87,7 @@ def patch_situation(
 
     Raises:
         CalibrationError: If the calibration is of another camera or lens.
-        MeasurementError: If the patch lies outside the frame, or there is no light frame.
+        MeasurementError: If the patch is outside the frame, or there is no light frame.
     """
     settled, calibration, camera = situation_of(setup), setup.calibration, setup.camera
     if calibration is not None:
@@ -135,7 +135,7 @@ def _corrected_scale(
 
 
 def _unsteady(light: list[PatchFrame]) -> bool:
-    """Tell whether a frame clips that was exposed no longer than one that does not."""
+    """Return whether a frame clips that was exposed no longer than one that does not."""
     unclipped = [one.settings.effective_exposure_s for one in light if one.unclipped]
     clipped = [one.settings.effective_exposure_s for one in light if not one.unclipped and one.clipped.all()]
     return bool(unclipped and clipped) and min(clipped) <= max(unclipped) * (1.0 + 1e-9)
@@ -193,7 +193,7 @@ def _falloff(
         return Falloff(falloff_known(camera, lens))
     numbers = {one.settings.f_number or lens.f_number for one in chosen}
     same = flat.f_number is None or all(n is not None and abs(n / flat.f_number - 1.0) < 0.03 for n in numbers)
-    # Mechanical vignetting comes and goes with the iris: then half of the measured fall-off is in doubt.
+    # Mechanical vignetting depends on the iris: then half of the measured fall-off is in doubt.
     doubt = 0.0 if same else 0.5 * abs(1.0 - float(place.mean()))
     return Falloff("flat_field", math.hypot(flat.u_rel, doubt))
 

@@ -40,14 +40,15 @@ def recover_response_auto(brackets: Bracket | Sequence[Bracket]) -> ResponseEsti
 
     Maximises Σ over groups and frames of the Gaussian likelihood of ln H, with ln E of every group eliminated, minus
     λ times the bend of g. Its variances are those of shot noise, read noise and rounding, with amplitudes fitted to
-    the stack's own residuals; λ, and errors of the exposure times where these raise the likelihood clearly, come from
-    the restricted likelihood. Starts from Debevec and Malik's curve. Where left-out frames are predicted better with
-    it, all exposures are longer than their labels by one time, the shutter's offset (`find_offset`).
+    the stack's residuals. λ comes from the restricted likelihood. So do errors of the exposure times, where they
+    clearly raise it. Starts from Debevec and Malik's curve. Where left-out frames are predicted better with it, all
+    exposures are longer than their labels by one time, the shutter's offset (`find_offset`).
 
     The bend is the third difference over the basis variable. Frames at whole stops leave a wave in ln H with a
     period of one stop undetermined, whatever the method: there the curve is as smooth as the data allow. Other
-    ratios (say 1.6) determine it. The stated uncertainty holds the noise of the pixels and, beside it, what smoothness
-    decided where the data did not; disjoint parts of the pixels share the latter, so they are compared by the former.
+    ratios (say 1.6) determine it. The stated uncertainty combines the noise of the pixels and what smoothness decided
+    where the data did not. Disjoint parts of the pixels share the second term, so they are compared by the first
+    alone.
 
     Args:
         brackets: One bracket or several taken with the same response, 8 to 16 bits; fitted jointly.
@@ -71,8 +72,8 @@ def recover_colours_auto(colours: Sequence[Bracket | Sequence[Bracket]]) -> list
         colours: One bracket or several of each colour, the same photographs in the same order.
 
     Returns:
-        An estimate for each colour, as by `recover_response_auto`; the shutter's offset and wrong labels are told by
-        all colours together.
+        An estimate for each colour, as by `recover_response_auto`; the shutter's offset and wrong labels are
+        determined from all colours together.
 
     Raises:
         InputError: If the brackets do not fit together or hold one exposure only.
@@ -177,7 +178,7 @@ class _Parts:
         return np.asarray(np.hypot(np.maximum(u_pixels, u_places), u_frames))
 
     def agreement(self, inner: slice) -> Agreement | None:
-        """Return how far the curves of quadrants and of frames lie apart; None where there are too few."""
+        """Return how far the curves of quadrants and of frames differ; None where there are too few."""
         if not (self.quadrants and self.frames):
             return None
         return Agreement(
@@ -214,7 +215,7 @@ def _u_of_offset(samples: ResponseSamples, result: FittedResponse, exposures: Ex
 
 
 def _offset_parameters(exposures: Exposures) -> dict[str, float]:
-    """Return the shutter's offset as it stands in files; nothing where none was taken."""
+    """Return the shutter's offset in the form that files hold; nothing where none was applied."""
     offset = exposures.offset
     if offset is None:
         return {}
@@ -222,7 +223,7 @@ def _offset_parameters(exposures: Exposures) -> dict[str, float]:
 
 
 def _with_offset_told(curve: ResponseCurve, exposures: Exposures, errors: Array, stated_s: Array) -> ResponseCurve:
-    """Return a curve whose provenance tells the offset, and with it what every label is off by."""
+    """Return a curve whose provenance states the offset, and so the error of every label."""
     if exposures.offset is None:
         return curve
     whole = errors + exposures.offset.log_ratios(stated_s)

@@ -23,8 +23,8 @@ _ROUGHNESS_ORDER = 3
 class ValueBasis:
     """A linear model g(M) = Σ_k c_k·b_k(M) on digital numbers, whole or not.
 
-    Cubic B-splines on u(M) = ln[(M − M_min + a)/(M_max − M + a)]: g is nearly straight over u for gamma, linear and
-    sigmoid responses alike, and the knots lie where ln H bends, close to black and to saturation. The number of
+    Cubic B-splines on u(M) = ln[(M − M_min + a)/(M_max − M + a)]: over this u, g is nearly straight for gamma, linear
+    and sigmoid responses alike. The knots are where ln H bends, close to black and to saturation. The number of
     unknowns is the same at 8 and at 16 bits.
 
     Attributes:
@@ -46,7 +46,7 @@ class ValueBasis:
         low, high = self._bounds()
         step = (high - low) / _SPLINE_PIECES
         knots = low + step * np.arange(-_ORDER, _SPLINE_PIECES + _ORDER + 1)
-        # The last inner knot may lie a rounding error below `high`.
+        # The last inner knot may be a rounding error below `high`.
         return sp.csr_array(BSpline.design_matrix(np.clip(u, knots[_ORDER], knots[-_ORDER - 1]), knots, _ORDER))
 
     def all_values(self) -> sp.csr_array:

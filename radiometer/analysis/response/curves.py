@@ -18,7 +18,7 @@ _UNDETERMINED_U = 0.05
 # The gauge makes u vanish at the middle: levelling takes no value for better known than this part of the median.
 _LEVEL_FLOOR = 0.3
 BLACK_KEY = "black_dn"  # in a curve's parameters
-# Signal in DN that stands for black itself: the middle of what rounds to it.
+# Signal in DN that represents black: the middle of what rounds to it.
 _AT_BLACK_DN = 0.5
 
 
@@ -79,12 +79,12 @@ def black_of_curve(curve: ResponseCurve) -> float:
 def rising(log_exposure: Array, u: Array, valid_dn: tuple[int, int], black_dn: float = 0.0) -> Array:
     """Return the nearest non-falling curve, continued outside the supported range by its last slopes.
 
-    It goes on as a power of what the digital number is above black: ln H over ln(M − M_black) is straight, so that a
-    linear camera stays linear and H falls to nothing at black. Black itself stands half a digital number above it.
+    It continues as a power of M − M_black: ln H over ln(M − M_black) is straight. So a linear camera stays linear and
+    H falls to 0 at black. Black itself stands half a digital number above it.
 
     Args:
         log_exposure: g at every digital number.
-        u: Its uncertainty; values count by its inverse square, so that those hardly known level nobody else.
+        u: Its uncertainty; values count by its inverse square, so that poorly known ones do not level the others.
         valid_dn: Supported range, above black.
         black_dn: Digital number of no light.
     """

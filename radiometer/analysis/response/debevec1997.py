@@ -31,12 +31,11 @@ def recover_response_debevec1997(
 
     Minimises Σ_p Σ_i { w(M_pi) [ g(M_pi) − ln E_p − ln t_i ] }² + λ Σ_m [ w(m) g''(m) ]², g(M_mid) = 0, with the
     hat weight w. Changed from the paper: a "pixel" p is the mean of many pixels that are equally bright in every
-    frame, so that all pixels count; ln E_p is eliminated (Schur complement), so that only the curve is solved for;
-    λ is chosen by restricted maximum likelihood; g is a cubic spline over ln[(M − M_min)/(M_max − M)], and the
-    smoothness term bends it over that variable instead of over M, where ln H is steep by nature; the curve is made
-    monotonic.
-    The uncertainty is the group-wise robust (sandwich) covariance with the smoothing term added, so it does not
-    rest on a noise model.
+    frame. So all pixels count. Here ln E_p is eliminated (Schur complement), so that only the curve is solved for.
+    Restricted maximum likelihood chooses λ. The curve g is a cubic spline over ln[(M − M_min)/(M_max − M)]. Its
+    smoothness is penalised over that variable instead of over M, where ln H is steep by nature. The curve is made
+    monotonic. The uncertainty is the group-wise robust (sandwich) covariance with the smoothing term added, so it
+    does not rest on a noise model.
 
     Args:
         brackets: One bracket or several taken with the same response, 8 to 16 bits.

@@ -1,9 +1,10 @@
-"""By how much the frames of a stack lie apart by parts of a pixel, told from their own differences at gradients.
+"""Sub-pixel displacements of the frames of a stack, estimated from their differences at gradients.
 
 A frame that is displaced by d shows ln L + d·∇ln L: what its displacement adds to the differences between frames grows
 with the gradient, noise does not. The variance of ln H of a pixel in one frame is that of its noise plus δ²·|∇ln L|²,
-with δ the standard deviation of a displacement along any direction, and both are fitted together: what registration
-leaves, in grain and paper or in a camera that was touched, no longer passes for noise on even ground.
+with δ the standard deviation of a displacement along any direction. Both are fitted together. So the displacement
+that registration leaves, at the grain of paper or from a camera that was touched, does not count as noise on even
+ground.
 """
 
 from __future__ import annotations
@@ -30,7 +31,7 @@ _PARTS_EACH_WAY: Final = 8
 
 @dataclass(frozen=True, slots=True)
 class Displacement:
-    """How far the frames of a stack lie from their common place, and the noise beside it.
+    """How far the frames of a stack are from their common place, and the noise.
 
     Attributes:
         px: Standard deviation δ of a frame's displacement along any direction in pixels; 0 where none shows.
@@ -45,7 +46,7 @@ class Displacement:
 
 
 def find_displacement(bracket: Bracket, curve: ResponseCurve) -> Displacement:
-    """Return by how many pixels the frames are displaced, with the noise of a pixel beside it.
+    """Return by how many pixels the frames are displaced, and the noise of a pixel.
 
     Args:
         bracket: Frames of one unmoving scene, two or more.
@@ -54,8 +55,8 @@ def find_displacement(bracket: Bracket, curve: ResponseCurve) -> Displacement:
     Raises:
         MeasurementError: If hardly a pixel is unclipped in two frames.
 
-    Source: first-order expansion of a displaced picture, as in B. D. Lucas, T. Kanade 1981, Proc. IJCAI, 674–679; here
-        its variance is fitted beside that of the noise (variance components).
+    Source: first-order expansion of a displaced picture, as in B. D. Lucas, T. Kanade 1981, Proc. IJCAI, 674–679;
+        here its variance is fitted together with that of the noise (variance components).
     """
     pixels = SinglePixels.of(bracket, curve)
     squared_gradient = _squared_gradient(bracket, curve, pixels)[pixels.samples.group]
@@ -100,7 +101,7 @@ def _slope_along(frames: tuple[Frame, ...], curve: ResponseCurve, pixels: Single
 
 
 def _parts(shape: tuple[int, int], pixels: SinglePixels) -> NDArray[np.intp]:
-    """Return which part of the picture every row lies in."""
+    """Return which part of the picture every row is in."""
     down = pixels.row * _PARTS_EACH_WAY // shape[0]
     across = pixels.column * _PARTS_EACH_WAY // shape[1]
     return np.asarray((down * _PARTS_EACH_WAY + across)[pixels.samples.group])

@@ -21,7 +21,7 @@ from radiometer.data.provenance import Provenance
 from radiometer.data.response_curve import ResponseCurve
 from radiometer.errors import InputError, MeasurementError
 
-# A digital number stands for an interval of width 1: a rectangle.
+# A digital number represents an interval of width 1: a rectangle.
 _ROUNDING_U_DN: Final = 1.0 / math.sqrt(12.0)
 _LEAST_DISTANCE: Final = 0.2
 
@@ -95,7 +95,7 @@ def dynamic_range(
         reference_dn: Reference value M_ref.
 
     Raises:
-        InputError: If a number lies outside the curve or a time is not above 0.
+        InputError: If a number is outside the curve or a time is not above 0.
         MeasurementError: If a region is not clearly darker or brighter than the reference value, its time runs the
             wrong way, or the curve says nothing there.
 
@@ -213,7 +213,7 @@ def _run_to(
     moved = wanted - _at(g, dn)
     below = dn < edge
     if (wanted - g[edge]) * (-1.0 if below else 1.0) < 0.0:
-        return g, u  # within the noise of its reading the point lies on the wrong side of the edge
+        return g, u  # within the noise of its reading the point is on the wrong side of the edge
     place = (np.log(np.maximum(numbers, 0.5)) - math.log(edge)) / (math.log(dn) - math.log(edge))
     part = np.clip(place, 0.0, 1.0)
     outside = numbers < edge if below else numbers > edge

@@ -1,4 +1,4 @@
-"""What a response method hands back: the curve and what must be known to trust it."""
+"""Result of a response method: the curve and what must be known to trust it."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _LARGEST_U_LOG = 1.0
 
 @dataclass(frozen=True, slots=True)
 class Stability:
-    """How far curves from disjoint thirds of the pixels lie from one another.
+    """How far curves from disjoint thirds of the pixels differ.
 
     Attributes:
         rms_log: Root mean square difference of ln H over 5–95 % of the valid digital numbers.
@@ -34,11 +34,11 @@ class Stability:
 
 @dataclass(frozen=True, slots=True)
 class Agreement:
-    """How far the curves lie apart that parts of the data give by themselves.
+    """How far the curves from separate parts of the data differ.
 
     Attributes:
         quadrants_rms_log: Root mean square distance, in ln H over 5–95 % of the valid digital numbers, of the curves
-            without one quadrant of the picture from their mean, scaled to what a quarter of the picture by itself
+            without one quadrant of the picture from their mean. It is scaled to what a quarter of the picture alone
             would show.
         frames_rms_log: The same for the curves without one frame (or some).
     """
@@ -171,7 +171,7 @@ def telling(estimate: ResponseEstimate, where: str) -> ResponseEstimate:
 
     Args:
         estimate: As recovered; handed back where it says something.
-        where: Where the frames came from; "" where nobody knows.
+        where: Where the frames came from; "" where it is unknown.
 
     Raises:
         MeasurementError: If it says nothing.

@@ -22,7 +22,7 @@ _TIME_SPREADS = (0.001, 0.003, 0.01, 0.03)
 _CALLS_FOR_TIME_ERRORS = 20.0
 # ln of true over stated time of a frame whose label is not believed, and its standard deviation.
 UNKNOWN_LABEL = (0.0, 3.0)
-# A part of the data that decides more of the fit than this has no residual to tell its error by.
+# A part of the data that decides more of the fit than this has no residual that shows its error.
 _MOST_LEVERAGE = 0.95
 _SMOOTHINGS = np.logspace(-6, 9, 31)
 # No covariance is inverted beyond this standard uncertainty of ln of an exposure: rounding.
@@ -77,8 +77,8 @@ class ResponseFit:
     def frame_covariance(self, frame: NDArray[np.intp]) -> Array:
         """Return the covariance of the solution that whole frames make that are each off in their own way.
 
-        Every frame's score is taken as one draw (its residuals share flare, tone or shutter), with what the fit took
-        up of it given back: of a frame with leverage H the residual is (I − H)^½ of its error.
+        Every frame's score counts as one draw, because its residuals share flare, tone or shutter. The part that the
+        fit absorbed is restored: with leverage H, a frame's residual is (I − H)^½ of its error.
 
         Args:
             frame: Frame of every row.

@@ -1,4 +1,4 @@
-"""Uncertainty by leaving out parts of the pixels: for methods that have no covariance of their own."""
+"""Uncertainty by leaving out parts of the pixels: for methods that give no covariance."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Exposure labels held against brightness: a frame whose time contradicts its picture is named."""
+"""Check exposure labels against brightness: a frame whose time contradicts its picture is named."""
 
 from __future__ import annotations
 
@@ -65,7 +65,7 @@ def _refuse_falling(where: str, rising: int, count: int) -> None:
 
 
 def refuse_equal_throughout(bracket: Bracket) -> None:
-    """Refuse a bracket all of whose pictures are alike though their labels are not: none of them tells which is wrong.
+    """Refuse a bracket of equal pictures under different labels: none of them shows which label is wrong.
 
     Args:
         bracket: Frames sorted by their stated exposure.
@@ -139,7 +139,7 @@ def exposure_labels(bracket: Bracket) -> list[str]:
 def _pairwise_rise(bracket: Bracket) -> NDArray[np.float64]:
     """Return the mean rise in DN from frame i to frame j over the pixels that clip in neither, shape (n, n).
 
-    Where two frames have hardly such a pixel in common, the rise of the whole picture stands in.
+    Where two frames have hardly such a pixel in common, the rise of the whole picture is used.
     """
     step = max(1, int(np.sqrt(np.prod(bracket.shape) / _COMPARED_PIXELS)))
     pixels = np.array([frame.dn[::step, ::step].ravel().astype(np.float32) for frame in bracket.light])

@@ -63,7 +63,7 @@ def dial_step_dn(samples: ResponseSamples, log_exposure: Array) -> float:
 
 
 def follow_no_curve(error: float, samples: ResponseSamples, log_exposure: Array) -> bool:
-    """Tell whether frames predict each other so badly that no curve can be said to join them under their labels.
+    """Return whether frames predict each other so badly that no single curve fits them under their labels.
 
     Args:
         error: Mean size in DN of the error with which rows are predicted from other frames.

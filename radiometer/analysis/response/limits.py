@@ -99,7 +99,7 @@ def _floor(histogram: NDArray[np.int64]) -> int:
 
 
 def _piles_up(histogram: NDArray[np.int64], value: int) -> bool:
-    """Tell whether far more pixels have a value than those next above it."""
+    """Return whether far more pixels have a value than those next above it."""
     neighbours = histogram[value + 1 : value + _NEIGHBOURS + 1]
     return bool(neighbours.size) and bool(histogram[value] > _PILE_UP * max(float(neighbours.mean()), 1.0))
 

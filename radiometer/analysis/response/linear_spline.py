@@ -35,7 +35,7 @@ def recover_response_linear_spline(brackets: Bracket | Sequence[Bracket]) -> Res
     """Recover g(M) = ln(M − M_black) + s(M) with a cubic spline s that is zero unless the data call for it.
 
     For sensors that are linear but for a little bend near black and saturation. Elsewhere the spline is too coarse:
-    what it lies off Debevec and Malik's finer curve is added to the uncertainty, and a note says so. Black is the
+    its distance from Debevec and Malik's finer curve is added to the uncertainty, and a note reports it. Black is the
     stated black level, or the value that makes the frames agree best. The roughness of s is its first difference, so
     that the strongest smoothing leaves the straight line itself; λ comes from the restricted likelihood, rows
     weighted for shot noise.
@@ -85,7 +85,7 @@ def solve_linear_spline(samples: ResponseSamples) -> ResponseEstimate:
 
 
 def _misfit(log_exposure: Array, finer: ResponseCurve, valid_dn: tuple[int, int]) -> Array:
-    """Return how far a curve lies off a finer one at each digital number or, if that is more, around it."""
+    """Return the distance of a curve from a finer one at each digital number or, if larger, around it."""
     from scipy.ndimage import uniform_filter1d
 
     known = finer.valid_dn or valid_dn  # outside it the finer curve is a straight line

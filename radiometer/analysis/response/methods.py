@@ -23,7 +23,7 @@ METHODS: Final[dict[str, ResponseMethod]] = {
     "robertson1999": response_robertson1999.recover_response_robertson1999,
     "linear_spline": response_linear_spline.recover_response_linear_spline,
 }
-# Methods that find exposure ratios and may be told some of them.
+# Methods that find exposure ratios and may be given some of them.
 RATIO_METHODS: Final = {"mitsunaga1999": response_mitsunaga1999.recover_response_mitsunaga1999}
 DEFAULT_METHOD: Final = "auto"
 

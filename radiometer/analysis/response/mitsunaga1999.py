@@ -1,4 +1,4 @@
-"""Response recovery after Mitsunaga and Nayar 1999: a polynomial, with the exposure ratios recovered beside it."""
+"""Response recovery after Mitsunaga and Nayar 1999: a polynomial, recovered together with the exposure ratios."""
 
 from __future__ import annotations
 
@@ -44,13 +44,13 @@ def recover_response_mitsunaga1999(
 
     Finds the coefficients and the ratios R_i,i+1 (shorter over longer exposure) for which f(M_p,i) and
     R_i,i+1 f(M_p,i+1) agree best. Changed from the paper: coefficients and ratios are found in one non-linear fit
-    instead of in turns; pixels are means of equally bright ones; residuals are those of ln f, in units of the noise
-    that the stack itself shows, so that dark, flat and nearly clipped parts count for what they tell; Chebyshev
-    polynomials span the same curves with better numbers. Where no polynomial of M up to order 10 follows the
-    response, f is a polynomial of a first estimate of the exposure, which holds the kinks that polynomials cannot:
-    Debevec and Malik's curve, made anew with the recovered ratios until both stay. Argument and order are those of
-    least error on held-out pixels. Exposure times serve as a start only. Known ratios fix γ after the fit, in which
-    all pairs count alike: held in the fit, they would take up what the polynomial cannot follow.
+    instead of in turns. Pixels are means of equally bright ones. Residuals are those of ln f, in units of the noise
+    that the stack shows. So dark, flat and nearly clipped parts count by their information. Chebyshev polynomials
+    span the same curves with better numbers. Where no polynomial of M up to order 10 follows the response, f is a
+    polynomial of a first estimate of the exposure, which holds the kinks that polynomials cannot: Debevec and Malik's
+    curve, made anew with the recovered ratios until both stay. Argument and order are those of least error on
+    held-out pixels. Exposure times serve as a start only. Known ratios fix γ after the fit, in which all pairs count
+    alike: held in the fit, they would take up what the polynomial cannot follow.
 
     Gauge: without any known ratio f and R are determined up to f^γ, R^γ only. γ is fixed by the ratios in
     `known_ratios` where given, else by the product of the stated times.
@@ -192,7 +192,7 @@ def _best(situation: _Situation) -> tuple[str, int]:
 
 
 def _misfit(situation: _Situation, argument: str, order: int, here: Polynomial) -> tuple[Array, Array]:
-    """Return how far curve and ln ratios of the neighbouring orders lie away: what this order cannot tell."""
+    """Return how far curve and ln ratios of the neighbouring orders differ: what this order cannot determine."""
     near = [situation.fit(argument, o) for o in (order - 2, order - 1, order + 1, order + 2) if o >= 1]
     of_curve = [np.abs(fit.log_curve() - here.log_curve()) for fit in near]
     of_ratios = [np.abs(fit.log_ratios - here.log_ratios) for fit in near]
@@ -214,7 +214,7 @@ def _refuse_flat(log_exposure: Array, pairs: Pairs) -> None:
 
 
 def _off_the_first(situation: _Situation, here: Polynomial) -> Array:
-    """Return how far the polynomial lies off the first estimate, beyond three standard uncertainties of that."""
+    """Return the polynomial's distance from the first estimate, beyond three standard uncertainties of that."""
     first = situation.first
     gap = np.abs(here.log_curve() - first.log_exposure)
     u = first.u_log_exposure

@@ -16,8 +16,8 @@ _QUANTISATION_DN2 = 1.0 / 12.0
 class LogNoise:
     """Variance of ln H of one pixel, a/H + b/H² + (c + 1/12)·g'², and of a mean of n pixels.
 
-    A mean of n pixels has 1/n of that, and besides (q + d)·g'² that does not average: q is what rounding to whole
-    numbers leaves where the noise does not dither it, d whatever else is common (misregistration, compression).
+    A mean of n pixels has 1/n of that, plus (q + d)·g'² that does not average. Here q is the rounding error where the
+    noise does not dither it. d is any other common error (misregistration, compression).
 
     Attributes:
         shot: a, the inverse number of electrons at H = 1.

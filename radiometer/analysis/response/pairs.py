@@ -48,7 +48,7 @@ class Pairs:
         Args:
             samples: The rows.
             start: A first estimate of g at every digital number.
-            frames: Shorter frames of the pairs wanted; None for all that occur.
+            frames: Shorter frames of the requested pairs; None for all that occur.
         """
         limits = samples.limits
         shifted = mean_exposure_dn(samples.dn, samples.variance, start, limits)

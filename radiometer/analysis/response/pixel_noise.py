@@ -28,7 +28,7 @@ _ROUNDS: Final = 6
 _ROUNDING_DN2: Final = 1.0 / 12.0
 # Electrons of a sensor whose shot noise a stack does not show: many enough to weigh nothing.
 _MOST_ELECTRONS: Final = 1e7
-# Square of the length at which two unit columns that are told apart differ, beyond what sums in double precision lose.
+# Square of the length at which two separable unit columns differ, beyond what sums in double precision lose.
 _ALIKE: Final = 1e-13
 
 
@@ -100,8 +100,8 @@ class TermsFit:
 def pixel_noise(bracket: Bracket, curve: ResponseCurve) -> LogNoise:
     """Return the noise of one pixel: shot, read, and what arises behind the curve, as the frames themselves show it.
 
-    Some thousand pixels evenly over the picture stand for all: each one's exposure is taken as the mean over its
-    frames, weighted by the noise so far, and the amplitudes follow from what is left.
+    Some thousand pixels, evenly over the picture, represent all. The exposure of each is the mean over its frames,
+    weighted by the noise so far. The amplitudes follow from the residuals.
 
     Args:
         bracket: Frames of one unmoving scene.
@@ -213,7 +213,7 @@ def finite(log_exposure: Array) -> Array:
 
 
 def _lattice(shape: tuple[int, int]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Return rows and columns of the pixels that stand for all; each has neighbours on all sides."""
+    """Return rows and columns of the pixels that represent all; each has neighbours on all sides."""
     step = max(1, int(np.sqrt(shape[0] * shape[1] / _PIXELS)))
     step += (step + 1) % 2
     first = max(step // 2, 1)

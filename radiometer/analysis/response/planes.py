@@ -52,8 +52,8 @@ class JointFit:
         """Return what fits with the same freed labels say together.
 
         The planes share nothing but the labels: the joint maximum of the likelihood is the mean of their labels,
-        weighted by the inverse of each one's covariance, and each curve what its plane says at that mean. A plane that
-        cannot tell the labels (`tells_labels`) is given them by those that can, if any.
+        weighted by the inverse of each one's covariance. Each curve is that of its plane at this mean. A plane that
+        cannot determine the labels (`tells_labels`) takes them from those that can, if any.
         """
         count = len(fits[0].choices.free)
         if not count:
@@ -72,7 +72,7 @@ class JointFit:
 
 
 def tells_labels(fitted: FittedResponse) -> bool:
-    """Tell whether a plane can tell the exposures of its freed frames at all.
+    """Return whether a plane determines the exposures of its freed frames at all.
 
     The curve and the exposures may both be multiplied by any power: what holds the exponent are pixels that two frames
     with trusted labels show. Where hardly any are, least squares takes a flat curve and makes all exposures equal, sure

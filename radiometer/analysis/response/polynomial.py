@@ -14,7 +14,7 @@ from radiometer.analysis.response.weights import value_at
 
 Array = NDArray[np.float64]
 
-# Weight of the row that holds the product of all ratios: firm beside the data, not singular.
+# Weight of the row that holds the product of all ratios: firm compared with the data, not singular.
 _FIRM = 1e7
 _GAUGE_ROUNDS, _GAUGE_MET = 4, 1e-6
 # Where f falls below this part of the first estimate its logarithm is held: a fit must be able to come back.
@@ -23,7 +23,7 @@ _LEAST_PART_OF_START = 1e-3
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Polynomial:
-    """f = 1 + Σ c_n (T_n(2x − 1) − T_n(2x_mid − 1)) and the ratios that go with it.
+    """f = 1 + Σ c_n (T_n(2x − 1) − T_n(2x_mid − 1)) and its exposure ratios.
 
     Attributes:
         argument: x at every digital number, rising from 0 to 1.
@@ -54,7 +54,7 @@ class Polynomial:
         return float(np.sum(((short - long + self.log_ratios[pairs.pair]) / pairs.sigma) ** 2))
 
     def rises(self, pairs: Pairs) -> bool:
-        """Tell whether f rises over the digital numbers of these pairs."""
+        """Return whether f rises over the digital numbers of these pairs."""
         f = self.values(np.linspace(float(pairs.shorter.min()), float(pairs.longer.max()), 256))
         # At the dark end, where f is next to nothing, a polynomial may ripple below the noise.
         return bool(np.all(np.diff(f) > -1e-3 * float(f[-1])) and f[-1] > 0 and f[128] > 0)
@@ -70,9 +70,9 @@ def design(argument: Array, dn: Array, order: int) -> Array:
 def fit_polynomial(pairs: Pairs, argument: Array, order: int, gauge: Gauge, start: Array) -> Polynomial:
     """Return the polynomial and the ratios under which the pairs agree best, residuals in units of their noise.
 
-    Known ratios are held to one another, not to their values: what a polynomial cannot follow is much the same in
-    every pair of frames and would pull the free ratios away from those that are held. The exponent that is left open
-    is brought to 1 by the sum of all ln ratios, which is held.
+    Known ratios are tied to one another, not to their values. What a polynomial cannot follow is much the same in
+    every pair of frames. It would pull the free ratios away from fixed ones. The exponent that is left open is
+    brought to 1 by the sum of all ln ratios, which is held.
 
     Args:
         pairs: The pairs.

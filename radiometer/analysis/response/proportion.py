@@ -1,4 +1,4 @@
-"""Whether photographs that are said to be linear are: by what power of the exposure their numbers grow."""
+"""Check photographs that are declared linear: by what power of the exposure their numbers grow."""
 
 from __future__ import annotations
 

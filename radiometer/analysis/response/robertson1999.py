@@ -31,15 +31,14 @@ _LEAST_WEIGHT = float(np.exp(-4.0)) * (1.0 - 1e-3)
 def recover_response_robertson1999(brackets: Bracket | Sequence[Bracket]) -> ResponseEstimate:
     """Recover I(M), the exposure behind every digital number, from all pixels by Robertson's iteration.
 
-    In turns: x_p = Σ_i w t_i I(M_pi) / Σ_i w t_i² and I(m) = mean of t_i x_p over all samples of value m, I(M_mid) = 1,
-    with the Gaussian weight w(m) = exp(−4 (m − m_mid)²/m_mid²) less its value at the ends. Changed from the paper: a
-    pixel is the mean of equally bright ones and counts once for each of them; above 8 bits I has 256 nodes with
-    straight lines between; the first guess is Debevec and Malik's curve instead of a straight line. What exposures a
-    stop apart cannot see, a wave of one stop's period, stays as the first guess has it: a straight line or a power law
-    leaves the whole distance between itself and the camera's curve folded into such a wave.
-    There is no smoothing beyond that of the first guess; the iteration ends when it begins to follow the noise.
-    The uncertainty is a grouped jackknife's, every part iterated as often as the whole, together with the first
-    guess's.
+    In turns, with I(M_mid) = 1: x_p = Σ_i w t_i I(M_pi) / Σ_i w t_i² and I(m) = mean of t_i x_p over all samples of
+    value m. The Gaussian weight is w(m) = exp(−4 (m − m_mid)²/m_mid²) less its value at the ends. Changed from the
+    paper: a pixel is the mean of equally bright ones and counts once for each of them. Above 8 bits, I has 256 nodes
+    with straight lines between. The first guess is Debevec and Malik's curve instead of a straight line. Exposures a
+    stop apart cannot see a wave of one stop's period, which stays as in the first guess. A first guess of a straight
+    line or a power law would fold its whole distance from the camera's curve into such a wave. There is no smoothing
+    beyond that of the first guess; the iteration ends when it begins to follow the noise. The uncertainty is a
+    grouped jackknife's, every part iterated as often as the whole, together with the first guess's.
 
     Args:
         brackets: One bracket or several taken with the same response.

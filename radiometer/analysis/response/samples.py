@@ -14,8 +14,8 @@ from radiometer.analysis.response.limits import ValueLimits, find_limits
 from radiometer.data.bracket import Bracket
 from radiometer.errors import InputError, MeasurementError
 
-# A group is left out of a frame where more than this part of its pixels clips there: the mean of what is left
-# would be biased towards the unclipped side.
+# A group is left out of a frame where more than this part of its pixels clips there: the mean of the others would be
+# biased towards the unclipped side.
 _CLIPPED_PART = 0.002
 # So near to black the rounding to whole numbers is a large part of the exposure and is not averaged away.
 _LEAST_ABOVE_BLACK_DN = 4.0
@@ -23,7 +23,7 @@ _GROUPS = 384
 _QUADRANTS = 4
 # A share is every fourth cell of a grid so fine: all four see most of what even the shortest exposure shows.
 _SHARES, _CELLS_ACROSS = 4, 8
-# Pixels are compared with those at this distance: the next of their own colour on a mosaic.
+# Pixels are compared with those at this distance: the next of the same colour on a mosaic.
 _NEIGHBOUR_PX = 2
 # Equally bright pixels at edges that vary more than those on even ground by this factor (a ratio of variances, median
 # over groups and frames) do not see one thing in all frames. Noise alone makes it 1.0 to 1.1.
@@ -32,7 +32,8 @@ _FEWEST_PIXELS_FOR_VARIANCE = 20
 # A pixel that falls by more than this part of full scale under a longer exposure did not look at one thing.
 _TOLERATED_FALL = 0.1
 # Nor did one in the middle tones (parts of white) that stays within this part of full scale in all frames while the
-# exposure grows by this factor: even a logarithmic camera of twenty stops gives it a tenth. Date stamps, stuck pixels.
+# exposure grows by this factor. Even a logarithmic camera of twenty stops gives it a tenth. Date stamps, stuck
+# pixels.
 _MIDDLE_TONES, _LEAST_RISE, _LEAST_GROWTH = (0.25, 0.9), 0.02, 4.0
 
 
@@ -138,9 +139,9 @@ def gather_samples(brackets: Bracket | Sequence[Bracket]) -> ResponseSamples:
     """Return group means of all pixels of one or several brackets taken with one response.
 
     Every frame's value rises with the light, whatever the response; so does the sum over the frames. Pixels are
-    therefore gathered by that sum into narrow groups, without knowing the response, and each group's mean per
-    frame takes the place of its pixels: all pixels count, noise is averaged before any logarithm is taken, and
-    the groups spread evenly over both the values and the picture.
+    therefore gathered by that sum into narrow groups, without knowing the response. Each group's mean per frame
+    replaces its pixels. So all pixels count, noise is averaged before any logarithm is taken, and the groups spread
+    evenly over the values and the picture.
 
     A pixel at an edge sees another thing in another frame as soon as camera or scene moved by part of a pixel, and a
     mean over an edge of which part is white. Where equally bright pixels vary more at edges than on even ground, those

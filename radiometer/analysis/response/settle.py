@@ -22,8 +22,8 @@ from radiometer.errors import MeasurementError
 
 Array = NDArray[np.float64]
 
-# Below this the rounding to whole numbers is a large part of the exposure; the cut is made on the value that the
-# other frames predict, because a cut on the noisy value itself would keep the brighter half.
+# Below this the rounding to whole numbers is a large part of the exposure. The cut is made on the value that the
+# other frames predict. A cut on the noisy value itself would keep the brighter half.
 _LEAST_PREDICTED_DN: Final = 6.0
 # Inflations within this factor of each other are the same; more rounds than this change nothing.
 _SETTLED, _ROUNDS = 1.2, 4
@@ -147,7 +147,7 @@ def fit_with(samples: ResponseSamples, start: Array, choices: Choices) -> Fitted
 
     fit = fitted(start, found, choices.time_spread)
     if choices.noise is None and fit.time_modes.size:
-        # Wrong times looked like noise before: take the noise from what is left, and fit once more.
+        # Wrong times looked like noise before: take the noise from the residuals, and fit once more.
         g = _values(samples, fit)
         left = fit.normal.residuals(fit.solution)
         found = fit_log_noise(left, fit.leverage(), value_at(g, dn), slope_at(g, dn, samples), samples.pixels)

@@ -1,8 +1,8 @@
 """The time by which a shutter exposes longer than its labels say: one number for all frames of a bracket.
 
-What lies between the two curtains passes a pixel in the time between their releases and the difference of their delays:
-the effective exposure is the label and a constant, which counts in short exposures alone. It is taken where exposures
-that are left out are predicted better with the constant that the other exposures tell.
+The gap between the two curtains passes a pixel in the time between their releases plus the difference of their
+delays. The effective exposure is the label plus a constant, which matters in short exposures alone. It is applied
+where left-out exposures are predicted better with the constant that the other exposures give.
 """
 
 from __future__ import annotations
@@ -30,10 +30,10 @@ from radiometer.errors import MeasurementError
 
 Array = NDArray[np.float64]
 
-# The travel of curtains (5 to 7 ms over 20 to 24 mm) is adjusted to ± 0.3 ms, that of the first against that of the
-# second to 0.05 to 0.1 ms: their delays cannot differ by more. It is the prior of the constant, and its bound. Source:
-# service manuals as collected in github.com/srozum/film_camera_tester/wiki/Curtains-Travel-Times; effective exposure
-# time as in ISO 516.
+# The travel of curtains (5 to 7 ms over 20 to 24 mm) is adjusted to ± 0.3 ms. That of the first is adjusted against
+# that of the second to 0.05 to 0.1 ms. Their delays cannot differ by more. It is the prior of the constant, and its
+# bound. Source: service manuals as collected in github.com/srozum/film_camera_tester/wiki/Curtains-Travel-Times;
+# effective exposure time as in ISO 516.
 LARGEST_S: Final = 3e-4
 # Nor by more than this part of the shortest exposure: 1/8000 s that was 1/5300 s or 1/16000 s would be another stop.
 _LARGEST_PART: Final = 0.5
@@ -41,9 +41,9 @@ _LARGEST_PART: Final = 0.5
 _LONGEST_S: Final = 0.01
 # An exposure counts as moved from this part on; below, shutters scatter from one release to the next.
 _MOVED: Final = 0.01
-# It must stand out of its own uncertainty by this factor, as a wrong label must.
+# It must stand out of its uncertainty by this factor, as a wrong label must.
 _SIGMA: Final = 3.0
-# Two exposures must be predicted, each by what the others tell: one alone may have a wrong label.
+# Two exposures must be predicted, each from the others: one alone may have a wrong label.
 _FEWEST_MOVED: Final = 2
 # Fewer rows than these are strays.
 _FEWEST_ROWS: Final = 4
@@ -113,10 +113,10 @@ class Exposures:
 
 
 def find_exposures(planes: Sequence[Plane]) -> Exposures:
-    """Return the shutter's offset and the labels that are wrong beside it.
+    """Return the shutter's offset and the labels that are wrong apart from it.
 
-    A wrong label says nothing of the offset: where any are found, the offset is told by the other frames alone, and the
-    labels are judged once more with it.
+    A wrong label shows nothing of the offset. Where any are found, the offset comes from the other frames alone, and
+    the labels are judged once more with it.
 
     Args:
         planes: Colours of the same photographs, in the same order of frames.
@@ -134,7 +134,7 @@ def _judged(planes: Sequence[Plane], offset: ShutterOffset | None) -> Exposures:
 
 
 def is_possible(seconds: float, shortest_s: float) -> bool:
-    """Tell whether a shutter can expose longer by a time in s whose shortest label is `shortest_s`."""
+    """Return whether a shutter can expose longer by a time in s whose shortest label is `shortest_s`."""
     return abs(seconds) < min(LARGEST_S, _LARGEST_PART * shortest_s)
 
 
@@ -144,12 +144,12 @@ def with_offset(samples: ResponseSamples, seconds: float) -> ResponseSamples:
 
 
 def find_offset(planes: Sequence[Plane], wrong: Sequence[int] = ()) -> ShutterOffset | None:
-    """Return the time by which all exposures are longer than their labels; None where it is not to be told.
+    """Return the time by which all exposures are longer than their labels; None where it cannot be determined.
 
-    It must be plausible for a shutter and stand out of its uncertainty. Of the exposures that it moves by a percent or
-    more each is left out in turn and predicted with what the others tell of the offset: their mean error must fall by a
-    tenth, whichever of them is not counted it must fall, and over all frames left-out shares of the picture, all of
-    which see what short exposures show, must be predicted no worse.
+    It must be plausible for a shutter and stand out of its uncertainty. Each exposure that it moves by a percent or
+    more is left out in turn and predicted with the offset from the others. Their mean error must fall by a tenth, and
+    it must fall whichever of them is not counted. Left-out shares of the picture must be predicted no worse over all
+    frames, since all of them see what short exposures show.
 
     Args:
         planes: Colours of the same photographs, in the same order of frames.
@@ -182,7 +182,7 @@ def _settled(plane: Plane, wrong: Sequence[int]) -> list[tuple[Plane, FittedResp
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Told:
-    """What planes tell of the offset.
+    """What planes show of the offset.
 
     Attributes:
         planes: The planes, exposures as labelled.
@@ -200,7 +200,7 @@ class _Told:
 
     @classmethod
     def of(cls, planes: Sequence[Plane], plain: Sequence[FittedResponse]) -> _Told | None:
-        """Return what planes tell; None where there are none, or it leaves what is possible."""
+        """Return what planes show; None where there are none, or it leaves what is possible."""
         if not planes:
             return None
         shortest = float(min(plane.samples.exposures_s.min() for plane in planes))
@@ -221,7 +221,7 @@ class _Told:
         """Return the offset where it is to be taken.
 
         Args:
-            short: Frames that may tell it.
+            short: Frames that may show it.
         """
         if abs(self.seconds) < _SIGMA * self.u_fit:
             return None
@@ -242,7 +242,7 @@ class _Told:
         """Return the standard uncertainty in s: of the fit or of places, and of frames.
 
         Args:
-            without: The offset in s that the others tell without each frame in turn.
+            without: The offset in s that the others give without each frame in turn.
         """
         parts = zip(*[plane.samples.without_share for plane in self.planes], strict=True)
         places = np.array([self._of_parts(part) for part in parts])
@@ -253,12 +253,12 @@ class _Told:
         return float(np.hypot(max(self.u_fit, of_places), of_frames))
 
     def _of_parts(self, parts: Sequence[ResponseSamples]) -> float:
-        """Return the offset in s that parts of the planes tell."""
+        """Return the offset in s that parts of the planes give."""
         fits = [refit(with_offset(part, self.seconds), one) or one for part, one in zip(parts, self.free, strict=True)]
         return self.seconds + _together(fits)[0]
 
     def _without(self, frame: int) -> tuple[float, float, float] | None:
-        """Return what the other frames tell: the offset in s, and a frame's errors in DN as labelled and with it.
+        """Return what the other frames give: the offset in s, and a frame's errors in DN as labelled and with it.
 
         None where the others do not show the frame.
         """
@@ -286,7 +286,7 @@ class _Told:
         return seconds, float(sizes[0].mean()), float(sizes[1].mean())
 
     def _shares_no_worse(self) -> bool:
-        """Tell whether left-out shares are predicted as well as with the labels as they are, or better."""
+        """Return whether left-out shares are predicted as well as with the labels as they are, or better."""
         before = [_error_of_shares(plane.samples, fit) for plane, fit in zip(self.planes, self.plain, strict=True)]
         after = []
         for plane, fit in zip(self.planes, self.free, strict=True):
@@ -311,7 +311,7 @@ def _errors(samples: ResponseSamples, fitted: FittedResponse, frame: int) -> Arr
 
 
 def _together(fits: Sequence[FittedResponse]) -> tuple[float, float]:
-    """Return the offset in s beyond the samples' times that planes tell together, and its standard uncertainty.
+    """Return the offset in s beyond the samples' times that planes give together, and its standard uncertainty.
 
     The mean by inverse variance; planes that disagree widen it (Birge ratio).
     """

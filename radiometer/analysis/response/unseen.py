@@ -1,4 +1,4 @@
-"""What a smoothed curve may have missed: more than an evenly rough curve with the same λ would."""
+"""Error that a smoothed curve may have missed: more than an evenly rough curve with the same λ would."""
 
 from __future__ import annotations
 
@@ -13,15 +13,15 @@ from radiometer.analysis.response.estimate import inner_range
 Array = NDArray[np.float64]
 
 # Frames at whole stops do not show a wave of one stop's period, and real responses hold more of it than their
-# smoothness elsewhere says: by this factor, with which the mean squared error in units of u over the DoRF curves is
-# about 1 (benchmarks/response_accuracy.py states it).
+# smoothness elsewhere predicts. With this factor the mean squared error in units of u over the DoRF curves is about 1
+# (benchmarks/response_accuracy.py states it).
 _UNSEEN_WAVE: Final = 2.0
 
 
 def unseen_factor(coefficients: Array, covariance: Array, basis: ValueBasis, valid_dn: tuple[int, int]) -> float:
     """Return the factor on the standard uncertainty that smoothness decides, at least 2.
 
-    One λ stands for the whole curve. Where a few kinks hold most of the roughness, the mean understates what may
+    One λ represents the whole curve. Where a few kinks hold most of the roughness, the mean understates what may
     have been smoothed away there: the squared third differences of the coefficients are weighted by themselves.
 
     Args:

@@ -27,11 +27,11 @@ _LEAST_GAIN_OF_FRAME: Final = 0.8
 _LEAST_FALL_DN: Final = 0.5
 # ln of real over stated exposure from which a label is wrong (a ninth of a stop); below, shutters scatter.
 SMALLEST_LABEL_ERROR: Final = 0.08
-# Shutters are off by a time besides, the same in all exposures. Where the frames do not tell it, so much is allowed:
+# Shutters are off by a time besides, the same in all exposures. Where the frames do not show it, so much is allowed:
 # at 1/8000 s a third of a stop is then no wrong label.
 UNTOLD_OFFSET_S: Final = 30e-6
-# It must stand out of its own uncertainty by this factor: 95 % where four shares tell it (Student's t, three degrees of
-# freedom), and one frame in some 400 by chance where the fit does.
+# It must stand out of its uncertainty by this factor. This is 95 % where four shares show it (Student's t, three
+# degrees of freedom). Where the fit shows it, one frame in some 400 does so by chance.
 _SIGMA: Final = 3.0
 # An exposure known to no better than this in ln, a factor of e, is not known.
 _NOTHING_KNOWN: Final = 1.0
@@ -39,7 +39,7 @@ _NOTHING_KNOWN: Final = 1.0
 _SMALLEST_SEARCHED: Final = 0.5 * SMALLEST_LABEL_ERROR
 # A frame is the rival of another where freed in its place it predicts both of them, left out, within that same margin.
 _AS_WELL: Final = 1.0 / _LEAST_GAIN_OF_FRAME
-# λ of the search, smooth enough that a curve cannot follow a wrong label; the best are fitted with one of their own.
+# λ of the search, smooth enough that a curve cannot follow a wrong label; the best are fitted with a separate one.
 _SEARCH_SMOOTHING: Final = 1e3
 _TRIED: Final = 3
 _FEWEST_ROWS: Final = 4
@@ -76,10 +76,11 @@ class WrongLabel:
 def find_wrong_labels(planes: Sequence[Plane], shutter_s: float = UNTOLD_OFFSET_S) -> tuple[WrongLabel, ...]:
     """Return the frames whose label is wrong, in the order in which they were found.
 
-    One label after the other is freed, the same for all planes. It stays freed where the shares of the picture, each
-    left out of the fit, are then predicted better in its frame, by a factor and whichever share is not counted, and no
-    worse over all frames; most labels must be right, or a flat curve with exposures of its own fits best. Frames that
-    show next to nothing do not count: of fewer than four that show something no label can be told.
+    One label after the other is freed, the same for all planes. Shares of the picture are left out of the fit in
+    turn. The label stays freed where they are then predicted better in its frame, by a factor and whichever share is
+    not counted, and no worse over all frames. Most labels must be right, or a flat curve with free exposures fits
+    best. Frames that show next to nothing do not count: with fewer than four that show something, no label can be
+    judged.
 
     Args:
         planes: Colours of the same photographs, in the same order of frames; those without shares say nothing.
@@ -109,7 +110,7 @@ def find_wrong_labels(planes: Sequence[Plane], shutter_s: float = UNTOLD_OFFSET_
 def freed_one_by_one(planes: Sequence[Plane], wrong: tuple[int, ...] = ()) -> list[tuple[float, float]]:
     """Return for each frame ln of real over stated exposure where its label, too, is freed, and its u.
 
-    What the other frames say of it, the curve that they leave open included; infinite u where nothing tells.
+    What the other frames show of it, including the curve that they leave open; infinite u where nothing does.
 
     Args:
         planes: Colours of the same photographs, as for `find_wrong_labels`.
@@ -147,7 +148,7 @@ def smallest_label_error(seconds: float, shutter_s: float = UNTOLD_OFFSET_S) -> 
 
 
 def most_wrong_labels(planes: Sequence[Plane]) -> int:
-    """Return how many labels could be told to be wrong: at most a third of the frames that show something.
+    """Return how many labels could be found wrong: at most a third of the frames that show something.
 
     Args:
         planes: Colours of the same photographs.
@@ -234,7 +235,7 @@ def _freed(planes: Sequence[Plane], free: tuple[int, ...], now: _Tried) -> list[
 
 
 def _convincing(label: WrongLabel, tried: _Tried, now: _Tried, shutter_s: float = UNTOLD_OFFSET_S) -> bool:
-    """Tell whether a label is wrong: large enough, and what was left out is predicted better without it."""
+    """Return whether a label is wrong: large enough, and the left-out shares are predicted better without it."""
     size, u = np.abs(label.log_ratio)
     if size < max(_smallest(tried, label.frame, shutter_s), _SIGMA * u) or label.gain > 1.0:
         return False
@@ -252,7 +253,7 @@ def _smallest(tried: _Tried, frame: int, shutter_s: float) -> float:
 def _as_well(
     label: WrongLabel, tried: _Tried, best: WrongLabel, tried_best: _Tried, shutter_s: float = UNTOLD_OFFSET_S
 ) -> bool:
-    """Tell whether another label, wrong in place of the best, predicts both frames nearly as well."""
+    """Return whether another label, wrong in place of the best, predicts both frames nearly as well."""
     if abs(label.log_ratio[0]) < _smallest(tried, label.frame, shutter_s):
         return False
     here, there = (one.left_out.mean_dn(label.frame, best.frame) for one in (tried, tried_best))

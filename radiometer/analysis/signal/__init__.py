@@ -1,1 +1,1 @@
-"""What digital numbers mean: signal, noise, dark level, lens, and the spectra that turn a signal into light."""
+"""Meaning of digital numbers: signal, noise, dark level, lens, and the spectra that turn a signal into light."""

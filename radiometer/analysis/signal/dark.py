@@ -16,7 +16,8 @@ from radiometer.units import gain_factor
 _SAME_EXPOSURE_REL = 0.01
 # Dark current of machine-vision sensors near 40 °C where a data sheet says nothing: 0 to some 20 e⁻/s.
 UNKNOWN_DARK_E_PER_S = 10.0
-# Masked pixels against those beside: half a digital number (a rectangle), and a tenth of the modelled dark signal.
+# Masked pixels against those next to them: half a digital number (a rectangle), and a tenth of the modelled dark
+# signal.
 _MASKED_U_DN = 0.29
 _MASKED_U_REL = 0.1
 
@@ -158,7 +159,7 @@ def black_from_darks(dark_frames: Sequence[Frame], calibration: Calibration) -> 
 
 
 def dark_u(settings: FrameSettings, model: SignalModel, black: BlackLevel) -> float:
-    """Return the standard uncertainty of a modelled dark signal; a dark current that nobody stated may be some e⁻/s."""
+    """Return the standard uncertainty of a modelled dark signal; an unstated dark current may be some e⁻/s."""
     if "dark_current_e_per_s" in model.noise.assumed:
         return UNKNOWN_DARK_E_PER_S * settings.exposure_s / model.electrons_per_unit
     return black.dark_u_rel * model.modelled_dark(settings)

@@ -1,4 +1,4 @@
-"""What merge and patch readings rest on: the calibration's parts, or what stands in for them without one."""
+"""Inputs of merge and patch readings: the calibration's parts, or what replaces them without one."""
 
 from __future__ import annotations
 
@@ -116,13 +116,13 @@ def spectral_u_rel(calibration: Calibration, stated: StatedUncertainties, *, spe
 
     A radiance that came by way of a luminance carries that of the assumed spectrum's luminous efficacy as well. Where
     calibration and source differ in spectrum and the camera's response is unknown, the spread of plausible responses
-    counts; it also bounds what a known response costs, for spectra that are nearly alike ask little of it.
+    counts. It also bounds the uncertainty from a known response, because nearly alike spectra depend little on it.
 
     Args:
         calibration: The calibration, with the spectrum that the light is taken to have.
         stated: What is stated of the spectrum, and of its efficacy.
-        spectrum_stated: Whether somebody says that the light has that spectrum; where nobody does, and no figure is
-            stated, what kinds of light there are counts.
+        spectrum_stated: Whether the spectrum of the light is stated. Where it is not, and no figure is stated, all
+            kinds of light count.
     """
     of_scale = calibration.scale.spectrum or calibration.spectrum
     efficacy = stated.efficacy_u_rel if calibration.scale.quantity == "luminance" else 0.0
@@ -135,11 +135,11 @@ def spectral_u_rel(calibration: Calibration, stated: StatedUncertainties, *, spe
 
 
 def unstated_u_rel(calibration: Calibration, stated: StatedUncertainties, observer: Observer | None = None) -> float:
-    """Return the relative standard uncertainty of light whose spectrum nobody states: as stated, or of all its kinds.
+    """Return the relative standard uncertainty of light of unknown spectrum: as stated, or of all kinds of light.
 
     Args:
         calibration: The calibration, with the spectrum that the light is taken to have.
-        stated: A figure of `spectral_u_rel` above 0 stands in its place.
+        stated: A figure of `spectral_u_rel` above 0 replaces it.
         observer: For a luminance, the observer; None for a radiance.
     """
     if stated.spectral_u_rel > 0.0 or not calibration.absolute:

@@ -1,1 +1,1 @@
-"""Uncertainty budgets after the GUM, and the propagation of distributions beside them."""
+"""Uncertainty budgets after the GUM, and the propagation of distributions."""

@@ -27,7 +27,7 @@ class Term:
         degrees_of_freedom: Of the estimate; infinite where taken as exactly known.
         correlated: True where two readings made with one calibration share it.
         note: Where the figure comes from.
-        flag: Raised where the contribution dominates a reading; None for one that needs no word of its own.
+        flag: Raised where the contribution dominates a reading; None for one that needs no separate word.
     """
 
     name: str

@@ -35,10 +35,10 @@ class Distribution:
     high: float
 
     def to_mapping(self, reading: Reading) -> dict[str, Any]:
-        """Return the distribution beside a reading's own interval: whether its ends agree to 5 % of u.
+        """Compare the distribution with a reading's interval: whether their ends agree to 5 % of u.
 
-        Ends of a shortest interval from 100 000 draws scatter by some 2 % of u: less than 5 % shows no difference. Half
-        of u's second digit, which the source asks for at most, lies between 0.5 % and 5 % of it.
+        Ends of a shortest interval from 100 000 draws scatter by some 2 % of u: less than 5 % shows no difference.
+        The source allows at most half of u's second digit, which is between 0.5 % and 5 % of u.
 
         Args:
             reading: Its linear counterpart, with its coverage factor.

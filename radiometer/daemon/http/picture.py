@@ -79,7 +79,7 @@ def _signal(frame: Frame, response: ResponseCurve | None) -> tuple[NDArray[np.fl
 
 
 def render(picture: ServedPicture, *, width: int, scale: str, colours: str, bar: bool) -> tuple[bytes, dict[str, str]]:
-    """Return the PNG and headers that tell its scale.
+    """Return the PNG and headers that state its scale.
 
     Args:
         picture: What to show.
@@ -153,7 +153,7 @@ def _with_bar(
 
 
 def beside_bar(low: float, high: float, positions: NDArray[np.floating], *, logarithmic: bool) -> NDArray[np.floating]:
-    """Return the values that stand beside the bar at parts of its length, 0 at its lower end and 1 at its upper."""
+    """Return the values next to the bar at parts of its length, 0 at its lower end and 1 at its upper."""
     return np.asarray(low * (high / low) ** positions if logarithmic else low + (high - low) * positions)
 
 

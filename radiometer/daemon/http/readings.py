@@ -96,7 +96,7 @@ async def _send_all(
     request: web.Request, reader: JournalReader, wanted: ReadingFilter, form: str
 ) -> web.StreamResponse:
     """Serve a whole range piece by piece, so that neither memory nor writer of the journal feels its length."""
-    lines = await _piece(request, reader, wanted)  # what is wrong with the query is told before the reply begins
+    lines = await _piece(request, reader, wanted)  # errors of the query are reported before the reply begins
     response = web.StreamResponse(headers={"Cache-Control": "no-store"})
     response.content_type, response.charset = _FORMATS[form], "utf-8"
     if form == "csv":

@@ -1,4 +1,4 @@
-"""What may stand in query strings and bodies."""
+"""Permitted contents of query strings and bodies."""
 
 from __future__ import annotations
 
@@ -89,7 +89,7 @@ async def read_whole(request: web.Request) -> None:
 
 
 async def read_body(request: web.Request, model: type[_Model]) -> _Model:
-    """Return the validated JSON body; an empty one stands for {}.
+    """Return the validated JSON body; an empty one means {}.
 
     Raises:
         UsageError: If it is not what the model says.

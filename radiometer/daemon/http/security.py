@@ -133,7 +133,7 @@ class _Rates:
         self._newcomers = TokenBucket(per_s)
 
     async def admits(self, request: web.Request) -> bool:
-        """Tell whether a request is within its rate; the first one of a new connection of loopback may have to wait."""
+        """Return whether a request is within its rate; the first of a new loopback connection may have to wait."""
         peer = request.remote or ""
         if not is_loopback(peer):
             return self._bucket(peer).take() == 0.0

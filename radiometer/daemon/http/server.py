@@ -150,7 +150,7 @@ class HttpServer:
 
 
 class _Doorman(asyncio.Protocol):
-    """Hands a new connection to its handler, or tells one client too many so and hangs up."""
+    """Hands a new connection to its handler, or refuses a surplus client with a reply and hangs up."""
 
     def __init__(self, admit: Callable[[str], web.RequestHandler | None]) -> None:
         self._admit = admit

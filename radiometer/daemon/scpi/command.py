@@ -1,4 +1,4 @@
-"""What one line of the command table holds, and how a header is found in it."""
+"""One line of the command table, and how a header is found in it."""
 
 from __future__ import annotations
 
@@ -69,7 +69,7 @@ class Command:
     group: str = ""
 
     def spellings(self) -> list[str]:
-        """Return every accepted header in capitals; "<n>" stands for a numeric suffix, written or not."""
+        """Return every accepted header in capitals; "<n>" means a numeric suffix, written or not."""
         choices: list[list[str]] = []
         for opened, word, numbered, _ in _NODE.findall(self.pattern):
             forms = {word.upper(), short_form(word)} if not word.startswith("*") else {word.upper()}

@@ -81,7 +81,7 @@ class ScpiError(Exception):
 
     @property
     def is_command_error(self) -> bool:
-        """Tell whether the message itself is wrong, so that the rest of it is thrown away."""
+        """Return whether the message itself is wrong, so that the rest of it is thrown away."""
         return -199 <= self.number <= -100
 
 

@@ -54,7 +54,7 @@ class ParameterLimits:
 
 @dataclass(frozen=True, slots=True)
 class Number:
-    """A number with a unit; MINimum, MAXimum and DEFault stand for the limits.
+    """A number with a unit; MINimum, MAXimum and DEFault mean the limits.
 
     Attributes:
         name: Name for messages.
@@ -86,7 +86,7 @@ class Number:
         value = self._scaled(argument)
         limits = self.limits(station)
         if not limits.low * (1 - 1e-9) <= value <= limits.high * (1 + 1e-9):
-            unit = {"PCT": "", "DB": "dB"}.get(self.unit, self.unit.lower())  # a share is told as a fraction
+            unit = {"PCT": "", "DB": "dB"}.get(self.unit, self.unit.lower())  # a share is given as a fraction
             raise ScpiError(-222, f"{self.name} {value:g} is outside {limits.low:g} to {limits.high:g} {unit}".rstrip())
         return round(value) if self.integer else value
 

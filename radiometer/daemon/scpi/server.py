@@ -320,7 +320,7 @@ class ScpiServer:
     Args:
         station: The instrument.
         limits: What clients may use.
-        allow: Networks that may connect beside loopback.
+        allow: Networks that may connect in addition to loopback.
     """
 
     def __init__(self, station: Station, *, limits: Limits | None = None, allow: Sequence[Network] = ()) -> None:

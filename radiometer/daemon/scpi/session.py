@@ -1,4 +1,4 @@
-"""One SCPI session: status of its own, settings of the shared instrument, and the execution of messages."""
+"""One SCPI session: its status, settings of the shared instrument, and the execution of messages."""
 
 from __future__ import annotations
 
@@ -124,9 +124,9 @@ class Session:
         return self._held
 
     def fetched(self) -> Reading:
-        """Return the reading that FETCh? stands for; one message always sees one reading.
+        """Return the reading that FETCh? means; one message always sees one reading.
 
-        A session with a patch of its own sees its own readings only. Any other sees the newest of the patch that is
+        A session with a separate patch sees its own readings only. Any other sees the newest of the patch that is
         measured for all: its own while nothing measures continuously.
 
         Raises:
@@ -213,7 +213,7 @@ class Session:
         return True
 
     def _refuse(self, failure: Exception) -> bool:
-        """Queue an error and tell whether the rest of the message is to be thrown away."""
+        """Queue an error and return whether the rest of the message is to be thrown away."""
         entry = failure if isinstance(failure, ScpiError) else scpi_error(failure)
         self.status.push(entry)
         return entry.is_command_error

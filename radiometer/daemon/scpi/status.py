@@ -57,7 +57,7 @@ class Register:
 
     @property
     def summary(self) -> bool:
-        """Tell whether an enabled event is latched."""
+        """Return whether an enabled event is latched."""
         return bool(self.event & self.enable)
 
 

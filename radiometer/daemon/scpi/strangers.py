@@ -23,7 +23,7 @@ _STRANGE: Final = re.compile(
 
 
 def is_strange(received: bytes | bytearray) -> bool:
-    """Tell whether bytes that begin with a line hold the beginning of a line of HTTP or TLS.
+    """Return whether bytes that begin with a line hold the beginning of a line of HTTP or TLS.
 
     Args:
         received: What came, from the beginning of a line on; its last line may be unfinished.

@@ -17,7 +17,7 @@ _EASY = 1  # PsychoPy's number for a + (b·x)^γ
 def to_psychopy_json(calibration: ScreenCalibration) -> str:
     """Return the JSON that `psychopy.monitors.Monitor` loads.
 
-    Rows of the gamma grid are grey, red, green and blue (grey stands in for what was not measured), its columns
+    Rows of the gamma grid are grey, red, green and blue (grey replaces what was not measured), its columns
     least and greatest luminance, γ, a, b, k.
 
     Source: psychopy/monitors/calibTools.py (`gammaFun`, `_saveJSON`); arrays in the form of json_tricks.

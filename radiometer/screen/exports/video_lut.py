@@ -1,4 +1,4 @@
-"""Tables for the graphics card that bring a screen to a wanted gamma: without any ICC profile."""
+"""Tables for the graphics card that bring a screen to a requested gamma: without any ICC profile."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def correction(curve: ChannelCurve, gamma: float = TARGET_GAMMA, entries: int = 
 
 
 def _channels(calibration: ScreenCalibration) -> list[NDArray[np.float64]]:
-    """Return the tables of red, green and blue; grey stands in for a primary that was not measured."""
+    """Return the tables of red, green and blue; grey replaces a primary that was not measured."""
     grey = calibration.channel("grey")
     return [correction(calibration.channels.get(n, grey)) for n in ("red", "green", "blue")]
 
