@@ -7,6 +7,7 @@ import json
 from collections.abc import AsyncIterator, Awaitable, Callable
 from contextlib import suppress
 from dataclasses import replace
+from fnmatch import fnmatch
 from typing import Any
 
 import pytest
@@ -54,7 +55,10 @@ class Broker:
             writer.write(b"\x20\x02\x00\x00")
         elif kind >> 4 == 8:
             writer.write(b"\x90\x03" + body[:2] + b"\x01")
+            asked = body[4 : 4 + int.from_bytes(body[2:4], "big")].decode()
             for topic, payload in self.retained.items():
+                if not fnmatch(topic, asked.replace("+", "*")):
+                    continue
                 name = topic.encode()
                 content = len(name).to_bytes(2, "big") + name + payload
                 writer.write(b"\x31" + _varint(len(content)) + content)

@@ -33,7 +33,7 @@ def stretched(make_stack) -> ResponseCurve:
     """Return a Mitsunaga–Nayar curve from frames two-fold apart whose times were stated as 2.3-fold apart."""
     frames = [
         replace(frame, settings=replace(frame.settings, exposure_s=1e-3 * 2.3**index))
-        for index, frame in enumerate(make_stack("gamma", bit_depth=8))
+        for index, frame in enumerate(make_stack("gamma", bit_depth=8).light)
     ]
     return recover_response_mitsunaga1999(Bracket.from_frames(frames)).curve
 
