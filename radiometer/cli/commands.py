@@ -39,7 +39,7 @@ COMMANDS: Final[dict[str, CommandEntry]] = {
     "flux": CommandEntry("radiometer.cli.analyse.flux", "Find the radiant flux of a light-emitting diode."),
     "reconcile": CommandEntry("radiometer.cli.analyse.reconcile", "Find what a simulation lacks, name it and add it."),
     "log-fit": CommandEntry(
-        "radiometer.cli.analyse.log_fit", "Find what a camera's log lacks beside a reference meter."
+        "radiometer.cli.analyse.log_fit", "Find what a camera's log lacks, compared with a reference meter."
     ),
     "serve": CommandEntry(
         "radiometer.cli.serve.serve", "Measure for weeks and serve readings over SCPI, HTTP and MQTT."

@@ -1,4 +1,4 @@
-"""`radiometer log-fit`: which term a log of a camera beside a reference meter lacks."""
+"""`radiometer log-fit`: finds the term that a camera's log lacks, compared with a reference meter."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ def command(
         Path, typer.Argument(help="CSV: the camera's value and exposure, a reference; gain, temperature, time, colour.")
     ],
     beside: Annotated[
-        Path | None, typer.Option(help="File of the reference meter with times of its own, where it is not a column.")
+        Path | None, typer.Option(help="File of the reference meter with separate times, where it is not a column.")
     ] = None,
     value: Annotated[str | None, typer.Option(help="Column of the camera's value in DN.")] = None,
     reference: Annotated[str | None, typer.Option(help="Column of the reference.")] = None,

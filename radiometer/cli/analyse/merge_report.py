@@ -17,7 +17,7 @@ def displacement_told(px: float, u_px: float) -> str:
         u_px: Its standard uncertainty, or what would have shown.
     """
     if not px and not u_px:  # none of the pixels asked says anything of it
-        return "no displacement shows, nor would any have: these frames cannot tell"
+        return "no displacement is visible, nor would any be: these frames cannot show it"
     if not px:
         return f"no displacement shows; less than some {u_px:.1g} pixels would not have shown, and is not in u"
     decimals = max(0, 1 - math.floor(math.log10(u_px)))  # two digits of the uncertainty

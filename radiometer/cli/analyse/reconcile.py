@@ -53,7 +53,7 @@ def command(
     ] = None,
     provisional: Annotated[bool, typer.Option("--provisional", help="Switch provisional effects on in -o.")] = False,
     plan_only: Annotated[
-        bool, typer.Option("--plan-only", help="Only tell which effects these captures could tell apart.")
+        bool, typer.Option("--plan-only", help="Only show which effects these captures could separate.")
     ] = False,
     json: Annotated[bool, typer.Option("--json", help="One JSON object on standard output.")] = False,
 ) -> None:
@@ -90,7 +90,7 @@ def command(
         if path:
             note(f"wrote {path}")
     if planned is False:
-        note(f"no {plan}: no further capture of this kind would tell more")
+        note(f"no {plan}: no further capture of this kind would show more")
     files.raise_first()
 
 
@@ -123,7 +123,7 @@ def _show_proposal(found: Proposal | None, folder: Path) -> None:
     if found is None:
         out.print("\nno law is proposed: nothing without a name is left that one would explain beyond chance")
         return
-    alike = f" (or {', '.join(found.stages_alike)}: these data cannot tell)" if found.stages_alike else ""
+    alike = f" (or {', '.join(found.stages_alike)}: these data cannot separate them)" if found.stages_alike else ""
     out.print(f"\nproposed: [bold]{found.name}[/bold], stage {found.stage}{alike}: {found.sentence()}")
     out.print(f"   {found.to_mapping()['formula']}", highlight=False)
     for name, entry in found.parameters.items():
@@ -145,11 +145,11 @@ def _show_plan(capture: Path, model: Path | None, without: tuple[str, ...], effe
     found = plan.plan
     out = console()
     for entry in found.together:
-        out.print(f"these captures cannot tell {entry.name} from {', '.join(entry.others)}")
+        out.print(f"these captures cannot separate {entry.name} from {', '.join(entry.others)}")
         if entry.capture:
             out.print(f"   {entry.capture['description']}")
     if not found.together:
-        out.print("these captures tell all entries apart that they show")
+        out.print("these captures separate all entries that they show")
     if found.blind:
         out.print(f"blind to: {', '.join(found.blind)}")
 
@@ -203,7 +203,7 @@ def _show_effect(number: int, effect: FoundEffect) -> None:
     if effect.closest:
         out.print(f"   closest entry: {effect.closest[0]}, which explains {100 * effect.closest[1]:.0f} % of it")
     if effect.alternatives:
-        out.print(f"   these data cannot tell it from: {', '.join(effect.alternatives)}")
+        out.print(f"   these data cannot separate it from: {', '.join(effect.alternatives)}")
         if any(entry.u is not None for entry in effect.parameters.values()):
             out.print("   each ± holds only if it is this one: it knows nothing of the choice among them")
     if effect.next_capture:

@@ -42,7 +42,7 @@ def command(
 
 _VERDICTS: Final = {
     "drift": "[bold yellow]drifts[/bold yellow]",
-    "season_or_drift": "[yellow]changes, by a season or a drift: the record is too short to tell[/yellow]",
+    "season_or_drift": "[yellow]changes, by a season or a drift: the record is too short to decide[/yellow]",
     "no_drift": "no drift shown",
 }
 

@@ -37,7 +37,7 @@ def command(
     ] = None,
     plot: Annotated[
         str | None,
-        typer.Option("--plot", metavar="[FILE]", help="Draw the curve; without FILE, beside the output as .png."),
+        typer.Option("--plot", metavar="[FILE]", help="Draw the curve; without FILE, next to the output as .png."),
     ] = None,
     channel: Annotated[str, typer.Option("--channel", help=_CHANNEL_HELP)] = "luminance",
     method: Annotated[str, typer.Option("--method", help=_METHOD_HELP)] = DEFAULT_METHOD,

@@ -91,7 +91,7 @@ def level(
     channel: Annotated[str, typer.Option(help="grey, red, green or blue.")] = "grey",
     json: JsonOption = False,
 ) -> None:
-    """Say which level shows a wanted luminance or radiance."""
+    """Print the level that shows a requested luminance or radiance."""
     found = rm.screen_level(calibration, target, unit, channel)
     if json:
         print(found.to_json())
@@ -105,7 +105,7 @@ def level(
 def export_command(
     calibration: ScreenFile,
     kinds: Annotated[str, typer.Argument(help="psychopy,ti3,csv,inverse,vcgt,cal or some of them.")],
-    out: Annotated[Path | None, typer.Option("--out", "-o", help="Folder; beside the calibration by default.")] = None,
+    out: Annotated[Path | None, typer.Option("--out", "-o", help="Folder; that of the calibration by default.")] = None,
     force: Annotated[bool, typer.Option("--force", help="Replace output files that exist.")] = False,
 ) -> None:
     """Write a calibration in the forms of other programs."""

@@ -30,7 +30,7 @@ def run(
     protocol: Annotated[str, typer.Argument(help="Protocol file, or the name of a shipped one (`adapt protocols`).")],
     subject: Annotated[str, typer.Option(help="Pseudonym of the subject.")],
     out: Annotated[Path | None, typer.Option("--out", "-o", help="Journal; SUBJECT-PROTOCOL.jsonl by default.")] = None,
-    csv: Annotated[Path | None, typer.Option(help="Thresholds; beside the journal where they can be fitted.")] = None,
+    csv: Annotated[Path | None, typer.Option(help="Thresholds; next to the journal where they can be fitted.")] = None,
     box: Annotated[str | None, typer.Option(help="Light box: sim, a serial number or a port.")] = None,
     calibration: Annotated[Path | None, typer.Option(help="Light calibration; the box's own by default.")] = None,
     accept_stale: Annotated[
@@ -192,7 +192,7 @@ def fit(
     ],
     criterion: Annotated[
         float | None,
-        typer.Option(help="log10 threshold of which the time is wanted, in place of the protocol's rod intercept."),
+        typer.Option(help="log10 threshold whose time is reported, in place of the protocol's rod intercept."),
     ] = None,
     stimulus_u_log10: Annotated[
         float | None, typer.Option(min=0.0, help="Standard uncertainty of the stimulus calibration, log10 units.")

@@ -34,7 +34,7 @@ def command(
     ] = None,
     scpi_address: Annotated[str, typer.Option(help="Address for SCPI.")] = "127.0.0.1",
     scpi_port: Annotated[int, typer.Option(min=0, max=65535, help="Port for SCPI; 0 chooses one.")] = 5025,
-    scpi_socket: Annotated[Path | None, typer.Option(help="Unix socket for SCPI, beside the port.")] = None,
+    scpi_socket: Annotated[Path | None, typer.Option(help="Unix socket for SCPI, in addition to the port.")] = None,
     scpi_allow: Annotated[
         list[str] | None, typer.Option(help="Address or network that may use SCPI; may be repeated.")
     ] = None,

@@ -53,7 +53,7 @@ def command(
 
 
 def _entered(timeout_s: float) -> bool:
-    """Wait a moment; tell whether somebody pressed Enter on the terminal."""
+    """Wait a moment; return whether Enter was pressed on the terminal."""
     if not sys.stdin or not sys.stdin.isatty():
         time.sleep(timeout_s)
         return False

@@ -1,4 +1,4 @@
-"""`radiometer simulate camera`: a simulated Blackfly S over GigE Vision in a process of its own."""
+"""`radiometer simulate camera`: a simulated Blackfly S over GigE Vision in a separate process."""
 
 from __future__ import annotations
 

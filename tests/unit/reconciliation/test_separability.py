@@ -234,5 +234,5 @@ def test_plan_is_told_on_the_command_line(
     assert set(told) == {"inseparable", "blind"}
     assert any({entry["name"], *entry["others"]} >= STRAY for entry in told["inseparable"])
     assert run(["reconcile", str(tmp_path / "set"), "--plan-only"]) == 0
-    assert "these captures cannot tell" in capsys.readouterr().out
+    assert "these captures cannot separate" in capsys.readouterr().out
     assert asked == [(plain.seen.mean.size, len(whole_catalogue()))] * 2
