@@ -17,6 +17,7 @@ from radiometer.analysis.calibration.calibrate import (
 )
 from radiometer.analysis.merge.bracket import merge
 from radiometer.analysis.reading.reading import read_patch
+from radiometer.api.read_back import with_found_effects
 from radiometer.data import (
     Bracket,
     Calibration,
@@ -30,7 +31,6 @@ from radiometer.data import (
 )
 from radiometer.data.setup import Setup
 from radiometer.errors import InputError
-from radiometer.reconciliation.report.read_back import with_found_effects
 from simulators.chain.camera_model import CameraModel
 from simulators.effects.registry import make_effect
 
