@@ -13,6 +13,7 @@ import tempfile
 import time
 from collections.abc import AsyncIterator, Awaitable, Callable
 from dataclasses import dataclass, field
+from itertools import count
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -130,11 +131,12 @@ class _FillingJournal(Journal):
 class _Broker:
     """Stands for broker and MQTT library in simulated time: queues while it is away, as the library does."""
 
-    CallbackAPIVersion, MQTTv311 = SimpleNamespace(VERSION2=2), 4
+    CallbackAPIVersion, MQTTv311, MQTT_ERR_QUEUE_SIZE = SimpleNamespace(VERSION2=2), 4, 15
 
     def __init__(self, witness: Witness) -> None:
         self.witness, self.up, self.client = witness, True, None  # type: Witness, bool, Any
-        self._waiting: list[tuple[str, str]] = []
+        self._waiting: list[tuple[str, str, int]] = []
+        self._numbers = count(1)
 
     def Client(self, *_: Any, **__: Any) -> Any:  # noqa: N802 (the library's name)
         """Return the client."""
@@ -142,7 +144,7 @@ class _Broker:
             max_queued_messages_set=lambda n: None, reconnect_delay_set=lambda **_: None,
             will_set=lambda *_, **__: None, connect_async=lambda *_, **__: None, loop_start=self.back,
             loop_stop=lambda: None, disconnect=lambda: None,
-            is_connected=lambda: self.up, publish=self._publish,
+            is_connected=lambda: self.up, publish=self._publish, subscribe=lambda *_, **__: None,
         )  # fmt: skip
         return self.client
 
@@ -156,16 +158,22 @@ class _Broker:
         self.up = True
         self.client.on_connect(self.client, None, None, SimpleNamespace(is_failure=False), None)
         waiting, self._waiting = self._waiting, []
-        for topic, line in waiting:
-            self._publish(topic, line)
+        for message in waiting:
+            self._deliver(*message)
 
     def _publish(self, topic: str, line: str, **_: Any) -> Any:
-        if not self.up:
-            self._waiting.append((topic, line))
-        elif topic.endswith("/reading"):
+        number = next(self._numbers)
+        if self.up:
+            self._deliver(topic, line, number)
+        else:
+            self._waiting.append((topic, line, number))
+        return SimpleNamespace(wait_for_publish=lambda seconds: None, rc=0, mid=number)
+
+    def _deliver(self, topic: str, line: str, number: int) -> None:
+        if line and topic.endswith("/reading"):
             patch = "dim" if "/patch/dim/" in topic else "bright"
             self.witness.saw(f"MQTT {patch}", json.loads(line), patch)
-        return SimpleNamespace(wait_for_publish=lambda seconds: None)
+        self.client.on_publish(self.client, None, number, SimpleNamespace(is_failure=False), None)
 
 
 @dataclass(frozen=True, slots=True)
