@@ -94,13 +94,13 @@ soak: $(VENV)/.ready-test  ## Run the daemon for an hour and watch its memory
 calibration: $(VENV)/.ready-run  ## Calibrate the simulated bench and box anew: response from a chart, scale from a known source, levels
 	rm -rf out/chart out/reference
 	$(BIN)/radiometer bracket out/chart --bench configs/bench-simulated-chart.yaml --stops 1 --from 500us --to 256ms
-	$(BIN)/radiometer response out/chart -o out/response.yaml --plot out/response.png
+	$(BIN)/radiometer response out/chart -o out/response.yaml --plot out/response.png --force
 	$(BIN)/radiometer bracket out/reference --bench configs/bench-simulated-reference.yaml --patch 708,520,200,200 --repeat 4
 	$(BIN)/radiometer calibrate out/reference --response out/response.yaml --patch 708,520,200,200 --radiance 1.0 \
 	  --u-rel 0.005 --spectrum white_led --validity-days 3650 \
 	  --stated glare_u=0 --stated exposure_u_s=0 --stated drift_u_rel_per_year=0 --stated polarisation_u_rel=0 \
-	  -o configs/calibrations/simulated.yaml
-	$(BIN)/radiometer light calibrate --box sim --seed 1 -o configs/calibrations/simulated-box.yaml
+	  -o configs/calibrations/simulated.yaml --force
+	$(BIN)/radiometer light calibrate --box sim --seed 1 -o configs/calibrations/simulated-box.yaml --force
 
 # PsychoPy without what its windows, sounds and Builder need: that is some 3 GB, and none of it calibrates a screen.
 PSYCHOPY := psychopy==2026.2.5 six json_tricks psutil pyzmq requests packaging i18next astunparse esprima python-bidi \
