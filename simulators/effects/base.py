@@ -1,6 +1,6 @@
 """What an effect of the forward model is: a pure function with a name, a stage, units and bounded parameters.
 
-A new effect is one file with a frozen dataclass derived from `Effect` and one line in `registry.py`:
+A new effect is one file in this folder with a frozen dataclass derived from `Effect`:
 
     @dataclass(frozen=True)
     class ExposureTimeOffset(Effect):
@@ -199,6 +199,22 @@ class Effect(ABC):
     def tile(self, after: TileMoments, before: TileMoments, context: ExposureContext) -> TileMoments:
         """Return the moments with what the effect does to the other statistics of a tile; nothing by default."""
         return after
+
+
+class UnitSlope(Effect):
+    """An effect whose output grows by as much as its input."""
+
+    def slope(self, signal: Signal, context: ExposureContext) -> float:
+        """Return 1."""
+        return 1.0
+
+
+class KeepsMean(UnitSlope):
+    """An effect that scatters the signal about an unchanged mean: noise, or a pattern that averages out."""
+
+    def mean(self, signal: Signal, context: ExposureContext) -> Signal:
+        """Return the signal unchanged."""
+        return signal
 
 
 @lru_cache(maxsize=KINDS_KEPT)
