@@ -33,30 +33,18 @@ _held_lock = threading.Lock()
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Grab:
-    """A whole frame as the library gave it.
+    """A whole frame as the library gave it."""
 
-    Attributes:
-        dn: Digital numbers, right-aligned, shape (height, width).
-        bit_depth: Bits of a digital number.
-        exposure_s: Exposure time that it was taken with in s.
-        gain_db: Gain that it was taken with in dB.
-        black_level_dn: Its black level in DN.
-        timestamp_s: Time of a steady clock in s.
-        temperature_c: Sensor temperature in °C; None where unknown.
-        f_number: f-number as the camera states it; None where it does not.
-        file: The raw file that the numbers were read from, where the camera wrote one.
-        white_level_dn: Digital number from which the camera says that pixels are saturated; None where it does not.
-    """
-
-    dn: DigitalNumbers
-    bit_depth: int
-    exposure_s: float
-    gain_db: float
-    black_level_dn: float
-    timestamp_s: float
-    temperature_c: float | None = None
-    f_number: float | None = None
-    file: CameraFile | None = None
+    dn: DigitalNumbers  # digital numbers, right-aligned, shape (height, width)
+    bit_depth: int  # bits of a digital number
+    exposure_s: float  # exposure time that it was taken with in s
+    gain_db: float  # gain that it was taken with in dB
+    black_level_dn: float  # its black level in DN
+    timestamp_s: float  # time of a steady clock in s
+    temperature_c: float | None = None  # sensor temperature in °C; None where unknown
+    f_number: float | None = None  # f-number as the camera states it; None where it does not
+    file: CameraFile | None = None  # the raw file that the numbers were read from, where the camera wrote one
+    # Digital number from which the camera says that pixels are saturated; None where it does not
     white_level_dn: float | None = None
 
 

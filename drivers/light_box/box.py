@@ -72,23 +72,15 @@ class RadianceTable(Protocol):
 
 @dataclass(slots=True)
 class SerialLightBox:
-    """A light box behind a line.
+    """A light box behind a line."""
 
-    Attributes:
-        link: Exchanges with the box.
-        ledger: Account of the retinal exposure; refuses what is too much.
-        calibration: Level ↔ radiance; None where levels can only be raw.
-        mild: Wait for what answers to boot, ask it once, and let it be if it is silent: the port may be another's.
-        keep_alive: Tend the box from a separate thread; without it the caller calls `tend` often enough.
-        flash: The photographic flash at its trigger; None where there is none.
-    """
-
-    link: BoxLink
-    ledger: ExposureLedger
-    calibration: RadianceTable | None = None
-    keep_alive: bool = True
+    link: BoxLink  # exchanges with the box
+    ledger: ExposureLedger  # account of the retinal exposure; refuses what is too much
+    calibration: RadianceTable | None = None  # level ↔ radiance; None where levels can only be raw
+    keep_alive: bool = True  # tend the box from a separate thread; without it the caller calls `tend` often enough
+    # Wait for what answers to boot, ask it once, and let it be if it is silent: the port may be another's
     mild: bool = False
-    flash: FlashLight | None = None
+    flash: FlashLight | None = None  # the photographic flash at its trigger; None where there is none
     _identity: LightBoxIdentity | None = None
     _channels: dict[str, ChannelCapabilities] = field(default_factory=dict)
     _buckets: dict[str, int] = field(default_factory=dict)

@@ -72,17 +72,11 @@ class Line(Protocol):
 
 @dataclass(slots=True)
 class SerialLine:
-    """A serial port (or pseudo-terminal) through pyserial; 8 data bits, no parity, 1 stop bit.
+    """A serial port (or pseudo-terminal) through pyserial; 8 data bits, no parity, 1 stop bit."""
 
-    Attributes:
-        port: Device file, such as /dev/ttyACM0.
-        baud_rate: Bits per second.
-        clock: Time in s for stamps and deadlines.
-    """
-
-    port: str
-    baud_rate: int = 115200
-    clock: Callable[[], float] = time.monotonic
+    port: str  # device file, such as /dev/ttyACM0
+    baud_rate: int = 115200  # bits per second
+    clock: Callable[[], float] = time.monotonic  # time in s for stamps and deadlines
     _serial: Any = None
     _buffer: bytes = b""
 

@@ -18,15 +18,10 @@ Receptor = Literal["rods", "cones"]
 
 @dataclass(frozen=True, slots=True)
 class PigmentKinetics:
-    """Kinetics of bleaching and regeneration of a receptor's pigment.
+    """Kinetics of bleaching and regeneration of a receptor's pigment."""
 
-    Attributes:
-        td_s: Retinal exposure Q_e in troland·s that leaves 1/e of the pigment.
-        regeneration_s: Time constant of regeneration in s.
-    """
-
-    td_s: float
-    regeneration_s: float
+    td_s: float  # retinal exposure Q_e in troland·s that leaves 1/e of the pigment
+    regeneration_s: float  # time constant of regeneration in s
 
     @property
     def half_bleach_td(self) -> float:

@@ -32,18 +32,14 @@ EXACT_LOG10: Final = 1e-3  # a curve that is met within this by every threshold 
 
 @dataclass(frozen=True, slots=True)
 class BreakEvidence:
-    """What speaks for a break.
+    """What speaks for a break."""
 
-    Attributes:
-        deviance: n·ln(loss of the best falling convex curve / loss of the best model with a break), both Huber's with
-            the latter's scale; −inf where no model with a break makes sense.
-        needed: Deviance from which a break is claimed.
-        earliest_visible_min: A typical eye's break before this time would not be seen in thresholds at these times and
-            of this scatter, in min; None where none would be seen at all, or it was not asked for.
-    """
-
+    # n·ln(loss of the best falling convex curve / loss of the best model with a break), both Huber's with the latter's
+    # scale; −inf where no model with a break makes sense
     deviance: float
-    needed: float = LEAST_DEVIANCE
+    needed: float = LEAST_DEVIANCE  # deviance from which a break is claimed
+    # A typical eye's break before this time would not be seen in thresholds at these times and of this scatter, in min;
+    # None where none would be seen at all, or it was not asked for
     earliest_visible_min: float | None = None
 
     @property

@@ -15,17 +15,11 @@ COVERAGE: Final = 2.0
 
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """What a check has found.
+    """What a check has found."""
 
-    Attributes:
-        kind: Kind of the event: "room" or "check".
-        facts: What is written to the journal.
-        refusal: Why the test must not begin; None where it may.
-    """
-
-    kind: str
-    facts: Mapping[str, Any]
-    refusal: RadiometerError | None = None
+    kind: str  # kind of the event: "room" or "check"
+    facts: Mapping[str, Any]  # what is written to the journal
+    refusal: RadiometerError | None = None  # why the test must not begin; None where it may
 
 
 Check = Callable[[], Finding]

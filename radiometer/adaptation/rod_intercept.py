@@ -22,21 +22,13 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True)
 class InterceptRule:
-    """What belongs to a rod intercept.
+    """What belongs to a rod intercept."""
 
-    Attributes:
-        criterion_log10: The criterion, log10 of scotopic cd·m⁻².
-        limit_min: Published limit in min; None where there is none.
-        bias_log10: What the method finds above the eye's own threshold, log10 units.
-        u_bias_log10: Its standard uncertainty.
-        source: Where criterion and limit come from.
-    """
-
-    criterion_log10: float
-    limit_min: float | None = None
-    bias_log10: float = 0.0
-    u_bias_log10: float = 0.0
-    source: str = ""
+    criterion_log10: float  # the criterion, log10 of scotopic cd·m⁻²
+    limit_min: float | None = None  # published limit in min; None where there is none
+    bias_log10: float = 0.0  # what the method finds above the eye's own threshold, log10 units
+    u_bias_log10: float = 0.0  # its standard uncertainty
+    source: str = ""  # where criterion and limit come from
 
 
 @dataclass(frozen=True, slots=True)

@@ -38,19 +38,12 @@ _OBSERVERS: Final[tuple[Observer, ...]] = ("photopic", "scotopic")
 
 @dataclass(frozen=True)
 class ScreenBench:
-    """An open display, and the instrument that looks at it.
+    """An open display, and the instrument that looks at it."""
 
-    Attributes:
-        display: The display.
-        instrument: The instrument.
-        sleep: Waits for a number of seconds on the clock of both.
-        clock: That clock in s.
-    """
-
-    display: Display
-    instrument: Instrument
-    sleep: Callable[[float], None]
-    clock: Callable[[], float]
+    display: Display  # the display
+    instrument: Instrument  # the instrument
+    sleep: Callable[[float], None]  # waits for a number of seconds on the clock of both
+    clock: Callable[[], float]  # that clock in s
 
     def read(self) -> ScreenReading:
         """Return one reading of the patch (a Meter). Raises DeviceError, MeasurementError."""

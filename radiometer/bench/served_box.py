@@ -27,17 +27,11 @@ _PRESS_S: Final = 0.2  # of a short press by a finger
 
 @dataclass(frozen=True, slots=True)
 class ServedBox:
-    """A light box on a pseudo-terminal.
+    """A light box on a pseudo-terminal."""
 
-    Attributes:
-        server: Serves it once started.
-        press: Presses (True) or releases (False) the button now.
-        reset: Restarts the box now.
-    """
-
-    server: PtyServer
-    press: Callable[[bool], None]
-    reset: Callable[[], None]
+    server: PtyServer  # serves it once started
+    press: Callable[[bool], None]  # presses (True) or releases (False) the button now
+    reset: Callable[[], None]  # restarts the box now
 
 
 def served_box(

@@ -26,19 +26,12 @@ _PICTURES = (".png", ".tif", ".tiff", ".jpg", ".jpeg", ".hdr", ".exr", ".npy")
 
 @dataclass(frozen=True, slots=True)
 class Faults:
-    """What goes wrong with a served camera.
+    """What goes wrong with a served camera."""
 
-    Attributes:
-        lose_per_mille: Packets lost of a thousand.
-        answer_delay_s: Time by which frames and answers are late, in s.
-        stall_after: Frames after which it sends no more; None for never.
-        drop_after: Frames after which it falls silent; None for never.
-    """
-
-    lose_per_mille: int = 0
-    answer_delay_s: float = 0.0
-    stall_after: int | None = None
-    drop_after: int | None = None
+    lose_per_mille: int = 0  # packets lost of a thousand
+    answer_delay_s: float = 0.0  # time by which frames and answers are late, in s
+    stall_after: int | None = None  # frames after which it sends no more; None for never
+    drop_after: int | None = None  # frames after which it falls silent; None for never
 
 
 def served_camera(

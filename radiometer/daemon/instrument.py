@@ -14,20 +14,13 @@ _CLIPPED_FRACTION: Final = 0.001
 
 @dataclass(frozen=True, slots=True)
 class MeasurementSettings:
-    """What one measurement is made with.
+    """What one measurement is made with."""
 
-    Attributes:
-        patch: Where to read; None for the middle of the picture.
-        auto_exposure: Whether exposures follow the scene.
-        exposure_s: Exposure time in s where `auto_exposure` is false.
-        gain_db: Analogue gain in dB.
-        wavelength_nm: Wavelength of the source in nm where it is a line; None for the configured spectrum.
-    """
-
-    patch: Patch | None = None
-    auto_exposure: bool = True
-    exposure_s: float = 0.01
-    gain_db: float = 0.0
+    patch: Patch | None = None  # where to read; None for the middle of the picture
+    auto_exposure: bool = True  # whether exposures follow the scene
+    exposure_s: float = 0.01  # exposure time in s where `auto_exposure` is false
+    gain_db: float = 0.0  # analogue gain in dB
+    # Wavelength of the source in nm where it is a line; None for the configured spectrum
     wavelength_nm: float | None = None
 
     @property
@@ -38,47 +31,30 @@ class MeasurementSettings:
 
 @dataclass(frozen=True, slots=True)
 class Origin:
-    """What a measurement was made with and for whom.
+    """What a measurement was made with and for whom."""
 
-    Attributes:
-        settings: What it was made with.
-        sessions: The clients whose own measurement it is; empty where it belongs to all.
-        name: Name of the patch; "" for the patch that is measured for all.
-    """
-
-    settings: MeasurementSettings
-    sessions: tuple[str, ...] = ()
-    name: str = ""
+    settings: MeasurementSettings  # what it was made with
+    sessions: tuple[str, ...] = ()  # the clients whose own measurement it is; empty where it belongs to all
+    name: str = ""  # name of the patch; "" for the patch that is measured for all
 
 
 @dataclass(frozen=True, slots=True)
 class DeviceReport:
-    """How a device is doing.
+    """How a device is doing."""
 
-    Attributes:
-        temperature_c: Sensor or box temperature in °C; None where not reported.
-        counters: Counts since it was opened, such as "missing_packets".
-        levels: Levels of the light channels as the device itself has just reported them; None where it does not.
-    """
-
-    temperature_c: float | None = None
-    counters: Mapping[str, int] = field(default_factory=dict)
+    temperature_c: float | None = None  # sensor or box temperature in °C; None where not reported
+    counters: Mapping[str, int] = field(default_factory=dict)  # counts since it was opened, such as "missing_packets"
+    # Levels of the light channels as the device itself has just reported them; None where it does not
     levels: Mapping[str, float] | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Measurement:
-    """A reading and the frames it was made from.
+    """A reading and the frames it was made from."""
 
-    Attributes:
-        reading: The reading; its sequence number is given later, by the journal.
-        frames: The light frames that it was made from; perhaps none.
-        report: How the camera was doing after it; None where that is not known.
-    """
-
-    reading: Reading
-    frames: tuple[Frame, ...] = ()
-    report: DeviceReport | None = None
+    reading: Reading  # the reading; its sequence number is given later, by the journal
+    frames: tuple[Frame, ...] = ()  # the light frames that it was made from; perhaps none
+    report: DeviceReport | None = None  # how the camera was doing after it; None where that is not known
 
     @property
     def frame(self) -> Frame | None:

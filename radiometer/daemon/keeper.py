@@ -69,19 +69,12 @@ class DeviceState(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class KeeperTimes:
-    """Times in s of a keeper.
+    """Times in s of a keeper."""
 
-    Attributes:
-        first_pause_s: Pause before the first try to reopen.
-        longest_pause_s: Longest pause between two tries; pauses double up to it.
-        check_every_s: An idle device is asked this often whether it is still there.
-        overdue_s: A call that takes this much longer than the last good one is reported.
-    """
-
-    first_pause_s: float = 0.2
-    longest_pause_s: float = 0.5
-    check_every_s: float = 0.5
-    overdue_s: float = 1.0
+    first_pause_s: float = 0.2  # pause before the first try to reopen
+    longest_pause_s: float = 0.5  # longest pause between two tries; pauses double up to it
+    check_every_s: float = 0.5  # an idle device is asked this often whether it is still there
+    overdue_s: float = 1.0  # a call that takes this much longer than the last good one is reported
 
 
 class DeviceKeeper:

@@ -30,23 +30,14 @@ _READING: Final = "reading"
 
 @dataclass(frozen=True, slots=True)
 class MqttTarget:
-    """A broker.
+    """A broker."""
 
-    Attributes:
-        host: Name or address.
-        port: Port.
-        prefix: First level of the topics.
-        user: User name; None for none.
-        password: Password; None for none.
-        tls: Whether to use TLS with the system's certificates.
-    """
-
-    host: str
-    port: int = 1883
-    prefix: str = "radiometer"
-    user: str | None = None
-    password: str | None = None
-    tls: bool = False
+    host: str  # name or address
+    port: int = 1883  # port
+    prefix: str = "radiometer"  # first level of the topics
+    user: str | None = None  # user name; None for none
+    password: str | None = None  # password; None for none
+    tls: bool = False  # whether to use TLS with the system's certificates
 
     def __str__(self) -> str:
         return f"{self.host}:{self.port}"

@@ -23,52 +23,30 @@ class Roi:
 
 @dataclass(frozen=True, slots=True)
 class CameraSettings:
-    """What can be set on a camera.
+    """What can be set on a camera."""
 
-    Attributes:
-        exposure_s: Exposure time in s.
-        gain_db: Analogue gain in dB.
-        black_level_dn: Black level in DN.
-        pixel_format: PFNC name, such as "Mono12".
-        roi: Region of interest; None for the whole sensor.
-        binning: Pixels summed in each direction.
-        software_trigger: Expose on command rather than freely.
-    """
-
-    exposure_s: float
-    gain_db: float = 0.0
-    black_level_dn: float = 0.0
-    pixel_format: str = "Mono12"
-    roi: Roi | None = None
-    binning: int = 1
-    software_trigger: bool = False
+    exposure_s: float  # exposure time in s
+    gain_db: float = 0.0  # analogue gain in dB
+    black_level_dn: float = 0.0  # black level in DN
+    pixel_format: str = "Mono12"  # PFNC name, such as "Mono12"
+    roi: Roi | None = None  # region of interest; None for the whole sensor
+    binning: int = 1  # pixels summed in each direction
+    software_trigger: bool = False  # expose on command rather than freely
 
 
 @dataclass(frozen=True, slots=True)
 class CameraCapabilities:
-    """Limits of a camera, as it states them.
+    """Limits of a camera, as it states them."""
 
-    Attributes:
-        exposure_s: Shortest and longest exposure time in s.
-        gain_db: Lowest and highest gain in dB.
-        black_level_dn: Lowest and highest black level in DN.
-        pixel_formats: PFNC names on offer.
-        width: Sensor width in pixels.
-        height: Sensor height in pixels.
-        has_temperature: Whether it reports a sensor temperature.
-        has_shutter: Whether it can close itself for dark frames.
-        exposure_step_s: Smallest step of the exposure time in s; 0 where unknown.
-    """
-
-    exposure_s: tuple[float, float]
-    gain_db: tuple[float, float]
-    black_level_dn: tuple[float, float]
-    pixel_formats: tuple[str, ...]
-    width: int
-    height: int
-    has_temperature: bool = False
-    has_shutter: bool = False
-    exposure_step_s: float = 0.0
+    exposure_s: tuple[float, float]  # shortest and longest exposure time in s
+    gain_db: tuple[float, float]  # lowest and highest gain in dB
+    black_level_dn: tuple[float, float]  # lowest and highest black level in DN
+    pixel_formats: tuple[str, ...]  # PFNC names on offer
+    width: int  # sensor width in pixels
+    height: int  # sensor height in pixels
+    has_temperature: bool = False  # whether it reports a sensor temperature
+    has_shutter: bool = False  # whether it can close itself for dark frames
+    exposure_step_s: float = 0.0  # smallest step of the exposure time in s; 0 where unknown
 
 
 @dataclass(frozen=True, slots=True)

@@ -21,17 +21,11 @@ _SAME_REL: Final = 0.02
 
 @dataclass(frozen=True, slots=True)
 class NameClaims:
-    """What a name claims.
+    """What a name claims."""
 
-    Attributes:
-        exposure_s: Exposure in s; None where it names none.
-        exposure_has_unit: False where a bare number was read as seconds.
-        kind: "dark", "light", or "".
-    """
-
-    exposure_s: float | None
-    exposure_has_unit: bool
-    kind: str
+    exposure_s: float | None  # exposure in s; None where it names none
+    exposure_has_unit: bool  # False where a bare number was read as seconds
+    kind: str  # "dark", "light", or ""
 
 
 def claims_of(file: Path) -> NameClaims:

@@ -30,22 +30,15 @@ _JPEG_SUFFIXES: Final = frozenset({".jpg", ".jpeg"})
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Photograph:
-    """The stored values of one photograph.
+    """The stored values of one photograph."""
 
-    Attributes:
-        values: Shape (height, width) where grey, else (height, width, 3) in the order red, green, blue.
-        bit_depth: Bits per value.
-        black_levels_dn: Value of black by channel, in their order, where the file states it.
-        white_level_dn: Value from which pixels are saturated, where the file states it.
-        is_raw: Whether the values are the sensor's own, linear.
-        full_shape: (height, width) of the file where only a lattice of its pixels was taken.
-    """
-
-    values: DigitalNumbers
-    bit_depth: int
+    values: DigitalNumbers  # shape (height, width) where grey, else (height, width, 3) in the order red, green, blue
+    bit_depth: int  # bits per value
+    # Value of black by channel, in their order, where the file states it
     black_levels_dn: tuple[float, float, float] | None = None
-    white_level_dn: int | None = None
-    is_raw: bool = False
+    white_level_dn: int | None = None  # value from which pixels are saturated, where the file states it
+    is_raw: bool = False  # whether the values are the sensor's own, linear
+    # (height, width) of the file where only a lattice of its pixels was taken
     full_shape: tuple[int, int] | None = None
 
     @property

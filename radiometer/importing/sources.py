@@ -45,15 +45,10 @@ _WILDCARDS: Final = "*?["
 
 @dataclass(slots=True)
 class FileStore:
-    """Frames that are read from the files they were found in.
+    """Frames that are read from the files they were found in."""
 
-    Attributes:
-        frames: The frame behind each name of the header.
-        options: How they are taken.
-    """
-
-    frames: dict[str, FoundFrame]
-    options: ImportOptions = field(default_factory=ImportOptions)
+    frames: dict[str, FoundFrame]  # the frame behind each name of the header
+    options: ImportOptions = field(default_factory=ImportOptions)  # how they are taken
 
     def read(self, file: str) -> DigitalNumbers:
         """Return the digital numbers of a frame by its name in the header."""

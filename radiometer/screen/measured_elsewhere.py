@@ -36,25 +36,16 @@ FULL: Final = 255
 
 @dataclass(frozen=True, slots=True)
 class ScreenReadings:
-    """Readings of one screen.
+    """Readings of one screen."""
 
-    Attributes:
-        name: What the file calls it, or the file's name.
-        grey: Luminance in cd·m⁻² by 8-bit level; a level may have several readings.
-        primaries: The same of "red", "green" and "blue", where they were measured.
-        resolution_cd_m2: Last digit of the file's luminances.
-        taken: What was made of the file, in words.
-        shape_u_rel: Relative standard uncertainty of each level beyond repeatability.
-        doubts: What the file leaves open and how it was read, in words.
-    """
-
-    name: str
-    grey: Mapping[int, Sequence[float]]
+    name: str  # what the file calls it, or the file's name
+    grey: Mapping[int, Sequence[float]]  # luminance in cd·m⁻² by 8-bit level; a level may have several readings
+    # The same of "red", "green" and "blue", where they were measured
     primaries: Mapping[str, Mapping[int, Sequence[float]]] = field(default_factory=dict)
-    resolution_cd_m2: float = 0.0
-    taken: tuple[str, ...] = ()
-    shape_u_rel: float = 0.0
-    doubts: tuple[str, ...] = ()
+    resolution_cd_m2: float = 0.0  # last digit of the file's luminances
+    taken: tuple[str, ...] = ()  # what was made of the file, in words
+    shape_u_rel: float = 0.0  # relative standard uncertainty of each level beyond repeatability
+    doubts: tuple[str, ...] = ()  # what the file leaves open and how it was read, in words
 
 
 @bounded_reader(error=InputError)

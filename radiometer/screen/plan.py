@@ -25,17 +25,11 @@ Purpose = Literal["level", "white", "black"]
 
 @dataclass(frozen=True, slots=True)
 class ScreenStep:
-    """One patch to be shown and read.
+    """One patch to be shown and read."""
 
-    Attributes:
-        channel: One of `CHANNELS`.
-        level: Level 0 to 2^bits − 1.
-        purpose: "level" for the curve, "white" and "black" for drift references.
-    """
-
-    channel: str
-    level: int
-    purpose: Purpose = "level"
+    channel: str  # one of `CHANNELS`
+    level: int  # level 0 to 2^bits − 1
+    purpose: Purpose = "level"  # "level" for the curve, "white" and "black" for drift references
 
     def patch(self, bits: int = 8, size: float = 1.0) -> DisplayPatch:
         """Return what the display is asked to show, `size` of the screen's width and height."""

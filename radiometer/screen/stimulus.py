@@ -14,21 +14,13 @@ BLACK: Code = (0, 0, 0)
 
 @dataclass(frozen=True, slots=True)
 class Shape:
-    """A uniform ellipse.
+    """A uniform ellipse."""
 
-    Attributes:
-        x: Its middle right of the screen's middle in pixels.
-        y: Its middle below the screen's middle in pixels.
-        width: Its width in pixels.
-        height: Its height in pixels.
-        rgb: Codes 0 to 255 of red, green and blue.
-    """
-
-    x: float
-    y: float
-    width: float
-    height: float
-    rgb: Code
+    x: float  # its middle right of the screen's middle in pixels
+    y: float  # its middle below the screen's middle in pixels
+    width: float  # its width in pixels
+    height: float  # its height in pixels
+    rgb: Code  # codes 0 to 255 of red, green and blue
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,21 +41,13 @@ class Hold:
 
 @dataclass(frozen=True, slots=True)
 class Blink:
-    """How a blink went, on the screen's own clock.
+    """How a blink went, on the screen's own clock."""
 
-    Attributes:
-        presses_s: Presses in s from the onset of the light.
-        hold: The longest press, begun before or during it.
-        on_s: How long the light was on.
-        frame_s: Time between two frames.
-        longest_frame_s: Longest time between two frames; twice `frame_s` and more means that frames were dropped.
-    """
-
-    presses_s: tuple[float, ...]
-    hold: Hold
-    on_s: float
-    frame_s: float
-    longest_frame_s: float
+    presses_s: tuple[float, ...]  # presses in s from the onset of the light
+    hold: Hold  # the longest press, begun before or during it
+    on_s: float  # how long the light was on
+    frame_s: float  # time between two frames
+    longest_frame_s: float  # longest time between two frames; twice `frame_s` and more means that frames were dropped
 
 
 @dataclass(frozen=True, slots=True)
@@ -101,15 +85,10 @@ class StimulusScreen(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class Viewing:
-    """An eye before the middle of a flat screen, the mark and the spot on either side of it.
+    """An eye before the middle of a flat screen, the mark and the spot on either side of it."""
 
-    Attributes:
-        distance_mm: Distance of the eye from the screen in mm.
-        pixel_mm: Distance of two pixels in mm.
-    """
-
-    distance_mm: float
-    pixel_mm: float
+    distance_mm: float  # distance of the eye from the screen in mm
+    pixel_mm: float  # distance of two pixels in mm
 
     def ellipse(self, at_deg: float, size_deg: float, rgb: Code, below_deg: float = 0.0) -> Shape:
         """Return what covers a circle of visual angle around a direction in, or not far from, the horizontal.

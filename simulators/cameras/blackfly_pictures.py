@@ -12,35 +12,20 @@ from simulators.chain.virtual_sensor import VirtualSensor
 
 @dataclass(frozen=True, slots=True)
 class PictureRequest:
-    """The registers that a picture is made under.
+    """The registers that a picture is made under."""
 
-    Attributes:
-        exposure_s: Exposure time in s.
-        gain_db: Analogue gain in dB.
-        black_level_dn: Black level in DN of the given bit depth.
-        bit_depth: Bits of a digital number.
-        temperature_c: Sensor temperature in °C.
-        source_level: Relative drive of the source.
-        is_shutter_closed: Cap on the lens.
-        binning: Pixels averaged in each direction.
-        x: Left edge of the region in pixels after binning.
-        y: Top edge of the region.
-        width: Width of the region.
-        height: Height of the region.
-    """
-
-    exposure_s: float
-    gain_db: float
-    black_level_dn: float
-    bit_depth: int
-    temperature_c: float
-    source_level: float
-    is_shutter_closed: bool
-    binning: int
-    x: int
-    y: int
-    width: int
-    height: int
+    exposure_s: float  # exposure time in s
+    gain_db: float  # analogue gain in dB
+    black_level_dn: float  # black level in DN of the given bit depth
+    bit_depth: int  # bits of a digital number
+    temperature_c: float  # sensor temperature in °C
+    source_level: float  # relative drive of the source
+    is_shutter_closed: bool  # cap on the lens
+    binning: int  # pixels averaged in each direction
+    x: int  # left edge of the region in pixels after binning
+    y: int  # top edge of the region
+    width: int  # width of the region
+    height: int  # height of the region
 
 
 PictureSource = Callable[[PictureRequest], DigitalNumbers]

@@ -20,27 +20,17 @@ IMAGE_CHUNK: Final = 0x05040001
 
 @dataclass(frozen=True, slots=True)
 class WirePicture:
-    """A picture as it is sent.
+    """A picture as it is sent."""
 
-    Attributes:
-        format_code: PFNC value.
-        width: Width in pixels.
-        height: Height in pixels.
-        x: Left edge of the region.
-        y: Top edge of the region.
-        image: Bytes of the pixels.
-        chunks: Raw values by chunk identifier, sent behind the pixels as signed 32-bit numbers; None for no chunks.
-        timestamp_ns: Time of the camera's clock in ns.
-    """
-
-    format_code: int
-    width: int
-    height: int
-    x: int
-    y: int
-    image: bytes
+    format_code: int  # PFNC value
+    width: int  # width in pixels
+    height: int  # height in pixels
+    x: int  # left edge of the region
+    y: int  # top edge of the region
+    image: bytes  # bytes of the pixels
+    # Raw values by chunk identifier, sent behind the pixels as signed 32-bit numbers; None for no chunks
     chunks: dict[int, int] | None
-    timestamp_ns: int
+    timestamp_ns: int  # time of the camera's clock in ns
 
 
 def payload_of(picture: WirePicture) -> bytes:

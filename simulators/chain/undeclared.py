@@ -31,22 +31,14 @@ _MARGIN_BITS: Final = 4.0  # stands for a full well that nobody declared: far ab
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Undeclared:
-    """How far a camera is off its description, and what the description leaves out.
+    """How far a camera is off its description, and what the description leaves out."""
 
-    Attributes:
-        log_responsivity: Natural logarithm of the responsivity over the declared one.
-        log_gain: The same of the conversion gain K.
-        log_read: The same of the read noise's variance.
-        black_dn: Black level in DN over the declared one.
-        dark_e_per_s: Dark current over the declared one.
-        texture: Relative variance of the scene's radiance within each tile, (patterns, tiles).
-    """
-
-    log_responsivity: float = 0.0
-    log_gain: float = 0.0
-    log_read: float = 0.0
-    black_dn: float = 0.0
-    dark_e_per_s: float = 0.0
+    log_responsivity: float = 0.0  # natural logarithm of the responsivity over the declared one
+    log_gain: float = 0.0  # the same of the conversion gain K
+    log_read: float = 0.0  # the same of the read noise's variance
+    black_dn: float = 0.0  # black level in DN over the declared one
+    dark_e_per_s: float = 0.0  # Dark current over the declared one
+    # Relative variance of the scene's radiance within each tile, (patterns, tiles)
     texture: Signal = field(default_factory=lambda: np.zeros((1, 1)))
 
 

@@ -63,24 +63,15 @@ class Stage(IntEnum):
 
 @dataclass(frozen=True, slots=True)
 class Parameter:
-    """What is known of one parameter of an effect.
+    """What is known of one parameter of an effect."""
 
-    Attributes:
-        name: Its name, with the unit as suffix.
-        unit: Its unit; "1" for a pure number.
-        low: Lowest allowed value.
-        high: Highest allowed value.
-        source: Where its default and bounds come from.
-        default: Its default.
-        of_full_scale: Whether the range scales with the converter's; `low` and `high` are then those of the widest one.
-    """
-
-    name: str
-    unit: str
-    low: float
-    high: float
-    source: str
-    default: Any
+    name: str  # its name, with the unit as suffix
+    unit: str  # its unit; "1" for a pure number
+    low: float  # lowest allowed value
+    high: float  # highest allowed value
+    source: str  # where its default and bounds come from
+    default: Any  # its default
+    # Whether the range scales with the converter's; `low` and `high` are then those of the widest one
     of_full_scale: bool = False
 
     def bounds(self, full_scale_dn: float) -> tuple[float, float]:

@@ -111,29 +111,17 @@ class BrighterFatter(KeepsMean, CatalogueEffect):
 
 
 class Push(NamedTuple):
-    """What the charge of a pixel moves, for a share of 1.
+    """What the charge of a pixel moves, for a share of 1."""
 
-    Attributes:
-        across: Through borders between columns, rightwards, (rows, borders), the pixel in the middle.
-        down: Through borders between rows, downwards, (borders, columns).
-        own: What the noise of a flat gains in variance, over the share, by powers of the share over the largest.
-        beside: What it has as covariance with the right neighbour, likewise.
-        below: The same of the pixel below.
-        beyond_x: The same of all that are farther right in the row, summed.
-        beyond_y: The same of all that are farther down in the column.
-        beyond_rows: The same of all in the rows below, but for the pixel below.
-        last_line: What the last line of pixels inside a straight border of a patch loses of the step there.
-    """
-
-    across: Signal
-    down: Signal
-    own: Signal
-    beside: Signal
-    below: Signal
-    beyond_x: Signal
-    beyond_y: Signal
-    beyond_rows: Signal
-    last_line: float
+    across: Signal  # through borders between columns, rightwards, (rows, borders), the pixel in the middle
+    down: Signal  # through borders between rows, downwards, (borders, columns)
+    own: Signal  # what the noise of a flat gains in variance, over the share, by powers of the share over the largest
+    beside: Signal  # what it has as covariance with the right neighbour, likewise
+    below: Signal  # the same of the pixel below
+    beyond_x: Signal  # the same of all that are farther right in the row, summed
+    beyond_y: Signal  # the same of all that are farther down in the column
+    beyond_rows: Signal  # the same of all in the rows below, but for the pixel below
+    last_line: float  # what the last line of pixels inside a straight border of a patch loses of the step there
 
     @property
     def kernel(self) -> Signal:

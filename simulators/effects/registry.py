@@ -140,16 +140,11 @@ class _EntryFile(ConfigSection):
 
 @dataclass(frozen=True, slots=True)
 class EffectEntry:
-    """An effect as a camera model holds it: with a switch, and notes on where it comes from.
+    """An effect as a camera model holds it: with a switch, and notes on where it comes from."""
 
-    Attributes:
-        effect: The effect with its parameters.
-        enabled: False takes it out of the chain but keeps it in the file.
-        notes: Anything worth keeping with it (covariance, evidence, capture hashes).
-    """
-
-    effect: Effect
-    enabled: bool = True
+    effect: Effect  # the effect with its parameters
+    enabled: bool = True  # False takes it out of the chain but keeps it in the file
+    # Anything worth keeping with it (covariance, evidence, capture hashes)
     notes: Mapping[str, Any] = field(default_factory=dict)
 
     def to_mapping(self) -> dict[str, Any]:

@@ -19,15 +19,10 @@ WHITE_EFFECTIVE_NM: Final = 555.0
 
 @dataclass(slots=True)
 class BoxView:
-    """What of a box the camera sees: all lit channels on one diffuser.
+    """What of a box the camera sees: all lit channels on one diffuser."""
 
-    Attributes:
-        twin: The box.
-        ambient_w_sr_m2: Radiance of the room on it, in W·sr⁻¹·m⁻².
-    """
-
-    twin: LightBoxTwin
-    ambient_w_sr_m2: float = 0.0
+    twin: LightBoxTwin  # the box
+    ambient_w_sr_m2: float = 0.0  # radiance of the room on it, in W·sr⁻¹·m⁻²
 
     def look(self, time_s: float) -> tuple[float, float]:
         """Return radiance in W·sr⁻¹·m⁻² and effective wavelength in nm at a time."""

@@ -28,31 +28,19 @@ S3_ONSET_LOG10: Final = 1.0  # S3 takes over where the rods are so far above the
 
 @dataclass(frozen=True, slots=True)
 class Eye:
-    """The threshold of one eye over time after a bleach.
+    """The threshold of one eye over time after a bleach."""
 
-    Attributes:
-        cone_plateau_log10: log10 of the cones' settled threshold in photopic cd·m⁻².
-        cone_amplitude: What the cones start above it, log10 units.
-        cone_tau_min: Time constant of the cones in min.
-        rod_final_log10: log10 of the rods' final threshold in scotopic cd·m⁻².
-        s2_slope_per_min: Slope of S2 in log10 units per min, below 0.
-        s2_zero_min: When the S2 line reaches the final threshold, in min after the bleach.
-        s3_slope_per_min: Slope of S3, between that of S2 and 0.
-        rods_blind_min: How long the rods are saturated after the bleach, in min.
-        pupil_mm: Diameter of the pupil in mm.
-        full_bleach_min: When its S2 line would reach the final threshold after a full bleach, in min; None for what
-            rate-limited regeneration says of a rested eye.
-    """
-
-    cone_plateau_log10: float = -2.45
-    cone_amplitude: float = 2.5
-    cone_tau_min: float = 1.6
-    rod_final_log10: float = -3.9
-    s2_slope_per_min: float = -0.24
-    s2_zero_min: float = 23.0
-    s3_slope_per_min: float = -0.06
-    rods_blind_min: float = 4.0
-    pupil_mm: float = 6.0
+    cone_plateau_log10: float = -2.45  # log10 of the cones' settled threshold in photopic cd·m⁻²
+    cone_amplitude: float = 2.5  # what the cones start above it, log10 units
+    cone_tau_min: float = 1.6  # time constant of the cones in min
+    rod_final_log10: float = -3.9  # log10 of the rods' final threshold in scotopic cd·m⁻²
+    s2_slope_per_min: float = -0.24  # slope of S2 in log10 units per min, below 0
+    s2_zero_min: float = 23.0  # when the S2 line reaches the final threshold, in min after the bleach
+    s3_slope_per_min: float = -0.06  # slope of S3, between that of S2 and 0
+    rods_blind_min: float = 4.0  # how long the rods are saturated after the bleach, in min
+    pupil_mm: float = 6.0  # diameter of the pupil in mm
+    # When its S2 line would reach the final threshold after a full bleach, in min; None for what rate-limited
+    # regeneration says of a rested eye
     full_bleach_min: float | None = None
 
     def cone_log10(self, time_min: float, wavelength_nm: float) -> float:

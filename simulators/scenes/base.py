@@ -13,17 +13,12 @@ from radiometer.data import PatchDescription, SourceDescription
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SceneImage:
-    """A scene as the sensor's pixels look at it, at source level 1.
+    """A scene as the sensor's pixels look at it, at source level 1."""
 
-    Attributes:
-        radiance: Radiance in W·sr⁻¹·m⁻², shape (height, width), float32.
-        code: Display drive 0 to 1 of each pixel; None where the scene is no display.
-        peak_radiance: Radiance at drive 1 in W·sr⁻¹·m⁻² (the highest radiance where there is no display).
-    """
-
-    radiance: NDArray[np.float32]
+    radiance: NDArray[np.float32]  # radiance in W·sr⁻¹·m⁻², shape (height, width), float32
+    # Display drive 0 to 1 of each pixel; None where the scene is no display
     code: NDArray[np.floating[Any]] | None = None
-    peak_radiance: float = 1.0
+    peak_radiance: float = 1.0  # radiance at drive 1 in W·sr⁻¹·m⁻² (the highest radiance where there is no display)
 
 
 class Scene(Protocol):
