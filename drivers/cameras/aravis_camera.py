@@ -85,7 +85,6 @@ def open_camera(
     Args:
         name: Device id, serial number or IP address; None for the only camera connected.
         preset: Name or path of a datasheet preset, or the description itself; None for that of the camera's model.
-        lens: The lens in front of it.
 
     Raises:
         DeviceNotFound: If nothing of that name answers, or several cameras do where none was named.
@@ -101,7 +100,6 @@ class AravisCamera:
     Args:
         identity: Who it is; `device_id` is what Aravis opens it by. Completed when it is opened.
         preset: What its datasheet says; None to look its model up among the presets.
-        lens: The lens in front of it.
         frame_deadline_s: Longest wait for a frame beyond twice its exposure time, in s.
     """
 

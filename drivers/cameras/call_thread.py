@@ -31,7 +31,6 @@ class CallThread:
     """One call at a time in a thread that ends with `close()`, or with the call it was left with.
 
     Args:
-        name: How messages call the camera.
         is_gone: Asks the camera whether it is there, past the library; called while a call takes long.
         patience_s: How long a call may take before that is asked, and between two questions, in s.
         deadline_s: How long a call may take at all in s; None for as long as the camera is there.

@@ -75,9 +75,6 @@ class FrameStream:
     Args:
         aravis: The library's module.
         camera: An open `Aravis.Camera`.
-        features: Its features.
-        name: How messages call the camera.
-        tally: Counts to add to.
         chunk_names: Float chunk values to read from every frame.
         is_lost: Tells whether the library has noticed that the camera is gone.
     """

@@ -55,8 +55,6 @@ def choose_throughput(camera: Any, features: FeatureAccess, name: str, notes: li
 
     Args:
         camera: An `Aravis.Camera`.
-        features: Its features.
-        name: How messages call it.
         notes: What was met on the way is added here.
     """
     if not features.has(LIMIT):

@@ -78,7 +78,6 @@ class PiLink:
     """One Raspberry Pi camera; of a colour sensor the green pixels, at half size.
 
     Args:
-        library: Opens it.
         identity: Who it is; `device_id` is "picamera:" and its number.
     """
 

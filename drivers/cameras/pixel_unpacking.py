@@ -43,7 +43,6 @@ def unpack_pixels(
 
     Args:
         payload: What came over the wire; longer than needed where the device pads it.
-        format_name: PFNC name, one of MONO_FORMATS.
         width: Picture width in pixels.
         height: Picture height in pixels.
         left_aligned_bits: Significant bits of a Mono16 whose camera shifts them to the top; 0 where it does not.

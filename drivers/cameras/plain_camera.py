@@ -95,7 +95,6 @@ class PlainCamera:
 
     Args:
         link: The library's camera.
-        lens: The lens in front of it.
         preset: What its datasheet says; None where nothing is known.
     """
 

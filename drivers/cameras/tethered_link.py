@@ -89,7 +89,6 @@ class TetheredLink:
     """One tethered photographic camera.
 
     Args:
-        library: Opens it.
         identity: Who it is; `device_id` is "gphoto2:" and its port.
     """
 

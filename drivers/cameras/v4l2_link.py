@@ -104,7 +104,6 @@ class V4l2Link:
     """One V4L2 camera.
 
     Args:
-        library: Opens it.
         identity: Who it is; `device_id` is "v4l2:" and its path.
     """
 
@@ -233,7 +232,6 @@ def plain_numbers(payload: bytes, fourcc: str, width: int, height: int) -> Digit
     """Return the digital numbers of a frame, shape (height, width).
 
     Args:
-        payload: Bytes of the frame.
         fourcc: Format, one of FORMATS: words are little-endian, of YUYV every other byte is a luma.
         width: Width in pixels.
         height: Height in pixels.

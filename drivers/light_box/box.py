@@ -166,8 +166,6 @@ class SerialLightBox:
         """Return which fractions of the exposure limits a stimulus would use up, without lighting anything.
 
         Args:
-            channel: Name of the channel.
-            level: Raw level, or radiance of a calibrated channel.
             bright_s: Bright time in s, in sum.
 
         Raises:

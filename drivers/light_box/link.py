@@ -61,7 +61,6 @@ class BoxLink:
         """Return the fields of the answer to a request.
 
         Args:
-            words: Command and arguments, parted by single spaces.
             attempts: How often to send it at most.
 
         Raises:

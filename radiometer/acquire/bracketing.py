@@ -34,7 +34,6 @@ def plan_for_scene(camera: Camera, request: BracketRequest) -> ExposurePlan:
 
     Args:
         camera: An open camera.
-        request: What the bracket is to achieve.
 
     Raises:
         UsageError: If the region leaves the frame or the time limit is not above 0.
@@ -71,8 +70,6 @@ def take_plan(
 
     Args:
         camera: An open camera.
-        plan: Exposure times.
-        request: How many dark frames are requested.
         progress: Called after every frame.
         close_shutter: Called with True before the dark frames and False after them; the camera's own shutter where
             None.

@@ -38,7 +38,6 @@ def take_ladder(
 
     Args:
         camera: An open camera; its gain, black level and pixel format stay as they are set.
-        request: What to take.
         close_shutter: Called with True before the dark frames and with False after them; the camera's own shutter
             where None.
 

@@ -72,10 +72,6 @@ class LevelSurvey:
     def survey(self, channel: str, correction: SpectralCorrection) -> ChannelCalibration:
         """Return the channel's calibration.
 
-        Args:
-            channel: Name of the channel.
-            correction: Spectral correction of the readings.
-
         Raises:
             MeasurementError: If fewer than two levels stand out of the noise.
             DeviceError: If box or camera fails.
@@ -192,10 +188,7 @@ def assemble(
     """Return the calibration from measured levels: drift of the reference taken out, uncertainties put together.
 
     Args:
-        channel: The channel.
         measured: Levels in the order in which they were measured.
-        references: Measurements of the reference level in between.
-        correction: Spectral correction.
 
     Raises:
         MeasurementError: If fewer than two levels of each range stand out of the noise.

@@ -33,7 +33,6 @@ def meter(camera: Camera, region: Patch | None = None, *, longest_s: float = mat
     Args:
         camera: An open camera; its gain and black level stay as they are.
         region: Pixels that matter; None for the whole frame.
-        longest_s: No trial is longer than this.
 
     Returns:
         Rates over the region's pixels.

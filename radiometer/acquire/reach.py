@@ -39,7 +39,6 @@ def assess_reach(frames: Iterable[Frame], camera: CameraDescription, region: Pat
 
     Args:
         frames: Frames of one size; dark frames are passed over.
-        camera: The camera, for its noise and clipping level.
         region: The pixels that are looked at; all of the frame where None.
 
     Raises:

@@ -86,11 +86,6 @@ class AdaptationFit:
 def fit_adaptation(series: ThresholdSeries, request: FitRequest, rng: np.random.Generator) -> AdaptationFit:
     """Return the fit of the family's best member, with intervals.
 
-    Args:
-        series: The thresholds.
-        request: How to fit.
-        rng: Source of chance for the bootstrap.
-
     Raises:
         MeasurementError: If the series shows no adaptation, or none that a branch model describes.
     """

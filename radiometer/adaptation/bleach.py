@@ -81,7 +81,6 @@ def bleached_fraction(
     Args:
         retinal_td: Retinal illuminance I in trolands, 0 or more: scotopic for rods, photopic for cones.
         duration_s: Duration in s, 0 or more.
-        receptor: Rods or cones.
         before: Fraction bleached when it begins.
 
     Source: Rushton and Henry 1968, Vision Research 8, 617; first-order kinetics.
@@ -95,7 +94,6 @@ def bleached_range(retinal_td: float, duration_s: float, receptor: Receptor = "r
     Args:
         retinal_td: Retinal illuminance in trolands, 0 or more.
         duration_s: Duration in s, 0 or more.
-        receptor: Rods or cones.
     """
     fractions = [_fraction(kinetics, retinal_td, duration_s, 0.0) for kinetics in _extremes(receptor)]
     return min(fractions), max(fractions)

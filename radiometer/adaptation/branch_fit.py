@@ -53,8 +53,6 @@ def fit_model(series: ThresholdSeries, model: BranchModel, weights: Array | None
     """Return the least-squares fit of a model, outliers weighed down after Huber 1964.
 
     Args:
-        series: The thresholds.
-        model: The model.
         weights: Weights to keep as they are, such as those of another model's fit; found from the residuals where None.
 
     Raises:

@@ -105,12 +105,7 @@ def break_evidence(with_break: BranchFit | None) -> BreakEvidence:
 
 
 def with_power(evidence: BreakEvidence, one_branch: BranchFit) -> BreakEvidence:
-    """Return evidence with the earliest break that the thresholds of a curve of one branch would show.
-
-    Args:
-        evidence: The evidence.
-        one_branch: A fit of one branch, for times, thresholds and weights.
-    """
+    """Return evidence with the earliest break that the thresholds of a curve of one branch would show."""
     series = one_branch.series
     convex = convex_sum_of_squares(series.time_min, series.log_threshold, one_branch.weights)
     sigma = max(math.sqrt(convex / series.time_min.size), EXACT_LOG10)

@@ -52,11 +52,9 @@ class RunJournal:
         """Append an event and return it.
 
         Args:
-            kind: What happened.
             time_s: When, in s.
             lasting: Wait until it is on the disk, so that even a power cut does not lose it; else it is with the
                 operating system, which a crash of the program does not touch.
-            facts: What else is known of it.
 
         Raises:
             OutputError: If the disk refuses it.

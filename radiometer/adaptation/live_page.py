@@ -34,10 +34,8 @@ class LivePage:
     """Shows a running test to any number of browsers; one that goes away does no harm.
 
     Args:
-        protocol: What is done.
         controls: Where its buttons ask for a pause or the end.
         port: Port on 127.0.0.1; 0 for any free one.
-        audio: Whether prompts are sounded.
         health: Returns the state of box or screen by name; asked on the thread of the run after every trial.
         darken: Darkens the light box, whoever holds it, and returns what it did in words; called on its own thread.
         clock: Steady clock in s.

@@ -137,7 +137,6 @@ def begin(spot: Spot, method: AnyMethod, last: float | None, shift: float = 0.0)
 
     Args:
         spot: The spot's levels.
-        method: Which search, and its settings.
         last: Threshold before, log10; None at the start.
         shift: Part of a step, 0 to 1, by which limits and staircase begin lower. By chance from threshold to threshold,
             it keeps them from lying on one grid of levels, where errors of neighbours go together.

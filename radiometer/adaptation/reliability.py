@@ -103,7 +103,6 @@ class Reliability:
 
         Args:
             events: Events in order.
-            fastest_press_s: Presses faster than this are no answers.
         """
         counts = {kind: [0, 0] for kind in (BLANK, BRIGHT, BLIND_SPOT)}
         for blink in events:

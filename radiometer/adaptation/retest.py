@@ -77,7 +77,6 @@ def limits_of_agreement(differences: NDArray[np.float64], confidence: float = 0.
 
     Args:
         differences: Second less first visit, shape (pairs,), two at least.
-        confidence: Of the intervals.
 
     Raises:
         ValueError: If there are fewer than two.

@@ -48,10 +48,8 @@ def rod_intercept(
     A robust straight line through the thresholds within 3 min of the first crossing, read backwards.
 
     Args:
-        series: The thresholds.
         rule: Criterion and the method's bias.
         u_scale_log10: Standard uncertainty that all levels share, log10 units.
-        confidence: Probability of the interval.
     """
     target = rule.criterion_log10 + rule.bias_log10
     times, levels = series.time_min, series.log_threshold

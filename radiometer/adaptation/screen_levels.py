@@ -36,7 +36,6 @@ class SpotLevels:
 
         Args:
             calibration: The screen's calibration.
-            channel: The channel.
             filter_density: Optical density of a neutral filter before screen or eye.
 
         Raises:

@@ -112,7 +112,6 @@ def open_screen_stage(
     """Open a calibrated screen as a stage for the block, with its checks.
 
     Args:
-        request: A run whose protocol shows its spot on a screen.
         announce: Called with the page's address.
 
     Raises:

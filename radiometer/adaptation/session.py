@@ -71,7 +71,6 @@ class Session:
 
         Args:
             port: Port of the page; 0 for any free one.
-            audio: Whether the page sounds prompts.
             announce: Called with its address.
 
         Raises:
@@ -128,7 +127,6 @@ def open_session(
     """Open devices and journal of a run for the block.
 
     Args:
-        request: What is asked for.
         journal: File of the journal; one that exists is taken up.
         controls: Where pauses and the end are asked for.
         announce: Called with the address of the subject's page.

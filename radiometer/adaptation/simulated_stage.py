@@ -71,10 +71,8 @@ def simulated_stage(protocol: AdaptationProtocol, behaviour: str, *, seed: int =
     """Return a stage with a simulated subject of healthy curve.
 
     Args:
-        protocol: The protocol.
         behaviour: "steady", "never" (presses), "always" (presses), "leaves" (after 10 min) or "wanders" (looks
             away in two blinks of five).
-        seed: Makes the answers.
 
     Raises:
         UsageError: If the behaviour is unknown.

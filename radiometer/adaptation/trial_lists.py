@@ -60,9 +60,7 @@ def changes_of_answer(path: Path, trials: NDArray[np.float64], said: Sequence[st
     where a search begins anew, are left out. The threshold is midway between the levels, its time between the times.
 
     Args:
-        path: The file, for messages.
         trials: Times in min, ascending, and log10 levels, shape (n, 2).
-        said: The answers, in words.
 
     Raises:
         InputError: If an answer is neither yes nor no, or none changes.

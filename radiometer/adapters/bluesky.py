@@ -44,7 +44,6 @@ class RadiometerDetector(StandardReadable):
 
     Args:
         source: What measures: a meter of this process or a daemon.
-        name: Name in the documents.
         unit: Unit of the radiance: "W sr-1 m-2", or "relative" for a camera without calibration.
     """
 
@@ -98,8 +97,6 @@ class LightBoxLevel(StandardReadable, Movable[float]):
 
     Args:
         box: The open box.
-        channel: Name of the channel.
-        name: Name in the documents.
         gate: Held while the box is spoken to; share it with who else does.
     """
 
@@ -152,9 +149,6 @@ def open_light_bench(
 
     Args:
         box: "sim", a serial number or a port.
-        channel: Channel to be scanned.
-        detector_name: Name of the detector in the documents.
-        level_name: Name of the level in the documents.
 
     Raises:
         DeviceError: If box or camera cannot be opened.

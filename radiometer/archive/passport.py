@@ -311,8 +311,6 @@ def _largest_offset(
         names: Session of each point.
         laws: The chosen law and the other. Which one is true is unknown, so a curvature between sessions is an offset
             under one of them. The u includes the difference.
-        temperatures: In °C.
-        logs: ln D.
         u: Its standard uncertainty.
     """
     found = []

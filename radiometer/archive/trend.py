@@ -136,9 +136,6 @@ def fit_trend(time_s: Array, value: Array, u: Array, *, patch: str = "", quantit
         time_s: Times in s, shape (n,), any order.
         value: Values, above 0.
         u: Stated standard uncertainties, above 0.
-        patch: Name for the result.
-        quantity: Name for the result.
-        unit: Unit for the result.
 
     Raises:
         InputError: If there are fewer than 8 readings, or they are not above 0, or all at one time.

@@ -66,7 +66,6 @@ def holding(serial: str, port: str, darken: Callable[[], None]) -> Iterator[None
 
     Args:
         serial: Serial number of the box held.
-        port: Its port.
         darken: Darkens every channel; called from a separate thread.
     """
     folder = runtime_folder("radiometer-held-boxes")

@@ -26,7 +26,6 @@ def open_camera(config: BenchConfig, where: Path, name: str | None = None) -> Ca
     """Return an opened camera with gain, black level and pixel format set as the bench file wants them.
 
     Args:
-        config: The bench.
         where: The bench file, for messages and relative paths.
         name: "sim", or a GenICam id, serial number or address; None for the bench's own camera.
 

@@ -61,7 +61,6 @@ def open_light_camera(
         bench: Bench file; the shipped one where None.
         patch: Where to read; the bench's where None.
         calibration: Calibration of the camera; the bench's where None.
-        ambient_w_sr_m2: Radiance of the simulated room on the simulated box.
 
     Raises:
         UsageError: If a simulated box is to be looked at by a real camera.

@@ -22,7 +22,6 @@ def reopen(
 
     Args:
         camera: The camera; nothing more is asked of it before it is open again.
-        settings: What it is to be set to.
         told: Called with why it cannot be opened, once for each reason.
         sleep: Waits so many seconds.
 

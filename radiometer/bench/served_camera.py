@@ -52,9 +52,7 @@ def served_camera(
         scene: YAML file of a scene, or of a bench whose scene is taken; a picture; or the name of a kind of scene.
             The bench's own where None.
         serial: Serial number; the bench's where None.
-        address: Address of a network interface of this computer.
         seed: Makes the noise; the bench's where None.
-        real_time: Frames take their exposure time.
         pool: Frames served again and again; 0 makes every frame anew.
         awkward: Serve one that is as awkward as a real Blackfly, with a new serial number where none is given.
 

@@ -83,13 +83,7 @@ class Alarms:
         return alarm.message if alarm else ""
 
     def put_up(self, name: str, message: str, *, worse: bool = False) -> None:
-        """Put an alarm up; one that is up keeps its time and takes the new message.
-
-        Args:
-            name: What it concerns.
-            message: What is wrong and the way out.
-            worse: Announce it again although it is up.
-        """
+        """Put an alarm up; one that is up keeps its time and takes the new message."""
         standing = self._active.get(name)
         if standing is None:
             self._active[name] = Alarm(name, message, utc_now())

@@ -20,7 +20,6 @@ class BenchLight:
 
     Args:
         open_box: Returns a block in which the box is open; called again after each loss.
-        name: Name for messages.
     """
 
     def __init__(self, open_box: Callable[[], AbstractContextManager[LightBox]], name: str = "light box") -> None:

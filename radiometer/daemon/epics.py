@@ -50,10 +50,6 @@ class PvaOptions:
 class PvaServer:
     """Serves one station's readings.
 
-    Args:
-        station: The instrument.
-        options: How.
-
     Raises:
         MissingLibrary: If p4p is not installed.
     """

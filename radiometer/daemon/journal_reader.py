@@ -106,7 +106,6 @@ class JournalReader:
     """Reads a journal while a daemon may be writing it.
 
     Args:
-        path: The SQLite file.
         deadline_s: Longest time in s that one query may take.
     """
 

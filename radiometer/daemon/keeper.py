@@ -84,7 +84,6 @@ class DeviceKeeper:
         name: "camera" or "light box": the name of its alarm.
         device: The device, not yet open.
         alarms: Where its loss is reported.
-        times: Pauses and deadlines.
         proof: The call that proves that the device does its work, such as "measure". Where it fails, an open port
             ends no alarm: only that call does, once it works.
         after_open: Called in the event loop after each opening.
@@ -147,7 +146,6 @@ class DeviceKeeper:
         """Run a blocking call on the device's thread and return its result.
 
         Args:
-            call: A method of the device.
             *arguments: What it is called with.
             usual_s: How long it should take; None to go by the last call of that name.
 

@@ -60,10 +60,6 @@ class MqttPublisher:
     device states as JSON), `state` ("online"; "offline" is the last will). A retained reading is cleared where it is no
     longer one: the patch was moved or deleted, the daemon ended, or an earlier one was killed.
 
-    Args:
-        station: The instrument.
-        target: The broker.
-
     Raises:
         MissingLibrary: If paho-mqtt is not installed.
     """

@@ -48,7 +48,6 @@ class PatchLimits:
         well be within.
 
         Args:
-            reading: The reading.
             standing: Whether an alarm is up: then the limits are drawn in by the hysteresis.
         """
         value, drawn_in = reading.radiance.value, self.hysteresis_rel if standing else 0.0

@@ -28,7 +28,6 @@ class WatchedCamera:
     """Passes every call on, notes by when it should have returned, and what is odd about its frames.
 
     Args:
-        camera: The camera.
         clock: Steady time in s.
     """
 

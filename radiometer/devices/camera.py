@@ -145,13 +145,7 @@ class Camera(Protocol):
 
 
 def refuse_out_of_range(device: str, settings: CameraSettings, limits: CameraCapabilities) -> None:
-    """Raise SettingOutOfRange for the first setting outside the camera's limits.
-
-    Args:
-        device: Name of the camera for the message.
-        settings: What is asked for.
-        limits: What the camera can do.
-    """
+    """Raise SettingOutOfRange for the first setting outside the camera's limits."""
     checks = (
         ("exposure time", settings.exposure_s, limits.exposure_s, "s"),
         ("gain", settings.gain_db, limits.gain_db, "dB"),

@@ -106,7 +106,6 @@ class ExposureLedger:
         """Raise UnsafeStimulus if fractions of the limits are too much with all that was given before.
 
         Args:
-            where: What is planned, for the message.
             used: Fractions of the limits that it would use up.
         """
         with self._lock:

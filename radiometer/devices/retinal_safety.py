@@ -122,7 +122,6 @@ def hazard_fractions(optics: ChannelOptics, radiance_w_sr_m2: float, bright_s: f
     1.7 mrad (0.25 s), 1.7 mrad·√(t/0.25 s) or 11 mrad (10 s) to 100 mrad.
 
     Args:
-        optics: Spectrum and size of the source.
         radiance_w_sr_m2: Radiance while it is bright, in W·sr⁻¹·m⁻², averaged over its PWM.
         bright_s: Time in s for which it is bright, in sum; `math.inf` where no end is planned.
 
@@ -140,7 +139,6 @@ def refuse_unsafe(where: str, used: HazardFractions, allowed_fraction: float = D
     """Raise UnsafeStimulus where more than a stated fraction of a limit would be used up.
 
     Args:
-        where: What is planned, for the message.
         used: Fractions of the limits, with everything that adds to them.
         allowed_fraction: Largest fraction of either limit, 0 to 1.
     """

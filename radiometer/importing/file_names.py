@@ -57,9 +57,7 @@ def contradictions(claims: NameClaims, exposure_s: float | None, *, is_dark: boo
     """Return what a name claims against what the header says, in words; empty where they agree.
 
     Args:
-        claims: What the name claims.
         exposure_s: Exposure in s of the header; None where it states none.
-        is_dark: The header speaks of a dark frame.
     """
     found = []
     claimed = claims.exposure_s

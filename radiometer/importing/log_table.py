@@ -109,7 +109,6 @@ def read_log(path: Path, said: LogColumns | None = None, reference: Path | None 
 
     Args:
         path: CSV of the camera, the reference among its columns or in a separate file.
-        said: What is stated of the columns.
         reference: File of the reference meter with its own times; the nearest readings are interpolated.
 
     Raises:
@@ -234,8 +233,6 @@ def linear(reference: Array, name: str, assumed: list[str]) -> tuple[Array, str]
     """Return a reference in a linear unit, and the unit; magnitudes per square arcsecond become cd·m⁻².
 
     Args:
-        reference: As written.
-        name: Plain name of its column.
         assumed: Lines to which is added what was assumed.
     """
     if any(sign in name for sign in _MAGNITUDES):

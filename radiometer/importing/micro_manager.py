@@ -51,8 +51,6 @@ def planes_of(path: Path, pages: Sequence[Any], ome_xml: str | None) -> list[Pla
     """Return what is stated of each page of a TIFF file; None where nothing is.
 
     Args:
-        path: The file.
-        pages: Its pages.
         ome_xml: Its OME-XML; None where it has none.
     """
     tagged = [_of_tag(page) for page in pages]
@@ -146,7 +144,6 @@ def _of_ome(text: str, path: Path, pages: Sequence[int]) -> list[PlaneFacts | No
     """Return what OME-XML states of the planes of its images, in the order of the pages.
 
     Args:
-        text: The XML.
         path: The file, one of perhaps several that the XML describes.
         pages: Numbers of the directories that are frames.
     """

@@ -76,7 +76,6 @@ def luma_of(planes: Sequence[Any], saturated_dn: Sequence[int], full_scale_dn: i
     Args:
         planes: Values of red, green and blue, shape (height, width) each.
         saturated_dn: From which value each of them is saturated.
-        full_scale_dn: The highest value.
     """
     luma: DigitalNumbers = cv2.cvtColor(np.dstack(planes), cv2.COLOR_RGB2GRAY)
     # A sum is known only where all its parts are; a black part adds next to nothing.
@@ -95,7 +94,6 @@ def read_photograph(path: Path, most_pixels: int | None = None, *, interpolated:
     """Return the stored values of a photograph.
 
     Args:
-        path: JPEG, PNG, TIFF or camera raw file.
         most_pixels: Take every n-th pixel of every n-th row where the file holds more than this; None for all.
         interpolated: Of a camera raw file: fill in the colours that every pixel lacks.
 

@@ -109,7 +109,6 @@ def open_capture(path: Path, options: ImportOptions | None = None) -> CaptureSet
 
     Args:
         path: Capture set, FITS or TIFF file, folder of them, pattern, or EMVA 1288 descriptor.
-        options: How the frames of files are taken.
 
     Raises:
         CaptureError: If there is nothing to read, a named file is unreadable, or several cameras are mixed.
@@ -140,7 +139,6 @@ def statistics_of(path: Path, mapped: StatementMap | None = None) -> CaptureHead
     """Return the statistics that a table or a capture set without pictures holds; None where a path is neither.
 
     Args:
-        path: Table or capture set.
         mapped: Where the user states that facts stand.
 
     Raises:
@@ -165,8 +163,6 @@ def import_sources(
     A file of a folder that cannot be read is left out and named in the record; one that is named itself is an error.
 
     Args:
-        paths: What the user names.
-        options: How frames are taken.
         report: Called with (files read, files in all).
 
     Raises:
@@ -219,9 +215,7 @@ def import_into(
     A damaged file among others is left out and named in the record.
 
     Args:
-        sources: What the user names.
         output: Folder to write; one folder within it per camera where there are several.
-        options: How frames are taken.
         report: Called with (files read, files in all).
 
     Raises:

@@ -55,7 +55,6 @@ def read_tiff_headers(path: Path, mapped: StatementMap = StatementMap()) -> list
     reported as not used.
 
     Args:
-        path: The file.
         mapped: Where the user states that facts stand.
 
     Raises:

@@ -16,7 +16,6 @@ class BrowserPage:
 
     Args:
         server: Serves the page; not started yet.
-        what: What the page is, for messages.
         announce: Called with the address once it is served; opens a browser or prints it.
         page_timeout_s: How long to wait for a browser to open it.
         start_timeout_s: How long to wait for somebody to press Start; None where nothing is to be waited for.

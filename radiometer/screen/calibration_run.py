@@ -70,7 +70,6 @@ def calibrate_screen(
 
     Args:
         bench: An open display and what looks at it.
-        options: What is to be measured.
         lights: Light of every channel.
         progress: Called after every patch.
 

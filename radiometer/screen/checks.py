@@ -30,7 +30,6 @@ def wait_until_steady(
     """Read white until five readings in a row agree within 0.2 % (or their noise), or the time is up.
 
     Args:
-        meter: Reads white.
         sleep: Waits for a number of seconds.
         limit_s: Longest time to wait in s; 0 takes a single set of readings.
         interval_s: Pause between readings in s.

@@ -81,10 +81,7 @@ def imported(
     """Return a calibration by readings made elsewhere.
 
     Args:
-        readings: The readings.
-        lights: Light of grey and, for primaries, of red, green and blue.
         meter_u_rel: Relative standard uncertainty of the meter's scale, shared by all levels.
-        source: Name of the file, for the provenance.
 
     Raises:
         InputError: If there are fewer than three levels of grey.

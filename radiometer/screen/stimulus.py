@@ -96,7 +96,6 @@ class Viewing:
         Args:
             at_deg: Direction from the screen's middle, right of it positive.
             size_deg: Diameter in degrees.
-            rgb: Its codes.
             below_deg: How far below the horizontal; a few degrees, for the shape is that in the horizontal.
         """
         scale = self.distance_mm / self.pixel_mm

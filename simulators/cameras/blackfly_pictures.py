@@ -32,11 +32,7 @@ PictureSource = Callable[[PictureRequest], DigitalNumbers]
 
 
 class ForwardModelSource:
-    """Exposes the virtual sensor anew for every picture.
-
-    Args:
-        sensor: The camera model in front of its scene.
-    """
+    """Exposes the virtual sensor anew for every picture."""
 
     def __init__(self, sensor: VirtualSensor) -> None:
         self._sensor = sensor
@@ -74,7 +70,6 @@ class PooledSource:
     """Draws a few frames under each setting and serves them in turn: for measuring the link, not the light.
 
     Args:
-        source: Makes the frames.
         size: Frames drawn under each setting, at least 1.
     """
 

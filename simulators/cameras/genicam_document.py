@@ -48,7 +48,6 @@ def genicam_xml(features: Sequence[Feature], vendor: str, model: str) -> bytes:
     """Return the description of a camera as a GenICam XML document.
 
     Args:
-        features: Every feature and helper node.
         vendor: Maker, for the document's head.
         model: Model, for the document's head.
     """

@@ -46,7 +46,6 @@ class GvspSender:
     """The stream channel of a simulated camera.
 
     Args:
-        address: Address of a network interface of this computer.
         first_frame_id: Number of the first frame, 1 to 65535; numbers start again at 1 behind the last.
     """
 
@@ -59,9 +58,6 @@ class GvspSender:
         """Send one picture.
 
         Args:
-            picture: What to send.
-            to: Address and port of the receiver.
-            packet_bytes: Size of a packet, headers included.
             lose_last: Keep the last packet of pixels back, as a switch does whose memory is full.
         """
         kind = _IMAGE | (_WITH_CHUNKS if picture.chunks is not None else 0)

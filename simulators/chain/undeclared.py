@@ -73,11 +73,8 @@ def undeclared_chain(
     """Return the chain from radiance to codes, without the ends of the converter's range: what clips is not compared.
 
     Args:
-        camera: What is declared of the camera.
-        lens: The lens.
         off: What is not, or not rightly.
         pattern: Position of each capture's pattern, (captures,).
-        ends_in_well: Whether the full well limits anything.
     """
     figures = completed(camera, off)
     links = [

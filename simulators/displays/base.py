@@ -35,7 +35,6 @@ class SimulatedDisplay:
     """A Display whose radiance is known.
 
     Args:
-        model: The truth about it.
         clock: Simulated time; switching on counts from when it is opened.
         settling_s: Time until a new patch is on screen.
     """

@@ -86,8 +86,6 @@ def parameter(default: Any, unit: str, low: float, high: float, *, source: str, 
     Args:
         default: Default: a float, or a tuple of floats for a table (bounds then hold for each entry).
         unit: Its unit; "1" for a pure number.
-        low: Lowest allowed value.
-        high: Highest allowed value.
         source: Where default and bounds come from.
         of_full_scale: Whether the bounds are shares of the camera's highest digital number, whatever its bit depth.
     """

@@ -144,7 +144,6 @@ class CatalogueEffect(Effect):
         """Return what a finding says against a figure that the camera's description states; nothing by default.
 
         Args:
-            camera: The description.
             u: Standard uncertainty of each parameter that was fitted.
         """
         return ""
@@ -157,7 +156,6 @@ class CatalogueEffect(Effect):
         """Return starts in finer steps about this one, tried where the statistic that it shows in resolves them.
 
         Args:
-            rows: Rows of a frame.
             turn: Parameters may be refined in turns; 0 or 1.
         """
         return ()

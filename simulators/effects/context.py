@@ -58,14 +58,9 @@ class FrameGeometry:
         """Return the geometry of an image of `width` × `height` stored pixels whose corner is at sensor (x, y).
 
         Args:
-            width: Stored columns.
-            height: Stored rows.
-            x: Leftmost sensor column.
-            y: Topmost sensor row.
             binning: Sensor pixels per stored pixel in each direction.
             sensor_width: Sensor width in pixels; by default what the image covers.
             sensor_height: Sensor height in pixels.
-            more: Further attributes.
         """
         middle = (binning - 1) / 2
         return cls(
@@ -197,9 +192,6 @@ class ExposureContext:
         """Return a change of the signal at each entry, and the variance that it has within one.
 
         Of pixels there is none; tiles overrule this.
-
-        Args:
-            change: Gives the change for a context.
         """
         return change(self), 0.0
 

@@ -215,7 +215,6 @@ def freed(plain: type[CatalogueEffect], axes: tuple[str, ...]) -> type[FreeLaw]:
 
     Args:
         plain: The effect's own kind.
-        axes: The covariates.
     """
     tables = {"law": parameter((1.0,), "1", 0.0, LARGEST, source="a curve fitted to data; 1 is the effect's own law")}
     tables |= {_PREFIX + axis: _knots_of(axis) for axis in axes}

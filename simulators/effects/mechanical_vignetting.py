@@ -81,8 +81,6 @@ def common_area(first: Any, second: Any, distance: Any) -> Any:
     """Return the area that two circles have in common.
 
     Args:
-        first: Radius of one.
-        second: Radius of the other.
         distance: Distance of their centres, in the same unit.
 
     Source: circular segments of half-angle α, r²·(α − sin α·cos α), on either side of the common chord.

@@ -159,7 +159,6 @@ class EffectEntry:
 
         Args:
             mapping: {name, enabled, parameters, notes}; all but the name may be missing.
-            where: File and position, for messages.
 
         Raises:
             ConfigurationError: If the effect or a parameter is unknown, or a value is out of its bounds.

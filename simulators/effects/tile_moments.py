@@ -46,7 +46,6 @@ class Moments:
         """Return the moments behind a link of the chain, without what the link itself adds.
 
         Args:
-            mean: Expected signal behind it.
             slope: d(mean)/d(signal).
         """
         if isinstance(slope, float) and slope == 1.0:

@@ -38,12 +38,7 @@ class LightBoxCamera(SimulatedCamera):
     """A simulated camera in front of a simulated light box.
 
     Args:
-        model: The camera, its lens and their effects.
-        view: What it sees of the box.
-        limits: What the camera can do.
         clock: Time that the box shares.
-        seed: Makes the noise.
-        serial: Serial number.
     """
 
     def __init__(

@@ -121,7 +121,6 @@ def pigments_after_flash(rods: float, cones: float, since_s: float, photopic_td_
 
     Args:
         rods: Fraction of the rods' pigment that was bleached.
-        cones: That of the cones'.
         since_s: Time in s since then, in which it regenerated.
         photopic_td_s: Retinal exposure of the flash; scotopic is twice that, as of white LEDs.
     """

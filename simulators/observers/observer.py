@@ -72,9 +72,6 @@ class Observer:
         """Return the reaction time in s to a blink (None: a catch without light), or None for no press.
 
         Args:
-            log10_level: Level of the light.
-            time_s: When.
-            wavelength_nm: Its wavelength.
             place_deg: Where it is, in degrees temporal of and above the mark; None for the test spot's place.
         """
         if place_deg is not None and self.falls_on_blind_spot(place_deg):
@@ -107,7 +104,6 @@ class ObserverAtScreen:
         """Return the reaction time in s to a spot of a drive 0..1 on black, or None for no press.
 
         Args:
-            rgb: Its drive.
             place_deg: Where it is, in degrees temporal of and above the mark; None for the test spot's place.
 
         What the spot adds to the black is what is seen; that a shining black itself raises the threshold is left out.

@@ -49,8 +49,6 @@ class SimulatedSubject:
         Args:
             log10_level: Level of the spot; None for no spot.
             minutes: Time in the dark in min.
-            trial: Number of the trial.
-            blink: Number of the blink in it.
         """
         rng = np.random.default_rng([self.seed, trial, blink])
         chance = self.false_alarm
@@ -67,8 +65,6 @@ class SimulatedSubject:
 
         Args:
             minutes: Time in the dark in min.
-            trial: Number of the trial.
-            blink: Number of the blink in it.
         """
         elsewhere = np.random.default_rng([self.seed, trial, blink, 1]).random() < self.fixation_losses
         return self.presses(math.inf if elsewhere else None, minutes, trial, blink)

@@ -75,11 +75,8 @@ def render(picture: ServedPicture, *, width: int, scale: str, colours: str, bar:
     """Return the PNG and headers that state its scale.
 
     Args:
-        picture: What to show.
         width: Width of the picture without its bar in pixels.
         scale: "log", "linear" or "auto".
-        colours: One of inferno, grey, red.
-        bar: Whether to draw the scale bar.
     """
     rows, columns = picture.radiance.shape
     height = max(1, round(rows * width / columns))

@@ -92,7 +92,6 @@ class CommandTable:
         """Return the command of a header, its numeric suffix, and the path for the next unit of the message.
 
         Args:
-            header: As written.
             path: Path left by the unit before; "" at the start of a message.
 
         Raises:

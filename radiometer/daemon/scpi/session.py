@@ -37,8 +37,6 @@ class Session:
     """One client.
 
     Args:
-        station: The instrument, shared by all sessions.
-        table: The command table.
         reply_bytes: Bytes that the replies of one message may have together, without the largest of them.
     """
 
