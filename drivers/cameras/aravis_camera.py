@@ -40,11 +40,7 @@ class _Library(NamedTuple):
 
 @lru_cache(maxsize=1)
 def load_library() -> _Library:
-    """Return Aravis and GLib.
-
-    Raises:
-        MissingLibrary: If PyGObject or Aravis is not installed; names the packages.
-    """
+    """Return Aravis and GLib. Raises MissingLibrary if PyGObject or Aravis is not installed; names the packages."""
     try:
         import gi
     except ImportError as error:

@@ -43,27 +43,21 @@ class PiDevice(Protocol):
 
     def modes(self) -> list[SensorMode]:
         """Return its raw modes."""
-        ...
 
     def limits(self) -> dict[str, tuple[float, float]]:
         """Return lowest and highest value of its controls by the stack's names."""
-        ...
 
     def start(self, mode: SensorMode, controls: dict[str, Any]) -> None:
         """Begin to capture in a raw mode. Raises DeviceInUse, DeviceError."""
-        ...
 
     def request(self, deadline_s: float) -> RawRequest:
         """Return the next frame. Raises DeviceTimeout, DeviceLost."""
-        ...
 
     def stop(self) -> None:
         """End the capture."""
-        ...
 
     def close(self) -> None:
         """Give the device back."""
-        ...
 
 
 class PiLibrary(Protocol):
@@ -71,7 +65,6 @@ class PiLibrary(Protocol):
 
     def open(self, number: int) -> PiDevice:
         """Open a camera by its number. Raises DeviceNotFound, DeviceInUse, MissingLibrary."""
-        ...
 
 
 class PiLink:

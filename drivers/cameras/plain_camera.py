@@ -54,40 +54,31 @@ class FrameLink(Protocol):
     @property
     def identity(self) -> CameraIdentity:
         """Return who the camera is."""
-        ...
 
     @property
     def capabilities(self) -> CameraCapabilities:
         """Return its limits; known once it is open."""
-        ...
 
     def open(self) -> CameraSettings:
         """Take the device and return the settings in force. Raises DeviceNotFound, DeviceInUse, MissingLibrary."""
-        ...
 
     def close(self) -> None:
         """Give the device back, whatever its state."""
-        ...
 
     def apply(self, settings: CameraSettings) -> CameraSettings:
         """Set exposure, gain and format, and return them as read back. Raises DeviceError."""
-        ...
 
     def start(self) -> None:
         """Begin an acquisition: frames grabbed from now on are exposed from now on. Raises DeviceError."""
-        ...
 
     def grab(self) -> Grab:
         """Return the next frame exposed under the settings in force. Raises DeviceTimeout, DeviceLost."""
-        ...
 
     def stop(self) -> None:
         """End the acquisition."""
-        ...
 
     def findings(self) -> list[Finding]:
         """Return what was found of the camera that a user must know."""
-        ...
 
 
 class PlainCamera:

@@ -42,27 +42,21 @@ class TetheredDevice(Protocol):
 
     def names(self) -> frozenset[str]:
         """Return the names of its settings."""
-        ...
 
     def read(self, name: str) -> str:
         """Return a setting. Raises DeviceLost."""
-        ...
 
     def choices(self, name: str) -> list[str]:
         """Return what a setting can be set to; empty where it is not chosen from a list."""
-        ...
 
     def write(self, name: str, value: str) -> str:
         """Set it and return it as read back. Raises DeviceError, DeviceLost."""
-        ...
 
     def capture(self, deadline_s: float) -> tuple[str, bytes]:
         """Release the shutter and return name and bytes of the file. Raises DeviceTimeout, DeviceLost."""
-        ...
 
     def close(self) -> None:
         """Give the camera back."""
-        ...
 
 
 class TetheredLibrary(Protocol):
@@ -70,7 +64,6 @@ class TetheredLibrary(Protocol):
 
     def open(self, port: str) -> TetheredDevice:
         """Open the camera at a port. Raises DeviceNotFound, DeviceInUse, MissingLibrary."""
-        ...
 
 
 @dataclass(frozen=True, slots=True)

@@ -65,31 +65,24 @@ class VideoDevice(Protocol):
 
     def formats(self) -> list[tuple[str, int, int]]:
         """Return four-letter code, width and height of every format."""
-        ...
 
     def controls(self) -> dict[str, Control]:
         """Return its controls by name."""
-        ...
 
     def set_control(self, name: str, value: int) -> int:
         """Set a control and return it as read back. Raises DeviceError."""
-        ...
 
     def start(self, fourcc: str, width: int, height: int) -> None:
         """Begin to stream. Raises DeviceInUse, DeviceError."""
-        ...
 
     def frame(self, deadline_s: float) -> VideoFrame:
         """Return the next frame. Raises DeviceTimeout, DeviceLost."""
-        ...
 
     def stop(self) -> None:
         """End streaming."""
-        ...
 
     def close(self) -> None:
         """Give the device back."""
-        ...
 
 
 class VideoLibrary(Protocol):
@@ -97,7 +90,6 @@ class VideoLibrary(Protocol):
 
     def open(self, path: str) -> VideoDevice:
         """Open a device. Raises DeviceNotFound, DeviceInUse, MissingLibrary."""
-        ...
 
 
 class V4l2Link:

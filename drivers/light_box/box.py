@@ -63,11 +63,9 @@ class RadianceTable(Protocol):
 
     def drive_for(self, channel: str, radiance_w_sr_m2: float) -> tuple[int, bool]:
         """Return the level nearest to a radiance and whether it is on the high range; raises SettingOutOfRange."""
-        ...
 
     def highest_radiance(self, channel: str, level: int, high: bool) -> float | None:
         """Return a radiance in W·sr⁻¹·m⁻² that the level stays below (k = 2); None where it is not calibrated."""
-        ...
 
 
 @dataclass(slots=True)

@@ -33,12 +33,10 @@ class Received(Protocol):
     @property
     def text(self) -> bytes:
         """Return the bytes."""
-        ...
 
     @property
     def time_s(self) -> float:
         """Return when the line's end arrived, in s."""
-        ...
 
 
 class Line(Protocol):
@@ -47,27 +45,21 @@ class Line(Protocol):
     @property
     def name(self) -> str:
         """Return the port's name."""
-        ...
 
     def open(self) -> None:
         """Open the port. Raises DeviceNotFound or DeviceInUse."""
-        ...
 
     def close(self) -> None:
         """Release the port; closing twice does nothing."""
-        ...
 
     def write(self, line: bytes) -> float:
         """Send bytes and return the time in s just before they left. Raises DeviceLost."""
-        ...
 
     def read_line(self, timeout_s: float) -> Received | None:
         """Return the next line, or None where none is complete within `timeout_s`. Raises DeviceLost."""
-        ...
 
     def now(self) -> float:
         """Return the time in s on the clock that stamps the lines."""
-        ...
 
 
 @dataclass(slots=True)

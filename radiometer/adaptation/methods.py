@@ -19,7 +19,6 @@ class Method(Protocol):
 
     def answer(self, *, seen: bool) -> None:
         """Take the answer to the blink at `level` and go on."""
-        ...
 
 
 @dataclass

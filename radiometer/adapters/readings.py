@@ -24,11 +24,9 @@ class ReadingSource(Protocol):
     @property
     def origin(self) -> str:
         """Return what measures, such as "radiometer:22500001"."""
-        ...
 
     def measure(self) -> Reading:
         """Return one reading. Raises DeviceError, MeasurementError."""
-        ...
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,11 +85,7 @@ class DaemonSource:
 
 
 def reading_of(mapping: Mapping[str, Any]) -> Reading:
-    """Return a reading from its documented JSON form.
-
-    Raises:
-        DeviceError: If it is none.
-    """
+    """Return a reading from its documented JSON form. Raises DeviceError if it is none."""
     try:
         luminance = mapping.get("luminance")
         return Reading(

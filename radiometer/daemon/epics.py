@@ -48,11 +48,7 @@ class PvaOptions:
 
 
 class PvaServer:
-    """Serves one station's readings.
-
-    Raises:
-        MissingLibrary: If p4p is not installed.
-    """
+    """Serves one station's readings. Raises MissingLibrary if p4p is not installed."""
 
     def __init__(self, station: Station, options: PvaOptions) -> None:
         self._station, self._options = station, options

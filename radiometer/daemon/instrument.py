@@ -72,51 +72,40 @@ class ServedInstrument(Protocol):
     @property
     def identity(self) -> CameraIdentity:
         """Return who the camera is; known before it is opened."""
-        ...
 
     @property
     def limits(self) -> CameraCapabilities:
         """Return the camera's limits as of the last opening. Raises DeviceError before the first."""
-        ...
 
     @property
     def late_at(self) -> float | None:
         """Return when the call in progress begins to be late (monotonic clock, s); None where that is not known."""
-        ...
 
     def open(self) -> None:
         """Open the camera. Raises DeviceError."""
-        ...
 
     def close(self) -> None:
         """Release the camera; closing twice, or a lost camera, does nothing."""
-        ...
 
     def check(self) -> DeviceReport:
         """Ask the camera whether it is still there, without taking a frame. Raises DeviceError."""
-        ...
 
     def measure(self, settings: MeasurementSettings) -> Measurement:
         """Take frames and return a reading. Raises DeviceError or MeasurementError."""
-        ...
 
     def self_test(self) -> list[str]:
         """Return what is wrong, one sentence each; empty if nothing is. Raises DeviceError."""
-        ...
 
     def reload_calibration(self) -> str:
         """Read the calibration file again and return one line that names it. Raises CalibrationError."""
-        ...
 
     @property
     def response(self) -> ResponseCurve | None:
         """Return the response curve in use; None where the response is taken as linear."""
-        ...
 
     @property
     def calibration_summary(self) -> Mapping[str, Any]:
         """Return where the calibration comes from: file, time, assumptions. Empty where uncalibrated."""
-        ...
 
 
 class LightSource(Protocol):
@@ -125,30 +114,23 @@ class LightSource(Protocol):
     @property
     def name(self) -> str:
         """Return the name for messages."""
-        ...
 
     @property
     def channels(self) -> tuple[str, ...]:
         """Return the names of the channels; SCPI numbers them from 1."""
-        ...
 
     @property
     def late_at(self) -> float | None:
         """Return when the call in progress begins to be late (monotonic clock, s); None where that is not known."""
-        ...
 
     def open(self) -> None:
         """Open the box, all channels dark. Raises DeviceError."""
-        ...
 
     def close(self) -> None:
         """Switch every channel off and release the box; closing twice, or a lost box, does nothing."""
-        ...
 
     def check(self) -> DeviceReport:
         """Ask the box whether it is still there and keep its dead-man timer from firing. Raises DeviceError."""
-        ...
 
     def set_level(self, channel: str, level: float) -> float:
         """Set a channel's level, 0 to 1, and return it as read back. Raises DeviceError."""
-        ...

@@ -42,19 +42,15 @@ class KeptDevice(Protocol):
     @property
     def late_at(self) -> float | None:
         """Return when the call in progress begins to be late (monotonic clock, s); None where that is not known."""
-        ...
 
     def open(self) -> None:
         """Open the device. Raises DeviceError."""
-        ...
 
     def close(self) -> None:
         """Release it, whatever its state."""
-        ...
 
     def check(self) -> DeviceReport:
         """Ask whether it is there. Raises DeviceError."""
-        ...
 
 
 class DeviceState(StrEnum):

@@ -86,56 +86,44 @@ class Camera(Protocol):
     @property
     def identity(self) -> CameraIdentity:
         """Return who the camera is; known before it is opened."""
-        ...
 
     @property
     def capabilities(self) -> CameraCapabilities:
         """Return its limits. Raises DeviceError unless open."""
-        ...
 
     @property
     def settings(self) -> CameraSettings:
         """Return the settings in force, as read back. Raises DeviceError unless open."""
-        ...
 
     @property
     def description(self) -> CameraDescription:
         """Return what its datasheet or preset says of it."""
-        ...
 
     @property
     def lens(self) -> LensDescription:
         """Return the lens in front of it, as configured."""
-        ...
 
     @property
     def counts(self) -> AcquisitionCounts:
         """Return what went wrong and was put right since it was opened."""
-        ...
 
     def open(self) -> None:
         """Open the device. Raises DeviceNotFound, DeviceInUse or MissingLibrary."""
-        ...
 
     def close(self) -> None:
         """Release the device; closing twice does nothing."""
-        ...
 
     def configure(self, settings: CameraSettings) -> CameraSettings:
         """Set everything and return it as read back. Raises SettingOutOfRange; then nothing was changed."""
-        ...
 
     def capture(self, count: int = 1) -> list[Frame]:
         """Return `count` complete frames exposed under the settings in force. Raises DeviceTimeout, DeviceLost."""
-        ...
 
     def stream(self) -> Generator[Frame, None, None]:
         """Yield frames as they come until the iterator is closed."""
-        ...
 
     def set_shutter(self, *, closed: bool) -> None:
         """Close or open the shutter. Raises DeviceError where `capabilities.has_shutter` is false."""
-        ...
 
     def __enter__(self) -> Self: ...
 

@@ -23,15 +23,12 @@ class Display(Protocol):
 
     def open(self) -> None:
         """Take the screen. Raises DeviceNotFound."""
-        ...
 
     def close(self) -> None:
         """Release the screen; closing twice does nothing."""
-        ...
 
     def show(self, patch: DisplayPatch) -> None:
         """Show a patch and return once it is on screen. Raises DeviceTimeout, DeviceLost."""
-        ...
 
     def __enter__(self) -> Self: ...
 

@@ -230,19 +230,15 @@ class AccountStore(Protocol):
     @property
     def holder(self) -> str:
         """Return the name of this program in the account."""
-        ...
 
     def lives(self, holder: str) -> bool:
         """Return whether another program that entered light still runs."""
-        ...
 
     def now_s(self) -> float:
         """Return the present uptime in s."""
-        ...
 
     def look(self) -> Account:
         """Return the account as it is now, to read. Raises UnsafeStimulus where it cannot be had."""
-        ...
 
     def change(self) -> contextlib.AbstractContextManager[Account]:
         """Return a block that holds the account for itself and stores it at its end.
@@ -250,7 +246,6 @@ class AccountStore(Protocol):
         Raises:
             UnsafeStimulus: If it cannot be locked, read or stored; then nothing was changed.
         """
-        ...
 
 
 @dataclass(slots=True)

@@ -136,63 +136,49 @@ class LightBox(Protocol):
     @property
     def identity(self) -> LightBoxIdentity:
         """Return who the box is. Raises DeviceError unless open."""
-        ...
 
     @property
     def channels(self) -> Mapping[str, ChannelCapabilities]:
         """Return the channels by name. Raises DeviceError unless open."""
-        ...
 
     def open(self) -> None:
         """Open the box; every channel is dark then. Raises DeviceNotFound or DeviceInUse."""
-        ...
 
     def close(self) -> None:
         """Darken and release the box; closing twice does nothing."""
-        ...
 
     def set_level(self, channel: str, level: Level) -> ChannelState:
         """Light a channel steadily and return its state as read back.
 
         Raises SettingOutOfRange, UnsafeStimulus, CalibrationError, DeviceTimeout or DeviceLost.
         """
-        ...
 
     def ramp(self, channel: str, level: Level, duration_s: float) -> ChannelState:
         """Move a channel's level linearly to another within `duration_s`; raises as `set_level`."""
-        ...
 
     def pulse(self, channel: str, level: Level, duration_s: float) -> ChannelState:
         """Light a channel for `duration_s`, timed by the box; raises as `set_level`."""
-        ...
 
     def blink(self, channel: str, level: Level, on_s: float, off_s: float, count: int = 0) -> ChannelState:
         """Blink a channel `count` times (0: until the next command), timed by the box; raises as `set_level`."""
-        ...
 
     def off(self, channel: str) -> None:
         """Darken one channel. Raises DeviceTimeout or DeviceLost; the box is dark within 1 s then."""
-        ...
 
     def safe(self) -> None:
         """Darken every channel; never raises, for the box darkens itself where it cannot be reached."""
-        ...
 
     def read_channel(self, channel: str) -> ChannelState:
         """Return what a channel is doing. Raises DeviceTimeout, DeviceLost."""
-        ...
 
     def status(self) -> LightBoxStatus:
         """Return supply, temperature and error counts. Raises DeviceTimeout, DeviceLost."""
-        ...
 
     def synchronise(self) -> ClockEstimate:
         """Compare the clocks once more and return the estimate. Raises DeviceTimeout, DeviceLost."""
-        ...
 
     def buttons(self, timeout_s: float) -> Iterator[ButtonEvent]:
         """Yield presses and releases as they come for `timeout_s`. Raises DeviceLost."""
-        ...
 
     def __enter__(self) -> Self: ...
 
@@ -208,18 +194,15 @@ class FlashBox(Protocol):
     @property
     def flash_exposure_j_sr_m2(self) -> float:
         """Return the radiant exposure of one flash in J·sr⁻¹·m⁻². Raises CalibrationError where it is not known."""
-        ...
 
     def fire_flash(self) -> FlashState:
         """Fire the flash once.
 
         Raises UnsafeStimulus, CalibrationError, UsageError, DeviceTimeout or DeviceLost.
         """
-        ...
 
     def flash_state(self) -> FlashState:
         """Return what the box allows of its flash. Raises UsageError, DeviceTimeout, DeviceLost."""
-        ...
 
 
 def round_to_steps(level: int, steps: int) -> int:

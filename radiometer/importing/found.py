@@ -36,11 +36,7 @@ class ImportOptions:
             raise UsageError(f"a full scale of {self.full_scale:g} is not possible; give a number above 0")
 
     def cut(self, pixels: NDArray[Any], where: str) -> NDArray[Any]:
-        """Return the requested part of a picture.
-
-        Raises:
-            CaptureError: If the crop is not inside it.
-        """
+        """Return the requested part of a picture. Raises CaptureError if the crop is not inside it."""
         if self.crop is not None:
             height, width = pixels.shape
             if not self.crop.fits((height, width)):

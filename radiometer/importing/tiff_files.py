@@ -78,11 +78,7 @@ def read_tiff_headers(path: Path, mapped: StatementMap = StatementMap()) -> list
 
 @bounded_reader()
 def read_tiff_pixels(path: Path, part: int) -> NDArray[Any]:
-    """Return the stored values of one page.
-
-    Raises:
-        CaptureError: If the file is damaged or truncated.
-    """
+    """Return the stored values of one page. Raises CaptureError if the file is damaged or truncated."""
     with _opened(path) as tiff:
         page = _full_size(tiff)[0][part][0]
         _refuse_cut_short(path, page, tiff.filehandle.size)

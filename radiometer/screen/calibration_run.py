@@ -29,24 +29,19 @@ class Instrumented(Protocol):
     @property
     def display(self) -> Display:
         """Return the open display."""
-        ...
 
     @property
     def sleep(self) -> Callable[[float], None]:
         """Return what waits for a number of seconds."""
-        ...
 
     def read(self) -> ScreenReading:
         """Return a reading of the middle. Raises DeviceError, MeasurementError."""
-        ...
 
     def check_flicker(self) -> Flicker:
         """Return whether the light changes quickly. Raises DeviceError."""
-        ...
 
     def check_uniformity(self) -> Uniformity:
         """Return white over the screen. Raises DeviceError, MeasurementError."""
-        ...
 
 
 @dataclass(frozen=True, slots=True)

@@ -45,15 +45,12 @@ class Host(Protocol):
 
     async def joined(self, socket: web.WebSocketResponse) -> None:
         """Take a browser that has just connected."""
-        ...
 
     def received(self, message: Message) -> None:
         """Take a message of a browser."""
-        ...
 
     def left(self, socket: web.WebSocketResponse) -> None:
         """Forget a browser that has gone."""
-        ...
 
 
 class LoopbackServer:

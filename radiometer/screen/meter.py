@@ -22,4 +22,3 @@ class Meter(Protocol):
 
     def read(self) -> ScreenReading:
         """Return one reading. Raises DeviceError, MeasurementError."""
-        ...

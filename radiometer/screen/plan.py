@@ -41,10 +41,7 @@ class ScreenStep:
 def parse_levels(text: str, bits: int = 8) -> tuple[int, ...]:
     """Return ascending levels behind "all", "quick", a count such as "33", or a list such as "0,16,255".
 
-    Black and white are always among them.
-
-    Raises:
-        UsageError: If the text is none of these.
+    Black and white are always among them. Raises UsageError if the text is none of these.
     """
     top = 2**bits - 1
     if text == "all":

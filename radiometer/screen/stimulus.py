@@ -63,24 +63,19 @@ class StimulusScreen(Protocol):
 
     def show(self, picture: ScreenPicture) -> None:
         """Show a picture and return once it is on screen. Raises DeviceError."""
-        ...
 
     def blink(self, lit: ScreenPicture, rest: ScreenPicture, on_s: float, cycle_s: float) -> Blink:
         """Show `lit` for a time, then `rest` until the cycle is over; return what was pressed. Raises DeviceError."""
-        ...
 
     def rest(self, seconds: float) -> Rest:
         """Let time pass and return what was pressed. Raises DeviceError."""
-        ...
 
     @property
     def size(self) -> tuple[int, int]:
         """Return width and height of the screen in pixels."""
-        ...
 
     def warnings(self) -> list[str]:
         """Return what on the screen's side may falsify a test."""
-        ...
 
 
 @dataclass(frozen=True, slots=True)

@@ -127,7 +127,6 @@ class Past(Protocol):
 
     def faded(self, tau_s: float) -> Signal:
         """Return the sum of what all earlier frames held in electrons, each times exp(−age/τ)."""
-        ...
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -26,7 +26,6 @@ class SerialDevice(Protocol):
 
     def exchange(self, received: bytes, time_s: float) -> bytes:
         """Take bytes that the host sent, let time pass up to `time_s`, return the bytes sent meanwhile."""
-        ...
 
 
 @dataclass(slots=True)

@@ -27,17 +27,13 @@ class Scene(Protocol):
     @property
     def source(self) -> SourceDescription:
         """Return kind and wavelength of the light."""
-        ...
 
     @property
     def patterns(self) -> tuple[str, ...]:
         """Return the names of the patterns that it can show; the first is shown by default."""
-        ...
 
     def render(self, width: int, height: int, pattern: str) -> SceneImage:
         """Return what a sensor of `width` × `height` pixels sees. Raises ConfigurationError for an unknown pattern."""
-        ...
 
     def patches(self, width: int, height: int) -> tuple[PatchDescription, ...]:
         """Return the patches with their true radiance at source level 1 (u_rel 0)."""
-        ...

@@ -26,16 +26,13 @@ class Parameter(Protocol):
     @property
     def name(self) -> str:
         """Return the name for messages and the manual."""
-        ...
 
     @property
     def form(self) -> str:
         """Return what is accepted, for the manual."""
-        ...
 
     def read(self, argument: Argument, station: Station) -> Any:
         """Return the value of an argument. Raises ScpiError."""
-        ...
 
 
 def short_form(word: str) -> str:
