@@ -72,9 +72,7 @@ def discover(*, include_fake: bool = False) -> list[CameraIdentity]:
 
 
 def open_camera(
-    name: str | None = None,
-    preset: str | CameraDescription | None = None,
-    lens: LensDescription | None = None,
+    name: str | None = None, preset: str | CameraDescription | None = None, lens: LensDescription | None = None
 ) -> AravisCamera:
     """Return a camera by id, serial number or address, ready for `open()`.
 

@@ -37,11 +37,7 @@ class CallThread:
     """
 
     def __init__(
-        self,
-        name: str,
-        is_gone: Callable[[], bool],
-        patience_s: float = PATIENCE_S,
-        deadline_s: float | None = None,
+        self, name: str, is_gone: Callable[[], bool], patience_s: float = PATIENCE_S, deadline_s: float | None = None
     ) -> None:
         self._name, self._is_gone, self._patience_s = name, is_gone, patience_s
         self._questions = math.inf if deadline_s is None else math.ceil(deadline_s / patience_s)

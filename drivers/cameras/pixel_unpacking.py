@@ -31,13 +31,7 @@ class PixelFormat:
 
 
 def unpack_pixels(
-    payload: bytes,
-    format_name: str,
-    width: int,
-    height: int,
-    *,
-    left_aligned_bits: int = 0,
-    big_endian: bool = False,
+    payload: bytes, format_name: str, width: int, height: int, *, left_aligned_bits: int = 0, big_endian: bool = False
 ) -> DigitalNumbers:
     """Return the digital numbers of a picture, right-aligned, shape (height, width).
 

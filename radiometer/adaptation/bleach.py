@@ -6,12 +6,7 @@ import math
 from dataclasses import dataclass
 from typing import Final, Literal
 
-from radiometer.data.bleaching_constants import (
-    CONE_HALF_BLEACH,
-    CONE_REGENERATION,
-    ROD_EXPOSURE,
-    ROD_REGENERATION,
-)
+from radiometer.data.bleaching_constants import CONE_HALF_BLEACH, CONE_REGENERATION, ROD_EXPOSURE, ROD_REGENERATION
 
 Receptor = Literal["rods", "cones"]
 

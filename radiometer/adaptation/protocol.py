@@ -13,16 +13,7 @@ from radiometer.data.storage import read_yaml
 from radiometer.data.validation import ConfigSection, validate
 from radiometer.errors import ConfigurationError, InputError
 
-SHIPPED = (
-    "classic",
-    "classic-blue",
-    "rapid",
-    "quick",
-    "led-only",
-    "questplus",
-    "steady-low",
-    "screen-only",
-)
+SHIPPED = ("classic", "classic-blue", "rapid", "quick", "led-only", "questplus", "steady-low", "screen-only")
 BLEACH_CHANNEL = "bleach"
 # Conditions of the published rod intercept at 5·10⁻³ scotopic cd·m⁻²: spot of about 2°, 500 to 510 nm, 5° from
 # fixation. The bleach covered three quarters to four fifths of the rods (Jackson and Edwards 2008; Jackson et al. #

@@ -173,12 +173,7 @@ def _taken(
 
 
 def _of_trials(
-    path: Path,
-    header: list[str],
-    body: list[tuple[int, list[str]]],
-    facts: dict[str, str],
-    how: list[str],
-    seen: int,
+    path: Path, header: list[str], body: list[tuple[int, list[str]]], facts: dict[str, str], how: list[str], seen: int
 ) -> TakenTable:
     """Return the thresholds of a list of trials: where the answer changes between two levels."""
     when = column_of_onsets(path, header, [row for _, row in body], without=seen)

@@ -21,12 +21,7 @@ from radiometer.errors import MissingLibrary, UsageError
 
 try:
     from bluesky.protocols import Movable
-    from ophyd_async.core import (
-        AsyncStatus,
-        StandardReadable,
-        StandardReadableFormat,
-        soft_signal_r_and_setter,
-    )
+    from ophyd_async.core import AsyncStatus, StandardReadable, StandardReadableFormat, soft_signal_r_and_setter
 except ImportError as _error:
     raise MissingLibrary("Bluesky's adapters need ophyd-async: pip install 'radiometer[bluesky]'") from _error
 

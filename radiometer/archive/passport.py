@@ -128,11 +128,7 @@ class Passport:
                     for name, t, rate, z in law.points
                 ],
                 "session_doublings": [
-                    {
-                        "session": one.session,
-                        "doubling_K": one.measured_k.to_mapping(),
-                        "expected_K": one.expected_k,
-                    }
+                    {"session": one.session, "doubling_K": one.measured_k.to_mapping(), "expected_K": one.expected_k}
                     for one in law.doublings
                 ],
                 "session_doublings_apart_u": law.doublings_apart_u,

@@ -5,15 +5,8 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
-from radiometer.bench.config import (
-    SIMULATED as SIMULATED,
-)
-from radiometer.bench.config import (
-    BenchConfig,
-    CameraConfig,
-    GenicamCameraConfig,
-    SimulatedCameraConfig,
-)
+from radiometer.bench.config import SIMULATED as SIMULATED
+from radiometer.bench.config import BenchConfig, CameraConfig, GenicamCameraConfig, SimulatedCameraConfig
 from radiometer.data.config_files import shipped_config
 from radiometer.devices import Camera, CameraCapabilities, CameraIdentity, CameraPreset, CameraSettings
 from radiometer.errors import ConfigurationError, MissingLibrary

@@ -13,10 +13,7 @@ PAUSE_S: Final = 0.5  # between two tries: what an opening of a camera that is t
 
 
 def reopen(
-    camera: Camera,
-    settings: CameraSettings,
-    told: Callable[[str], None],
-    sleep: Callable[[float], None] = time.sleep,
+    camera: Camera, settings: CameraSettings, told: Callable[[str], None], sleep: Callable[[float], None] = time.sleep
 ) -> None:
     """Close a camera that was lost, and try to open it until it is back with its settings in force.
 

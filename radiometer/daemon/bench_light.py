@@ -68,11 +68,7 @@ class BenchLight:
         box = self._opened()
         status, levels = box.status(), {name: _level(box.read_channel(name)) for name in self._channels}
         self._limits = {name: _highest(box, name) for name in self._channels}
-        counts = {
-            "damaged_lines": status.damaged_lines,
-            "lost_bytes": status.lost_bytes,
-            "darkened": status.darkened,
-        }
+        counts = {"damaged_lines": status.damaged_lines, "lost_bytes": status.lost_bytes, "darkened": status.darkened}
         return DeviceReport(status.temperature_celsius, counts, levels)
 
     def set_level(self, channel: str, level: float) -> float:

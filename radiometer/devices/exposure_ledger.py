@@ -9,14 +9,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Final
 
-from radiometer.devices.exposure_account import (
-    Account,
-    AccountStore,
-    Phase,
-    Planned,
-    box_key,
-    eye_key,
-)
+from radiometer.devices.exposure_account import Account, AccountStore, Phase, Planned, box_key, eye_key
 from radiometer.devices.retinal_safety import (
     BLUE_WINDOW_S,
     DEFAULT_FRACTION,

@@ -154,9 +154,7 @@ def statistics_of(path: Path, mapped: StatementMap | None = None) -> CaptureHead
 
 
 def import_sources(
-    paths: Sequence[Path],
-    options: ImportOptions | None = None,
-    report: Callable[[int, int], None] | None = None,
+    paths: Sequence[Path], options: ImportOptions | None = None, report: Callable[[int, int], None] | None = None
 ) -> list[Assembled]:
     """Return what files, folders and patterns hold, one entry per camera or band.
 

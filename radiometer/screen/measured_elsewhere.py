@@ -100,9 +100,7 @@ def imported(
     assumptions += [f"meter's scale: {100 * meter_u_rel:g} % (k = 1)"]
     assumptions += [f"{', '.join(shared)}: curve as grey's, to {100 * SHARED_SHAPE_U_REL:g} %"] if shared else []
     return ScreenCalibration(
-        readings.name,
-        channels,
-        provenance=Provenance(f"imported from {source}", assumptions=tuple(assumptions)),
+        readings.name, channels, provenance=Provenance(f"imported from {source}", assumptions=tuple(assumptions))
     )
 
 

@@ -58,10 +58,7 @@ class ForwardModelSource:
         self._since_change = self._since_change + 1 if settings == self._last else 0
         self._last = settings
         dn = self._sensor.expose(
-            settings,
-            output_bit_depth=request.bit_depth,
-            binning=request.binning,
-            frame_index=self._since_change,
+            settings, output_bit_depth=request.bit_depth, binning=request.binning, frame_index=self._since_change
         )
         return dn[request.y : request.y + request.height, request.x : request.x + request.width]
 

@@ -53,11 +53,7 @@ def completed(camera: CameraDescription, off: Undeclared | None = None) -> Camer
     e_per_dn = e_per_dn if camera.conversion_gain_e_per_dn else _allowed(ConversionGain, e_per_dn)
     read = read if camera.read_noise_e is not None else _allowed(ReadNoise, read)
     most_e = _allowed(FullWellSaturation, _MARGIN_BITS * camera.full_scale_dn * e_per_dn)
-    figures |= {
-        "conversion_gain_e_per_dn": e_per_dn,
-        "read_noise_e": read,
-        "full_well_e": camera.full_well_e or most_e,
-    }
+    figures |= {"conversion_gain_e_per_dn": e_per_dn, "read_noise_e": read, "full_well_e": camera.full_well_e or most_e}
     return camera.model_copy(update=figures)
 
 

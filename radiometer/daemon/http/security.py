@@ -74,10 +74,7 @@ async def report_errors(request: web.Request, handler: Handler) -> web.StreamRes
 
 
 def guard(
-    routes: Sequence[Route],
-    token: str | None,
-    requests_per_s: float,
-    places: Places[web.RequestHandler],
+    routes: Sequence[Route], token: str | None, requests_per_s: float, places: Places[web.RequestHandler]
 ) -> Middleware:
     """Return the middleware that limits rates, refuses foreign origins, and asks for the token where one is set.
 
