@@ -11,7 +11,7 @@ from __future__ import annotations
 import threading
 from collections.abc import Generator
 from functools import lru_cache
-from types import ModuleType, TracebackType
+from types import ModuleType
 from typing import NamedTuple, Self
 
 import structlog
@@ -239,9 +239,7 @@ class AravisCamera:
         self.open()
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         """Close the camera."""
         self.close()
 

@@ -9,7 +9,6 @@ from __future__ import annotations
 import threading
 from collections.abc import Callable, Generator
 from dataclasses import dataclass, replace
-from types import TracebackType
 from typing import Protocol, Self, TypeVar
 
 from radiometer.data import CameraDescription, Frame, FrameSettings, LensDescription
@@ -220,9 +219,7 @@ class PlainCamera:
         self.open()
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         """Close the camera."""
         self.close()
 

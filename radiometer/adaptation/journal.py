@@ -7,7 +7,6 @@ import os
 from collections import deque
 from collections.abc import Iterator
 from pathlib import Path
-from types import TracebackType
 from typing import IO, Any, Final, Self
 
 from radiometer.data.json_text import json_text
@@ -98,9 +97,7 @@ class RunJournal:
         self._sorted = len(self.events)
         return list(self._of_kind.get(kind, ()))
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         if self._stream:
             self._stream.close()
             self._stream = None

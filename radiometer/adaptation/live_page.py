@@ -9,7 +9,6 @@ import threading
 import time
 from collections.abc import Callable, Coroutine, Mapping
 from importlib.resources import files
-from types import TracebackType
 from typing import Any, Final, Self
 
 from aiohttp import web
@@ -197,9 +196,7 @@ class LivePage:
         self.open()
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
 
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Callable, Mapping
-from types import TracebackType
 from typing import Any, Self
 
 from radiometer.errors import DeviceError
@@ -73,9 +72,7 @@ class BrowserPage:
         self.open()
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
 
     def _ask(self, order: Mapping[str, Any], timeout_s: float) -> dict[str, Any]:

@@ -15,7 +15,6 @@ from __future__ import annotations
 import zlib
 from collections.abc import Generator
 from dataclasses import replace
-from types import TracebackType
 from typing import Final, Self
 
 from radiometer.data import CameraDescription, Frame, FrameSettings, LensDescription
@@ -207,9 +206,7 @@ class SimulatedCamera:
         self.open()
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
 
     @property
