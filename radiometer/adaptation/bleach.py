@@ -98,19 +98,3 @@ def _fraction(kinetics: PigmentKinetics, retinal_td: float, duration_s: float, b
     rate = retinal_td / kinetics.td_s + 1.0 / kinetics.regeneration_s
     steady = retinal_td / kinetics.td_s / rate
     return steady + (before - steady) * math.exp(-rate * duration_s)
-
-
-def retinal_exposure_for(fraction: float, duration_s: float, receptor: Receptor = "rods") -> float:
-    """Return the retinal exposure in td·s that bleaches a fraction of a rested eye's pigment in a given time.
-
-    Raises:
-        ValueError: If the fraction is not between 0 and 1.
-    """
-    if not 0.0 < fraction < 1.0:
-        raise ValueError(f"a bleached fraction lies between 0 and 1, not {fraction}")
-    low, high = 0.0, 1e12
-    for _ in range(200):
-        middle = 0.5 * (low + high)
-        short = bleached_fraction(middle / duration_s, duration_s, receptor) < fraction
-        low, high = (middle, high) if short else (low, middle)
-    return high

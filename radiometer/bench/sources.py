@@ -37,21 +37,6 @@ def is_photographs(path: Path) -> bool:
     return bool(image_files(path)) or not (path / "frames").is_dir()
 
 
-def open_brackets(
-    path: Path,
-    channel: str = "luminance",
-    *,
-    report: Callable[[int, int], None] | None = None,
-    speeds: IsoSpeeds | None = None,
-    most_pixels: int | None = None,
-    interpolated: bool = False,
-) -> list[Bracket]:
-    """Return the brackets of what a user has on disk; see `open_source`."""
-    return open_source(
-        path, channel, report=report, speeds=speeds, most_pixels=most_pixels, interpolated=interpolated
-    ).brackets
-
-
 def open_source(
     path: Path,
     channel: str = "luminance",

@@ -1,4 +1,4 @@
-"""Capture sets made by a camera model, for tests, demonstrations and the comparison with measured ones."""
+"""Capture sets made by a camera model, for tests and benchmarks."""
 
 from __future__ import annotations
 
