@@ -7,9 +7,10 @@ each); what the `Camera` protocol asks beyond that stands here once.
 from __future__ import annotations
 
 import threading
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Generator
 from dataclasses import dataclass, replace
-from typing import Protocol, Self, TypeVar
+from typing import Generic, Protocol, Self, TypeVar
 
 from radiometer.data import CameraDescription, Frame, FrameSettings, LensDescription
 from radiometer.data.frame import CameraFile, DigitalNumbers
@@ -28,6 +29,55 @@ from radiometer.errors import DeviceError, DeviceInUse, DeviceLost, SettingOutOf
 _Result = TypeVar("_Result")
 _held: set[str] = set()  # devices opened by this process: some libraries let one process open a camera twice
 _held_lock = threading.Lock()
+
+
+class NamedCamera(ABC):
+    """What every driver of a camera has: a name for messages, one opening per process, and the form of a block."""
+
+    @property
+    @abstractmethod
+    def identity(self) -> CameraIdentity:
+        """Return who the camera is."""
+
+    @abstractmethod
+    def open(self) -> None:
+        """Take the device."""
+
+    @abstractmethod
+    def close(self) -> None:
+        """Release the device."""
+
+    def __enter__(self) -> Self:
+        """Open the camera."""
+        self.open()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        """Close the camera."""
+        self.close()
+
+    @property
+    def _label(self) -> str:
+        who = self.identity
+        return "camera " + (" ".join(part for part in (who.vendor, who.model, who.serial) if part) or who.device_id)
+
+    def _hold(self, open_device: Callable[[], _Result]) -> _Result:
+        """Return what opening the device gives. Raises DeviceInUse where this process holds it already."""
+        name = self.identity.device_id
+        with _held_lock:
+            if name in _held:
+                raise DeviceInUse(f"{self._label} is in use by this program already; close it there first")
+            _held.add(name)
+        try:
+            return open_device()
+        except BaseException:
+            _held.discard(name)
+            raise
+
+
+def let_go(device_id: str) -> None:
+    """Let this process open a device again."""
+    _held.discard(device_id)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -80,7 +130,50 @@ class FrameLink(Protocol):
         """Return what was found of the camera that a user must know."""
 
 
-class PlainCamera:
+class LinkedDevice(Protocol):
+    """An open device of any library."""
+
+    def close(self) -> None:
+        """Give it back."""
+
+
+_Device = TypeVar("_Device", bound=LinkedDevice)
+
+
+class LibraryLink(Generic[_Device]):
+    """What every `FrameLink` to a library's device has in common: who it is, its limits, and its end."""
+
+    def __init__(self, identity: CameraIdentity) -> None:
+        self._identity = identity
+        self._device: _Device | None = None
+        self._limits: CameraCapabilities | None = None
+
+    @property
+    def identity(self) -> CameraIdentity:
+        """Return who the camera is."""
+        return self._identity
+
+    @property
+    def capabilities(self) -> CameraCapabilities:
+        """Return its limits. Raises DeviceError unless open."""
+        if self._limits is None:
+            raise DeviceError(f"{self._identity.device_id} is not open; call open() first")
+        return self._limits
+
+    def close(self) -> None:
+        """Give the device back."""
+        device, self._device = self._device, None
+        if device is not None:
+            device.close()
+
+    @property
+    def _open(self) -> _Device:
+        if self._device is None:
+            raise DeviceLost(f"{self._identity.device_id} is not open; open it again")
+        return self._device
+
+
+class PlainCamera(NamedCamera):
     """A camera behind a `FrameLink`, as a `Camera`.
 
     Args:
@@ -155,15 +248,7 @@ class PlainCamera:
         """
         if self._settings is not None:
             raise DeviceInUse(f"{self._label} is open already; close it first")
-        with _held_lock:
-            if self.identity.device_id in _held:
-                raise DeviceInUse(f"{self._label} is in use by this program already; close it there first")
-            _held.add(self.identity.device_id)
-        try:
-            self._settings = self._link.open()
-        except BaseException:
-            _held.discard(self.identity.device_id)
-            raise
+        self._settings = self._hold(self._link.open)
         self._lost, self._frames = False, 0
 
     def close(self) -> None:
@@ -171,7 +256,7 @@ class PlainCamera:
         if self._settings is None:
             return
         self._settings = None
-        _held.discard(self.identity.device_id)
+        let_go(self.identity.device_id)
         self._link.close()
 
     def configure(self, settings: CameraSettings) -> CameraSettings:
@@ -213,20 +298,6 @@ class PlainCamera:
     def set_shutter(self, *, closed: bool) -> None:
         """Refuse: none of these can keep its shutter closed for a dark frame. Raises DeviceError."""
         raise DeviceError(f"{self._label}: has no shutter to close; cover the lens by hand for dark frames")
-
-    def __enter__(self) -> Self:
-        """Open the camera."""
-        self.open()
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        """Close the camera."""
-        self.close()
-
-    @property
-    def _label(self) -> str:
-        who = self.identity
-        return "camera " + (" ".join(part for part in (who.vendor, who.model, who.serial) if part) or who.device_id)
 
     def _require_open(self) -> CameraSettings:
         if self._settings is None:

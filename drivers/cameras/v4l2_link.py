@@ -9,7 +9,7 @@ from typing import Final, Protocol
 import numpy as np
 
 from drivers.cameras.feature_hygiene import FalsifyingFeature, HygieneFinding
-from drivers.cameras.plain_camera import Grab, bits_of
+from drivers.cameras.plain_camera import Grab, LibraryLink, bits_of
 from radiometer.data.frame import DigitalNumbers
 from radiometer.devices import CameraCapabilities, CameraIdentity, CameraSettings, Finding, Health
 from radiometer.errors import DeviceError, DeviceLost
@@ -92,7 +92,7 @@ class VideoLibrary(Protocol):
         """Open a device. Raises DeviceNotFound, DeviceInUse, MissingLibrary."""
 
 
-class V4l2Link:
+class V4l2Link(LibraryLink[VideoDevice]):
     """One V4L2 camera.
 
     Args:
@@ -100,25 +100,12 @@ class V4l2Link:
     """
 
     def __init__(self, library: VideoLibrary, identity: CameraIdentity) -> None:
-        self._library, self._identity = library, identity
-        self._device: VideoDevice | None = None
-        self._limits: CameraCapabilities | None = None
+        super().__init__(identity)
+        self._library = library
         self._codes: dict[str, str] = {}
         self._exposure_control, self._settings = "", CameraSettings(0.01, pixel_format="Mono8")
         self._hygiene: list[HygieneFinding] = []
         self._stale = 0
-
-    @property
-    def identity(self) -> CameraIdentity:
-        """Return who the camera is."""
-        return self._identity
-
-    @property
-    def capabilities(self) -> CameraCapabilities:
-        """Return its limits. Raises DeviceError unless open."""
-        if self._limits is None:
-            raise DeviceError(f"{self._identity.device_id} is not open; call open() first")
-        return self._limits
 
     def open(self) -> CameraSettings:
         """Open the device with manual exposure, its least gain, and no automatic function that can be switched off."""
@@ -130,12 +117,6 @@ class V4l2Link:
             self.close()
             raise
         return self.apply(CameraSettings(0.01, pixel_format=self._limits.pixel_formats[0]))
-
-    def close(self) -> None:
-        """Give the device back."""
-        device, self._device = self._device, None
-        if device is not None:
-            device.close()
 
     def apply(self, settings: CameraSettings) -> CameraSettings:
         """Set exposure time and format, and return them as read back."""
@@ -182,12 +163,6 @@ class V4l2Link:
             message = "8-bit numbers of a webcam follow a tone curve (gamma) of its maker's, whatever its controls say"
             found.append(Finding("tone curve", Health.WARNING, message, "recover it with `radiometer response`"))
         return found
-
-    @property
-    def _open(self) -> VideoDevice:
-        if self._device is None:
-            raise DeviceLost(f"{self._identity.device_id} is not open; open it again")
-        return self._device
 
     def _read_limits(self, device: VideoDevice) -> CameraCapabilities:
         offered = device.formats()
