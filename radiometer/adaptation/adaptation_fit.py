@@ -8,7 +8,6 @@ from dataclasses import dataclass
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from radiometer.adaptation.branch_fit import BranchFit, fit_model
 from radiometer.adaptation.branch_models import MODELS
@@ -29,8 +28,6 @@ SEEN_FALL: Final = 1.0  # log10 units of it in the thresholds from which its tim
 LEAST_ROD_FALL: Final = 0.5  # log10 units by which rods must go below the cones for a break to be one
 SLACK_MIN: Final = 1.0  # a test that ends at its criterion has its last threshold just there
 GRID: Final = 2000
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True)

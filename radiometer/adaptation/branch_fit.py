@@ -7,14 +7,13 @@ from dataclasses import dataclass
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import minimize
 
 from radiometer.adaptation.branch_models import BranchModel
 from radiometer.adaptation.threshold_series import ThresholdSeries
 from radiometer.errors import MeasurementError
+from radiometer.typing import Array
 
-Array = NDArray[np.float64]
 HUBER: Final = 2.5  # residuals beyond so many robust standard deviations count less (Huber 1964)
 # What the weights leave of the mean square of normal residuals: E[min(1, k/|r|)·r²] = 1 − 2·Q(k).
 HUBER_CONSISTENCY: Final = 1.0 - math.erfc(HUBER / math.sqrt(2.0))

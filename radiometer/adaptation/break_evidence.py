@@ -12,12 +12,11 @@ from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import nnls
 
 from radiometer.adaptation.branch_fit import HUBER, REWEIGHTINGS, BranchFit, prior_weights
+from radiometer.typing import Array
 
-Array = NDArray[np.float64]
 # Deviance that a break must be worth. Measured: see the section "adaptation_one_branch" of docs/benchmarks.md.
 LEAST_DEVIANCE: Final = 20.0
 KNOTS: Final = 48  # of the convex curve, at quantiles of the times

@@ -8,13 +8,12 @@ from functools import partial
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import brentq, minimize
 from scipy.stats import f as f_distribution
 
 from radiometer.adaptation.branch_fit import HUBER_CONSISTENCY, BranchFit, project, refine
+from radiometer.typing import Array
 
-Array = NDArray[np.float64]
 # Measured: over 500 simulated subjects (69 thresholds, 3 nonlinear parameters) the mean likelihood ratio of the truth
 # was 1.11 ± 0.03 of its limit, averaged over the 7 parameters. These are other subjects than those of the benchmark.
 BARTLETT: Final = 2.6

@@ -7,17 +7,16 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.stats import t as student
 
 from radiometer.adaptation.intervals import Interval
 from radiometer.adaptation.threshold_series import ThresholdSeries
+from radiometer.typing import Array
 
 WINDOW_MIN: Final = 3.0  # on either side: 0.7 log10 units of a healthy S2, within which it is straight
 FEWEST: Final = 5
 HUBER: Final = 1.5
 ROUNDS: Final = 5
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True)

@@ -13,8 +13,8 @@ from radiometer.adaptation.protocol import AdaptationProtocol
 from radiometer.errors import ConfigurationError
 from radiometer.screen.calibration import LUMINANCE, SCOTOPIC, ChannelCurve, ScreenCalibration
 from radiometer.screen.stimulus import Code
+from radiometer.typing import Array
 
-Array = NDArray[np.float64]
 _MASKS: Final[dict[str, Code]] = {"grey": (1, 1, 1), "red": (1, 0, 0), "green": (0, 1, 0), "blue": (0, 0, 1)}
 # A spot whose light above black is less certain than this factor (k = 2) is not shown as a level.
 _LEAST_KNOWN_REL: Final = 0.5

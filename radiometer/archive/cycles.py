@@ -7,7 +7,8 @@ from collections.abc import Sequence
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
+
+from radiometer.typing import Array
 
 # Cycles that are looked for, from one in the span to one in some readings (or so many), this many steps per one.
 MOST_CYCLES: Final = 3
@@ -31,8 +32,6 @@ _MOST_CORRELATED: Final = 0.995
 _EVIDENCE: Final = 3.0
 # Values in a table of trial cycles at once.
 _MOST_VALUES: Final = 4_000_000
-
-Array = NDArray[np.float64]
 
 
 def hidden_cycles(

@@ -20,6 +20,7 @@ from radiometer.archive.cycles import (
     with_period,
 )
 from radiometer.errors import InputError
+from radiometer.typing import Array
 
 MONTH_S: Final = 365.25 / 12 * 86400.0
 # A drift is claimed where chance alone would show it in so many archives: 3 sigma of many readings. What is guessed of
@@ -42,8 +43,6 @@ _ROUNDS: Final = 4  # of scatter and stated sizes
 _LEAST_SCATTER: Final = 1e-3  # of the stated sigma, below which stated sizes pull no less
 _MOST_VALUES: Final = 4_000_000  # in a table of correlation times at once
 _MINIMUM_READINGS: Final = 8
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True, eq=False)

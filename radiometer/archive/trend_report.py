@@ -25,6 +25,7 @@ from radiometer.reporting.pictures import (
     picture,
     shortened,
 )
+from radiometer.typing import Array
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -36,8 +37,6 @@ _GAP_OF_SPAN: Final = 0.01  # and of the whole span at least, for others would n
 _BEYOND_SIGMAS: Final = 2.0
 _TAGS: Final = {"drift": "drifts", "season_or_drift": "season or drift", "no_drift": "not claimed"}
 _VERDICTS: Final = {"drift": "drifts", "season_or_drift": "a season or a drift", "no_drift": "no drift shown"}
-
-Array = NDArray[np.float64]
 
 
 def trend_report(trends: Sequence[Trend], source: str) -> str:

@@ -14,9 +14,8 @@ from numpy.typing import NDArray
 from radiometer.data.reader_limits import bounded_reader
 from radiometer.data.text_table import TextTable, read_table, stamp_s
 from radiometer.errors import InputError, UnsettledError, UsageError
+from radiometer.typing import Array
 from radiometer.units import heading_parts, read_number, unit_of
-
-Array = NDArray[np.float64]
 
 CD_M2_AT_0_MAG: Final = 10.8e4
 """Luminance in cd·m⁻² of 0 mag/arcsec².

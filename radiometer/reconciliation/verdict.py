@@ -17,7 +17,6 @@ from radiometer.reconciliation.fit.covariance import fitted_parameters, is_misfi
 from radiometer.reconciliation.fit.covariates import covariates
 from radiometer.reconciliation.fit.descent import refit
 from radiometer.reconciliation.fit.state import FitState, with_effects, with_terms
-from radiometer.reconciliation.measure.design import Array
 from radiometer.reconciliation.result import FittedParameter, FoundEffect, Verdict
 from radiometer.reconciliation.search.frame_order import Periodic
 from radiometer.reconciliation.search.localise import axis_of, departing, own_place
@@ -29,6 +28,7 @@ from radiometer.reconciliation.thresholds import (
     SMOOTH_SHARE,
     TESTED_NATS,
 )
+from radiometer.typing import Array
 from simulators.effects.catalogue import CatalogueEffect
 from simulators.effects.free_law import FreeLaw
 

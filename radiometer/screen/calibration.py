@@ -11,7 +11,6 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from radiometer.data import Provenance, Quantity
 from radiometer.data.provenance import utc_now
@@ -19,10 +18,10 @@ from radiometer.data.storage import read_yaml, write_yaml_atomic
 from radiometer.errors import CalibrationError, SettingOutOfRange
 from radiometer.screen.interpolation import LevelTable, rising
 from radiometer.screen.transfer_models import MODELS, TransferFit, fit_transfer
+from radiometer.typing import Array
 
 FORMAT = "radiometer-screen/1"
 RADIANCE, LUMINANCE, SCOTOPIC = "W sr-1 m-2", "cd m-2", "scotopic cd m-2"
-Array = NDArray[np.float64]
 MEDIAN_TO_SIGMA: Final = 1.4826  # of the sizes of normal deviates
 
 

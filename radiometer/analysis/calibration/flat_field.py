@@ -11,8 +11,8 @@ from scipy import optimize
 
 from radiometer.data import CameraDescription, FlatField, LensDescription, PixelMask, RadianceMap
 from radiometer.errors import MeasurementError
+from radiometer.typing import Array
 
-Array = NDArray[np.float64]
 _TILES_ACROSS = 32
 _FEWEST_TILES = 24
 _OUTLIER_SIGMA = 5.0

@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from radiometer.analysis.response.basis import ValueBasis
 from radiometer.analysis.response.curves import finished_curve, supported_range
@@ -26,8 +25,7 @@ from radiometer.analysis.response.wrong_labels import WrongLabel
 from radiometer.data.bracket import Bracket
 from radiometer.data.response_curve import ResponseCurve
 from radiometer.one_thread import on_one_blas_thread
-
-Array = NDArray[np.float64]
+from radiometer.typing import Array
 
 METHOD = "auto"
 _AS_STATED = "exposure times as stated"

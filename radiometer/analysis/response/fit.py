@@ -14,8 +14,8 @@ from radiometer.analysis.response.basis import ValueBasis
 from radiometer.analysis.response.normal import NormalEquations, eliminate_groups
 from radiometer.analysis.response.samples import ResponseSamples
 from radiometer.errors import MeasurementError
+from radiometer.typing import Array
 
-Array = NDArray[np.float64]
 # Relative standard deviations of the exposure times that are tried; none is always among the choices.
 _TIME_SPREADS = (0.001, 0.003, 0.01, 0.03)
 # Twice the gain in log likelihood that calls for errors of the exposure times.

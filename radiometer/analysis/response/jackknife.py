@@ -5,11 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from radiometer.analysis.response.samples import ResponseSamples
+from radiometer.typing import Array
 
-Array = NDArray[np.float64]
 _FOLDS = 10
 
 

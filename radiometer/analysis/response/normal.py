@@ -10,8 +10,8 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from radiometer.errors import MeasurementError
+from radiometer.typing import Array
 
-Array = NDArray[np.float64]
 # What a curve over the digital numbers itself can be off by in ln H: no row is known better.
 _LEAST_ERROR = 1e-4
 

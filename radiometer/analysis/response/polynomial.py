@@ -11,8 +11,7 @@ from scipy.optimize import least_squares
 
 from radiometer.analysis.response.pairs import Gauge, Pairs
 from radiometer.analysis.response.weights import value_at
-
-Array = NDArray[np.float64]
+from radiometer.typing import Array
 
 # Weight of the row that holds the product of all ratios: firm compared with the data, not singular.
 _FIRM = 1e7

@@ -14,7 +14,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from radiometer.reconciliation.measure.design import Array
+from radiometer.typing import Array
 
 _MOST_BLOCKS: Final = 32  # along either side of a frame
 _SMALLEST_BLOCK_PX: Final = 4

@@ -8,7 +8,8 @@ from typing import Final
 
 import numpy as np
 
-from radiometer.reconciliation.measure.design import Array, Design
+from radiometer.reconciliation.measure.design import Design
+from radiometer.typing import Array
 
 _NORMAL: Final = 1.4826  # standard deviation of normal values over their median deviation
 _STANDS_OUT: Final = 8.0  # times what neighbouring frames differ by otherwise

@@ -8,15 +8,14 @@ from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from radiometer.data import Frame
-from radiometer.reconciliation.measure.design import Array
 from radiometer.reconciliation.measure.kernels import add_tiles
 from radiometer.reconciliation.measure.layout import PatchSides, TileGroup
 from radiometer.reconciliation.measure.profiles import fixed_profile, row_temporal_profile
 from radiometer.reconciliation.measure.row_bands import RowBins, row_light
 from radiometer.reconciliation.measure.seen import COMB_PERIODS
+from radiometer.typing import Array, Mask
 
 OUTLIER_SIGMAS: Final = 6.0  # one false alarm in 5·10⁸ pixels of Gaussian pattern
 _NEARLY_FULL: Final = 0.98  # counts as clipped: the highest code in use may lie a little below full scale
@@ -30,8 +29,6 @@ _MOST_FOR_MEDIAN: Final = 4096  # samples that give a robust sigma to 2 %; more 
 _TREND_TERMS: Final = 6
 _HALF_WAVES: Final = 3  # down a frame, of a black level that moves while the rows are read
 _CUT_OFF: Final = 1.0 / 3.0  # of a darker tile's noise, below which light is cut off: six sigmas of 36 pixels in pairs
-
-Mask = NDArray[np.bool_]
 
 
 @dataclass(slots=True, eq=False)

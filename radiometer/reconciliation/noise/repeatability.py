@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 from scipy.optimize import brentq
 
 from radiometer.reconciliation.chances import chi2_beyond, chi2_quantile
-from radiometer.reconciliation.measure.design import Array, Design
+from radiometer.reconciliation.measure.design import Design
+from radiometer.typing import Array
 
 _ASSUMED_TAU: Final = 1e-3  # where neither repeats nor capture.yaml tell
 _ASSUMED_RANGE: Final = (0.3, 3.0)

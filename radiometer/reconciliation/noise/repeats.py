@@ -14,9 +14,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import stdtr
 
-from radiometer.reconciliation.measure.design import Array, Design
+from radiometer.reconciliation.measure.design import Design
 from radiometer.reconciliation.result import FittedParameter, Repeats, Series
 from radiometer.reconciliation.thresholds import FRAME_SIGNIFICANCE
+from radiometer.typing import Array
 
 _OF_MEDIAN: Final = 1.2533 * 1.4826  # standard error of a median of normal values, from their median deviation
 _FEWEST_TILES: Final = 4  # whose median deviation tells their scatter within a factor of two

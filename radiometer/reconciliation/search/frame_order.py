@@ -18,12 +18,13 @@ from numpy.typing import NDArray
 from scipy.special import fdtrc
 
 from radiometer.data import Frame
-from radiometer.reconciliation.measure.design import Array, Design
+from radiometer.reconciliation.measure.design import Design
 from radiometer.reconciliation.measure.reduce import FrameReader
 from radiometer.reconciliation.measure.scenes import FineStructure
 from radiometer.reconciliation.measure.seen import CaptureStatistics
 from radiometer.reconciliation.measure.sums import light_of_frames
 from radiometer.reconciliation.thresholds import PERIOD_SIGNIFICANCE
+from radiometer.typing import Array
 
 _PERIODS: Final = range(2, 13)  # frames
 _KNOWN_TO: Final = 0.01  # of a frame's light: darker frames tell nothing
