@@ -28,6 +28,7 @@ from radiometer.reconciliation.thresholds import (
     SMOOTH_SHARE,
     TESTED_NATS,
 )
+from radiometer.statistics.least_squares import chi_square
 from radiometer.typing import Array
 from simulators.effects.catalogue import CatalogueEffect
 from simulators.effects.free_law import FreeLaw
@@ -341,9 +342,8 @@ def place_of_scatter(state: FitState) -> tuple[str, str]:
 def _explained(values: Array, basis: Array) -> float:
     """Return the share of the values' variance that a basis explains, each of its terms worth one value less."""
     columns = np.column_stack([np.ones(len(values)), basis])
-    left: Array = values - columns @ np.linalg.lstsq(columns, values, rcond=None)[0]
     freedom = max(len(values) - columns.shape[1], 1)
-    return float(1.0 - np.sum(left**2) / freedom / max(float(np.var(values)), 1e-30))
+    return float(1.0 - chi_square(columns, values) / freedom / max(float(np.var(values)), 1e-30))
 
 
 def one_for_all(steps: Sequence[Step], effects: Sequence[CatalogueEffect]) -> list[str]:

@@ -12,7 +12,6 @@ from radiometer.analysis.response.curves import finished_curve, supported_range
 from radiometer.analysis.response.debevec1997 import curve_debevec1997
 from radiometer.analysis.response.estimate import Agreement, ResponseEstimate, inner_range, spread_rms
 from radiometer.analysis.response.fit import ResponseFit
-from radiometer.analysis.response.jackknife import jackknife_u
 from radiometer.analysis.response.left_out import dial_step_dn, error_dn, follow_no_curve, prediction_error_dn
 from radiometer.analysis.response.noise_shift import ASSUMPTION
 from radiometer.analysis.response.planes import Plane
@@ -25,6 +24,7 @@ from radiometer.analysis.response.wrong_labels import WrongLabel
 from radiometer.data.bracket import Bracket
 from radiometer.data.response_curve import ResponseCurve
 from radiometer.one_thread import on_one_blas_thread
+from radiometer.statistics.jackknife import jackknife_u
 from radiometer.typing import Array
 
 METHOD = "auto"
