@@ -119,7 +119,7 @@ def retinal_exposure_for(fraction: float, duration_s: float, receptor: Receptor 
         ValueError: If the fraction is not between 0 and 1.
     """
     if not 0.0 < fraction < 1.0:
-        raise ValueError(f"a bleached fraction lies between 0 and 1, not {fraction}")
+        raise ValueError(f"a bleached fraction is between 0 and 1, not {fraction}")
     low, high = 0.0, 1e12
     for _ in range(200):
         middle = 0.5 * (low + high)

@@ -67,8 +67,10 @@ class Radiance(Result):
         >>> radiance = rm.merge(rm.read("out/chart"), calibration="calibration.yaml")
         >>> radiance.value.shape, radiance.u.shape, radiance.unit
         ((64, 96), (64, 96), 'W sr-1 m-2')
+
         >>> radiance.mask.dtype, bool((radiance.u[radiance.mask == 0] > 0).all())
         (dtype('uint8'), True)
+
         >>> radiance.to_xarray().radiance.attrs["units"]
         'W sr-1 m-2'
         >>> radiance.write("map.exr")
@@ -357,7 +359,7 @@ def merge(
         UsageError: If arguments exclude each other.
     """
     if calibration is not None and response is not None:
-        raise UsageError("--calibration holds a response curve of its own; leave --response out")
+        raise UsageError("--calibration holds a response curve already; leave --response out")
     if linear and response is not None:
         raise UsageError("--linear photographs need no response curve; leave --response out")
     if align not in ALIGN_CHOICES:

@@ -62,7 +62,7 @@ class CommandHelp:
         text: The whole help text; paragraphs apart by an empty line.
         arguments: What is given by position: how it is written, and what it does.
         options: What is given by name, likewise.
-        below: Names of its own commands.
+        below: Names of the commands below it.
     """
 
     path: tuple[str, ...]

@@ -290,7 +290,9 @@ def _beside(
 ) -> tuple[LogTable, list[str]]:
     """Return the log with a reference from a separate file, interpolated in time, without rows that have none."""
     if log.time_s is None:
-        raise InputError(f"{own.path}: has no column of times, by which {other.path} could be set beside it")
+        raise InputError(
+            f"{own.path}: has no column of times, so {other.path} cannot be matched to it; name it with --time"
+        )
     places = _places(other, LogColumns(), wanted=("time", "reference"))
     assumed: list[str] = []
     values, unit = linear(np.array(_cells(other, places["reference"], "reference"), dtype=np.float64),
@@ -303,7 +305,7 @@ def _beside(
     near = np.minimum(np.abs(times[after] - wanted), np.abs(times[after - 1] - wanted)) <= _APART_S
     if not near.any():
         raise InputError(
-            f"{other.path}: none of its times lies within {_APART_S:g} s of the camera's; are both in UTC?"
+            f"{other.path}: none of its times is within {_APART_S:g} s of the camera's; check that both are in UTC"
         )
     if (values <= 0).any():
         raise InputError(f"{other.path}: a reference of {values.min():g} is no light; leave such rows out")
@@ -313,7 +315,7 @@ def _beside(
         for key, at in places.items()
         if key in ("time", "reference")
     ]
-    more = (*log.assumptions, *assumed, *([f"{int((~near).sum())} rows without a reference beside them are left out"]
+    more = (*log.assumptions, *assumed, *([f"{int((~near).sum())} rows without a reference at their time are left out"]
             if not near.all() else []))  # fmt: skip
     units = {**(log.units or {}), "reference": unit}
     return replace(replace(log, reference=there, units=units).take(near), assumptions=more), said

@@ -330,7 +330,7 @@ def falloff_of(
     if vignetting is None:
         return None, None
     if calibration is not None and calibration.flat_field is not None:
-        raise UsageError("--vignetting: the calibration has a flat field of its own; leave one of them out")
+        raise UsageError("--vignetting: the calibration holds a flat field already; leave one of them out")
     bracket = next(iter(photographs.brackets.values()))
     if vignetting == "lensfun":
         record = read_lens_record(photographs.folder / str(bracket.light[0].extra["file"]), lens)

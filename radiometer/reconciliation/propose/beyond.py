@@ -60,22 +60,22 @@ def held_to_laws(
             return outcome
         said = (
             f"{' and '.join(bent)} does not follow its catalogue equation, "
-            f"and {law.name}, a law of no entry, predicts as well"
+            f"and {law.name}, a law outside the catalogue, predicts as well"
         )
         say(said)
         return replace(outcome, remarks=(*outcome.remarks, said))
     named = " and ".join(step.name for step in outcome.steps if step.name != "unnamed")
-    said = f"{law.name}, a law that no entry holds, predicts better than {named}"
+    said = f"{law.name}, a law outside the catalogue, predicts better than {named}"
     if brings_most(outcome, law):
         say(said)
         return replace(outcome, remarks=(*outcome.remarks, said))
     near = nowhere_near(outcome.start, law.after)
     form = in_a_looser_form(outcome.start, worth(law.after) - RIVAL_NATS, catalogue, near)
     if form is not None:
-        say(f"{form.effects[0].name} in a looser form does what {law.name} does, in place of {named}")
+        say(f"{form.effects[0].name} in a more flexible form explains what {law.name} explains, in place of {named}")
         return by_one_form(outcome, form, law)
     say(said)
-    return without_names(outcome, law, f"{said} (gap {law.after.gap:.3g}), which is not named therefore")
+    return without_names(outcome, law, f"{said} (gap {law.after.gap:.3g}), which is therefore not named")
 
 
 def by_one_form(outcome: Search, state: FitState, law: Proposal) -> Search:
@@ -90,7 +90,8 @@ def by_one_form(outcome: Search, state: FitState, law: Proposal) -> Search:
     nats, tests = state.evidence - outcome.start.evidence, localise(state)
     step = Step(effect.name, effect.where, nats, outcome.start.gap, state.gap)
     said = (
-        f"{effect.name} goes by a looser form of its equation, and {law.name}, a law of the grammar, predicts as well"
+        f"{effect.name} follows a more flexible form of its equation, and {law.name}, a law of the grammar, "
+        "predicts as well"
     )
     return replace(outcome, state=state, steps=(step,), left=significant(tests), tests=tests, remarks=(said,))
 
