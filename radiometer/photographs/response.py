@@ -31,7 +31,7 @@ _UNDISPLACED = "frames are assumed to be aligned: too few pixels are usable in t
 
 
 def recovered_curves(
-    brackets: Sequence[Bracket], beside: Path | None, say: Callable[[str], None]
+    brackets: Sequence[Bracket], map_path: Path | None, say: Callable[[str], None]
 ) -> tuple[dict[str, ResponseCurve], list[Path]]:
     """Return the response of every bracket by channel, kept next to a map, and the files it is kept in.
 
@@ -40,7 +40,7 @@ def recovered_curves(
 
     Args:
         brackets: One per channel.
-        beside: The map; a curve's file is named after it and its channel. None keeps no files.
+        map_path: The map; a curve's file is named after it and its channel. None keeps no files.
         say: Takes what a user should know.
 
     Raises:
@@ -51,9 +51,9 @@ def recovered_curves(
 
     thin = {_channel(bracket): bracket.thinned(ENOUGH_PIXELS) for bracket in brackets}
     key = _fingerprint(thin)
-    if beside is None:
+    if map_path is None:
         return _recovered(thin, key, say), []
-    files = {channel: beside.with_name(f"{beside.stem}-response-{channel}.yaml") for channel in thin}
+    files = {channel: map_path.with_name(f"{map_path.stem}-response-{channel}.yaml") for channel in thin}
     kept = {channel: _kept(file, key) for channel, file in files.items()}
     curves = {channel: curve for channel, curve in kept.items() if curve is not None and _is_of_this_version(curve)}
     if len(curves) < len(files):

@@ -18,7 +18,7 @@ class Link:
         before: Link of the chain that it must precede; empty where it does not matter.
         unit: Unit of the amplitude.
         code: The signal with the law, `{law}` standing for the amplitude times the formula.
-        said: What it does, as the head of a sentence.
+        action: What it does, as the head of a sentence.
         covariates: Covariates that it may depend on by itself.
         like: What kind of cause acts so.
         goes_with: Covariates that it depends on by its kind, whatever its law.
@@ -32,7 +32,7 @@ class Link:
     before: str
     unit: str
     code: str
-    said: str
+    action: str
     covariates: tuple[str, ...]
     like: str
     goes_with: tuple[str, ...] = ()

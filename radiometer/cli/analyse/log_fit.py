@@ -16,7 +16,7 @@ def command(
     table: Annotated[
         Path, typer.Argument(help="CSV: the camera's value and exposure, a reference; gain, temperature, time, colour.")
     ],
-    beside: Annotated[
+    reference_file: Annotated[
         Path | None, typer.Option(help="File of the reference meter with separate times, where it is not a column.")
     ] = None,
     value: Annotated[str | None, typer.Option(help="Column of the camera's value in DN.")] = None,
@@ -39,7 +39,7 @@ def command(
     with its size. The same search over values that lack nothing is the negative control.
     """
     found = rm.log_fit(
-        table, beside, value=value, reference=reference, exposure=exposure, gain=gain, temperature=temperature,
+        table, reference_file, value=value, reference=reference, exposure=exposure, gain=gain, temperature=temperature,
         colour=colour, gain_unit=gain_unit, black=black, control=not no_control,
     )  # fmt: skip
     if json:
