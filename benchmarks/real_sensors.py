@@ -29,7 +29,7 @@ from radiometer.importing.sources import as_capture
 from radiometer.reconciliation.inputs.sources import reconcile_source
 from radiometer.reconciliation.result import ReconcileResult
 
-PAGE = Path(__file__).resolve().parents[1] / "docs" / "real-sensors.md"
+PAGE = Path(__file__).resolve().parents[1] / "docs" / "reference" / "real-sensors.md"
 LSST_SEED = 20
 _LEADING = 3  # places of the localisation that count as first
 _READ = "read, not found"  # is counted neither way

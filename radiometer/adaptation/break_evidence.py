@@ -18,7 +18,7 @@ from scipy.optimize import nnls
 from radiometer.adaptation.branch_fit import HUBER, REWEIGHTINGS, BranchFit, prior_weights
 
 Array = NDArray[np.float64]
-# Deviance that a break must be worth. Measured: see the section "adaptation_one_branch" of docs/benchmarks.md.
+# Deviance that a break must be worth. Measured: see the section "adaptation_one_branch" of docs/benchmarks/adaptation.md.
 LEAST_DEVIANCE: Final = 20.0
 KNOTS: Final = 48  # of the convex curve, at quantiles of the times
 # A typical eye for the statement of power (Lamb and Pugh 2004: S2 −0.24 log10 per min; cones −1.5 min⁻¹ or so).

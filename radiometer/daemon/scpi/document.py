@@ -1,4 +1,4 @@
-"""Writes the manual docs/scpi.md from the command table."""
+"""Writes the manual docs/reference/scpi.md from the command table."""
 
 from __future__ import annotations
 

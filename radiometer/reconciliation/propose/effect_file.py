@@ -1,4 +1,4 @@
-"""Writes a law as an effect file after docs/add-an-effect.md, and a test of it, for the user who exports it."""
+"""Writes a law as an effect file after docs/how-to/add-an-effect.md, and a test of it, for the user who exports it."""
 
 from __future__ import annotations
 
