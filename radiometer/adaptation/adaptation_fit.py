@@ -8,7 +8,6 @@ from dataclasses import dataclass
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from radiometer.adaptation.branch_fit import BranchFit, fit_model
 from radiometer.adaptation.branch_models import MODELS
@@ -17,20 +16,18 @@ from radiometer.adaptation.intervals import Interval, bootstrap_values, percenti
 from radiometer.adaptation.rod_intercept import InterceptRule, rod_intercept
 from radiometer.adaptation.threshold_series import ThresholdSeries
 from radiometer.errors import MeasurementError
+from radiometer.statistics.model_choice import CLEARLY_BETTER, is_supported
 
 SHALLOWEST_S2: Final = -0.03  # log10 units per min; a flatter line after the "break" is no rod branch
 STEEPEST_S2: Final = (
     -0.6
 )  # the steepest published is about −0.3 (Lamb and Pugh 2004); beyond, wild presses make the line
-EVIDENCE_AICC: Final = 4.0  # an evidence ratio of e² = 7 (Burnham and Anderson 2002, section 2.6)
 SETTLED_TAUS: Final = 1.5  # cones have gone 78 % of their way at the break; else rods alone are treated as both
 FASTEST_CONES_MIN: Final = 0.5  # time constant of a cone branch that is seen to fall; published are 1 to 2 min
 SEEN_FALL: Final = 1.0  # log10 units of it in the thresholds from which its time constant is known
 LEAST_ROD_FALL: Final = 0.5  # log10 units by which rods must go below the cones for a break to be one
 SLACK_MIN: Final = 1.0  # a test that ends at its criterion has its last threshold just there
 GRID: Final = 2000
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True)
@@ -160,11 +157,11 @@ def _fit_family(series: ThresholdSeries) -> tuple[BranchFit, ...]:
 
 
 def _choose(fits: list[BranchFit]) -> BranchFit:
-    """Return the simplest fit within EVIDENCE_AICC of the best: more branches must be worth their parameters."""
+    """Return the simplest fit near the least AICc: more branches must be worth their parameters."""
     if not fits:
         raise MeasurementError("no branch model describes these thresholds: they rise, or jump; look at the curve")
     best = min(fit.aicc for fit in fits)
-    return next(fit for fit in fits if fit.aicc <= best + EVIDENCE_AICC)
+    return next(fit for fit in fits if not is_supported(fit.aicc - best, CLEARLY_BETTER))
 
 
 def makes_sense(fit: BranchFit) -> bool:

@@ -17,9 +17,8 @@ from itertools import pairwise
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from radiometer.typing import Array
 
 
 @dataclass(frozen=True, slots=True)

@@ -12,14 +12,14 @@ from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import nnls
 
 from radiometer.adaptation.branch_fit import HUBER, REWEIGHTINGS, BranchFit, prior_weights
+from radiometer.statistics.model_choice import STATED_IS_WRONG
+from radiometer.typing import Array
 
-Array = NDArray[np.float64]
-# Deviance that a break must be worth. Measured: see the section "adaptation_one_branch" of docs/benchmarks.md.
-LEAST_DEVIANCE: Final = 20.0
+# Deviance that a break must be worth; measured: "adaptation_one_branch" in docs/benchmarks/adaptation.md.
+LEAST_DEVIANCE: Final = STATED_IS_WRONG.gain
 KNOTS: Final = 48  # of the convex curve, at quantiles of the times
 # A typical eye for the statement of power (Lamb and Pugh 2004: S2 −0.24 log10 per min; cones −1.5 min⁻¹ or so).
 TYPICAL_TAU_MIN: Final = 1.6

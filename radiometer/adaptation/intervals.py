@@ -8,13 +8,13 @@ from functools import partial
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import brentq, minimize
 from scipy.stats import f as f_distribution
 
 from radiometer.adaptation.branch_fit import HUBER_CONSISTENCY, BranchFit, project, refine
+from radiometer.statistics.least_squares import solve
+from radiometer.typing import Array
 
-Array = NDArray[np.float64]
 # Measured: over 500 simulated subjects (69 thresholds, 3 nonlinear parameters) the mean likelihood ratio of the truth
 # was 1.11 ± 0.03 of its limit, averaged over the 7 parameters. These are other subjects than those of the benchmark.
 BARTLETT: Final = 2.6
@@ -111,7 +111,6 @@ def _profile(fit: BranchFit, name: str, value: float, start: Array) -> tuple[flo
 
 def _held_linear(fit: BranchFit, column: int, value: float, start: Array) -> tuple[float, Array]:
     series, model, weights = fit.series, fit.model, fit.weights
-    root = np.sqrt(weights)
     free = [index for index in range(len(model.linear)) if index != column]
 
     def cost(nonlinear: Any) -> float:
@@ -119,7 +118,7 @@ def _held_linear(fit: BranchFit, column: int, value: float, start: Array) -> tup
             return 1e12
         basis = model.basis(series.time_min, nonlinear)
         wanted = series.log_threshold - value * basis[:, column]
-        linear, *_ = np.linalg.lstsq(basis[:, free] * root[:, np.newaxis], wanted * root, rcond=None)
+        linear = solve(basis[:, free], wanted, weights)
         return float(weights @ (wanted - basis[:, free] @ linear) ** 2)
 
     return _minimum(cost, start)

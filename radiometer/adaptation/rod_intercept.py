@@ -7,17 +7,17 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.stats import t as student
 
 from radiometer.adaptation.intervals import Interval
 from radiometer.adaptation.threshold_series import ThresholdSeries
+from radiometer.statistics.scale import robust_sigma
+from radiometer.typing import Array
 
 WINDOW_MIN: Final = 3.0  # on either side: 0.7 log10 units of a healthy S2, within which it is straight
 FEWEST: Final = 5
 HUBER: Final = 1.5
 ROUNDS: Final = 5
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,7 +79,7 @@ def _read_back(times: Array, levels: Array, target: float, u_level: float, confi
     for _ in range(ROUNDS):
         slope, level = np.polyfit(times, levels, 1, w=np.sqrt(weights))
         residuals = np.abs(levels - slope * times - level)
-        scale = max(1.4826 * float(np.median(residuals)), 1e-6)
+        scale = max(robust_sigma(residuals, 0.0), 1e-6)
         weights = np.minimum(1.0, HUBER * scale / np.maximum(residuals, 1e-12))
     if slope >= 0:
         return None

@@ -13,8 +13,8 @@ from radiometer.adaptation.protocol import AdaptationProtocol
 from radiometer.errors import ConfigurationError
 from radiometer.screen.calibration import LUMINANCE, SCOTOPIC, ChannelCurve, ScreenCalibration
 from radiometer.screen.stimulus import Code
+from radiometer.typing import Array
 
-Array = NDArray[np.float64]
 _MASKS: Final[dict[str, Code]] = {"grey": (1, 1, 1), "red": (1, 0, 0), "green": (0, 1, 0), "blue": (0, 0, 1)}
 # A spot whose light above black is less certain than this factor (k = 2) is not shown as a level.
 _LEAST_KNOWN_REL: Final = 0.5
@@ -52,7 +52,8 @@ class SpotLevels:
         first = int(np.argmax(usable)) if usable.any() else codes.size
         if first == codes.size:
             raise ConfigurationError(
-                f"screen {calibration.name}: no level of {channel} can be told from its black; calibrate it with more "
+                f"screen {calibration.name}: no level of {channel} can be distinguished from its black; calibrate "
+                "it with more "
                 "repeats"
             )
         # Above the first usable level all are used: an uncertain one between two good ones is bounded by them.

@@ -9,14 +9,12 @@ from dataclasses import asdict, dataclass, replace
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import nnls
 from scipy.special import ndtr, ndtri, stdtrit
 
 from radiometer.archive.sessions import LightSeries, Session
 from radiometer.data import Quantity
-
-Array = NDArray[np.float64]
+from radiometer.typing import Array
 
 # To what an unchanged camera repeats at best between sessions, relative: a smaller difference is no change, however
 # well it is known.

@@ -256,16 +256,16 @@ def examine(
     notes: list[str] = []
     taken_dn = design.header.camera.black_level_dn
     if taken_dn != header.camera.black_level_dn:
-        told = "where the noise of the light would end" if taken_dn else "since the noise does not determine it either"
+        why = "where the noise of the light extrapolates to zero" if taken_dn else "as the noise does not determine it"
         notes.append(
-            "the black level is not declared, and one setting does not determine it: "
-            f"{taken_dn:.4g} DN is taken, {told}"
+            f"the black level is not declared and one setting does not determine it: {taken_dn:.4g} DN is "
+            f"assumed, {why}"
         )
     scenes = set(design.patterns).difference(frame.pattern for frame in header.frames)
     if scenes:
-        notes.append(f"the scene changes: {1 + len(scenes)} are shown, each with a separate pattern")
+        notes.append(f"the scene changes: {1 + len(scenes)} scenes are shown, each with a separate pattern")
     found = search(start, entries, say, is_doubted)
-    outcome = _optional_step("laws of no entry", lambda: held_to_laws(found, entries, say), notes) or found
+    outcome = _optional_step("laws outside the catalogue", lambda: held_to_laws(found, entries, say), notes) or found
     result = _result(outcome, entries, again, total, begun, notes, with_limits=with_limits)
     return Reconciled(replace(result, repeats=_repeats(outcome.state, light, header)), outcome, taken)
 
@@ -361,7 +361,7 @@ def _optional_step(what: str, work: Callable[[], _T], failed: list[str]) -> _T |
         at = traceback.extract_tb(error.__traceback__)[-1]
         _log.error("advice failed", what=what, error=repr(error), at=f"{Path(at.filename).name}:{at.lineno}")
         _log.debug("advice failed", trace=traceback.format_exc())
-        failed.append(f"{what} could not be worked out ({type(error).__name__}: {error}); the rest stands")
+        failed.append(f"{what} could not be computed ({type(error).__name__}: {error}); all other results are valid")
         return None
 
 
@@ -395,7 +395,8 @@ def _found(
         elif step.name in present and step.name not in weak:
             own = present[step.name]
             alike = (
-                _optional_step(f"what acts like {step.name}", partial(inseparable, state, own, entries), failed) or ()
+                _optional_step(f"which effects act like {step.name}", partial(inseparable, state, own, entries), failed)
+                or ()
             )
             rivals = tuple({rival.name: rival for rival in (*alike, *step.rivals)}.values())
             what = f"the capture that separates {step.name} from its rivals"
@@ -468,29 +469,35 @@ def _assumptions(outcome: Search, doubts: Sequence[str]) -> tuple[str, ...]:
         free = dark_current_is_free(state.design)
         said.append(f"the dark current is not declared: {'it was fitted' if free else 'none is assumed'}")
     if state.model.passes_well:
-        said.append("pixels hold more than the declared full well and show the noise of it: it limits nothing")
-    if is_misfit(state):
         said.append(
-            f"structure is left (gap {state.gap:.3g}): the uncertainties of all parameters are widened by what it does"
+            "pixels hold more than the declared full well, with the noise of that charge: the declared "
+            "value is not used as a limit"
         )
+    if is_misfit(state):
+        said.append(f"structure remains (gap {state.gap:.3g}): it widens the uncertainties of all parameters")
     if state.comparison.wander2:
         said.append(
-            f"the source wanders by {np.sqrt(state.comparison.wander2):.2g} from frame to frame: fitted, not named"
+            f"the source wanders by {np.sqrt(state.comparison.wander2):.2g} from frame to frame: fitted as a "
+            "nuisance, not named"
         )
     wander_dn = wander_of_black(state.design, state.seen)
     if wander_dn:
-        said.append(f"the black level wanders by {wander_dn:.2g} DN from frame to frame: fitted aside, not named")
+        said.append(
+            f"the black level wanders by {wander_dn:.2g} DN from frame to frame: fitted as a nuisance, not named"
+        )
     drift_dn = drift_of_black(state.design, state.seen)
     if drift_dn:
-        said.append(f"the black level moves by {drift_dn:.2g} DN while a frame is read: fitted aside, not named")
+        said.append(
+            f"the black level moves by {drift_dn:.2g} DN while a frame is read: fitted as a nuisance, not named"
+        )
     reading_k = state.design.reading_u_k
     if reading_k:
-        said.append(f"temperatures are read in steps: each is known to {reading_k:.2g} K")
+        said.append(f"temperatures are recorded in steps: each is known within {reading_k:.2g} K")
     if np.isnan(state.design.black_level_dn).any():
         said.append("the black level is not declared: it was fitted")
     if not state.design.uniform:
         said.append("no patches are given: the scene is unknown but constant, cut into a grid of tiles")
-        said.append("uneven tiles that reach the brightest level seen are left out: saturation shows in even ones only")
+        said.append("uneven tiles that reach the highest measured level are left out: only even tiles show saturation")
     if not state.design.has_timestamps:
-        said.append("times are missing: captures count in the order listed")
+        said.append("times are missing: captures are treated as taken in the order listed")
     return tuple(said)

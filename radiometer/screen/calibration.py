@@ -8,10 +8,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
-from typing import Any, Final
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from radiometer.data import Provenance, Quantity
 from radiometer.data.provenance import utc_now
@@ -19,11 +18,11 @@ from radiometer.data.storage import read_yaml, write_yaml_atomic
 from radiometer.errors import CalibrationError, SettingOutOfRange
 from radiometer.screen.interpolation import LevelTable, rising
 from radiometer.screen.transfer_models import MODELS, TransferFit, fit_transfer
+from radiometer.statistics.scale import robust_sigma
+from radiometer.typing import Array
 
 FORMAT = "radiometer-screen/1"
 RADIANCE, LUMINANCE, SCOTOPIC = "W sr-1 m-2", "cd m-2", "scotopic cd m-2"
-Array = NDArray[np.float64]
-MEDIAN_TO_SIGMA: Final = 1.4826  # of the sizes of normal deviates
 
 
 @dataclass(frozen=True)
@@ -73,7 +72,7 @@ class ChannelCurve:
         nearest = np.max([padded[:-3], padded[1:-2], padded[2:-1], padded[3:]], axis=0)
         shares = errors / np.maximum(np.gradient(values), 1e-12 * max(float(values[-1]), 1e-300))
         around = [shares[max(0, gap - 7) : gap + 9] for gap in range(values.size - 1)]
-        typical = MEDIAN_TO_SIGMA * np.array([float(np.median(near)) for near in around])
+        typical = np.array([robust_sigma(near, 0.0) for near in around])
         return np.asarray(np.maximum(nearest, typical * np.diff(values)))
 
     def radiance_at(self, level: float) -> Quantity:

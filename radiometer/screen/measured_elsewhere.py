@@ -14,7 +14,6 @@ from pathlib import Path
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from radiometer.data import Provenance
 from radiometer.data.reader_limits import bounded_reader
@@ -23,9 +22,9 @@ from radiometer.data.text_table import TextTable, finite, read_export, read_tabl
 from radiometer.errors import InputError, UnsettledError
 from radiometer.screen.calibration import ChannelCurve, ScreenCalibration
 from radiometer.screen.run import Light
+from radiometer.typing import Array
 from radiometer.units import heading_parts
 
-Array = NDArray[np.float64]
 # Colorimeters of the i1Display and SpyderX kind are specified to some 4 % on displays they were not matched to.
 METER_U_REL: Final = 0.04
 REPEAT_U_REL: Final = 0.001  # of a reading; the SpyderX's white repeats within 0.1 to 0.3 %

@@ -7,10 +7,11 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.optimize import least_squares
 
-Array = NDArray[np.float64]
+from radiometer.typing import Array
+
 Curve = Callable[[Array, Array], Array]
 
 
