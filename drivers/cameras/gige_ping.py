@@ -6,12 +6,12 @@ import socket
 import struct
 from typing import Final
 
-GVCP_PORT: Final = 3956
+GVCP_PORT: Final = 3956  # GigE Vision 2.0: UDP port of the control channel
 # GigE Vision 2.0, discovery command: key 0x42, flag "acknowledge", command 0x0002, no payload, request id 1.
 _DISCOVERY_COMMAND: Final = struct.pack(">BBHHH", 0x42, 0x01, 0x0002, 0, 1)
-_DISCOVERY_ACK: Final = 0x0003
+_DISCOVERY_ACK: Final = 0x0003  # GigE Vision 2.0, DISCOVERY_ACK
 _HEADER: Final = struct.Struct(">HHHH")
-_READ_MEMORY_ACK: Final = 0x0085
+_READ_MEMORY_ACK: Final = 0x0085  # GigE Vision 2.0, READMEM_ACK
 # READMEM, not READREG: some devices (Aravis's own server) take a register read of the privilege for a heartbeat, and
 # asking again and again would keep a controller that died in control for ever.
 _CONTROL_PRIVILEGE: Final = 0x0A00

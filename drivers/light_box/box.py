@@ -48,10 +48,10 @@ from radiometer.errors import (
 
 TEND_INTERVAL_S: Final = 0.25  # a quarter of the box's dead-man time
 START_UP_S: Final = 4.0  # opening the port resets an Arduino, whose boot loader waits 1 to 2 s
-LISTEN_S: Final = 0.02
+LISTEN_S: Final = 0.02  # a press is read within this time; its time is the box's
 BOOT_S: Final = 2.2  # the boot loader's wait, after which the program of an Arduino runs
 FLASH: Final = "flash"  # its name in the account of the exposure
-WRONG_VERSION: Final = 9
+WRONG_VERSION: Final = 9  # refusal code of the protocol: a version that the firmware does not know
 AUDIT_INTERVAL_S: Final = 5.0  # a twentieth of a per mille of the window
 # The box's dead man waits 1 s by its own clock; the rest is what USB adapters and operating systems hold back.
 DARK_AFTER_S: Final = 1.5

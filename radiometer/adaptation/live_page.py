@@ -20,7 +20,7 @@ from radiometer.adaptation.protocol import AdaptationProtocol
 from radiometer.errors import DeviceError
 from radiometer.screen.loopback import Darken, LoopbackServer, Message, darkened, nothing_to_darken
 
-_SLOW_BROWSER_S: Final = 2.0
+_SLOW_BROWSER_S: Final = 2.0  # loopback takes ms; a browser that takes longer is asleep
 _REFRESH_S: Final = 0.05  # events that come closer together are reported together
 _BY: Final = "page"
 _LIGHTS_OFF: Final = "lights off"

@@ -45,7 +45,7 @@ SIMULATED_SERIAL: Final = "SIM00001"
 DEFAULT_PRESET: Final = "light_boxes/reference.yaml"
 PORT_VARIABLE: Final = "RADIOMETER_LIGHT_BOX_PORTS"
 STATE_VARIABLE: Final = "RADIOMETER_STATE"
-TEND_SLICE_S: Final = 0.2
+TEND_SLICE_S: Final = 0.2  # a fifth of the box's dead-man time
 _SILENT: Final[
     dict[str, float]
 ] = {}  # ports that were asked and did not answer as a box, and when they were plugged in

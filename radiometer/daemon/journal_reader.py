@@ -54,7 +54,7 @@ SELECT minute / ? AS bucket, sum(total) / sum(count), sum(total_u) / sum(count),
 FROM (SELECT * FROM trend WHERE stream = ? AND minute >= ? AND minute < ?)
 GROUP BY bucket, unit ORDER BY bucket
 """
-_STEPS_BETWEEN_CHECKS: Final = 10_000
+_STEPS_BETWEEN_CHECKS: Final = 10_000  # of SQLite's machine: short against any deadline
 
 
 @dataclass(frozen=True, slots=True)

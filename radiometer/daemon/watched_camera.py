@@ -18,7 +18,7 @@ from radiometer.errors import DeviceError
 GRACE_S: Final = 1.4  # beyond twice the exposure: what a healthy camera needs to read out, send, or answer
 # A camera rounds exposure times to its lines, 10 to 30 µs each, and to its clock: what differs more was not asked for.
 _ROUNDED_S: Final = 50e-6
-_ROUNDED_REL: Final = 0.02
+_ROUNDED_REL: Final = 0.02  # coarse line times at short exposures
 _EVERY_NTH_ROW: Final = 8  # noise in an eighth of the pixels never repeats either, and is looked at eight times faster
 _PICTURED: Final = 0.5  # below this share of pixels that are neither lowest nor highest, noise may not show
 

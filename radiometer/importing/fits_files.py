@@ -72,7 +72,7 @@ _PROCESSED_WORDS: Final = (
     "calibrat", "combine", "averag", "median", "stack", "reduc", "resampl", "overscan correct", "zerocor", "darkcor",
 )  # fmt: skip
 _KELVINS: Final = (150.0, 400.0)  # without a unit, a number between them can only be kelvins
-_SETTLED_K: Final = 1.0
+_SETTLED_K: Final = 1.0  # coolers hold a tenth of a kelvin once they have settled
 _EXPOSURES_SAME_REL: Final = 0.01  # by which two keywords of the exposure may differ unnoticed
 
 

@@ -31,7 +31,7 @@ _CHUNK_FORMULAS: Final = {
     "Gain": ("RAW*6.020599913/(2**14)", "dB"),
     "BlackLevel": ("RAW/(2**24)*100", "%"),
 }
-GIGABIT_BYTES_S: Final = 125_000_000
+GIGABIT_BYTES_S: Final = 125_000_000  # 1 Gbit/s in bytes
 
 
 def awkward_features(limits: CameraCapabilities, native_bit_depth: int, temperature_c: float) -> list[Feature]:

@@ -32,7 +32,7 @@ _LOG = structlog.get_logger(__name__)
 
 READOUT_S: Final = 1 / 131  # 131 frames per second at full size: BFS-U3-19S4M specification page
 _TRIGGER_LOOKS_HZ: Final = 400.0  # the device waits in whole ms and spins for the rest
-_LOOK_S: Final = 0.002
+_LOOK_S: Final = 0.002  # short against the shortest frame
 INFO_TEXT: Final = "simulated by radiometer"  # DeviceManufacturerInfo, by which the quirk file knows it
 
 

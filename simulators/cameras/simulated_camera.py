@@ -34,7 +34,7 @@ from simulators.clock import SimulatedClock
 from simulators.scenes.base import Scene
 
 _BITS: Final = {"Mono8": 8, "Mono10": 10, "Mono10p": 10, "Mono12": 12, "Mono12p": 12, "Mono16": 16}
-_LARGEST_BINNING: Final = 4
+_LARGEST_BINNING: Final = 4  # as machine cameras offer
 _READOUT_S: Final = 1 / 131  # 131 frames per second at full size: BFS-U3-19S4M specification page
 
 

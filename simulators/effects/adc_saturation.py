@@ -12,7 +12,7 @@ from simulators.effects.catalogue import CatalogueEffect
 from simulators.effects.clipping import censored_above, censored_below, limited, unevenly_limited
 from simulators.effects.context import ExposureContext, Signal
 
-_SPREAD: Final = 0.005
+_SPREAD: Final = 0.005  # of the highest code, from which a fit of the scatter begins
 
 
 @dataclass(frozen=True)

@@ -11,8 +11,8 @@ from simulators.effects.base import DIGITAL_NUMBER, Stage, parameter
 from simulators.effects.catalogue import Offset, gain_of
 from simulators.effects.context import ExposureContext
 
-_MOST_GAINS: Final = 16
-_BEND: Final = 0.01
+_MOST_GAINS: Final = 16  # more are a sweep: a start at each would only cost time
+_BEND: Final = 0.01  # from which a fit begins
 
 
 @dataclass(frozen=True)

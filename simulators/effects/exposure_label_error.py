@@ -11,8 +11,8 @@ from simulators.effects.base import EXPOSURE, Stage, parameter
 from simulators.effects.catalogue import CatalogueEffect, Scaling, elapsed_s
 from simulators.effects.context import ExposureContext
 
-_ALWAYS_S: Final = 1e12
-_FEW_EXPOSURES: Final = 3
+_ALWAYS_S: Final = 1e12  # beyond any time stamp
+_FEW_EXPOSURES: Final = 3  # with up to three labels, one wrong one looks like a bent response
 
 
 @dataclass(frozen=True)

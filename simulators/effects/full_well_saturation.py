@@ -12,7 +12,7 @@ from simulators.effects.catalogue import CatalogueEffect, well_e
 from simulators.effects.clipping import censored_above, is_reached, limited, unevenly_limited
 from simulators.effects.context import ExposureContext, Signal
 
-_SPREAD: Final = 0.01
+_SPREAD: Final = 0.01  # from which a fit of the scatter begins
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,7 @@ from simulators.effects.base import DIGITAL_NUMBER, Moments, Stage, parameter
 from simulators.effects.catalogue import CatalogueEffect
 from simulators.effects.context import ExposureContext, Signal
 
-_LEAST_DN2: Final = 1e-6
+_LEAST_DN2: Final = 1e-6  # a step of a fit may try less than no noise
 
 
 @dataclass(frozen=True)

@@ -11,7 +11,7 @@ from simulators.effects.base import RADIANCE, Stage, parameter
 from simulators.effects.catalogue import Scaling
 from simulators.effects.context import ExposureContext
 
-_MOST_LEVELS: Final = 16
+_MOST_LEVELS: Final = 16  # a free entry for each of more would fit anything
 
 
 @dataclass(frozen=True)

@@ -12,7 +12,7 @@ from simulators.effects.catalogue import Scaling
 from simulators.effects.context import ExposureContext
 
 _BENT: Final = 0.01  # k₄ from which a fit begins
-_RINGS: Final = 101
+_RINGS: Final = 101  # a turning point is found to 1 % of the radius
 _BACK: Final = 0.1  # of what was lost, by which k₄ may err
 
 

@@ -15,7 +15,7 @@ from radiometer.data.validation import ConfigSection
 from simulators.scenes.base import SceneImage
 from simulators.scenes.layout import refuse_unknown_pattern
 
-_OVERSAMPLING = 5
+_OVERSAMPLING = 5  # per pixel and axis: an edge is placed to a fifth of a pixel
 
 
 class LedScene(ConfigSection):
