@@ -30,7 +30,7 @@ CLAIM_CHANCE: Final = 0.0027
 # records it is assumed to be of any phase and of amplitudes up to some 5 % (2 % each of sine and cosine, k = 1). An
 # example is a lamp of 0.3 %/K whose room is 15 K warmer in summer.
 _YEAR_S: Final = 365.25 * 86400.0
-_SEASON_YEARS: Final = 0.75  # three quarters of a year tell a season from a line
+_SEASON_YEARS: Final = 0.75  # three quarters of a year separate a season from a line
 _SEASON_REL: Final = 0.02  # engineering prior: lamps and cameras in a room follow it by 1 to 2 %
 _WITH_SEASON: Final = 4  # columns of the design: level, months, the year's sine and cosine
 # Before so much of a year a change that a straight line shows may be a season's.
