@@ -38,15 +38,18 @@ _LIGHT: Final = ("mean", "slope")  # what changes the light of tiles moves both
 _LIT_DN: Final = 1.0  # light below which a share of it says nothing
 
 
-def verdict_of(outcome: Search, doubts: Sequence[str], again: Periodic | None = None) -> Verdict:
+def verdict_of(
+    outcome: Search, doubts: Sequence[str], again: Periodic | None = None, *, other_well: bool = False
+) -> Verdict:
     """Return the verdict on a search.
 
     Args:
         outcome: The search.
         doubts: What speaks against its names.
         again: What comes back in the order of the frames, which no name explains.
+        other_well: Whether the brightest pixels show another full well than the declared one.
     """
-    named = len(outcome.state.effects) > len(insignificant_names(outcome))
+    named = other_well or len(outcome.state.effects) > len(insignificant_names(outcome))
     unnamed = leaves_structure(outcome) or again is not None
     if named:
         return Verdict.INCOMPLETE if unnamed or doubts else Verdict.EFFECTS_FOUND
