@@ -47,7 +47,6 @@ class ExposureLabelError(Scaling):
     further_to_s: tuple[float, ...] = parameter((), "s", -_ALWAYS_S, _ALWAYS_S, source="to when; empty for always")
 
     def factor(self, context: ExposureContext) -> Any:
-        """Return real over stated exposure time."""
         stated, now = np.asarray(context.settings.exposure_s), np.asarray(elapsed_s(context))
         found: Any = 1.0
         for label, ratio, start, end in self._labels():

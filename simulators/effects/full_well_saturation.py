@@ -42,7 +42,6 @@ class FullWellSaturation(CatalogueEffect):
         return np.minimum(signal, self._capacity_e(context))
 
     def slope(self, signal: Signal, context: ExposureContext) -> Signal:
-        """Return 1 below the full well and 0 on it."""
         return (signal < self._capacity_e(context)).astype(signal.dtype)
 
     def moments(self, before: Moments, context: ExposureContext) -> Moments:

@@ -57,7 +57,6 @@ class GammaEnabled(CatalogueEffect):
     above_black: float = parameter(0.0, "1", 0.0, 1.0, source="1 where the black level is added after the curve")
 
     def mean(self, signal: Signal, context: ExposureContext) -> Signal:
-        """Return the bent value."""
         black, room = self._range(context)
         return cast(Signal, self._bent(signal, black, room).astype(signal.dtype))
 
@@ -70,7 +69,6 @@ class GammaEnabled(CatalogueEffect):
         return black + room * (np.copysign(bent, off) if self.above_black else bent)
 
     def slope(self, signal: Signal, context: ExposureContext) -> Any:
-        """Return d(mean)/d(signal)."""
         black, room = self._range(context)
         share = np.maximum(np.abs(signal - black) / room, 1e-6)
         return np.where(share > self.toe, share ** (1.0 / self.gamma - 1.0) / self.gamma, self._lift())

@@ -43,5 +43,4 @@ class PwmFlicker(Flicker):
         return tuple(self.with_parameters(frequency_hz=float(self.frequency_hz * factor)) for factor in _COMB)
 
     def loosened(self, context: ExposureContext) -> tuple[Self, ...]:
-        """Return waves of other duties."""
         return tuple(self.with_parameters(duty=duty) for duty in _DUTIES if duty != self.duty)

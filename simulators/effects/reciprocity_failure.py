@@ -36,7 +36,6 @@ class ReciprocityFailure(Scaling):
     threshold_s: float = parameter(_NO_THRESHOLD_S, "s", 1e-6, _NO_THRESHOLD_S, source="none by default")
 
     def factor(self, context: ExposureContext) -> Any:
-        """Return the factor of exposure."""
         return (np.minimum(np.asarray(context.settings.exposure_s), self.threshold_s) / 1e-3) ** self.exponent
 
     @classmethod
