@@ -27,28 +27,8 @@ from radiometer.devices.light_box import (
 )
 
 __all__ = [
-    "Finding",
-    "Health",
-    "AcquisitionCounts",
-    "ButtonEvent",
-    "Camera",
-    "CameraCapabilities",
-    "CameraIdentity",
-    "CameraLimits",
-    "CameraPreset",
-    "CameraSettings",
-    "ChannelCapabilities",
-    "ChannelMode",
-    "ChannelState",
-    "ClockEstimate",
-    "CurrentRange",
-    "Display",
-    "DisplayPatch",
-    "DriveLevel",
-    "LightBox",
-    "LightBoxIdentity",
-    "LightBoxStatus",
-    "Radiance",
-    "Roi",
-    "refuse_out_of_range",
-]
+    "Finding", "Health", "AcquisitionCounts", "ButtonEvent", "Camera", "CameraCapabilities", "CameraIdentity",
+    "CameraLimits", "CameraPreset", "CameraSettings", "ChannelCapabilities", "ChannelMode", "ChannelState",
+    "ClockEstimate", "CurrentRange", "Display", "DisplayPatch", "DriveLevel", "LightBox", "LightBoxIdentity",
+    "LightBoxStatus", "Radiance", "Roi", "refuse_out_of_range",
+]  # fmt: skip
