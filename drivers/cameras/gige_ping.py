@@ -1,4 +1,7 @@
-"""Asks a GigE Vision camera whether it is there, without taking control of it."""
+"""Asks a GigE Vision camera whether it is there, without taking control of it.
+
+Each question goes to an IPv4 address `attempts` times and waits `timeout_s` for each answer.
+"""
 
 from __future__ import annotations
 
@@ -20,23 +23,12 @@ _ASK_CONTROL: Final = struct.pack(">BBHHHIHH", 0x42, 0x01, 0x0084, 8, 2, _CONTRO
 
 
 def answers(address: str, attempts: int = 3, timeout_s: float = 0.4, port: int = GVCP_PORT) -> bool:
-    """Tell whether a camera at an address acknowledges a discovery command.
-
-    Args:
-        address: IPv4 address.
-        attempts: Commands sent before giving up.
-        timeout_s: Longest wait for each answer in s.
-    """
+    """Tell whether a camera at an address acknowledges a discovery command."""
     return _answer(_DISCOVERY_COMMAND, _DISCOVERY_ACK, address, attempts, timeout_s, port) is not None
 
 
 def is_controlled(address: str, attempts: int = 2, timeout_s: float = 0.4, port: int = GVCP_PORT) -> bool:
     """Tell whether some program controls the camera at an address; False where nothing answers.
-
-    Args:
-        address: IPv4 address.
-        attempts: Questions asked before giving up.
-        timeout_s: Longest wait for each answer in s.
 
     Source: GigE Vision 2.0, control channel privilege register, bits 30 (exclusive) and 31 (control).
     """
@@ -48,13 +40,7 @@ def is_controlled(address: str, attempts: int = 2, timeout_s: float = 0.4, port:
 
 
 def name_at(address: str, attempts: int = 2, timeout_s: float = 0.4, port: int = GVCP_PORT) -> tuple[str, str, str]:
-    """Return vendor, model and serial number of the camera at an address; empty where nothing answers.
-
-    Args:
-        address: IPv4 address.
-        attempts: Questions asked before giving up.
-        timeout_s: Longest wait for each answer in s.
-    """
+    """Return vendor, model and serial number of the camera at an address; empty where nothing answers."""
     packet = _answer(_DISCOVERY_COMMAND, _DISCOVERY_ACK, address, attempts, timeout_s, port) or b""
     registers = packet[_HEADER.size :]
     vendor, model, serial = (

@@ -24,16 +24,8 @@ from radiometer.units import unit_of
 
 TIME_WORDS: Final = ("time", "t", "minutes", "min", "minute", "seconds", "sec", "s", "elapsed", "x")
 THRESHOLD_WORDS: Final = (
-    "threshold",
-    "thrs",
-    "thresholds",
-    "thr",
-    "sensitivity",
-    "log_threshold",
-    "luminance",
-    "attenuation",
-    "y",
-)
+    "threshold", "thrs", "thresholds", "thr", "sensitivity", "log_threshold", "luminance", "attenuation", "y",
+)  # fmt: skip
 LEVEL_WORDS: Final = (*THRESHOLD_WORDS, "level", "stim", "intensity", "db", "log", "log10")
 SIGMA_WORDS: Final = ("sigma", "u", "sd", "se", "u_log", "u_threshold", "u_log10_threshold", "u_log10", "stderr")
 MISSING: Final = ("", "na", "nan", "null", "none", "inf", "-inf", "-")

@@ -41,16 +41,8 @@ Header = Mapping[str, Statement]
 # others are in use without a definition: their unit must be stated.
 _EXPOSURE: Final = places("XPOSURE:s EXPTIME:s EXPOSURE:s EXPOINUS:us EXP_TIME ITIME INTTIME EXPTIME1 TEXP EXPOSED")
 _TEMPERATURE: Final = (
-    "CCD-TEMP",
-    "CCDTEMP",
-    "DET-TEMP",
-    "DETTEMP",
-    "SENSTEMP",
-    "TEMPERAT",
-    "CHIPTEMP",
-    "CAMTEMP",
-    "TEMP",
-)
+    "CCD-TEMP", "CCDTEMP", "DET-TEMP", "DETTEMP", "SENSTEMP", "TEMPERAT", "CHIPTEMP", "CAMTEMP", "TEMP",
+)  # fmt: skip
 _SET_TEMPERATURE: Final = ("SET-TEMP", "SETTEMP", "CCD-TSET")
 _TIME: Final = ("DATE-OBS", "DATE-BEG", "DATE_OBS", "DATE")
 _CAMERA_NAME: Final = ("INSTRUME", "CAMERA", "DETECTOR", "DETNAM")

@@ -35,17 +35,10 @@ class GammaEnabled(CatalogueEffect):
     block = "mean"
     neutral_at_one = ("gamma",)
     trials = (
-        {"gamma": 1.02},
-        {"gamma": 0.98},
-        {"gamma": 1.1},
-        {"gamma": 0.9},
-        {"gamma": 1.5},
-        {"gamma": 2.2},
-        {"gamma": 0.45},
-        {"gamma": 1.1, "above_black": 1.0},
-        {"gamma": 1.4, "above_black": 1.0},
+        {"gamma": 1.02}, {"gamma": 0.98}, {"gamma": 1.1}, {"gamma": 0.9}, {"gamma": 1.5}, {"gamma": 2.2},
+        {"gamma": 0.45}, {"gamma": 1.1, "above_black": 1.0}, {"gamma": 1.4, "above_black": 1.0},
         {"gamma": 0.9, "above_black": 1.0},
-    )
+    )  # fmt: skip
     fitted = ("gamma",)
     further = tuple({"toe": toe} for toe in (0.03, 0.08, 0.2))
     least = MappingProxyType({"gamma": 0.005})  # a setting, in steps of a hundredth where cameras tell them
