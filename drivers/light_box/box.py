@@ -7,7 +7,7 @@ import threading
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
-from typing import Final, Protocol, Self
+from typing import Final, Protocol
 
 from drivers.light_box.answers import (
     RANGE_LETTERS,
@@ -33,6 +33,7 @@ from radiometer.devices.light_box import (
     LightBoxIdentity,
     LightBoxStatus,
 )
+from radiometer.devices.opening import Opened
 from radiometer.devices.retinal_safety import FlashLight, HazardFractions, hazard_fractions
 from radiometer.errors import (
     CalibrationError,
@@ -68,7 +69,7 @@ class RadianceTable(Protocol):
 
 
 @dataclass(slots=True)
-class SerialLightBox:
+class SerialLightBox(Opened):
     """A light box behind a line."""
 
     link: BoxLink  # exchanges with the box
@@ -322,13 +323,6 @@ class SerialLightBox:
         """Tend the box if a quarter of its dead-man time has passed since it was tended last."""
         if self.link.line.now() - self._tended_s >= TEND_INTERVAL_S:
             self.tend()
-
-    def __enter__(self) -> Self:
-        self.open()
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
 
     @property
     def _name(self) -> str:

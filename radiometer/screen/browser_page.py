@@ -4,14 +4,15 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Callable, Mapping
-from typing import Any, ClassVar, Self
+from typing import Any, ClassVar
 
+from radiometer.devices.opening import Opened
 from radiometer.errors import DeviceError
 from radiometer.screen.loopback import Darken, nothing_to_darken
 from radiometer.screen.page_server import PageServer
 
 
-class BrowserPage:
+class BrowserPage(Opened):
     """Serves a page between `open()` and `close()`.
 
     Args:
@@ -76,13 +77,6 @@ class BrowserPage:
     def warnings(self) -> list[str]:
         """Return what on the page's side may falsify what is shown."""
         return page_warnings(self._server.conditions)
-
-    def __enter__(self) -> Self:
-        self.open()
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
 
     def _ask(self, order: Mapping[str, Any], lasting_s: float = 0.0) -> dict[str, Any]:
         """Return the page's answer to an order that lasts some time. Raises DeviceTimeout, DeviceLost, DeviceError."""
