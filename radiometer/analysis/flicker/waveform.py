@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from scipy.fft import next_fast_len, rfft, rfftfreq
 from scipy.optimize import minimize_scalar
 
-from radiometer.data.statements import StatementMap
-from radiometer.data.text_table import finite, read_table
+from radiometer.data.statements import StatementMap, is_unknown
+from radiometer.data.text_table import TextTable, finite, read_table
 from radiometer.errors import InputError
 
 Array = NDArray[np.float64]
@@ -28,6 +28,7 @@ _STEP_ROUNDING: Final = 0.02  # of a step: what decimals of a table may move a t
 _MOST_HARMONICS: Final = 12  # that take part in finding the period; further ones hold little of a lamp's power
 # A period is accepted where its harmonics hold so much of the modulation that noise or chance cannot.
 _PERIODIC_SHARE: Final = 0.5
+_LEAST_SHARE: Final = 1e-6  # of the variance that a longer period must explain: more than rounding
 _MOST_SAMPLES: Final = 10_000  # to find the period of: some 200 periods, which give it to parts in 100,000
 
 
@@ -97,10 +98,23 @@ def read_waveform(
         at_time, at_light, unit = 0, 1, "s"
         doubts.append("the table has no heading: column 1 is the time in s, column 2 the light")
     time_s = np.array(finite(table.values(at_time, "timestamp", doubts, mapped, defined=unit), table, at_time))
-    light = np.array(finite(table.values(at_light, "number", doubts, mapped, defined="1"), table, at_light))
+    light = np.array(finite(_proportional(table, at_light), table, at_light))
     rate_hz = _rate_hz(path, time_s)
     assumptions = () if dark is not None else ("the value 0 is darkness; --dark VALUE states another",)
     return Waveform(light - (dark or 0.0), rate_hz, str(path), u_dark, 0.0, assumptions), tuple(doubts)
+
+
+def _proportional(table: TextTable, at: int) -> list[float | None]:
+    """Return a column of numbers whose unit does not matter, for every measure is a ratio."""
+    values = list[float | None]()
+    for line, cells in table.rows:
+        try:
+            values.append(None if is_unknown(cells[at]) else float(cells[at]))
+        except ValueError as error:
+            raise InputError(
+                f"{table.where(line)}: {cells[at]!r} is no number; correct it, or leave the row out"
+            ) from error
+    return values
 
 
 def _rate_hz(path: Path, time_s: Array) -> float:
@@ -201,7 +215,7 @@ def find_period(waveform: Waveform) -> Period | None:
     for divisor in (1, 2, 3):
         if peak_hz / divisor * duration_s >= 2.0:  # fewer periods show no repetition
             found_hz, held = _refined(light, rate_hz, peak_hz / divisor)
-            if best_hz == 0.0 or 1.0 - held < 0.5 * (1.0 - share):
+            if best_hz == 0.0 or 1.0 - held < 0.5 * (1.0 - share) - _LEAST_SHARE:
                 best_hz, share = found_hz, held
     if share < _PERIODIC_SHARE:
         return None

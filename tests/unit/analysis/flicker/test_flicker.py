@@ -57,7 +57,7 @@ def test_a_rectangle_has_depth_1_and_the_dark_share_of_its_period_as_index(duty:
     assert found.svm.value == pytest.approx(by_hand, rel=0.01)
 
 
-@pytest.mark.parametrize(("frequency", "depth"), [(8.8, 0.01), (15.0, 0.02), (25.0, 0.05)])
+@pytest.mark.parametrize(("frequency", "depth"), [(15.0, 0.01), (20.0, 0.02), (30.0, 0.05)])
 def test_the_severity_of_a_sinusoid_is_the_gain_of_its_filters(frequency: float, depth: float) -> None:
     # A sensation that hardly moves exceeds all percentiles alike: Pst = √(Σ weights · P).
     at = [2.0 * np.pi * frequency]
@@ -86,9 +86,9 @@ def test_a_short_record_counts_as_repeated_and_says_so() -> None:
 
 def test_the_uncertainty_holds_for_noisy_records() -> None:
     rng = np.random.default_rng(46_001)
-    t = light_at(RATE_HZ, 0.2)
+    t = light_at(RATE_HZ, 0.1)
     inside = {"modulation_depth": 0, "flicker_index": 0, "svm": 0, "frequency": 0}
-    for _ in range(60):
+    for _ in range(40):
         depth, frequency = rng.uniform(0.1, 0.6), rng.uniform(95.0, 130.0)
         light = 1.0 + depth * np.sin(2.0 * np.pi * frequency * t + rng.uniform(0, 6)) + rng.normal(0, 0.02, t.size)
         found = measure_flicker(Waveform(light, RATE_HZ, "noisy"))
@@ -102,7 +102,7 @@ def test_the_uncertainty_holds_for_noisy_records() -> None:
             one = getattr(found, name)
             k = 2.0 if name == "frequency" else found.coverage_factor
             inside[name] += abs(one.value - value) <= k * one.u
-    assert min(inside.values()) >= 55, inside
+    assert min(inside.values()) >= 37, inside
 
 
 def test_darkness_scales_every_modulation_and_counts_in_u() -> None:

@@ -33,10 +33,20 @@ def test_daylight_is_its_own_equivalent_and_has_the_efficacy_of_the_standard(rec
     assert (one.quantity.unit, one.equivalent_daylight.unit) == ("W m-2", "lx")
 
 
-# Melanopic daylight efficacy ratios. Source: luxpy 1.12, spd_to_aopicDER, of the same spectra at 1 nm.
-@pytest.mark.parametrize(("name", "ratio"), [("cie_a", 0.4958), ("equal_energy", 0.9058)])
-def test_the_melanopic_ratio_of_common_lights(name: str, ratio: float) -> None:
-    assert rm.alpha_opic(1.0, spectrum=name)["melanopic"].daylight_ratio.value == pytest.approx(ratio, rel=1e-3)
+# α-opic efficacies in mW/lm, in the order of RECEPTORS. Source: luxpy 1.12.5, spd_to_aopicELR, of the same tables.
+@pytest.mark.parametrize(
+    ("name", "efficacies"),
+    [
+        ("cie_a", (0.25419, 1.1742, 1.6567, 0.83077, 0.65751)),
+        ("white_led", (0.50479, 1.2871, 1.6253, 1.0127, 0.83892)),
+        ("led_v1", (0.26825, 1.1615, 1.6690, 0.82747, 0.65797)),
+        ("cie_fl11", (0.48328, 1.2664, 1.6143, 0.93929, 0.74745)),
+        ("equal_energy", (0.75640, 1.3968, 1.6389, 1.3301, 1.2013)),
+    ],
+)
+def test_the_efficacies_of_common_lights_are_those_of_a_peer(name: str, efficacies: tuple[float, ...]) -> None:
+    found = rm.alpha_opic(1.0, spectrum=name)
+    assert [one.efficacy_mw_lm.value for one in found.quantities] == pytest.approx(efficacies, rel=3e-4)
 
 
 def test_a_line_excites_by_its_action_spectrum() -> None:
