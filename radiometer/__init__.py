@@ -23,12 +23,14 @@ _HOMES = {
         "AdaptationCurve", "AdaptationRun", "Bleach", "Protocols", "Retest", "adapt_bleach", "adapt_fit",
         "adapt_protocols", "adapt_retest", "adapt_run",
     ),
+    "radiometer.api.alpha_opic": ("AlphaOpicQuantities", "alpha_opic"),
     "radiometer.api.archive": ("Batch", "Passports", "Trends", "batch", "passport", "trend"),
     "radiometer.api.capture": ("BracketReport", "bracket"),
     "radiometer.api.devices": (
         "Devices", "Diagnosis", "list_devices", "doctor", "new_bench", "simulate_box", "simulate_camera",
     ),
     "radiometer.api.files": ("Stack", "read", "read_photographs"),
+    "radiometer.api.flicker": ("FlickerReport", "flicker"),
     "radiometer.api.importing": ("Imported", "import_capture"),
     "radiometer.api.light": (
         "BoxStatus", "ButtonPress", "CalibratedBox", "Darkness", "ExposureAccount", "LitChannel", "light_account",
@@ -72,6 +74,8 @@ if TYPE_CHECKING:
     from radiometer.api.adapt import adapt_protocols as adapt_protocols
     from radiometer.api.adapt import adapt_retest as adapt_retest
     from radiometer.api.adapt import adapt_run as adapt_run
+    from radiometer.api.alpha_opic import AlphaOpicQuantities as AlphaOpicQuantities
+    from radiometer.api.alpha_opic import alpha_opic as alpha_opic
     from radiometer.api.archive import Batch as Batch
     from radiometer.api.archive import Passports as Passports
     from radiometer.api.archive import Trends as Trends
@@ -92,6 +96,8 @@ if TYPE_CHECKING:
     from radiometer.api.files import Stack as Stack
     from radiometer.api.files import read as read
     from radiometer.api.files import read_photographs as read_photographs
+    from radiometer.api.flicker import FlickerReport as FlickerReport
+    from radiometer.api.flicker import flicker as flicker
     from radiometer.api.importing import Imported as Imported
     from radiometer.api.importing import import_capture as import_capture
     from radiometer.api.led_flux import Flux as Flux
