@@ -61,6 +61,10 @@ _HOMES = {
         "read",
         "read_photographs",
     ),
+    "radiometer.api.certificate": (
+        "Certificate",
+        "certificate",
+    ),
     "radiometer.api.flicker": (
         "FlickerReport",
         "flicker",
@@ -197,6 +201,8 @@ if TYPE_CHECKING:
     from radiometer.api.calibration import calibrate as calibrate
     from radiometer.api.capture import BracketReport as BracketReport
     from radiometer.api.capture import bracket as bracket
+    from radiometer.api.certificate import Certificate as Certificate
+    from radiometer.api.certificate import certificate as certificate
     from radiometer.api.devices import Devices as Devices
     from radiometer.api.devices import Diagnosis as Diagnosis
     from radiometer.api.devices import doctor as doctor
