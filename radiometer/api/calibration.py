@@ -7,10 +7,15 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Final
 
-from radiometer.analysis.calibration import absolute
 from radiometer.analysis.calibration import calibrate as make
-from radiometer.analysis.calibration.absolute import MeterSettings
-from radiometer.analysis.calibration.calibrate import KnownSource, MeterReading
+from radiometer.analysis.calibration.calibrate import (
+    KnownSource,
+    MeterReading,
+    MeterSettings,
+    metered_luminance_cd_m2,
+    metered_radiance_u_rel,
+    metered_u_rel,
+)
 from radiometer.analysis.calibration.flat_field import fit_flat_field
 from radiometer.analysis.calibration.shared import require_channel
 from radiometer.analysis.merge.bracket import merge
@@ -115,12 +120,12 @@ class Calibrated(Result):
 
 
 def _metered(meter: MeterReading, calibration: Calibration) -> dict[str, Any]:
-    luminance = absolute.metered_luminance_cd_m2(meter.meter_k, meter.settings)
+    luminance = metered_luminance_cd_m2(meter.meter_k, meter.settings)
     radiance = photometry.radiance_w_sr_m2(luminance, spectrum_of(calibration.spectrum))
     thesis = photometry.radiance_thesis_w_sr_m2_um(luminance)
-    u_rel = absolute.metered_u_rel(meter.k_u_rel)
+    u_rel = metered_u_rel(meter.k_u_rel)
     # A radiance from a luminance carries the efficacy of the light as well.
-    of_radiance = absolute.metered_radiance_u_rel(meter.k_u_rel, calibration.uncertainties.efficacy_u_rel)
+    of_radiance = metered_radiance_u_rel(meter.k_u_rel, calibration.uncertainties.efficacy_u_rel)
     return {
         "luminance": {"value": luminance, "u": luminance * u_rel, "unit": "cd m-2"},
         "radiance": {"value": radiance, "u": radiance * of_radiance, "unit": "W sr-1 m-2"},

@@ -11,8 +11,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from radiometer.analysis.exports.curves import CURVE_SUFFIXES, write_curves
-from radiometer.analysis.exports.response_plot import check_plot_name, draw_responses
+from radiometer.analysis.exports.curves import CURVE_SUFFIXES, check_plot_name, draw_responses, write_curves
 from radiometer.analysis.response.auto import recover_colours_auto
 from radiometer.analysis.response.compare import compare_methods
 from radiometer.analysis.response.estimate import ResponseEstimate, median_uncertainty, telling

@@ -5,10 +5,15 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-from radiometer.analysis.characterise.dark_figures import gain_from_darks, typical_dark_current
-from radiometer.analysis.characterise.dark_signal import DarkSignal, by_temperature, dark_signal, hidden_noise
+from radiometer.analysis.characterise.dark_signal import (
+    DarkSignal,
+    by_temperature,
+    dark_signal,
+    gain_from_darks,
+    hidden_noise,
+    typical_dark_current,
+)
 from radiometer.analysis.characterise.group_statistics import GroupStatistics
-from radiometer.analysis.characterise.inconsistent import contradicting_darks, contradicting_steps
 from radiometer.analysis.characterise.linearity import linearity
 from radiometer.analysis.characterise.nonuniformity import best_stack, dsnu, nonuniformity_by_part, prnu
 from radiometer.analysis.characterise.partial import (
@@ -23,9 +28,14 @@ from radiometer.analysis.characterise.photon_transfer import (
     photon_transfer,
 )
 from radiometer.analysis.characterise.result import Characterisation
-from radiometer.analysis.characterise.saturation import Saturation, find_saturation
-from radiometer.analysis.characterise.sensitivity import propagated, responsivity, sensitivity_figures
-from radiometer.analysis.characterise.steps import SignalStep, make_steps
+from radiometer.analysis.characterise.sensitivity import (
+    Saturation,
+    find_saturation,
+    propagated,
+    responsivity,
+    sensitivity_figures,
+)
+from radiometer.analysis.characterise.steps import SignalStep, contradicting_darks, contradicting_steps, make_steps
 from radiometer.analysis.characterise.subject import Subject
 from radiometer.data import Provenance, Quantity
 from radiometer.errors import MeasurementError

@@ -9,10 +9,8 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from radiometer.analysis.characterise.frame_groups import FrameGroup
-from radiometer.analysis.characterise.photon_flux import PhotonFlux
 from radiometer.analysis.characterise.result import Characterisation
-from radiometer.analysis.characterise.subject import Subject
+from radiometer.analysis.characterise.subject import FrameGroup, PhotonFlux, Subject
 from radiometer.data import Patch
 from radiometer.data.capture_set import read_digital_numbers
 from radiometer.data.storage import write_bytes_atomic, write_text_atomic

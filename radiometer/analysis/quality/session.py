@@ -11,10 +11,9 @@ from typing import Any, Final
 
 from radiometer.analysis.merge.bracket import merge
 from radiometer.analysis.quality import indices, spatial
-from radiometer.analysis.quality.indices import Figure
+from radiometer.analysis.quality.indices import Figure, v_lambda_mismatch
 from radiometer.analysis.quality.procedures import PROCEDURES, Procedure, gain_of_step
 from radiometer.analysis.quality.signals import StepSignal, step_signal
-from radiometer.analysis.quality.spectral import v_lambda_mismatch
 from radiometer.analysis.uncertainty.budget import coverage_factor
 from radiometer.data import Calibration, CaptureSet, Frame, Patch
 from radiometer.data.calibration_sections import SpectralResponse, StatedUncertainties

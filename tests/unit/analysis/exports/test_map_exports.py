@@ -13,8 +13,7 @@ import pytest
 import tifffile
 from PIL import Image
 
-from radiometer.analysis.exports.hdr import rgbe
-from radiometer.analysis.exports.maps import WRITERS, MapPicture, in_luminance, writer_for
+from radiometer.analysis.exports.maps import WRITERS, MapPicture, in_luminance, rgbe, writer_for
 from radiometer.analysis.photometry.spectra import spectrum
 from radiometer.cli.main import run
 from radiometer.data import CaptureSetWriter, PixelMask, RadianceMap, ResponseCurve

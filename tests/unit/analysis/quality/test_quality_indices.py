@@ -8,10 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from radiometer.analysis.quality.indices import Figure
+from radiometer.analysis.quality.indices import Figure, v_lambda_mismatch
 from radiometer.analysis.quality.procedures import PROCEDURES
 from radiometer.analysis.quality.session import Evaluation, Index, evaluate
-from radiometer.analysis.quality.spectral import v_lambda_mismatch
 from radiometer.analysis.uncertainty.budget import coverage_factor
 from radiometer.data.calibration_sections import SpectralResponse
 from radiometer.errors import InputError
