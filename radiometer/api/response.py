@@ -13,9 +13,8 @@ from numpy.typing import NDArray
 
 from radiometer.analysis.exports.curves import CURVE_SUFFIXES, check_plot_name, draw_responses, write_curves
 from radiometer.analysis.response.auto import recover_colours_auto
-from radiometer.analysis.response.compare import compare_methods
 from radiometer.analysis.response.estimate import ResponseEstimate, median_uncertainty, telling
-from radiometer.analysis.response.methods import DEFAULT_METHOD, METHODS, RATIO_METHODS, method_names
+from radiometer.analysis.response.methods import DEFAULT_METHOD, METHODS, RATIO_METHODS, compare_methods, method_names
 from radiometer.api.files import PathLike, Stack, stack_of
 from radiometer.api.result import Progress, Result
 from radiometer.bench.sources import open_source

@@ -12,7 +12,7 @@ from scipy.optimize import minimize_scalar
 from radiometer.analysis.response.curves import finished_curve, supported_range
 from radiometer.analysis.response.debevec1997 import curve_debevec1997
 from radiometer.analysis.response.estimate import ResponseEstimate, compare_thirds, inner_range
-from radiometer.analysis.response.normal import NormalEquations, PenalisedSolution, eliminate_groups, solve_penalised
+from radiometer.analysis.response.fit import NormalEquations, PenalisedSolution, eliminate_groups, solve_penalised
 from radiometer.analysis.response.samples import ResponseSamples, gather_samples
 from radiometer.data.bracket import Bracket
 from radiometer.data.response_curve import ResponseCurve

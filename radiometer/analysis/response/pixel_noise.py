@@ -11,9 +11,8 @@ from scipy.optimize import nnls
 
 from radiometer.analysis.response.basis import hat_weight
 from radiometer.analysis.response.limits import ValueLimits
-from radiometer.analysis.response.noise import LogNoise
+from radiometer.analysis.response.noise import LogNoise, group_residual, slope_at, value_at
 from radiometer.analysis.response.samples import ResponseSamples
-from radiometer.analysis.response.weights import group_residual, slope_at, value_at
 from radiometer.data.bracket import Bracket
 from radiometer.data.response_curve import ResponseCurve
 from radiometer.data.sensor_noise import SensorNoise

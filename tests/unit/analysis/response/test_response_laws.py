@@ -11,17 +11,15 @@ from radiometer.analysis.response.jackknife import jackknife, jackknife_u
 
 from radiometer.analysis.response import pixel_noise
 from radiometer.analysis.response.dynamic_range import RangePoint, dynamic_range, with_dynamic_range
-from radiometer.analysis.response.effective import places_as_one, tones_as_one
 from radiometer.analysis.response.estimate import compare_thirds
 from radiometer.analysis.response.fit import time_error_modes
 from radiometer.analysis.response.left_out import error_dn
 from radiometer.analysis.response.limits import ValueLimits
 from radiometer.analysis.response.methods import METHODS, method_names
-from radiometer.analysis.response.noise import LogNoise
-from radiometer.analysis.response.noise_shift import mean_exposure_dn
-from radiometer.analysis.response.pairs import Gauge, Pairs, with_log_ratios
+from radiometer.analysis.response.mitsunaga1999 import Gauge, Pairs, with_log_ratios
+from radiometer.analysis.response.noise import LogNoise, mean_exposure_dn, slope_at
 from radiometer.analysis.response.samples import gather_samples
-from radiometer.analysis.response.weights import slope_at
+from radiometer.analysis.response.settle import places_as_one, tones_as_one
 from radiometer.data import Bracket, Frame, FrameSettings, ResponseCurve
 from radiometer.errors import InputError, MeasurementError, UsageError
 
