@@ -32,21 +32,14 @@ GRID: Final = 2000
 
 @dataclass(frozen=True, slots=True)
 class FitRequest:
-    """How to fit.
+    """How to fit."""
 
-    Attributes:
-        criterion: log10 threshold of which the time is requested; None for none.
-        stimulus_u_log10: Standard uncertainty of the stimulus calibration in log10 units, shared by all thresholds.
-        bootstrap_draws: Redraws for the intervals of derived quantities; 0 leaves them out.
-        confidence: Probability of the intervals.
-        intercept: The rod intercept that belongs to the protocol; None where it reports none.
-    """
-
-    criterion: float | None = None
+    criterion: float | None = None  # log10 threshold of which the time is requested; None for none
+    # Standard uncertainty of the stimulus calibration in log10 units, shared by all thresholds
     stimulus_u_log10: float = 0.0
-    bootstrap_draws: int = 200
-    confidence: float = 0.95
-    intercept: InterceptRule | None = None
+    bootstrap_draws: int = 200  # redraws for the intervals of derived quantities; 0 leaves them out
+    confidence: float = 0.95  # probability of the intervals
+    intercept: InterceptRule | None = None  # the rod intercept that belongs to the protocol; None where it reports none
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,25 +63,16 @@ class Estimate:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class AdaptationFit:
-    """What was found of an eye.
+    """What was found of an eye."""
 
-    Attributes:
-        chosen: The simplest model near the least AICc among those that make sense.
-        tried: All fits, also those left out.
-        estimates: Parameters and derived quantities by name.
-        criterion: Stated log10 threshold of which the time is given; None where one branch alone does not cross it.
-        verdict: What the curve shows, in words.
-        request: How it was fitted.
-        evidence: What speaks for a break.
-    """
-
-    chosen: BranchFit
-    tried: tuple[BranchFit, ...]
-    estimates: Mapping[str, Estimate]
+    chosen: BranchFit  # the simplest model near the least AICc among those that make sense
+    tried: tuple[BranchFit, ...]  # all fits, also those left out
+    estimates: Mapping[str, Estimate]  # parameters and derived quantities by name
+    # Stated log10 threshold of which the time is given; None where one branch alone does not cross it
     criterion: float | None
-    verdict: str
-    request: FitRequest
-    evidence: BreakEvidence
+    verdict: str  # what the curve shows, in words
+    request: FitRequest  # how it was fitted
+    evidence: BreakEvidence  # what speaks for a break
 
     @property
     def has_break(self) -> bool:
@@ -98,11 +82,6 @@ class AdaptationFit:
 
 def fit_adaptation(series: ThresholdSeries, request: FitRequest, rng: np.random.Generator) -> AdaptationFit:
     """Return the fit of the family's best member, with intervals.
-
-    Args:
-        series: The thresholds.
-        request: How to fit.
-        rng: Source of chance for the bootstrap.
 
     Raises:
         MeasurementError: If the series shows no adaptation, or none that a branch model describes.

@@ -27,23 +27,14 @@ _FAR: Final = 1e12
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BranchFit:
-    """A fitted branch model.
+    """A fitted branch model."""
 
-    Attributes:
-        model: Which one.
-        series: What it was fitted to.
-        values: Parameters by name.
-        weights: Weight of each threshold: 1/σ² relative, less where robustness has taken some off, shape (n,).
-        sum_of_squares: Weighted sum of squared residuals.
-        aicc: Akaike's information criterion, corrected for small samples (Hurvich and Tsai 1989).
-    """
-
-    model: BranchModel
-    series: ThresholdSeries
-    values: dict[str, float]
-    weights: Array
-    sum_of_squares: float
-    aicc: float
+    model: BranchModel  # which one
+    series: ThresholdSeries  # what it was fitted to
+    values: dict[str, float]  # parameters by name
+    weights: Array  # weight of each threshold: 1/σ² relative, less where robustness has taken some off, shape (n,)
+    sum_of_squares: float  # weighted sum of squared residuals
+    aicc: float  # akaike's information criterion, corrected for small samples (Hurvich and Tsai 1989)
 
     @property
     def degrees_of_freedom(self) -> int:
@@ -64,8 +55,6 @@ def fit_model(series: ThresholdSeries, model: BranchModel, weights: Array | None
     """Return the least-squares fit of a model, outliers weighed down after Huber 1964.
 
     Args:
-        series: The thresholds.
-        model: The model.
         weights: Weights to keep as they are, such as those of another model's fit; found from the residuals where None.
 
     Raises:

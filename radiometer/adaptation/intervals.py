@@ -45,11 +45,6 @@ def profile_interval(fit: BranchFit, name: str, confidence: float = 0.95) -> Int
     parameters and s² the robust variance. The last factor is Bartlett's: at small n the likelihood ratio of a curved
     model is larger on average than its limit.
 
-    Args:
-        fit: The fit.
-        name: Name of the parameter.
-        confidence: Probability of the interval.
-
     Source: Bates and Watts 1988, Nonlinear Regression Analysis, section 6.1; Bartlett 1937, Proc. R. Soc. A 160, 268.
     """
     dof = fit.degrees_of_freedom
@@ -64,11 +59,6 @@ def bootstrap_values(fit: BranchFit, draws: int, rng: np.random.Generator) -> li
     """Return the parameters of fits to the fitted curve plus redrawn residuals.
 
     Residuals are drawn with replacement, scaled to the robust standard deviation, at the fit's weights.
-
-    Args:
-        fit: The fit.
-        draws: Number of redraws.
-        rng: Source of chance.
 
     Source: Efron and Tibshirani 1993, An Introduction to the Bootstrap, chapter 9.
     """

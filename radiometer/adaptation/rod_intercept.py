@@ -22,21 +22,13 @@ ROUNDS: Final = 5
 
 @dataclass(frozen=True, slots=True)
 class InterceptRule:
-    """What belongs to a rod intercept.
+    """What belongs to a rod intercept."""
 
-    Attributes:
-        criterion_log10: The criterion, log10 of scotopic cd·m⁻².
-        limit_min: Published limit in min; None where there is none.
-        bias_log10: What the method finds above the eye's own threshold, log10 units.
-        u_bias_log10: Its standard uncertainty.
-        source: Where criterion and limit come from.
-    """
-
-    criterion_log10: float
-    limit_min: float | None = None
-    bias_log10: float = 0.0
-    u_bias_log10: float = 0.0
-    source: str = ""
+    criterion_log10: float  # the criterion, log10 of scotopic cd·m⁻²
+    limit_min: float | None = None  # published limit in min; None where there is none
+    bias_log10: float = 0.0  # what the method finds above the eye's own threshold, log10 units
+    u_bias_log10: float = 0.0  # its standard uncertainty
+    source: str = ""  # where criterion and limit come from
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,10 +48,8 @@ def rod_intercept(
     A robust straight line through the thresholds within 3 min of the first crossing, read backwards.
 
     Args:
-        series: The thresholds.
         rule: Criterion and the method's bias.
         u_scale_log10: Standard uncertainty that all levels share, log10 units.
-        confidence: Probability of the interval.
     """
     target = rule.criterion_log10 + rule.bias_log10
     times, levels = series.time_min, series.log_threshold

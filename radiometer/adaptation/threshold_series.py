@@ -22,21 +22,16 @@ LEAST_RECOVERY: Final = 0.15  # log10 units; a series that moves by less shows n
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ThresholdSeries:
-    """Thresholds of one eye after one bleach.
+    """Thresholds of one eye after one bleach."""
 
-    Attributes:
-        time_min: Minutes after the bleach ended, ascending, shape (n,).
-        log_threshold: log10 of the threshold, shape (n,); of whatever unit the stimulus was calibrated in.
-        sigma: Relative weights' standard deviations in log10 units, shape (n,); None where all count alike.
-        facts: What the file says of itself in lines beginning with #, by lower-case name.
-        taken: What was made of the file's form and units, in words.
-    """
-
-    time_min: NDArray[np.float64]
+    time_min: NDArray[np.float64]  # minutes after the bleach ended, ascending, shape (n,)
+    # log10 of the threshold, shape (n,); of whatever unit the stimulus was calibrated in
     log_threshold: NDArray[np.float64]
+    # Relative weights' standard deviations in log10 units, shape (n,); None where all count alike
     sigma: NDArray[np.float64] | None = None
+    # What the file says of itself in lines beginning with #, by lower-case name
     facts: Mapping[str, str] = field(default_factory=dict)
-    taken: tuple[str, ...] = ()
+    taken: tuple[str, ...] = ()  # what was made of the file's form and units, in words
 
     def __post_init__(self) -> None:
         for name in ("time_min", "log_threshold", "sigma"):

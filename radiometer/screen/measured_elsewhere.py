@@ -35,25 +35,16 @@ FULL: Final = 255
 
 @dataclass(frozen=True, slots=True)
 class ScreenReadings:
-    """Readings of one screen.
+    """Readings of one screen."""
 
-    Attributes:
-        name: What the file calls it, or the file's name.
-        grey: Luminance in cd·m⁻² by 8-bit level; a level may have several readings.
-        primaries: The same of "red", "green" and "blue", where they were measured.
-        resolution_cd_m2: Last digit of the file's luminances.
-        taken: What was made of the file, in words.
-        shape_u_rel: Relative standard uncertainty of each level beyond repeatability.
-        doubts: What the file leaves open and how it was read, in words.
-    """
-
-    name: str
-    grey: Mapping[int, Sequence[float]]
+    name: str  # what the file calls it, or the file's name
+    grey: Mapping[int, Sequence[float]]  # luminance in cd·m⁻² by 8-bit level; a level may have several readings
+    # The same of "red", "green" and "blue", where they were measured
     primaries: Mapping[str, Mapping[int, Sequence[float]]] = field(default_factory=dict)
-    resolution_cd_m2: float = 0.0
-    taken: tuple[str, ...] = ()
-    shape_u_rel: float = 0.0
-    doubts: tuple[str, ...] = ()
+    resolution_cd_m2: float = 0.0  # last digit of the file's luminances
+    taken: tuple[str, ...] = ()  # what was made of the file, in words
+    shape_u_rel: float = 0.0  # relative standard uncertainty of each level beyond repeatability
+    doubts: tuple[str, ...] = ()  # what the file leaves open and how it was read, in words
 
 
 @bounded_reader(error=InputError)
@@ -89,10 +80,7 @@ def imported(
     """Return a calibration by readings made elsewhere.
 
     Args:
-        readings: The readings.
-        lights: Light of grey and, for primaries, of red, green and blue.
         meter_u_rel: Relative standard uncertainty of the meter's scale, shared by all levels.
-        source: Name of the file, for the provenance.
 
     Raises:
         InputError: If there are fewer than three levels of grey.
@@ -111,9 +99,7 @@ def imported(
     assumptions += [f"meter's scale: {100 * meter_u_rel:g} % (k = 1)"]
     assumptions += [f"{', '.join(shared)}: curve as grey's, to {100 * SHARED_SHAPE_U_REL:g} %"] if shared else []
     return ScreenCalibration(
-        readings.name,
-        channels,
-        provenance=Provenance(f"imported from {source}", assumptions=tuple(assumptions)),
+        readings.name, channels, provenance=Provenance(f"imported from {source}", assumptions=tuple(assumptions))
     )
 
 

@@ -100,7 +100,9 @@ class Climb:
         )
         of_moving, of_still = centred[slopes, _OF_MOVING], centred[slopes, _OF_STILL]
         if not square * still_square > 0.0:
-            raise MeasurementError("the pictures show nothing in common by which they could be brought together")
+            raise MeasurementError(
+                "the pictures have nothing in common by which they could be aligned; take them of one scene"
+            )
         try:
             inverse = np.linalg.inv(centred[slopes, slopes])
         except np.linalg.LinAlgError:  # no slope: nowhere to go
@@ -108,7 +110,9 @@ class Climb:
         towards = inverse @ of_moving
         brighter, darker = square - of_moving @ towards, both - of_still @ towards
         if not darker > 0.0:
-            raise MeasurementError("the pictures are too far apart, or not alike, to be brought together in steps")
+            raise MeasurementError(
+                "the pictures are displaced too far, or too different, to be aligned; take them from one place"
+            )
         turn, right, down = inverse @ (brighter / darker * of_still - of_moving)
         angle = math.asin(movement[1, 0]) + turn
         turned = np.array([[math.cos(angle), -math.sin(angle)], [math.sin(angle), math.cos(angle)]])
@@ -256,9 +260,9 @@ class Alignment:
             moved: Whether the frames are moved even where they hardly need it.
         """
         lost = [name for name, one in zip(names, self.movements, strict=True) if not one.known]
-        doubt = f"; not to be told of {', '.join(lost)}, too little in common" if lost else ""
+        doubt = f"; unknown for {', '.join(lost)}: too little in common" if lost else ""
         if not (self.needed or moved):
-            return f"aligned already: moving no frame by {LEAST_MOVE_PX:g} pixels or more mends anything{doubt}"
+            return f"aligned already: no frame fits better moved by {LEAST_MOVE_PX:g} pixels or more{doubt}"
         turned = max(abs(one.rotation_deg) for one in self.movements)
         # A frame of unknown movement moves like its neighbour, whose movement was measured.
         most = max(range(len(names)), key=lambda k: (self.movements[k].largest_px(self.shape), self.movements[k].known))
