@@ -20,10 +20,10 @@ from radiometer.analysis.calibration.flat_field import fit_flat_field
 from radiometer.analysis.calibration.shared import require_channel
 from radiometer.analysis.merge.bracket import merge
 from radiometer.analysis.photometry import photometry
-from radiometer.analysis.photometry.spectra import spectrum as spectrum_of
-from radiometer.analysis.photometry.spectra import spectrum_from_csv
+from radiometer.analysis.photometry.photometry import spectrum as spectrum_of
+from radiometer.analysis.photometry.photometry import spectrum_from_csv
 from radiometer.analysis.response.dynamic_range import DynamicRange, RangePoint, dynamic_range, with_dynamic_range
-from radiometer.analysis.signal.dark import black_from_darks
+from radiometer.analysis.signal.model import black_from_darks
 from radiometer.api.files import PathLike, stack_of
 from radiometer.api.read_back import with_found_effects
 from radiometer.api.result import Progress, Result

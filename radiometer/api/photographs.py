@@ -8,8 +8,8 @@ from pathlib import Path
 
 import numpy as np
 
+from radiometer.analysis.reading.monte_carlo import propagate_distributions
 from radiometer.analysis.reading.reading import patch_situation, read_patch
-from radiometer.analysis.uncertainty.monte_carlo import propagate_distributions
 from radiometer.api.files import PathLike, Stack, stack_of
 from radiometer.api.result import Progress
 from radiometer.bench.sources import open_source

@@ -9,9 +9,8 @@ from dataclasses import dataclass, replace
 from typing import Final, Literal
 
 from radiometer.analysis.calibration.shared import settle
-from radiometer.analysis.photometry.photometry import luminous_efficacy_lm_per_w
-from radiometer.analysis.photometry.spectra import Spectrum, spectrum
-from radiometer.analysis.reading.contributions import budget_terms
+from radiometer.analysis.photometry.photometry import Spectrum, luminous_efficacy_lm_per_w, spectrum
+from radiometer.analysis.reading.budget import budget_terms
 from radiometer.analysis.reading.reading import patch_situation, read_patch
 from radiometer.analysis.response.curves import black_of_curve
 from radiometer.analysis.signal.lens import lens_factor_sr

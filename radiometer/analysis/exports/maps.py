@@ -14,8 +14,7 @@ import tifffile
 from numpy.typing import NDArray
 
 import radiometer
-from radiometer.analysis.photometry.photometry import luminous_efficacy_lm_per_w
-from radiometer.analysis.photometry.spectra import Spectrum
+from radiometer.analysis.photometry.photometry import Spectrum, luminous_efficacy_lm_per_w
 from radiometer.data import PixelMask, RadianceMap
 from radiometer.data.json_text import json_text
 from radiometer.data.reading import LUMINANCE_UNIT, RADIANCE_UNIT

@@ -10,8 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from radiometer.analysis.calibration.shared import require_camera
-from radiometer.analysis.signal.dark import dark_levels
-from radiometer.analysis.signal.model import SignalModel, signal_model
+from radiometer.analysis.signal.model import SignalModel, dark_levels, signal_model
 from radiometer.data import (
     BlackLevel,
     Calibration,

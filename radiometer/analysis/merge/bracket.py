@@ -31,11 +31,11 @@ from radiometer.analysis.merge.sums import (
     merge_passes,
 )
 from radiometer.analysis.merge.tables import merge_tables
-from radiometer.analysis.photometry.unstated_light import KINDS
-from radiometer.analysis.reading.outside import frame_u_rel
-from radiometer.analysis.signal.found_effects import corrected_settings, temperature_factor
+from radiometer.analysis.photometry.photometry import KINDS
+from radiometer.analysis.reading.budget import common_u_rel, frame_u_rel, unstated_u_rel
 from radiometer.analysis.signal.lens import falloff_known, known_f_number, lens_factor_sr, relative_sensitivity
-from radiometer.analysis.signal.situation import common_u_rel, flat_field_for, situation_of, unstated_u_rel
+from radiometer.analysis.signal.model import corrected_settings, temperature_factor
+from radiometer.analysis.signal.situation import flat_field_for, situation_of
 from radiometer.data import (
     Bracket,
     FoundEffects,

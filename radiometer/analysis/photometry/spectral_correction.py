@@ -9,7 +9,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from radiometer.analysis.photometry.spectra import Spectrum, spectral_columns, spectrum
+from radiometer.analysis.photometry.photometry import Spectrum, spectral_columns, spectrum
 from radiometer.errors import InputError
 
 # Quantum efficiencies of silicon sensors vary by about a fifth between 450 and 650 nm (EMVA 1288 data sheets).

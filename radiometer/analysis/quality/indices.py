@@ -10,8 +10,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from radiometer.analysis.photometry.photometry import luminous_efficiency
-from radiometer.analysis.photometry.spectra import spectrum
+from radiometer.analysis.photometry.photometry import luminous_efficiency, spectrum
 from radiometer.analysis.quality.signals import Deviation, StepSignal, deviation
 from radiometer.data.calibration_sections import SpectralResponse
 from radiometer.errors import MeasurementError

@@ -14,7 +14,7 @@ from radiometer.analysis.quality import indices, spatial
 from radiometer.analysis.quality.indices import Figure, v_lambda_mismatch
 from radiometer.analysis.quality.procedures import PROCEDURES, Procedure, gain_of_step
 from radiometer.analysis.quality.signals import StepSignal, step_signal
-from radiometer.analysis.uncertainty.budget import coverage_factor
+from radiometer.analysis.reading.budget import coverage_factor
 from radiometer.data import Calibration, CaptureSet, Frame, Patch
 from radiometer.data.calibration_sections import SpectralResponse, StatedUncertainties
 from radiometer.data.capture_header import CameraDescription

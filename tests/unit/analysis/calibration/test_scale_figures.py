@@ -21,7 +21,7 @@ from radiometer.analysis.calibration.calibrate import (
     scales_ratio,
     unscaled_calibration,
 )
-from radiometer.analysis.photometry.spectra import spectrum_from_csv
+from radiometer.analysis.photometry.photometry import spectrum_from_csv
 from radiometer.analysis.signal import situation
 from radiometer.analysis.signal.lens import lens_factor_sr, lens_in_use, relative_sensitivity
 from radiometer.data import (

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from radiometer.analysis.calibration import calibrate
 from radiometer.analysis.calibration.calibrate import MeterSettings, scale_from_meter, scale_from_radiance
 from radiometer.analysis.photometry import photometry
-from radiometer.analysis.photometry.spectra import LINES, Spectrum, primary_spectrum, spectrum
+from radiometer.analysis.photometry.photometry import LINES, Spectrum, primary_spectrum, spectrum
 from radiometer.errors import InputError
 from testing.golden import cie
 

@@ -11,7 +11,7 @@ import pytest
 from radiometer.analysis.calibration import calibrate
 from radiometer.analysis.calibration.calibrate import MeterSettings
 from radiometer.analysis.photometry import photometry
-from radiometer.analysis.photometry.spectra import Spectrum, spectrum, table
+from radiometer.analysis.photometry.photometry import Spectrum, spectrum, table
 from radiometer.errors import InputError
 from testing.golden import thesis
 
