@@ -10,7 +10,6 @@ from typing import Any, Final
 
 from radiometer.api.files import PathLike
 from radiometer.api.meter import PatchLike, as_patch
-from radiometer.api.outputs import check_outputs
 from radiometer.api.result import Notice, Progress, Result, unheard
 from radiometer.bench.boxes import (
     ExposureReport,
@@ -26,6 +25,7 @@ from radiometer.bench.boxes import (
 from radiometer.bench.light_bench import SurveyRequest, open_light_camera, survey_box
 from radiometer.data.json_text import json_text
 from radiometer.data.light_calibration import LevelChoice, LightCalibration
+from radiometer.data.storage import check_outputs
 from radiometer.devices import ChannelMode, ChannelState, CurrentRange, DriveLevel, Radiance
 from radiometer.devices.light_box import Level
 from radiometer.errors import DeviceError, DeviceNotFound, UsageError

@@ -23,10 +23,9 @@ from radiometer.data.drawing import new_axes, picture
 from radiometer.data.iso_speeds import IsoSpeeds
 from radiometer.data.storage import check_outputs
 from radiometer.errors import MeasurementError, UsageError
-from radiometer.photographs.iso_record import with_iso_speeds
 from radiometer.photographs.response import ENOUGH_PIXELS
 from radiometer.photographs.scene import Photographs, refuse_lying_photographs
-from radiometer.photographs.stated import with_gains
+from radiometer.photographs.stated import with_gains, with_iso_speeds
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from radiometer.analysis.photometry.photometry import luminous_efficiency, spectrum
 from radiometer.analysis.quality.signals import Deviation, StepSignal, deviation
-from radiometer.data.calibration_sections import SpectralResponse
+from radiometer.data.calibration import SpectralResponse
 from radiometer.errors import MeasurementError
 
 # f6 is stated for this change of temperature.

@@ -16,7 +16,7 @@ from radiometer.analysis.quality.procedures import PROCEDURES, Procedure, gain_o
 from radiometer.analysis.quality.signals import StepSignal, step_signal
 from radiometer.analysis.reading.budget import coverage_factor
 from radiometer.data import Calibration, CaptureSet, Frame, Patch
-from radiometer.data.calibration_sections import SpectralResponse, StatedUncertainties
+from radiometer.data.calibration import SpectralResponse, StatedUncertainties
 from radiometer.data.capture_header import CameraDescription
 from radiometer.data.capture_set import HEADER_NAME
 from radiometer.data.setup import Setup

@@ -12,7 +12,7 @@ from radiometer.analysis.quality.indices import Figure, v_lambda_mismatch
 from radiometer.analysis.quality.procedures import PROCEDURES
 from radiometer.analysis.quality.session import Evaluation, Index, evaluate
 from radiometer.analysis.reading.budget import coverage_factor
-from radiometer.data.calibration_sections import SpectralResponse
+from radiometer.data.calibration import SpectralResponse
 from radiometer.errors import InputError
 from testing import quality_stations as stations
 
