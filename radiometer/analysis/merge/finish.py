@@ -58,9 +58,6 @@ from radiometer.data.radiance_map import PixelMask
 _TABLE_END, _TABLE_STEPS = 8.0, 4096
 _PER_SIGMA = _TABLE_STEPS / (_TABLE_END + CENSORED_SIGMA)
 NOISE_FLOOR_SIGMA = 2.0
-_BELOW_NOISE = np.uint8(PixelMask.BELOW_NOISE)
-_EXTRAPOLATED = np.uint8(PixelMask.EXTRAPOLATED)
-_INCONSISTENT = np.uint8(PixelMask.INCONSISTENT)
 ONLY_NEAR_CLIPPING = np.uint8(2)  # frames that clip may say something; nothing else is doubtful
 SATURATED = np.uint8(PixelMask.SATURATED)
 BELOW_NOISE = np.uint8(PixelMask.BELOW_NOISE)
@@ -204,7 +201,7 @@ def near_clipping(
 def marks(rate: float, variance: float) -> Any:  # pragma: no cover (compiled)
     """Return the mask of a pixel that is below the noise, or of one that is not."""
     below = (rate < 0.0) | (rate * rate < NOISE_FLOOR_SIGMA**2 * variance)
-    return _BELOW_NOISE if below else np.uint8(0)
+    return BELOW_NOISE if below else np.uint8(0)
 
 
 @compiled_apart
@@ -322,10 +319,10 @@ def straight_curved(
             continue
         level = max(rate, 0.0) * of_longest
         level_u = from_root_table(level, curve, top)
-        found = _EXTRAPOLATED if (level < valid[0]) | (level > valid[1]) else np.uint8(0)
+        found = EXTRAPOLATED if (level < valid[0]) | (level > valid[1]) else np.uint8(0)
         if rate < near:
             rate, variance, contradiction = near_clipping(rate, variance, pattern, slot, records, frames, kappa)
-            found |= _INCONSISTENT if contradiction else np.uint8(0)
+            found |= INCONSISTENT if contradiction else np.uint8(0)
         variance += (d2 + share * (d1 - d2)) ** 2
         rates[i], variances[i], mask[i] = rate, variance + (level_u * rate) ** 2, marks(rate, variance) | found
         doubtful[i] = 0
