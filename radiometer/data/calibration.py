@@ -23,7 +23,7 @@ from radiometer.errors import CalibrationError
 
 ScaleMethod = Literal["known_radiance", "light_meter_k", "datasheet", "relative"]
 FORMAT = "radiometer-calibration/1"
-DEFAULT_VALIDITY_DAYS = 365.0
+DEFAULT_VALIDITY_DAYS = 365.0  # a year, the usual interval of instruments
 
 
 class ScaleConditions(FileSection):

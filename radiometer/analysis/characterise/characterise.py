@@ -27,7 +27,7 @@ from radiometer.analysis.characterise.photon_transfer import (
     PhotonTransfer,
     photon_transfer,
 )
-from radiometer.analysis.characterise.result import Characterisation
+from radiometer.analysis.characterise.result import PLAUSIBLE_ETA_PERCENT, Characterisation
 from radiometer.analysis.characterise.sensitivity import (
     Saturation,
     find_saturation,
@@ -40,7 +40,6 @@ from radiometer.analysis.characterise.subject import Subject
 from radiometer.data import Provenance, Quantity
 from radiometer.errors import MeasurementError
 
-_PLAUSIBLE_ETA_PERCENT = (5.0, 100.0)
 _FEWEST_LEVELS = 3
 
 
@@ -221,7 +220,7 @@ class _Work:
             R = responsivity(self.at.steps, self.at.saturation, self.subject.photons_u_rel)
             eta = propagated(lambda r, k: 100 * r / k, "%", R, K)
             figures |= {"R": R, "eta": eta}
-            low, high = _PLAUSIBLE_ETA_PERCENT
+            low, high = PLAUSIBLE_ETA_PERCENT
             if not low <= eta.value <= high:
                 notes.append(
                     f"the quantum efficiency of {eta.value:.3g} % is not plausible: check radiance, f-number, "

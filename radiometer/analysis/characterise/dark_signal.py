@@ -10,22 +10,21 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from radiometer.analysis.characterise.group_statistics import GroupStatistics, typical_pixels
+from radiometer.analysis.characterise.group_statistics import SAME_TEMPERATURE_K, GroupStatistics, typical_pixels
 from radiometer.analysis.characterise.line_fit import Line, fit_line
 from radiometer.analysis.characterise.rounding import PLAIN_FROM
 from radiometer.analysis.characterise.subject import Subject
 from radiometer.data import Quantity
 from radiometer.statistics.scale import robust_sigma
 
-_SAME_TEMPERATURE_K = 1.5
-_FEWEST_FRAMES: Final = 5
-_HIGHEST_LEVERAGE: Final = 0.9
-_CLIP_SIGMAS: Final = 6.0
+_FEWEST_FRAMES: Final = 5  # fewer tell no scatter about a line of two parameters
+_HIGHEST_LEVERAGE: Final = 0.9  # a frame above it decides its own fit, and shows no residual
+_CLIP_SIGMAS: Final = 6.0  # one false alarm in 5·10⁸ normal values
 _LARGEST_U_REL: Final = 0.2  # above it the dark current is too weak to tell the gain
-_MOST_PIXELS: Final = 250_000
-_MOST_FRAMES: Final = 64
+_MOST_PIXELS: Final = 250_000  # a variance is then known to 0.3 %; more cost time alone
+_MOST_FRAMES: Final = 64  # bounds the memory: 64 frames of 250,000 pixels are 128 MB
 _LEAST_SPAN_DN: Final = 2.0  # of the typical dark signal: less shows no shot noise
-_FINEST_TEMPERATURE_K: Final = 0.05
+_FINEST_TEMPERATURE_K: Final = 0.05  # rounding to a tenth: the finest that cameras state
 
 
 @dataclass(frozen=True, slots=True)
@@ -117,7 +116,7 @@ def by_temperature(dark: Sequence[GroupStatistics]) -> list[list[GroupStatistics
     for group in ordered:
         here = group.settings.temperature_c
         before = plateaus[-1][-1].settings.temperature_c if plateaus else None
-        if plateaus and (here is None or before is None or here - before <= _SAME_TEMPERATURE_K):
+        if plateaus and (here is None or before is None or here - before <= SAME_TEMPERATURE_K):
             plateaus[-1].append(group)
         else:
             plateaus.append([group])

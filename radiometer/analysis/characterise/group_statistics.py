@@ -15,6 +15,7 @@ from radiometer.data.frame import DigitalNumbers
 from radiometer.errors import MeasurementError
 from radiometer.statistics.scale import robust_sigma
 
+SAME_TEMPERATURE_K: Final = 1.5  # dark current doubles in 5 to 8 K: it then changes by a fifth at most
 _REACH_SIGMAS: Final = 4.0  # pixels whose mean lies farther from the median are hot, cold or hit
 _LEAST_SIGMA_DN: Final = 0.5  # most means may show one code, and their median deviation is then 0
 

@@ -30,7 +30,7 @@ from radiometer.data import Provenance, Quantity
 from radiometer.errors import MeasurementError
 from radiometer.units import gain_factor
 
-_DOUBTFUL_SIGMAS = 2.0
+_DOUBTFUL_SIGMAS = 2.0  # 95 %: two figures of one thing rarely differ by more
 
 
 def partial_characterisation(

@@ -20,8 +20,8 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-_WIDE: Final = (6.4, 3.6)
-_NARROW: Final = (4.0, 3.0)
+_WIDE: Final = (6.4, 3.6)  # inches: the width of a page of text
+_NARROW: Final = (4.0, 3.0)  # inches: the width of a phone
 
 
 def story(result: Characterisation) -> str:

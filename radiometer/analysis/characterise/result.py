@@ -14,6 +14,9 @@ from radiometer.data import CameraDescription, Provenance, Quantity
 from radiometer.reporting.numbers import rounded
 from radiometer.units import gain_factor
 
+# Quantum efficiency: no electron without a photon, and any sensor sold sees one in twenty.
+PLAUSIBLE_ETA_PERCENT = (5.0, 100.0)
+
 FORMAT: Final = "radiometer-camera/1"
 
 

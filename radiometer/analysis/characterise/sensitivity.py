@@ -14,7 +14,7 @@ from radiometer.analysis.characterise.steps import SignalStep
 from radiometer.data import Quantity
 from radiometer.errors import MeasurementError
 
-_COLLAPSED_SHARE = 0.05
+_COLLAPSED_SHARE = 0.05  # of the largest variance, below which nearly all pixels clip
 
 
 @dataclass(frozen=True, slots=True)

@@ -9,19 +9,18 @@ from typing import Final
 
 import numpy as np
 
-from radiometer.analysis.characterise.group_statistics import GroupStatistics
+from radiometer.analysis.characterise.group_statistics import SAME_TEMPERATURE_K, GroupStatistics
 from radiometer.analysis.characterise.line_fit import fit_line
 from radiometer.analysis.characterise.rounding import unrounded_variance
 from radiometer.errors import MeasurementError
 from radiometer.statistics.scale import robust_sigma
 
-_SAME_EXPOSURE_REL = 1e-3
-_SAME_TEMPERATURE_K = 1.5
+_SAME_EXPOSURE_REL = 1e-3  # cameras round exposures to microseconds; steps of a series differ by per cents
 _NEIGHBOURS: Final = 2  # on either side
-_FEWEST: Final = 6
+_FEWEST: Final = 6  # with fewer a local line through the neighbours hides a mistake
 _LARGEST_PART: Final = 0.2  # of the groups: more are no exceptions
 _OFF_SHARE: Final = 0.1  # of what its neighbours say
-_OFF_SIGMAS: Final = 10.0
+_OFF_SIGMAS: Final = 10.0  # far beyond chance: a mistake of the series, not its noise
 _OFF_OF_TOP: Final = 0.01  # of the largest signal: less is offset
 _AGREE_SHARE: Final = 1 / 3  # of its distance: how far the neighbours may lie from each other
 
@@ -123,7 +122,7 @@ def _from_line(
 
 def _same_temperature(one: GroupStatistics, other: GroupStatistics) -> bool:
     a, b = one.settings.temperature_c, other.settings.temperature_c
-    return a is None or b is None or abs(a - b) <= _SAME_TEMPERATURE_K
+    return a is None or b is None or abs(a - b) <= SAME_TEMPERATURE_K
 
 
 def contradicting_steps(steps: Sequence[SignalStep]) -> list[tuple[SignalStep, str]]:

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from radiometer.analysis.characterise.group_statistics import GroupStatistics, statistics_of_group
+from radiometer.analysis.characterise.group_statistics import SAME_TEMPERATURE_K, GroupStatistics, statistics_of_group
 from radiometer.analysis.signal.lens import falloff_known, lens_factor_sr, relative_sensitivity
 from radiometer.data import (
     CameraDescription,
@@ -29,8 +29,6 @@ from radiometer.importing import imported_of, is_foreign, open_capture, statisti
 from radiometer.importing.emva_listing import DESCRIPTOR_NAME, EmvaListing, find_descriptor
 from radiometer.importing.record import record_in
 from radiometer.units import photon_energy_j
-
-_SAME_TEMPERATURE_K = 1.5
 
 
 @dataclass(frozen=True, slots=True)
@@ -96,7 +94,7 @@ def _group(capture: CaptureSet, settings: list[FrameSettings], members: list[int
 def _temperature_plateaus(temperatures: list[float | None]) -> list[int]:
     """Return the number of the plateau that each temperature belongs to (gaps above 1.5 K part them)."""
     known = np.unique([t for t in temperatures if t is not None])
-    edges = known[1:][np.diff(known) > _SAME_TEMPERATURE_K]
+    edges = known[1:][np.diff(known) > SAME_TEMPERATURE_K]
     return [-1 if t is None else int(np.searchsorted(edges, t, side="right")) for t in temperatures]
 
 

@@ -23,7 +23,7 @@ from radiometer.errors import MeasurementError, MissingLibrary, OutputError, Usa
 
 _LABELS: Final = {RADIANCE_UNIT: "radiance / W·sr⁻¹·m⁻²", LUMINANCE_UNIT: "luminance / cd·m⁻²"}
 _CLIPPED_COLOUR: Final = "#ff40ff"
-_MOST_DECADES: Final = 6.0
+_MOST_DECADES: Final = 6.0  # more than an eye can tell apart in one picture
 
 
 def write_exr(path: Path, picture: MapPicture) -> None:

@@ -33,7 +33,7 @@ from radiometer.data import Bracket, Frame
 from radiometer.errors import MeasurementError
 from radiometer.typing import Array, Image
 
-BLUR_PX: Final = 5
+BLUR_PX: Final = 5  # the size of findTransformECC's own filter: noise moves no slope
 _LEAST_STEP: Final = 1e-6  # of the correlation
 # Of the blur's pixels so many must show something.
 _SHOWN_SHARE: Final = 0.95

@@ -53,7 +53,7 @@ BLOCK_PIXELS: Final = 1 << 15  # a block's sums stay in a core's second-level ca
 _PARTS_PER_CORE: Final = (
     4  # few, because each costs the interpreter's lock; several, because cores are not equally fast
 )
-MOST_FRAMES = 64
+MOST_FRAMES = 64  # the bits of the largest integer that marks the frames of a pixel
 _TOLD_REL = 0.001  # an offset of exposures that does less to the brightest pixels is not reported
 
 

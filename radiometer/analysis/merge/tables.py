@@ -55,8 +55,8 @@ from radiometer.typing import Array
     NEAREST,
     NEXT,
 ) = range(24)
-RECORD_SIZE = 24
-FIRST_POWER = 0.35
+RECORD_SIZE = 24  # the places above
+FIRST_POWER = 0.35  # of the exposure: within 1.5 % of the best variance (see above)
 # A frame expected to clip by more than this says nothing new: its censored score is below 0.001 sigma.
 CENSORED_SIGMA = 3.5
 # The scatter of a pixel's frames, and what a curve's uncertainty excuses of it. Beyond five standard deviations a

@@ -26,7 +26,7 @@ from radiometer.errors import InputError
 from radiometer.typing import Array
 from radiometer.units import BOLTZMANN_J_K, PLANCK_J_S, SPEED_OF_LIGHT_M_S
 
-BAND_NM: Final = (380.0, 780.0)
+BAND_NM: Final = (380.0, 780.0)  # visible light: CIE 018:2019
 TABLES: Final = Path(__file__).with_name("tables")
 _LEDS: Final = ("led_b1", "led_b2", "led_b4", "led_b5", "led_bh1", "led_rgb1", "led_v1", "led_v2")
 _CIE: Final = (*_LEDS, "cie_a", "cie_fl2", "cie_fl11", "crt_red", "crt_green", "crt_blue")
@@ -79,8 +79,8 @@ KINDS: Final[dict[str, tuple[str, ...]]] = {
         f"display:{kind}:{primary}" for kind in ("oled", "led_lcd") for primary in ("red", "green", "blue")
     ),
 }
-_PEAKS_NM: Final = (500.0, 550.0, 600.0)
-_HALF_WIDTH_NM: Final = 150.0
+_PEAKS_NM: Final = (500.0, 550.0, 600.0)  # assumed: silicon behind a lens and an infrared filter peaks between these
+_HALF_WIDTH_NM: Final = 150.0  # assumed distance from the peak to half of it
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -21,8 +21,8 @@ _LEAST_CHANGE_K: Final = 2.0
 _TEMPERATURE_U_K: Final = 0.3  # of a difference read from one sensor's thermometer: half its usual step of 1 K
 _LEAST_SHARE: Final = 0.02  # signals below this part of the largest are the dark level's business
 _FEWEST_ANGLES: Final = 3
-_STEP_NM: Final = 1.0
-_DRAWS: Final = 2000
+_STEP_NM: Final = 1.0  # the step of the tables of V(λ)
+_DRAWS: Final = 2000  # the u of an index is then known to 1.6 %
 # Errors of a digitised curve go together over about this width.
 _CORRELATED_NM: Final = 50.0
 

@@ -23,7 +23,7 @@ from radiometer.data.setup import Setup
 from radiometer.errors import InputError, MeasurementError, RadiometerError
 
 FORMAT: Final = "radiometer-quality/1"
-SOURCE_U_REL: Final = 0.001
+SOURCE_U_REL: Final = 0.001  # assumed where nothing is stated: a warm, regulated lamp
 _SAME_GAIN_DB: Final = 0.06  # cameras set gains in steps of up to 0.1 dB
 _MIDDLE_SHARE: Final = 10  # the patch is a tenth of the picture where nobody says
 

@@ -42,20 +42,18 @@ from radiometer.data import (
 from radiometer.errors import MeasurementError
 
 _DEPENDS_ON_LEVEL: Final = frozenset({"response curve"})
-_SAME_LEVEL_REL: Final = 0.1
+_SAME_LEVEL_REL: Final = 0.1  # nearer signals share the error of the response curve, which is smooth
 # Sensors in a room; used where calibration or reading do not state their temperature.
 UNKNOWN_TEMPERATURE_K = 3.0
 # Fall-off at the corner of a picture whose focal length or pixel size is unknown: cos⁴ at 27°, an ordinary lens.
 UNKNOWN_FALLOFF = 0.36
-_DAYS_PER_YEAR = 365.25
+_DAYS_PER_YEAR = 365.25  # Julian year
 _HANDLING = {"reseated": "reseated_u_rel", "refocused": "refocused_u_rel", "iris_reset": "iris_reset_u_rel"}
-_FEWEST_PIXELS_FOR_SCATTER = 16
+_FEWEST_PIXELS_FOR_SCATTER = 16  # a scatter is then known to a sixth
 # Origins of a dark level that is not assumed.
 _MEASURED = ("dark frames", "masked pixels")
-# Readings of signals as near as this share the error of the response curve.
-_SAME_LEVEL = 0.1
-_NOISE_FLOOR_SIGMA = 2.0
-_NONUNIFORM_REL = 0.05
+_NOISE_FLOOR_SIGMA = 2.0  # 95 %: below, a reading need not differ from darkness
+_NONUNIFORM_REL = 0.05  # a patch on an even surface varies by less, its fall-off included
 
 
 # A contribution dominates from this part of the variance on, where it is more than a trifle.
@@ -519,7 +517,7 @@ class PatchSituation:
         """Return whether the signal is as high as at calibration, so that the response's error drops out."""
         if self.calibration is None or "conditions" not in self.calibration.scale.model_fields_set:
             return False
-        return abs(self.conditions.level - self.calibration.scale.conditions.level) <= _SAME_LEVEL
+        return abs(self.conditions.level - self.calibration.scale.conditions.level) <= _SAME_LEVEL_REL
 
 
 def budget_terms(situation: PatchSituation) -> list[Term]:

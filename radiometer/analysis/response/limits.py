@@ -27,7 +27,7 @@ _LOWEST_SHARE: Final = 0.1
 _HIGHEST_SHARE: Final = 0.95
 _FEWEST_PIXELS: Final = 50  # that two frames show: their median ratio is then known to some per cent at the noisiest
 _LEAST_RATIO: Final = 1.2  # of two exposures; nearer ones say little of growth
-_PIXELS: Final = 50_000
+_PIXELS: Final = 50_000  # so many show the ends of a histogram; more cost time alone
 
 
 @dataclass(frozen=True, slots=True)

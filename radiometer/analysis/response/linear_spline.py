@@ -20,7 +20,7 @@ from radiometer.one_thread import on_one_blas_thread
 from radiometer.typing import Array
 
 METHOD = "linear_spline"
-_PIECES = 20
+_PIECES = 20  # each a twentieth of full scale: finer than real curves bend
 # Misfit is averaged over this part of the range.
 _MISFIT_WINDOWS = 8
 # Misfit, in ln H, above which a sensor is not nearly linear.

@@ -12,7 +12,7 @@ from radiometer.analysis.response.limits import ValueLimits
 from radiometer.analysis.response.samples import ResponseSamples
 from radiometer.typing import Array
 
-_QUANTISATION_DN2 = 1.0 / 12.0
+_QUANTISATION_DN2 = 1.0 / 12.0  # variance of rounding to whole numbers
 # Hat weight from which a row counts in full: 5 % of the range away from black and from saturation.
 _FULLY_TRUSTED_HAT = 0.1
 # Exposures nearer to each other than this, in ln t, count as repeats of one.

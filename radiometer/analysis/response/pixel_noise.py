@@ -19,9 +19,9 @@ from radiometer.data.sensor_noise import SensorNoise
 from radiometer.errors import MeasurementError
 from radiometer.typing import Array
 
-_PIXELS: Final = 6000
-_FEWEST_ROWS: Final = 50
-_ROUNDS: Final = 6
+_PIXELS: Final = 6000  # noise parameters are then known to some per cent
+_FEWEST_ROWS: Final = 50  # fewer do not separate shot from read noise
+_ROUNDS: Final = 6  # of the weights, which follow the fitted noise
 # Rounding alone, in DN²: no stack is quieter.
 _ROUNDING_DN2: Final = 1.0 / 12.0
 # Electrons of a sensor whose shot noise a stack does not show: many enough to weigh nothing.
