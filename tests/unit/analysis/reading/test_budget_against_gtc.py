@@ -10,8 +10,8 @@ import GTC
 import numpy as np
 import pytest
 
+from radiometer.analysis.reading import budget
 from radiometer.analysis.reading.reading import read_patch
-from radiometer.analysis.uncertainty import budget
 from radiometer.data import BlackLevel, LensDescription, Patch, ScaleConditions, StatedUncertainties
 from radiometer.data.setup import Setup
 

@@ -6,7 +6,7 @@ import math
 
 import pytest
 
-from radiometer.analysis.uncertainty.monte_carlo import Distribution
+from radiometer.analysis.reading.monte_carlo import Distribution
 from radiometer.data import Patch, Quantity, Reading
 
 

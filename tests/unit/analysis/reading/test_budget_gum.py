@@ -8,10 +8,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from radiometer.analysis.reading import budget
+from radiometer.analysis.reading.budget import Term
+from radiometer.analysis.reading.monte_carlo import Distribution, propagate_distributions
 from radiometer.analysis.reading.reading import patch_situation, read_patch
-from radiometer.analysis.uncertainty import budget
-from radiometer.analysis.uncertainty.budget import Term
-from radiometer.analysis.uncertainty.monte_carlo import Distribution, propagate_distributions
 from radiometer.data import BlackLevel, Contribution, FlatField, Patch, Quantity, Reading, Scale, StatedUncertainties
 from radiometer.data.setup import Setup
 from radiometer.errors import MeasurementError

@@ -7,8 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from radiometer.analysis.reading.contributions import PatchSituation, budget_terms
-from radiometer.analysis.reading.estimate import curve_u_rel
+from radiometer.analysis.reading.budget import PatchSituation, budget_terms
 from radiometer.data import Reading
 from radiometer.typing import Array
 
@@ -111,7 +110,7 @@ def _rates(situation: PatchSituation, rng: np.random.Generator, trials: int) -> 
         fluctuation = estimate.fluctuation_rel * expected
         drawn = mean + noise * rng.standard_normal(trials)
         drawn += _student(fluctuation, max(estimate.degrees_of_freedom, 1), rng, trials)
-        bent = (drawn - dark.signal) * curve_u_rel(situation.model, frame, expected) * curve * curve_counts
+        bent = (drawn - dark.signal) * situation.model.curve_u_rel(expected, frame.settings) * curve * curve_counts
         lying = dark.u_common * common_dark + dark.u_independent * rng.standard_normal(trials)
         rates += c * (drawn + bent - dark.signal - lying)
     pattern = next(term for term in budget_terms(situation) if term.name == "pixel pattern")

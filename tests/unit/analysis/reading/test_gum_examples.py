@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from radiometer.analysis.characterise.line_fit import fit_line, is_bent
-from radiometer.analysis.uncertainty.budget import (
+from radiometer.analysis.reading.budget import (
     Term,
     combined_u,
     coverage_factor,
