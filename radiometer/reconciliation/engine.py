@@ -17,10 +17,10 @@ from radiometer.data import CaptureHeader, Frame
 from radiometer.errors import CaptureError
 from radiometer.importing import open_capture
 from radiometer.one_thread import on_one_blas_thread
-from radiometer.reconciliation.advice.limits import limits
 from radiometer.reconciliation.advice.next_capture import propose, propose_for_blind, propose_for_unnamed
 from radiometer.reconciliation.advice.separability import Separability, inseparable, separability
-from radiometer.reconciliation.fit.covariance import fitted_parameters, is_misfit
+from radiometer.reconciliation.advice.sizes import limits
+from radiometer.reconciliation.fit.covariance import fitted_parameters, is_misfit, scatter_of
 from radiometer.reconciliation.fit.descent import first_state
 from radiometer.reconciliation.fit.nuisances import dark_current_is_free
 from radiometer.reconciliation.fit.state import FitState
@@ -28,6 +28,7 @@ from radiometer.reconciliation.full_well import ShownWell, levels_of_brightest, 
 from radiometer.reconciliation.measure.reduce import FrameReader, frame_reader
 from radiometer.reconciliation.noise.darkness import drift_of_black, wander_of_black
 from radiometer.reconciliation.noise.repeats import repeats_of
+from radiometer.reconciliation.posterior import Posterior, posterior
 from radiometer.reconciliation.propose.beyond import held_to_laws
 from radiometer.reconciliation.result import (
     CovariateGap,
@@ -304,6 +305,8 @@ def _result(
     state, other_well = outcome.state, well is not None and well.contradicts
     verdict = verdict_of(outcome, doubts, again, other_well=other_well)
     effects = _found(outcome, entries, again, failed, provisional=verdict is Verdict.INCOMPLETE)
+    weighed = posterior(state.models.fits, entries, scatter_of(state))
+    effects = tuple(_believed(effect, weighed) for effect in effects)
     if well is not None and other_well:
         effects = (*effects, well.as_effect(state.gap))
     shown: Mapping[str, Limit] = {}
@@ -333,7 +336,18 @@ def _result(
         captures=len(state.design.captures),
         frames=frames,
         seconds=time.monotonic() - begun,
+        models=weighed.listed(),
         extra=_remarks(state, effects, well),
+    )
+
+
+def _believed(effect: FoundEffect, weighed: Posterior) -> FoundEffect:
+    """Return a found effect with its probability, and its parameters averaged over the models that hold it."""
+    return replace(
+        effect,
+        probability=weighed.probability(effect.name),
+        probability_of_any=weighed.probability(effect.name, *effect.alternatives),
+        averaged=weighed.averaged(effect.name),
     )
 
 

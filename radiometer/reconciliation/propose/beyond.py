@@ -24,10 +24,10 @@ from radiometer.reconciliation.fit.state import FitState
 from radiometer.reconciliation.propose.grammar import PLACES
 from radiometer.reconciliation.propose.proposal import Proposal
 from radiometer.reconciliation.propose.search import propose_law
-from radiometer.reconciliation.search.free_forms import worth
 from radiometer.reconciliation.search.free_laws import in_a_looser_form, nowhere_near
 from radiometer.reconciliation.search.localise import localise, significant
 from radiometer.reconciliation.search.outcome import Search, Step
+from radiometer.reconciliation.search.score import worth
 from radiometer.reconciliation.thresholds import NAMED_NATS, RIVAL_NATS, SMOOTH_SHARE
 from radiometer.reconciliation.verdict import acting_as_others, doubts_of, leaves_structure
 from simulators.effects.catalogue import CatalogueEffect

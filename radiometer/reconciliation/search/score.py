@@ -5,10 +5,15 @@ What a candidate must bring before it is a name, and which others explain the da
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
+from typing import Final
+
 import numpy as np
 
 from radiometer.reconciliation.chances import chi2_beyond
-from radiometer.reconciliation.fit.candidate_fit import FittedCandidate
+from radiometer.reconciliation.fit.candidate_fit import FittedCandidate, fit_candidate, held_out_gain
+from radiometer.reconciliation.fit.state import FitState
+from radiometer.reconciliation.search.screening import best_start
 from radiometer.reconciliation.thresholds import (
     FEW_TRIES,
     FLEXIBLE_NATS,
@@ -21,8 +26,19 @@ from radiometer.reconciliation.thresholds import (
     STATED_NATS,
     STATED_SHARE,
 )
+from simulators.effects.catalogue import CatalogueEffect
 
 Judged = tuple[FittedCandidate, float]
+
+
+def worth(state: FitState) -> float:
+    """Return the score of a model: its held-out log density, each parameter and each column of a curve paid for."""
+    return state.evidence - PARAMETER_NATS * (state.parameters.size + state.curves)
+
+
+def rated(state: FitState) -> float:
+    """Return the score of a model with the prior odds of its names."""
+    return worth(state) + sum(effect.log_prior_odds for effect in state.effects)
 
 
 def penalised_chi2(fitted: FittedCandidate) -> float:
@@ -81,3 +97,63 @@ def is_shown(fitted: FittedCandidate, nats: float, limit: float, *, later: bool,
     beyond_chance = log_chance(fitted.gain, fitted.parameters) < limit
     in_its_own = fitted.evidence >= SHOWN_CHI2 or (far and nats > HUGE_NATS)
     return beyond_chance and nats >= needed + (LATER_NATS if later else 0.0) and in_its_own
+
+
+_SAME_GAIN: Final = 0.8  # of the chosen one's, below which an entry is not fitted
+_LEFT: Final = 1e-4  # share of what an entry does that the nuisances must leave
+
+
+def rivals_of(
+    state: FitState,
+    chosen: Judged,
+    judged: Sequence[Judged],
+    linear: Judged,
+    catalogue: Mapping[str, type[CatalogueEffect]],
+) -> tuple[CatalogueEffect, ...]:
+    """Return the effects, at their best parameters, that the data cannot separate from the chosen one.
+
+    Args:
+        state: The model without the chosen one.
+        chosen: The chosen one with its gain in nats.
+        judged: Others that were fitted and judged in the same way, with theirs.
+        linear: The chosen one with its gain before any full fit.
+        catalogue: All entries. Those that were not tried, because the setting that marks them does not vary, may
+            act like the chosen one for that very reason: a blur that grows with the aperture at one f-number.
+    """
+    found = {f.name: f.effect for f, nats in judged if _is_rival(f, nats, chosen)}
+    found |= {f.name: f.effect for f, nats in _unvaried(state, linear, catalogue) if _is_rival(f, nats, linear)}
+    return tuple(found.values())
+
+
+def _is_rival(other: FittedCandidate, nats: float, chosen: Judged) -> bool:
+    """Return whether another entry predicts about as well; each further parameter must be paid for.
+
+    One with more parameters, one of them on its bound, imitates the chosen one in a limit: a kernel as wide as the
+    picture is a veil.
+    """
+    further = max(other.parameters - chosen[0].parameters, 0)
+    if other.name == chosen[0].name or (further and other.columns.shape[1] < other.parameters):
+        return False
+    return nats - PARAMETER_NATS * further > chosen[1] - RIVAL_NATS
+
+
+def _unvaried(state: FitState, chosen: Judged, catalogue: Mapping[str, type[CatalogueEffect]]) -> list[Judged]:
+    context = state.model.context
+    present = {effect.name for effect in (*state.effects, *state.model.given)}
+    found = []
+    for name, kind in catalogue.items():
+        if name in present or kind.block != chosen[0].effect.block or kind.usable(context):
+            continue
+        start = best_start(state, kind.starts(context))
+        if start is not None and start.gain > _SAME_GAIN * chosen[0].gain:
+            fitted = fit_candidate(state, start)
+            if not _is_absorbed(state, fitted):
+                found.append((fitted, held_out_gain(state, fitted.residual, fitted.columns)))
+    return found
+
+
+def _is_absorbed(state: FitState, fitted: FittedCandidate) -> bool:
+    """Return whether the nuisances absorb an entry entirely: it then rivals no effect."""
+    part = state.fit.half(state.fit.pull(fitted.columns))
+    whole = np.sum(fitted.columns**2, axis=0)
+    return bool(np.all(whole - np.sum(part**2, axis=0) < _LEFT * np.maximum(whole, 1e-12)))

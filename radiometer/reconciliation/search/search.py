@@ -11,24 +11,31 @@ import numpy as np
 from radiometer.reconciliation.fit.candidate_fit import (
     Candidate,
     FittedCandidate,
+    curve_gain,
     fit_candidate,
-    held_out_gain,
     judged_gain,
 )
 from radiometer.reconciliation.fit.covariance import is_far, is_misfit, scatter_of
 from radiometer.reconciliation.fit.descent import refit
 from radiometer.reconciliation.fit.full_fit import FullFits, UnfitError, contenders_of
 from radiometer.reconciliation.fit.state import FitState, reweighted, with_terms
-from radiometer.reconciliation.search.free_forms import worth
-from radiometer.reconciliation.search.free_laws import by_a_free_law, in_place_of_all, rated
+from radiometer.reconciliation.search.free_laws import by_a_free_law, in_place_of_all
 from radiometer.reconciliation.search.localise import Disagreement, departing, localise, significant, smooth_term
-from radiometer.reconciliation.search.moves import Loosened, LooserForms, better, pruned, simpler
+from radiometer.reconciliation.search.moves import Loosened, LooserForms, better, fit_swapped, pruned, simpler
 from radiometer.reconciliation.search.outcome import Search, Step
 from radiometer.reconciliation.search.plain_trends import TRENDS
-from radiometer.reconciliation.search.rivals import rivals_of
-from radiometer.reconciliation.search.score import by_itself, is_shown, likeliest, log_chance, penalised_chi2, score
-from radiometer.reconciliation.search.screening import Before, screen
-from radiometer.reconciliation.search.starts import StartPool
+from radiometer.reconciliation.search.score import (
+    by_itself,
+    is_shown,
+    likeliest,
+    log_chance,
+    penalised_chi2,
+    rated,
+    rivals_of,
+    score,
+    worth,
+)
+from radiometer.reconciliation.search.screening import Before, StartPool, screen
 from radiometer.reconciliation.thresholds import (
     FLEXIBLE_NATS,
     HUGE_NATS,
@@ -63,6 +70,7 @@ class _Run:
     screened: list[Candidate] = field(default_factory=list)  # beside the model before
     forms: dict[tuple[str, bool], tuple[CatalogueEffect, ...]] = field(default_factory=dict)  # as they were fitted then
     barred: str = ""  # a name that this step may not give
+    beside: dict[str, tuple[CatalogueEffect, ...]] = field(default_factory=dict)  # what was fitted with each name
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -109,9 +117,11 @@ def search(
         say(f"another way: not {turn.chosen} after {', '.join(step.name for step in turn.steps) or 'nothing'}")
         again = _Run(catalogue, say, [*turn.steps], {*turn.refused}, run.pool, run.first)
         other = _to_its_end(start, turn.state, turn.tests, again, barred=turn.chosen)
+        run.beside |= again.beside
         if rated(other.state) > rated(found.state) + NAMED_NATS:
             say(f"better by {rated(other.state) - rated(found.state):.1f} nats: gap {other.state.gap:.3f}")
             found = other
+    fit_swapped(found.state, run.beside)
     return replace(found, first_tests=first)
 
 
@@ -218,6 +228,7 @@ def _one_step(state: FitState, tests: tuple[Disagreement, ...], run: _Run) -> Fi
         outperformed |= any(_outperforms(other, chosen) for other in others)
         following = _named(fits, chosen, others, judged, run, outperformed=outperformed)
         if following is not None:
+            run.beside[chosen[0].name] = tuple(f.effect for f in fitted if f.name != chosen[0].name)
             if (lead := _lead(chosen, others)) < NEAR_SHARE:
                 run.turns.append(_Turn(state, tests, chosen[0].name, lead, steps, refused))
             return following
@@ -326,7 +337,7 @@ def _lead(chosen: tuple[FittedCandidate, float], others: Sequence[tuple[FittedCa
 def _smooth_gain(state: FitState, test: Disagreement) -> float:
     term = smooth_term(state, test)
     columns = state.pad(term.build(state.comparison, state.prediction, state.sensitivity))
-    return held_out_gain(state, state.fit.residual, state.fit.followed(columns))
+    return curve_gain(state, state.fit.followed(columns))
 
 
 def _named(
@@ -350,6 +361,8 @@ def _named(
         return None
     linear = next(entry for entry in judged if entry[0] is fitted)
     rivals = rivals_of(state, chosen, contenders, linear, run.catalogue)
+    for rival in rivals:
+        fits.try_out(rival, far=nats > HUGE_NATS)
     gap_before = state.gap
     again = next((i for i, step in enumerate(run.steps) if step.name == fitted.name), None)
     if again is None:
@@ -414,7 +427,7 @@ def _unnamed(
 def _with_curve(state: FitState, test: Disagreement) -> FitState:
     """Return the model with a smooth term that takes up a disagreement, all fitted anew."""
     old = tuple(term for term in state.terms if term.is_smooth)
-    return refit(reweighted(refit(with_terms(state, (*old, smooth_term(state, test))))))
+    return refit(reweighted(refit(with_terms(state, (*old, smooth_term(state, test)))))).recorded()
 
 
 def _forget(run: _Run, name: str) -> None:
