@@ -18,9 +18,9 @@ from typing import Final
 import numpy as np
 
 from radiometer.reconciliation.fit.models import ModelFit
-from radiometer.reconciliation.measure.design import Array
 from radiometer.reconciliation.result import FittedParameter
 from radiometer.reconciliation.thresholds import PARAMETER_NATS
+from radiometer.typing import Array
 
 UNNAMED: Final = "unnamed"
 LAWS: Final = 4000  # forms without a name that compete: the laws of the grammar, about

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from radiometer.reconciliation.measure.design import Array
+from radiometer.typing import Array
 from simulators.effects.catalogue import CatalogueEffect
 
 
