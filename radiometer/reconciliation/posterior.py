@@ -19,11 +19,10 @@ import numpy as np
 
 from radiometer.reconciliation.fit.models import ModelFit
 from radiometer.reconciliation.result import FittedParameter
-from radiometer.reconciliation.thresholds import PARAMETER_NATS
+from radiometer.reconciliation.thresholds import NAMED_NATS, PARAMETER_NATS
 from radiometer.typing import Array
 
 UNNAMED: Final = "unnamed"
-LAWS: Final = 4000  # forms without a name that compete: the laws of the grammar, about
 _DRAWS: Final = 1000
 _DRAWN_WITH: Final = 20261126  # the same draws for the same data
 _LEAST_WEIGHT: Final = 1e-3  # of a model that is listed
@@ -121,6 +120,5 @@ def _hypothesis(fit: ModelFit, catalogue: Collection[str]) -> frozenset[str]:
 
 def _log_prior(fit: ModelFit, names: Collection[str], entries: int) -> float:
     """Return the log prior odds of a model: of its effects as usual as they are, its parameters paid for."""
-    named = len([name for name in names if name != UNNAMED])
-    odds = sum(effect.log_prior_odds for effect in fit.effects) - named * np.log(max(entries, 1))
-    return float(odds - (np.log(LAWS) if UNNAMED in names else 0.0) - PARAMETER_NATS * fit.parameters)
+    odds = sum(effect.log_prior_odds for effect in fit.effects) - len(names) * np.log(max(entries, 1))
+    return float(odds - (NAMED_NATS if UNNAMED in names else 0.0) - PARAMETER_NATS * fit.parameters)
