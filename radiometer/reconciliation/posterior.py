@@ -17,7 +17,9 @@ from typing import Final
 
 import numpy as np
 
+from radiometer.reconciliation.fit.covariance import scatter_of
 from radiometer.reconciliation.fit.models import ModelFit
+from radiometer.reconciliation.fit.state import FitState
 from radiometer.reconciliation.result import FittedParameter
 from radiometer.reconciliation.thresholds import NAMED_NATS, PARAMETER_NATS
 from radiometer.typing import Array
@@ -72,6 +74,16 @@ class Posterior:
             unit = next(entry.unit for entry in held[0][1].parameters() if entry.name == key)
             found[key] = FittedParameter(mean, float(np.sqrt(share @ (u**2 + (value - mean) ** 2))), unit)
         return found
+
+
+def posterior_of(state: FitState, catalogue: Collection[str]) -> Posterior:
+    """Return the posterior probabilities of all models that were fitted to the data of a reported one.
+
+    Args:
+        state: The model that is reported.
+        catalogue: Names of the entries that may be named.
+    """
+    return posterior(state.models.fits, catalogue, scatter_of(state))
 
 
 def posterior(fits: Sequence[ModelFit], catalogue: Collection[str], dispersion: float = 1.0) -> Posterior:
