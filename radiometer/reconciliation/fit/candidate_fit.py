@@ -250,18 +250,13 @@ def curve_gain(state: FitState, columns: Array) -> float:
     return float(np.sum(gains))
 
 
-def held_out_gain(state: FitState, residual: Array, columns: Array) -> float:
-    """Return by how many nats further columns improve the prediction of held-out settings.
+def _held_out_gains(state: FitState, residual: Array, columns: Array) -> Array:
+    """Return by how many nats further columns improve the prediction of each held-out group, (groups,).
 
     Args:
         state: The model without them.
         residual: Whitened residual with the addition, prior rows included, followers followed.
         columns: Its columns, the same.
     """
-    return float(np.sum(_held_out_gains(state, residual, columns)))
-
-
-def _held_out_gains(state: FitState, residual: Array, columns: Array) -> Array:
-    """Return the same group by group, (groups,)."""
     with_it = leave_one_group_out(state.fit.extended(columns, residual), state.groups)
     return np.asarray(with_it.log_density - state.held_out.log_density)

@@ -224,7 +224,7 @@ def _one_step(state: FitState, tests: tuple[Disagreement, ...], run: _Run) -> Fi
         if not _convinces(state, chosen, standing, plain) or _is_likelier(fits, looser, chosen):
             break
         others = judged if contenders is shown else contenders
-        following = _named(fits, chosen, others, judged, run)
+        following = _named(fits, chosen, others, run)
         if following is not None:
             run.beside[chosen[0].name] = tuple(f.effect for f in fitted if f.name != chosen[0].name)
             if (lead := _lead(chosen, others)) < NEAR_SHARE:
@@ -331,12 +331,11 @@ def _named(
     fits: FullFits,
     chosen: tuple[FittedCandidate, float],
     contenders: list[tuple[FittedCandidate, float]],
-    judged: list[tuple[FittedCandidate, float]],
     run: _Run,
 ) -> FitState | None:
     """Return the model with the chosen effect; None where, all refitted, it does not predict better after all.
 
-    Contenders are judged as the chosen one is, `judged` are all those of this step before any full fit.
+    Contenders are judged as the chosen one is.
     """
     (fitted, nats), state = chosen, fits.state
     following = fits.included(fitted.effect, far=nats > HUGE_NATS)
@@ -344,8 +343,7 @@ def _named(
     if brought < KEPT_NATS or brought < NAMED_NATS * scatter_of(following):
         run.refused.add(fitted.name)
         return None
-    linear = next(entry for entry in judged if entry[0] is fitted)
-    rivals = rivals_of(state, chosen, contenders, linear, run.catalogue)
+    rivals = rivals_of(chosen, contenders)
     for rival in rivals:
         fits.try_out(rival, far=nats > HUGE_NATS)
     gap_before = state.gap
