@@ -30,6 +30,7 @@ _HOMES = {
         "Devices", "Diagnosis", "list_devices", "doctor", "new_bench", "simulate_box", "simulate_camera",
     ),
     "radiometer.api.files": ("Stack", "read", "read_photographs"),
+    "radiometer.api.certificate": ("Certificate", "certificate"),
     "radiometer.api.flicker": ("FlickerReport", "flicker"),
     "radiometer.api.importing": ("Imported", "import_capture"),
     "radiometer.api.light": (
@@ -86,6 +87,8 @@ if TYPE_CHECKING:
     from radiometer.api.calibration import calibrate as calibrate
     from radiometer.api.capture import BracketReport as BracketReport
     from radiometer.api.capture import bracket as bracket
+    from radiometer.api.certificate import Certificate as Certificate
+    from radiometer.api.certificate import certificate as certificate
     from radiometer.api.devices import Devices as Devices
     from radiometer.api.devices import Diagnosis as Diagnosis
     from radiometer.api.devices import doctor as doctor

@@ -39,6 +39,9 @@ COMMANDS: Final[dict[str, CommandEntry]] = {
     "alpha-opic": CommandEntry(
         "radiometer.cli.analyse.alpha_opic", "Convert light of a known spectrum into α-opic quantities (CIE S 026)."
     ),
+    "certificate": CommandEntry(
+        "radiometer.cli.calibrate.certificate", "Make a digital calibration certificate of a reading or calibration."
+    ),
     "reconcile": CommandEntry("radiometer.cli.analyse.reconcile", "Find what a simulation lacks, name it and add it."),
     "log-fit": CommandEntry("radiometer.cli.analyse.log_fit",
                             "Find what a camera's log lacks, compared with a reference meter."),
