@@ -32,7 +32,11 @@ from radiometer.errors import DeviceError, DeviceNotFound, UsageError
 
 _LOOK_S: Final = 0.25  # how often the light is looked at: half of the time in which a lost box must be reported
 _BUDGET_USED_UP: Final = 0.02  # of the full budget: it refills from the moment the light went out
+<<<<<<< HEAD
 _FOREVER_S: Final = 1e9  # 32 years
+=======
+_FOREVER_S: Final = 1e9  # 30 years
+>>>>>>> refs/heads/work-trim
 
 
 @dataclass(frozen=True, repr=False)
@@ -149,14 +153,6 @@ def light_pulse(
     Args:
         channel: As all further ones for `light_set`.
         duration_s: Length in s, at most 600.
-        radiance: See there.
-        level: See there.
-        low: See there.
-        box: See there.
-        calibration: See there.
-        preset: See there.
-        lit: See there.
-        notice: See there.
 
     Raises:
         RadiometerError: As `light_set`.
@@ -197,15 +193,7 @@ def light_blink(
         on_s: Bright time in s.
         off_s: Dark time in s.
         count: Number of blinks; 0 without end.
-        radiance: See there.
-        level: See there.
-        low: See there.
         hold_s: Stop after this time in s.
-        box: See there.
-        calibration: See there.
-        preset: See there.
-        lit: See there.
-        notice: See there.
 
     Raises:
         RadiometerError: As `light_set`.
