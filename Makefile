@@ -88,7 +88,7 @@ shake: $(VENV)/.ready-test  ## Run the fast tests in ten orders under two busy l
 	    || failed=$$((failed + 1)); \
 	done; echo "$$failed of $(RUNS) runs failed"; [ $$failed = 0 ]
 
-bench: $(VENV)/.ready-test  ## Run the long benchmarks and rewrite the tables in docs/benchmarks.md
+bench: $(VENV)/.ready-test  ## Run the long benchmarks and rewrite the tables in docs/benchmarks
 	$(BIN)/python -m benchmarks
 
 soak: $(VENV)/.ready-test  ## Run the daemon for an hour and watch its memory

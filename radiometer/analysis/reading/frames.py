@@ -13,6 +13,7 @@ from radiometer.analysis.signal.model import SignalModel
 from radiometer.data import Bracket, Frame, FrameSettings, Patch
 from radiometer.data.frame import DigitalNumbers
 from radiometer.errors import MeasurementError
+from radiometer.statistics.scale import TWENTIETH_TO_SIGMA, neighbour_sigma
 from radiometer.units import gain_factor
 
 # A patch counts as unclipped where its mean stays this many standard deviations of its pixels below clipping.
@@ -87,12 +88,12 @@ def crop_frames(
 def _refuse_misfit(frame: Frame, patch: Patch, shape: tuple[int, int], model: SignalModel) -> None:
     if not patch.fits(frame.shape):
         raise MeasurementError(
-            f"the patch {patch.x},{patch.y},{patch.width},{patch.height} does not lie inside the frame of "
+            f"the patch {patch.x},{patch.y},{patch.width},{patch.height} is not inside the frame of "
             f"{frame.shape[1]} × {frame.shape[0]} pixels; give X,Y,W,H within it"
         )
     if frame.shape != shape:
         raise MeasurementError(
-            f"frames differ in size ({frame.shape[1]} × {frame.shape[0]} beside {shape[1]} × {shape[0]} pixels)"
+            f"frames differ in size ({frame.shape[1]} × {frame.shape[0]} and {shape[1]} × {shape[0]} pixels)"
         )
     if frame.full_scale_dn != model.full_scale_dn:
         raise MeasurementError(
@@ -126,14 +127,14 @@ def _brightest_part(dn: DigitalNumbers) -> float:
     1.645 standard deviations of the noise above the level.
     """
     high = float(np.percentile(dn, 95.0))
-    return max(float(np.median(dn)), high - 1.645 * _neighbour_noise(dn))
+    return max(float(np.median(dn)), high - TWENTIETH_TO_SIGMA * _neighbour_noise(dn))
 
 
 def _neighbour_noise(dn: DigitalNumbers) -> float:
     """Return the noise in DN from the middle of the differences between neighbours, which edges do not move."""
     values = dn.astype(np.float64)
     differences = np.concatenate([np.diff(values, axis=axis).ravel() for axis in (0, 1)])
-    return float(1.4826 * np.median(np.abs(differences)) / math.sqrt(2.0)) if differences.size else 0.0
+    return neighbour_sigma(differences) if differences.size else 0.0
 
 
 def _noise_dn(model: SignalModel, settings: FrameSettings, dn: float) -> float:

@@ -33,8 +33,7 @@ def command(
         float | None, typer.Option("--luminance-meter-k", help="Constant K of the camera's light meter (ISO 2720).")
     ] = None,
     k_u_rel: Annotated[
-        float | None,
-        typer.Option(min=0.0, help="Relative u of K beyond the meter's ±1/6 stop; 6.7 % (ISO 2720)."),
+        float | None, typer.Option(min=0.0, help="Relative u of K beyond the meter's ±1/6 stop; 6.7 % (ISO 2720).")
     ] = None,
     f_number: Annotated[
         float | None, typer.Option(help="f-number of the reference photograph, or of frames that do not state theirs.")
@@ -76,8 +75,7 @@ def command(
         Path | None, typer.Option(help="Camera file of `radiometer characterise`: gain, noise, saturation as measured.")
     ] = None,
     model: Annotated[
-        Path | None,
-        typer.Option(help="Model of `radiometer reconcile`: readings are corrected for its effects."),
+        Path | None, typer.Option(help="Model of `radiometer reconcile`: readings are corrected for its effects.")
     ] = None,
     stated: Annotated[
         list[str] | None,
@@ -87,11 +85,11 @@ def command(
 ) -> None:
     """Give a response curve its absolute scale.
 
-    By a source of known radiance or luminance (a capture set, or --camera), by the constant K of a light meter and
-    the settings it asked for, or by both: then their ratio is printed and the less uncertain scale is used.
+    The scale comes from a source of known radiance or luminance (a capture set, or --camera), or from the constant K of
+    a light meter and the settings it asked for. With both, their ratio is printed and the less uncertain is used.
     """
     if out is None:
-        raise UsageError("-o FILE is missing: say where to write the calibration")
+        raise UsageError("-o FILE is missing: name the file to write the calibration to")
     with progress(shown=not json) as shown:
         found = rm.calibrate(
             capture,

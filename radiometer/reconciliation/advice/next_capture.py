@@ -20,9 +20,10 @@ from radiometer.data.storage import write_yaml_atomic
 from radiometer.reconciliation.advice.capture_pool import FRAMES, CapturePool
 from radiometer.reconciliation.fit.descent import beside, refit
 from radiometer.reconciliation.fit.state import FitState, with_effects, with_terms
-from radiometer.reconciliation.measure.design import Array, Design
+from radiometer.reconciliation.measure.design import Design
 from radiometer.reconciliation.result import Limit, ReconcileResult
 from radiometer.reconciliation.search.screening import best_start
+from radiometer.typing import Array
 from simulators.effects.catalogue import CatalogueEffect
 
 FORMAT: Final = "radiometer-plan/1"
@@ -56,7 +57,7 @@ def propose(state: FitState, chosen: CatalogueEffect, rivals: Sequence[Catalogue
         return None
     frame, names, chi2 = told
     apart = [chosen.name, *names]
-    return _advice(frame, f"tells {chosen.name} from {', '.join(names)}") | {
+    return _advice(frame, f"separates {chosen.name} from {', '.join(names)}") | {
         "separates": apart,
         "expected_chi2": round(chi2, 1),
     }
@@ -78,7 +79,7 @@ def tells_apart(state: FitState, effect: CatalogueEffect, others: Sequence[Catal
     names = [other.name for other, chi2 in zip(others, apart[:, index], strict=True) if chi2 >= _HELPS_CHI2]
     if not names:
         return None
-    return _advice(pool.frame(index), f"tells {effect.name} from {', '.join(names)}") | {"separates": names}
+    return _advice(pool.frame(index), f"separates {effect.name} from {', '.join(names)}") | {"separates": names}
 
 
 def _held(state: FitState, effect: CatalogueEffect) -> FitState:

@@ -52,14 +52,14 @@ def test_the_example_of_a_public_name_runs_as_it_stands(name, desk, monkeypatch)
 
 @pytest.mark.slow
 def test_the_python_page_runs_as_it_stands(desk, monkeypatch, project_root):
-    """The blocks of docs/python.md run in order where its files are; nothing in it is a sketch."""
+    """The blocks of docs/reference/python-guide.md run in order where its files are; nothing in it is a sketch."""
     monkeypatch.chdir(desk)
-    text = (project_root / "docs" / "python.md").read_text(encoding="utf-8")
+    text = (project_root / "docs" / "reference" / "python-guide.md").read_text(encoding="utf-8")
     blocks = re.findall(r"```python\n(.*?)```", text, re.DOTALL)
     assert len(blocks) >= 3
     namespace: dict[str, object] = {}
     for block in blocks:
-        exec(compile(block, "docs/python.md", "exec"), namespace)
+        exec(compile(block, "docs/reference/python-guide.md", "exec"), namespace)
     assert namespace["absolute"].unit == "W sr-1 m-2"
     assert namespace["found"].verdict == "effects_found"
 

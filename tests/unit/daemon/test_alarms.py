@@ -107,9 +107,9 @@ def _kind(name: str) -> str:
 
 
 def test_every_alarm_is_tested_and_documented() -> None:
-    """The table of docs/daemon.md is that of the program, line by line."""
+    """The table of docs/reference/daemon.md is that of the program, line by line."""
     assert {_kind(name) for name in CASES} | {"mqtt", "period"} == {kind.name for kind in KINDS}
-    text = (ROOT / "docs" / "daemon.md").read_text(encoding="utf-8")
+    text = (ROOT / "docs" / "reference" / "daemon.md").read_text(encoding="utf-8")
     for kind in KINDS:
         assert f"| `{kind.name}` | {kind.cause} | {kind.end} |" in text
 

@@ -51,8 +51,8 @@ def test_every_spelling_is_understood(command: Any) -> None:
 
 
 def test_the_manual_is_up_to_date(project_root: Path) -> None:
-    """docs/scpi.md is what the command table says."""
-    assert (project_root / "docs/scpi.md").read_text(encoding="utf-8") == manual()
+    """docs/reference/scpi.md is what the command table says."""
+    assert (project_root / "docs/reference/scpi.md").read_text(encoding="utf-8") == manual()
 
 
 def test_no_default_limit_differs_from_the_manual() -> None:

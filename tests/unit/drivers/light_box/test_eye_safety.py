@@ -21,7 +21,7 @@ from simulators.light_box.virtual_line import VirtualLine
 from testing.eye_world import PROMISED, Eye, live_through
 
 BRIGHT = 5950.0  # W·sr⁻¹·m⁻²: twelve times 40 s of its white light are 116 % of the blue-light limit
-WHITE_BLUE = 0.406  # B-weighted share of the white LED, docs/light-box.md
+WHITE_BLUE = 0.406  # B-weighted share of the white LED, docs/reference/light-box.md
 FIELD = ChannelOptics(None, 0.0, 40.0, BRIGHT)
 
 
