@@ -32,11 +32,7 @@ from radiometer.errors import DeviceError, DeviceNotFound, UsageError
 
 _LOOK_S: Final = 0.25  # how often the light is looked at: half of the time in which a lost box must be reported
 _BUDGET_USED_UP: Final = 0.02  # of the full budget: it refills from the moment the light went out
-<<<<<<< HEAD
 _FOREVER_S: Final = 1e9  # 32 years
-=======
-_FOREVER_S: Final = 1e9  # 30 years
->>>>>>> refs/heads/work-trim
 
 
 @dataclass(frozen=True, repr=False)

@@ -94,7 +94,8 @@ def command(
         raise UsageError("-o FILE is missing: name the file to write the calibration to")
     with progress(shown=not json) as shown:
         found = rm.calibrate(
-            capture, out=out, response=response, patch=_patch(patch), radiance=parse_radiance(radiance), luminance=luminance,
+            capture, out=out, response=response, patch=_patch(patch), radiance=parse_radiance(radiance),
+            luminance=luminance,
             u_rel=u_rel, luminance_meter_k=meter_k, k_u_rel=k_u_rel, f_number=f_number,
             exposure_s=parse_seconds(exposure, "--exposure") if exposure else None, iso=iso,
             measured_iso=parse_measured_iso(measured_iso), channel=channel, pattern=pattern, align=align,
