@@ -29,6 +29,7 @@ _HOMES = {
     "radiometer.api.devices": (
         "Devices", "Diagnosis", "list_devices", "doctor", "new_bench", "simulate_box", "simulate_camera",
     ),
+    "radiometer.api.certificate": ("Certificate", "certificate"),
     "radiometer.api.files": ("Stack", "read", "read_photographs"),
     "radiometer.api.certificate": ("Certificate", "certificate"),
     "radiometer.api.flicker": ("FlickerReport", "flicker"),
