@@ -24,6 +24,7 @@ _HOMES = {
         "adapt_protocols", "adapt_retest", "adapt_run",
     ),
     "radiometer.api.alpha_opic": ("AlphaOpicQuantities", "alpha_opic"),
+    "radiometer.api.analyse": ("MapAnalysis", "analyse"),
     "radiometer.api.archive": ("Batch", "Passports", "Trends", "batch", "passport", "trend"),
     "radiometer.api.capture": ("BracketReport", "bracket"),
     "radiometer.api.devices": (
@@ -77,6 +78,8 @@ if TYPE_CHECKING:
     from radiometer.api.adapt import adapt_run as adapt_run
     from radiometer.api.alpha_opic import AlphaOpicQuantities as AlphaOpicQuantities
     from radiometer.api.alpha_opic import alpha_opic as alpha_opic
+    from radiometer.api.analyse import MapAnalysis as MapAnalysis
+    from radiometer.api.analyse import analyse as analyse
     from radiometer.api.archive import Batch as Batch
     from radiometer.api.archive import Passports as Passports
     from radiometer.api.archive import Trends as Trends

@@ -33,6 +33,7 @@ COMMANDS: Final[dict[str, CommandEntry]] = {
     "import": CommandEntry("radiometer.cli.capture.import_",
                            "Turn FITS, raw TIFF, EMVA 1288 sets and tables into capture sets."),
     "flux": CommandEntry("radiometer.cli.analyse.flux", "Find the radiant flux of a light-emitting diode."),
+    "analyse": CommandEntry("radiometer.cli.analyse.analyse", "Measure regions of a radiance map."),
     "flicker": CommandEntry(
         "radiometer.cli.analyse.flicker", "Measure flicker and the stroboscopic effect of a light (SVM, PstLM)."
     ),

@@ -62,6 +62,12 @@ CASES = (
         "certificate calibration.yaml -o {out}/dcc.xml --laboratory laboratory.yaml --identifier 7 --json",
         lambda out: rm.certificate("calibration.yaml", out / "dcc.xml", laboratory="laboratory.yaml", identifier="7"),
     ),
+    Case(
+        "analyse map.tiff --region a:3,3,8,8 --region b:4,4,6,6 --contrast b,a --line 3,3,10,9 --json",
+        lambda out: rm.analyse(
+            "map.tiff", regions={"a": (3, 3, 8, 8), "b": (4, 4, 6, 6)}, contrast=("b", "a"), line=(3, 3, 10, 9)
+        ),
+    ),
     Case("flicker lamp.csv --dark 0 --json", lambda out: rm.flicker("lamp.csv", dark=0.0)),
     Case(
         "alpha-opic 80 --u 0.8 --spectrum white_led --wavelength-u 0.5 --json",
