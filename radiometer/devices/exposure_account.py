@@ -13,6 +13,7 @@ import json
 import math
 import os
 import time
+import unicodedata
 import uuid
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -23,7 +24,7 @@ from typing import Any, Final, Protocol
 from radiometer.data.json_text import json_text
 from radiometer.data.storage import write_text_atomic
 from radiometer.devices.retinal_safety import BLUE_WINDOW_S
-from radiometer.errors import OutputError, UnsafeStimulus
+from radiometer.errors import OutputError, UnsafeStimulus, UsageError
 
 FORMAT: Final = "radiometer-exposure-account/1"
 FILE_NAME: Final = "exposure-account.json"
@@ -31,6 +32,9 @@ BIN_S: Final = 50.0  # what ends within it is one entry that expires with its en
 MOST_BYTES: Final = 4_000_000  # a thousand boxes and eyes with full histories take a tenth of it
 LOCK_PATIENCE_S: Final = 0.5  # below the box's dead-man time: a wait for the lock darkens no other channel
 LOCK_LOOK_S: Final = 0.005
+EYES: Final = ("right", "left")
+NO_EYE: Final = ""  # in place of whose eye looks: a person states that none does
+ANY_EYE: Final = "any eye"  # the account of light that no eye was named for; no subject's key begins like it
 # Steps of the wall clock below this at a restart are corrections of a drifting clock; time counts as standing still.
 CLOCK_STEP_S: Final = 60.0
 _BOOT_ID: Final = Path("/proc/sys/kernel/random/boot_id")
@@ -111,7 +115,7 @@ class Planned:
 
     Attributes:
         box: Serial number of the light box.
-        eye: Whose eye looks; None where it is not known.
+        eye: Whose eye looks; None where it is not known, NO_EYE where none does.
         channel: Channel of the box.
         holder: The program that entered it.
         start_s: When it was entered, by the uptime of the account's boot.
@@ -139,7 +143,7 @@ class Planned:
     @property
     def keys(self) -> tuple[str, ...]:
         """Return the names of the accounts that it counts in."""
-        return (box_key(self.box),) if self.eye is None else (box_key(self.box), eye_key(self.eye))
+        return box_key(self.box), *eye_keys(self.eye)
 
 
 def box_key(serial: str) -> str:
@@ -147,9 +151,30 @@ def box_key(serial: str) -> str:
     return f"box {serial}"
 
 
-def eye_key(eye: str) -> str:
-    """Return the name of an eye's account."""
-    return f"eye {eye}"
+def eye_keys(eye: str | None) -> tuple[str, ...]:
+    """Return the names of the accounts of eyes that light counts in: of one, of any, or of none."""
+    return () if eye == NO_EYE else (ANY_EYE,) if eye is None else (f"eye {eye}",)
+
+
+def name_of_eye(subject: str | None, eye: str | None, *, no_eye: bool = False) -> str | None:
+    """Return whose eye looks, in one spelling: "s07 right"; None where that is not known, NO_EYE where none does.
+
+    Args:
+        subject: Pseudonym of the subject. Case and blanks make no other subject.
+        eye: "right" or "left".
+        no_eye: State that no eye looks.
+
+    Raises:
+        UsageError: If a subject has no eye, an eye no subject, or somebody looks although no eye does.
+    """
+    name = " ".join(unicodedata.normalize("NFKC", subject or "").casefold().split())
+    if no_eye and (name or eye):
+        raise UsageError("--no-eye and --subject exclude each other: state whose eye looks, or that none does")
+    if eye is not None and eye not in EYES:
+        raise UsageError(f"--eye {eye}: {' or '.join(EYES)}")
+    if bool(name) != (eye is not None):
+        raise UsageError("an eye needs both --subject NAME and --eye right or left; give both, or none of them")
+    return NO_EYE if no_eye else f"{name} {eye}" if name else None
 
 
 @dataclass(slots=True)
