@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 from collections import deque
 from collections.abc import Iterator
@@ -10,7 +9,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import IO, Any, Final, Self
 
-from radiometer.data.json_text import json_text
+from radiometer.data.json_text import json_text, parsed_json
 from radiometer.errors import InputError, OutputError
 
 FORMAT: Final = "radiometer-adaptation/1"
@@ -81,7 +80,7 @@ class RunJournal:
         return event
 
     def _compare(self, event: Event, before: Event) -> None:
-        same = json.loads(json_text(event)) == before
+        same = parsed_json(json_text(event)) == before
         if not same and not event["kind"] == before["kind"] == CHECK:  # a calibration has grown older meanwhile
             raise InputError(
                 f"{self.path}, line {event['sequence'] + 1}: the simulated run is not the same any more "
@@ -130,7 +129,7 @@ def read_events(path: Path) -> Iterator[Event]:
         raise InputError(f"{path}: no journal of an adaptation run; name another file")
     for number, line in enumerate(lines[:-1]):
         try:
-            event = json.loads(line)
+            event = parsed_json(line)
         except (ValueError, RecursionError) as error:
             raise InputError(f"{path}, line {number + 1}: not a line of a journal ({error})") from error
         if not isinstance(event, dict) or event.get("sequence") != number:

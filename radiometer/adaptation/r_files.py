@@ -36,7 +36,7 @@ def is_r_file(beginning: bytes) -> bool:
     return beginning.startswith(_BEGINNINGS)
 
 
-@bounded_reader(error=InputError, apart=True)
+@bounded_reader(error=InputError, apart="rdata")
 def read_r_lists(path: Path) -> tuple[str, list[float], list[float]]:
     """Return name, times and thresholds of the one object with `time` and `thrs` in a file of R.
 

@@ -13,6 +13,7 @@ import time
 import zlib
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, Final, ParamSpec, TypeVar
 
@@ -50,7 +51,7 @@ _BUDGET: Final = _Budget()
 
 
 def bounded_reader(
-    memory_bytes: int = READER_BYTES, *, error: type[RadiometerError] = CaptureError, apart: bool = False
+    memory_bytes: int = READER_BYTES, *, error: type[RadiometerError] = CaptureError, apart: str = ""
 ) -> Callable[[Callable[_P, _R]], Callable[_P, _R]]:
     """Return a decorator that keeps a reader of a file within limits.
 
@@ -66,13 +67,14 @@ def bounded_reader(
     Args:
         memory_bytes: Memory in bytes that the reader may take beyond what the process has.
         error: Kind of error that names the file.
-        apart: Read in another process. The reader is a function of a module; its arguments and results are plain.
+        apart: Library for which the file is read in another process; "" to read it here. Such a reader is a function
+            of a module, with plain arguments and results. Where the library is missing, the reader says so here.
     """
 
     def decorate(read: Callable[_P, _R]) -> Callable[_P, _R]:
         @functools.wraps(read)
         def bounded(*args: _P.args, **kwargs: _P.kwargs) -> _R:
-            if apart and not is_inside():
+            if apart and not is_inside() and find_spec(apart) is not None:
                 return _read_apart(bounded, args, kwargs, memory_bytes, error)
             if getattr(_THREAD, "reading", False):  # within the limits of the reader that asked for this one
                 return read(*args, **kwargs)

@@ -9,7 +9,6 @@ from __future__ import annotations
 import contextlib
 import fcntl
 import hashlib
-import json
 import math
 import os
 import time
@@ -21,7 +20,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Final, Protocol
 
-from radiometer.data.json_text import json_text
+from radiometer.data.json_text import json_text, parsed_json
 from radiometer.data.storage import write_text_atomic
 from radiometer.devices.retinal_safety import BLUE_WINDOW_S
 from radiometer.errors import OutputError, UnsafeStimulus, UsageError
@@ -481,7 +480,7 @@ def parse_account(content: bytes) -> Account | None:
     if len(content) > MOST_BYTES or checksum != hashlib.sha256(body).hexdigest().encode("ascii") + b"\n":
         return None
     try:
-        known = json.loads(body)
+        known = parsed_json(body)
         if known["format"] != FORMAT:
             return None
         boot, uptime_s, wall_s, machine = known["moment"]

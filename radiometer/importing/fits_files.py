@@ -137,7 +137,7 @@ def read_fits_pixels(path: Path, part: int) -> NDArray[Any]:
     return _unsigned(plane.astype(plane.dtype.newbyteorder("="), copy=False))
 
 
-@bounded_reader(apart=True)
+@bounded_reader(apart="astropy")
 def _unpacked_picture(path: Path, number: int) -> NDArray[Any]:
     """Return the values of a tiled compressed picture (FITS standard 4.0, chapter 10), the unit of a number."""
     with _opened(path) as units:

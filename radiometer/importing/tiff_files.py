@@ -100,7 +100,7 @@ _OF_PILLOW: Final = (2, 3, 4, 5, 7)
 _STRIPS, _TILES = 273, 324  # where the data of a directory begin
 
 
-@bounded_reader(apart=True)
+@bounded_reader(apart="PIL")
 def _with_pillow(path: Path, data_begin: int) -> NDArray[Any]:
     """Return the values of a directory that Pillow decodes; it is found by where its data begin."""
     image: Any
