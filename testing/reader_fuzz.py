@@ -20,6 +20,7 @@ import time
 import warnings
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -97,6 +98,7 @@ def damaged(content: bytes, rng: random.Random) -> bytes:
     return bytes(found)
 
 
+@cache
 def hostile() -> tuple[bytes, ...]:
     """Return contents that no reader may stumble over, whatever the file is called."""
     zeros, deep = bytes(70_000_000), 100_000
@@ -155,14 +157,14 @@ def seeds(folder: Path) -> dict[str, tuple[bytes, Callable[[Path], Any]]]:
 
 def _records(root: Path) -> dict[str, tuple[bytes, Callable[[Path], Any]]]:
     """Return what the program itself keeps, and what meters write."""
-    rows = sky_log(1, nights=2, readings=30)
+    rows = sky_log(1, nights=3, readings=20)
     log = ",".join(rows[0]) + "\n" + "".join(",".join(str(v) for v in row.values()) + "\n" for row in rows)
     event = b'{"sequence": %d, "kind": "trial", "time_s": 1.5, "log10": -2.5, "seen": true}\n'
     box = read_yaml(root / "configs/calibrations/simulated-box.yaml")
     return {
         "box.yaml": (yaml.safe_dump(box).encode(), LightCalibration.read),
         "preset.yaml": ((root / "configs/light_boxes/reference.yaml").read_bytes(), read_preset),
-        "run.jsonl": (b"".join(event % n for n in range(5)), lambda path: list(read_events(path))),
+        "run.jsonl": (b"".join(event % n for n in range(5)), read_events),
         "meter.csv": (b"luminance,f_number,time,iso\n100,8,1/125,100\n200,8,1/250,100\n", read_meter_table),
         "log.csv": (log.encode(), read_log),
     }
@@ -288,8 +290,8 @@ def bombs() -> dict[str, tuple[bytes, Callable[[Path], Any]]]:
         **_compressed_fits(),
         "nested.json": (nested, read_statistics_table),
         "nested.yaml": (nested, read_yaml),
-        "nested.jsonl": (b'{"sequence": 0, "a": ' + nested + b"\n", lambda p: list(read_events(p))),
-        "numbers.jsonl": (b'{"sequence": 0, "a": ' + b"9" * 10_000 + b"}\n" + b"[]\n", lambda p: list(read_events(p))),
+        "nested.jsonl": (b'{"sequence": 0, "a": ' + nested + b"\n", read_events),
+        "numbers.jsonl": (b'{"sequence": 0, "a": ' + b"9" * 10_000 + b"}\n" + b"[]\n", read_events),
     }
 
 

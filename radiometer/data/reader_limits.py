@@ -99,19 +99,22 @@ def bounded_reader(
                     " is what it says"
                 ) from failure
             except OSError as failure:
-                raise error(f"cannot read {where}: {failure.strerror or failure}") from failure
+                raise error(f"cannot read {where}: {failure.strerror or _one_line(failure)}") from failure
             except Exception as failure:  # a damaged file makes libraries raise nearly anything
                 if path is None:
                     raise
-                reason = (str(failure).strip().splitlines() or [""])[0][:200]
-                kind = type(failure).__name__
-                raise error(f"{where}: damaged, or of a form that is not read ({kind}: {reason})") from failure
+                reason = f"{type(failure).__name__}: {_one_line(failure)}"
+                raise error(f"{where}: damaged, or of a form that is not read ({reason})") from failure
             finally:
                 _THREAD.reading = False
 
         return bounded
 
     return decorate
+
+
+def _one_line(failure: BaseException) -> str:
+    return (str(failure).strip().splitlines() or [""])[0][:200]
 
 
 def _read_apart(

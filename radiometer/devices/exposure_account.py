@@ -11,6 +11,7 @@ import fcntl
 import hashlib
 import math
 import os
+import stat
 import time
 import unicodedata
 import uuid
@@ -32,6 +33,7 @@ MOST_BYTES: Final = 4_000_000  # a thousand boxes and eyes with full histories t
 LOCK_PATIENCE_S: Final = 0.5  # below the box's dead-man time: a wait for the lock darkens no other channel
 LOCK_LOOK_S: Final = 0.005
 EYES: Final = ("right", "left")
+LONGEST_NAME: Final = 64  # characters of a pseudonym, as a test allows: thousands of eyes fit into MOST_BYTES
 NO_EYE: Final = ""  # in place of whose eye looks: a person states that none does
 ANY_EYE: Final = "any eye"  # the account of light that no eye was named for; no subject's key begins like it
 # Steps of the wall clock below this at a restart are corrections of a drifting clock; time counts as standing still.
@@ -164,9 +166,12 @@ def name_of_eye(subject: str | None, eye: str | None, *, no_eye: bool = False) -
         no_eye: State that no eye looks.
 
     Raises:
-        UsageError: If a subject has no eye, an eye no subject, or somebody looks although no eye does.
+        UsageError: If a subject has no eye, an eye no subject, somebody looks although no eye does, or a name is too
+            long.
     """
     name = " ".join(unicodedata.normalize("NFKC", subject or "").casefold().split())
+    if len(name) > LONGEST_NAME:
+        raise UsageError(f"--subject has {len(name)} characters; a pseudonym has {LONGEST_NAME} at most")
     if no_eye and (name or eye):
         raise UsageError("--no-eye and --subject exclude each other: state whose eye looks, or that none does")
     if eye is not None and eye not in EYES:
@@ -427,8 +432,9 @@ class FileStore:
 
     def _read(self) -> Account:
         try:
-            with self.path.open("rb") as stream:
-                content = stream.read(MOST_BYTES + 1)
+            # Without waiting: a pipe in its place would hold this program, and the lock, for ever.
+            with os.fdopen(os.open(self.path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC), "rb") as stream:
+                content = stream.read(MOST_BYTES + 1) if stat.S_ISREG(os.fstat(stream.fileno()).st_mode) else b""
         except FileNotFoundError:
             return Account(self.moment())
         except OSError as error:

@@ -72,7 +72,7 @@ def _within(path: Path) -> object:
     [
         ("t.json", '[{"exposure_s": 1, "mean": 20, "variance": 4, "%s": 2}]', read_statistics_table),
         ("t.jsonl", '{"mean": 20, "variance": 4, "exposure_s": 1, "%s": 2}\n', read_statistics_table),
-        ("run.jsonl", '{"sequence": 0, "kind": "begin", "exposure_s": 1, "%s": 2}\n', lambda p: list(read_events(p))),
+        ("run.jsonl", '{"sequence": 0, "kind": "begin", "exposure_s": 1, "%s": 2}\n', read_events),
         ("metadata.txt", '{"FrameKey-0": {"FileName": "a.tif", "exposure_s": 1, "%s": 2}}', _beside),
         ("tag.txt", '{"exposure_s": 1, "%s": 2}', _within),
     ],

@@ -157,6 +157,9 @@ def harm(desk: Desk, kind: str) -> None:
         desk.file.write_bytes(content[:-20])
     elif kind == "edited":
         desk.file.write_bytes(content.replace(b"1000.0", b"0010.0").replace(b"0.001", b"0.000"))
+    elif kind == "a pipe":
+        desk.file.unlink()
+        os.mkfifo(desk.file)
     elif kind == "endless":
         desk.file.write_bytes(b"x" * 5_000_000)
     elif kind == "from the future":
@@ -177,6 +180,7 @@ def harm(desk: Desk, kind: str) -> None:
         "cut",
         "edited",
         "endless",
+        "a pipe",
         "from the future",
         "of another boot, from the future",
         "of another computer",
@@ -249,7 +253,12 @@ def test_a_subject_has_one_account_however_the_name_is_written():
     """Case, blanks and Unicode's wide forms make no other eye; half a statement is no statement."""
     assert {name_of_eye(name, "right") for name in ("S07", " s07 ", "Ｓ07")} == {"s07 right"}
     assert (name_of_eye(None, None), name_of_eye(None, None, no_eye=True)) == (None, NO_EYE)
-    for wrong in ({"subject": "S07", "eye": None}, {"subject": None, "eye": "left"}, {"subject": "S07", "eye": "both"}):
+    for wrong in (
+        {"subject": "S07", "eye": None},
+        {"subject": None, "eye": "left"},
+        {"subject": "S07", "eye": "both"},
+        {"subject": "S" * 65, "eye": "left"},
+    ):
         with pytest.raises(UsageError):
             name_of_eye(**wrong)
     with pytest.raises(UsageError, match="exclude each other"):
