@@ -1,6 +1,6 @@
 """The one writer and the one reader of JSON.
 
-A number that is not finite is written as null, because JSON has no NaN and no infinity. A key that stands twice in an
+A number that is not finite is written as null, because JSON has no NaN and no infinity. A key that occurs twice in an
 object is refused, because which of its two values is meant is not known (RFC 8259, section 4).
 """
 
@@ -34,14 +34,14 @@ def json_text(content: Any, *, indent: int | None = None, sort_keys: bool = Fals
 
 
 class RepeatedKey(ValueError):
-    """A key stands twice in one object of a JSON text."""
+    """A key occurs twice in one object of a JSON text."""
 
 
 def parsed_json(text: str | bytes) -> Any:
     """Return what a JSON text holds.
 
     Raises:
-        RepeatedKey: If a key stands twice in one object.
+        RepeatedKey: If a key occurs twice in one object.
         ValueError: If it is no JSON.
         RecursionError: If it is nested too deeply.
     """
@@ -53,7 +53,7 @@ def _object(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     if len(found) != len(pairs):
         names = [name for name, _ in pairs]
         twice = next(name for name in names if names.count(name) > 1)
-        raise RepeatedKey(f"the key {twice[:40]!r} stands twice in one object; leave one out")
+        raise RepeatedKey(f"the key {twice[:40]!r} occurs twice in one object; leave one out")
     return found
 
 

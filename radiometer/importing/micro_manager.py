@@ -24,38 +24,24 @@ from radiometer.units import heading_parts
 TAG: Final = 51123  # MicroManagerMetadata; also in the TIFF tag tables of ImageJ and tifffile
 FACT: Final = "acquisition"
 _SIDECARS: Final = ("_frame_metadata.json", "metadata.txt")
-_LARGEST_TEXT: Final = 50_000_000
+_LARGEST_TEXT: Final = 50_000_000  # characters: far beyond the metadata of any acquisition
 
 
 @dataclass(frozen=True, slots=True)
 class PlaneFacts:
-    """What is stated of one picture; what is not stated is None.
+    """What is stated of one picture; what is not stated is None."""
 
-    Attributes:
-        source: Where it stands, in words.
-        exposure_s: Exposure in s.
-        timestamp_s: Time in s, on the acquisition's clock or since 1970.
-        gain_db: Gain in dB where its unit is stated.
-        gain: Gain in the device's own unit, as text.
-        binning: Binning, as text such as "2".
-        bit_depth: Bits per pixel.
-        temperature_c: Sensor temperature in °C.
-        camera: Name of the camera.
-        device: Properties of the camera by name.
-        doubts: What is stated as unknown.
-    """
-
-    source: str
-    exposure_s: float | None = None
-    timestamp_s: float | None = None
-    gain_db: float | None = None
-    gain: str | None = None
-    binning: str | None = None
-    bit_depth: int | None = None
-    temperature_c: float | None = None
-    camera: str | None = None
-    device: Mapping[str, Any] = field(default_factory=dict)
-    doubts: tuple[str, ...] = ()
+    source: str  # where it stands, in words
+    exposure_s: float | None = None  # exposure in s
+    timestamp_s: float | None = None  # time in s, on the acquisition's clock or since 1970
+    gain_db: float | None = None  # gain in dB where its unit is stated
+    gain: str | None = None  # gain in the device's own unit, as text
+    binning: str | None = None  # binning, as text such as "2"
+    bit_depth: int | None = None  # bits per pixel
+    temperature_c: float | None = None  # sensor temperature in °C
+    camera: str | None = None  # name of the camera
+    device: Mapping[str, Any] = field(default_factory=dict)  # properties of the camera by name
+    doubts: tuple[str, ...] = ()  # what is stated as unknown
 
     def header(self) -> dict[str, Statement]:
         """Return the camera's properties as statements, where a user may point to."""
@@ -66,12 +52,10 @@ def planes_of(path: Path, pages: Sequence[Any], ome_xml: str | None) -> list[Pla
     """Return what is stated of each page of a TIFF file; None where nothing is.
 
     Args:
-        path: The file.
-        pages: Its pages.
         ome_xml: Its OME-XML; None where it has none.
 
     Raises:
-        CaptureError: If a key stands twice in an object of its JSON.
+        CaptureError: If a key occurs twice in an object of its JSON.
     """
     tagged = [_of_tag(page, path) for page in pages]
     if any(tagged):
@@ -121,7 +105,7 @@ def _of_tag(page: Any, path: Path) -> PlaneFacts | None:
     tag = page.tags.get(TAG)
     if tag is None:
         return None
-    page.parent.filehandle.seek(tag.valueoffset)  # tifffile's own value takes the last of a key that stands twice
+    page.parent.filehandle.seek(tag.valueoffset)  # tifffile's own value takes the last of a key that occurs twice
     text = page.parent.filehandle.read(tag.valuebytecount).decode("utf-8", "replace")
     said = _json(text, f"{path}, tag {TAG}")
     return _of_micro_manager(said, "tag MicroManagerMetadata") if isinstance(said, Mapping) else None
@@ -166,7 +150,6 @@ def _of_ome(text: str, path: Path, pages: Sequence[int]) -> list[PlaneFacts | No
     """Return what OME-XML states of the planes of its images, in the order of the pages.
 
     Args:
-        text: The XML.
         path: The file, one of perhaps several that the XML describes.
         pages: Numbers of the directories that are frames.
     """
@@ -358,7 +341,7 @@ def _stamp(text: Any) -> float | None:
 
 
 def _json(text: str, where: str) -> Any:
-    """Return what a text holds; None where it is no JSON. Raises CaptureError where a key stands twice."""
+    """Return what a text holds; None where it is no JSON. Raises CaptureError where a key occurs twice."""
     try:
         return parsed_json(text.strip("\x00 \n"))
     except RepeatedKey as error:
