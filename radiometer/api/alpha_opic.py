@@ -178,4 +178,6 @@ def _quantity_of_file(path: Path) -> Quantity:
         stated = content["luminance"] or content["radiance"]
         return Quantity(float(stated["value"]), float(stated["u"]), str(stated["unit"]))
     except (ValueError, KeyError, TypeError, RecursionError) as error:
-        raise InputError(f"{path}: is not the JSON of a reading, as `radiometer measure --json` prints it") from error
+        raise InputError(
+            f"{path}: is not the JSON of a reading, as `radiometer measure --json` prints it ({error})"
+        ) from error

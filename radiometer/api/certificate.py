@@ -149,7 +149,7 @@ def _certified(source: Reading | Calibration | PathLike, laboratory: Laboratory,
         ]
         return _of_reading(content, tuple(budget), laboratory, identifier)
     except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
-        raise InputError(f"{path}: is neither the JSON of a reading nor the YAML of a calibration") from error
+        raise InputError(f"{path}: is neither the JSON of a reading nor the YAML of a calibration ({error})") from error
 
 
 def _of_reading(

@@ -61,8 +61,8 @@ def bounded_reader(
 
     Most readers work in this process. What they do is Python, or decodes in a time that grows with a size which is
     refused before (`refuse_large_picture`, `refuse_size`, `unpacked`). A reader whose compiled library may hang or
-    crash on a damaged file works apart (`reader_process`): LibRaw, OpenEXR, compressed FITS, what Pillow decodes in
-    TIFF, and R's files, whose structure may refer to itself.
+    crash on a damaged file works apart (`reader_process`): LibRaw, OpenEXR, Parquet, compressed FITS, what Pillow
+    decodes in TIFF, and R's files, whose structure may refer to itself.
 
     Args:
         memory_bytes: Memory in bytes that the reader may take beyond what the process has.
