@@ -48,7 +48,7 @@ def open_box_stage(request: RunRequest) -> Iterator[tuple[BoxStage, list[Check]]
         raise UsageError("a simulated subject can only sit before the simulated box: --box sim")
     own = request.box == SIMULATED and request.calibration is None
     file = shipped_config(SIMULATED_CALIBRATION) if own else request.calibration
-    with open_light_box(request.box, calibration=file, preset=request.preset, eye=request.eye) as opened:
+    with open_light_box(request.box, calibration=file, preset=request.preset, eye=request.whose) as opened:
         if opened.calibration is None:
             raise CalibrationError(
                 f"light box {opened.box.identity.serial} has no calibration: make one with `radiometer light calibrate`"

@@ -4,12 +4,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Final
 
 from radiometer.adaptation.protocol import AdaptationProtocol
+from radiometer.devices.exposure_account import EYES, name_of_eye
 from radiometer.errors import UsageError
-
-EYES: Final = ("right", "left")
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,5 +40,5 @@ class RunRequest:
 
     @property
     def whose(self) -> str | None:
-        """Return whose eye looks, such as "S07 right", for the account of its exposure; None of no known subject."""
-        return f"{self.subject} {self.eye}" if self.subject else None
+        """Return whose eye looks, such as "s07 right", for the account of its exposure; None of no known subject."""
+        return name_of_eye(self.subject, self.eye) if self.subject.strip() else None

@@ -114,7 +114,7 @@ def _cells(path: Path, text: str) -> tuple[list[str], list[tuple[int, list[str]]
 
 
 def _facts(comments: Sequence[str]) -> dict[str, str]:
-    pairs = (re.split(r"\s*[:=]\s*", comment, maxsplit=1) for comment in comments)
+    pairs = (re.split(r"[:=]", comment, maxsplit=1) for comment in comments)
     return {pair[0].strip().lower(): pair[1].strip() for pair in pairs if len(pair) == 2}
 
 

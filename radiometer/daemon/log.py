@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import datetime as dt
-import json
 import math
 import statistics
 from collections.abc import Mapping, Sequence
@@ -18,6 +17,7 @@ from radiometer.daemon.journal import default_journal_path
 from radiometer.daemon.journal_reader import JournalReader, ReadingFilter, to_csv
 from radiometer.daemon.timestamps import parse_moment
 from radiometer.data.drawing import new_axes, write_figure
+from radiometer.data.json_text import parsed_json
 from radiometer.errors import UsageError
 
 if TYPE_CHECKING:
@@ -66,7 +66,7 @@ class LoggedReadings(Result):
     @cached_property
     def readings(self) -> list[dict[str, Any]]:
         """Return the readings as plain values."""
-        return [json.loads(line) for line in self.stored]
+        return [parsed_json(line) for line in self.stored]
 
     @cached_property
     def places(self) -> list[Place]:

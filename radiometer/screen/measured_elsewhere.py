@@ -173,16 +173,15 @@ def _scatter(levels: Array, values: Array) -> Array:
 def _ti3(path: Path, text: str) -> ScreenReadings:
     """Return greys and primaries of an ArgyllCMS .ti3; its XYZ are relative to white where it says so."""
     keys = dict(re.findall(r'^([A-Z_0-9]+)\s+"([^"]*)"', text, re.MULTILINE))
-    names = re.search(r"BEGIN_DATA_FORMAT\s+(.*?)\s+END_DATA_FORMAT", text, re.DOTALL)
-    data = re.search(r"BEGIN_DATA\s+(.*?)\s+END_DATA\b", text, re.DOTALL)
+    names, data = _block(text, "DATA_FORMAT"), _block(text, "DATA")
     if names is None or data is None:
         raise InputError(f"{path}: no table in this .ti3")
-    columns = names.group(1).split()
+    columns = names.split()
     wanted = ("RGB_R", "RGB_G", "RGB_B", "XYZ_Y")
     if any(name not in columns for name in wanted):
         raise InputError(f"{path}: needs the columns {', '.join(wanted)}; it has {', '.join(columns)}")
     at = [columns.index(name) for name in wanted]
-    rows = [line.split() for line in data.group(1).splitlines() if line.strip()]
+    rows = [line.split() for line in data.splitlines() if line.strip()]
     scale, said = 1.0, "absolute XYZ"
     if keys.get("NORMALIZED_TO_Y_100", "NO").upper() == "YES":
         if "LUMINANCE_XYZ_CDM2" not in keys:
@@ -197,6 +196,13 @@ def _ti3(path: Path, text: str) -> ScreenReadings:
         {name: levels for name, levels in groups.items() if name != "grey" and len(levels) > 1},
         taken=(f"ArgyllCMS .ti3, {len(patches)} patches, {said}", f"meter {keys.get('TARGET_INSTRUMENT', 'unknown')}"),
     )
+
+
+def _block(text: str, name: str) -> str | None:
+    """Return what stands between BEGIN_ and END_ of a name (CGATS.17); None where there is no such block."""
+    begin = re.search(rf"\bBEGIN_{name}\s", text)
+    end = re.compile(rf"\sEND_{name}\b").search(text, begin.end()) if begin else None
+    return text[begin.end() : end.start()] if begin and end else None
 
 
 _AXES: Final = {"grey": (1, 1, 1), "red": (1, 0, 0), "green": (0, 1, 0), "blue": (0, 0, 1)}
@@ -215,7 +221,7 @@ def _grouped(patches: Sequence[tuple[float, ...]], axis: tuple[int, int, int], s
 
 def _ulr(path: Path, text: str) -> ScreenReadings:
     """Return greys and the primaries' tops of a pacsdisplay uLR file; steps between greys are left out."""
-    reading = re.compile(r"([0-9]*\.?[0-9]+)\s+#([0-9a-fA-F]{6})\b")
+    reading = re.compile(r"(?<![0-9.])([0-9]++(?:\.[0-9]++)?|\.[0-9]++)\s++#([0-9a-fA-F]{6})\b")
     grey: dict[int, list[float]] = {}
     primaries: dict[str, dict[int, list[float]]] = {}
     digits = 0
@@ -249,8 +255,8 @@ def _cal(path: Path, text: str, white_cd_m2: float | None, gamma: float) -> Scre
         raise InputError(
             f"{path}: a .cal holds curves and no luminance; give that of white by --white-luminance, or import the .ti3"
         )
-    data = re.search(r"BEGIN_DATA\s+(.*?)\s+END_DATA\b", text, re.DOTALL)
-    rows = [[float(v) for v in line.split()] for line in (data.group(1) if data else "").splitlines() if line.strip()]
+    data = _block(text, "DATA") or ""
+    rows = [[float(v) for v in line.split()] for line in data.splitlines() if line.strip()]
     if len(rows) < 3 or any(len(row) < 4 for row in rows):
         raise InputError(f"{path}: no table of RGB_I, RGB_R, RGB_G, RGB_B in this .cal")
     table = np.array(rows)

@@ -23,6 +23,9 @@ RadianceOption = Annotated[float | None, typer.Option(help="Radiance in W·sr⁻
 LevelOption = Annotated[int | None, typer.Option(min=0, max=65535, help="Raw level instead of a radiance.")]
 LowOption = Annotated[bool, typer.Option("--low", help="Raw level on the low current range.")]
 LightOption = Annotated[Path | None, typer.Option("--calibration", help="Light calibration; the box's own by default.")]
+SubjectOption = Annotated[str | None, typer.Option(help="Who looks: counts in this eye's account, too; with --eye.")]
+EyeOption = Annotated[str | None, typer.Option(help="Eye that looks, right or left; every eye by default.")]
+NoEyeOption = Annotated[bool, typer.Option("--no-eye", help="State that no eye looks: counts for the box alone.")]
 HoldOption = Annotated[str | None, typer.Option("--for", help="Stop after this time; at Ctrl-C by default.")]
 
 
@@ -34,14 +37,18 @@ def set_level(
     low: LowOption = False,
     hold: HoldOption = None,
     box: BoxOption = None,
+    subject: SubjectOption = None,
+    eye: EyeOption = None,
+    no_eye: NoEyeOption = False,
     calibration: LightOption = None,
     preset: BoxPresetOption = None,
     json: JsonOption = False,
 ) -> None:
     """Light a channel steadily, for as long as this command runs: the box goes dark without its host."""
     rm.light_set(
-        channel, radiance, level=level, low=low, hold_s=parse_seconds(hold, "--for"), box=box, calibration=calibration,
-        preset=preset, lit=lambda found: _show_lit(found, json=json), notice=note,
+        channel, radiance, level=level, low=low, hold_s=parse_seconds(hold, "--for"), box=box, subject=subject, eye=eye,
+        no_eye=no_eye, calibration=calibration, preset=preset, lit=lambda found: _show_lit(found, json=json),
+        notice=note,
     )  # fmt: skip
 
 
@@ -53,14 +60,18 @@ def pulse(
     level: LevelOption = None,
     low: LowOption = False,
     box: BoxOption = None,
+    subject: SubjectOption = None,
+    eye: EyeOption = None,
+    no_eye: NoEyeOption = False,
     calibration: LightOption = None,
     preset: BoxPresetOption = None,
     json: JsonOption = False,
 ) -> None:
     """Give one pulse, timed by the box."""
     rm.light_pulse(
-        channel, parse_seconds(duration, "--duration"), radiance, level=level, low=low, box=box,
-        calibration=calibration, preset=preset, lit=lambda found: _show_lit(found, json=json), notice=note,
+        channel, parse_seconds(duration, "--duration"), radiance, level=level, low=low, box=box, subject=subject,
+        eye=eye, no_eye=no_eye, calibration=calibration, preset=preset,
+        lit=lambda found: _show_lit(found, json=json), notice=note,
     )  # fmt: skip
 
 
@@ -75,6 +86,9 @@ def blink(
     low: LowOption = False,
     hold: HoldOption = None,
     box: BoxOption = None,
+    subject: SubjectOption = None,
+    eye: EyeOption = None,
+    no_eye: NoEyeOption = False,
     calibration: LightOption = None,
     preset: BoxPresetOption = None,
     json: JsonOption = False,
@@ -82,8 +96,8 @@ def blink(
     """Blink a channel, timed by the box."""
     rm.light_blink(
         channel, parse_seconds(on, "--on"), parse_seconds(off_time, "--off"), count, radiance, level=level, low=low,
-        hold_s=parse_seconds(hold, "--for"), box=box, calibration=calibration, preset=preset,
-        lit=lambda found: _show_lit(found, json=json), notice=note,
+        hold_s=parse_seconds(hold, "--for"), box=box, subject=subject, eye=eye, no_eye=no_eye,
+        calibration=calibration, preset=preset, lit=lambda found: _show_lit(found, json=json), notice=note,
     )  # fmt: skip
 
 
