@@ -19,6 +19,7 @@ from radiometer.analysis.calibration.calibrate import (
 )
 from radiometer.analysis.calibration.flat_field import fit_flat_field
 from radiometer.analysis.calibration.shared import require_channel
+from radiometer.analysis.exports.certificate import read_certificate
 from radiometer.analysis.merge.bracket import merge
 from radiometer.analysis.photometry import photometry
 from radiometer.analysis.photometry.photometry import spectrum as spectrum_of
@@ -43,6 +44,7 @@ from radiometer.data import (
     StatedUncertainties,
 )
 from radiometer.data.iso_speeds import IsoSpeeds
+from radiometer.data.reading import RADIANCE_UNIT
 from radiometer.data.setup import Setup
 from radiometer.devices import CameraPreset
 from radiometer.errors import InputError, UsageError
@@ -147,7 +149,7 @@ def calibrate(
     out: PathLike | None = None,
     response: ResponseCurve | PathLike | None = None,
     patch: PatchLike | str | None = None,
-    radiance: float | None = None,
+    radiance: float | PathLike | None = None,
     luminance: float | None = None,
     u_rel: float | None = None,
     luminance_meter_k: float | None = None,
@@ -191,7 +193,7 @@ def calibrate(
         out: Calibration file to write.
         response: Response curve, or its file; linear above black without one.
         patch: The known source: (x, y, width, height), or a patch name of the capture set.
-        radiance: Its radiance in W·sr⁻¹·m⁻².
+        radiance: Its radiance in W·sr⁻¹·m⁻², or a digital calibration certificate (XML) of it with its uncertainty.
         luminance: Its luminance in cd·m⁻², instead of the radiance.
         u_rel: Its relative standard uncertainty.
         luminance_meter_k: Constant K of the camera's light meter (ISO 2720) in cd·m⁻²·s.
@@ -231,6 +233,8 @@ def calibrate(
     measured = dict(measured_iso or {})
     real_iso = measured.get(iso, iso) if iso is not None else None
     speeds = IsoSpeeds(measured, real_iso, iso if iso in measured else None)
+    if radiance is not None and not isinstance(radiance, int | float):
+        radiance, u_rel = _certified(Path(radiance), u_rel)
     by_source = radiance is not None or luminance is not None
     needed = by_source or luminance_meter_k is None
     seen = _seen(capture, camera, bench, patch, channel, pattern, align, speeds, iso, progress, needed=needed)
@@ -404,6 +408,14 @@ def _meter_settings(
         raise UsageError("--f-number and --iso must be above 0")
     printed = MeterSettings(exposure_s, f_number, iso)
     return printed if as_printed else printed.exact()
+
+
+def _certified(path: Path, u_rel: float | None) -> tuple[float, float]:
+    """Return the radiance that a certificate states, and its relative standard uncertainty."""
+    if u_rel is not None:
+        raise UsageError(f"--u-rel: {path} states the uncertainty of the radiance; leave the option out")
+    stated = read_certificate(path, RADIANCE_UNIT)
+    return stated.value, stated.u_rel
 
 
 def _known_source(
