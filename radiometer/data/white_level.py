@@ -25,7 +25,6 @@ class WhiteLevel:
         measured_dn: Centre of the pile in DN; None where the frames show none.
         spread_dn: Standard deviation of the pile in DN.
         piled_pixels: Pixels in the pile of the frame that shows it best.
-        stray_pixels: Pixels above the pile in that frame.
         reached_dn: The highest digital number that more than single pixels reach; None where frames were not compared.
         exposures: Different exposures that were compared.
     """
@@ -37,7 +36,6 @@ class WhiteLevel:
     measured_dn: float | None = None
     spread_dn: float = 0.0
     piled_pixels: int = 0
-    stray_pixels: int = 0
     reached_dn: int | None = None
     exposures: int = 0
 

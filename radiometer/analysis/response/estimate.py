@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from radiometer.analysis.response.samples import ResponseSamples
 from radiometer.data.response_curve import ResponseCurve
 from radiometer.errors import MeasurementError
 
@@ -82,6 +83,26 @@ class ResponseEstimate:
     notes: tuple[str, ...] = ()
     details: dict[str, Any] = field(default_factory=dict)
     agreement: Agreement | None = None
+
+    @classmethod
+    def of(cls, samples: ResponseSamples, curve: ResponseCurve, method: str, **more: Any) -> ResponseEstimate:
+        """Return what a method recovered from samples, with their exposure ratios as given unless it says otherwise.
+
+        Args:
+            samples: All rows behind the curve.
+            curve: The curve.
+            method: Name in the registry.
+            more: The other attributes.
+        """
+        times = samples.frame_log_time
+        counted: dict[str, Any] = {
+            "pixel_count": samples.pixel_count,
+            "group_count": samples.group_count,
+            "sample_count": int(samples.pixels.sum()),
+            "exposure_ratios": np.exp(np.diff(times)),
+            "u_exposure_ratios": np.zeros(times.size - 1),
+        }
+        return cls(curve=curve, method=method, **(counted | more))
 
     def to_mapping(self) -> dict[str, Any]:
         """Return the diagnostics (not the curve's values) as plain values for JSON."""
