@@ -15,7 +15,7 @@ from radiometer.adaptation.live_text import LiveText, event_line, live_lines
 from radiometer.adaptation.prompts import Prompter, prompts_after
 from radiometer.adaptation.protocol import read_protocol
 from radiometer.reporting.terminal_chart import TerminalChart
-from simulators.observers.subject import SubjectCurve
+from testing.scripted_adaptation import SubjectCurve
 
 
 def _event(kind: str, time_s: float, **facts: Any) -> Event:
