@@ -14,7 +14,7 @@ import numpy as np
 from radiometer.adaptation.box_stage import FIXATION, BoxLights, BoxStage
 from radiometer.adaptation.checks import Check, Finding, judge_age
 from radiometer.adaptation.protocol import AdaptationProtocol, FlashBleach
-from radiometer.adaptation.request import RunRequest
+from radiometer.adaptation.request import SIMULATED_BOX, RunRequest
 from radiometer.adaptation.room import measured_room
 from radiometer.analysis.photometry.photometry import luminous_efficacy_lm_per_w
 from radiometer.analysis.photometry.spectra import spectrum
@@ -26,7 +26,6 @@ from radiometer.devices.light_box import Radiance
 from radiometer.devices.retinal_safety import HazardFractions
 from radiometer.errors import CalibrationError, MeasurementError, RadiometerError, SettingOutOfRange, UsageError
 
-SIMULATED: Final = "sim"
 SIMULATED_CALIBRATION: Final = "calibrations/simulated-box.yaml"
 PEAK_TOLERANCE_NM: Final = 10.0
 PLACE_TOLERANCE_DEG: Final = 1.0
@@ -45,9 +44,9 @@ def open_box_stage(request: RunRequest) -> Iterator[tuple[BoxStage, list[Check]]
     protocol = request.protocol
     if protocol.spot.device != "light_box":
         raise UsageError(f"protocol {protocol.name} shows its spot on a screen; choose one for the light box")
-    if request.simulate is not None and request.box != SIMULATED:
+    if request.simulate is not None and request.box != SIMULATED_BOX:
         raise UsageError("a simulated subject can only sit before the simulated box: --box sim")
-    own = request.box == SIMULATED and request.calibration is None
+    own = request.box == SIMULATED_BOX and request.calibration is None
     file = shipped_config(SIMULATED_CALIBRATION) if own else request.calibration
     with open_light_box(request.box, calibration=file, preset=request.preset, eye=request.eye) as opened:
         if opened.calibration is None:

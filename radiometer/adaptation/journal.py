@@ -116,6 +116,11 @@ class RunJournal:
             self._stream.truncate(whole)
 
 
+def is_journal(beginning: bytes) -> bool:
+    """Return whether a file with these first bytes is the journal of a run."""
+    return beginning.startswith(_BEGINNING)
+
+
 def read_events(path: Path) -> Iterator[Event]:
     """Yield the events of a journal; a last line that was not finished is left out.
 

@@ -17,6 +17,7 @@ WINDOW_MIN: Final = 3.0  # on either side: 0.7 log10 units of a healthy S2, with
 FEWEST: Final = 5
 HUBER: Final = 1.5
 ROUNDS: Final = 5
+LIMIT_FLASH_S: Final = 1e-3  # the published tests' flash lasts less (0.25 ms; Jackson and Edwards 2008)
 Array = NDArray[np.float64]
 
 
@@ -30,6 +31,7 @@ class InterceptRule:
         bias_log10: What the method finds above the eye's own threshold, log10 units.
         u_bias_log10: Its standard uncertainty.
         source: Where criterion and limit come from.
+        bleach_s: How long the run's bleach lasted in s; None where it is not known.
     """
 
     criterion_log10: float
@@ -37,6 +39,12 @@ class InterceptRule:
     bias_log10: float = 0.0
     u_bias_log10: float = 0.0
     source: str = ""
+    bleach_s: float | None = None
+
+    @property
+    def limit_applies(self) -> bool:
+        """Return whether the run's bleach is of the kind for which the limit was published: a flash."""
+        return self.limit_min is not None and self.bleach_s is not None and self.bleach_s <= LIMIT_FLASH_S
 
 
 @dataclass(frozen=True, slots=True)

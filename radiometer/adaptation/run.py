@@ -8,7 +8,7 @@ each threshold or catch). Between them `pause`, `resume`, `taken_up` (after a cr
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Final
 
@@ -21,6 +21,7 @@ from radiometer.adaptation.methods import Method, begin
 from radiometer.adaptation.outcome import Outcome, Verdict, counting_trials, outcome_of, too_many_false
 from radiometer.adaptation.protocol import AdaptationProtocol, LimitsMethod, SteadyBleach
 from radiometer.adaptation.reliability import BLANK, BLIND_SPOT, BRIGHT, kind_of_catch
+from radiometer.adaptation.run_facts import facts_of
 from radiometer.adaptation.stage import DescribedStage, FixationStage, Stage, SteppedStage
 from radiometer.errors import UsageError
 
@@ -44,6 +45,7 @@ def run_test(
     controls: Controls | None = None,
     checks: Sequence[Check] = (),
     eye: str | None = None,
+    visit: Mapping[str, str | float] | None = None,
 ) -> Outcome:
     """Run a test from the beginning, or from where its journal ends.
 
@@ -57,6 +59,7 @@ def run_test(
         controls: Where pauses and the end are asked for; by the subject's long press alone where None.
         checks: Made before the bleach; what they find is journalled, what they refuse is raised.
         eye: "right" or "left", for the journal; None where it is not known.
+        visit: What else the journal's head states of subject and visit, by name.
 
     Raises:
         UsageError: If the journal is of another subject or protocol.
@@ -64,7 +67,7 @@ def run_test(
         DeviceError: If a device fails; the run can be taken up again.
         MissingLibrary: If the protocol's method is QUEST+ and `questplus` is not installed.
     """
-    run = _Run(protocol, stage, journal, subject, seed, watch, controls or Controls(), checks, eye)
+    run = _Run(protocol, stage, journal, subject, seed, watch, controls or Controls(), checks, eye, visit or {})
     run.start()
     while (outcome := run.finished()) is None:
         run.trial()
@@ -83,7 +86,8 @@ class _Run:
     watch: Watcher
     controls: Controls
     checks: Sequence[Check]
-    eye: str | None = None
+    eye: str | None
+    visit: Mapping[str, str | float]
 
     def note(self, kind: str, *, lasting: bool = True, **facts: Any) -> Event:
         event = self.journal.write(kind, self.stage.now_s(), lasting=lasting, **facts)
@@ -107,7 +111,7 @@ class _Run:
         facts: dict[str, Any] = {"format": FORMAT, "subject": self.subject, "protocol": name, "seed": self.seed}
         if self.eye is not None:
             facts["eye"] = self.eye
-        self.note("start", **facts, unix_s=wall_s)
+        self.note("start", **facts | self.visit, unix_s=wall_s, facts=facts_of(self.protocol))
 
     def _check_journal(self) -> None:
         begun = self.journal.events[0]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import datetime as dt
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager, ExitStack
@@ -26,7 +27,9 @@ from radiometer.adaptation.session import Session as Session
 from radiometer.adaptation.session import Watcher as Watcher
 from radiometer.adaptation.session import open_session
 from radiometer.adaptation.threshold_series import ThresholdSeries
+from radiometer.adaptation.visits import moment_of, visit_at, visit_in
 from radiometer.api.files import PathLike
+from radiometer.api.needed import require_other
 from radiometer.api.outputs import check_outputs
 from radiometer.api.result import Notice, Result, unheard
 from radiometer.data.guards import safe_name
@@ -99,9 +102,12 @@ def adapt_run(
     slow_s: float = 0.0,
     seed: int = 0,
     eye: str = "right",
+    age: float | None = None,
+    pupil: float | None = None,
+    visit: str | None = None,
     preset: PathLike | None = None,
     screen: PathLike | None = None,
-    display: str = "browser",
+    display: str | None = None,
     port: int = 0,
     page: bool = False,
     page_port: int = 0,
@@ -113,7 +119,7 @@ def adapt_run(
     notice: Notice = unheard,
     announce: Callable[[str], None] = lambda url: None,
 ) -> AdaptationRun:
-    """Run a dark-adaptation test; where the journal exists, take it up where it ends.
+    """Run a dark-adaptation test; an unfinished run of the same visit is taken up where it ends.
 
     Examples:
         >>> import radiometer as rm
@@ -123,7 +129,7 @@ def adapt_run(
     Args:
         protocol: Protocol file, or the name of a shipped one.
         subject: Pseudonym of the subject.
-        out: Journal; SUBJECT-PROTOCOL.jsonl by default.
+        out: Journal; SUBJECT-PROTOCOL-EYE-DATETIME.jsonl in this folder by default.
         csv: Table of thresholds; next to the journal where they can be fitted.
         box: Light box: "sim", a serial number or a port.
         calibration: Light calibration; the box's own by default.
@@ -132,15 +138,17 @@ def adapt_run(
         bench: Bench file of that camera.
         white: Spectrum of the bleaching light.
         fixation: Radiance of the red mark in W·sr⁻¹·m⁻²; the protocol's luminance by default.
-        simulate: Simulated subject: "steady", "never", "always", "leaves", "wanders"; before the simulated box also
-            "healthy" and "amd".
+        simulate: Simulated subject: "steady", "never", "always", "leaves", "wanders", "healthy" or "amd".
         room: Luminance of the simulated box's room in cd·m⁻².
         slow_s: Real time in s per simulated trial, to watch it.
         seed: Seed of catches and of the simulated subject.
         eye: "right" or "left".
+        age: Age of the subject in years, for the head of journal and table.
+        pupil: Diameter of the pupil in mm as measured, for the same, and to warn where it is below the protocol's.
+        visit: Date and time of the visit, ISO 8601, local where no zone is stated; now by default.
         preset: Light-box preset: bounds and places of its channels.
         screen: Calibration of the screen that shows the spot.
-        display: That screen: "browser", or a simulated one: "lcd", "pwm_lcd", "oled".
+        display: That screen: "browser" (the default), or a simulated one: "lcd", "pwm_lcd", "oled".
         port: Port of the subject's page; 0 for any free one.
         page: Serve the live curve as a page.
         page_port: Port of that page; 0 for any free one.
@@ -153,22 +161,30 @@ def adapt_run(
         announce: Called with the address of the subject's page.
 
     Raises:
-        UsageError: If arguments exclude each other, or the journal belongs to another run.
+        UsageError: If arguments exclude or need each other, or the journal holds a finished or another run.
         CalibrationError: If a calibration is too old or of another device.
         MeasurementError: If the room is not dark.
         UnsafeStimulus: If the light is too much for the eye.
         DeviceError: If a device fails; the run can be taken up again.
     """
     safe_name(subject, "--subject")
+    require_other("--screen", screen, display=display, port=port)
+    require_other("--box sim", box == "sim", room=room)
     chosen = read_protocol(protocol)
+    by_box = box or (simulate is None and chosen.spot.device == "light_box")
+    require_other("--box", by_box, calibration=calibration, preset=preset, fixation=fixation)
     known, presets, screens, benches = (Path(one) if one else None for one in (calibration, preset, screen, bench))
-    request = RunRequest(
+    asked = RunRequest(
         chosen, subject, eye, seed, box, known, presets, white, fixation, accept_stale,
         measure_room=camera is not None or bench is not None, camera=camera, bench=benches, room_cd_m2=room,
-        simulate=simulate, screen=screens, display=display, port=port,
+        simulate=simulate, screen=screens, display=display or "browser", port=port, age_years=age, pupil_mm=pupil,
     )  # fmt: skip
-    journal = Path(out) if out else Path(f"{subject}-{chosen.name}.jsonl")
-    resumed = journal.exists()
+    moment = dt.datetime.now(dt.UTC) if visit is None else moment_of(visit)
+    found = visit_at(Path(out), asked, moment) if out else visit_in(Path(), asked, moment)
+    request, journal, resumed = found.request, found.journal, found.resumed
+    for remark in (*found.remarks, request.smaller_pupil()):
+        if remark is not None:
+            notice(remark)
     table_file = Path(csv) if csv else journal.with_suffix(".csv")
     check_outputs(None if resumed else journal, table_file, force=force or resumed)
     with (

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Final
 
 import numpy as np
@@ -27,7 +27,7 @@ class Behaviour:
         draws_eye: Draws its eye; None for the textbook's.
     """
 
-    habits: Habits = Habits()
+    habits: Habits = field(default_factory=Habits)
     leaves_after_min: float = math.inf
     taps: bool = False
     draws_eye: Callable[[np.random.Generator], Eye] | None = None
