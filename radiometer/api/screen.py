@@ -144,8 +144,8 @@ def screen_calibrate(
         warm_up_s: Longest wait for the screen to settle in s.
         white: Spectrum assumed for grey.
         primaries: Spectra of red, green and blue: a display type, or a CSV of them.
-        camera: Camera by id, serial number or address.
-        bench: Bench file; the simulated bench by default.
+        camera: Camera by id, serial number or address; a browser's page needs it, or a bench.
+        bench: Bench file; before a simulated display the simulated bench by default.
         calibration: The camera's calibration; the bench's by default.
         patch: Where the camera sees the patch.
         port: Port of the page; 0 for any free one.
@@ -157,7 +157,8 @@ def screen_calibrate(
         progress: Called after every patch.
 
     Raises:
-        UsageError: If display, channel, level or form is unknown.
+        UsageError: If display, channel, level or form is unknown, or no camera looks at a browser's page.
+        MeasurementError: If white clips or is hardly brighter than black; before the screen warms up.
         DeviceError: If display or camera fails.
         OutputError: If a file cannot be written.
     """
@@ -175,11 +176,20 @@ def screen_calibrate(
         if progress:
             progress("measuring the screen", done, total)
 
+    def warming(waited_s: float, longest_s: float) -> None:
+        if progress:
+            progress("screen warms up, at most so many s", round(waited_s), round(longest_s))
+
+    if display == BROWSER and camera is None and bench is None:
+        raise UsageError(
+            "a page in a browser is shown on a real screen, which the simulated camera does not see: name --camera or "
+            "--bench; or simulate the screen too, with --display lcd, pwm_lcd or oled"
+        )
     with open_screen_bench(
         display, bench=known_bench, camera=camera, calibration=known_calibration, patch=as_patch(patch), port=port,
         announce=announce,
     ) as opened:  # fmt: skip
-        found = calibrate_screen(opened, options, lamps, progress=advance)
+        found = calibrate_screen(opened, options, lamps, progress=advance, waiting=warming)
         warnings = getattr(opened.display, "warnings", None)
         for warning in warnings() if warnings else ():
             notice(f"warning: {warning}")

@@ -126,7 +126,7 @@ class LoggedReadings(Result):
         target = Path(path)
         if target.suffix.lower() not in _PICTURES:
             raise UsageError(f"{target}: name a .png, .pdf or .svg file")
-        figure: Any = self.plot(new_axes()).figure
+        figure: Any = self.plot(own_axes()).figure
         figure.set_size_inches(9, 4.2)
         content = io.BytesIO()
         figure.savefig(content, format=target.suffix.lower()[1:], dpi=150)

@@ -5,24 +5,38 @@ from __future__ import annotations
 import base64
 import html
 import io
+import sys
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Final
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+
+_SIZE_IN: Final = (6.4, 4.0)  # matplotlib's width, a little lower: it fits a notebook's cell
 
 
 def new_axes() -> Axes:
+    """Return axes in a new figure: pyplot's current one where the user has pyplot, so that `plt.savefig` saves it."""
+    pyplot = sys.modules.get("matplotlib.pyplot")
+    if pyplot is not None:
+        figure: Figure = pyplot.figure(figsize=_SIZE_IN, layout="constrained")
+        return figure.subplots()
+    return own_axes()
+
+
+def own_axes() -> Axes:
     """Return axes in a new figure, which no global list of figures holds."""
     from matplotlib.figure import Figure
 
-    return Figure(figsize=(6.4, 4.0), layout="constrained").subplots()
+    return Figure(figsize=_SIZE_IN, layout="constrained").subplots()
 
 
-def picture(draw: Callable[[], Axes], words: str) -> str:
+def picture(draw: Callable[[Axes], Axes], words: str) -> str:
     """Return HTML with a picture and, under it, what it shows in words."""
     content = io.BytesIO()
-    figure: Any = draw().figure
+    figure: Any = draw(own_axes()).figure
     figure.savefig(content, format="png", dpi=110)
     encoded = base64.b64encode(content.getvalue()).decode()
     said = html.escape(words)
