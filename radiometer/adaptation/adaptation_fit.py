@@ -17,6 +17,7 @@ from radiometer.adaptation.intervals import Interval, bootstrap_values, percenti
 from radiometer.adaptation.rod_intercept import InterceptRule, rod_intercept
 from radiometer.adaptation.threshold_series import ThresholdSeries
 from radiometer.errors import MeasurementError
+from radiometer.progress import Progress, unseen
 
 SHALLOWEST_S2: Final = -0.03  # log10 units per min; a flatter line after the "break" is no rod branch
 STEEPEST_S2: Final = (
@@ -99,13 +100,16 @@ class AdaptationFit:
         return "break_min" in self.chosen.values
 
 
-def fit_adaptation(series: ThresholdSeries, request: FitRequest, rng: np.random.Generator) -> AdaptationFit:
+def fit_adaptation(
+    series: ThresholdSeries, request: FitRequest, rng: np.random.Generator, progress: Progress = unseen
+) -> AdaptationFit:
     """Return the fit of the family's best member, with intervals.
 
     Args:
         series: The thresholds.
         request: How to fit.
         rng: Source of chance for the bootstrap.
+        progress: Called after every redraw.
 
     Raises:
         MeasurementError: If the series shows no adaptation, or none that a branch model describes.
@@ -114,7 +118,7 @@ def fit_adaptation(series: ThresholdSeries, request: FitRequest, rng: np.random.
     if not _has_break(chosen):
         evidence = with_power(evidence, chosen)
     criterion = _criterion(chosen, request)
-    draws = bootstrap_values(chosen, request.bootstrap_draws, rng) if request.bootstrap_draws else []
+    draws = bootstrap_values(chosen, request.bootstrap_draws, rng, progress) if request.bootstrap_draws else []
     estimates = {
         **{name: _parameter(chosen, name, draws, request) for name in chosen.model.parameters},
         **_derived_estimates(chosen, criterion, draws, request),
@@ -136,7 +140,7 @@ def intercept_verdict(fit: AdaptationFit) -> str | None:
     if rule is None:
         return None
     met = fit.estimates.get("rod_intercept_min")
-    criterion = f"{10**rule.criterion_log10:.2g} scotopic cd/m²"
+    criterion = f"{10**rule.criterion_log10:.2g} scotopic cd·m⁻²"
     last_min = float(fit.chosen.series.time_min[-1])
     found = (
         f"rod intercept: {criterion} not reached within {last_min:.1f} min"

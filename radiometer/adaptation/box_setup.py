@@ -212,7 +212,7 @@ def _explained(refusal: RadiometerError, opened: OpenedBox, lights: BoxLights) -
             shortest_s = bleach.duration_s * lights.bleach.radiance_w_sr_m2 / brightest
             way = f"this box needs {shortest_s:.3g} s at least for {bleach.retinal_td_s:g} td·s: bleach.duration_s"
         else:
-            way = f"it reaches {brightest * lights.bleach_photopic_lm_per_w:.0f} cd/m²: bleach.luminance_cd_m2"
+            way = f"it reaches {brightest * lights.bleach_photopic_lm_per_w:.0f} cd·m⁻²: bleach.luminance_cd_m2"
     elif protocol.fixation_check is not None and refusal.name.endswith(protocol.fixation_check.channel):
         way = "choose another fixation_check.luminance_cd_m2"
     else:
@@ -222,6 +222,6 @@ def _explained(refusal: RadiometerError, opened: OpenedBox, lights: BoxLights) -
         )
         way = (
             f"behind a filter of density {spot.filter_density:g} it reaches {low:.2f} to {high:.2f} log10 scotopic "
-            "cd/m²: spot.lowest_log10, spot.highest_log10 or spot.filter_density"
+            "cd·m⁻²: spot.lowest_log10, spot.highest_log10 or spot.filter_density"
         )
     return MeasurementError(f"protocol {protocol.name}: {refusal}; {way}")

@@ -13,6 +13,7 @@ from scipy.optimize import brentq, minimize
 from scipy.stats import f as f_distribution
 
 from radiometer.adaptation.branch_fit import HUBER_CONSISTENCY, BranchFit, project, refine
+from radiometer.progress import Progress, unseen
 
 Array = NDArray[np.float64]
 # Measured: over 500 simulated subjects (69 thresholds, 3 nonlinear parameters) the mean likelihood ratio of the truth
@@ -60,7 +61,9 @@ def profile_interval(fit: BranchFit, name: str, confidence: float = 0.95) -> Int
     return Interval(_end(fit, name, best, -scale, limit), _end(fit, name, best, scale, limit))
 
 
-def bootstrap_values(fit: BranchFit, draws: int, rng: np.random.Generator) -> list[dict[str, float]]:
+def bootstrap_values(
+    fit: BranchFit, draws: int, rng: np.random.Generator, progress: Progress = unseen
+) -> list[dict[str, float]]:
     """Return the parameters of fits to the fitted curve plus redrawn residuals.
 
     Residuals are drawn with replacement, scaled to the robust standard deviation, at the fit's weights.
@@ -69,6 +72,7 @@ def bootstrap_values(fit: BranchFit, draws: int, rng: np.random.Generator) -> li
         fit: The fit.
         draws: Number of redraws.
         rng: Source of chance.
+        progress: Called after every redraw.
 
     Source: Efron and Tibshirani 1993, An Introduction to the Bootstrap, chapter 9.
     """
@@ -78,7 +82,8 @@ def bootstrap_values(fit: BranchFit, draws: int, rng: np.random.Generator) -> li
     residuals = (residuals - residuals.mean()) * np.sqrt(residuals.size / (fit.degrees_of_freedom * HUBER_CONSISTENCY))
     start = np.array([fit.values[name] for name in model.nonlinear])
     found = []
-    for _ in range(draws):
+    for done in range(draws):
+        progress("redrawing for the intervals", done, draws)
         drawn = curve + rng.choice(residuals, residuals.size) / np.sqrt(fit.weights)
         nonlinear = refine(series.time_min, drawn, model, fit.weights, start)
         _, linear = project(series.time_min, drawn, model, fit.weights, nonlinear)

@@ -10,6 +10,7 @@ from typing import Final
 from radiometer.adaptation.journal import Event
 from radiometer.adaptation.live import LiveState, RunningFit, running_fit
 from radiometer.adaptation.protocol import AdaptationProtocol
+from radiometer.numbers import with_u
 from radiometer.reporting.terminal_chart import TerminalChart
 
 _ROWS: Final = 12  # of the chart: with the lines around it, it fits a terminal of 24 rows
@@ -117,7 +118,7 @@ def event_line(event: Event) -> str | None:
         case "check":
             return f"checked: {_finding(event)}"
         case "room" if event["luminance_cd_m2"] is not None:
-            return f"dark room: ({event['luminance_cd_m2']:.2g} ± {2 * event['u_cd_m2']:.1g}) cd/m² (k = 2)"
+            return f"dark room: {with_u(event['luminance_cd_m2'], 2 * event['u_cd_m2'], 'cd m-2', k=2)}"
         case "refused":
             return "refused: nothing was shown"
         case "bleach":
@@ -144,7 +145,7 @@ def _trial_line(event: Event) -> str:
     if event["catch"]:
         return "  catch: pressed" if event["false_press"] else "  catch: rightly not pressed"
     found = event["threshold"]
-    shown = "not seen" if found is None else f"{found:6.2f} log scotopic cd/m²  {_bar(found)}"
+    shown = "not seen" if found is None else f"{found:6.2f} log₁₀ scotopic cd·m⁻²  {_bar(found)}"
     return f"{event['minutes']:6.2f} min  {'pressed too early' if event['false_press'] else shown}"
 
 

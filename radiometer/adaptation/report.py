@@ -54,6 +54,7 @@ def to_mapping(fit: AdaptationFit) -> dict[str, Any]:
         "reliability": Reliability.of_facts(fit.chosen.series.facts).to_mapping(),
         "taken": list(fit.chosen.series.taken),
         "facts": dict(fit.chosen.series.facts),
+        "level_unit": fit.chosen.series.facts.get("level_unit"),
         "stimulus_u_log10": fit.request.stimulus_u_log10,
         "confidence": fit.request.confidence,
         "estimates": {name: estimate.to_mapping() for name, estimate in fit.estimates.items()},

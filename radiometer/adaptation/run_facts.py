@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import Final
 
 import radiometer
 from radiometer.adaptation.method_bias import method_bias
 from radiometer.adaptation.protocol import AdaptationProtocol
 from radiometer.adaptation.reliability import Reliability
 from radiometer.adaptation.rod_intercept import InterceptRule
+
+LEVEL_UNIT: Final = "scotopic cd·m⁻²"  # of which a run's levels and thresholds are log₁₀
 
 
 def facts_of(
@@ -27,6 +30,7 @@ def facts_of(
     """
     facts = {name: str(value) for name, value in (visit or {}).items()}
     facts |= {"protocol": protocol.name, "program": f"radiometer {radiometer.__version__}"}
+    facts["level_unit"] = LEVEL_UNIT
     if protocol.shows != "break":
         facts["shows"] = protocol.shows
     bias = method_bias(protocol.method)

@@ -120,7 +120,7 @@ class Session:
             return None
         return (
             f"the {asked.channel} spot goes from {shown.lowest_log10:.2f} to {shown.highest_log10:.2f} log10 "
-            f"scotopic cd/m² on this screen; {self.request.protocol.name} asks for {asked.lowest_log10:g} to "
+            f"scotopic cd·m⁻² on this screen; {self.request.protocol.name} asks for {asked.lowest_log10:g} to "
             f"{asked.highest_log10:g}"
         )
 

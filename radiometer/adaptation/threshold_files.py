@@ -112,7 +112,7 @@ def _of_journal(path: Path) -> TakenTable:
         raise InputError(f"{path} holds no thresholds")
     columns = ["minutes", "threshold", *(["u_log10"] if all(e.get("u_log10") for e in trials) else [])]
     ended = next((str(event["verdict"]) for event in events if event["kind"] == "end"), "unfinished")
-    how = (f"a journal of `adapt run`: {ended}", "thresholds in log10 scotopic cd/m²")
+    how = (f"a journal of `adapt run`: {ended}", "thresholds in log10 scotopic cd·m⁻²")
     return TakenTable(np.array([[float(e[name]) for name in columns] for e in trials]), facts, how)
 
 
@@ -303,7 +303,7 @@ def _from_db(levels: np.ndarray, said: str, header: str, facts: dict[str, str]) 
         brightest = OPI_BRIGHTEST_CD_M2
     if rises or brightest is not None or "sensitivity" in said or "attenuation" in said:
         zero = 0.0 if brightest is None else math.log10(brightest)
-        of = "relative to 0 dB" if brightest is None else f"0 dB = {brightest:.5g} cd/m²"
+        of = "relative to 0 dB" if brightest is None else f"0 dB = {brightest:.5g} cd·m⁻²"
         return (
             zero - levels / DB_PER_LOG10,
             1 / DB_PER_LOG10,

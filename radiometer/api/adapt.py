@@ -36,6 +36,7 @@ from radiometer.data.guards import safe_name
 from radiometer.data.json_text import json_text
 from radiometer.data.storage import write_text_atomic
 from radiometer.errors import MeasurementError, UsageError
+from radiometer.progress import Progress, unseen
 
 # Opens what watches a run for as long as it lasts, such as a live view of a terminal.
 View = Callable[[Session], AbstractContextManager[Watcher]]
@@ -289,6 +290,7 @@ def adapt_fit(
     stimulus_u_log10: float | None = None,
     bootstrap: int = 200,
     seed: int = 1,
+    progress: Progress = unseen,
 ) -> AdaptationCurve:
     """Fit cone and rod branches to thresholds: plateau, rod–cone break, S2, rod intercept, final threshold.
 
@@ -304,6 +306,7 @@ def adapt_fit(
         stimulus_u_log10: Standard uncertainty of the stimulus calibration in log10 units; the table's own by default.
         bootstrap: Bootstrap redraws; 0 for none.
         seed: Makes the redraws.
+        progress: Called after every redraw.
 
     Raises:
         InputError: If the table cannot be read.
@@ -314,7 +317,8 @@ def adapt_fit(
         stimulus_u_log10 = number_of(series.facts, "u_scale_log10") or 0.0
     rule = intercept_of(series.facts) if criterion is None else None
     request = FitRequest(criterion, stimulus_u_log10, bootstrap, intercept=rule)
-    return AdaptationCurve(fit_adaptation(series, request, np.random.default_rng(seed)), series, Path(data).stem)
+    found = fit_adaptation(series, request, np.random.default_rng(seed), progress)
+    return AdaptationCurve(found, series, Path(data).stem)
 
 
 @dataclass(frozen=True, repr=False)

@@ -20,6 +20,7 @@ from radiometer.photographs.iso_record import with_iso_in_reading
 from radiometer.photographs.response import relative_calibration
 from radiometer.photographs.scene import Photographs, prepared, with_shutter_doubt
 from radiometer.photographs.stated import with_f_number
+from radiometer.progress import counted, unseen
 
 
 def measure_photographs(
@@ -87,7 +88,7 @@ def measure_photographs(
     if stack.photographs:
         ready = prepared(
             stack.as_photographs(), calibration=known, linear=linear, measured_iso=measured_iso, iso=iso,
-            f_number=f_number, align=align,
+            f_number=f_number, align=align, progress=progress or unseen,
         )  # fmt: skip
         camera, lens = known.camera if known else CameraDescription(bit_depth=ready.only.bit_depth), LensDescription()
         bracket = ready.without_absent()
@@ -100,15 +101,16 @@ def measure_photographs(
         bracket, camera, lens = with_f_number(stack.chosen(pattern), f_number), stack.camera, stack.lens
         ready = Photographs({"mono": bracket}, Path(stack.origin), notes=stack.notes)
     where = patch if isinstance(patch, Patch) else Patch(*patch)
-    return _reading(bracket, where, Setup(camera, lens, known, spectrum=spectrum), ready, drawn=monte_carlo)
+    reading = _reading(bracket, where, Setup(camera, lens, known, spectrum=spectrum), ready, drawn=monte_carlo)
+    if calibration is None or known is None:
+        return replace(reading, more={**reading.more, "calibration": None})
+    file = None if isinstance(calibration, Calibration) else str(calibration)
+    stated = {"file": file, "created": known.created, "reference": known.scale.reference}
+    return replace(reading, more={**reading.more, "calibration": stated})
 
 
 def _opened(path: Path, channel: str, progress: Progress | None) -> Stack:
-    def report(done: int, total: int) -> None:
-        if progress is not None:
-            progress("reading", done, total)
-
-    return stack_of(open_source(path, channel, report=report), str(path))
+    return stack_of(open_source(path, channel, report=counted(progress, "reading")), str(path))
 
 
 def _reading(bracket: Bracket, patch: Patch, setup: Setup, ready: Photographs, *, drawn: bool) -> Reading:

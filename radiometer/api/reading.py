@@ -183,7 +183,7 @@ def _one(
     while True:
         try:
             frames = instrument.take_bracket(target_u_rel=u_rel, progress=taken)
-            return instrument.read(frames, sequence=number), frames
+            return instrument.with_origin(instrument.read(frames, sequence=number)), frames
         except (DeviceLost, DeviceTimeout) as error:
             if waiting is None:
                 raise

@@ -29,6 +29,7 @@ from radiometer.photographs.iso_record import with_iso_speeds
 from radiometer.photographs.response import ENOUGH_PIXELS
 from radiometer.photographs.scene import Photographs, refuse_lying_photographs
 from radiometer.photographs.stated import with_gains
+from radiometer.progress import unseen
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -247,7 +248,7 @@ def _read(
     if by_hand:
         taken = taken.thinned().each(lambda one: with_gains(one, IsoSpeeds(measured_iso)))
     refuse_lying_photographs(taken)
-    placed = taken.placed(align if by_hand else "off")  # a camera on a bench stands still
+    placed = taken.placed(align if by_hand else "off", progress or unseen)  # a camera on a bench stands still
     if placed.absent:
         note(f"{taken.folder}: {placed.alignment}")
     if unused := sum(len(one.dark) for one in placed.brackets.values()):

@@ -18,7 +18,7 @@ from radiometer.api.result import Result
 from radiometer.daemon.journal import default_journal_path
 from radiometer.daemon.journal_reader import JournalReader, ReadingFilter, to_csv
 from radiometer.daemon.timestamps import parse_moment
-from radiometer.data.drawing import new_axes
+from radiometer.data.drawing import new_axes, own_axes
 from radiometer.data.storage import write_bytes_atomic
 from radiometer.errors import UsageError
 

@@ -203,7 +203,7 @@ def _ti3(path: Path, text: str) -> ScreenReadings:
         if "LUMINANCE_XYZ_CDM2" not in keys:
             raise InputError(f"{path}: XYZ relative to white, and no LUMINANCE_XYZ_CDM2 that says how bright that is")
         scale = float(keys["LUMINANCE_XYZ_CDM2"].split()[1]) / 100.0
-        said = f"XYZ relative to a white of {100 * scale:.4g} cd/m²"
+        said = f"XYZ relative to a white of {100 * scale:.4g} cd·m⁻²"
     patches = [tuple(float(row[n]) for n in at) for row in rows]
     groups = {name: _grouped(patches, which, scale) for name, which in _AXES.items()}
     return ScreenReadings(
@@ -311,7 +311,7 @@ def _table(path: Path, text: str, mapped: StatementMap) -> ScreenReadings:
                 f"{path}: {table.width} columns without a heading; write one, such as level,luminance_cd_m2"
             )
         level_at, light_at = 0, 1
-        doubts.append("no heading: the first column is read as the level, the second as the luminance in cd/m²")
+        doubts.append("no heading: the first column is read as the level, the second as the luminance in cd·m⁻²")
     if light_at is None or (level_at is None and channels is None):
         lacking = "luminance" if light_at is None else "level"
         raise UnsettledError(

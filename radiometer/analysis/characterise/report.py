@@ -8,7 +8,7 @@ from radiometer.analysis.characterise.report_plots import further_pictures, stor
 from radiometer.analysis.characterise.result import Characterisation
 from radiometer.analysis.characterise.symbols import SYMBOLS, as_printed, upper_limit
 from radiometer.data import Quantity
-from radiometer.reporting.numbers import rounded, unit_text, with_u
+from radiometer.numbers import rounded, unit_text, with_u
 from radiometer.reporting.page import folded, listed, page, paragraph, section, side_by_side, table
 
 

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from radiometer.analysis.characterise.result import Characterisation
-from radiometer.reporting.numbers import with_u
+from radiometer.numbers import with_u
 from radiometer.reporting.pictures import BEFORE, DIMMED, MARK, MODEL, RULE, SEEN, dress, legend, mark, picture
 
 if TYPE_CHECKING:

@@ -6,7 +6,7 @@ import math
 from typing import Final, NamedTuple
 
 from radiometer.data import Quantity
-from radiometer.reporting.numbers import rounded
+from radiometer.numbers import rounded
 
 
 class Symbol(NamedTuple):

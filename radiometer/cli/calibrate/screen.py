@@ -10,7 +10,7 @@ import typer
 
 import radiometer as rm
 from radiometer.cli.arguments import parse_patch, parse_relative
-from radiometer.cli.console import console, expanded, note, progress, significant
+from radiometer.cli.console import console, note, progress
 from radiometer.cli.options import (
     BenchOption,
     CalibrationOption,
@@ -23,6 +23,7 @@ from radiometer.cli.options import (
     words,
 )
 from radiometer.cli.outputs import writes
+from radiometer.numbers import rounded, with_u
 
 app = command_group("Calibrate a screen as a light source, and use the calibration.")
 ScreenFile = Annotated[Path, typer.Argument(help="Screen calibration file.")]
@@ -96,8 +97,8 @@ def level(
     if json:
         print(found.to_json())
         return
-    value = expanded(found.shown.value, found.shown.u, found.shown.unit)
-    console().print(f"level {found.level} of {channel} shows {value} (k = 2)")
+    value = with_u(found.shown.value, 2 * found.shown.u, found.shown.unit, k=2)
+    console().print(f"level {found.level} of {channel} shows {value}")
 
 
 @app.command("export")
@@ -116,7 +117,7 @@ def export_command(
 @app.command("import")
 @writes("out")
 def import_command(
-    file: Annotated[Path, typer.Argument(help="ArgyllCMS .ti3 or .cal, pacsdisplay uLR, or a table: level, cd/m².")],
+    file: Annotated[Path, typer.Argument(help="ArgyllCMS .ti3 or .cal, pacsdisplay uLR, or a table: level, cd·m⁻².")],
     out: OutOption = Path("screen.yaml"),
     name: Annotated[str | None, typer.Option(help="What the screen is called; as the file says by default.")] = None,
     white: WhiteOption = "white_led",
@@ -125,7 +126,7 @@ def import_command(
         str, typer.Option(help="Relative standard uncertainty of the meter's scale: 0.04 or 4%.")
     ] = "0.04",
     white_luminance: Annotated[
-        float | None, typer.Option(min=1e-6, help="Luminance of white in cd/m², which a .cal does not hold.")
+        float | None, typer.Option(min=1e-6, help="Luminance of white in cd·m⁻², which a .cal does not hold.")
     ] = None,
     gamma: Annotated[float, typer.Option(min=0.1, max=10.0, help="Exponent that a .cal was made for.")] = 2.2,
     mapped: Annotated[
@@ -155,8 +156,8 @@ def import_command(
     for curve in found.calibration.channels.values():
         black, white_cd = found.luminance_range(curve)
         console().print(
-            f"{curve.name}: {len(curve.levels)} levels, {significant(black.value, black.u)} to "
-            f"{expanded(white_cd.value, white_cd.u, 'cd·m⁻²')} (k = 2)"
+            f"{curve.name}: {len(curve.levels)} levels, {rounded(black.value, 2 * black.u)[0]} to "
+            f"{with_u(white_cd.value, 2 * white_cd.u, white_cd.unit, k=2)}"
         )
     _print_end(found)
 
@@ -171,11 +172,11 @@ def _print_channel(found: rm.CalibratedScreen, curve: Any) -> None:
     out = console()
     (black, white), limit = found.luminance_range(curve), found.detection_limit(curve)
     out.print(f"[bold]{curve.name}[/bold]: {len(curve.levels)} levels")
-    out.print(f"  brightest  {expanded(white.value, white.u, 'cd·m⁻²')} (k = 2)")
+    out.print(f"  brightest  {with_u(white.value, 2 * white.u, white.unit, k=2)}")
     if limit is not None:
-        out.print(f"  darkest    below {limit:.2g} cd·m⁻² (limit of detection)")
+        out.print(f"  darkest    < {rounded(limit, limit)[0]} cd·m⁻² (limit of detection)")
     else:
-        out.print(f"  darkest    {expanded(black.value, black.u, 'cd·m⁻²')} (k = 2)")
+        out.print(f"  darkest    {with_u(black.value, 2 * black.u, black.unit, k=2)}")
     for fit in curve.fits().values():
         shown = ", ".join(f"{k} {v:.4g}" for k, v in fit.parameters.items())
         out.print(f"  {fit.model:<16} rms error {100 * fit.rms_rel:.2g} %, worst {100 * fit.max_rel:.2g} %   ({shown})")

@@ -9,16 +9,17 @@ import typer
 
 import radiometer as rm
 from radiometer.cli.arguments import ISO_HELP, UNSTATED_ISO_HELP, parse_measured_iso, parse_patch
-from radiometer.cli.console import asker, console, note, progress, significant
+from radiometer.cli.console import asker, console, note, progress
 from radiometer.cli.options import BenchOption, CameraOption, FNumberOption, PatchOption, UncalibratedOption, URelOption
 from radiometer.errors import UsageError
+from radiometer.numbers import below, rounded, upper_limit, with_u
 
 if TYPE_CHECKING:
     from radiometer import Reading
 
 _FLAG_MEANING = {
     "saturated": "pixels clip even in the shortest exposure: the value is a lower bound",
-    "below_noise": "the signal does not rise above the noise: take the value as an upper limit",
+    "below_noise": "the signal does not rise above the noise: a limit is given in place of a value",
     "extrapolated": "uses digital numbers for which the response curve had no data",
     "flicker": "exposures disagree beyond their noise: the light flickers or moves",
     "stale_calibration": "the calibration is older than it says it is valid for",
@@ -127,7 +128,7 @@ def _show_distribution(reading: Reading) -> None:
     """Print the interval by the propagation of distributions next to the budget's."""
     drawn = reading.more["monte_carlo"]
     out, u = console(), reading.radiance.u
-    low, high = (significant(drawn[end], u) for end in ("low", "high"))
+    low, high = (rounded(drawn[end], 2 * u)[0] for end in ("low", "high"))
     out.print(f"drawn      {low} to {high} (95.45 %, JCGM 101), u = {drawn['u']:.3g}")
     if drawn["validates"]:
         out.print(f"           agrees with the budget to {drawn['tolerance']:.2g}")
@@ -142,16 +143,16 @@ def _show_distribution(reading: Reading) -> None:
 def _show(reading: Reading, *, budget: bool) -> None:
     out = console()
     value = reading.radiance
-    expanded = reading.coverage_factor * value.u
-    unit = "W·sr⁻¹·m⁻²" if value.unit == "W sr-1 m-2" else value.unit
-    out.print(
-        f"radiance   [bold]{significant(value.value, value.u)} ± {expanded:.2g} {unit}[/bold]"
-        f"   (k = {reading.coverage_factor:.3g}, {100 * reading.expanded_u_rel:.2g} %)"
-    )
-    if reading.luminance:
-        luminance = reading.luminance
-        expanded = reading.coverage_factor * luminance.u
-        out.print(f"luminance  {significant(luminance.value, luminance.u)} ± {expanded:.2g} cd·m⁻²")
+    k, limit, luminance = reading.coverage_factor, reading.upper_limit, reading.luminance
+    if limit is None:
+        shown, share = with_u(value.value, k * value.u, value.unit), f"{100 * reading.expanded_u_rel:.2g}"
+        out.print(f"radiance   [bold]{shown}[/bold]   (k = {k:.3g}, {share} %)")
+    else:
+        out.print(f"radiance   [bold]{below(limit.value, limit.unit)}[/bold]")
+    if luminance and limit is None:
+        out.print(f"luminance  {with_u(luminance.value, k * luminance.u, luminance.unit, k=k)}")
+    elif luminance:
+        out.print(f"luminance  {below(upper_limit(luminance.value, luminance.u), luminance.unit)}")
     if reading.band_nm:
         out.print("band       {:g} to {:g} nm".format(*reading.band_nm))
     exposures = ", ".join(_time(t) for t in sorted(set(reading.exposures_s)))

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Final
 import typer
 
 import radiometer as rm
-from radiometer.cli.console import console, note
+from radiometer.cli.console import console, note, progress
 from radiometer.cli.keys import listening
 from radiometer.cli.options import BenchOption, BoxPresetOption, JsonOption, SeedOption, WhiteOption, command_group
 from radiometer.cli.outputs import writes
@@ -50,7 +50,7 @@ def run(
         str | None,
         typer.Option(help="Simulated subject: steady, never, always, leaves, wanders, healthy or amd."),
     ] = None,
-    room: Annotated[float, typer.Option(min=0.0, help="Luminance of the simulated box's room in cd/m².")] = 0.0,
+    room: Annotated[float, typer.Option(min=0.0, help="Luminance of the simulated box's room in cd·m⁻².")] = 0.0,
     slow: Annotated[float, typer.Option(min=0.0, help="Real seconds per simulated trial, to watch it.")] = 0.0,
     seed: SeedOption = 0,
     eye: Annotated[
@@ -155,7 +155,7 @@ def protocols(json: JsonOption = False) -> None:
 
 @app.command()
 def bleach(
-    luminance: Annotated[float, typer.Argument(min=0.0, help="Luminance of the bleaching field in cd/m².")],
+    luminance: Annotated[float, typer.Argument(min=0.0, help="Luminance of the bleaching field in cd·m⁻².")],
     duration: Annotated[float, typer.Argument(min=0.0, help="Its duration in s.")],
     pupil: Annotated[
         float | None, typer.Option(min=1.0, max=9.0, help="Pupil in mm; the natural one if left out.")
@@ -213,7 +213,10 @@ def fit(
     One branch, cones and S2 (5 parameters) or cones, S2 and S3 (7) are tried; the AICc decides among those that
     make sense.
     """
-    found = rm.adapt_fit(data, criterion, stimulus_u_log10=stimulus_u_log10, bootstrap=bootstrap, seed=seed)
+    with progress(shown=not json) as shown:
+        found = rm.adapt_fit(
+            data, criterion, stimulus_u_log10=stimulus_u_log10, bootstrap=bootstrap, seed=seed, progress=shown
+        )
     if report is not None:
         found.write_report(report)
     if csv is not None:

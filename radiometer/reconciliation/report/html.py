@@ -7,11 +7,11 @@ from pathlib import Path
 from typing import Final
 
 from radiometer.data.storage import write_text_atomic
+from radiometer.numbers import rounded, unit_text, with_u
 from radiometer.reconciliation.report import pictures
 from radiometer.reconciliation.report.words import along, axis_label, seen_in
 from radiometer.reconciliation.result import FoundEffect, ReconcileResult, Verdict
 from radiometer.reconciliation.search.outcome import Reconciled
-from radiometer.reporting.numbers import rounded, unit_text, with_u
 from radiometer.reporting.page import folded, heading, listed, page, paragraph, section, table
 from simulators.effects.catalogue import CatalogueEffect
 from simulators.effects.registry import all_effects

@@ -7,7 +7,6 @@ from pathlib import Path
 
 import pytest
 
-from radiometer.cli.console import significant
 from radiometer.cli.main import run
 from radiometer.screen import ScreenCalibration
 
@@ -75,11 +74,3 @@ def test_json_and_argyll_speak_for_programs(tmp_path: Path, capsys: pytest.Captu
     assert run(["screen", "calibrate", *options, "--argyll", "--force"]) == 0
     lines = [line for line in capsys.readouterr().out.splitlines() if line.startswith(" Result is XYZ:")]
     assert len(lines) == 3
-
-
-@pytest.mark.parametrize(
-    ("value", "u", "shown"), [(0.0, 1.7e-4, "0.00000"), (49.72, 0.27, "49.72"), (1.234e-7, 5e-9, "1.234e-07")]
-)
-def test_values_are_told_to_two_digits_of_their_uncertainty(value: float, u: float, shown: str) -> None:
-    """A black that was not seen is 0 to as many places as are known."""
-    assert significant(value, u) == shown
