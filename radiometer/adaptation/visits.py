@@ -97,8 +97,10 @@ def _new(journal: Path, request: RunRequest, now: dt.datetime, remarks: tuple[st
 
 def _taken_up(journal: Path, request: RunRequest, start: Event) -> Visit:
     """Return a visit that goes on: date, age and pupil are those that its journal states."""
-    known = {name: start.get(name) for name in ("visit", "age_years", "pupil_mm")}
-    return Visit(journal, replace(request, **known), resumed=True)
+    same = replace(
+        request, visit=start.get("visit"), age_years=start.get("age_years"), pupil_mm=start.get("pupil_mm")
+    )
+    return Visit(journal, same, resumed=True)
 
 
 def _same_run(start: Event, request: RunRequest) -> bool:

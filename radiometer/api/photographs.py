@@ -11,6 +11,7 @@ import numpy as np
 from radiometer.analysis.reading.reading import patch_situation, read_patch
 from radiometer.analysis.uncertainty.monte_carlo import propagate_distributions
 from radiometer.api.files import PathLike, Stack, stack_of
+from radiometer.api.reading import reading_record
 from radiometer.api.result import Progress
 from radiometer.bench.sources import open_source
 from radiometer.data import Bracket, Calibration, CameraDescription, LensDescription, Patch, Provenance, Reading
@@ -21,6 +22,7 @@ from radiometer.photographs.response import relative_calibration
 from radiometer.photographs.scene import Photographs, prepared, with_shutter_doubt
 from radiometer.photographs.stated import with_f_number
 from radiometer.progress import counted, unseen
+from radiometer.reporting.reading_page import check_report_name, write_reading_page
 
 
 def measure_photographs(
@@ -38,6 +40,7 @@ def measure_photographs(
     f_number: float | None = None,
     spectrum: str | None = None,
     monte_carlo: bool = False,
+    report: PathLike | None = None,
     progress: Progress | None = None,
 ) -> Reading:
     """Read the radiance of a patch in photographs, with its uncertainty.
@@ -64,6 +67,7 @@ def measure_photographs(
         f_number: f-number of frames that state none.
         spectrum: Spectrum of the light; where it is unknown, all kinds of light count in the uncertainty.
         monte_carlo: Add the interval by the propagation of distributions to `reading.more`.
+        report: Page of the reading to write, .html or .pdf.
         progress: Called as files are read.
 
     Returns:
@@ -75,6 +79,8 @@ def measure_photographs(
         MeasurementError: If a response is needed and the photographs hold none.
         UsageError: If arguments exclude each other.
     """
+    if report is not None:
+        check_report_name(Path(report))
     if calibration is None and not uncalibrated:
         raise UsageError("--photographs needs --calibration (or --uncalibrated for relative values)")
     if calibration is not None and uncalibrated:
@@ -102,11 +108,14 @@ def measure_photographs(
         ready = Photographs({"mono": bracket}, Path(stack.origin), notes=stack.notes)
     where = patch if isinstance(patch, Patch) else Patch(*patch)
     reading = _reading(bracket, where, Setup(camera, lens, known, spectrum=spectrum), ready, drawn=monte_carlo)
-    if calibration is None or known is None:
-        return replace(reading, more={**reading.more, "calibration": None})
-    file = None if isinstance(calibration, Calibration) else str(calibration)
-    stated = {"file": file, "created": known.created, "reference": known.scale.reference}
-    return replace(reading, more={**reading.more, "calibration": stated})
+    stated = None
+    if calibration is not None and known is not None:
+        file = None if isinstance(calibration, Calibration) else str(calibration)
+        stated = {"file": file, "created": known.created, "reference": known.scale.reference}
+    reading = replace(reading, more={**reading.more, "calibration": stated})
+    if report is not None:
+        write_reading_page(reading_record(reading, bracket, lens), Path(report))
+    return reading
 
 
 def _opened(path: Path, channel: str, progress: Progress | None) -> Stack:

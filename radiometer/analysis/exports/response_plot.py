@@ -52,6 +52,7 @@ def draw_responses(estimates: Sequence[ResponseEstimate], path: Path) -> None:
     absolute = any(estimate.curve.absolute for estimate in estimates)
     upper.set_ylabel("ln H  (J m⁻²)" if absolute else "ln H, relative to the middle value")
     upper.legend(frameon=False)
+    lower.set_ylim(top=min(1.0, lower.get_ylim()[1]))  # beyond a factor of e a curve says nothing
     lower.set_ylabel("u(ln H), k = 1")
     lower.set_xlabel("digital number M (DN)")
     for axes in (upper, lower):

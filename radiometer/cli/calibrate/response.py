@@ -58,7 +58,7 @@ def command(
     Several PATHs are fitted jointly: one camera, one response.
     """
     started = time.monotonic()
-    with progress() as shown:
+    with progress(shown=not as_json) as shown:
         found = rm.recover_response(
             paths,
             method,

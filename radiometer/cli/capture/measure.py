@@ -11,38 +11,16 @@ import radiometer as rm
 from radiometer.cli.arguments import ISO_HELP, UNSTATED_ISO_HELP, parse_measured_iso, parse_patch
 from radiometer.cli.console import asker, console, note, progress
 from radiometer.cli.options import BenchOption, CameraOption, FNumberOption, PatchOption, UncalibratedOption, URelOption
+from radiometer.cli.outputs import writes
 from radiometer.errors import UsageError
 from radiometer.numbers import below, rounded, upper_limit, with_u
+from radiometer.reporting.reading_page import FLAG_MEANINGS
 
 if TYPE_CHECKING:
     from radiometer import Reading
 
-_FLAG_MEANING = {
-    "saturated": "pixels clip even in the shortest exposure: the value is a lower bound",
-    "below_noise": "the signal does not rise above the noise: a limit is given in place of a value",
-    "extrapolated": "uses digital numbers for which the response curve had no data",
-    "flicker": "exposures disagree beyond their noise: the light flickers or moves",
-    "stale_calibration": "the calibration is older than it says it is valid for",
-    "uncalibrated": "no calibration: the value is relative, not a radiance",
-    "nonuniform": "the patch is not uniform: its spread exceeds the noise",
-    "few_frames": "fewer than three frames (five short ones): they cannot show whether the light is steady",
-    "stray_light": "light from around the patch may make up much of the reading: shade or mask the surround",
-    "short_exposure": "the offset of so short an exposure dominates the uncertainty: close the iris, expose longer",
-    "dark_assumed": "dark current and black level dominate the uncertainty: take dark frames (--darks)",
-    "falloff_assumed": "no flat field: the natural fall-off of the lens was assumed; calibrate with --flat",
-    "spectrum_assumed": "the light's spectrum is not stated, or it dominates the uncertainty: state it (--spectrum)",
-    "small_patch": "the patch is so small that pixels' differences dominate the uncertainty: read a larger one",
-    "temperature": "the distance from the calibration's temperature dominates the uncertainty",
-    "gain": "the gain is another than at calibration, and dominates the uncertainty",
-    "drift": "the calibration's age dominates the uncertainty: calibrate again",
-    "lens_changed": "what was done to the lens since calibration dominates the uncertainty",
-    "polarisation": "the light's polarisation dominates the uncertainty",
-    "exposure_unconfirmed": "the camera states another exposure time than it was given: the value may be off as much",
-    "repeated_frame": "the camera delivered the same frame again: the value may be an old one",
-    "linearity": "the signal is far from the calibration's level, and the sensor was taken as linear",
-}
 
-
+@writes("report")
 def command(
     camera: CameraOption = None,
     patch: PatchOption = None,
@@ -74,6 +52,9 @@ def command(
     monte_carlo: Annotated[
         bool, typer.Option("--monte-carlo", help="Print the interval by the propagation of distributions as well.")
     ] = False,
+    report: Annotated[
+        Path | None, typer.Option(help="Page of the reading to write: .html or .pdf, with picture and budget.")
+    ] = None,
     budget: Annotated[bool, typer.Option("--budget", help="Print the uncertainty budget.")] = False,
     json: Annotated[bool, typer.Option("--json", help="One JSON object per reading on standard output.")] = False,
 ) -> None:
@@ -82,6 +63,8 @@ def command(
     Meters the patch, takes the exposures it needs, merges them and prints the radiance in W·sr⁻¹·m⁻² with its
     expanded uncertainty (95.45 %, k by Student's t), the luminance, and what must be known of the reading.
     """
+    if report is not None and (watch or repeat > 1):
+        raise UsageError("--report writes the page of one reading: leave --watch and --repeat out")
     if calibration and uncalibrated:
         raise UsageError("--calibration and --uncalibrated exclude each other")
     wanted = parse_patch(patch) if patch else None
@@ -95,7 +78,7 @@ def command(
             reading = rm.measure_photographs(
                 photographs, wanted, calibration=calibration, uncalibrated=uncalibrated, channel=channel,
                 pattern=pattern, align=align, linear=linear, measured_iso=parse_measured_iso(measured_iso), iso=iso,
-                f_number=f_number, spectrum=spectrum, monte_carlo=monte_carlo, progress=shown,
+                f_number=f_number, spectrum=spectrum, monte_carlo=monte_carlo, report=report, progress=shown,
             )  # fmt: skip
         for text in reading.more["notes"]:
             note(text)
@@ -111,8 +94,8 @@ def command(
     with progress(shown=not json) as shown:
         for reading in rm.readings(
             camera, wanted, bench=bench, calibration=calibration, uncalibrated=uncalibrated, f_number=f_number,
-            spectrum=spectrum, u_rel=u_rel, darks=darks, monte_carlo=monte_carlo, repeat=repeat, watch=watch,
-            every_s=every, ask=asker(), notice=_silent if json and not watch else note, progress=shown,
+            spectrum=spectrum, u_rel=u_rel, darks=darks, monte_carlo=monte_carlo, report=report, repeat=repeat,
+            watch=watch, every_s=every, ask=asker(), notice=_silent if json and not watch else note, progress=shown,
         ):  # fmt: skip
             if json:
                 print(reading.to_json(), flush=True)
@@ -158,7 +141,7 @@ def _show(reading: Reading, *, budget: bool) -> None:
     exposures = ", ".join(_time(t) for t in sorted(set(reading.exposures_s)))
     out.print(f"exposures  {exposures}")
     for flag in reading.flags:
-        out.print(f"[yellow]flag       {flag}[/yellow]: {_FLAG_MEANING[str(flag)]}")
+        out.print(f"[yellow]flag       {flag}[/yellow]: {FLAG_MEANINGS[flag]}")
     if budget:
         _show_budget(reading)
     if "monte_carlo" in reading.more:
