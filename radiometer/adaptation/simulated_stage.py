@@ -20,21 +20,13 @@ _ANSWERS: Final = 1  # keeps the answers' chance apart from that of the run, who
 
 @dataclass
 class SubjectStage:
-    """A simulated subject before a simulated spot; no time passes but on the clock.
-
-    Attributes:
-        protocol: The protocol.
-        observer: Who answers.
-        leaves_after_min: Time in the dark in min after which nothing is pressed.
-        seed: Makes the answers; each follows from seed, trial and blink alone.
-        clock: Simulated time.
-    """
+    """A simulated subject before a simulated spot; no time passes but on the clock."""
 
     protocol: AdaptationProtocol
-    observer: Observer
-    leaves_after_min: float = math.inf
-    seed: int = 0
-    clock: SimulatedClock = field(default_factory=SimulatedClock)
+    observer: Observer  # who answers
+    leaves_after_min: float = math.inf  # time in the dark in min after which nothing is pressed
+    seed: int = 0  # makes the answers; each follows from seed, trial and blink alone
+    clock: SimulatedClock = field(default_factory=SimulatedClock)  # simulated time
 
     def now_s(self) -> float:
         """Return the simulated time in s."""
@@ -113,7 +105,6 @@ def simulated_stage(protocol: AdaptationProtocol, behaviour: str, *, seed: int =
     """Return a stage with a simulated subject, whose eye and habits are those before the simulated box.
 
     Args:
-        protocol: The protocol.
         behaviour: Name of a behaviour of `simulators.observers.behaviours`.
         seed: Makes the answers, and the eye where it is a drawn one.
 

@@ -97,9 +97,7 @@ def _new(journal: Path, request: RunRequest, now: dt.datetime, remarks: tuple[st
 
 def _taken_up(journal: Path, request: RunRequest, start: Event) -> Visit:
     """Return a visit that goes on: date, age and pupil are those that its journal states."""
-    same = replace(
-        request, visit=start.get("visit"), age_years=start.get("age_years"), pupil_mm=start.get("pupil_mm")
-    )
+    same = replace(request, visit=start.get("visit"), age_years=start.get("age_years"), pupil_mm=start.get("pupil_mm"))
     return Visit(journal, same, resumed=True)
 
 

@@ -21,9 +21,7 @@ def seat_subject(twin: LightBoxTwin, behaviour: str, seed: int, filter_density: 
     """Seat a simulated subject before a simulated box and return it.
 
     Args:
-        twin: The simulated box.
         behaviour: Name of a behaviour of `simulators.observers.behaviours`.
-        seed: Makes the answers.
         filter_density: Optical density of the filter before the spot.
 
     Raises:

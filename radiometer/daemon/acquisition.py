@@ -47,11 +47,8 @@ class Acquisition:
     carries their names.
 
     Args:
-        instrument: The camera with its calibration.
         keeper: Keeps that camera open.
-        writer: Commits the readings.
         alarms: Where failures of continuous measurement are reported.
-        lateness: Follows whether the period is kept.
         on_measured: Called with every measurement, what it was made for and its duration in s, before it is committed.
     """
 

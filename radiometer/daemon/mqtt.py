@@ -30,23 +30,14 @@ _READING: Final = "reading"
 
 @dataclass(frozen=True, slots=True)
 class MqttTarget:
-    """A broker.
+    """A broker."""
 
-    Attributes:
-        host: Name or address.
-        port: Port.
-        prefix: First level of the topics.
-        user: User name; None for none.
-        password: Password; None for none.
-        tls: Whether to use TLS with the system's certificates.
-    """
-
-    host: str
-    port: int = 1883
-    prefix: str = "radiometer"
-    user: str | None = None
-    password: str | None = None
-    tls: bool = False
+    host: str  # name or address
+    port: int = 1883  # port
+    prefix: str = "radiometer"  # first level of the topics
+    user: str | None = None  # user name; None for none
+    password: str | None = None  # password; None for none
+    tls: bool = False  # whether to use TLS with the system's certificates
 
     def __str__(self) -> str:
         return f"{self.host}:{self.port}"
@@ -68,10 +59,6 @@ class MqttPublisher:
     Topics under PREFIX/SERIAL, all retained: `reading` and `patch/NAME/reading` (JSON lines), `status` (alarms and
     device states as JSON), `state` ("online"; "offline" is the last will). A retained reading is cleared where it is no
     longer one: the patch was moved or deleted, the daemon ended, or an earlier one was killed.
-
-    Args:
-        station: The instrument.
-        target: The broker.
 
     Raises:
         MissingLibrary: If paho-mqtt is not installed.

@@ -27,8 +27,7 @@ class ConversionGainError(CatalogueEffect):
 
     name = "conversion_gain_error"
     stage = Stage.READOUT
-    unit_in = ELECTRONS
-    unit_out = ELECTRONS
+    unit_in = unit_out = ELECTRONS
     where = "signal"
     block = "variance"
     trials = (

@@ -71,7 +71,6 @@ class AvrBox:
 
     Args:
         hex_file: Firmware as `make -C drivers/firmware/light_box` builds it.
-        serial: Eight characters for the EEPROM.
         lag_s: Longest step of box time; what the machine cannot keep up with beyond it is given up.
         memory: Content of the EEPROM; that of a box that has rested where None.
     """

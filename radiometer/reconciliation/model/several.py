@@ -14,9 +14,9 @@ from typing import Any, Final, Self, TypeVar
 
 import numpy as np
 
-from radiometer.reconciliation.measure.design import Array
 from radiometer.reconciliation.model.tile_model import Nuisance, TileModel, Trace, Walk, first_of, looks_back
 from radiometer.reconciliation.prediction import Prediction
+from radiometer.typing import Array
 from simulators.effects.base import DIGITAL_NUMBER, ELECTRONS
 from simulators.effects.tile_moments import Moments
 
