@@ -122,15 +122,18 @@ _HOMES = {
     "radiometer.api.screen": (
         "CalibratedScreen",
         "ScreenLevel",
+        "VerifiedScreen",
         "screen_calibrate",
         "screen_export",
         "screen_import",
         "screen_level",
+        "screen_verify",
     ),
     "radiometer.api.sensor": (
         "Sensor",
         "characterise",
     ),
+    "radiometer.api.view": ("view",),
     "radiometer.data.reading": (
         "Patch",
         "Reading",
@@ -237,10 +240,12 @@ if TYPE_CHECKING:
     from radiometer.api.results import reconcile_plan as reconcile_plan
     from radiometer.api.screen import CalibratedScreen as CalibratedScreen
     from radiometer.api.screen import ScreenLevel as ScreenLevel
+    from radiometer.api.screen import VerifiedScreen as VerifiedScreen
     from radiometer.api.screen import screen_calibrate as screen_calibrate
     from radiometer.api.screen import screen_export as screen_export
     from radiometer.api.screen import screen_import as screen_import
     from radiometer.api.screen import screen_level as screen_level
+    from radiometer.api.screen import screen_verify as screen_verify
     from radiometer.api.sensor import Sensor as Sensor
     from radiometer.api.sensor import characterise as characterise
     from radiometer.data.reading import Patch as Patch

@@ -107,7 +107,7 @@ class _Run:
         facts: dict[str, Any] = {"format": FORMAT, "subject": self.subject, "protocol": name, "seed": self.seed}
         if self.eye is not None:
             facts["eye"] = self.eye
-        self.note("start", **facts | self.visit, unix_s=wall_s, facts=facts_of(self.protocol))
+        self.note("start", **{**facts, **self.visit}, unix_s=wall_s, facts=facts_of(self.protocol))
 
     def _check_journal(self) -> None:
         begun = self.journal.events[0]

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from radiometer.analysis.exports.curves import CURVE_SUFFIXES, write_curves
-from radiometer.analysis.exports.response_plot import check_plot_name, draw_responses
+from radiometer.analysis.exports.response_plot import draw_responses
 from radiometer.analysis.response.auto import recover_colours_auto
 from radiometer.analysis.response.compare import compare_methods
 from radiometer.analysis.response.estimate import ResponseEstimate, median_uncertainty, telling
@@ -21,7 +21,7 @@ from radiometer.api.files import PathLike, Stack, stack_of
 from radiometer.api.result import Progress, Result
 from radiometer.bench.sources import open_source
 from radiometer.data import Bracket, ResponseCurve
-from radiometer.data.drawing import new_axes, picture
+from radiometer.data.drawing import check_plot_name, new_axes, picture
 from radiometer.data.iso_speeds import IsoSpeeds
 from radiometer.data.storage import check_outputs
 from radiometer.errors import MeasurementError, UsageError

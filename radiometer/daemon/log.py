@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import datetime as dt
-import io
 import json
 import math
 import statistics
@@ -11,21 +10,18 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any
 
 from radiometer.api.files import PathLike
 from radiometer.api.result import Result
 from radiometer.daemon.journal import default_journal_path
 from radiometer.daemon.journal_reader import JournalReader, ReadingFilter, to_csv
 from radiometer.daemon.timestamps import parse_moment
-from radiometer.data.drawing import new_axes, own_axes
-from radiometer.data.storage import write_bytes_atomic
+from radiometer.data.drawing import check_plot_name, new_axes, own_axes, save_plot
 from radiometer.errors import UsageError
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-
-_PICTURES: Final = (".png", ".pdf", ".svg")
 
 
 @dataclass(frozen=True)
@@ -119,13 +115,10 @@ class LoggedReadings(Result):
     def write_plot(self, path: PathLike) -> None:
         """Draw the readings into a PNG, PDF or SVG file. Raises UsageError for another ending."""
         target = Path(path)
-        if target.suffix.lower() not in _PICTURES:
-            raise UsageError(f"{target}: name a .png, .pdf or .svg file")
+        check_plot_name(target)
         figure: Any = self.plot(own_axes()).figure
         figure.set_size_inches(9, 4.2)
-        content = io.BytesIO()
-        figure.savefig(content, format=target.suffix.lower()[1:], dpi=150)
-        write_bytes_atomic(target, content.getvalue())
+        save_plot(figure, target)
 
     def __str__(self) -> str:
         """Return how many readings of how many places."""

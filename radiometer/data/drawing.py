@@ -7,13 +7,18 @@ import html
 import io
 import sys
 from collections.abc import Callable
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
+
+from radiometer.data.storage import write_bytes_atomic
+from radiometer.errors import UsageError
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 
+PLOT_SUFFIXES: Final = (".png", ".pdf", ".svg")
 _SIZE_IN: Final = (6.4, 4.0)  # matplotlib's width, a little lower: it fits a notebook's cell
 
 
@@ -31,6 +36,20 @@ def own_axes() -> Axes:
     from matplotlib.figure import Figure
 
     return Figure(figsize=_SIZE_IN, layout="constrained").subplots()
+
+
+def check_plot_name(path: Path) -> None:
+    """Refuse a name whose ending is no form of a picture. Raises UsageError."""
+    if path.suffix.lower() not in PLOT_SUFFIXES:
+        raise UsageError(f"cannot draw {path}: its ending must be one of {', '.join(PLOT_SUFFIXES)}")
+
+
+def save_plot(figure: Any, path: Path) -> None:
+    """Write a figure as .png, .pdf or .svg. Raises UsageError for another ending, OutputError if it fails."""
+    check_plot_name(path)
+    content = io.BytesIO()
+    figure.savefig(content, format=path.suffix.lower()[1:], dpi=150)
+    write_bytes_atomic(path, content.getvalue())
 
 
 def picture(draw: Callable[[Axes], Axes], words: str) -> str:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Final
@@ -10,21 +9,9 @@ from typing import Final
 import numpy as np
 
 from radiometer.analysis.response.estimate import ResponseEstimate
-from radiometer.data.storage import write_bytes_atomic
-from radiometer.errors import UsageError
+from radiometer.data.drawing import check_plot_name, save_plot
 
-PLOT_SUFFIXES: Final = (".png", ".pdf", ".svg")
 _COLOURS: Final = {"red": "#c0392b", "green": "#27843f", "blue": "#2a5db0"}
-
-
-def check_plot_name(path: Path) -> None:
-    """Refuse a name whose ending is no picture form.
-
-    Raises:
-        UsageError: If the ending is not one of .png, .pdf, .svg.
-    """
-    if path.suffix.lower() not in PLOT_SUFFIXES:
-        raise UsageError(f"cannot draw {path}: its ending must be one of {', '.join(PLOT_SUFFIXES)}")
 
 
 def draw_responses(estimates: Sequence[ResponseEstimate], path: Path) -> None:
@@ -57,6 +44,4 @@ def draw_responses(estimates: Sequence[ResponseEstimate], path: Path) -> None:
     lower.set_xlabel("digital number M (DN)")
     for axes in (upper, lower):
         axes.grid(True, alpha=0.3)
-    content = io.BytesIO()
-    figure.savefig(content, format=path.suffix.lower()[1:], dpi=150)
-    write_bytes_atomic(path, content.getvalue())
+    save_plot(figure, path)

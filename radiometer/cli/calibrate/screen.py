@@ -31,7 +31,7 @@ OutOption = Annotated[Path, typer.Option("--out", "-o", help="Calibration file t
 
 
 @app.command()
-@writes("out")
+@writes("out", "plot")
 def calibrate(
     out: OutOption = Path("screen.yaml"),
     display: Annotated[str, typer.Option(help="browser, or a simulated one: lcd, pwm_lcd, oled.")] = "browser",
@@ -54,6 +54,7 @@ def calibrate(
     port: Annotated[int, typer.Option(min=0, max=65535, help="Port of the page; 0 for any free one.")] = 0,
     open_browser: Annotated[bool, typer.Option("--open", help="Open the page in this machine's browser.")] = False,
     export: Annotated[str, typer.Option(help="Also write: psychopy,ti3,csv,inverse,vcgt,cal.")] = "",
+    plot: Annotated[Path | None, typer.Option(help="Picture of the curves: .png, .pdf or .svg.")] = None,
     argyll: Annotated[bool, typer.Option("--argyll", help="Print spotread's line for every level measured.")] = False,
     seed: SeedOption = 1,
     json: JsonOption = False,
@@ -70,7 +71,8 @@ def calibrate(
         found = rm.screen_calibrate(
             out, display, name=name, levels=levels, quick=quick, channels=words(channels), repeats=repeats, size=size,
             pixel_mm=pixel_mm, warm_up_s=warm_up, white=white, primaries=primaries, camera=camera, bench=bench,
-            calibration=calibration, patch=parse_patch(patch), port=port, export=words(export), seed=seed, force=force,
+            calibration=calibration, patch=parse_patch(patch), port=port, export=words(export), plot=plot, seed=seed,
+            force=force,
             announce=announce, notice=note, progress=shown,
         )  # fmt: skip
     if json:
@@ -82,6 +84,41 @@ def calibrate(
         _print_channel(found, curve)
     _print_checks(found.calibration.checks)
     _print_end(found)
+
+
+@app.command()
+def verify(
+    calibration: ScreenFile,
+    display: Annotated[str, typer.Option(help="browser, or a simulated one: lcd, pwm_lcd, oled.")] = "browser",
+    levels: Annotated[str, typer.Option(help="all, quick, a count such as 33, or a list.")] = "0,64,128,192,255",
+    size: Annotated[float, typer.Option(min=0.01, max=1.0, help="Patch size as a share of the screen's.")] = 1.0,
+    warm_up: Annotated[float, typer.Option(min=0.0, help="Longest wait for the screen to settle in s.")] = 900.0,
+    camera: CameraOption = None,
+    bench: BenchOption = None,
+    camera_calibration: Annotated[
+        Path | None, typer.Option(help="Calibration of the camera; the bench's by default.")
+    ] = None,
+    patch: Annotated[str | None, typer.Option(help="Where the camera sees the patch: X,Y,W,H in pixels.")] = None,
+    port: Annotated[int, typer.Option(min=0, max=65535, help="Port of the page; 0 for any free one.")] = 0,
+    json: JsonOption = False,
+) -> None:
+    """Measure some levels of a calibrated screen again: does its calibration still hold?
+
+    Exit code 1 where it does not.
+    """
+    with progress(shown=not json) as shown:
+        found = rm.screen_verify(
+            calibration, display, levels=levels, size=size, warm_up_s=warm_up, camera=camera, bench=bench,
+            camera_calibration=camera_calibration, patch=parse_patch(patch), port=port, notice=note, progress=shown,
+            announce=lambda url: note(f"open this address on the screen to be measured, then press Start:\n  {url}"),
+        )  # fmt: skip
+    if json:
+        print(found.to_json())
+    else:
+        for line in found.lines():
+            console().print(line)
+    if not found.holds:
+        raise typer.Exit(1)
 
 
 @app.command()
