@@ -23,13 +23,17 @@ _HOMES = {
         "AdaptationCurve",
         "AdaptationRun",
         "Bleach",
+        "Instructions",
         "Protocols",
         "Retest",
+        "Visits",
         "adapt_bleach",
         "adapt_fit",
+        "adapt_instructions",
         "adapt_protocols",
         "adapt_retest",
         "adapt_run",
+        "adapt_visits",
     ),
     "radiometer.api.archive": (
         "Batch",
@@ -173,13 +177,17 @@ if TYPE_CHECKING:
     from radiometer.api.adapt import AdaptationCurve as AdaptationCurve
     from radiometer.api.adapt import AdaptationRun as AdaptationRun
     from radiometer.api.adapt import Bleach as Bleach
+    from radiometer.api.adapt import Instructions as Instructions
     from radiometer.api.adapt import Protocols as Protocols
     from radiometer.api.adapt import Retest as Retest
+    from radiometer.api.adapt import Visits as Visits
     from radiometer.api.adapt import adapt_bleach as adapt_bleach
     from radiometer.api.adapt import adapt_fit as adapt_fit
+    from radiometer.api.adapt import adapt_instructions as adapt_instructions
     from radiometer.api.adapt import adapt_protocols as adapt_protocols
     from radiometer.api.adapt import adapt_retest as adapt_retest
     from radiometer.api.adapt import adapt_run as adapt_run
+    from radiometer.api.adapt import adapt_visits as adapt_visits
     from radiometer.api.archive import Batch as Batch
     from radiometer.api.archive import Passports as Passports
     from radiometer.api.archive import Trends as Trends
@@ -248,6 +256,7 @@ if TYPE_CHECKING:
     from radiometer.api.screen import screen_verify as screen_verify
     from radiometer.api.sensor import Sensor as Sensor
     from radiometer.api.sensor import characterise as characterise
+    from radiometer.api.view import view as view
     from radiometer.data.reading import Patch as Patch
     from radiometer.data.reading import Reading as Reading
     from radiometer.errors import CalibrationError as CalibrationError

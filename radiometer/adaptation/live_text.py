@@ -13,7 +13,7 @@ from radiometer.adaptation.protocol import AdaptationProtocol
 from radiometer.numbers import with_u
 from radiometer.reporting.terminal_chart import TerminalChart
 
-_ROWS: Final = 12  # of the chart: with the lines around it, it fits a terminal of 24 rows
+_ROWS: Final = 11  # of the chart: with the lines around it, it fits a terminal of 24 rows
 _PHASES: Final = {
     "starting": "getting ready",
     "bleach": "bleach: look at the bright field",
@@ -72,6 +72,7 @@ def live_lines(state: LiveState, fit: RunningFit, columns: int, waited_s: float 
         looks += "   FIXATION LOST: look at the red mark"
     return [
         f"{_clock(state, waited_s)}   {_PHASES[state.phase]}",
+        "log₁₀ threshold, scotopic cd·m⁻²",
         *_chart(state, fit, columns),
         fit.text,
         looks,
@@ -81,7 +82,9 @@ def live_lines(state: LiveState, fit: RunningFit, columns: int, waited_s: float 
 
 def _clock(state: LiveState, waited_s: float) -> str:
     if state.phase == "bleach":
-        return f"{_span(state.time_s + waited_s - state.phase_since_s)} of {_span(state.protocol.bleach.duration_s)}"
+        passed_s = state.time_s + waited_s - state.phase_since_s
+        lasts_s = state.protocol.bleach.duration_s
+        return f"{_span(max(0.0, lasts_s - passed_s))} left of {_span(lasts_s)}"
     if state.dark_since_s is None:
         return _span(state.time_s + waited_s)
     return f"{_span(state.time_s + waited_s - state.dark_since_s)} in the dark"

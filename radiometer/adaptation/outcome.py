@@ -24,6 +24,7 @@ class Verdict(StrEnum):
     UNRELIABLE = "unreliable"
     FIXATION_LOST = "fixation_lost"
     STOPPED = "stopped"
+    PRACTICE = "practice"
 
 
 EXPLANATIONS: Final = {
@@ -36,6 +37,8 @@ EXPLANATIONS: Final = {
     Verdict.FIXATION_LOST: "the light in the blind spot was seen too often: the subject did not look at the mark, the "
     "thresholds are of nobody knows which place; nothing is fitted",
     Verdict.STOPPED: "the test was stopped before its end: its thresholds are kept, nothing is fitted",
+    Verdict.PRACTICE: "a practice run without a bleach: nothing is fitted; begin the test once catches are not pressed "
+    "and thresholds agree",
 }
 
 

@@ -39,6 +39,7 @@ class RunRequest:
     age_years: float | None = None  # age of the subject; None where it is not stated
     pupil_mm: float | None = None  # diameter of the pupil as measured at this visit; None where it is not
     visit: str | None = None  # when the visit began, ISO 8601 in UTC; None where it is not known
+    practice: bool = False  # a few minutes without a bleach, to learn the task; nothing of it is fitted
 
     def __post_init__(self) -> None:
         if self.eye not in EYES:

@@ -46,6 +46,7 @@ def run_test(
     checks: Sequence[Check] = (),
     eye: str | None = None,
     visit: Mapping[str, str | float] | None = None,
+    bleaches: bool = True,
 ) -> Outcome:
     """Run a test from the beginning, or from where its journal ends.
 
@@ -56,6 +57,7 @@ def run_test(
         checks: Made before the bleach; what they find is journalled, what they refuse is raised.
         eye: "right" or "left", for the journal; None where it is not known.
         visit: What else the journal's head states of subject and visit, by name.
+        bleaches: Whether it begins with the bleach; a practice run does not.
 
     Raises:
         UsageError: If the journal is of another subject or protocol.
@@ -63,7 +65,9 @@ def run_test(
         DeviceError: If a device fails; the run can be taken up again.
         MissingLibrary: If the protocol's method is QUEST+ and `questplus` is not installed.
     """
-    run = _Run(protocol, stage, journal, subject, seed, watch, controls or Controls(), checks, eye, visit or {})
+    run = _Run(
+        protocol, stage, journal, subject, seed, watch, controls or Controls(), checks, eye, visit or {}, bleaches
+    )
     run.start()
     while (outcome := run.finished()) is None:
         run.trial()
@@ -84,6 +88,7 @@ class _Run:
     checks: Sequence[Check]
     eye: str | None
     visit: Mapping[str, str | float]
+    bleaches: bool
 
     def note(self, kind: str, *, lasting: bool = True, **facts: Any) -> Event:
         event = self.journal.write(kind, self.stage.now_s(), lasting=lasting, **facts)
@@ -138,8 +143,11 @@ class _Run:
                 self.note(REFUSED, reason=str(finding.refusal))
                 raise finding.refusal
         bleach = self.protocol.bleach
-        self.note("bleach", light=bleach.model_dump())
-        self.stage.bleach(self.protocol)
+        if self.bleaches:
+            self.note("bleach", light=bleach.model_dump())
+            self.stage.bleach(self.protocol)
+        else:  # a practice run: the mark alone is lit
+            self.stage.resume_at(self.stage.now_s())
         self.note("dark", steady=isinstance(bleach, SteadyBleach))
         if self.controls.stopped_by is not None:
             self.note("stop", by=self.controls.stopped_by)
@@ -374,7 +382,7 @@ class _Run:
         if criterion is not None and len(last) == self.protocol.end.beyond and max(last) <= criterion:
             return Verdict.CRITERION_REACHED
         if self._latest_s - self._dark_since_s >= 60 * self.protocol.end.duration_min:
-            return Verdict.COMPLETE
+            return Verdict.COMPLETE if self.bleaches else Verdict.PRACTICE
         return None
 
     def _fruitless(self, trial: Event) -> bool:

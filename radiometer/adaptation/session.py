@@ -49,6 +49,7 @@ class Session:
         return run_test(
             self.stage.protocol, self.stage, self.journal, subject=asked.subject, seed=asked.seed, watch=watch,
             controls=self.controls, checks=self.checks, eye=asked.eye, visit=asked.header(),
+            bleaches=not asked.practice,
         )  # fmt: skip
 
     @staticmethod

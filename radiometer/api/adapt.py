@@ -15,11 +15,13 @@ import numpy as np
 from radiometer.adaptation.adaptation_fit import AdaptationFit, FitRequest, fit_adaptation, intercept_verdict
 from radiometer.adaptation.bleach import bleached_fraction, bleached_range, pupil_diameter_mm, retinal_illuminance_td
 from radiometer.adaptation.controls import Controls
+from radiometer.adaptation.instructions import instructions
 from radiometer.adaptation.journal import Event
-from radiometer.adaptation.outcome import Outcome
-from radiometer.adaptation.protocol import SHIPPED, AdaptationProtocol, read_protocol
+from radiometer.adaptation.outcome import Outcome, Verdict
+from radiometer.adaptation.protocol import SHIPPED, AdaptationProtocol, practice_of, read_protocol
 from radiometer.adaptation.reliability import NAMES, Reliability
 from radiometer.adaptation.report import LABELS, curve_csv, label_of, to_mapping, write_page
+from radiometer.adaptation.report_picture import short
 from radiometer.adaptation.request import RunRequest
 from radiometer.adaptation.retest import FEWEST_PAIRS, Compared, compare_visits
 from radiometer.adaptation.run_facts import intercept_of, number_of
@@ -28,6 +30,7 @@ from radiometer.adaptation.session import Watcher as Watcher
 from radiometer.adaptation.session import open_session
 from radiometer.adaptation.threshold_series import ThresholdSeries
 from radiometer.adaptation.visits import moment_of, visit_at, visit_in
+from radiometer.adaptation.visits_page import OVERLAID, label_of_visit, visits_html
 from radiometer.api.files import PathLike
 from radiometer.api.needed import require_other
 from radiometer.api.outputs import check_outputs
@@ -57,6 +60,11 @@ class AdaptationRun(Result):
     journal: Path
     table: Path | None
     fit_options: str = ""
+
+    @property
+    def practised(self) -> bool:
+        """Return whether it was a practice run that ran its whole time."""
+        return self.outcome.verdict is Verdict.PRACTICE
 
     def to_mapping(self) -> dict[str, Any]:
         """Return the documented JSON form."""
@@ -106,6 +114,7 @@ def adapt_run(
     age: float | None = None,
     pupil: float | None = None,
     visit: str | None = None,
+    practice: bool = False,
     preset: PathLike | None = None,
     screen: PathLike | None = None,
     display: str | None = None,
@@ -146,6 +155,7 @@ def adapt_run(
         eye: "right" or "left".
         age: Age of the subject in years, for the head of journal and table.
         pupil: Diameter of the pupil in mm as measured, for the same, and to warn where it is below the protocol's.
+        practice: Three minutes without a bleach, to learn the task; nothing of it is fitted.
         visit: Date and time of the visit, ISO 8601, local where no zone is stated; now by default.
         preset: Light-box preset: bounds and places of its channels.
         screen: Calibration of the screen that shows the spot.
@@ -171,7 +181,7 @@ def adapt_run(
     safe_name(subject, "--subject")
     require_other("--screen", screen, display=display, port=port)
     require_other("--box sim", box == "sim", room=room)
-    chosen = read_protocol(protocol)
+    chosen = practice_of(read_protocol(protocol)) if practice else read_protocol(protocol)
     by_box = box or (simulate is None and chosen.spot.device == "light_box")
     require_other("--box", by_box, calibration=calibration, preset=preset, fixation=fixation)
     known, presets, screens, benches = (Path(one) if one else None for one in (calibration, preset, screen, bench))
@@ -179,6 +189,7 @@ def adapt_run(
         chosen, subject, eye, seed, box, known, presets, white, fixation, accept_stale,
         measure_room=camera is not None or bench is not None, camera=camera, bench=benches, room_cd_m2=room,
         simulate=simulate, screen=screens, display=display or "browser", port=port, age_years=age, pupil_mm=pupil,
+        practice=practice,
     )  # fmt: skip
     moment = dt.datetime.now(dt.UTC) if visit is None else moment_of(visit)
     found = visit_at(Path(out), asked, moment) if out else visit_in(Path(), asked, moment)
@@ -417,6 +428,111 @@ def adapt_protocols() -> Protocols:
         True
     """
     return Protocols(tuple(read_protocol(name) for name in SHIPPED))
+
+
+@dataclass(frozen=True, repr=False)
+class Instructions(Result):
+    """What is read aloud to the subject before a test."""
+
+    protocol: str
+    sentences: tuple[str, ...]
+
+    def to_mapping(self) -> dict[str, Any]:
+        """Return the documented JSON form."""
+        return {"protocol": self.protocol, "instructions": list(self.sentences)}
+
+    def __str__(self) -> str:
+        """Return the instructions, a paragraph each."""
+        return "\n\n".join(self.sentences)
+
+
+def adapt_instructions(protocol: str) -> Instructions:
+    """Return the instructions to the subject of a protocol, to be read aloud before the test.
+
+    Examples:
+        >>> import radiometer as rm
+        >>> "red mark" in str(rm.adapt_instructions("classic"))
+        True
+
+    Args:
+        protocol: Protocol file, or the name of a shipped one.
+
+    Raises:
+        ConfigurationError: If there is none, or it holds something not allowed.
+    """
+    chosen = read_protocol(protocol)
+    return Instructions(chosen.name, tuple(instructions(chosen)))
+
+
+@dataclass(frozen=True, repr=False)
+class Visits(Result):
+    """Fits of several visits, to be seen together."""
+
+    curves: tuple[AdaptationCurve, ...]
+
+    def to_mapping(self) -> dict[str, Any]:
+        """Return the documented JSON form."""
+        return {
+            "visits": [
+                {"name": label_of_visit(one.series, one.name), "facts": dict(one.series.facts), **one.to_mapping()}
+                for one in self.curves
+            ]
+        }
+
+    def lines(self) -> list[str]:
+        """Return a line for each visit: who and when, break, S2 and final threshold with their intervals."""
+        return [
+            f"{label_of_visit(one.series, one.name)}: "
+            + ", ".join(
+                f"{label_of(name, one.fit).lower()} {short(one.fit, name)} {one.fit.estimates[name].unit}"
+                for name in OVERLAID
+                if name in one.fit.estimates
+            )
+            for one in self.curves
+        ]
+
+    def write_report(self, path: PathLike) -> None:
+        """Write the page with all curves in one picture (HTML). Raises OutputError."""
+        write_text_atomic(Path(path), visits_html([(one.fit, one.name) for one in self.curves]))
+
+    def __str__(self) -> str:
+        """Return the visits' names."""
+        return ", ".join(label_of_visit(one.series, one.name) for one in self.curves)
+
+
+def adapt_visits(visits: Sequence[PathLike], *, report: PathLike | None = None) -> Visits:
+    """Fit the thresholds of several visits and lay their curves over each other.
+
+    Examples:
+        >>> import radiometer as rm
+        >>> len(rm.adapt_visits(["thresholds.csv", "thresholds.csv"]).curves)
+        2
+
+    Args:
+        visits: Tables or journals, in the order of the visits.
+        report: Page to write, with all curves in one picture.
+
+    Raises:
+        UsageError: If there are fewer than two.
+        InputError: If one cannot be read.
+        MeasurementError: If thresholds determine no branch.
+    """
+    if len(visits) < 2:
+        raise UsageError(f"{len(visits)} visit: name two at least")
+    curves = []
+    for one in visits:
+        series = ThresholdSeries.read(Path(one))
+        request = FitRequest(bootstrap_draws=0, intercept=intercept_of(series.facts))
+        try:
+            curves.append(
+                AdaptationCurve(fit_adaptation(series, request, np.random.default_rng(1)), series, Path(one).stem)
+            )
+        except MeasurementError as error:
+            raise MeasurementError(f"{one}: {error}") from error
+    found = Visits(tuple(curves))
+    if report is not None:
+        found.write_report(report)
+    return found
 
 
 @dataclass(frozen=True, repr=False)

@@ -141,3 +141,32 @@ def test_option_without_the_one_that_it_needs_is_misuse(tmp_path: Path, option: 
     (name,) = option
     with pytest.raises(rm.UsageError, match=f"--{name} has no effect without {needed}:"):
         rm.adapt_run("quick", "S7", tmp_path / "j", simulate="steady", **option)
+
+
+def test_practice_run_bleaches_nothing_and_is_no_visit_of_the_test(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Three minutes of the task; its journal has another protocol's name, and nothing of it is fitted."""
+    monkeypatch.chdir(tmp_path)
+    done = rm.adapt_run("quick", "S7", simulate="steady", practice=True, visit="2026-03-02T14:30Z")
+    kinds = [json.loads(line)["kind"] for line in done.journal.read_text().splitlines()]
+    assert done.journal.name == "S7-quick-practice-right-2026-03-02T143000Z.jsonl"
+    assert "bleach" not in kinds
+    assert done.practised
+    assert done.table is None
+    assert done.outcome.catches > 0
+
+
+def test_visits_are_laid_over_each_other_with_their_dates(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The page names subject, eye and date of each visit; what each found stands side by side."""
+    monkeypatch.chdir(tmp_path)
+    for day, seed in (("02", 1), ("09", 2)):
+        rm.adapt_run("classic", "S7", simulate="steady", seed=seed, visit=f"2026-03-{day}T14:30Z", age=31.0)
+    tables = sorted(tmp_path.glob("*.csv"))
+    found = rm.adapt_visits(tables, report="visits.html")
+    assert [line.split(":")[0] for line in map(str, found.lines())] == [
+        "S7 right 2026-03-02 14",
+        "S7 right 2026-03-09 14",
+    ]
+    page = Path("visits.html").read_text()
+    assert all(text in page for text in ("2026-03-02", "2026-03-09", "Rod–cone break", "31.0", rm.__version__))

@@ -59,6 +59,9 @@ def run(
     age: Annotated[float | None, typer.Option(min=0.0, max=120.0, help="Age of the subject in years.")] = None,
     pupil: Annotated[float | None, typer.Option(min=1.0, max=9.0, help="Measured diameter of the pupil in mm.")] = None,
     visit: Annotated[str | None, typer.Option(help="Date and time of the visit (ISO 8601); now by default.")] = None,
+    practice: Annotated[
+        bool, typer.Option("--practice", help="Three minutes without a bleach, to learn the task.")
+    ] = False,
     preset: BoxPresetOption = None,
     screen: Annotated[
         Path | None, typer.Option(help="Calibration of the screen that shows the spot, by `screen calibrate`.")
@@ -93,8 +96,9 @@ def run(
     done = rm.adapt_run(
         protocol, subject, out, csv=csv, box=box, calibration=calibration, accept_stale=accept_stale, camera=camera,
         bench=bench, white=white, fixation=fixation, simulate=simulate, room=room, slow_s=slow, seed=seed, eye=eye,
-        age=age, pupil=pupil, visit=visit, preset=preset, screen=screen, display=display, port=port, page=page,
-        page_port=page_port, audio=audio, force=force, view=view, notice=note, announce=_announce,
+        age=age, pupil=pupil, visit=visit, practice=practice, preset=preset, screen=screen,
+        display=display, port=port, page=page, page_port=page_port, audio=audio, force=force, view=view, notice=note,
+        announce=_announce,
         bell=lambda: print("\a", end="", file=sys.stderr, flush=True),
     )  # fmt: skip
     if json:
@@ -104,7 +108,7 @@ def run(
             console().print(line)
         if done.outcome.can_be_fitted:
             note(f"fit with: radiometer adapt fit {done.table}{done.fit_options}")
-    if not done.outcome.can_be_fitted:
+    if not (done.outcome.can_be_fitted or done.practised):
         raise typer.Exit(1)
 
 
@@ -232,6 +236,32 @@ def fit(
     note(f"model {chosen.model.name}; scatter of a threshold {chosen.sigma:.3f} log10 units")
     for line in found.series.taken:
         note(f"taken: {line}")
+
+
+@app.command()
+def instructions(
+    protocol: Annotated[str, typer.Argument(help="Protocol file, or the name of a shipped one.")],
+    json: JsonOption = False,
+) -> None:
+    """Print what to read aloud to the subject before the test."""
+    found = rm.adapt_instructions(protocol)
+    print(found.to_json() if json else found)
+
+
+@app.command()
+@writes("report")
+def visits(
+    files: Annotated[list[Path], typer.Argument(help="Tables or journals of the visits, in their order.")],
+    report: Annotated[Path | None, typer.Option(help="HTML page to write, with all curves in one picture.")] = None,
+    json: JsonOption = False,
+) -> None:
+    """Fit several visits and lay their curves over each other."""
+    found = rm.adapt_visits(files, report=report)
+    if json:
+        print(found.to_json())
+        return
+    for line in found.lines():
+        console().print(line)
 
 
 @app.command()

@@ -102,6 +102,11 @@ CASES = (
         "adapt run quick --subject S1 -o {out}/run.jsonl --simulate wanders --seed 4 --json",
         lambda out: rm.adapt_run("quick", "S1", out / "run.jsonl", simulate="wanders", seed=4),
     ),
+    Case("adapt instructions rapid --json", lambda out: rm.adapt_instructions("rapid")),
+    Case(
+        "adapt visits thresholds.csv thresholds.csv --report {out}/visits.html --json",
+        lambda out: rm.adapt_visits(["thresholds.csv", "thresholds.csv"], report=out / "visits.html"),
+    ),
     Case("adapt protocols --json", lambda out: rm.adapt_protocols()),
     Case("adapt bleach 1000 120 --age 60 --json", lambda out: rm.adapt_bleach(1000.0, 120.0, age=60.0)),
     Case(
