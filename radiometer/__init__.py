@@ -5,7 +5,7 @@
     with rm.open() as meter:
         print(meter.measure(patch=(840, 240, 120, 120)))
 
-What stands in `__all__` is public and stays as it is within a major version; everything else may change. Every command
+Every name in `__all__` is public and stays as it is within a major version; everything else may change. Every command
 of the command line is one function here, with the same arguments. Nothing is loaded before it is used.
 """
 

@@ -175,7 +175,7 @@ class SerialLightBox:
         radiance = self._highest_radiance(channel, drive)
         self.ledger.refuse_unsafe(channel, radiance, bright_s)
         high = drive.current_range is CurrentRange.HIGH
-        units_per_ms = (drive.level >> 8) + 1 if high else 1  # docs/light-box-protocol.md, safety in the box
+        units_per_ms = (drive.level >> 8) + 1 if high else 1  # docs/reference/light-box-protocol.md, safety in the box
         longest_s = self._buckets[channel] / units_per_ms / 1000.0
         if bright_s > longest_s:
             raise UnsafeStimulus(

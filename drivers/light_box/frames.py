@@ -1,4 +1,4 @@
-"""The lines of the light-box protocol: written, read and checked. See docs/light-box-protocol.md."""
+"""The lines of the light-box protocol: written, read and checked. See docs/reference/light-box-protocol.md."""
 
 from __future__ import annotations
 

@@ -84,7 +84,7 @@ class BoxLink:
                 continue
             self._take_times(fields, sent_s, received, request_bytes)
             return
-        self.give_up(f"light box on {self.line.name} does not tell its time; {DARK_SOON}")
+        self.give_up(f"light box on {self.line.name} does not report its time; {DARK_SOON}")
 
     def listen(self, timeout_s: float) -> None:
         """Take in what comes by itself for `timeout_s`. Raises DeviceLost."""

@@ -23,7 +23,7 @@ from radiometer.devices.light_box import (
 from radiometer.errors import MeasurementError, UnsafeStimulus
 
 REFERENCE_EVERY: Final = 6  # points between two measurements of the reference level
-LOWEST_STEP: Final = 16  # below, neighbouring steps lie more than 6 % apart
+LOWEST_STEP: Final = 16  # below, neighbouring steps differ by more than 6 %
 SETTLED_REL: Final = 0.0005
 DARK_TERM: Final = "dark and black level"
 # What is left to come when two readings 20 s apart agree: twice their difference, for time constants up to a minute.
@@ -124,8 +124,8 @@ class LevelSurvey:
     def _light(self, channel: str, drive: DriveLevel) -> float:
         """Light a channel for as long as the eye allows, up to the longest settling, and return that time.
 
-        Where light without an end would be beyond the limits of the eye, a stated end keeps it within them; what needs
-        an end is bright, so that readings take no time in addition to the settling.
+        Where light without an end would exceed the limits of the eye, a stated end keeps it within them. Such light is
+        bright, so that readings take no time in addition to the settling.
         """
         try:
             self.box.set_level(channel, drive)

@@ -18,7 +18,7 @@ from radiometer.adaptation.branch_fit import HUBER, REWEIGHTINGS, BranchFit, pri
 from radiometer.statistics.model_choice import STATED_IS_WRONG
 from radiometer.typing import Array
 
-# Deviance that a break must be worth. Measured: see the section "adaptation_one_branch" of docs/benchmarks.md.
+# Deviance that a break must be worth; measured: "adaptation_one_branch" in docs/benchmarks/adaptation.md.
 LEAST_DEVIANCE: Final = STATED_IS_WRONG.gain
 KNOTS: Final = 48  # of the convex curve, at quantiles of the times
 # A typical eye for the statement of power (Lamb and Pugh 2004: S2 −0.24 log10 per min; cones −1.5 min⁻¹ or so).

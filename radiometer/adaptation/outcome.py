@@ -33,9 +33,10 @@ EXPLANATIONS: Final = {
     Verdict.FLOOR_REACHED: "the dimmest level of the spot is seen every time: the curve is known down to it",
     Verdict.NO_RESPONSE: "the button was never pressed: no threshold is known, nothing is fitted",
     Verdict.LEFT: "presses stopped: the subject left or fell asleep; nothing is fitted",
-    Verdict.UNRELIABLE: "the button was pressed without a light too often: thresholds mean nothing, nothing is fitted",
-    Verdict.FIXATION_LOST: "the light in the blind spot was seen too often: the subject did not look at the mark, the "
-    "thresholds are of nobody knows which place; nothing is fitted",
+    Verdict.UNRELIABLE: "the button was pressed without a light too often: the thresholds have no meaning; "
+    "nothing is fitted",
+    Verdict.FIXATION_LOST: "the light in the blind spot was seen too often: the subject did not look at the mark, so "
+    "the place of the thresholds on the retina is unknown; nothing is fitted",
     Verdict.STOPPED: "the test was stopped before its end: its thresholds are kept, nothing is fitted",
     Verdict.PRACTICE: "a practice run without a bleach: nothing is fitted; begin the test once catches are not pressed "
     "and thresholds agree",

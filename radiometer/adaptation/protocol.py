@@ -243,7 +243,7 @@ class AdaptationProtocol(ConfigSection):
     def _criterion_within_reach(self) -> Self:
         criterion = self.end.criterion_log10
         if criterion is not None and not self.spot.lowest_log10 < criterion < self.spot.highest_log10:
-            raise ValueError("end.criterion_log10 lies outside the spot's levels")
+            raise ValueError("end.criterion_log10 is outside the spot's levels")
         return self
 
     @model_validator(mode="after")

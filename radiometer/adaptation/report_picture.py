@@ -26,11 +26,9 @@ def story(fit: AdaptationFit) -> str:
     claimed = (
         "the vertical line is the break, with its interval; the sloping one S2"
         if fit.has_break
-        else "grey is the best curve with a break, which these thresholds do not bear out"
+        else "grey is the best curve with a break, which these thresholds do not support"
     )
-    caption = (
-        f"Thresholds with 95 % bars and the fitted curve; {claimed}. Below, what the curve leaves of the thresholds."
-    )
+    caption = f"Thresholds with 95 % bars and the fitted curve; {claimed}. Below, the residuals."
 
     def draw(figure: Figure, narrow: bool) -> None:
         upper, lower = figure.subplots(2, 1, sharex=True, height_ratios=(3.6, 1.0))

@@ -28,7 +28,10 @@ def measured_room(instrument: Instrument, protocol: AdaptationProtocol, white: s
         InputError: If the spectrum is unknown.
     """
     if instrument.calibration is None or not instrument.calibration.absolute:
-        raise CalibrationError("the camera has no absolute calibration, so it cannot tell how dark the room is")
+        raise CalibrationError(
+            "the camera has no absolute calibration, so it cannot measure how dark the room is; calibrate it with "
+            "`radiometer calibrate`"
+        )
     lm_per_w = luminous_efficacy_lm_per_w(spectrum(white), "photopic")
     radiance = instrument.measure(target_u_rel=ROOM_U_REL).radiance
     return judge_room(radiance.value * lm_per_w, radiance.u * lm_per_w, protocol)

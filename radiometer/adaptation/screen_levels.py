@@ -52,7 +52,8 @@ class SpotLevels:
         first = int(np.argmax(usable)) if usable.any() else codes.size
         if first == codes.size:
             raise ConfigurationError(
-                f"screen {calibration.name}: no level of {channel} can be told from its black; calibrate it with more "
+                f"screen {calibration.name}: no level of {channel} can be distinguished from its black; calibrate "
+                "it with more "
                 "repeats"
             )
         # Above the first usable level all are used: an uncertain one between two good ones is bounded by them.

@@ -50,7 +50,7 @@ def _ascends(cells: Sequence[str]) -> bool:
     return values.size > 1 and bool(np.all(np.diff(values) >= 0)) and bool(values[-1] > values[0])
 
 
-def changes_of_answer(path: Path, trials: NDArray[np.float64], said: Sequence[str]) -> NDArray[np.float64]:
+def changes_of_answer(path: Path, trials: NDArray[np.float64], answers: Sequence[str]) -> NDArray[np.float64]:
     """Return time and log10 threshold, shape (m, 2), wherever the answer changes from one trial to the next.
 
     The brighter of the two levels is the one that was seen, else one of the answers was an error; levels far apart,
@@ -62,7 +62,7 @@ def changes_of_answer(path: Path, trials: NDArray[np.float64], said: Sequence[st
     Raises:
         InputError: If an answer is neither yes nor no, or none changes.
     """
-    seen = np.array([_answer(path, word) for word in said])
+    seen = np.array([_answer(path, word) for word in answers])
     level = trials[:, 1]
     rise = np.where(seen[1:], level[1:] - level[:-1], level[:-1] - level[1:])
     changes = (seen[1:] != seen[:-1]) & (rise > 0)

@@ -34,8 +34,8 @@ _RELATIVE: Final = "relative"
 class RadiometerDetector(StandardReadable):
     """A readable device: each trigger measures once, and documents hold radiance ± u with their units.
 
-    `radiance` and `u_radiance` (standard uncertainty, k = 1) stand in the documents, with `luminance` and `u_luminance`
-    (NaN where no spectrum is known), the expanded relative uncertainty `U_rel` and its `flags` (a,b).
+    Documents hold `radiance` and `u_radiance` (standard uncertainty, k = 1), `luminance` and `u_luminance` (NaN where
+    no spectrum is known), the expanded relative uncertainty `U_rel` and the `flags` (a,b).
 
     Args:
         source: What measures: a meter of this process or a daemon.
@@ -122,7 +122,7 @@ class LightBoxLevel(StandardReadable, Movable[float]):
 
 @dataclasses.dataclass(frozen=True, slots=True)
 class _Gated:
-    """Readings taken while nobody else speaks to the box that the camera looks at."""
+    """Readings taken while no other thread speaks to the box that the camera looks at."""
 
     source: ReadingSource
     gate: threading.RLock

@@ -105,7 +105,7 @@ def reading_of(mapping: Mapping[str, Any]) -> Reading:
 
 
 def _quantity(mapping: Mapping[str, Any]) -> Quantity:
-    u = mapping["u"]  # JSON knows no infinity: null stands for it
+    u = mapping["u"]  # JSON knows no infinity: null means it
     return Quantity(float(mapping["value"]), float("inf") if u is None else float(u), str(mapping["unit"]))
 
 

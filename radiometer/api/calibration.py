@@ -371,7 +371,7 @@ def _with_f_number(seen: _Seen, f_number: float | None, *, required: bool) -> _S
     if unstated and f_number is None:
         raise UsageError(
             "the f-number of the frames is not stated: give --f-number N (1 of a lens whose iris cannot change); "
-            "without it the scale could be used at no other"
+            "without it the scale holds at this unknown f-number alone"
         )
     if not unstated and not required:
         return seen
@@ -429,7 +429,7 @@ def _base(
         update = {"f_number": numbers.pop()} if len(numbers) == 1 else {}
         camera, lens = seen.camera, seen.lens.model_copy(update=update)
     elif curve is None or meter is None:
-        raise UsageError("--response is missing: without frames the curve says how many bits the camera has")
+        raise UsageError("--response is missing: without frames only the curve states how many bits the camera has")
     else:
         camera, lens = CameraDescription(bit_depth=curve.bit_depth), LensDescription(f_number=meter.f_number)
     if preset is not None:

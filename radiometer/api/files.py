@@ -33,6 +33,7 @@ class Stack:
         >>> stack = rm.read_photographs("photographs")
         >>> len(stack), list(stack.brackets)
         (3, ['red', 'green', 'blue'])
+
         >>> stack["green"]
         <Stack photographs: green: 3 frames of 96 × 64 pixels, 8 bits, 0.02 to 0.08 s>
         >>> stack["green"].bracket.light[0].dn.shape
@@ -157,6 +158,7 @@ def read(path: PathLike, channel: str = "luminance") -> Stack:
     Examples:
         >>> import radiometer as rm
         >>> stack = rm.read("out/chart")
+
         >>> stack
         <Stack out/chart: default: 9 + 9 dark frames of 96 × 64 pixels, 12 bits, 0.0002 to 0.0512 s>
         >>> stack.plot().get_xlabel()

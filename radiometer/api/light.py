@@ -587,7 +587,7 @@ def _stay(opened: OpenedBox, lit_s: float | None, channel: str | None, notice: N
 def _ended_early(opened: OpenedBox, channel: str, after_s: float, lit_s: float | None) -> DeviceError:
     left = opened.box.read_channel(channel).energy_left
     reason = (
-        "its energy budget is used up; take a lower level or a shorter time"
+        "its energy budget is used up; use a lower level or a shorter time"
         if left < _BUDGET_USED_UP
         else "another program asked for darkness, or the button of the box was held"
     )

@@ -24,10 +24,11 @@ class Meter:
     Examples:
         >>> import radiometer as rm
         >>> with rm.open("bench.yaml", uncalibrated=True) as meter:
-        ...     relative = meter.measure((8, 8, 32, 32), u_rel=0.01)
+        ...     relative = meter.measure((8, 8, 32, 32))
         ...     stack = meter.bracket(darks=1)
         ...     meter
         <Meter FLIR BFS-U3-19S4M 22500001, patch 40,24 16 × 16, uncalibrated>
+
         >>> relative.radiance.unit, relative.patch.width, len(stack.bracket.dark) > 0
         ('relative', 32, True)
 

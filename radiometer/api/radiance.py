@@ -68,8 +68,10 @@ class Radiance(Result):
         >>> radiance = rm.merge(rm.read("out/chart"), calibration="calibration.yaml")
         >>> radiance.value.shape, radiance.u.shape, radiance.unit
         ((64, 96), (64, 96), 'W sr-1 m-2')
+
         >>> radiance.mask.dtype, bool((radiance.u[radiance.mask == 0] > 0).all())
         (dtype('uint8'), True)
+
         >>> radiance.to_xarray().radiance.attrs["units"]
         'W sr-1 m-2'
         >>> radiance.write("map.exr")
@@ -358,7 +360,7 @@ def merge(
         UsageError: If arguments exclude each other.
     """
     if calibration is not None and response is not None:
-        raise UsageError("--calibration holds a response curve of its own; leave --response out")
+        raise UsageError("--calibration holds a response curve already; leave --response out")
     if linear and response is not None:
         raise UsageError("--linear photographs need no response curve; leave --response out")
     if align not in ALIGN_CHOICES:
@@ -368,10 +370,10 @@ def merge(
         writer_for(file)
     check_outputs(*files, force=True)
     known = calibration if isinstance(calibration, Calibration | None) else Calibration.read(Path(calibration))
-    beside = files[0] if files else None
+    map_path = files[0] if files else None
     asked = _Asked(
         known, response, channel, dict(measured_iso or {}), iso, f_number, linear, demosaic, align, keep_ghosts,
-        None if vignetting is None else str(vignetting), lens, beside,
+        None if vignetting is None else str(vignetting), lens, map_path,
     )  # fmt: skip
     found = (
         _of_stack(source, asked, pattern, progress or unseen)
@@ -403,7 +405,7 @@ class _Asked:
     keep_ghosts: bool
     vignetting: str | None
     lens: str | None
-    beside: Path | None
+    map_path: Path | None
 
     def curves(self, bit_depth: int) -> dict[str, ResponseCurve]:
         """Return the response as given, by channel."""
@@ -515,7 +517,7 @@ def _of_photographs(photographs: Photographs, asked: _Asked, progress: Progress)
         iso=asked.iso,
         f_number=asked.f_number,
         align=asked.align,
-        beside=asked.beside,
+        map_path=asked.map_path,
         progress=progress,
     )
     maps = merge_photographs(ready, asked.calibration, flat, keep_ghosts=asked.keep_ghosts, progress=progress)

@@ -89,7 +89,7 @@ def with_found_effects(
         elif effect.name not in _USES:
             there = ", ".join((*_USES, "natural_vignetting"))
             raise InputError(
-                f"{path}: readings cannot be corrected for {effect.name!r}, only for {there}; mend its cause, or "
+                f"{path}: readings cannot be corrected for {effect.name!r}, only for {there}; remove its cause, or "
                 "switch it off in the model (enabled: false) and state its uncertainty with --stated"
             )
         else:
@@ -139,10 +139,10 @@ def _u_of(notes: Mapping[str, Any], parameter: str, where: str) -> float:
 
 
 def _full_scale_share(base: Calibration, well_e: float, path: Path) -> float:
-    """Return full scale over the well; refuse a bend beside a response curve, which holds it already."""
+    """Return full scale over the well; refuse a nonlinearity together with a response curve, which includes it."""
     if base.response is not None:
         raise InputError(
-            f"{path}: response_nonlinearity beside --response: the curve bends too; give one of them, or switch the "
+            f"{path}: response_nonlinearity and --response both bend the response. Give one of them, or switch the "
             "effect off in the model (enabled: false)"
         )
     return base.camera.full_scale_dn * base.noise.conversion_gain_e_per_dn / well_e

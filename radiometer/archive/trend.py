@@ -90,9 +90,9 @@ class Trend:
         """
         if self.drifts:
             return "drift"
-        told = self.time_s[-1] - self.time_s[0] >= _TOLD_YEARS * _YEAR_S
+        season_is_known = self.time_s[-1] - self.time_s[0] >= _TOLD_YEARS * _YEAR_S
         shown = abs(self.straight_per_month) > self.claim_sigmas * self.u_straight_per_month
-        return "season_or_drift" if shown and not told else "no_drift"
+        return "season_or_drift" if shown and not season_is_known else "no_drift"
 
     @property
     def told_from_s(self) -> float:
@@ -147,7 +147,7 @@ def fit_trend(time_s: Array, value: Array, u: Array, *, patch: str = "", quantit
     relative, sigma = value / level, u / level
     outlier = np.zeros(value.size, bool)
     season = _season(months, time_s)
-    design, told = season.design, season.told
+    design, season_is_known = season.design, season.season_is_known
     while True:
         (solution,), _, (scatter,) = _least_squares(
             (design[~outlier] / sigma[~outlier, None])[None], (relative / sigma)[None, ~outlier], season.spread
@@ -159,13 +159,13 @@ def fit_trend(time_s: Array, value: Array, u: Array, *, patch: str = "", quantit
             break
         outlier[worst] = True
     kept = ~outlier
-    of_season_s = (_YEAR_S,) if told else ()
-    straight = design if told else design[:, :2]
+    of_season_s = (_YEAR_S,) if season_is_known else ()
+    straight = design if season_is_known else design[:, :2]
     periods_s = hidden_cycles(straight[kept], relative[kept], sigma[kept], time_s[kept], of_season_s)
     for period in periods_s:
         more = with_period(straight, relative, sigma, time_s, period)
         straight, design = np.column_stack([straight, more]), np.column_stack([design, more])
-    models = _models(design, straight, relative, sigma, time_s, kept, periods_s, told=told)
+    models = _models(design, straight, relative, sigma, time_s, kept, periods_s, season_is_known=season_is_known)
     fit, line, u_line = _averaged(models, relative, sigma, time_s, kept, season.spread)
     without = _generalised(
         np.delete(design, slice(2, _WITH_SEASON), axis=1)[kept], relative[kept], sigma[kept], time_s[kept]
@@ -181,7 +181,7 @@ def fit_trend(time_s: Array, value: Array, u: Array, *, patch: str = "", quantit
         u_drift_per_month=float(math.sqrt(fit.covariance[1, 1]) / own[0]),
         degrees_of_freedom=fit.degrees_of_freedom,
         correlation=fit.correlation,
-        season_rel=float(np.hypot(own[2], own[3]) / own[0]) if told else None,
+        season_rel=float(np.hypot(own[2], own[3]) / own[0]) if season_is_known else None,
         straight_per_month=float(without.solution[1] / without.solution[0]),
         u_straight_per_month=float(math.sqrt(without.covariance[1, 1]) / without.solution[0]),
         cycles=_amplitudes(periods_s, own),
@@ -200,7 +200,7 @@ class _Season:
 
     design: Array
     spread: Array
-    told: bool
+    season_is_known: bool
 
 
 def _season(months: Array, time_s: Array) -> _Season:
@@ -209,8 +209,10 @@ def _season(months: Array, time_s: Array) -> _Season:
     # The cosine is 0 in the middle of the record, where the level is determined.
     design = np.stack([np.ones_like(months), months, np.sin(phase), np.cos(phase) - 1.0], axis=1)
     long = time_s[-1] - time_s[0] >= _SEASON_YEARS * _YEAR_S and time_s.size >= 2 * _MINIMUM_READINGS
-    told = bool(long and tells_apart(design))
-    return _Season(design, np.array([math.inf, math.inf, *(math.inf if told else _SEASON_REL,) * 2]), told)
+    season_is_known = bool(long and tells_apart(design))
+    return _Season(
+        design, np.array([math.inf, math.inf, *(math.inf if season_is_known else _SEASON_REL,) * 2]), season_is_known
+    )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -232,14 +234,14 @@ def _models(
     kept: NDArray[np.bool_],
     periods_s: tuple[float, ...],
     *,
-    told: bool,
+    season_is_known: bool,
 ) -> list[tuple[Array, float]]:
     """Return designs at all times, and how likely each is: as fitted, with a slow cycle more, or one for the year's."""
-    fitted_s = (*((_YEAR_S,) if told else ()), *periods_s)
+    fitted_s = (*((_YEAR_S,) if season_is_known else ()), *periods_s)
     slow = slow_cycles(straight[kept], relative[kept], sigma[kept], time_s[kept], fitted_s)
     models = [(design, 1.0)]
     models += [(np.column_stack([design, cycle_columns(time_s, period)]), odds) for period, odds in slow]
-    if told:
+    if season_is_known:
         others = np.delete(straight, slice(2, _WITH_SEASON), axis=1)
         near = near_the_season(others[kept], relative[kept], sigma[kept], time_s[kept], _YEAR_S)
         for period, odds in near:
@@ -295,9 +297,9 @@ def _generalised(design: Array, relative: Array, sigma: Array, time_s: Array, sp
     spread = np.full(columns, math.inf) if spread is None else spread
     phi = np.zeros((_TIMES_OF_SPAN.size + 1, gaps.size))  # without a correlation first
     phi[1:] = np.minimum(np.exp(-gaps / (_TIMES_OF_SPAN * span)[:, None]), _MOST_CORRELATED)
-    told = np.column_stack([design, relative]) / sigma[:, None]
-    at_once = max(_MOST_VALUES // told.size, 1)
-    parts = [_solved(told, phi[k : k + at_once], spread) for k in range(0, len(phi), at_once)]
+    whitened = np.column_stack([design, relative]) / sigma[:, None]
+    at_once = max(_MOST_VALUES // whitened.size, 1)
+    parts = [_solved(whitened, phi[k : k + at_once], spread) for k in range(0, len(phi), at_once)]
     solutions, covariances, likelihoods = (np.concatenate(each) for each in zip(*parts, strict=True))
     weight = np.exp(likelihoods - likelihoods.max())
     weight /= weight.sum()
@@ -310,26 +312,26 @@ def _generalised(design: Array, relative: Array, sigma: Array, time_s: Array, sp
     return _Fit(centre, covariance, float(weight @ freedom), float(weight @ mean))
 
 
-def _solved(told: Array, phi: Array, spread: Array) -> tuple[Array, Array, Array]:
+def _solved(whitened: Array, phi: Array, spread: Array) -> tuple[Array, Array, Array]:
     """Return solutions, their covariances and log-likelihoods, each for one row of neighbours' correlations.
 
     Args:
-        told: Columns and, as the last, values, all over sigma, shape (n, columns + 1).
+        whitened: Columns and, as the last, values, all over sigma, shape (n, columns + 1).
         phi: Correlations of neighbours, shape (times, n - 1).
         spread: Standard deviations that the columns' sizes are known to have beforehand, shape (columns,).
     """
     root = np.sqrt(1.0 - phi**2)
-    white = np.empty((len(phi), *told.shape))
-    white[:, 0] = told[0]
-    white[:, 1:] = (told[1:] - phi[:, :, None] * told[:-1]) / root[:, :, None]
+    white = np.empty((len(phi), *whitened.shape))
+    white[:, 0] = whitened[0]
+    white[:, 1:] = (whitened[1:] - phi[:, :, None] * whitened[:-1]) / root[:, :, None]
     solutions, normals, scatters = _least_squares(white[:, :, :-1], white[:, :, -1], spread)
     information = -np.linalg.slogdet(normals / scatters[:, None, None] ** 2)[1]
-    freedom = told.shape[0] - spread.size
+    freedom = whitened.shape[0] - spread.size
     likelihoods = -freedom * np.log(scatters) - 0.5 * information - np.log(root).sum(axis=1)
     return solutions, normals, likelihoods
 
 
-def _least_squares(rows: Array, told: Array, spread: Array) -> tuple[Array, Array, Array]:
+def _least_squares(rows: Array, values: Array, spread: Array) -> tuple[Array, Array, Array]:
     """Return solutions, their covariances, and the scatters in units of the stated sigma, of problems in a stack.
 
     A column of a stated size is an observation more: that it is 0 ± that size. What this weighs depends on the
@@ -337,12 +339,12 @@ def _least_squares(rows: Array, told: Array, spread: Array) -> tuple[Array, Arra
 
     Args:
         rows: Columns, shape (problems, n, columns).
-        told: Values, shape (problems, n).
+        values: Values, shape (problems, n).
         spread: Stated sizes, infinite where there is none, shape (columns,).
     """
     known = np.isfinite(spread)
     across = rows.transpose(0, 2, 1)
-    squared, normal_rows = across @ told[:, :, None], across @ rows
+    squared, normal_rows = across @ values[:, :, None], across @ rows
     freedom = max(rows.shape[1] - rows.shape[2] + int(known.sum()), 1)
     scatter = np.zeros(len(rows))
     for _ in range(_ROUNDS if known.any() else 1):
@@ -350,7 +352,7 @@ def _least_squares(rows: Array, told: Array, spread: Array) -> tuple[Array, Arra
         pull = np.where(known, least / np.where(known, spread, 1.0), 0.0)
         inverse: Array = np.linalg.inv(normal_rows + np.eye(spread.size) * pull[:, :, None] ** 2).astype(np.float64)
         solution = (inverse @ squared)[:, :, 0]
-        residual = told - (rows @ solution[:, :, None])[:, :, 0]
+        residual = values - (rows @ solution[:, :, None])[:, :, 0]
         chi2 = (residual**2).sum(axis=1) + ((pull * solution) ** 2).sum(axis=1)
         scatter = np.maximum(np.sqrt(chi2 / freedom), 1e-12)
     return solution, inverse * scatter[:, None, None] ** 2, scatter

@@ -26,7 +26,7 @@ def check_daemon(scpi_port: int = SCPI_PORT, http_port: int = HTTP_PORT) -> Find
         return Finding(_CHECK, Health.WARNING, f"127.0.0.1:{scpi_port} is taken by another program: {identity}", cure)
     alarms = _alarms(http_port)
     if alarms:
-        cure = "`radiometer log --events` tells since when, GET /status why"
+        cure = "`radiometer log --events` shows since when, GET /status shows why"
         return Finding(_CHECK, Health.WARNING, f"{identity} runs with alarms: {', '.join(alarms)}", cure)
     return Finding(_CHECK, Health.OK, f"{identity} answers at 127.0.0.1:{scpi_port}")
 

@@ -132,7 +132,7 @@ def _provenance(
 def _absolute(instrument: Instrument) -> Instrument:
     if instrument.calibration is None or not instrument.calibration.absolute:
         raise CalibrationError(
-            "the camera has no absolute calibration, so it cannot tell a radiance; "
+            "the camera has no absolute calibration, so it cannot measure a radiance; "
             "make one with `radiometer calibrate` and give it with --calibration"
         )
     # The box's light is known: the survey corrects every channel's readings for it, with its uncertainty.

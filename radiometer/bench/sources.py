@@ -128,4 +128,4 @@ def _instead(path: Path) -> str:
     if not inner:
         return "give a capture set or photographs"
     named = ", ".join(one.name for one in inner[:_NAMED]) + (" …" if len(inner) > _NAMED else "")
-    return f"they lie in folders of it ({named}): give one of these"
+    return f"they are in folders below it ({named}); give one of these"

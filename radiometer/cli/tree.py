@@ -61,7 +61,7 @@ class CommandHelp:
     text: str  # the whole help text; paragraphs apart by an empty line
     arguments: tuple[tuple[str, str], ...]  # what is given by position: how it is written, and what it does
     options: tuple[tuple[str, str], ...]  # what is given by name, likewise
-    below: tuple[str, ...]  # names of its own commands
+    below: tuple[str, ...]  # names of the commands below it
 
 
 def command_tree() -> Iterator[CommandHelp]:

@@ -29,20 +29,21 @@ OWN_STREAM: Final = "own"
 _BUSY_TIMEOUT_S: Final = 2.0
 _RETENTION_CHUNK: Final = 5000
 MINUTE_US: Final = 60_000_000
-_TREND: Final = """
+_TREND_COLUMNS: Final = (
+    "stream TEXT NOT NULL",
+    "minute INTEGER NOT NULL",
+    "unit TEXT NOT NULL",
+    "count INTEGER NOT NULL",
+    "total REAL NOT NULL",
+    "total_u REAL NOT NULL",
+    "low REAL NOT NULL",
+    "high REAL NOT NULL",
+    "flagged INTEGER NOT NULL",
+    "PRIMARY KEY (stream, minute, unit)",
+)
+_TREND: Final = f"""
 CREATE INDEX readings_by_stream ON readings (stream, sequence);
-CREATE TABLE trend (
-    stream TEXT NOT NULL,
-    minute INTEGER NOT NULL,
-    unit TEXT NOT NULL,
-    count INTEGER NOT NULL,
-    total REAL NOT NULL,
-    total_u REAL NOT NULL,
-    low REAL NOT NULL,
-    high REAL NOT NULL,
-    flagged INTEGER NOT NULL,
-    PRIMARY KEY (stream, minute, unit)
-) WITHOUT ROWID;
+CREATE TABLE trend ({", ".join(_TREND_COLUMNS)}) WITHOUT ROWID;
 CREATE TABLE patches (name TEXT PRIMARY KEY, json TEXT NOT NULL) WITHOUT ROWID;
 """
 _UPGRADE_FROM_1: Final = f"""
@@ -53,10 +54,17 @@ INSERT INTO trend SELECT '', time_us / 60000000 AS minute, json_extract(json, '$
     FROM readings WHERE radiance IS NOT NULL GROUP BY minute, unit;
 PRAGMA user_version = {SCHEMA_VERSION};
 """
-_ADD_TO_TREND: Final = """
+_TREND_UPDATES: Final = (
+    "count = count + 1",
+    "total = total + :value",
+    "total_u = total_u + :u",
+    "low = min(low, :value)",
+    "high = max(high, :value)",
+    "flagged = flagged + :flagged",
+)
+_ADD_TO_TREND: Final = f"""
 INSERT INTO trend VALUES (:stream, :minute, :unit, 1, :value, :u, :value, :value, :flagged)
-ON CONFLICT DO UPDATE SET count = count + 1, total = total + :value, total_u = total_u + :u,
-    low = min(low, :value), high = max(high, :value), flagged = flagged + :flagged
+ON CONFLICT DO UPDATE SET {", ".join(_TREND_UPDATES)}
 """
 _SCHEMA: Final = f"""
 PRAGMA application_id = {APPLICATION_ID};

@@ -60,12 +60,16 @@ class MqttPublisher:
     device states as JSON), `state` ("online"; "offline" is the last will). A retained reading is cleared where it is no
     longer one: the patch was moved or deleted, the daemon ended, or an earlier one was killed.
 
+    Attributes:
+        acknowledged_within_s: A message that the broker has not acknowledged after this time in s is an alarm.
+
     Raises:
         MissingLibrary: If paho-mqtt is not installed.
     """
 
     def __init__(self, station: Station, target: MqttTarget) -> None:
         self._station, self.target = station, target
+        self.acknowledged_within_s = _ACKNOWLEDGED_WITHIN_S
         self._mqtt = _library()
         self._client: Any = None
         self._subscription: Subscription | None = None
@@ -153,7 +157,7 @@ class MqttPublisher:
             self._dropped = 0
         oldest_s = time.monotonic() - min(self._waiting.values(), default=time.monotonic())
         trouble = self._trouble
-        if not trouble and (oldest_s > _ACKNOWLEDGED_WITHIN_S or self._dropped):
+        if not trouble and (oldest_s > self.acknowledged_within_s or self._dropped):
             trouble = f"MQTT broker {self.target} is connected but has not acknowledged a message for {oldest_s:.0f} s"
         if not trouble:
             self._station.alarms.clear(ALARM, "the MQTT broker takes messages again")

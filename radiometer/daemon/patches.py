@@ -33,7 +33,7 @@ class PatchLimits:
             if value is not None and not math.isfinite(value):
                 raise UsageError("a limit must be a finite radiance")
         if self.low is not None and self.high is not None and self.low >= self.high:
-            raise UsageError(f"the low limit {self.low:g} must lie below the high one {self.high:g}")
+            raise UsageError(f"the low limit {self.low:g} must be below the high one {self.high:g}")
         if not 0.0 <= self.hysteresis_rel <= 0.5:
             raise UsageError(f"the hysteresis must be 0 to 0.5 of the limit, not {self.hysteresis_rel:g}")
 

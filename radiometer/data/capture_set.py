@@ -50,7 +50,7 @@ class FrameEntry(FileSection):
     @model_validator(mode="after")
     def _refuse_light_without_exposure(self) -> Self:
         if self.exposure_s == 0 and self.shutter == "open":
-            raise ValueError("an exposure of 0 s stands for a dark frame; say shutter: closed, or the real exposure")
+            raise ValueError("an exposure of 0 s means a dark frame; write shutter: closed, or the real exposure")
         return self
 
     @property
@@ -386,9 +386,9 @@ def _checked_header(header_path: Path) -> CaptureHeader:
             file = (folder / entry.file).resolve()
             is_there = file.is_file()
         except (OSError, ValueError) as error:  # too long, or with a zero in it
-            raise CaptureError(f"{header_path}: frame {entry.file[:80]!r} is no name of a file") from error
+            raise CaptureError(f"{header_path}: frame {entry.file[:80]!r} is not a file name") from error
         if not file.is_relative_to(folder):
-            raise CaptureError(f"{header_path}: frame {entry.file!r} lies outside the capture set")
+            raise CaptureError(f"{header_path}: frame {entry.file!r} is outside the capture set")
         if not is_there:
             raise CaptureError(f"{header_path}: frame {entry.file!r} does not exist; the capture set is incomplete")
     _refuse_patches_outside(header, header_path)
@@ -399,4 +399,4 @@ def _refuse_patches_outside(header: CaptureHeader, header_path: Path) -> None:
     names = [patch.name for patch in header.patches]
     twice = sorted({name for name in names if names.count(name) > 1})
     if twice:
-        raise CaptureError(f"{header_path}: patch name {twice[0]!r} stands twice")
+        raise CaptureError(f"{header_path}: patch name {twice[0]!r} occurs twice; rename one")

@@ -20,7 +20,7 @@ from radiometer.devices.retinal_safety import (
 )
 from radiometer.errors import UnsafeStimulus
 
-# An Arduino's ceramic resonator runs up to 0.5 % slow (docs/light-box-protocol.md); twice that counts.
+# An Arduino's ceramic resonator runs up to 0.5 % slow (docs/reference/light-box-protocol.md); twice that counts.
 BOX_CLOCK_FACTOR: Final = 1.01
 # A command may be repeated for 1.6 s, each time feeding the dead man, who waits 1 s: the old light may last that long.
 CHANGE_S: Final = 3.0

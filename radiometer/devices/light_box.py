@@ -203,5 +203,5 @@ class FlashBox(Protocol):
 
 
 def round_to_steps(level: int, steps: int) -> int:
-    """Return the duty step that the box rounds a level to; 65535 is all of them (docs/light-box-protocol.md)."""
+    """Return the duty step that a level is rounded to, of which 65535 is all (docs/reference/light-box-protocol.md)."""
     return ((level + (level >> 15)) * steps + 32768) >> 16

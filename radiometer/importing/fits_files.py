@@ -318,10 +318,10 @@ def _processing(header: Header, history: str) -> list[str]:
     said = history.lower()
     words = [word for word in _PROCESSED_WORDS if word in said]
     if words:
-        found.append(f"HISTORY speaks of processing ({', '.join(words)}): these may be no raw numbers")
+        found.append(f"HISTORY mentions processing ({', '.join(words)}): these may be no raw numbers")
     status = str(header["CALSTAT"].written).strip() if "CALSTAT" in header else ""
     if status:
-        found.append(f"CALSTAT {status}: bias, dark or flat were applied already")
+        found.append(f"CALSTAT {status}: bias, dark or flat corrections were applied already")
     combined = _number(header, "NCOMBINE") or _number(header, "SNAPSHOT")
     if combined and combined > 1:
         found.append(f"{combined:g} frames were combined into it: its noise is not that of one frame")

@@ -41,7 +41,7 @@ class ImportOptions:
             height, width = pixels.shape
             if not self.crop.fits((height, width)):
                 raise CaptureError(
-                    f"{where}: the crop {self.crop.x},{self.crop.y},{self.crop.width},{self.crop.height} does not lie "
+                    f"{where}: the crop {self.crop.x},{self.crop.y},{self.crop.width},{self.crop.height} is not "
                     f"on the frame of {width} × {height} pixels"
                 )
             pixels = pixels[self.crop.slices]

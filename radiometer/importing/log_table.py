@@ -103,7 +103,7 @@ class LogColumns:
 
 
 @bounded_reader(error=InputError)
-def read_log(path: Path, said: LogColumns | None = None, reference: Path | None = None) -> LogTable:
+def read_log(path: Path, stated: LogColumns | None = None, reference: Path | None = None) -> LogTable:
     """Return the readings of a table.
 
     Args:
@@ -113,9 +113,9 @@ def read_log(path: Path, said: LogColumns | None = None, reference: Path | None 
     Raises:
         InputError: If columns are missing, a value is unusable, or the nights are too few.
     """
-    stated = said or LogColumns()
+    stated = stated or LogColumns()
     table = read_table(path, _NEEDS, named=True)
-    places = _places(table, stated, wanted=("value", "exposure", *(() if reference else ("reference",))))
+    places = _places(table, stated, needed=("value", "exposure", *(() if reference else ("reference",))))
     if reference is not None:
         places.pop("reference", None)
     columns = {key: _cells(table, at, key) for key, at in places.items()}
@@ -130,8 +130,8 @@ def read_log(path: Path, said: LogColumns | None = None, reference: Path | None 
     return _checked(replace(found, taken=tuple(taken)), path, assumed)
 
 
-def _places(table: TextTable, said: LogColumns, wanted: Sequence[str]) -> dict[str, int]:
-    chosen, places = dict(said.chosen or {}), dict[str, int]()
+def _places(table: TextTable, stated: LogColumns, needed: Sequence[str]) -> dict[str, int]:
+    chosen, places = dict(stated.chosen or {}), dict[str, int]()
     for key, names in _ALIASES.items():
         if key in chosen:
             if chosen[key] not in table.header:
@@ -139,7 +139,7 @@ def _places(table: TextTable, said: LogColumns, wanted: Sequence[str]) -> dict[s
             places[key] = table.header.index(chosen[key])
         elif (at := table.find([n for n in names if not _is_taken(table, n, chosen)])) is not None:
             places[key] = at
-    missing = [key for key in wanted if key not in places]
+    missing = [key for key in needed if key not in places]
     if missing:
         raise InputError(
             f"{table.path}: no column for {missing[0]}; the table needs {_NEEDS}. It has {', '.join(table.header)}: "
@@ -173,7 +173,11 @@ def _number(text: str) -> float:
 
 
 def _assembled(
-    table: TextTable, places: Mapping[str, int], columns: Mapping[str, list[Any]], said: LogColumns, assumed: list[str]
+    table: TextTable,
+    places: Mapping[str, int],
+    columns: Mapping[str, list[Any]],
+    stated: LogColumns,
+    assumed: list[str],
 ) -> LogTable:
     def column(key: str) -> Array | None:
         return np.array(columns[key], dtype=np.float64) if key in columns else None
@@ -183,13 +187,13 @@ def _assembled(
     if seconds is None:
         assumed.append(f"the exposure {table.header[places['exposure']]!r} has no unit: s is assumed")
     black = column("black")
-    value = np.array(columns["value"], dtype=np.float64) - (said.black_dn if black is None else black)
+    value = np.array(columns["value"], dtype=np.float64) - (stated.black_dn if black is None else black)
     exposure = np.array(columns["exposure"], dtype=np.float64) * (seconds.to_base(1.0) if seconds else 1.0)
     gain = column("gain")
     gain_db = (
         np.zeros(value.size)
         if gain is None
-        else _decibels(gain, table.header[places["gain"]], said.gain_unit, table.path)
+        else _decibels(gain, table.header[places["gain"]], stated.gain_unit, table.path)
     )
     reference, unit = (np.ones(value.size), "1")
     if "reference" in columns:
@@ -266,33 +270,35 @@ def _beside(
 ) -> tuple[LogTable, list[str]]:
     """Return the log with a reference from a separate file, interpolated in time, without rows that have none."""
     if log.time_s is None:
-        raise InputError(f"{own.path}: has no column of times, by which {other.path} could be set beside it")
-    places = _places(other, LogColumns(), wanted=("time", "reference"))
+        raise InputError(
+            f"{own.path}: has no column of times, so {other.path} cannot be matched to it; name it with --time"
+        )
+    places = _places(other, LogColumns(), needed=("time", "reference"))
     assumed: list[str] = []
     values, unit = linear(np.array(_cells(other, places["reference"], "reference"), dtype=np.float64),
                           other.plain[places["reference"]], assumed)  # fmt: skip
     times = np.array(_cells(other, places["time"], "time"), dtype=np.float64)
     order = np.argsort(times)
     times, values = times[order], values[order]
-    wanted = np.array(columns["time"], dtype=np.float64)
-    after = np.clip(np.searchsorted(times, wanted), 1, times.size - 1) if times.size > 1 else np.zeros(wanted.size, int)
-    near = np.minimum(np.abs(times[after] - wanted), np.abs(times[after - 1] - wanted)) <= _APART_S
+    needed = np.array(columns["time"], dtype=np.float64)
+    after = np.clip(np.searchsorted(times, needed), 1, times.size - 1) if times.size > 1 else np.zeros(needed.size, int)
+    near = np.minimum(np.abs(times[after] - needed), np.abs(times[after - 1] - needed)) <= _APART_S
     if not near.any():
         raise InputError(
-            f"{other.path}: none of its times lies within {_APART_S:g} s of the camera's; are both in UTC?"
+            f"{other.path}: none of its times is within {_APART_S:g} s of the camera's; check that both are in UTC"
         )
     if (values <= 0).any():
         raise InputError(f"{other.path}: a reference of {values.min():g} is no light; leave such rows out")
-    there = np.exp(np.interp(wanted, times, np.log(values)))
-    said = [
+    there = np.exp(np.interp(needed, times, np.log(values)))
+    lines = [
         f"{key} from {other.header[at]!r} of {other.path.name}"
         for key, at in places.items()
         if key in ("time", "reference")
     ]
-    more = (*log.assumptions, *assumed, *([f"{int((~near).sum())} rows without a reference beside them are left out"]
+    more = (*log.assumptions, *assumed, *([f"{int((~near).sum())} rows without a reference at their time are left out"]
             if not near.all() else []))  # fmt: skip
     units = {**(log.units or {}), "reference": unit}
-    return replace(replace(log, reference=there, units=units).take(near), assumptions=more), said
+    return replace(replace(log, reference=there, units=units).take(near), assumptions=more), lines
 
 
 def _checked(log: LogTable, path: Path, assumed: list[str]) -> LogTable:

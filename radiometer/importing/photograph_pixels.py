@@ -190,8 +190,8 @@ def _of_palette(path: Path, image: Any) -> Any:
     if image.ndim == 3 and bool(np.all(image[..., :3] == image[..., :1])):
         return np.ascontiguousarray(image[..., 0])
     raise CaptureError(
-        f"{path}: its colours are numbers in a palette, of 256 at most: false colours, or reduced from what the camera "
-        "stored; take the camera's own file (one that was only packed can be saved as RGB without a palette)"
+        f"{path}: its colours are indices into a palette of at most 256, so they are not the camera's values. Use the "
+        "camera's own file; a picture that was only packed can be saved as RGB without a palette"
     )
 
 

@@ -170,7 +170,7 @@ def import_sources(
     descriptors = [d for path in paths if path.exists() and (d := find_descriptor(path))]
     if descriptors:
         if len(paths) > 1:
-            raise CaptureError("an EMVA 1288 descriptor is a source of its own; name it alone")
+            raise CaptureError("an EMVA 1288 descriptor is a complete source; name it alone")
         return [_of_descriptor(descriptors[0], taking)]
     files = [(file, path == file) for path in paths for file in _listed(path)]
     if not files:
@@ -416,9 +416,7 @@ def _of_descriptor(path: Path, options: ImportOptions) -> Assembled:
     unsteady = _light_off_exposure(lit)
     doubts = [unsteady] if unsteady else []
     if any(s == 0 for s in stated):
-        doubts.append(
-            f"images with light state an exposure of 0: {shortest:g} s stands in; the photons are what counts"
-        )
+        doubts.append(f"images with light state an exposure of 0: {shortest:g} s is assumed; only the photons are used")
     frames[0] = frames[0].doubting(*doubts)
     return assemble("camera", frames, path.parent, options, read_found, bit_depth=listing.bit_depth)
 

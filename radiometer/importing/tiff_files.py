@@ -253,7 +253,7 @@ def _masked_rows(facts: _Facts, black: float | None, extra: dict[str, Any]) -> l
         return []
     return [
         f"the black level tag says {black:g}, the masked rows read {min(rows):g} to {max(rows):g} "
-        f"({masked - black:+.0f} DN): the tag is kept as what is believed"
+        f"({masked - black:+.0f} DN): the tag is used"
     ]
 
 

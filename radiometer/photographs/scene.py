@@ -168,7 +168,7 @@ def prepared(
     iso: float | None = None,
     f_number: float | None = None,
     align: str = "auto",
-    beside: Path | None = None,
+    map_path: Path | None = None,
     progress: Progress = unseen,
 ) -> Photographs:
     """Return photographs in one place with gains, response and exposure times, ready to be merged or read.
@@ -185,7 +185,7 @@ def prepared(
         iso: ISO speed of photographs that state none.
         f_number: f-number of photographs that state none.
         align: "auto", "on" or "off".
-        beside: Keep a recovered response next to this file; None keeps none.
+        map_path: Keep a recovered response next to this file; None keeps none.
         progress: Called as they are aligned, and when their response is recovered.
 
     Raises:
@@ -213,7 +213,7 @@ def prepared(
     if linear or taken.are_raw:
         return _linear(taken)
     progress("recovering the response", 0, None)
-    return _recovered(taken, beside)
+    return _recovered(taken, map_path)
 
 
 def _in_their_own_depth(photographs: Photographs) -> Photographs:
@@ -228,10 +228,10 @@ def _linear(photographs: Photographs) -> Photographs:
     return replace(photographs, assumed=found).noted(*(f"{name}: {text}" for name, (text,) in found.items()))
 
 
-def _recovered(photographs: Photographs, beside: Path | None) -> Photographs:
+def _recovered(photographs: Photographs, map_path: Path | None) -> Photographs:
     """Return photographs with the response that they hold, and with the exposures that it was recovered with."""
     notes: list[str] = []
-    curves, files = recovered_curves(list(photographs.common.values()), beside, notes.append)
+    curves, files = recovered_curves(list(photographs.common.values()), map_path, notes.append)
     brackets = {name: with_found_times(one, curves[name]) for name, one in photographs.brackets.items()}
     told = {name: offset_told(curve) for name, curve in curves.items()}
     assumed = {name: (text or times_as_stated(photographs),) for name, text in told.items()}
@@ -335,7 +335,7 @@ def falloff_of(
     if vignetting is None:
         return None, None
     if calibration is not None and calibration.flat_field is not None:
-        raise UsageError("--vignetting: the calibration has a flat field of its own; leave one of them out")
+        raise UsageError("--vignetting: the calibration holds a flat field already; leave one of them out")
     bracket = next(iter(photographs.brackets.values()))
     if vignetting == "lensfun":
         record = read_lens_record(photographs.folder / str(bracket.light[0].extra["file"]), lens)

@@ -24,6 +24,7 @@ from radiometer.reconciliation.fit.covariance import fitted_parameters, is_misfi
 from radiometer.reconciliation.fit.descent import first_state
 from radiometer.reconciliation.fit.nuisances import dark_current_is_free
 from radiometer.reconciliation.fit.state import FitState
+from radiometer.reconciliation.full_well import ShownWell, levels_of_brightest, shown_well
 from radiometer.reconciliation.measure.reduce import FrameReader, frame_reader
 from radiometer.reconciliation.noise.darkness import drift_of_black, wander_of_black
 from radiometer.reconciliation.noise.repeats import repeats_of
@@ -256,17 +257,18 @@ def examine(
     notes: list[str] = []
     taken_dn = design.header.camera.black_level_dn
     if taken_dn != header.camera.black_level_dn:
-        told = "where the noise of the light would end" if taken_dn else "since the noise does not determine it either"
+        why = "where the noise of the light extrapolates to zero" if taken_dn else "as the noise does not determine it"
         notes.append(
-            "the black level is not declared, and one setting does not determine it: "
-            f"{taken_dn:.4g} DN is taken, {told}"
+            f"the black level is not declared and one setting does not determine it: {taken_dn:.4g} DN is "
+            f"assumed, {why}"
         )
     scenes = set(design.patterns).difference(frame.pattern for frame in header.frames)
     if scenes:
-        notes.append(f"the scene changes: {1 + len(scenes)} are shown, each with a separate pattern")
+        notes.append(f"the scene changes: {1 + len(scenes)} scenes are shown, each with a separate pattern")
     found = search(start, entries, say, is_doubted)
-    outcome = _optional_step("laws of no entry", lambda: held_to_laws(found, entries, say), notes) or found
-    result = _result(outcome, entries, again, total, begun, notes, with_limits=with_limits)
+    outcome = _optional_step("laws outside the catalogue", lambda: held_to_laws(found, entries, say), notes) or found
+    well = shown_well(outcome.state, levels_of_brightest(header, read))
+    result = _result(outcome, entries, again, total, begun, notes, well, with_limits=with_limits)
     return Reconciled(replace(result, repeats=_repeats(outcome.state, light, header)), outcome, taken)
 
 
@@ -294,13 +296,16 @@ def _result(
     frames: int,
     begun: float,
     failed: list[str],
+    well: ShownWell | None,
     *,
     with_limits: bool,
 ) -> ReconcileResult:
     doubts = [*outcome.remarks, *doubts_of(outcome), *faint(outcome)]
-    verdict = verdict_of(outcome, doubts, again)
+    state, other_well = outcome.state, well is not None and well.contradicts
+    verdict = verdict_of(outcome, doubts, again, other_well=other_well)
     effects = _found(outcome, entries, again, failed, provisional=verdict is Verdict.INCOMPLETE)
-    state = outcome.state
+    if well is not None and other_well:
+        effects = (*effects, well.as_effect(state.gap))
     shown: Mapping[str, Limit] = {}
     if with_limits:
         shown = _optional_step("the limits", lambda: limits(state, entries), failed) or {}
@@ -320,7 +325,7 @@ def _result(
         covariates=_by_covariate(outcome.first_tests, outcome.tests),
         tests=(len(outcome.tests), len(outcome.left)),
         repeatability=state.tau,
-        assumptions=(*_assumptions(outcome, doubts), *failed),
+        assumptions=(*_assumptions(outcome, doubts, well), *failed),
         localisation=tuple(_place(test) for test in places(outcome.start, _PLACES)),
         global_p=_global_p(outcome),
         calls=(sum(test.p_value < _CALL for test in outcome.first_tests), len(outcome.first_tests)),
@@ -328,16 +333,18 @@ def _result(
         captures=len(state.design.captures),
         frames=frames,
         seconds=time.monotonic() - begun,
-        extra=_remarks(state, effects),
+        extra=_remarks(state, effects, well),
     )
 
 
-def _remarks(state: FitState, effects: Sequence[FoundEffect]) -> dict[str, Any]:
+def _remarks(state: FitState, effects: Sequence[FoundEffect], well: ShownWell | None) -> dict[str, Any]:
     """Return what the named effects say against figures that the camera's description states."""
     named = {effect.name: {key: entry.u for key, entry in effect.parameters.items()} for effect in effects}
     camera = state.design.header.camera
     told = [effect.remark(camera, named[effect.name]) for effect in state.effects if effect.name in named]
     remarks = [remark for remark in told if remark]
+    if well is not None and well.contradicts:
+        remarks.append(well.remark)
     return {"remarks": remarks} if remarks else {}
 
 
@@ -361,7 +368,7 @@ def _optional_step(what: str, work: Callable[[], _T], failed: list[str]) -> _T |
         at = traceback.extract_tb(error.__traceback__)[-1]
         _log.error("advice failed", what=what, error=repr(error), at=f"{Path(at.filename).name}:{at.lineno}")
         _log.debug("advice failed", trace=traceback.format_exc())
-        failed.append(f"{what} could not be worked out ({type(error).__name__}: {error}); the rest stands")
+        failed.append(f"{what} could not be computed ({type(error).__name__}: {error}); all other results are valid")
         return None
 
 
@@ -395,7 +402,8 @@ def _found(
         elif step.name in present and step.name not in weak:
             own = present[step.name]
             alike = (
-                _optional_step(f"what acts like {step.name}", partial(inseparable, state, own, entries), failed) or ()
+                _optional_step(f"which effects act like {step.name}", partial(inseparable, state, own, entries), failed)
+                or ()
             )
             rivals = tuple({rival.name: rival for rival in (*alike, *step.rivals)}.values())
             what = f"the capture that separates {step.name} from its rivals"
@@ -453,7 +461,7 @@ def _largest(tests: Sequence[Disagreement]) -> dict[str, float]:
     return found
 
 
-def _assumptions(outcome: Search, doubts: Sequence[str]) -> tuple[str, ...]:
+def _assumptions(outcome: Search, doubts: Sequence[str], well: ShownWell | None) -> tuple[str, ...]:
     state = outcome.state
     camera = state.design.header.camera
     said = list(doubts)
@@ -467,30 +475,38 @@ def _assumptions(outcome: Search, doubts: Sequence[str]) -> tuple[str, ...]:
     if camera.dark_current_e_per_s is None:
         free = dark_current_is_free(state.design)
         said.append(f"the dark current is not declared: {'it was fitted' if free else 'none is assumed'}")
-    if state.model.passes_well:
-        said.append("pixels hold more than the declared full well and show the noise of it: it limits nothing")
-    if is_misfit(state):
+    if well is not None and not well.contradicts and well.remark:
+        said.append(well.remark)
+    if state.model.passes_well and not (well is not None and well.contradicts):
         said.append(
-            f"structure is left (gap {state.gap:.3g}): the uncertainties of all parameters are widened by what it does"
+            "pixels hold more than the declared full well, with the noise of that charge: the declared "
+            "value is not used as a limit"
         )
+    if is_misfit(state):
+        said.append(f"structure remains (gap {state.gap:.3g}): it widens the uncertainties of all parameters")
     if state.comparison.wander2:
         said.append(
-            f"the source wanders by {np.sqrt(state.comparison.wander2):.2g} from frame to frame: fitted, not named"
+            f"the source wanders by {np.sqrt(state.comparison.wander2):.2g} from frame to frame: fitted as a "
+            "nuisance, not named"
         )
     wander_dn = wander_of_black(state.design, state.seen)
     if wander_dn:
-        said.append(f"the black level wanders by {wander_dn:.2g} DN from frame to frame: fitted aside, not named")
+        said.append(
+            f"the black level wanders by {wander_dn:.2g} DN from frame to frame: fitted as a nuisance, not named"
+        )
     drift_dn = drift_of_black(state.design, state.seen)
     if drift_dn:
-        said.append(f"the black level moves by {drift_dn:.2g} DN while a frame is read: fitted aside, not named")
+        said.append(
+            f"the black level moves by {drift_dn:.2g} DN while a frame is read: fitted as a nuisance, not named"
+        )
     reading_k = state.design.reading_u_k
     if reading_k:
-        said.append(f"temperatures are read in steps: each is known to {reading_k:.2g} K")
+        said.append(f"temperatures are recorded in steps: each is known within {reading_k:.2g} K")
     if np.isnan(state.design.black_level_dn).any():
         said.append("the black level is not declared: it was fitted")
     if not state.design.uniform:
         said.append("no patches are given: the scene is unknown but constant, cut into a grid of tiles")
-        said.append("uneven tiles that reach the brightest level seen are left out: saturation shows in even ones only")
+        said.append("uneven tiles that reach the highest measured level are left out: only even tiles show saturation")
     if not state.design.has_timestamps:
-        said.append("times are missing: captures count in the order listed")
+        said.append("times are missing: captures are treated as taken in the order listed")
     return tuple(said)

@@ -252,7 +252,7 @@ class Repeats:
         """Return in words where differences between equal frames come from."""
         frames = sum(len(one.frames) for one in self.series)
         what = "black level or dark charge" if self.kind == "dark" else "light"
-        aside = f"; {self._shown(self.aside)} are treated as a wander and fitted without a name" if self.aside else ""
+        aside = f"; {self._shown(self.aside)} are treated as a wander and fitted as a nuisance" if self.aside else ""
         first = (
             f"{frames} {self.kind} frames in {len(self.series)} series of one setting: their {what} differs by "
             f"{self._shown(self.scatter.value, self.scatter.u)} (standard deviation) from frame to frame{aside}"

@@ -38,15 +38,18 @@ _LIGHT: Final = ("mean", "slope")  # what changes the light of tiles moves both
 _LIT_DN: Final = 1.0  # light below which a share of it says nothing
 
 
-def verdict_of(outcome: Search, doubts: Sequence[str], again: Periodic | None = None) -> Verdict:
+def verdict_of(
+    outcome: Search, doubts: Sequence[str], again: Periodic | None = None, *, other_well: bool = False
+) -> Verdict:
     """Return the verdict on a search.
 
     Args:
         outcome: The search.
         doubts: What speaks against its names.
         again: What comes back in the order of the frames, which no name explains.
+        other_well: Whether the brightest pixels show another full well than the declared one.
     """
-    named = len(outcome.state.effects) > len(insignificant_names(outcome))
+    named = other_well or len(outcome.state.effects) > len(insignificant_names(outcome))
     unnamed = leaves_structure(outcome) or again is not None
     if named:
         return Verdict.INCOMPLETE if unnamed or doubts else Verdict.EFFECTS_FOUND
@@ -61,27 +64,28 @@ def is_doubted(outcome: Search) -> bool:
 def doubts_of(outcome: Search) -> list[str]:
     """Return in words why names are provisional though nothing structured is left."""
     state, effects = outcome.state, outcome.state.effects
-    said = [f"{name} ran to the end of its range: what the data hold is not quite that" for name in _at_bound(state)]
-    said += [f"{name} alone may do what all the names do together" for name in one_for_all(outcome.steps, effects)]
+    said = [f"{name} is fitted at the end of its range: the data contain something else" for name in _at_bound(state)]
     said += [
-        f"{name} is only the likelier of two, the other predicts better"
-        for name in outperformed(outcome.steps, effects)
+        f"{name} alone may explain what all names explain together" for name in one_for_all(outcome.steps, effects)
     ]
     said += [
-        f"{name} fits by its further terms alone: what makes it {name} is within three uncertainties of nothing"
+        f"{name} is likelier beforehand, but its rival predicts better" for name in outperformed(outcome.steps, effects)
+    ]
+    said += [
+        f"{name} fits by its secondary terms alone: its essential parameter is within three uncertainties of zero"
         for name in without_essential(outcome.steps, effects, fitted_parameters(state))
     ]
-    said += [f"{told}: less than that cause ever does, something else acts so" for told in below_least(effects)]
+    said += [f"{size}: smaller than this cause ever is, so another cause acts like it" for size in below_least(effects)]
     said += [
-        f"{name} acts with these parameters as other causes would: nothing is its own"
+        f"{name} with these parameters acts like other causes: no data are specific to it"
         for name in acting_as_others(state)
     ]
     said += [
-        f"{name} brings little, and may be another entry or the rest of one"
+        f"{name} improves the prediction little; it may be another effect or the residual of one"
         for name in faint_beside_others(outcome.steps, effects)
     ]
     said += [
-        f"{name} is not quite the law that the data follow: some of it stays where it shows"
+        f"{name} is not exactly the law that the data follow: a residual remains where it acts"
         for name in departing(outcome.tests, effects)
     ]
     return said
@@ -94,7 +98,7 @@ def leaves_structure(outcome: Search) -> bool:
 
 
 def insignificant_names(outcome: Search) -> list[str]:
-    """Return names that are not worth telling where structure stays anyhow: faint ones, and those of no substance.
+    """Return names that are not significant where structure remains: faint ones, and those without essential term.
 
     Names may absorb a part of the residual of a stronger name's wrong law. They may also absorb the residual of a
     curve along one covariate for an unknown cause, where that brings most of what both bring. An entry whose
@@ -127,7 +131,11 @@ def faint(outcome: Search) -> list[str]:
     little = _fainter_than_the_rest(outcome)
     return [
         f"{name} is counted as part of the residual"
-        + (f": it brings {gains[name]:.0f} nats where structure remains that brings more" if name in little else "")
+        + (
+            f": it improves the prediction by {gains[name]:.0f} nats, the remaining structure by more"
+            if name in little
+            else ""
+        )
         for name in insignificant_names(outcome)
     ]
 

@@ -26,14 +26,14 @@ if TYPE_CHECKING:
 SUFFIXES: Final = (".html", ".htm", ".pdf")
 FLAG_MEANINGS: Final[Mapping[Flag, str]] = {
     Flag.SATURATED: "pixels clip even in the shortest exposure: the value is a lower bound",
-    Flag.BELOW_NOISE: "the signal does not rise above the noise: a limit is given in place of a value",
+    Flag.BELOW_NOISE: "the signal does not exceed the noise: a limit is given in place of a value",
     Flag.EXTRAPOLATED: "uses digital numbers for which the response curve had no data",
     Flag.FLICKER: "exposures disagree beyond their noise: the light flickers or moves",
-    Flag.STALE_CALIBRATION: "the calibration is older than it says it is valid for",
+    Flag.STALE_CALIBRATION: "the calibration is older than its stated validity: calibrate again",
     Flag.UNCALIBRATED: "no calibration: the value is relative, not a radiance",
     Flag.NONUNIFORM: "the patch is not uniform: its spread exceeds the noise",
-    Flag.FEW_FRAMES: "fewer than three frames (five short ones): they cannot show whether the light is steady",
-    Flag.STRAY_LIGHT: "light from around the patch may make up much of the reading: shade or mask the surround",
+    Flag.FEW_FRAMES: ("fewer than three frames (five short ones): they cannot show whether the light is steady"),
+    Flag.STRAY_LIGHT: ("light from around the patch may make up much of the reading: shade or mask the surround"),
     Flag.SHORT_EXPOSURE: (
         "the offset of so short an exposure dominates the uncertainty: close the iris, expose longer"
     ),
@@ -42,17 +42,17 @@ FLAG_MEANINGS: Final[Mapping[Flag, str]] = {
     Flag.SPECTRUM_ASSUMED: (
         "the light's spectrum is not stated, or it dominates the uncertainty: state it (--spectrum)"
     ),
-    Flag.SMALL_PATCH: "the patch is so small that pixels' differences dominate the uncertainty: read a larger one",
-    Flag.TEMPERATURE: "the distance from the calibration's temperature dominates the uncertainty",
-    Flag.GAIN: "the gain is another than at calibration, and dominates the uncertainty",
+    Flag.SMALL_PATCH: ("the patch is so small that pixels' differences dominate the uncertainty: read a larger one"),
+    Flag.TEMPERATURE: "the difference from the calibration's temperature dominates the uncertainty",
+    Flag.GAIN: "the gain differs from that at calibration and dominates the uncertainty",
     Flag.DRIFT: "the calibration's age dominates the uncertainty: calibrate again",
-    Flag.LENS_CHANGED: "what was done to the lens since calibration dominates the uncertainty",
+    Flag.LENS_CHANGED: "changes of the lens since calibration dominate the uncertainty",
     Flag.POLARISATION: "the light's polarisation dominates the uncertainty",
     Flag.EXPOSURE_UNCONFIRMED: (
-        "the camera states another exposure time than it was given: the value may be off as much"
+        "the camera states another exposure time than was set: the value may be wrong by their ratio"
     ),
     Flag.REPEATED_FRAME: "the camera delivered the same frame again: the value may be an old one",
-    Flag.LINEARITY: "the signal is far from the calibration's level, and the sensor was taken as linear",
+    Flag.LINEARITY: ("the signal is far from the calibration's level, and the sensor was assumed to be linear"),
 }
 _LEAST_SHARE: Final = 1e-3  # of the variance; smaller contributions are no bar that can be seen
 _DARKEST_SHARE: Final = 0.001  # of the pixels that the grey scale leaves out at either end

@@ -57,13 +57,13 @@ class PageServer:
         """Return once a page is connected. Raises DeviceTimeout."""
         if not self._connected.wait(timeout_s):
             raise DeviceTimeout(
-                f"no browser opened {self.url} within {timeout_s:g} s; open it on the screen that is meant"
+                f"no browser opened {self.url} within {timeout_s:g} s; open it on the screen to be measured"
             )
 
     def wait_for_start(self, timeout_s: float) -> None:
         """Return once somebody has pressed Start, or the page fills the screen already. Raises DeviceTimeout."""
         if not self._begun.wait(timeout_s):
-            raise DeviceTimeout(f"nobody pressed Start on {self.url} within {timeout_s:g} s; do so and repeat")
+            raise DeviceTimeout(f"Start was not pressed on {self.url} within {timeout_s:g} s; press it and repeat")
 
     def ask(self, message: Message, timeout_s: float) -> Message:
         """Send a message that carries a "sequence" and return the page's answer to it.

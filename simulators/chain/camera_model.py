@@ -2,6 +2,7 @@
 
 model = CameraModel.ideal(camera, lens)                  # what the datasheets believe
 model = model.with_effect(make_effect("exposure_time_offset", {"offset_s": 2e-5}))
+
 context = model.context(settings, FrameGeometry.of_image(640, 480))
 expected = model.moments(radiance, context)              # mean and variances in DN, no randomness
 exposed = model.sample(radiance, context, seed=(7, 0))   # one frame

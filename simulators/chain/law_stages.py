@@ -16,8 +16,8 @@ class Link:
     unit_signal: str  # name of the unit's constant in `simulators.effects.base`
     before: str  # link of the chain that it must precede; empty where it does not matter
     unit: str  # unit of the amplitude
-    code: str  # the signal with the law, `{law}` standing for the amplitude times the formula
-    said: str  # what it does, as the head of a sentence
+    code: str  # the signal with the law, `{law}` being the amplitude times the formula
+    action: str  # what it does, as the head of a sentence
     covariates: tuple[str, ...]  # covariates that it may depend on by itself
     like: str  # what kind of cause acts so
     goes_with: tuple[str, ...] = ()  # covariates that it depends on by its kind, whatever its law

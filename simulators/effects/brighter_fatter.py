@@ -77,7 +77,7 @@ class BrighterFatter(KeepsMean, CatalogueEffect):
         return after.changed(
             variance=after.variance * kept,
             spatial_variance=after.spatial_variance * kept,
-            neighbour_x=after.neighbour_x + share * _powers(push.beside, share) * after.variance,
+            neighbour_x=after.neighbour_x + share * _powers(push.right, share) * after.variance,
             neighbour_y=after.neighbour_y + share * _powers(push.below, share) * after.variance,
             beyond_x=after.beyond_x + share * _powers(push.beyond_x, share) * after.variance,
             beyond_y=after.beyond_y + share * _powers(push.beyond_y, share) * after.variance,
@@ -116,7 +116,7 @@ class Push(NamedTuple):
     across: Signal  # through borders between columns, rightwards, (rows, borders), the pixel in the middle
     down: Signal  # through borders between rows, downwards, (borders, columns)
     own: Signal  # what the noise of a flat gains in variance, over the share, by powers of the share over the largest
-    beside: Signal  # what it has as covariance with the right neighbour, likewise
+    right: Signal  # what it has as covariance with the right neighbour, likewise
     below: Signal  # the same of the pixel below
     beyond_x: Signal  # the same of all that are farther right in the row, summed
     beyond_y: Signal  # the same of all that are farther down in the column
@@ -169,13 +169,13 @@ def _of_gathered_noise(kernel: Signal) -> dict[str, Signal]:
     y = 4.0 * shares[:, None, None] * waves
     y = np.where(np.abs(y) < _SMALL, _SMALL, y)
     gained = (np.expm1(y) / y - 1.0) / shares[:, None, None]
-    own, beside, below = (np.mean(gained * by, axis=(1, 2)) for by in (1.0, turned, turned[:, None]))
+    own, right, below = (np.mean(gained * by, axis=(1, 2)) for by in (1.0, turned, turned[:, None]))
     row, column, everything = gained[:, :, 0].mean(axis=1), gained[:, 0].mean(axis=1), gained[:, 0, 0]
     sums = {
         "own": own,
-        "beside": beside,
+        "right": right,
         "below": below,
-        "beyond_x": 0.5 * (row - own) - beside,
+        "beyond_x": 0.5 * (row - own) - right,
         "beyond_y": 0.5 * (column - own) - below,
         "beyond_rows": 0.5 * (everything - row) - below,
     }

@@ -66,7 +66,7 @@ def register_file(path: Path) -> tuple[str, ...]:
     """
     kinds = _kinds_in(_module_of(path))
     if not kinds:
-        raise ConfigurationError(f"{path}: defines no effect; see docs/add-an-effect.md for what one is")
+        raise ConfigurationError(f"{path}: defines no effect; see docs/how-to/add-an-effect.md for what one is")
     for kind in kinds:
         _register(kind, str(path))
     return tuple(kind.name for kind in kinds)
@@ -119,7 +119,7 @@ def _register(kind: Any, where: str) -> None:
     lacking += [key for key in _SEARCHED if issubclass(kind, CatalogueEffect) and not hasattr(kind, key)]
     if lacking:
         raise ConfigurationError(
-            f"{where}: the effect does not say its {', '.join(lacking)}; see docs/add-an-effect.md"
+            f"{where}: the effect does not say its {', '.join(lacking)}; see docs/how-to/add-an-effect.md"
         )
     known = EFFECTS.get(kind.name)
     if known is not None and (known.__module__, known.__qualname__) != (kind.__module__, kind.__qualname__):

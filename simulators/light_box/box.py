@@ -1,6 +1,6 @@
 """The light box's simulated twin: its protocol, its timers and its LEDs as a state machine in true time.
 
-Written from docs/light-box-protocol.md; shares no code with the driver or the firmware.
+Written from docs/reference/light-box-protocol.md; shares no code with the driver or the firmware.
 """
 
 from __future__ import annotations

@@ -135,7 +135,7 @@ class Channel:
         return self.limits.bucket * self.kept // PARTS + SOON_MS * each
 
     def _lower(self, units: int, each: int) -> bool:
-        """Lower the memory where a bucket of `units` is due for it, and was reached; tell whether it was."""
+        """Lower the memory where a bucket of `units` is due for it, and was reached; return whether it was."""
         if not self.kept or not self.bucket <= units < self._soon(each):
             return False
         self.kept = self._parts(max(units - AHEAD_MS * each, 0))

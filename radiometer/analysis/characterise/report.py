@@ -27,7 +27,7 @@ def datasheet(result: Characterisation) -> str:
             ),
             story(result),
             section("What it means, and what to do", listed(meaning(result))),
-            section("What to mind", *(paragraph(note, "flag") for note in result.notes)),
+            section("Remarks", *(paragraph(note, "flag") for note in result.notes)),
             section("Further pictures", side_by_side(*further_pictures(result))),
             section("Figures", _figures(result), _gains(result)),
             folded("Steps of the photon transfer", _steps(result)),
@@ -64,8 +64,8 @@ def meaning(result: Characterisation) -> list[str]:
     ]
     if "K" in figures:
         said.append(
-            "Put it to use: write the camera file (-o camera.yaml) and give it to radiometer calibrate --camera-file; "
-            "its noise then weighs every measurement."
+            "To use it, write the camera file (-o camera.yaml) and give it to radiometer calibrate --camera-file; "
+            "its noise then determines the weights of every measurement."
         )
     elif "K_dark" in figures:
         said.append(
@@ -107,10 +107,10 @@ def _straightness(low: Quantity | None, high: Quantity | None) -> str:
     span = f"off by {ends[0]} to {ends[1]} %, each ± {rounded(worst.value, 2 * worst.u)[1]} %"
     if abs(worst.value) > 2 * worst.u:
         return (
-            f"The signal is not in proportion to the light ({span}): recover its response (radiometer response) before "
+            f"The signal is not proportional to the light ({span}): recover its response (radiometer response) before "
             "it is trusted better than that."
         )
-    return f"The signal is in proportion to the light as far as the noise lets one see ({span}): no response is needed."
+    return f"The signal is proportional to the light within the noise ({span}): no response is needed."
 
 
 def _dark(current: Quantity | None, read: Quantity | None) -> str:

@@ -131,9 +131,9 @@ class Alignment:
             moved: Whether the frames are moved even where they hardly need it.
         """
         lost = [name for name, one in zip(names, self.movements, strict=True) if not one.known]
-        doubt = f"; not to be told of {', '.join(lost)}, too little in common" if lost else ""
+        doubt = f"; unknown for {', '.join(lost)}: too little in common" if lost else ""
         if not (self.needed or moved):
-            return f"aligned already: moving no frame by {LEAST_MOVE_PX:g} pixels or more mends anything{doubt}"
+            return f"aligned already: no frame fits better moved by {LEAST_MOVE_PX:g} pixels or more{doubt}"
         turned = max(abs(one.rotation_deg) for one in self.movements)
         # A frame of unknown movement moves like its neighbour, whose movement was measured.
         most = max(range(len(names)), key=lambda k: (self.movements[k].largest_px(self.shape), self.movements[k].known))

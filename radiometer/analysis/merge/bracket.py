@@ -353,7 +353,7 @@ class StreamingMerge:
         self._shape = self._shape or frame.shape
         if frame.shape != self._shape:
             raise MeasurementError(
-                f"frames differ in size ({frame.shape[1]} × {frame.shape[0]} beside "
+                f"frames differ in size ({frame.shape[1]} × {frame.shape[0]} and "
                 f"{self._shape[1]} × {self._shape[0]} pixels)"
             )
         if frame.full_scale_dn != self._situation.model.full_scale_dn:
@@ -370,7 +370,7 @@ class StreamingMerge:
     def _known_sums(self) -> MergeSums:
         """Return the sums, made when they are needed first, with room for all frames so far."""
         if self._finished:
-            raise MeasurementError("the result was handed out already; start a new merge")
+            raise MeasurementError("the result was returned already; start a new merge")
         height, width = self._known_shape()
         self._sums = self._sums or MergeSums.zeros(height * width)
         self._sums.make_room(len(self._terms))

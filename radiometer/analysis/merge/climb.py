@@ -88,7 +88,9 @@ class Climb:
         square, both, still_square = centred[_MOVING, _MOVING], centred[_MOVING, _STILL], centred[_STILL, _STILL]
         of_moving, of_still = centred[slopes, _MOVING], centred[slopes, _STILL]
         if not square * still_square > 0.0:
-            raise MeasurementError("the pictures show nothing in common by which they could be brought together")
+            raise MeasurementError(
+                "the pictures have nothing in common by which they could be aligned; take them of one scene"
+            )
         try:
             inverse = np.linalg.inv(centred[slopes, slopes])
         except np.linalg.LinAlgError:  # no slope: nowhere to go
@@ -96,7 +98,9 @@ class Climb:
         towards = inverse @ of_moving
         brighter, darker = square - of_moving @ towards, both - of_still @ towards
         if not darker > 0.0:
-            raise MeasurementError("the pictures are too far apart, or not alike, to be brought together in steps")
+            raise MeasurementError(
+                "the pictures are displaced too far, or too different, to be aligned; take them from one place"
+            )
         turn, right, down = inverse @ (brighter / darker * of_still - of_moving)
         angle = math.asin(movement[1, 0]) + turn
         turned = np.array([[math.cos(angle), -math.sin(angle)], [math.sin(angle), math.cos(angle)]])

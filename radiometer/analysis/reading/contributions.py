@@ -266,7 +266,7 @@ def _spectrum(situation: PatchSituation, value: float) -> Term:
     known, name = situation.spectrum_stated, situation.calibration.spectrum
     u_rel = spectral_u_rel(situation.calibration, situation.stated, spectrum_stated=known)
     by = "as stated" if situation.stated.spectral_u_rel > 0.0 else f"spread of {', '.join(KINDS)}"
-    note = name if known else f"nobody states the light's spectrum: taken for {name}, {by}"
+    note = name if known else f"the light's spectrum is unknown: treated as {name}, {by}"
     return Term("spectral assumption", value * u_rel, correlated=True, note=note, flag=Flag.SPECTRUM_ASSUMED)
 
 

@@ -88,12 +88,12 @@ def crop_frames(
 def _refuse_misfit(frame: Frame, patch: Patch, shape: tuple[int, int], model: SignalModel) -> None:
     if not patch.fits(frame.shape):
         raise MeasurementError(
-            f"the patch {patch.x},{patch.y},{patch.width},{patch.height} does not lie inside the frame of "
+            f"the patch {patch.x},{patch.y},{patch.width},{patch.height} is not inside the frame of "
             f"{frame.shape[1]} × {frame.shape[0]} pixels; give X,Y,W,H within it"
         )
     if frame.shape != shape:
         raise MeasurementError(
-            f"frames differ in size ({frame.shape[1]} × {frame.shape[0]} beside {shape[1]} × {shape[0]} pixels)"
+            f"frames differ in size ({frame.shape[1]} × {frame.shape[0]} and {shape[1]} × {shape[0]} pixels)"
         )
     if frame.full_scale_dn != model.full_scale_dn:
         raise MeasurementError(

@@ -233,6 +233,6 @@ def _falloff(
 
 def _polarisation(size: float, here: ScaleConditions, there: ScaleConditions, stated: StatedUncertainties) -> Term:
     differs = bool(here.polarised) != bool(there.polarised)
-    note = "polarised here and not at calibration, or the other way round" if differs else "as at calibration"
+    note = "polarised here or at calibration, not both" if differs else "as at calibration"
     u = size * stated.polarisation_u_rel * differs
     return Term("polarisation", u, correlated=True, note=note, flag=Flag.POLARISATION)

@@ -227,7 +227,7 @@ def _with_offset_told(curve: ResponseCurve, exposures: Exposures, errors: Array,
     whole = errors + exposures.offset.log_ratios(stated_s)
     origin = curve.provenance
     told = {"log_time_errors": [float(error) for error in whole], **_offset_parameters(exposures)}
-    text = f"all exposures {exposures.offset.told()} than stated, the shutter's offset as these frames tell it"
+    text = f"all exposures {exposures.offset.told()} than stated, the shutter's offset found from these frames"
     assumed = (*(other for other in origin.assumptions if other != _AS_STATED), text)
     parameters = {**origin.parameters, **told}
     return replace(curve, provenance=replace(origin, parameters=parameters, assumptions=assumed))
@@ -240,7 +240,7 @@ def _offset_note(exposures: Exposures, printed: ResponseSamples) -> tuple[str, .
     shortest = int(np.argmin(printed.exposures_s))
     return (
         f"all exposures are {offset.told()} than their labels (the shutter's offset; {_label(printed, shortest)} has "
-        f"{1.0 + offset.seconds / printed.exposures_s[shortest]:.3f} of that); they were taken as found",
+        f"{1.0 + offset.seconds / printed.exposures_s[shortest]:.3f} of that); the exposures found were used",
     )
 
 
@@ -289,8 +289,7 @@ def _notes(
     fit = result.fit
     notes = [
         f"the exposure labelled {_label(samples, label.frame)} is "
-        f"{label.ratio:.3f} ± {label.u_ratio:.3f} of that; it was taken as found, not as labelled"
-        + _rivals(label, samples)
+        f"{label.ratio:.3f} ± {label.u_ratio:.3f} of that; the exposure found was used" + _rivals(label, samples)
         for label in wrong
     ]
     if fit.time_spread:
@@ -307,8 +306,8 @@ def _notes(
         )
     if _at_whole_stops(samples):
         notes.append(
-            "all exposures are whole stops apart: a wave of one stop's period in ln H cannot be seen in these data and "
-            "is kept as small as the curve's smoothness allows; one frame a third of a stop off would show it"
+            "all exposures are whole stops apart: these data cannot show a wave of one stop's period in ln H. It is "
+            "kept as small as the curve's smoothness allows; one frame a third of a stop off would show it"
         )
     if (doubt := _no_curve(result)) is not None:
         notes.append(doubt)
@@ -324,15 +323,16 @@ def _no_curve(result: FittedResponse) -> str | None:
     if not follow_no_curve(error, rows, g):
         return None
     return (
-        f"these frames follow no single curve with their exposures: one is predicted from the others to {error:.2g} DN "
+        "these frames follow no single curve with their exposures: a frame is predicted from the others to "
+        f"{error:.2g} DN "
         f"only, where a third of a stop is {dial_step_dn(rows, g):.2g} DN (another scene or light in some of them, "
-        "movement, wrong exposures); the curve is not to be relied on, whatever its uncertainty says"
+        "movement, wrong exposures); do not rely on the curve, even within its uncertainty"
     )
 
 
 def _rivals(label: WrongLabel, samples: ResponseSamples) -> str:
     others = ", ".join(f"{_label(samples, frame)} to {ratio:.3f}" for frame, ratio in label.rivals)
-    return f"; changing instead {others} predicts nearly as well, and u holds the difference" if others else ""
+    return f"; changing instead {others} predicts nearly as well, and u includes the difference" if others else ""
 
 
 def _label(samples: ResponseSamples, frame: int) -> str:
@@ -349,7 +349,7 @@ def _note_on_disagreement(result: FittedResponse, parts: _Parts) -> str:
     return (
         f"the frames differ by more than their noise ({what}): curves without one quadrant of the picture differ by "
         f"{100 * found.quadrants_rms_log:.2g} %, without some of the frames by {100 * found.frames_rms_log:.2g} % "
-        "(rms); u_log_exposure holds both"
+        "(rms); u_log_exposure includes both"
     )
 
 

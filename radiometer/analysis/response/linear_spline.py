@@ -103,7 +103,8 @@ def _notes(misfit: float) -> tuple[str, ...]:
     if misfit <= _NEARLY_LINEAR:
         return ()
     return (
-        f"this response is not nearly linear: a line with a coarse spline misses it by {100 * misfit:.1f} % (rms), "
+        f"this response is not nearly linear: a line with a coarse spline deviates from it by {100 * misfit:.1f} "
+        "% (rms), "
         "which u_log_exposure holds; use auto",
     )
 

@@ -170,7 +170,7 @@ def _least_squares_above_zero(columns: Array, wanted: Array) -> Array:
 
     Args:
         columns: A, shape (rows, k).
-        wanted: y, shape (rows,).
+        target: y, shape (rows,).
     """
     gram, right = columns.T @ columns, columns.T @ wanted
     scale = np.sqrt(np.where(np.diag(gram) > 0.0, np.diag(gram), 1.0))
@@ -226,7 +226,7 @@ def _samples(bracket: Bracket, curve: ResponseCurve, dn: Array) -> tuple[Respons
     inside &= (inside.sum(axis=1) >= 2)[:, None]
     pixel, frame = np.nonzero(inside)
     if pixel.size < _FEWEST_ROWS:
-        raise MeasurementError("hardly a pixel is unclipped in two frames: the noise of the stack cannot be told")
+        raise MeasurementError("hardly a pixel is unclipped in two frames: the noise of the stack cannot be measured")
     log_time = np.log(bracket.effective_exposures_s)
     seen, group = np.unique(pixel, return_inverse=True)
     samples = ResponseSamples(

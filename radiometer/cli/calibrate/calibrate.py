@@ -85,11 +85,11 @@ def command(
 ) -> None:
     """Give a response curve its absolute scale.
 
-    By a source of known radiance or luminance (a capture set, or --camera), by the constant K of a light meter and
-    the settings it asked for, or by both: then their ratio is printed and the less uncertain scale is used.
+    The scale comes from a source of known radiance or luminance (a capture set, or --camera), or from the constant K of
+    a light meter and the settings it asked for. With both, their ratio is printed and the less uncertain is used.
     """
     if out is None:
-        raise UsageError("-o FILE is missing: say where to write the calibration")
+        raise UsageError("-o FILE is missing: name the file to write the calibration to")
     with progress(shown=not json) as shown:
         found = rm.calibrate(
             capture,

@@ -60,8 +60,8 @@ def command(
 ) -> None:
     """Read the radiance of a patch, with its uncertainty.
 
-    Meters the patch, takes the exposures it needs, merges them and prints the radiance in W·sr⁻¹·m⁻² with its
-    expanded uncertainty (95.45 %, k by Student's t), the luminance, and what must be known of the reading.
+    Meters the patch, takes the necessary exposures and merges them. Prints the radiance in W·sr⁻¹·m⁻² with its expanded
+    uncertainty (95.45 %, k by Student's t), the luminance, and the flags of the reading.
     """
     if report is not None and (watch or repeat > 1):
         raise UsageError("--report writes the page of one reading: leave --watch and --repeat out")
@@ -71,7 +71,7 @@ def command(
     if photographs is not None or measured_iso or linear or iso is not None or pattern is not None:
         if photographs is None or camera or bench:
             raise UsageError(
-                "--photographs takes the place of --camera and --bench; --measured-iso, --iso, --pattern and --linear "
+                "--photographs replaces --camera and --bench; --measured-iso, --iso, --pattern and --linear "
                 "belong to it"
             )
         with progress(shown=not json) as shown:

@@ -20,10 +20,10 @@ from radiometer.data import Frame, ResponseCurve
 from radiometer.errors import UsageError
 
 _QUERY: Final = (
-    QueryParameter("width", "integer", "Width of the picture in pixels, 64 to 2048; 808 unless told otherwise."),
+    QueryParameter("width", "integer", "Width of the picture in pixels, 64 to 2048; 808 by default."),
     QueryParameter("scale", "string", "log, linear, or auto (log where the scene spans more than a factor of 20)."),
     QueryParameter("map", "string", "inferno, grey, or red (for a dark room)."),
-    QueryParameter("bar", "boolean", "Draw the scale bar; on unless told otherwise."),
+    QueryParameter("bar", "boolean", "Draw the scale bar; on by default."),
 )
 _MAPS: Final = ("inferno", "grey", "red")
 _BAR_WIDTH: Final = 132
@@ -34,7 +34,7 @@ _PERCENTILES: Final = (0.5, 99.8)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ServedPicture:
-    """Radiance of every pixel as far as the frames tell."""
+    """Radiance of every pixel as far as the frames determine it."""
 
     radiance: NDArray[np.float32]  # radiance, shape (height, width), above 0 where defined
     clipped: NDArray[np.bool_]  # pixels that clip even in the shortest frame

@@ -84,7 +84,7 @@ class CommandTable:
             for spelling in command.spellings():
                 if spelling in self._by_spelling:
                     raise ValueError(
-                        f"{spelling} stands for both {self._by_spelling[spelling].pattern} and {command.pattern}"
+                        f"{spelling} is a spelling of both {self._by_spelling[spelling].pattern} and {command.pattern}"
                     )
                 self._by_spelling[spelling] = command
 

@@ -57,7 +57,7 @@ def propose(state: FitState, chosen: CatalogueEffect, rivals: Sequence[Catalogue
         return None
     frame, names, chi2 = told
     apart = [chosen.name, *names]
-    return _advice(frame, f"tells {chosen.name} from {', '.join(names)}") | {
+    return _advice(frame, f"separates {chosen.name} from {', '.join(names)}") | {
         "separates": apart,
         "expected_chi2": round(chi2, 1),
     }
@@ -79,7 +79,7 @@ def tells_apart(state: FitState, effect: CatalogueEffect, others: Sequence[Catal
     names = [other.name for other, chi2 in zip(others, apart[:, index], strict=True) if chi2 >= _HELPS_CHI2]
     if not names:
         return None
-    return _advice(pool.frame(index), f"tells {effect.name} from {', '.join(names)}") | {"separates": names}
+    return _advice(pool.frame(index), f"separates {effect.name} from {', '.join(names)}") | {"separates": names}
 
 
 def _held(state: FitState, effect: CatalogueEffect) -> FitState:

@@ -186,7 +186,7 @@ def _nominal(before: float, after: float) -> FoundEffect:
 def _said_of_rounding(before: float, after: float, left_out: float | None) -> str:
     where = "" if left_out is None else f" (f/{left_out:.2g} left out)"
     return (
-        f"K scatters by {100 * before:.2f} % within a source{where} because printed stops were taken at face value; "
+        f"K scatters by {100 * before:.2f} % within a source{where} because printed stops were treated as exact; "
         f"with the exact stops behind them (1/60 s is 1/64 s, f/5.6 is f/5.657) by {100 * after:.2f} %."
     )
 

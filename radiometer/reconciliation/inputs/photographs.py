@@ -390,7 +390,7 @@ def _sentence(judged: _Judged, bracket: Bracket, names: Sequence[str]) -> str:
     if not judged.labels and not judged.rounded and judged.offset is None:
         if judged.follow_no_curve:
             return _no_curve(judged, bracket, names)
-        few = "" if judged.can_tell else "; a wrong one of so few may hide in the tone curve"
+        few = "" if judged.can_tell else "; with so few, the tone curve may hide a wrong one"
         predicted = f"left-out parts of the picture are predicted to {after:.2g} DN on average"
         return f"All printed exposures agree: {predicted}{few}."
     parts = ["the printed times are rounded stops"] if judged.rounded else []

@@ -35,14 +35,14 @@ class Covariate:
         tag: What its parameters are called by.
         unit: Its unit; "1" for a pure number.
         code: How an effect finds it, in terms of `context` and `signal`.
-        said: What people call it.
+        words: What people call it.
     """
 
     name: str
     tag: str
     unit: str
     code: str
-    said: str
+    words: str
 
     @property
     def suffix(self) -> str:
@@ -114,14 +114,14 @@ class Form:
         code: A line of NumPy with the covariate as `{u}` and parameters as `{their role}`.
         roles: Parameters without the amplitude: role and whether they have the covariate's unit.
         fixed: Roles that the fit leaves where they are, for the prediction jumps in them.
-        said: Its words, with `{covariate}`.
+        words: Its words, with `{covariate}`.
         is_steep: Whether it changes along a place as no quadratic surface does.
     """
 
     name: str
     code: str
     roles: tuple[tuple[str, bool], ...]
-    said: str
+    words: str
     fixed: tuple[str, ...] = ()
     is_steep: bool = False
 

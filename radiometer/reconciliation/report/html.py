@@ -53,9 +53,11 @@ def report_html(reconciled: Reconciled, title: str) -> str:
                 "Residuals along each setting, before and after",
                 pictures.residual_panels(reconciled) if result.covariates else "",
             ),
-            folded("Where they disagreed at first, found without any known effect", _places(result)),
+            folded(
+                "Where simulation and measurement disagreed at first, found without any known effect", _places(result)
+            ),
             folded("Largest trend along each covariate", _covariate_table(result)),
-            folded("What these data would have shown", _limits(result)),
+            folded("What these data would have detected", _limits(result)),
             folded("What was assumed", listed([f"{text}." for text in result.assumptions])),
         ],
         kind="reconcile",
@@ -69,11 +71,11 @@ def outcome(result: ReconcileResult) -> str:
     if result.verdict is Verdict.AGREES:
         return f"Nothing is missing: simulation and measurement agree (gap {result.gap_after:.3g}; 1 is noise alone)."
     if result.verdict is Verdict.EFFECTS_FOUND:
-        return f"Found what was missing: {names}. With {'it' if len(named) == 1 else 'them'} they agree."
+        return f"The missing effect was found: {names}. With {'it' if len(named) == 1 else 'them'} they agree."
     if result.verdict is Verdict.UNNAMED:
         where = next((along(effect.where) for effect in result.effects if effect.name == "unnamed"), "")
-        return f"They come apart {where}, and no known effect explains it.".replace("  ", " ")
-    return f"Structure stays{': provisional are ' + names if names else ', and no name is sure'}."
+        return f"Simulation and measurement differ {where}, and no known effect explains it.".replace("  ", " ")
+    return f"Structure remains{'; these names are provisional: ' + names if names else ', and no name is certain'}."
 
 
 def _size(effect: FoundEffect) -> str:
@@ -115,7 +117,7 @@ def _places(result: ReconcileResult) -> str:
 def _repeats(result: ReconcileResult) -> str:
     """Return in words what equal frames differ by."""
     said = [f"{text[0].upper()}{text[1:]}." for one in result.repeats for text in one.sentences()]
-    return section("What equal frames differ by", listed(said)) if said else ""
+    return section("How equal frames differ", listed(said)) if said else ""
 
 
 def _frames(result: ReconcileResult) -> str:
@@ -201,7 +203,7 @@ def _law(effect: FoundEffect) -> str:
     width = len(columns)
     rows = [(f"{at:.3g}", *shown[n * width : (n + 1) * width]) for n, at in enumerate(knots)]
     heads = ("factor",) if not second else tuple(f"{axis_label(second[0][0])[0]} {at:.3g}" for at in columns)
-    said = "It follows another law than the catalogue's: so many times what that says, ± U (k = 2)."
+    said = "It follows another functional form: the factors below multiply the catalogue's equation, ± U (k = 2)."
     return paragraph(said) + table((axis_label(first)[0], *heads), rows)
 
 
@@ -261,6 +263,6 @@ def _limits(result: ReconcileResult) -> str:
         )
         for name, v in result.limits.items()
     ]
-    note = "Sizes that would stand out by 5 sigma; “nothing is missing” holds above these only."
+    note = "Sizes that would stand out by 5 sigma; “nothing is missing” holds only for larger effects."
     shown = table(("effect", "from", "unit", "parameter"), rows, words=(2, 3))
     return f"{paragraph(note, 'small')}{shown}" if shown else ""

@@ -234,8 +234,8 @@ def rest_map(state: FitState) -> str:
 
     beyond = int(np.count_nonzero(np.abs(score[np.isfinite(score)]) > _CHANCE_SIGMAS))
     caption = (
-        f"Patches by what the final model leaves of them; within ±{_CHANCE_SIGMAS:g} σ is chance. {beyond} of "
-        f"{int(np.isfinite(score).sum())} lie beyond."
+        f"Patches by their residual after the final model; within ±{_CHANCE_SIGMAS:g} σ is chance. {beyond} of "
+        f"{int(np.isfinite(score).sum())} are beyond."
     )
     return picture(draw, caption, (6.8, 0.6 + 5.2 * height / width), (4.0, 1.0 + 3.2 * height / width))
 

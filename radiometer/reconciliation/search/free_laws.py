@@ -42,19 +42,19 @@ class Refined:
     Attributes:
         state: The fitted model.
         name: The name.
-        beside: The model without that name.
+        without: The model without that name.
         rivals: Other entries that leave nothing by a law of theirs either.
     """
 
     state: FitState
     name: str
-    beside: FitState
+    without: FitState
     rivals: tuple[CatalogueEffect, ...] = ()
 
     @property
     def nats(self) -> float:
         """Return by how much the name by its free law raises the held-out log density."""
-        return self.state.evidence - self.beside.evidence
+        return self.state.evidence - self.without.evidence
 
     @property
     def form(self) -> CatalogueEffect:
@@ -175,8 +175,8 @@ def _of_one(start: FitState, alone: Sequence[CatalogueEffect]) -> Iterator[_Prom
 def _in_place(start: FitState, state: FitState) -> Iterator[_Promise]:
     """Yield the same of forms in the place of a name, the other names kept."""
     for effect in state.effects if len(state.effects) > 1 else ():
-        beside = with_terms(with_effects(state, [other for other in state.effects if other is not effect]), ())
-        base = refit(beside, iterations=_FEW)
+        without = with_terms(with_effects(state, [other for other in state.effects if other is not effect]), ())
+        base = refit(without, iterations=_FEW)
         for form in free_forms(base, effect):
             yield base.evidence - start.evidence + promise(base, form), base, form
 

@@ -41,11 +41,11 @@ class Before:
 
     Attributes:
         candidates: Its candidates.
-        wanted: How many of the best are needed now.
+        needed: How many of the best are needed now.
     """
 
     candidates: Sequence[Candidate] = ()
-    wanted: int = 0
+    needed: int = 0
 
 
 def screen(
@@ -77,7 +77,7 @@ def screen(
     found: list[Candidate] = []
     for first in range(0, len(kinds), _TOGETHER):
         most = _MAY_RISE * gains.get(kinds[first].name, np.inf)
-        if before.wanted and sum(candidate.gain > most for candidate in found) >= before.wanted:
+        if before.needed and sum(candidate.gain > most for candidate in found) >= before.needed:
             rest = [candidate for kind in kinds[first:] for candidate in known[kind.name]]
             return sorted(found, key=_by_gain) + sorted(rest, key=_by_gain)
         found += _screened(state, kinds[first : first + _TOGETHER] if known else kinds[first:], pool)

@@ -181,7 +181,7 @@ def _refined(start: FitState, state: FitState, tests: tuple[Disagreement, ...], 
     refined, dropped = pruned(found.state, run.say)
     run.steps = []
     for effect in sorted(refined.effects, key=lambda effect: effect.name == found.name):
-        step = Step(effect.name, effect.where, found.nats, found.beside.gap, refined.gap, found.rivals)
+        step = Step(effect.name, effect.where, found.nats, found.without.gap, refined.gap, found.rivals)
         run.steps.append(step if effect.name == found.name else old[effect.name])
     run.refused |= set(dropped)
     return refined

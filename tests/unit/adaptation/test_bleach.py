@@ -65,7 +65,7 @@ def test_range_spans_the_published_constants() -> None:
 
 def test_calculator_eye_and_docs_share_one_table(project_root: Path) -> None:
     """Each value of the table stands in the docs with its spread; the simulated eye bleaches by the same ones."""
-    page = (project_root / "docs" / "adaptation-test.md").read_text(encoding="utf-8")
+    page = (project_root / "docs" / "reference" / "adaptation-test.md").read_text(encoding="utf-8")
     for constant in CONSTANTS:
         assert f"| {constant.name} | {constant.value:g} | {constant.low:g} to {constant.high:g} |" in page
         assert constant.low <= constant.value <= constant.high
