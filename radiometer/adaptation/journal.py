@@ -15,6 +15,7 @@ from radiometer.errors import InputError, OutputError
 FORMAT: Final = "radiometer-adaptation/1"
 REFUSED: Final = "refused"
 CHECK: Final = "check"
+DEVICE_FACTS: Final = ("box", "firmware", "screen", "calibrated")  # of a journal's `stage`, for the table and report
 Event = dict[str, Any]
 _BEGINNING: Final = b'{"sequence": 0,'  # of every journal, even where a crash tore its first line
 

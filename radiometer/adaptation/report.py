@@ -95,6 +95,7 @@ def report_html(fit: AdaptationFit, title: str = "Dark adaptation") -> str:
             section("What it means, and what to do", listed(meaning(fit))),
             section("Remarks", *(paragraph(text, "flag") for text in _remarks(fit))),
             section("Estimates", _estimates(fit)),
+            section("The visit", table((), _visit(fit), words=(1,))),
             section("The subject", _reliability(fit)),
             section("Models compared", _models(fit)),
             folded("What the file states", table((), sorted(fit.chosen.series.facts.items()), words=(1,))),
@@ -102,6 +103,19 @@ def report_html(fit: AdaptationFit, title: str = "Dark adaptation") -> str:
         ],
         kind="Dark adaptation",
     )
+
+
+_VISIT: Final = {
+    "subject": "subject", "eye": "eye", "visit": "date (UTC)", "age_years": "age in years", "pupil_mm": "pupil in mm",
+    "simulated": "simulated", "protocol": "protocol", "box": "light box", "firmware": "firmware", "screen": "screen",
+    "calibrated": "calibrated", "level_unit": "levels in log₁₀ of", "program": "program",
+}  # fmt: skip
+
+
+def _visit(fit: AdaptationFit) -> list[tuple[str, str]]:
+    """Return what the file states of subject, date, protocol and devices."""
+    facts = fit.chosen.series.facts
+    return [(label, facts[name]) for name, label in _VISIT.items() if name in facts]
 
 
 def outcome(fit: AdaptationFit) -> str:

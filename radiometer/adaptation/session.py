@@ -10,7 +10,7 @@ from pathlib import Path
 from radiometer.adaptation.box_setup import open_box_stage
 from radiometer.adaptation.checks import Check
 from radiometer.adaptation.controls import Controls
-from radiometer.adaptation.journal import Event, RunJournal
+from radiometer.adaptation.journal import DEVICE_FACTS, Event, RunJournal
 from radiometer.adaptation.live_page import LivePage, replayed
 from radiometer.adaptation.live_text import LiveText, event_line
 from radiometer.adaptation.outcome import Outcome
@@ -101,8 +101,10 @@ class Session:
     def table(self, outcome: Outcome) -> str:
         """Return the thresholds as CSV, with the facts that belong to their fit."""
         shared = [event["u_scale_log10"] for event in self.journal.of_kind("stage") if event.get("u_scale_log10")]
-        asked = self.request
-        facts = facts_of(asked.protocol, shared[-1] if shared else None, outcome.reliability, asked.header())
+        asked, devices = self.request, {}
+        for event in self.journal.of_kind("stage"):
+            devices |= {name: str(event[name]) for name in DEVICE_FACTS if event.get(name) is not None}
+        facts = facts_of(asked.protocol, shared[-1] if shared else None, outcome.reliability, asked.header() | devices)
         return outcome.to_csv(facts)
 
     def reach_sentence(self) -> str | None:

@@ -15,7 +15,7 @@ from typing import Final
 
 import numpy as np
 
-from radiometer.adaptation.journal import is_journal, read_events
+from radiometer.adaptation.journal import DEVICE_FACTS, is_journal, read_events
 from radiometer.adaptation.r_files import is_r_file, read_r_lists
 from radiometer.adaptation.trial_lists import changes_of_answer, column_of_answers, column_of_onsets
 from radiometer.data import text_table
@@ -98,6 +98,9 @@ def _of_journal(path: Path) -> TakenTable:
     start = events[0]
     named = ("subject", "eye", "visit", "age_years", "pupil_mm", "simulated", "protocol")
     facts = {name: str(start[name]) for name in named if start.get(name) is not None} | dict(start.get("facts") or {})
+    for event in events:
+        if event["kind"] == "stage":
+            facts |= {name: str(event[name]) for name in DEVICE_FACTS if event.get(name) is not None}
     shared = [str(event["u_scale_log10"]) for event in events if event.get("u_scale_log10")]
     facts |= {"u_scale_log10": shared[-1]} if shared else {}
     void = {event["voids"] for event in events if event["kind"] == "pause"} - {None}
