@@ -98,7 +98,7 @@ def facts_of_capture(source: Path) -> list[tuple[str, str]]:
     """Return what a capture set states of camera, lens, date and conditions, as names and values; nothing of others."""
     if not (source / "capture.yaml").is_file():
         return []
-    header = read_header(source / "capture.yaml")
+    header = read_header(source)
     camera, lens = header.camera, header.lens
     times = [one.timestamp_s for one in header.frames if one.timestamp_s is not None and one.timestamp_s > _UNIX_FROM_S]
     degrees = [one.temperature_C for one in header.frames if one.temperature_C is not None]
