@@ -14,6 +14,7 @@ from radiometer.adaptation.adaptation_fit import AdaptationFit, intercept_verdic
 from radiometer.adaptation.reliability import MEANINGS, NAMES, Reliability
 from radiometer.adaptation.report_picture import short, story
 from radiometer.data.storage import write_text_atomic
+from radiometer.numbers import rounded, unit_text
 from radiometer.reporting.page import folded, listed, page, paragraph, section, table
 
 LABELS: Final = {
@@ -29,6 +30,7 @@ LABELS: Final = {
     "final_threshold": "Final threshold",
     "area_log10_min": "Area above the final threshold",
 }
+_COVERAGE: Final = 2.0
 _HELD_WEIGHT: Final = 0.5  # of the largest; below, a threshold hardly counts
 
 
@@ -211,10 +213,10 @@ def _estimates(fit: AdaptationFit) -> str:
     rows = []
     for name, estimate in fit.estimates.items():
         interval = estimate.profile or estimate.bootstrap
-        shown = f"{interval.low:.3f} to {interval.high:.3f}" if interval else ""
-        u = f"{estimate.u:.3f}" if math.isfinite(estimate.u) else "–"
-        rows.append((label_of(name, fit), f"{estimate.value:.3f}", u, shown, estimate.unit))
-    head = ("", "value", "u (k = 1)", f"{100 * fit.request.confidence:g} % interval", "unit")
+        value, expanded = rounded(estimate.value, _COVERAGE * estimate.u)
+        ends = [rounded(end, _COVERAGE * estimate.u)[0] for end in (interval.low, interval.high)] if interval else []
+        rows.append((label_of(name, fit), value, expanded, " to ".join(ends), unit_text(estimate.unit)))
+    head = ("", "value", "U (k = 2)", f"{100 * fit.request.confidence:g} % interval", "unit")
     return table(head, rows, words=(4,))
 
 

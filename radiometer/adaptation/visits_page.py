@@ -51,12 +51,16 @@ def visits_html(visits: Sequence[tuple[AdaptationFit, str]]) -> str:
         dress(axes, "time in the dark (min)", f"log₁₀ threshold ({'; '.join(units)})")
         legend(axes, "upper right")
 
-    rows = [
-        (name, *(short(fit, one) if one in fit.estimates else "–" for one in OVERLAID))
-        for (fit, _), name in zip(visits, names, strict=True)
-    ]
     first = visits[0][0]
-    head = ("visit", *(f"{label_of(one, first)} ({_unit(visits, one)})" for one in OVERLAID))
+    found = [one for one in OVERLAID if any(one in fit.estimates for fit, _ in visits)]
+    rows = [
+        (
+            f"{label_of(one, first)} ({_unit(visits, one)})",
+            *(short(fit, one) if one in fit.estimates else "–" for fit, _ in visits),
+        )
+        for one in found
+    ]
+    head = ("", *names)
     facts = [
         (name, *(fit.chosen.series.facts.get(key, "–") for key in ("protocol", "age_years", "pupil_mm", "program")))
         for (fit, _), name in zip(visits, names, strict=True)

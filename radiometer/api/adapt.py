@@ -39,6 +39,7 @@ from radiometer.data.guards import safe_name
 from radiometer.data.json_text import json_text
 from radiometer.data.storage import write_text_atomic
 from radiometer.errors import MeasurementError, UsageError
+from radiometer.numbers import rounded, unit_text
 from radiometer.progress import Progress, unseen
 
 # Opens what watches a run for as long as it lasts, such as a live view of a terminal.
@@ -271,8 +272,11 @@ class AdaptationCurve(Result):
         found = []
         for name, estimate in self.fit.estimates.items():
             interval = estimate.profile or estimate.bootstrap
-            shown = f"   {interval.low:.3f} to {interval.high:.3f} (95 %)" if interval else ""
-            found.append(f"{label_of(name, self.fit):<32} {estimate.value:9.3f} {estimate.unit:<10}{shown}")
+            expanded = 2.0 * estimate.u
+            ends = [rounded(end, expanded)[0] for end in (interval.low, interval.high)] if interval else []
+            shown = f"   {ends[0]} to {ends[1]} (95 %)" if ends else ""
+            value = rounded(estimate.value, expanded)[0]
+            found.append(f"{label_of(name, self.fit):<32} {value:>9} {unit_text(estimate.unit):<10}{shown}".rstrip())
         rates = Reliability.of_facts(self.series.facts).rates
         return [*found, *(f"{NAMES[name]:<32} {rate}" for name, rate in rates.items())]
 

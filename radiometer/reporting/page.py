@@ -38,7 +38,7 @@ STYLE: Final = "\n".join(
         ".wide{overflow-x:auto}table{border-collapse:collapse;margin:.6rem 0;font-variant-numeric:tabular-nums}",
         "td,th{padding:.25rem .9rem .25rem 0;text-align:right;border-bottom:1px solid #ddd;vertical-align:baseline}",
         "td:first-child,th:first-child,td.words,th.words{text-align:left}th{font-weight:600;color:#444}",
-        "td:not(:first-child,.words){white-space:nowrap}td:last-child,th:last-child{padding-right:.2rem}",
+        "td.words{overflow-wrap:anywhere}td:not(:first-child,.words){white-space:nowrap}td:last-child,th:last-child{padding-right:.2rem}",
         "details{margin:.7rem 0;border-top:1px solid #ddd;padding-top:.5rem}",
         "summary{cursor:pointer;font-weight:600;min-height:2.75rem;display:list-item;padding:.5rem 0}",
         "summary:focus-visible{outline:2px solid #1f618d;outline-offset:2px}",

@@ -98,7 +98,7 @@ class ReadingRecord:
         """Return all facts of the reading as names and values."""
         one = self.reading
         patch = one.patch
-        rows = [("time (UTC)", one.time), ("radiance", self.value), ("luminance", self.luminance)]
+        rows = [("time (UTC)", one.time[:19]), ("radiance", self.value), ("luminance", self.luminance)]
         if one.band_nm:
             rows.append(("band", f"{one.band_nm[0]:g} to {one.band_nm[1]:g} nm"))
         rows += [
@@ -109,7 +109,10 @@ class ReadingRecord:
         ]
         known = one.more.get("calibration")
         if known:
-            rows += [("calibration", str(known["file"] or "in memory")), ("calibrated", str(known["created"]))]
+            rows += [
+                ("calibration", str(known["file"] or "in memory")),
+                ("calibrated (UTC)", str(known["created"])[:19]),
+            ]
             rows.append(("reference", str(known["reference"])))
         else:
             rows.append(("calibration", "none: the value is relative"))
@@ -146,7 +149,7 @@ def reading_html(record: ReadingRecord) -> str:
     one = record.reading
     outcome = f"Radiance {record.value}"
     shown = record.frame_dn.shape
-    height = 6.0 * shown[0] / shown[1] + 0.9
+    height = 5.2 * shown[0] / shown[1] + 0.7
 
     def draw_scene(figure: Figure, narrow: bool) -> None:
         _scene(figure.subplots(), record)
@@ -203,6 +206,7 @@ def _scene(axes: Axes, record: ReadingRecord) -> None:
     """Draw the frame in logarithmic grey, with the patch."""
     from matplotlib.colors import LogNorm
     from matplotlib.patches import Rectangle
+    from matplotlib.ticker import FormatStrFormatter, LogLocator, NullFormatter
 
     height, width = record.frame_dn.shape
     step = max(1, -(-max(height, width) // _MOST_PIXELS))
@@ -215,7 +219,10 @@ def _scene(axes: Axes, record: ReadingRecord) -> None:
     axes.add_patch(Rectangle((patch.x, patch.y), patch.width, patch.height, fill=False, ec=BEFORE, lw=1.8))
     axes.set_xlabel("x in pixels")
     axes.set_ylabel("y in pixels")
-    axes.figure.colorbar(drawn, ax=axes, label="digital number (DN)", fraction=0.046, pad=0.02)
+    bar = axes.figure.colorbar(drawn, ax=axes, label="digital number (DN)", fraction=0.046, pad=0.02)
+    bar.ax.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+    bar.ax.yaxis.set_major_formatter(FormatStrFormatter("%g"))
+    bar.ax.yaxis.set_minor_formatter(NullFormatter())
 
 
 def _pdf(record: ReadingRecord) -> bytes:
