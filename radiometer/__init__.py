@@ -35,6 +35,10 @@ _HOMES = {
         "adapt_run",
         "adapt_visits",
     ),
+    "radiometer.api.alpha_opic": (
+        "AlphaOpicQuantities",
+        "alpha_opic",
+    ),
     "radiometer.api.archive": (
         "Batch",
         "Passports",
@@ -60,6 +64,14 @@ _HOMES = {
         "Stack",
         "read",
         "read_photographs",
+    ),
+    "radiometer.api.certificate": (
+        "Certificate",
+        "certificate",
+    ),
+    "radiometer.api.flicker": (
+        "FlickerReport",
+        "flicker",
     ),
     "radiometer.api.importing": (
         "Imported",
@@ -188,6 +200,8 @@ if TYPE_CHECKING:
     from radiometer.api.adapt import adapt_retest as adapt_retest
     from radiometer.api.adapt import adapt_run as adapt_run
     from radiometer.api.adapt import adapt_visits as adapt_visits
+    from radiometer.api.alpha_opic import AlphaOpicQuantities as AlphaOpicQuantities
+    from radiometer.api.alpha_opic import alpha_opic as alpha_opic
     from radiometer.api.archive import Batch as Batch
     from radiometer.api.archive import Passports as Passports
     from radiometer.api.archive import Trends as Trends
@@ -198,6 +212,8 @@ if TYPE_CHECKING:
     from radiometer.api.calibration import calibrate as calibrate
     from radiometer.api.capture import BracketReport as BracketReport
     from radiometer.api.capture import bracket as bracket
+    from radiometer.api.certificate import Certificate as Certificate
+    from radiometer.api.certificate import certificate as certificate
     from radiometer.api.devices import Devices as Devices
     from radiometer.api.devices import Diagnosis as Diagnosis
     from radiometer.api.devices import doctor as doctor
@@ -208,6 +224,8 @@ if TYPE_CHECKING:
     from radiometer.api.files import Stack as Stack
     from radiometer.api.files import read as read
     from radiometer.api.files import read_photographs as read_photographs
+    from radiometer.api.flicker import FlickerReport as FlickerReport
+    from radiometer.api.flicker import flicker as flicker
     from radiometer.api.importing import Imported as Imported
     from radiometer.api.importing import import_capture as import_capture
     from radiometer.api.led_flux import Flux as Flux

@@ -16,8 +16,7 @@ from radiometer.adaptation.checks import Check, Finding, judge_age
 from radiometer.adaptation.protocol import AdaptationProtocol, FlashBleach
 from radiometer.adaptation.request import SIMULATED_BOX, RunRequest
 from radiometer.adaptation.room import measured_room
-from radiometer.analysis.photometry.photometry import luminous_efficacy_lm_per_w
-from radiometer.analysis.photometry.spectra import spectrum
+from radiometer.analysis.photometry.photometry import luminous_efficacy_lm_per_w, spectrum
 from radiometer.bench.boxes import OpenedBox, open_light_box
 from radiometer.bench.light_bench import open_light_camera
 from radiometer.bench.seated_subject import places_of, seat_subject

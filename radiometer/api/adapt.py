@@ -33,11 +33,10 @@ from radiometer.adaptation.visits import moment_of, visit_at, visit_in
 from radiometer.adaptation.visits_page import OVERLAID, label_of_visit, visits_html
 from radiometer.api.files import PathLike
 from radiometer.api.needed import require_other
-from radiometer.api.outputs import check_outputs
 from radiometer.api.result import Notice, Result, unheard
 from radiometer.data.guards import safe_name
 from radiometer.data.json_text import json_text
-from radiometer.data.storage import write_text_atomic
+from radiometer.data.storage import check_outputs, write_text_atomic
 from radiometer.errors import MeasurementError, UsageError
 from radiometer.numbers import rounded, unit_text
 from radiometer.progress import Progress, unseen

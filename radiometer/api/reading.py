@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from radiometer.analysis.uncertainty.monte_carlo import propagate_distributions
+from radiometer.analysis.reading.monte_carlo import propagate_distributions
 from radiometer.api.files import PathLike
 from radiometer.api.meter import PatchLike, as_patch
 from radiometer.api.result import Ask, Notice, Progress, unheard

@@ -12,12 +12,12 @@ import numpy as np
 
 from radiometer.api.files import PathLike
 from radiometer.api.meter import PatchLike, as_patch
-from radiometer.api.outputs import check_outputs
 from radiometer.api.result import Notice, Progress, Result, unheard
 from radiometer.bench.screen import BROWSER, ScreenBench, lights, open_screen_bench, primaries_of
 from radiometer.data import Quantity
-from radiometer.data.drawing import check_plot_name, new_axes, own_axes, picture, save_plot
+from radiometer.data.drawing import check_plot_name, new_axes, own_axes, picture, write_figure
 from radiometer.data.statements import StatementMap
+from radiometer.data.storage import check_outputs
 from radiometer.devices import Display
 from radiometer.errors import UsageError
 from radiometer.numbers import with_u
@@ -101,7 +101,7 @@ class CalibratedScreen(Result):
 
     def write_plot(self, path: PathLike) -> None:
         """Draw the curves into a PNG, PDF or SVG file. Raises UsageError for another ending, OutputError."""
-        save_plot(self.plot(own_axes()).figure, Path(path))
+        write_figure(Path(path), self.plot(own_axes()))
 
     def _repr_html_(self) -> str:
         return picture(self.plot, str(self))

@@ -11,8 +11,8 @@ from typing import Any, Final
 import numpy as np
 
 from radiometer.analysis.characterise import Characterisation, characterise, subject_of_capture
-from radiometer.analysis.characterise.dark_figures import typical_rates
-from radiometer.analysis.characterise.frame_groups import groups_of_capture
+from radiometer.analysis.characterise.dark_signal import typical_rates
+from radiometer.analysis.characterise.subject import groups_of_capture
 from radiometer.data import CaptureSet, Quantity
 from radiometer.data.capture_set import HEADER_NAME
 from radiometer.errors import InputError, MeasurementError, RadiometerError, UnsettledError

@@ -21,7 +21,7 @@ from radiometer.acquire.bracketing import (
 )
 from radiometer.acquire.exposure_plan import STEADY_SHORT_FRAMES, ExposurePlan, steadied
 from radiometer.analysis.calibration.shared import require_camera
-from radiometer.analysis.reading.contributions import PatchSituation
+from radiometer.analysis.reading.budget import PatchSituation
 from radiometer.analysis.reading.reading import patch_situation, read_patch
 from radiometer.data import Bracket, Calibration, Frame, LensDescription, Patch, Reading, SourceDescription
 from radiometer.data.pile_up import with_white_levels

@@ -11,9 +11,15 @@ from typing import Final
 
 import numpy as np
 
-from radiometer.analysis.photometry.display_types import CRT, DISPLAY_TYPES
-from radiometer.analysis.photometry.photometry import Observer, luminous_efficacy_lm_per_w
-from radiometer.analysis.photometry.spectra import Spectrum, spectral_columns, spectrum
+from radiometer.analysis.photometry.photometry import (
+    CRT,
+    DISPLAY_TYPES,
+    Observer,
+    Spectrum,
+    luminous_efficacy_lm_per_w,
+    spectral_columns,
+    spectrum,
+)
 from radiometer.bench.assembly import calibration_path, open_bench_camera
 from radiometer.bench.box_holder import darken_held
 from radiometer.bench.cameras import SIMULATED, preset_path

@@ -17,7 +17,7 @@ from radiometer.api.result import Result
 from radiometer.daemon.journal import default_journal_path
 from radiometer.daemon.journal_reader import JournalReader, ReadingFilter, to_csv
 from radiometer.daemon.timestamps import parse_moment
-from radiometer.data.drawing import check_plot_name, new_axes, own_axes, save_plot
+from radiometer.data.drawing import new_axes, own_axes, write_figure
 from radiometer.errors import UsageError
 
 if TYPE_CHECKING:
@@ -114,11 +114,7 @@ class LoggedReadings(Result):
 
     def write_plot(self, path: PathLike) -> None:
         """Draw the readings into a PNG, PDF or SVG file. Raises UsageError for another ending."""
-        target = Path(path)
-        check_plot_name(target)
-        figure: Any = self.plot(own_axes()).figure
-        figure.set_size_inches(9, 4.2)
-        save_plot(figure, target)
+        write_figure(Path(path), self.plot(own_axes()), inches=(9.0, 4.2))
 
     def __str__(self) -> str:
         """Return how many readings of how many places."""

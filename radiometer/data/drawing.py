@@ -44,9 +44,22 @@ def check_plot_name(path: Path) -> None:
         raise UsageError(f"cannot draw {path}: its ending must be one of {', '.join(PLOT_SUFFIXES)}")
 
 
-def save_plot(figure: Any, path: Path) -> None:
-    """Write a figure as .png, .pdf or .svg. Raises UsageError for another ending, OutputError if it fails."""
+def write_figure(path: Path, axes: Axes, inches: tuple[float, float] | None = None) -> None:
+    """Write the figure of axes into a PNG, PDF or SVG file, whole or not at all.
+
+    Args:
+        path: The file; its ending gives the form.
+        axes: Axes of the figure.
+        inches: Width and height of the figure; as it is by default.
+
+    Raises:
+        UsageError: If the ending is another.
+        OutputError: If the file cannot be written.
+    """
     check_plot_name(path)
+    figure: Any = axes.figure
+    if inches is not None:
+        figure.set_size_inches(*inches)
     content = io.BytesIO()
     figure.savefig(content, format=path.suffix.lower()[1:], dpi=150)
     write_bytes_atomic(path, content.getvalue())

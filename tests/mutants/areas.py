@@ -4,10 +4,7 @@ from __future__ import annotations
 
 AREAS: dict[str, tuple[str, ...]] = {
     "merge": ("radiometer/analysis/merge/*.py",),
-    "patch_and_budget": (
-        "radiometer/analysis/reading/*.py",
-        "radiometer/analysis/uncertainty/*.py",
-    ),
+    "patch_and_budget": ("radiometer/analysis/reading/*.py",),
     "response": (
         "radiometer/analysis/response/*.py",
         "radiometer/data/response_curve.py",

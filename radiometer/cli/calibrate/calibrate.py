@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 import radiometer as rm
-from radiometer.cli.arguments import ISO_HELP, parse_measured_iso, parse_patch, parse_seconds
+from radiometer.cli.arguments import ISO_HELP, parse_measured_iso, parse_patch, parse_radiance, parse_seconds
 from radiometer.cli.calibrate.report import show_report
 from radiometer.cli.console import note, progress
 from radiometer.cli.outputs import writes
@@ -26,7 +26,9 @@ def command(
     patch: Annotated[
         str | None, typer.Option(help="The known source: X,Y,W,H, or a patch name of the capture.")
     ] = None,
-    radiance: Annotated[float | None, typer.Option(help="Its radiance in W·sr⁻¹·m⁻².")] = None,
+    radiance: Annotated[
+        str | None, typer.Option(help="Its radiance in W·sr⁻¹·m⁻², or its calibration certificate (DCC, .xml).")
+    ] = None,
     luminance: Annotated[float | None, typer.Option(help="Its luminance in cd·m⁻², instead of the radiance.")] = None,
     u_rel: Annotated[float | None, typer.Option(min=0.0, help="Its relative standard uncertainty (k = 1).")] = None,
     meter_k: Annotated[
@@ -96,7 +98,7 @@ def command(
             out=out,
             response=response,
             patch=_patch(patch),
-            radiance=radiance,
+            radiance=parse_radiance(radiance),
             luminance=luminance,
             u_rel=u_rel,
             luminance_meter_k=meter_k,
