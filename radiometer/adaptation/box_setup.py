@@ -26,8 +26,8 @@ from radiometer.devices.retinal_safety import HazardFractions
 from radiometer.errors import CalibrationError, MeasurementError, RadiometerError, SettingOutOfRange, UsageError
 
 SIMULATED_CALIBRATION: Final = "calibrations/simulated-box.yaml"
-PEAK_TOLERANCE_NM: Final = 10.0
-PLACE_TOLERANCE_DEG: Final = 1.0
+PEAK_TOLERANCE_NM: Final = 10.0  # bin of LEDs: ± 5 to 10 nm; rods change by less than 10 % within it near 500 nm
+PLACE_TOLERANCE_DEG: Final = 1.0  # spots are 1.5 to 2.5° wide
 
 
 @contextmanager

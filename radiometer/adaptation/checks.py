@@ -11,7 +11,7 @@ from radiometer.adaptation.protocol import AdaptationProtocol
 from radiometer.errors import CalibrationError, MeasurementError, RadiometerError
 from radiometer.numbers import with_u
 
-COVERAGE: Final = 2.0
+COVERAGE: Final = 2.0  # k for 95 %: the room must be dark enough with its uncertainty
 
 
 @dataclass(frozen=True, slots=True)

@@ -12,7 +12,7 @@ from radiometer.bench.assembly import open_instrument
 from radiometer.bench.instrument import Instrument
 from radiometer.errors import CalibrationError
 
-ROOM_U_REL: Final = 0.05
+ROOM_U_REL: Final = 0.05  # 5 % decides whether a room is dark, and less takes long
 
 
 def measured_room(instrument: Instrument, protocol: AdaptationProtocol, white: str) -> Finding:

@@ -10,10 +10,9 @@ from typing import Any, Final
 import radiometer
 from radiometer.analysis.exports.certificate import Certified, Item, Laboratory, certificate_xml
 from radiometer.api.files import PathLike
-from radiometer.api.outputs import check_outputs
 from radiometer.api.result import Result
 from radiometer.data import Calibration, Contribution, Quantity, Reading
-from radiometer.data.storage import read_text, write_text_atomic
+from radiometer.data.storage import check_outputs, read_text, write_text_atomic
 from radiometer.errors import InputError, UsageError
 from radiometer.numbers import unit_text, with_u
 from radiometer.reporting.page import listed, page, section, table

@@ -149,14 +149,6 @@ def light_pulse(
     Args:
         channel: As all further ones for `light_set`.
         duration_s: Length in s, at most 600.
-        radiance: See there.
-        level: See there.
-        low: See there.
-        box: See there.
-        calibration: See there.
-        preset: See there.
-        lit: See there.
-        notice: See there.
 
     Raises:
         RadiometerError: As `light_set`.
@@ -197,15 +189,7 @@ def light_blink(
         on_s: Bright time in s.
         off_s: Dark time in s.
         count: Number of blinks; 0 without end.
-        radiance: See there.
-        level: See there.
-        low: See there.
         hold_s: Stop after this time in s.
-        box: See there.
-        calibration: See there.
-        preset: See there.
-        lit: See there.
-        notice: See there.
 
     Raises:
         RadiometerError: As `light_set`.

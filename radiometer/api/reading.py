@@ -110,22 +110,9 @@ def readings(
 
     Args:
         camera: As all further ones for `measure`.
-        patch: See there.
-        bench: See there.
-        calibration: See there.
-        uncalibrated: See there.
-        f_number: See there.
-        spectrum: See there.
-        u_rel: See there.
-        darks: See there.
-        monte_carlo: See there.
-        report: See there; of several readings the page is that of the newest.
         repeat: Number of readings.
         watch: Read without end; a camera that is lost is waited for.
         every_s: Time from one reading's start to the next's in s.
-        ask: See there.
-        notice: See there.
-        progress: See there.
         sleep: Waits for a number of seconds.
         clock: Steady clock in s.
 

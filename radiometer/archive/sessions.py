@@ -20,7 +20,7 @@ from radiometer.importing import import_sources
 from radiometer.importing.emva_listing import DESCRIPTOR_NAME
 from radiometer.importing.sources import FITS_SUFFIXES, TIFF_SUFFIXES, as_capture
 
-_FEWEST_OF_A_SERIES: Final = 3
+_FEWEST_OF_A_SERIES: Final = 3  # two frames are a pair; a course needs a third
 
 
 @dataclass(frozen=True, slots=True)

@@ -163,10 +163,10 @@ def reading_html(record: ReadingRecord) -> str:
         outcome,
         [
             paragraph(f"Luminance {record.luminance}." if record.luminance else ""),
-            *(paragraph(f"{flag}: {FLAG_MEANINGS[flag]}.", "flag") for flag in one.flags),
             picture(
                 draw_scene, "The frame with the patch that was read; grey is logarithmic.", (7.0, height), (4.0, 3.6)
             ),
+            *(paragraph(f"{flag}: {FLAG_MEANINGS[flag]}.", "flag") for flag in one.flags),
             section("The reading", table((), record.rows, words=(1,))),
             section(
                 "Where its uncertainty comes from",

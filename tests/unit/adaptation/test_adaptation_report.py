@@ -106,4 +106,4 @@ def test_no_name_of_a_subject_is_markup():
     """A hostile file name and a hostile subject are shown as they are written."""
     page = report_html(_fit(facts={"subject": HOSTILE}), HOSTILE)
     assert "<script" not in page
-    assert page.count("&lt;script&gt;") == 3
+    assert page.count("&lt;script&gt;") == 4
