@@ -218,8 +218,8 @@ def test_bleach_is_counted_down(state: LiveState) -> None:
     """After 50 s of the bleach the clock shows what is left of the protocol's time."""
     lasts_s = int(state.protocol.bleach.duration_s)
     state = LiveState(state.protocol)
-    for kind in ("start", "bleach"):
-        state.take(_event(kind, 0.0))
+    for event in (_event("start", 0.0, subject="S1"), _event("bleach", 0.0)):
+        state.take(event)
     left_s = lasts_s - 50
     first = live_lines(state, running_fit([]), 60, waited_s=50.0)[0]
     assert first.startswith(f"{left_s // 60}:{left_s % 60:02d} left of {lasts_s // 60}:{lasts_s % 60:02d}")
