@@ -14,7 +14,7 @@ def instructions(protocol: AdaptationProtocol) -> list[str]:
         else f"First you look into a bright field for {_span(bleach.duration_s)}. Keep your eye open; you may blink."
     )
     whole_min = round(bleach.duration_s / 60 + minutes)
-    said = [
+    sentences = [
         f"This test finds how your eye gets used to the dark. It takes about {whole_min} minutes. "
         "You may end it at any time.",
         light,
@@ -25,22 +25,22 @@ def instructions(protocol: AdaptationProtocol) -> list[str]:
         "by mistake.",
     ]
     if protocol.fixation_check is not None:
-        said.append(
+        sentences.append(
             "Now and then a red light is shown where you cannot see it as long as you look at the mark. "
             "If you see a red light, press, and look at the mark again."
         )
-    said += [
+    sentences += [
         f"At first you may see nothing for up to {watch.blind_min:g} minutes. "
         "That is normal: your eye recovers from the bright light.",
         f"If you need a pause, hold the button for {watch.hold_to_pause_s:g} s. Press once to go on. "
         f"In the pause stay in the dark; after {watch.longest_pause_min:g} minutes the test ends.",
     ]
     if bleach.pupil_mm is not None:
-        said.append(
+        sentences.append(
             f"(For the operator: the protocol counts on a pupil of {bleach.pupil_mm:g} mm. "
             "Measure it in the dark, state it with --pupil, and cover the other eye.)"
         )
-    return said
+    return sentences
 
 
 def _span(seconds: float) -> str:

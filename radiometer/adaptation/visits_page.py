@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 OVERLAID: Final = ("break_min", "s2_slope_per_min", "rod_intercept_min", "plateau", "final_threshold")
-# Colours that the colour-blind can tell apart, dark enough on white (Okabe and Ito 2008, the dark ones of it).
+# Colours that the colour-blind can distinguish, dark enough on white (after Okabe and Ito 2008).
 _COLOURS: Final = ("#0072b2", "#b3461b", "#00725a", "#8a4a7d", "#333333", "#8a6d00")
 _POINTS: Final = 300
 

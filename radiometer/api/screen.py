@@ -325,10 +325,10 @@ def screen_verify(
         DeviceError: If display or camera fails.
     """
     known = calibration if isinstance(calibration, ScreenCalibration) else ScreenCalibration.read(Path(calibration))
-    wanted = parse_levels(levels)
+    chosen = parse_levels(levels)
     with _opened(display, bench, camera, camera_calibration, patch, port, announce) as opened:
         found = verify_screen(
-            opened, known, wanted, warm_up_limit_s=warm_up_s, patch_size=size, progress=_advance(progress),
+            opened, known, chosen, warm_up_limit_s=warm_up_s, patch_size=size, progress=_advance(progress),
             waiting=_warming(progress),
         )  # fmt: skip
         _warn(opened.display, notice)

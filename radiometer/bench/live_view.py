@@ -136,9 +136,9 @@ class LiveView:
             self._say(str(error), failed=True)
             return
         one = self._patch
-        said = f"{self._bench}: patch {one.x},{one.y},{one.width},{one.height} written"
-        self._say(said)
-        self._notice(said)
+        written = f"{self._bench}: patch {one.x},{one.y},{one.width},{one.height} written"
+        self._say(written)
+        self._notice(written)
 
     def _say(self, text: str, *, failed: bool = False) -> None:
         self._server.run(self._broadcast({"kind": "said", "text": text, "failed": failed}))

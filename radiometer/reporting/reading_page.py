@@ -62,7 +62,7 @@ _A4_IN: Final = (8.27, 11.69)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ReadingRecord:
-    """A reading with what a laboratory's book wants beside it.
+    """A reading with the facts that a laboratory's book needs.
 
     Attributes:
         reading: The reading.

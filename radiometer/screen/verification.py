@@ -37,7 +37,7 @@ class VerifiedLevel:
 
     @property
     def agrees(self) -> bool:
-        """Return whether the two differ by no more than the expanded uncertainty of the difference (k = 2)."""
+        """Return whether the two differ by at most the expanded uncertainty of the difference (k = 2)."""
         return abs(self.difference.value) <= COVERAGE * self.difference.u
 
 

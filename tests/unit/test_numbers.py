@@ -53,7 +53,7 @@ def test_what_is_printed_has_two_digits_of_u_and_lies_within_half_of_the_last(va
 
 
 def test_limit_below_the_noise_is_never_negative() -> None:
-    """A reading of −3 ± 1 (k = 1) says no more than one of 0 ± 1: below 1.645 with 95 %."""
+    """A reading of −3 ± 1 (k = 1) gives the same limit as one of 0 ± 1: below 1.645 with 95 %."""
     assert upper_limit(-3.0, 1.0) == upper_limit(0.0, 1.0) == pytest.approx(1.645)
     assert upper_limit(2.0, 1.0) == pytest.approx(3.645)
     assert below(0.00104, "W sr-1 m-2") == "< 0.0010 W·sr⁻¹·m⁻², 95 %"
