@@ -101,7 +101,8 @@ class Session:
     def table(self, outcome: Outcome) -> str:
         """Return the thresholds as CSV, with the facts that belong to their fit."""
         shared = [event["u_scale_log10"] for event in self.journal.of_kind("stage") if event.get("u_scale_log10")]
-        asked, devices = self.request, {}
+        asked = self.request
+        devices: dict[str, str | float] = {}
         for event in self.journal.of_kind("stage"):
             devices |= {name: str(event[name]) for name in DEVICE_FACTS if event.get(name) is not None}
         facts = facts_of(asked.protocol, shared[-1] if shared else None, outcome.reliability, asked.header() | devices)
