@@ -444,9 +444,13 @@ class Instructions(Result):
         """Return the documented JSON form."""
         return {"protocol": self.protocol, "instructions": list(self.sentences)}
 
-    def __str__(self) -> str:
+    def lines(self) -> list[str]:
         """Return the instructions, a paragraph each."""
-        return "\n\n".join(self.sentences)
+        return list(self.sentences)
+
+    def __str__(self) -> str:
+        """Return whose they are and how they begin."""
+        return f"{self.protocol}: {self.sentences[0]}"
 
 
 def adapt_instructions(protocol: str) -> Instructions:
@@ -454,8 +458,8 @@ def adapt_instructions(protocol: str) -> Instructions:
 
     Examples:
         >>> import radiometer as rm
-        >>> "red mark" in str(rm.adapt_instructions("classic"))
-        True
+        >>> rm.adapt_instructions("classic")
+        <Instructions classic: This test finds how your eye gets used to the dark. ...>
 
     Args:
         protocol: Protocol file, or the name of a shipped one.

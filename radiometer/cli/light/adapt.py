@@ -245,7 +245,7 @@ def instructions(
 ) -> None:
     """Print what to read aloud to the subject before the test."""
     found = rm.adapt_instructions(protocol)
-    print(found.to_json() if json else found)
+    print(found.to_json() if json else "\n\n".join(found.lines()))
 
 
 @app.command()
