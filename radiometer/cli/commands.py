@@ -22,6 +22,7 @@ class CommandEntry(NamedTuple):
 COMMANDS: Final[dict[str, CommandEntry]] = {
     "measure": CommandEntry("radiometer.cli.capture.measure", "Read the radiance of a patch, with its uncertainty."),
     "bracket": CommandEntry("radiometer.cli.capture.bracket", "Capture a set of exposures of an unmoving scene."),
+    "view": CommandEntry("radiometer.cli.capture.view", "See what the camera sees, live; draw the patch."),
     "merge": CommandEntry("radiometer.cli.analyse.merge", "Merge a bracket into a picture of radiance."),
     "response": CommandEntry("radiometer.cli.calibrate.response",
                              "Recover the camera response from brackets or photographs."),

@@ -186,7 +186,7 @@ def scale_from_meter(
         quantity="luminance",
         f_number=settings.f_number,
         reference=f"K = {meter_k:g}, f/{settings.f_number:.4g}, {settings.exposure_s:.6g} s, ISO {settings.iso:g}: "
-        f"{luminance:.6g} cd/m²",
+        f"{luminance:.6g} cd·m⁻²",
     )
 
 

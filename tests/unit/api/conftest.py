@@ -13,7 +13,7 @@ from radiometer.cli.main import run
 from radiometer.daemon.journal import Journal
 from radiometer.data import Patch, Quantity, Reading
 from radiometer.data.reading import Contribution
-from simulators.observers.subject import SubjectCurve
+from testing.scripted_adaptation import SubjectCurve
 from testing.sky_log import Camera, sky_log, write
 
 BENCH = """\
