@@ -32,7 +32,6 @@ _HOMES = {
     ),
     "radiometer.api.certificate": ("Certificate", "certificate"),
     "radiometer.api.files": ("Stack", "read", "read_photographs"),
-    "radiometer.api.certificate": ("Certificate", "certificate"),
     "radiometer.api.flicker": ("FlickerReport", "flicker"),
     "radiometer.api.importing": ("Imported", "import_capture"),
     "radiometer.api.light": (

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import io
-import json
 import tempfile
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
@@ -17,7 +16,7 @@ from numpy.typing import NDArray
 import radiometer
 from radiometer.analysis.photometry.photometry import Spectrum, luminous_efficacy_lm_per_w
 from radiometer.data import PixelMask, RadianceMap
-from radiometer.data.json_text import json_text
+from radiometer.data.json_text import json_text, parsed_json
 from radiometer.data.reader_limits import bounded_reader
 from radiometer.data.reading import LUMINANCE_UNIT, RADIANCE_UNIT
 from radiometer.data.storage import write_bytes_atomic
@@ -171,7 +170,7 @@ def read_tiff(path: Path) -> MapPicture:
         with tifffile.TiffFile(path) as tiff:
             pages = {}
             for page in tiff.pages:
-                facts = json.loads(page.description)
+                facts = parsed_json(page.description)
                 pages[str(facts["quantity"])] = (page.asarray(), facts)
         (values, facts), (u, _), (mask, _) = (pages[name] for name in ("value", "standard uncertainty", "mask"))
     except (OSError, ValueError, KeyError, TypeError, AttributeError, tifffile.TiffFileError) as error:
