@@ -25,7 +25,6 @@ class WhiteLevel:
     measured_dn: float | None = None  # centre of the pile in DN; None where the frames show none
     spread_dn: float = 0.0  # standard deviation of the pile in DN
     piled_pixels: int = 0  # pixels in the pile of the frame that shows it best
-    stray_pixels: int = 0  # pixels above the pile in that frame
     # The highest digital number that more than single pixels reach; None where frames were not compared
     reached_dn: int | None = None
     exposures: int = 0  # different exposures that were compared
