@@ -14,6 +14,7 @@ from radiometer.errors import InputError, OutputError
 FORMAT: Final = "radiometer-adaptation/1"
 REFUSED: Final = "refused"
 CHECK: Final = "check"
+DEVICE_FACTS: Final = ("box", "firmware", "screen", "calibrated")  # of a journal's `stage`, for the table and report
 Event = dict[str, Any]
 _BEGINNING: Final = b'{"sequence": 0,'  # of every journal, even where a crash tore its first line
 
@@ -108,6 +109,11 @@ class RunJournal:
         whole = self.path.read_bytes().rfind(b"\n") + 1
         if whole < self.path.stat().st_size:
             self._stream.truncate(whole)
+
+
+def is_journal(beginning: bytes) -> bool:
+    """Return whether a file with these first bytes is the journal of a run."""
+    return beginning.startswith(_BEGINNING)
 
 
 @bounded_reader(error=InputError)

@@ -14,7 +14,7 @@ from radiometer.data import Calibration, Contribution, Quantity, Reading
 from radiometer.data.json_text import parsed_json
 from radiometer.data.storage import check_outputs, read_text, write_text_atomic
 from radiometer.errors import InputError, UsageError
-from radiometer.reporting.numbers import unit_text, with_u
+from radiometer.numbers import unit_text, with_u
 from radiometer.reporting.page import listed, page, section, table
 
 _RELATIVE: Final = "a relative value has no SI unit and cannot be certified; calibrate the camera first"

@@ -187,7 +187,7 @@ def _ti3(path: Path, text: str) -> ScreenReadings:
         if "LUMINANCE_XYZ_CDM2" not in keys:
             raise InputError(f"{path}: XYZ relative to white, and no LUMINANCE_XYZ_CDM2 that says how bright that is")
         scale = float(keys["LUMINANCE_XYZ_CDM2"].split()[1]) / 100.0
-        said = f"XYZ relative to a white of {100 * scale:.4g} cd/m²"
+        said = f"XYZ relative to a white of {100 * scale:.4g} cd·m⁻²"
     patches = [tuple(float(row[n]) for n in at) for row in rows]
     groups = {name: _grouped(patches, which, scale) for name, which in _AXES.items()}
     return ScreenReadings(
@@ -280,6 +280,7 @@ _LEVEL_NAMES: Final = (
 # Of the first three names the unit is cd·m⁻² unless the heading has another; the others are nothing without one.
 _PLAIN_LUMINANCE: Final = ("luminance", "lv", "leuchtdichte")
 _LUMINANCE_NAMES: Final = (*_PLAIN_LUMINANCE, "l", "y", "luminosite", "brightness", "reading", "measured")
+_CHANNEL_NAMES: Final = ("channel", "primary", "colour", "color")
 _RGB: Final = ({"r", "red", "rgb_r"}, {"g", "green", "rgb_g"}, {"b", "blue", "rgb_b"})
 
 
@@ -301,7 +302,7 @@ def _table(path: Path, text: str, mapped: StatementMap) -> ScreenReadings:
                 f"{path}: {table.width} columns without a heading; write one, such as level,luminance_cd_m2"
             )
         level_at, light_at = 0, 1
-        doubts.append("no heading: the first column is read as the level, the second as the luminance in cd/m²")
+        doubts.append("no heading: the first column is read as the level, the second as the luminance in cd·m⁻²")
     if light_at is None or (level_at is None and channels is None):
         lacking = "luminance" if light_at is None else "level"
         raise UnsettledError(
@@ -312,12 +313,14 @@ def _table(path: Path, text: str, mapped: StatementMap) -> ScreenReadings:
     luminance = finite(table.values(light_at, "luminance", doubts, mapped, "cd/m2" if plain else ""), table, light_at)
     drives = [_drives(table, at, doubts, mapped) for at in (channels or (level_at,) * 3)]
     groups: dict[str, dict[int, list[float]]] = {name: {} for name in _AXES}
-    for red, green, blue, value in zip(*drives, luminance, strict=True):
+    named_at = None if channels else next((n for n, name in enumerate(table.plain) if name in _CHANNEL_NAMES), None)
+    for (number, cells), red, green, blue, value in zip(table.rows, *drives, luminance, strict=True):
         top = max(red, green, blue)
+        drive = (red, green, blue) if named_at is None else _drive_of(path, number, cells[named_at], top)
         for name, axis in _AXES.items():
-            if all(v == top * on for v, on in zip((red, green, blue), axis, strict=True)):
+            if all(v == top * on for v, on in zip(drive, axis, strict=True)):
                 groups[name].setdefault(round(top), []).append(value)
-    left = table.not_used([light_at, *(channels or (level_at,))])
+    left = table.not_used([light_at, *(channels or (level_at,)), *([] if named_at is None else [named_at])])
     return ScreenReadings(
         path.stem,
         groups["grey"],
@@ -330,6 +333,14 @@ def _table(path: Path, text: str, mapped: StatementMap) -> ScreenReadings:
         ),
         doubts=tuple(dict.fromkeys(doubts)),
     )
+
+
+def _drive_of(path: Path, line: int, channel: str, level: float) -> tuple[float, ...]:
+    """Return the drive of red, green and blue of a row that names its channel. Raises InputError for another name."""
+    axis = _AXES.get(channel.strip().lower().replace("gray", "grey"))
+    if axis is None:
+        raise InputError(f"{path}, line {line}: channel {channel!r} is unknown; rows are of {', '.join(_AXES)}")
+    return tuple(level * on for on in axis)
 
 
 def _heading(table: TextTable, *columns: int | None) -> str:

@@ -9,9 +9,10 @@ import typer
 
 import radiometer as rm
 from radiometer.cli.arguments import parse_patch, parse_relative, parse_seconds
-from radiometer.cli.console import console, expanded, note, progress
+from radiometer.cli.console import console, note, progress
 from radiometer.cli.options import BenchOption, BoxOption, BoxPresetOption, CameraOption, JsonOption, command_group
 from radiometer.cli.outputs import writes
+from radiometer.numbers import with_u
 
 _JUMP_SHOWN = 0.005  # a start further off than half a per cent matters next to a calibration's 1 %
 
@@ -222,8 +223,8 @@ def _show_lit(found: rm.LitChannel, *, json: bool) -> None:
     console().print(str(found))
     if found.choice is None:
         return
-    value = expanded(found.choice.radiance_w_sr_m2, found.choice.u_w_sr_m2, "W·sr⁻¹·m⁻²")
-    console().print(f"radiance  {value} (k = 2), settled after {found.choice.settle_s:.0f} s")
+    value = with_u(found.choice.radiance_w_sr_m2, 2 * found.choice.u_w_sr_m2, "W sr-1 m-2", k=2)
+    console().print(f"radiance  {value}, settled after {found.choice.settle_s:.0f} s")
     if abs(found.choice.start_rel - 1) > _JUMP_SHOWN:
         note(f"just after switching on it is {100 * (found.choice.start_rel - 1):+.1f} % off")
 
