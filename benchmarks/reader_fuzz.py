@@ -25,7 +25,7 @@ def run(files: int, seed: int) -> list[tuple[str, ...]]:
     def limit() -> None:
         resource.setrlimit(resource.RLIMIT_DATA, (_MOST_BYTES, _MOST_BYTES))
 
-    found = []
+    found = list[tuple[str, ...]]()
     with tempfile.TemporaryDirectory() as folder:
         command = [sys.executable, str(_SCRIPT), folder, str(files), str(seed)]
         with subprocess.Popen(command, preexec_fn=limit, stdout=subprocess.PIPE, text=True, cwd=ROOT) as process:
