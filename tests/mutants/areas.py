@@ -93,8 +93,7 @@ AREAS: dict[str, tuple[str, ...]] = {
         *(f"simulators/{room}/*.py" for room in ("cameras", "chain", "displays", "observers", "scenes")),
     ),
     "quality_and_exports": (
-        "radiometer/analysis/quality/*.py",
-        "radiometer/analysis/exports/*.py",
+        *(f"radiometer/analysis/{room}/*.py" for room in ("exports", "flicker", "quality", "regions")),
         "radiometer/reporting/*.py",
     ),
 }
