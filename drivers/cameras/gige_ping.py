@@ -26,7 +26,6 @@ def answers(address: str, attempts: int = 3, timeout_s: float = 0.4, port: int =
         address: IPv4 address.
         attempts: Commands sent before giving up.
         timeout_s: Longest wait for each answer in s.
-        port: UDP port of its control channel.
     """
     return _answer(_DISCOVERY_COMMAND, _DISCOVERY_ACK, address, attempts, timeout_s, port) is not None
 
@@ -38,7 +37,6 @@ def is_controlled(address: str, attempts: int = 2, timeout_s: float = 0.4, port:
         address: IPv4 address.
         attempts: Questions asked before giving up.
         timeout_s: Longest wait for each answer in s.
-        port: UDP port of its control channel.
 
     Source: GigE Vision 2.0, control channel privilege register, bits 30 (exclusive) and 31 (control).
     """
@@ -56,7 +54,6 @@ def name_at(address: str, attempts: int = 2, timeout_s: float = 0.4, port: int =
         address: IPv4 address.
         attempts: Questions asked before giving up.
         timeout_s: Longest wait for each answer in s.
-        port: UDP port of its control channel.
     """
     packet = _answer(_DISCOVERY_COMMAND, _DISCOVERY_ACK, address, attempts, timeout_s, port) or b""
     registers = packet[_HEADER.size :]

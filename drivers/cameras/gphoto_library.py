@@ -62,13 +62,7 @@ class GphotoLibrary:
 
 
 class GphotoDevice:
-    """An open photographic camera.
-
-    Args:
-        library: The binding.
-        camera: Its camera.
-        name: How messages call it.
-    """
+    """An open photographic camera."""
 
     def __init__(self, library: Any, camera: Any, name: str) -> None:
         self._library, self._camera, self._name = library, camera, name

@@ -58,7 +58,6 @@ class PicameraDevice:
 
     Args:
         camera: A `Picamera2`.
-        number: Its number, for messages.
     """
 
     def __init__(self, camera: Any, number: int) -> None:

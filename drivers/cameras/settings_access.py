@@ -23,19 +23,12 @@ def bit_depth_of(format_name: str, quirks: CameraQuirks) -> int:
 
 @dataclass(frozen=True, slots=True)
 class SettingsAccess:
-    """Settings of one open camera.
+    """Settings of one open camera."""
 
-    Attributes:
-        camera: An `Aravis.Camera`.
-        features: Its features.
-        quirks: How its family differs from the standard.
-        name: How messages call it.
-    """
-
-    camera: Any
-    features: FeatureAccess
-    quirks: CameraQuirks
-    name: str
+    camera: Any  # an `Aravis.Camera`
+    features: FeatureAccess  # its features
+    quirks: CameraQuirks  # how its family differs from the standard
+    name: str  # how messages call it
 
     def capabilities(self, format_name: str) -> CameraCapabilities:
         """Return the limits in s, dB and DN; the black level's are those of the given pixel format."""

@@ -61,7 +61,6 @@ class LinuxpyDevice:
 
     Args:
         library: linuxpy's video module.
-        device: Its device.
         path: Where it is.
     """
 

@@ -7,7 +7,6 @@ import threading
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
-from types import TracebackType
 from typing import Final, Protocol, Self
 
 from drivers.light_box.answers import (
@@ -63,32 +62,22 @@ class RadianceTable(Protocol):
 
     def drive_for(self, channel: str, radiance_w_sr_m2: float) -> tuple[int, bool]:
         """Return the level nearest to a radiance and whether it is on the high range; raises SettingOutOfRange."""
-        ...
 
     def highest_radiance(self, channel: str, level: int, high: bool) -> float | None:
         """Return a radiance in W·sr⁻¹·m⁻² that the level stays below (k = 2); None where it is not calibrated."""
-        ...
 
 
 @dataclass(slots=True)
 class SerialLightBox:
-    """A light box behind a line.
+    """A light box behind a line."""
 
-    Attributes:
-        link: Exchanges with the box.
-        ledger: Account of the retinal exposure; refuses what is too much.
-        calibration: Level ↔ radiance; None where levels can only be raw.
-        mild: Wait for what answers to boot, ask it once, and let it be if it is silent: the port may be another's.
-        keep_alive: Tend the box from a separate thread; without it the caller calls `tend` often enough.
-        flash: The photographic flash at its trigger; None where there is none.
-    """
-
-    link: BoxLink
-    ledger: ExposureLedger
-    calibration: RadianceTable | None = None
-    keep_alive: bool = True
+    link: BoxLink  # exchanges with the box
+    ledger: ExposureLedger  # account of the retinal exposure; refuses what is too much
+    calibration: RadianceTable | None = None  # level ↔ radiance; None where levels can only be raw
+    keep_alive: bool = True  # tend the box from a separate thread; without it the caller calls `tend` often enough
+    # Wait for what answers to boot, ask it once, and let it be if it is silent: the port may be another's
     mild: bool = False
-    flash: FlashLight | None = None
+    flash: FlashLight | None = None  # the photographic flash at its trigger; None where there is none
     _identity: LightBoxIdentity | None = None
     _channels: dict[str, ChannelCapabilities] = field(default_factory=dict)
     _buckets: dict[str, int] = field(default_factory=dict)
@@ -174,8 +163,6 @@ class SerialLightBox:
         """Return which fractions of the exposure limits a stimulus would use up, without lighting anything.
 
         Args:
-            channel: Name of the channel.
-            level: Raw level, or radiance of a calibrated channel.
             bright_s: Bright time in s, in sum.
 
         Raises:
@@ -340,9 +327,7 @@ class SerialLightBox:
         self.open()
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
 
     @property

@@ -12,15 +12,10 @@ KEPT_BY_BOX: Final = 16
 
 @dataclass(slots=True)
 class EventInbox:
-    """Releases events in the order of their numbers, which wrap at 256.
+    """Releases events in the order of their numbers, which wrap at 256."""
 
-    Attributes:
-        expected: Number of the next event to release; None before the first synchronisation.
-        lost: Events that could not be had any more.
-    """
-
-    expected: int | None = None
-    lost: int = 0
+    expected: int | None = None  # number of the next event to release; None before the first synchronisation
+    lost: int = 0  # events that could not be had any more
     _waiting: dict[int, Event] = field(default_factory=dict)
 
     def start_after(self, number: int) -> None:

@@ -44,22 +44,14 @@ class BoxLink:
     """Sends requests until they are answered, and keeps what the box says by itself.
 
     A request is repeated with the same number; the box answers a repetition without doing it again.
-
-    Attributes:
-        line: The serial line, owned by this link.
-        byte_time_s: Time that one byte takes on the wire in s.
-        clock: Collects the comparisons of the clocks.
-        inbox: Puts events in order.
-        retries: Requests that were sent again since opening.
-        damaged_lines: Lines that held nothing undamaged since opening.
     """
 
-    line: Line
-    byte_time_s: float = 10 / 115200
-    clock: BoxClock = field(default_factory=BoxClock)
-    inbox: EventInbox = field(default_factory=EventInbox)
-    retries: int = 0
-    damaged_lines: int = 0
+    line: Line  # the serial line, owned by this link
+    byte_time_s: float = 10 / 115200  # time that one byte takes on the wire in s
+    clock: BoxClock = field(default_factory=BoxClock)  # collects the comparisons of the clocks
+    inbox: EventInbox = field(default_factory=EventInbox)  # puts events in order
+    retries: int = 0  # requests that were sent again since opening
+    damaged_lines: int = 0  # lines that held nothing undamaged since opening
     _sequence: int = field(default_factory=lambda: secrets.randbelow(256))
     _events: deque[Event] = field(default_factory=lambda: deque(maxlen=EVENT_SLOTS))
     _fault: str | None = None
@@ -69,7 +61,6 @@ class BoxLink:
         """Return the fields of the answer to a request.
 
         Args:
-            words: Command and arguments, parted by single spaces.
             attempts: How often to send it at most.
 
         Raises:

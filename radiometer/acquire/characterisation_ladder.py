@@ -18,18 +18,12 @@ _TOO_BRIGHT_FACTOR = 0.1
 
 @dataclass(frozen=True, slots=True)
 class LadderRequest:
-    """What to take.
+    """What to take."""
 
-    Attributes:
-        region: Where the light is.
-        steps: Exposures from near darkness to just above saturation.
-        stack: Frames in a row at half of saturation, for the differences between pixels.
-        dark_exposures_s: Further exposures with the shutter closed, for the dark current.
-    """
-
-    region: Patch
-    steps: int = 30
-    stack: int = 8
+    region: Patch  # where the light is
+    steps: int = 30  # exposures from near darkness to just above saturation
+    stack: int = 8  # frames in a row at half of saturation, for the differences between pixels
+    # Further exposures with the shutter closed, for the dark current
     dark_exposures_s: tuple[float, ...] = (1.0, 2.0, 4.0)
 
     def frames(self) -> int:
@@ -44,7 +38,6 @@ def take_ladder(
 
     Args:
         camera: An open camera; its gain, black level and pixel format stay as they are set.
-        request: What to take.
         close_shutter: Called with True before the dark frames and with False after them; the camera's own shutter
             where None.
 

@@ -191,9 +191,7 @@ def repeats_for(
     """Return how often a plan must be taken so that the mean of a region reaches a relative uncertainty.
 
     Args:
-        plan: Exposures taken once.
         rates_dn_per_s: Rates of the region's pixels in DN per s at gain 0 dB.
-        camera: The camera, for its noise.
         gain_db: Analogue gain in dB.
         target_u_rel: Wanted relative standard uncertainty (k = 1) of the region's mean from noise, above 0.
 

@@ -38,15 +38,10 @@ Progress = Callable[[str, int, int], None]
 
 @dataclass(frozen=True, slots=True)
 class SpectralCorrection:
-    """What a reading is multiplied by, for the camera was calibrated at another wavelength.
+    """What a reading is multiplied by, for the camera was calibrated at another wavelength."""
 
-    Attributes:
-        factor: Responsivity (per W) at the calibration's light over that at the channel's.
-        u_rel: Its relative standard uncertainty.
-    """
-
-    factor: float = 1.0
-    u_rel: float = 0.0
+    factor: float = 1.0  # responsivity (per W) at the calibration's light over that at the channel's
+    u_rel: float = 0.0  # its relative standard uncertainty
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,31 +59,18 @@ class Measured:
 
 @dataclass(slots=True)
 class LevelSurvey:
-    """Measures one channel: levels in random order, the reference level in between, each after it has settled.
+    """Measures one channel: levels in random order, the reference level in between, each after it has settled."""
 
-    Attributes:
-        box: An open light box; all channels dark.
-        measure: Takes one reading of the lit area.
-        wait: Lets a time in s pass while the box is kept lit.
-        rng: Makes the order.
-        points_per_decade: Density of the levels.
-        progress: Called with channel, points done and points in all.
-    """
-
-    box: LightBox
-    measure: Measure
-    wait: Callable[[float], None]
-    rng: np.random.Generator
-    points_per_decade: float = 4.0
-    progress: Progress | None = None
+    box: LightBox  # an open light box; all channels dark
+    measure: Measure  # takes one reading of the lit area
+    wait: Callable[[float], None]  # lets a time in s pass while the box is kept lit
+    rng: np.random.Generator  # makes the order
+    points_per_decade: float = 4.0  # density of the levels
+    progress: Progress | None = None  # called with channel, points done and points in all
     _dark: Reading | None = field(default=None)
 
     def survey(self, channel: str, correction: SpectralCorrection) -> ChannelCalibration:
         """Return the channel's calibration.
-
-        Args:
-            channel: Name of the channel.
-            correction: Spectral correction of the readings.
 
         Raises:
             MeasurementError: If fewer than two levels stand out of the noise.
@@ -206,10 +188,7 @@ def assemble(
     """Return the calibration from measured levels: drift of the reference taken out, uncertainties put together.
 
     Args:
-        channel: The channel.
         measured: Levels in the order in which they were measured.
-        references: Measurements of the reference level in between.
-        correction: Spectral correction.
 
     Raises:
         MeasurementError: If fewer than two levels of each range stand out of the noise.

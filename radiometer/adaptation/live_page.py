@@ -9,7 +9,6 @@ import threading
 import time
 from collections.abc import Callable, Coroutine, Mapping
 from importlib.resources import files
-from types import TracebackType
 from typing import Any, Final, Self
 
 from aiohttp import web
@@ -34,10 +33,8 @@ class LivePage:
     """Shows a running test to any number of browsers; one that goes away does no harm.
 
     Args:
-        protocol: What is done.
         controls: Where its buttons ask for a pause or the end.
         port: Port on 127.0.0.1; 0 for any free one.
-        audio: Whether prompts are sounded.
         health: Returns the state of box or screen by name; asked on the thread of the run after every trial.
         darken: Darkens the light box, whoever holds it, and returns what it did in words; called on its own thread.
         clock: Steady clock in s.
@@ -199,9 +196,7 @@ class LivePage:
         self.open()
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
 
 

@@ -29,9 +29,6 @@ def method_bias(method: LimitsMethod | StaircaseMethod | DownUpMethod | QuestPlu
 
     Exact for a usual psychometric function, averaged over the places of the levels; its uncertainty is that of the
     slope.
-
-    Args:
-        method: The method and its steps.
     """
     if isinstance(method, LimitsMethod):
         biases = [_ascent(slope, method.step_log10, method.start_below_log10) for slope in SLOPES]

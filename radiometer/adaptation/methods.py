@@ -10,40 +10,25 @@ from radiometer.adaptation.quest_plus import QuestPlusSearch
 
 
 class Method(Protocol):
-    """The search for one threshold.
+    """The search for one threshold."""
 
-    Attributes:
-        level: log10 level of the next blink.
-        threshold: log10 threshold once it is found.
-        exhausted: Whether the search ended without one.
-        u_log10: Standard uncertainty of the threshold; None where the method states none.
-    """
-
-    level: float
-    threshold: float | None
-    exhausted: bool
-    u_log10: float | None
+    level: float  # log10 level of the next blink
+    threshold: float | None  # log10 threshold once it is found
+    exhausted: bool  # whether the search ended without one
+    u_log10: float | None  # standard uncertainty of the threshold; None where the method states none
 
     def answer(self, *, seen: bool) -> None:
         """Take the answer to the blink at `level` and go on."""
-        ...
 
 
 @dataclass
 class Ascent:
-    """Ascending limits: up by a step per blink until it is seen; an ascent that is seen at once begins lower.
+    """Ascending limits: up by a step per blink until it is seen; an ascent that is seen at once begins lower."""
 
-    Attributes:
-        spot: The spot's levels.
-        method: Its settings.
-        last: Threshold before, log10; None at the start, where the ascent begins near the top.
-        shift: Part of a step, 0 to 1, by which it begins lower.
-    """
-
-    spot: Spot
-    method: LimitsMethod
-    last: float | None = None
-    shift: float = 0.0
+    spot: Spot  # the spot's levels
+    method: LimitsMethod  # its settings
+    last: float | None = None  # threshold before, log10; None at the start, where the ascent begins near the top
+    shift: float = 0.0  # part of a step, 0 to 1, by which it begins lower
     threshold: float | None = None
     exhausted: bool = False
     u_log10: float | None = None
@@ -151,7 +136,6 @@ def begin(spot: Spot, method: AnyMethod, last: float | None, shift: float = 0.0)
 
     Args:
         spot: The spot's levels.
-        method: Which search, and its settings.
         last: Threshold before, log10; None at the start.
         shift: Part of a step, 0 to 1, by which limits and staircase begin lower. By chance from threshold to threshold,
             it keeps them from lying on one grid of levels, where errors of neighbours go together.

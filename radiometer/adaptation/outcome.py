@@ -45,27 +45,16 @@ FITTED: Final = (Verdict.COMPLETE, Verdict.CRITERION_REACHED, Verdict.FLOOR_REAC
 
 @dataclass(frozen=True, slots=True)
 class Outcome:
-    """The result of a run.
+    """The result of a run."""
 
-    Attributes:
-        verdict: In one word.
-        explanation: For the user, what it means.
-        times_min: Time of each threshold in min after the end of the bleach.
-        thresholds_log10: Thresholds, log10 of scotopic cd·m⁻².
-        false_presses: Presses to catches or faster than a human can.
-        catches: Catches without a light shown.
-        u_log10: Standard uncertainty of each threshold; empty where the method states none.
-        reliability: False alarms, lapses and looks away from the mark.
-    """
-
-    verdict: Verdict
-    explanation: str
-    times_min: tuple[float, ...]
-    thresholds_log10: tuple[float, ...]
-    false_presses: int
-    catches: int
-    u_log10: tuple[float, ...] = ()
-    reliability: Reliability = field(default_factory=Reliability)
+    verdict: Verdict  # in one word
+    explanation: str  # for the user, what it means
+    times_min: tuple[float, ...]  # time of each threshold in min after the end of the bleach
+    thresholds_log10: tuple[float, ...]  # thresholds, log10 of scotopic cd·m⁻²
+    false_presses: int  # presses to catches or faster than a human can
+    catches: int  # catches without a light shown
+    u_log10: tuple[float, ...] = ()  # standard uncertainty of each threshold; empty where the method states none
+    reliability: Reliability = field(default_factory=Reliability)  # False alarms, lapses and looks away from the mark
 
     @property
     def can_be_fitted(self) -> bool:

@@ -5,18 +5,17 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from radiometer.adaptation.adaptation_fit import AdaptationFit
 from radiometer.adaptation.branch_fit import BranchFit
 from radiometer.reporting.numbers import rounded
 from radiometer.reporting.pictures import BEFORE, DIMMED, MARK, MODEL, RULE, SEEN, dress, legend, mark, picture
+from radiometer.typing import Array
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-Array = NDArray[np.float64]
 _POINTS: Final = 600
 _LEFT_PART: Final = 0.45  # of the time axis; where the break is there, its words are to the right of it
 _INTERVAL_SIGMAS: Final = 1.96  # 95 %

@@ -20,8 +20,6 @@ def measured_room(instrument: Instrument, protocol: AdaptationProtocol, white: s
     """Return whether what a camera sees is dark enough.
 
     Args:
-        instrument: Sees the dark field.
-        protocol: States the limit.
         white: Spectrum that light in the room is taken to have.
 
     Raises:

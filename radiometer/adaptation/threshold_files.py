@@ -47,17 +47,11 @@ LINEAR_RATIO: Final = 30.0  # all above 0, and the greatest so many times the le
 
 @dataclass(frozen=True, slots=True)
 class TakenTable:
-    """Numbers of a file, turned to minutes and log10, and how.
+    """Numbers of a file, turned to minutes and log10, and how."""
 
-    Attributes:
-        rows: Time in min, log10 threshold and, where known, its u, in order of time; shape (n, 2) or (n, 3).
-        facts: What the lines beginning with # say, by lower-case name.
-        taken: What was made of the file, in words.
-    """
-
-    rows: np.ndarray
-    facts: dict[str, str] = field(default_factory=dict)
-    taken: tuple[str, ...] = ()
+    rows: np.ndarray  # time in min, log10 threshold and, where known, its u, in order of time; shape (n, 2) or (n, 3)
+    facts: dict[str, str] = field(default_factory=dict)  # what the lines beginning with # say, by lower-case name
+    taken: tuple[str, ...] = ()  # what was made of the file, in words
 
 
 @bounded_reader(error=InputError)
@@ -179,12 +173,7 @@ def _taken(
 
 
 def _of_trials(
-    path: Path,
-    header: list[str],
-    body: list[tuple[int, list[str]]],
-    facts: dict[str, str],
-    how: list[str],
-    seen: int,
+    path: Path, header: list[str], body: list[tuple[int, list[str]]], facts: dict[str, str], how: list[str], seen: int
 ) -> TakenTable:
     """Return the thresholds of a list of trials: where the answer changes between two levels."""
     when = column_of_onsets(path, header, [row for _, row in body], without=seen)

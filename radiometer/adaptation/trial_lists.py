@@ -28,10 +28,7 @@ def column_of_answers(header: Sequence[str]) -> int | None:
 def column_of_onsets(path: Path, header: Sequence[str], rows: Sequence[Sequence[str]], without: int) -> int:
     """Return the column of when each trial was shown: the first of a known name whose numbers ascend.
 
-    OPI's own `time` is the reaction time in ms: it does not ascend.
-
-    Raises:
-        InputError: If there is none.
+    OPI's own `time` is the reaction time in ms: it does not ascend. Raises InputError if there is none.
     """
     stems = [re.sub(r"[^a-z]+", "_", re.sub(r"[\[(].*?[\])]", "", cell.lower())).strip("_") for cell in header]
     for word in ONSET_WORDS:
@@ -60,9 +57,7 @@ def changes_of_answer(path: Path, trials: NDArray[np.float64], answers: Sequence
     where a search begins anew, are left out. The threshold is midway between the levels, its time between the times.
 
     Args:
-        path: The file, for messages.
         trials: Times in min, ascending, and log10 levels, shape (n, 2).
-        answers: The answers, in words.
 
     Raises:
         InputError: If an answer is neither yes nor no, or none changes.

@@ -21,12 +21,7 @@ from radiometer.errors import MissingLibrary, UsageError
 
 try:
     from bluesky.protocols import Movable
-    from ophyd_async.core import (
-        AsyncStatus,
-        StandardReadable,
-        StandardReadableFormat,
-        soft_signal_r_and_setter,
-    )
+    from ophyd_async.core import AsyncStatus, StandardReadable, StandardReadableFormat, soft_signal_r_and_setter
 except ImportError as _error:
     raise MissingLibrary("Bluesky's adapters need ophyd-async: pip install 'radiometer[bluesky]'") from _error
 
@@ -44,7 +39,6 @@ class RadiometerDetector(StandardReadable):
 
     Args:
         source: What measures: a meter of this process or a daemon.
-        name: Name in the documents.
         unit: Unit of the radiance: "W sr-1 m-2", or "relative" for a camera without calibration.
     """
 
@@ -98,8 +92,6 @@ class LightBoxLevel(StandardReadable, Movable[float]):
 
     Args:
         box: The open box.
-        channel: Name of the channel.
-        name: Name in the documents.
         gate: Held while the box is spoken to; share it with who else does.
     """
 
@@ -152,9 +144,6 @@ def open_light_bench(
 
     Args:
         box: "sim", a serial number or a port.
-        channel: Channel to be scanned.
-        detector_name: Name of the detector in the documents.
-        level_name: Name of the level in the documents.
 
     Raises:
         DeviceError: If box or camera cannot be opened.

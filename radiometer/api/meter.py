@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from contextlib import ExitStack
 from pathlib import Path
-from types import TracebackType
 from typing import Self
 
 from radiometer.acquire.bracketing import DEFAULT_TIME_LIMIT_S, BracketRequest, plan_for_scene, take_plan
@@ -45,9 +44,7 @@ class Meter:
         """Return the meter itself."""
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         """Close the camera."""
         self.close()
 

@@ -20,6 +20,7 @@ from radiometer.archive.cycles import (
     with_period,
 )
 from radiometer.errors import InputError
+from radiometer.typing import Array
 
 MONTH_S: Final = 365.25 / 12 * 86400.0
 # A drift is claimed where chance alone would show it in so many archives: 3 sigma of many readings. What is guessed of
@@ -43,56 +44,33 @@ _LEAST_SCATTER: Final = 1e-3  # of the stated sigma, below which stated sizes pu
 _MOST_VALUES: Final = 4_000_000  # in a table of correlation times at once
 _MINIMUM_READINGS: Final = 8
 
-Array = NDArray[np.float64]
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Trend:
-    """The history of one quantity of one patch.
+    """The history of one quantity of one patch."""
 
-    Attributes:
-        patch: Name of the patch.
-        quantity: Name of the quantity.
-        unit: Its unit.
-        time_s: Times in s since 1970, ascending, shape (n,).
-        value: Values, same shape.
-        u: Stated standard uncertainties, same shape.
-        line: Fitted straight line at the times.
-        u_line: Standard uncertainty of the line there.
-        outlier: Which readings are more than 4 of their total sigmas from the line; they take no part.
-        excess_rel: Relative scatter from reading to reading beyond the stated uncertainties (k = 1).
-        drift_per_month: Relative drift per month of 30.44 days.
-        u_drift_per_month: Its standard uncertainty, neighbours' correlation and seasons counted.
-        degrees_of_freedom: Behind that uncertainty: of the readings' effective number.
-        correlation: Of a reading with the next one, beyond line and season.
-        season_rel: Amplitude of the yearly cycle; None where the readings do not determine it.
-        straight_per_month: Relative drift per month if there were no cycle that the readings do not show.
-        u_straight_per_month: Its standard uncertainty.
-        cycles: Period in s and relative amplitude of other cycles that the readings show.
-        changes_s: Times from which on another calibration, or other settings, were in use; in s since 1970.
-        flags: How many readings bear each flag.
-    """
-
-    patch: str
-    quantity: str
-    unit: str
-    time_s: Array
-    value: Array
-    u: Array
-    line: Array
-    u_line: Array
-    outlier: NDArray[np.bool_]
-    excess_rel: float
-    drift_per_month: float
-    u_drift_per_month: float
-    degrees_of_freedom: float = math.inf
-    correlation: float = 0.0
-    season_rel: float | None = None
-    straight_per_month: float = 0.0
-    u_straight_per_month: float = math.inf
+    patch: str  # name of the patch
+    quantity: str  # name of the quantity
+    unit: str  # its unit
+    time_s: Array  # times in s since 1970, ascending, shape (n,)
+    value: Array  # values, same shape
+    u: Array  # stated standard uncertainties, same shape
+    line: Array  # fitted straight line at the times
+    u_line: Array  # standard uncertainty of the line there
+    outlier: NDArray[np.bool_]  # which readings are more than 4 of their total sigmas from the line; they take no part
+    excess_rel: float  # relative scatter from reading to reading beyond the stated uncertainties (k = 1)
+    drift_per_month: float  # relative drift per month of 30.44 days
+    u_drift_per_month: float  # its standard uncertainty, neighbours' correlation and seasons counted
+    degrees_of_freedom: float = math.inf  # behind that uncertainty: of the readings' effective number
+    correlation: float = 0.0  # of a reading with the next one, beyond line and season
+    season_rel: float | None = None  # amplitude of the yearly cycle; None where the readings do not determine it
+    straight_per_month: float = 0.0  # relative drift per month if there were no cycle that the readings do not show
+    u_straight_per_month: float = math.inf  # its standard uncertainty
+    # Period in s and relative amplitude of other cycles that the readings show
     cycles: tuple[tuple[float, float], ...] = ()
+    # Times from which on another calibration, or other settings, were in use; in s since 1970
     changes_s: tuple[float, ...] = ()
-    flags: Mapping[str, int] = field(default_factory=dict)
+    flags: Mapping[str, int] = field(default_factory=dict)  # how many readings bear each flag
 
     @property
     def claim_sigmas(self) -> float:
@@ -157,9 +135,6 @@ def fit_trend(time_s: Array, value: Array, u: Array, *, patch: str = "", quantit
         time_s: Times in s, shape (n,), any order.
         value: Values, above 0.
         u: Stated standard uncertainties, above 0.
-        patch: Name for the result.
-        quantity: Name for the result.
-        unit: Unit for the result.
 
     Raises:
         InputError: If there are fewer than 8 readings, or they are not above 0, or all at one time.

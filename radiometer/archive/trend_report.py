@@ -25,6 +25,7 @@ from radiometer.reporting.pictures import (
     picture,
     shortened,
 )
+from radiometer.typing import Array
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -37,14 +38,11 @@ _BEYOND_SIGMAS: Final = 2.0
 _TAGS: Final = {"drift": "drifts", "season_or_drift": "season or drift", "no_drift": "not claimed"}
 _VERDICTS: Final = {"drift": "drifts", "season_or_drift": "a season or a drift", "no_drift": "no drift shown"}
 
-Array = NDArray[np.float64]
-
 
 def trend_report(trends: Sequence[Trend], source: str) -> str:
     """Return an HTML page with the outcome, a picture of the histories, and a section for each patch.
 
     Args:
-        trends: Histories.
         source: Where they come from, for the reader.
     """
     # Claimed ones first, the fastest in front: the opening picture shows these.
@@ -78,11 +76,7 @@ def trend_report(trends: Sequence[Trend], source: str) -> str:
 
 
 def outcome(ordered: Sequence[Trend]) -> str:
-    """Return in one sentence what drifts, by how much, or that nothing is shown to.
-
-    Args:
-        ordered: Histories, the claimed and fastest first.
-    """
+    """Return in one sentence what drifts, by how much, or that nothing is shown to."""
     first = ordered[0]
     if not first.drifts:
         open_ones = [trend for trend in ordered if trend.verdict == "season_or_drift"]
@@ -114,11 +108,7 @@ def _straight(trend: Trend) -> str:
 
 
 def advice(ordered: Sequence[Trend]) -> list[str]:
-    """Return what to do about the drifts, or what would show one.
-
-    Args:
-        ordered: Histories, the claimed and fastest first.
-    """
+    """Return what to do about the drifts, or what would show one."""
     said = []
     for trend in ordered:
         stated = float(np.median(trend.u / trend.value))

@@ -47,29 +47,20 @@ def clipped_part(frame: Frame) -> float:
 
 @dataclass(frozen=True, slots=True)
 class Instrument:
-    """Reads the radiance of patches with an open camera.
+    """Reads the radiance of patches with an open camera."""
 
-    Attributes:
-        camera: An open camera.
-        patch: Where to read by default.
-        calibration: Absolute calibration of this camera; None gives relative readings flagged so.
-        time_limit_s: Bound on the sum of the exposure times of one reading in s.
-        f_number: f-number that the lens is set to where the camera's description does not hold.
-        source: What is known of the light.
-        spectrum_stated: Whether the light's spectrum is known to be the one that the calibration names for it.
-        cover: Called with True to have the lens covered for dark frames, and False after them; None for none by hand.
-        clock: Steady clock in s.
-    """
-
-    camera: Camera
-    patch: Patch
+    camera: Camera  # an open camera
+    patch: Patch  # where to read by default
+    # Absolute calibration of this camera; None gives relative readings flagged so
     calibration: Calibration | None = None
-    time_limit_s: float = DEFAULT_TIME_LIMIT_S
-    f_number: float | None = None
-    source: SourceDescription | None = None
+    time_limit_s: float = DEFAULT_TIME_LIMIT_S  # bound on the sum of the exposure times of one reading in s
+    f_number: float | None = None  # f-number that the lens is set to where the camera's description does not hold
+    source: SourceDescription | None = None  # what is known of the light
+    # Whether the light's spectrum is known to be the one that the calibration names for it
     spectrum_stated: bool = True
+    # Called with True to have the lens covered for dark frames, and False after them; None for none by hand
     cover: Callable[[bool], None] | None = None
-    clock: Callable[[], float] = time.monotonic
+    clock: Callable[[], float] = time.monotonic  # steady clock in s
 
     def __post_init__(self) -> None:
         if self.calibration is not None:

@@ -62,9 +62,6 @@ def take_step(
     A step whose name states a gain, such as "12dB", is taken at that gain.
 
     Args:
-        out: Folder to create.
-        of: The procedure.
-        step: The step.
         bench: Bench file; the simulated bench where None.
         name: Camera by name; the bench's own where None.
         patch: Where the index is read; the bench's where None.

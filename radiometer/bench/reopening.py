@@ -13,16 +13,12 @@ PAUSE_S: Final = 0.5  # between two tries: what an opening of a camera that is t
 
 
 def reopen(
-    camera: Camera,
-    settings: CameraSettings,
-    report: Callable[[str], None],
-    sleep: Callable[[float], None] = time.sleep,
+    camera: Camera, settings: CameraSettings, report: Callable[[str], None], sleep: Callable[[float], None] = time.sleep
 ) -> None:
     """Close a camera that was lost, and try to open it until it is back with its settings in force.
 
     Args:
         camera: The camera; nothing more is asked of it before it is open again.
-        settings: What it is to be set to.
         report: Called with why it cannot be opened, once for each reason.
         sleep: Waits so many seconds.
 

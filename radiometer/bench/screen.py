@@ -38,19 +38,12 @@ _OBSERVERS: Final[tuple[Observer, ...]] = ("photopic", "scotopic")
 
 @dataclass(frozen=True)
 class ScreenBench:
-    """An open display, and the instrument that looks at it.
+    """An open display, and the instrument that looks at it."""
 
-    Attributes:
-        display: The display.
-        instrument: The instrument.
-        sleep: Waits for a number of seconds on the clock of both.
-        clock: That clock in s.
-    """
-
-    display: Display
-    instrument: Instrument
-    sleep: Callable[[float], None]
-    clock: Callable[[], float]
+    display: Display  # the display
+    instrument: Instrument  # the instrument
+    sleep: Callable[[float], None]  # waits for a number of seconds on the clock of both
+    clock: Callable[[], float]  # that clock in s
 
     def read(self) -> ScreenReading:
         """Return one reading of the patch (a Meter). Raises DeviceError, MeasurementError."""
@@ -94,7 +87,6 @@ def lights(white: str = "white_led", primaries: str | None = None) -> dict[str, 
     """Return the light of every channel whose spectrum is known or chosen.
 
     Args:
-        white: Spectrum of grey.
         primaries: Display type (`DISPLAY_TYPES`), or a CSV with the columns wavelength in nm, red, green, blue; None
             where the primaries are not known: then they have no light.
 
@@ -166,9 +158,7 @@ def open_screen_bench(
         camera: Camera before a browser, by name.
         calibration: Calibration file; the bench's own where None.
         patch: Where the camera sees the middle of the screen; the middle of its frame where None.
-        port: Port for the page.
         announce: Called with the page's address.
-        seed: Seed of the simulated camera.
 
     Raises:
         UsageError: If the display is unknown.

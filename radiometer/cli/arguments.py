@@ -138,11 +138,7 @@ def parse_f_number(text: str | float | None, option: str) -> float | None:
 
 
 def parse_bounds(text: str, option: str) -> tuple[float, float]:
-    """Return the two numbers of "LOW,HIGH".
-
-    Raises:
-        UsageError: If they are not two numbers with 0 < LOW < HIGH.
-    """
+    """Return the two numbers of "LOW,HIGH". Raises UsageError if they are not two numbers with 0 < LOW < HIGH."""
     try:
         low, high = (float(part) for part in text.split(","))
     except ValueError as error:

@@ -30,7 +30,6 @@ class BenchInstrument:
         bench: Bench file; the simulated bench where None.
         camera_name: "sim", or a GenICam id, serial number or address; the bench's own camera where None.
         calibration: Calibration file; the bench's own where None.
-        uncalibrated: Use no calibration at all.
         spectrum_name: Spectrum assumed for the luminance; the bench's, else the calibration's, where None.
 
     Raises:

@@ -22,15 +22,10 @@ def steady_us() -> int:
 
 @dataclass(frozen=True, slots=True)
 class Jump:
-    """The wall clock was set.
+    """The wall clock was set."""
 
-    Attributes:
-        before_us: What it would show had it not been, µs since 1970.
-        after_us: What it shows.
-    """
-
-    before_us: int
-    after_us: int
+    before_us: int  # what it would show had it not been, µs since 1970
+    after_us: int  # what it shows
 
     @property
     def by_us(self) -> int:

@@ -182,11 +182,7 @@ class Journal:
         return numbered
 
     def note(self, kind: str, message: str) -> None:
-        """Commit an event, such as a lost device.
-
-        Raises:
-            JournalError: If it cannot be committed now.
-        """
+        """Commit an event, such as a lost device. Raises JournalError if it cannot be committed now."""
         with self._transaction() as connection:
             connection.execute(
                 "INSERT INTO events (time_us, kind, message) VALUES (?, ?, ?)", (now_us(), kind, message)
@@ -211,10 +207,7 @@ class Journal:
     def note_jump(self, by_us: int) -> None:
         """Commit that the clock was set forward by a time in µs: what is stamped from now on is in doubt by that.
 
-        A clock that is set back takes the doubt away again.
-
-        Raises:
-            JournalError: If it cannot be committed now.
+        A clock that is set back takes the doubt away again. Raises JournalError if it cannot be committed now.
         """
         with self._transaction() as connection:
             connection.execute(

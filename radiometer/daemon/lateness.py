@@ -36,10 +36,14 @@ class Lateness:
     Args:
         alarms: Where it reports.
         clock: Steady time in s.
+
+    Attributes:
+        missing_s: Shortest time without a reading, in s, that is an alarm.
     """
 
     def __init__(self, alarms: Alarms, clock: Callable[[], float] = time.monotonic) -> None:
         self._alarms, self._clock = alarms, clock
+        self.missing_s = _MISSING_S
         self._every_s: float | None = None
         self._since_s = 0.0
         self._begun: deque[_Begun] = deque()
@@ -106,7 +110,7 @@ class Lateness:
         self._begun.clear()
 
     def _look_for_readings(self, now: float, every_s: float) -> None:
-        longest_s = max(_MISSING_PERIODS * every_s, _MISSING_S, _MISSING_DURATIONS * self._usual_s)
+        longest_s = max(_MISSING_PERIODS * every_s, self.missing_s, _MISSING_DURATIONS * self._usual_s)
         for name, came_s in self._came.items():
             if now - came_s > longest_s:
                 pace = f"every {every_s:g} s" if every_s else "as fast as it goes"

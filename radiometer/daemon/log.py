@@ -30,15 +30,10 @@ _PICTURES: Final = (".png", ".pdf", ".svg")
 
 @dataclass(frozen=True)
 class Place:
-    """Readings of one place: a patch that has a name, that a client measured, or that is measured for all.
+    """Readings of one place: a patch that has a name, that a client measured, or that is measured for all."""
 
-    Attributes:
-        name: The place in words.
-        readings: Its readings, oldest first.
-    """
-
-    name: str
-    readings: tuple[Mapping[str, Any], ...]
+    name: str  # the place in words
+    readings: tuple[Mapping[str, Any], ...]  # its readings, oldest first
 
     def summary(self) -> str:
         """Return number, time span, mean and standard deviation in one line."""

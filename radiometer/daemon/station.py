@@ -38,7 +38,6 @@ class Station:
     """Puts the parts together; safe to use from the event loop only.
 
     Args:
-        instrument: The camera with its calibration.
         journal: Where readings are kept.
         box: The light box; None where there is none.
         keep_days: Age at which readings leave the journal; None keeps all.

@@ -7,7 +7,6 @@ import time
 import zlib
 from collections.abc import Callable, Generator, Iterator
 from contextlib import contextmanager
-from types import TracebackType
 from typing import Final, Self
 
 import numpy as np
@@ -28,7 +27,6 @@ class WatchedCamera:
     """Passes every call on, notes by when it should have returned, and what is odd about its frames.
 
     Args:
-        camera: The camera.
         clock: Steady time in s.
     """
 
@@ -112,9 +110,7 @@ class WatchedCamera:
         self.open()
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         """Close the camera."""
         self.close()
 

@@ -131,7 +131,7 @@ def streamed_with_white_levels(settings: Sequence[FrameSettings], read: Callable
         settings: Of every frame, in the order in which they are yielded.
         read: Returns the frame at a place of that order.
     """
-    kept = {index: read(index) for index in _looked_at(settings)}
+    kept = {index: read(index) for index in enough_for_white_levels(settings)}
     levels = find_white_levels(kept.values())
     for index in range(len(settings)):
         frame = kept.pop(index, None) or read(index)
@@ -143,7 +143,7 @@ def _is_compared(settings: FrameSettings) -> bool:
     return settings.is_dark or (settings.white_level is not None and settings.white_level.exposures > 0)
 
 
-def _looked_at(settings: Sequence[FrameSettings]) -> list[int]:
+def enough_for_white_levels(settings: Sequence[FrameSettings]) -> list[int]:
     """Return which frames are enough to find the white level: of each gain some, evenly over the exposures."""
     groups: dict[tuple[float, str, float], list[int]] = {}
     for index, one in enumerate(settings):

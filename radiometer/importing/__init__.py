@@ -7,14 +7,7 @@ imported_of(capture)                               # what was taken from where, 
 
 from radiometer.importing.found import ImportOptions
 from radiometer.importing.record import ImportRecord, imported_of
-from radiometer.importing.sources import (
-    copy_into,
-    import_into,
-    import_sources,
-    is_foreign,
-    open_capture,
-    statistics_of,
-)
+from radiometer.importing.sources import copy_into, import_into, import_sources, is_foreign, open_capture, statistics_of
 
 __all__ = [
     "ImportOptions",

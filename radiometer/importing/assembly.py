@@ -81,10 +81,7 @@ def assemble(
     """Return the header of a capture set for frames of one camera, by the time they were taken.
 
     Args:
-        title: Name of the camera among several.
-        frames: Its frames.
         root: Folder that the names of the frames are relative to.
-        options: How they are taken.
         read: Returns the digital numbers of a frame, for a look at their codes.
         left_out: Lines about files that could not be used.
         bit_depth: Bits per pixel where a descriptor states them.

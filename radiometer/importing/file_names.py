@@ -21,17 +21,11 @@ _SAME_REL: Final = 0.02
 
 @dataclass(frozen=True, slots=True)
 class NameClaims:
-    """What a name claims.
+    """What a name claims."""
 
-    Attributes:
-        exposure_s: Exposure in s; None where it names none.
-        exposure_has_unit: False where a bare number was read as seconds.
-        kind: "dark", "light", or "".
-    """
-
-    exposure_s: float | None
-    exposure_has_unit: bool
-    kind: str
+    exposure_s: float | None  # exposure in s; None where it names none
+    exposure_has_unit: bool  # False where a bare number was read as seconds
+    kind: str  # "dark", "light", or ""
 
 
 def claims_of(file: Path) -> NameClaims:
@@ -63,9 +57,7 @@ def contradictions(claims: NameClaims, exposure_s: float | None, *, is_dark: boo
     """Return what a name claims against what the header says, in words; empty where they agree.
 
     Args:
-        claims: What the name claims.
         exposure_s: Exposure in s of the header; None where it states none.
-        is_dark: The header speaks of a dark frame.
     """
     found = []
     claimed = claims.exposure_s

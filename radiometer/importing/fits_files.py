@@ -84,7 +84,6 @@ def read_fits_headers(path: Path, mapped: StatementMap = StatementMap()) -> list
     of the file are reported as not used.
 
     Args:
-        path: The file.
         mapped: Where the user states that facts stand.
 
     Raises:
@@ -117,10 +116,6 @@ def read_fits_pixels(path: Path, part: int) -> NDArray[Any]:
     """Return the values of one plane of a FITS file, BSCALE and BZERO applied.
 
     Sixteen-bit integers with BZERO 32768 come as uint16, whole numbers stay whole.
-
-    Args:
-        path: The file.
-        part: Number of the plane, counted over all pictures of the file.
 
     Raises:
         CaptureError: If the file is damaged or truncated.

@@ -14,9 +14,8 @@ from numpy.typing import NDArray
 from radiometer.data.reader_limits import bounded_reader
 from radiometer.data.text_table import TextTable, read_table, stamp_s
 from radiometer.errors import InputError, UnsettledError, UsageError
+from radiometer.typing import Array
 from radiometer.units import heading_parts, read_number, unit_of
-
-Array = NDArray[np.float64]
 
 CD_M2_AT_0_MAG: Final = 10.8e4
 """Luminance in cd·m⁻² of 0 mag/arcsec².
@@ -62,35 +61,20 @@ _TEXT: Final = ("night",)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LogTable:
-    """Readings of a camera and a reference meter; arrays of one entry per reading.
+    """Readings of a camera and a reference meter; arrays of one entry per reading."""
 
-    Attributes:
-        value: Camera value in DN, the stated black level taken off.
-        exposure_s: Exposure time in s.
-        gain_db: Gain in dB; zeros where none is stated.
-        reference: Reference in a linear unit.
-        night: Number of the night, from 0.
-        time_s: Time in s from the first reading; None where unknown.
-        temperature_c: Sensor temperature in °C; None where unknown.
-        colour: Colour as it was written (mired for a colour temperature); None where unknown.
-        u_reference_rel: Relative standard uncertainty of the reference; zeros where none is stated.
-        taken: What was taken from which column, in words.
-        assumptions: What was assumed, in words.
-        units: Unit of "reference" and of "colour".
-    """
-
-    value: Array
-    exposure_s: Array
-    gain_db: Array
-    reference: Array
-    night: NDArray[np.intp]
-    time_s: Array | None = None
-    temperature_c: Array | None = None
-    colour: Array | None = None
-    u_reference_rel: Array | None = None
-    taken: tuple[str, ...] = ()
-    assumptions: tuple[str, ...] = ()
-    units: Mapping[str, str] | None = None
+    value: Array  # camera value in DN, the stated black level taken off
+    exposure_s: Array  # exposure time in s
+    gain_db: Array  # gain in dB; zeros where none is stated
+    reference: Array  # reference in a linear unit
+    night: NDArray[np.intp]  # number of the night, from 0
+    time_s: Array | None = None  # time in s from the first reading; None where unknown
+    temperature_c: Array | None = None  # sensor temperature in °C; None where unknown
+    colour: Array | None = None  # colour as it was written (mired for a colour temperature); None where unknown
+    u_reference_rel: Array | None = None  # relative standard uncertainty of the reference; zeros where none is stated
+    taken: tuple[str, ...] = ()  # what was taken from which column, in words
+    assumptions: tuple[str, ...] = ()  # what was assumed, in words
+    units: Mapping[str, str] | None = None  # unit of "reference" and of "colour"
 
     @property
     def size(self) -> int:
@@ -110,17 +94,12 @@ class LogTable:
 
 @dataclass(frozen=True, slots=True)
 class LogColumns:
-    """What is stated of the columns in addition to their names.
+    """What is stated of the columns in addition to their names."""
 
-    Attributes:
-        chosen: Column by quantity ("value", "reference", …), where the names do not state it.
-        gain_unit: "db", "x", "0.1db" or "iso"; None where the column's name states it.
-        black_dn: Black level in DN to take off.
-    """
-
+    # Column by quantity ("value", "reference", …), where the names do not state it
     chosen: Mapping[str, str] | None = None
-    gain_unit: str | None = None
-    black_dn: float = 0.0
+    gain_unit: str | None = None  # "db", "x", "0.1db" or "iso"; None where the column's name states it
+    black_dn: float = 0.0  # black level in DN to take off
 
 
 @bounded_reader(error=InputError)
@@ -129,7 +108,6 @@ def read_log(path: Path, stated: LogColumns | None = None, reference: Path | Non
 
     Args:
         path: CSV of the camera, the reference among its columns or in a separate file.
-        stated: What is stated of the columns.
         reference: File of the reference meter with its own times; the nearest readings are interpolated.
 
     Raises:
@@ -258,8 +236,6 @@ def linear(reference: Array, name: str, assumed: list[str]) -> tuple[Array, str]
     """Return a reference in a linear unit, and the unit; magnitudes per square arcsecond become cd·m⁻².
 
     Args:
-        reference: As written.
-        name: Plain name of its column.
         assumed: Lines to which is added what was assumed.
     """
     if any(sign in name for sign in _MAGNITUDES):

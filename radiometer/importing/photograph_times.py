@@ -61,23 +61,14 @@ LONGEST_OF_DIAL_S: Final = 60.0  # longer ones are by hand (bulb)
 
 @dataclass(frozen=True, slots=True)
 class PhotographSettings:
-    """What is known of one photograph.
+    """What is known of one photograph."""
 
-    Attributes:
-        exposure_s: Exposure time in s, exact where a printed dial value was given.
-        nominal_exposure_s: The time as printed.
-        f_number: Exact f-number; None where unknown.
-        iso: ISO speed as stated; None where unknown.
-        gain_db: Gain in addition to the ISO speed in dB of amplitude.
-        iso_doubt: Why no speed is known though a tag states one; "" where that is not so.
-    """
-
-    exposure_s: float
-    nominal_exposure_s: float
-    f_number: float | None = None
-    iso: float | None = None
-    gain_db: float = 0.0
-    iso_doubt: str = ""
+    exposure_s: float  # exposure time in s, exact where a printed dial value was given
+    nominal_exposure_s: float  # the time as printed
+    f_number: float | None = None  # exact f-number; None where unknown
+    iso: float | None = None  # ISO speed as stated; None where unknown
+    gain_db: float = 0.0  # gain in addition to the ISO speed in dB of amplitude
+    iso_doubt: str = ""  # why no speed is known though a tag states one; "" where that is not so
 
     def as_printed(self) -> PhotographSettings:
         """Return the settings with the time as it is printed, no stop behind it."""

@@ -55,7 +55,6 @@ def read_tiff_headers(path: Path, mapped: StatementMap = StatementMap()) -> list
     reported as not used.
 
     Args:
-        path: The file.
         mapped: Where the user states that facts stand.
 
     Raises:
@@ -79,11 +78,7 @@ def read_tiff_headers(path: Path, mapped: StatementMap = StatementMap()) -> list
 
 @bounded_reader()
 def read_tiff_pixels(path: Path, part: int) -> NDArray[Any]:
-    """Return the stored values of one page.
-
-    Raises:
-        CaptureError: If the file is damaged or truncated.
-    """
+    """Return the stored values of one page. Raises CaptureError if the file is damaged or truncated."""
     with _opened(path) as tiff:
         page = _full_size(tiff)[0][part][0]
         _refuse_cut_short(path, page, tiff.filehandle.size)
@@ -154,19 +149,12 @@ def _refuse_cut_short(path: Path, page: Any, size: int) -> None:
 
 @dataclass(frozen=True, slots=True)
 class _Facts:
-    """What a directory states.
+    """What a directory states."""
 
-    Attributes:
-        tags: Its tags by number.
-        header: Its tags and EXIF by name.
-        further: What else is stated of it (XMP, acquisition programs), where a user may point to.
-        xmp: Its XMP packet.
-    """
-
-    tags: Mapping[int, Any]
-    header: Mapping[str, Statement]
-    further: Mapping[str, Statement]
-    xmp: Mapping[str, tuple[str, ...]]
+    tags: Mapping[int, Any]  # its tags by number
+    header: Mapping[str, Statement]  # its tags and EXIF by name
+    further: Mapping[str, Statement]  # what else is stated of it (XMP, acquisition programs), where a user may point to
+    xmp: Mapping[str, tuple[str, ...]]  # its XMP packet
 
     def by_user(self, fact: str, mapped: StatementMap, doubts: list[str], where: str) -> tuple[str, float] | None:
         """Return what the user's place of a fact states; None where there is none."""

@@ -24,6 +24,7 @@ from radiometer.reconciliation.fit.covariance import fitted_parameters, is_misfi
 from radiometer.reconciliation.fit.descent import first_state
 from radiometer.reconciliation.fit.nuisances import dark_current_is_free
 from radiometer.reconciliation.fit.state import FitState
+from radiometer.reconciliation.full_well import ShownWell, levels_of_brightest, shown_well
 from radiometer.reconciliation.measure.reduce import FrameReader, frame_reader
 from radiometer.reconciliation.noise.darkness import drift_of_black, wander_of_black
 from radiometer.reconciliation.noise.repeats import repeats_of
@@ -266,7 +267,8 @@ def examine(
         notes.append(f"the scene changes: {1 + len(scenes)} scenes are shown, each with a separate pattern")
     found = search(start, entries, say, is_doubted)
     outcome = _optional_step("laws outside the catalogue", lambda: held_to_laws(found, entries, say), notes) or found
-    result = _result(outcome, entries, again, total, begun, notes, with_limits=with_limits)
+    well = shown_well(outcome.state, levels_of_brightest(header, read))
+    result = _result(outcome, entries, again, total, begun, notes, well, with_limits=with_limits)
     return Reconciled(replace(result, repeats=_repeats(outcome.state, light, header)), outcome, taken)
 
 
@@ -294,13 +296,16 @@ def _result(
     frames: int,
     begun: float,
     failed: list[str],
+    well: ShownWell | None,
     *,
     with_limits: bool,
 ) -> ReconcileResult:
     doubts = [*outcome.remarks, *doubts_of(outcome), *faint(outcome)]
-    verdict = verdict_of(outcome, doubts, again)
+    state, other_well = outcome.state, well is not None and well.contradicts
+    verdict = verdict_of(outcome, doubts, again, other_well=other_well)
     effects = _found(outcome, entries, again, failed, provisional=verdict is Verdict.INCOMPLETE)
-    state = outcome.state
+    if well is not None and other_well:
+        effects = (*effects, well.as_effect(state.gap))
     shown: Mapping[str, Limit] = {}
     if with_limits:
         shown = _optional_step("the limits", lambda: limits(state, entries), failed) or {}
@@ -320,7 +325,7 @@ def _result(
         covariates=_by_covariate(outcome.first_tests, outcome.tests),
         tests=(len(outcome.tests), len(outcome.left)),
         repeatability=state.tau,
-        assumptions=(*_assumptions(outcome, doubts), *failed),
+        assumptions=(*_assumptions(outcome, doubts, well), *failed),
         localisation=tuple(_place(test) for test in places(outcome.start, _PLACES)),
         global_p=_global_p(outcome),
         calls=(sum(test.p_value < _CALL for test in outcome.first_tests), len(outcome.first_tests)),
@@ -328,16 +333,18 @@ def _result(
         captures=len(state.design.captures),
         frames=frames,
         seconds=time.monotonic() - begun,
-        extra=_remarks(state, effects),
+        extra=_remarks(state, effects, well),
     )
 
 
-def _remarks(state: FitState, effects: Sequence[FoundEffect]) -> dict[str, Any]:
+def _remarks(state: FitState, effects: Sequence[FoundEffect], well: ShownWell | None) -> dict[str, Any]:
     """Return what the named effects say against figures that the camera's description states."""
     named = {effect.name: {key: entry.u for key, entry in effect.parameters.items()} for effect in effects}
     camera = state.design.header.camera
     told = [effect.remark(camera, named[effect.name]) for effect in state.effects if effect.name in named]
     remarks = [remark for remark in told if remark]
+    if well is not None and well.contradicts:
+        remarks.append(well.remark)
     return {"remarks": remarks} if remarks else {}
 
 
@@ -454,7 +461,7 @@ def _largest(tests: Sequence[Disagreement]) -> dict[str, float]:
     return found
 
 
-def _assumptions(outcome: Search, doubts: Sequence[str]) -> tuple[str, ...]:
+def _assumptions(outcome: Search, doubts: Sequence[str], well: ShownWell | None) -> tuple[str, ...]:
     state = outcome.state
     camera = state.design.header.camera
     said = list(doubts)
@@ -468,7 +475,9 @@ def _assumptions(outcome: Search, doubts: Sequence[str]) -> tuple[str, ...]:
     if camera.dark_current_e_per_s is None:
         free = dark_current_is_free(state.design)
         said.append(f"the dark current is not declared: {'it was fitted' if free else 'none is assumed'}")
-    if state.model.passes_well:
+    if well is not None and not well.contradicts and well.remark:
+        said.append(well.remark)
+    if state.model.passes_well and not (well is not None and well.contradicts):
         said.append(
             "pixels hold more than the declared full well, with the noise of that charge: the declared "
             "value is not used as a limit"

@@ -42,7 +42,9 @@ def _row(name: str, value: float, unit: str, reason: str, measured: str = _TOGET
 
 
 _NULL: Final = "sets without an effect (docs/benchmarks/reconcile.md): share of false alarms and largest gap"
-_WEAK: Final = "effects at their smallest realistic size bring hundreds of nats, nearly all (docs/benchmarks/reconcile.md, weak)"
+_WEAK: Final = (
+    "effects at their smallest realistic size bring hundreds of nats, nearly all (docs/benchmarks/reconcile.md, weak)"
+)
 _ODDS: Final = "a statement about odds, not a measurement"
 
 # ---- whether anything disagrees -------------------------------------------------------------------------------------

@@ -17,7 +17,6 @@ from radiometer.reconciliation.fit.covariance import fitted_parameters, is_misfi
 from radiometer.reconciliation.fit.covariates import covariates
 from radiometer.reconciliation.fit.descent import refit
 from radiometer.reconciliation.fit.state import FitState, with_effects, with_terms
-from radiometer.reconciliation.measure.design import Array
 from radiometer.reconciliation.result import FittedParameter, FoundEffect, Verdict
 from radiometer.reconciliation.search.frame_order import Periodic
 from radiometer.reconciliation.search.localise import axis_of, departing, own_place
@@ -29,6 +28,8 @@ from radiometer.reconciliation.thresholds import (
     SMOOTH_SHARE,
     TESTED_NATS,
 )
+from radiometer.statistics.least_squares import chi_square
+from radiometer.typing import Array
 from simulators.effects.catalogue import CatalogueEffect
 from simulators.effects.free_law import FreeLaw
 
@@ -37,15 +38,18 @@ _LIGHT: Final = ("mean", "slope")  # what changes the light of tiles moves both
 _LIT_DN: Final = 1.0  # light below which a share of it says nothing
 
 
-def verdict_of(outcome: Search, doubts: Sequence[str], again: Periodic | None = None) -> Verdict:
+def verdict_of(
+    outcome: Search, doubts: Sequence[str], again: Periodic | None = None, *, other_well: bool = False
+) -> Verdict:
     """Return the verdict on a search.
 
     Args:
         outcome: The search.
         doubts: What speaks against its names.
         again: What comes back in the order of the frames, which no name explains.
+        other_well: Whether the brightest pixels show another full well than the declared one.
     """
-    named = len(outcome.state.effects) > len(insignificant_names(outcome))
+    named = other_well or len(outcome.state.effects) > len(insignificant_names(outcome))
     unnamed = leaves_structure(outcome) or again is not None
     if named:
         return Verdict.INCOMPLETE if unnamed or doubts else Verdict.EFFECTS_FOUND
@@ -346,9 +350,8 @@ def place_of_scatter(state: FitState) -> tuple[str, str]:
 def _explained(values: Array, basis: Array) -> float:
     """Return the share of the values' variance that a basis explains, each of its terms worth one value less."""
     columns = np.column_stack([np.ones(len(values)), basis])
-    left: Array = values - columns @ np.linalg.lstsq(columns, values, rcond=None)[0]
     freedom = max(len(values) - columns.shape[1], 1)
-    return float(1.0 - np.sum(left**2) / freedom / max(float(np.var(values)), 1e-30))
+    return float(1.0 - chi_square(columns, values) / freedom / max(float(np.var(values)), 1e-30))
 
 
 def one_for_all(steps: Sequence[Step], effects: Sequence[CatalogueEffect]) -> list[str]:

@@ -56,9 +56,7 @@ def page(subject: str, outcome: str, parts: Iterable[str], *, kind: str, made: s
 
     Args:
         subject: What the report is about, such as the camera's name.
-        outcome: The outcome in one sentence.
         parts: HTML from the functions of this module, in order; empty ones are passed by.
-        kind: What kind of report it is, for the title of the window.
         made: How and from what it was made, for the foot of the page.
     """
     head = (
@@ -114,7 +112,6 @@ def table(head: Sequence[str], rows: Iterable[Sequence[str]], *, words: Sequence
     Args:
         head: What stands over the columns; empty for none.
         rows: Texts; the first column is of words, the others of numbers.
-        words: Numbers of further columns of words.
     """
 
     def line(cells: Sequence[str], name: str) -> str:

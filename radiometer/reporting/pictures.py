@@ -37,7 +37,6 @@ def picture(draw: Draw, caption: str, wide: tuple[float, float], narrow: tuple[f
 
     Args:
         draw: Draws into an empty figure; its argument is whether it is the narrow one.
-        caption: What is to be seen, for all readers.
         wide: Width and height in inches on a screen; 10 inches fill the page.
         narrow: The same on a phone; 4 inches fill it.
     """
@@ -89,7 +88,6 @@ def mark(
         text: The words; hyphens before digits become minus signs.
         place: What they belong to, in the coordinates of the data or as `xycoords` says.
         offset: Where they stand from there, in points.
-        colour: Their colour.
         form: More of what matplotlib's annotations take.
     """
     from matplotlib.patheffects import withStroke

@@ -16,19 +16,12 @@ Point = tuple[float, float]
 
 @dataclass(slots=True)
 class TerminalChart:
-    """An empty chart of a size in characters, over a range of both axes.
+    """An empty chart of a size in characters, over a range of both axes."""
 
-    Attributes:
-        columns: Width in characters, without the labels.
-        rows: Height in characters, without the labels.
-        x_range: Lowest and highest value of the horizontal axis.
-        y_range: Lowest and highest value of the vertical axis.
-    """
-
-    columns: int
-    rows: int
-    x_range: tuple[float, float]
-    y_range: tuple[float, float]
+    columns: int  # width in characters, without the labels
+    rows: int  # height in characters, without the labels
+    x_range: tuple[float, float]  # lowest and highest value of the horizontal axis
+    y_range: tuple[float, float]  # lowest and highest value of the vertical axis
     _cells: dict[tuple[int, int], int] = field(default_factory=dict)
 
     def dots(self, points: Iterable[Point]) -> None:

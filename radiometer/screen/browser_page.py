@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Callable, Mapping
-from types import TracebackType
 from typing import Any, Self
 
 from radiometer.errors import DeviceError
@@ -16,7 +15,6 @@ class BrowserPage:
 
     Args:
         server: Serves the page; not started yet.
-        what: What the page is, for messages.
         announce: Called with the address once it is served; opens a browser or prints it.
         page_timeout_s: How long to wait for a browser to open it.
         start_timeout_s: How long to wait for somebody to press Start; None where nothing is to be waited for.
@@ -74,9 +72,7 @@ class BrowserPage:
         self.open()
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
 
     def _ask(self, order: Mapping[str, Any], timeout_s: float) -> dict[str, Any]:

@@ -29,7 +29,6 @@ class PageServer:
 
     Args:
         port: Port on 127.0.0.1; 0 for any free one.
-        page: File of the page.
         darken: Darkens the light box, whoever holds it, and returns what it did in words; called on its own thread.
     """
 

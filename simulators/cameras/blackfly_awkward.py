@@ -43,9 +43,7 @@ class AwkwardBlackfly(BlackflyGige):
     """Serves the awkward camera until it is closed.
 
     Args:
-        source: Makes the pictures.
         limits: What the camera can do; pixel formats are its own.
-        serial: Serial number.
         first_frame_id: Number of the first frame; the numbers start again at 1 behind 65535.
         link_bytes_s: What its link carries; above that every frame loses a packet.
         **options: As of `BlackflyGige`.

@@ -41,7 +41,6 @@ def blackfly_features(limits: CameraCapabilities, native_bit_depth: int, tempera
     Args:
         limits: Bounds of exposure, gain and black level (in DN of the native bit depth), formats, sensor size.
         native_bit_depth: Bits of the sensor's digital numbers.
-        temperature_c: Sensor temperature in °C at power-on.
     """
     return [
         *_device_control(temperature_c),

@@ -15,7 +15,6 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from types import TracebackType
 from typing import Final, Self
 
 import structlog
@@ -51,14 +50,9 @@ class BlackflyGige:
     """Serves a simulated camera until it is closed.
 
     Args:
-        source: Makes the pictures.
         limits: What the camera can do; the black level in DN of the native bit depth.
-        vendor: DeviceVendorName.
-        model: DeviceModelName.
         serial: Serial number, at most 15 letters.
-        address: Address of a network interface of this computer.
         native_bit_depth: Bits of the sensor's digital numbers.
-        temperature_c: Sensor temperature in °C.
         real_time: Frames come as their exposure allows; else as fast as they can be made.
         sleep: Waits so many seconds.
     """
@@ -148,9 +142,7 @@ class BlackflyGige:
         self.open()
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         """Leave the network."""
         self.close()
 

@@ -15,7 +15,6 @@ from __future__ import annotations
 import zlib
 from collections.abc import Generator
 from dataclasses import replace
-from types import TracebackType
 from typing import Final, Self
 
 from radiometer.data import CameraDescription, Frame, FrameSettings, LensDescription
@@ -43,14 +42,11 @@ class SimulatedCamera:
     """A Camera made of a camera model that looks at a scene.
 
     Args:
-        model: The camera, its lens and their effects.
         scene: What it looks at; may be changed with `set_scene`.
         seed: Makes the noise; the same seed gives the same frames in the same order.
         serial: Serial number; the fixed patterns of the effects follow from it.
         device_id: Id that it is opened by.
         limits: What it can do; by default the BFS-U3-19S4M of the shipped preset, with a shutter.
-        clock: Simulated time.
-        temperature_c: Sensor temperature in °C.
     """
 
     def __init__(
@@ -210,9 +206,7 @@ class SimulatedCamera:
         self.open()
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
 
     @property

@@ -47,32 +47,20 @@ class _ModelFile(ConfigSection):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Exposed:
-    """One simulated frame.
+    """One simulated frame."""
 
-    Attributes:
-        dn: Digital numbers, uint8 up to 8 bits and uint16 above.
-        electrons: What the pixels held at the end of the well stage; the next frame's `previous_e`.
-    """
-
-    dn: DigitalNumbers
-    electrons: Signal
+    dn: DigitalNumbers  # digital numbers, uint8 up to 8 bits and uint16 above
+    electrons: Signal  # what the pixels held at the end of the well stage; the next frame's `previous_e`
 
 
 @dataclass(frozen=True, slots=True)
 class CameraModel:
-    """A chain of effects whose units fit from one to the next.
+    """A chain of effects whose units fit from one to the next."""
 
-    Attributes:
-        camera: What the camera is called and believed to be, in its native bit depth.
-        entries: Effects in the order of the chain, also those that are switched off.
-        lens: The lens in front of it.
-        wavelength_nm: Effective wavelength of the light.
-    """
-
-    camera: CameraDescription
-    entries: tuple[EffectEntry, ...]
-    lens: LensDescription = field(default_factory=LensDescription)
-    wavelength_nm: float = DEFAULT_WAVELENGTH_NM
+    camera: CameraDescription  # what the camera is called and believed to be, in its native bit depth
+    entries: tuple[EffectEntry, ...]  # effects in the order of the chain, also those that are switched off
+    lens: LensDescription = field(default_factory=LensDescription)  # the lens in front of it
+    wavelength_nm: float = DEFAULT_WAVELENGTH_NM  # effective wavelength of the light
 
     def __post_init__(self) -> None:
         """Put the entries in stage order and check units. Raises ConfigurationError naming the effect that fails."""

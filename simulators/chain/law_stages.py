@@ -8,35 +8,20 @@ from typing import Final
 
 @dataclass(frozen=True, slots=True)
 class Link:
-    """A way to act.
+    """A way to act."""
 
-    Attributes:
-        key: Its name.
-        stage: What people call the stage.
-        member: Member of `Stage`.
-        unit_signal: Name of the unit's constant in `simulators.effects.base`.
-        before: Link of the chain that it must precede; empty where it does not matter.
-        unit: Unit of the amplitude.
-        code: The signal with the law, `{law}` standing for the amplitude times the formula.
-        action: What it does, as the head of a sentence.
-        covariates: Covariates that it may depend on by itself.
-        like: What kind of cause acts so.
-        goes_with: Covariates that it depends on by its kind, whatever its law.
-        is_noise: Whether the law is the standard deviation of a noise, `code` being that noise at 1 sigma.
-    """
-
-    key: str
-    stage: str
-    member: str
-    unit_signal: str
-    before: str
-    unit: str
-    code: str
-    action: str
-    covariates: tuple[str, ...]
-    like: str
-    goes_with: tuple[str, ...] = ()
-    is_noise: bool = False
+    key: str  # its name
+    stage: str  # what people call the stage
+    member: str  # member of `Stage`
+    unit_signal: str  # name of the unit's constant in `simulators.effects.base`
+    before: str  # link of the chain that it must precede; empty where it does not matter
+    unit: str  # unit of the amplitude
+    code: str  # the signal with the law, `{law}` being the amplitude times the formula
+    action: str  # what it does, as the head of a sentence
+    covariates: tuple[str, ...]  # covariates that it may depend on by itself
+    like: str  # what kind of cause acts so
+    goes_with: tuple[str, ...] = ()  # covariates that it depends on by its kind, whatever its law
+    is_noise: bool = False  # whether the law is the standard deviation of a noise, `code` being that noise at 1 sigma
 
     @property
     def adds(self) -> bool:

@@ -27,8 +27,7 @@ class AdcSaturation(CatalogueEffect):
 
     name = "adc_saturation"
     stage = Stage.DIGITAL
-    unit_in = DIGITAL_NUMBER
-    unit_out = DIGITAL_NUMBER
+    unit_in = unit_out = DIGITAL_NUMBER
 
     where = "signal"
     block = "mean"

@@ -27,16 +27,12 @@ class BlackLevelGainSlope(Offset):
 
     name = "black_level_gain_slope"
     stage = Stage.READOUT
-    unit_in = DIGITAL_NUMBER
-    unit_out = DIGITAL_NUMBER
+    unit_in = unit_out = DIGITAL_NUMBER
     where = "gain_db"
     block = "mean"
-    trials = (
-        {"slope_dn": 0.5},
-        {"slope_dn": -0.5},
-        {"slope_dn": 5.0},
-    )
+    trials = ({"slope_dn": 0.5}, {"slope_dn": -0.5}, {"slope_dn": 5.0})
     fitted = ("slope_dn",)
+    varies = "gain_db"
     settles = "dark frames at the shortest exposure over all gains"
     slope_dn: float = parameter(
         0.0, "DN", -0.25, 0.25, source="engineering prior; refined on a real rig", of_full_scale=True
@@ -67,8 +63,3 @@ class BlackLevelGainSlope(Offset):
             return ()
         later = (form.with_parameters(slope_dn=self.slope_dn) for form in self.covers(context))
         return (*later, self.with_parameters(bend=_BEND))
-
-    @classmethod
-    def usable(cls, context: ExposureContext) -> bool:
-        """Tell whether the gain varies."""
-        return bool(np.ptp(np.asarray(context.settings.gain_db)) > 0)

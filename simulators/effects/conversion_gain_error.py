@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import cast
-
-import numpy as np
 
 from radiometer.data import CameraDescription
 from simulators.effects.base import ELECTRONS, Stage, parameter
-from simulators.effects.catalogue import CatalogueEffect, declared_dark_e
+from simulators.effects.catalogue import CatalogueEffect
 from simulators.effects.context import ExposureContext, Signal
 from simulators.effects.tile_moments import TileMoments
 
@@ -19,16 +17,15 @@ from simulators.effects.tile_moments import TileMoments
 class ConversionGainError(CatalogueEffect):
     """Scales electrons by 1 + e behind the noise: the photon-transfer slope is off by e.
 
-    Tiles are compared at the measured level, for a fit gives the lost mean back to the responsivity. There the mean
-    stays; shot noise variance grows by 1 + e and read noise variance by (1 + e)².
+    A fit lowers the responsivity by 1 + e, for the mean is measured. Shot noise variance then grows by 1 + e, read
+    noise variance by (1 + e)², and the full well ends at 1 + e times as many DN.
 
     Source: EMVA Standard 1288, release 4.0, equation (14); typical 2 to 10 %.
     """
 
     name = "conversion_gain_error"
     stage = Stage.READOUT
-    unit_in = ELECTRONS
-    unit_out = ELECTRONS
+    unit_in = unit_out = ELECTRONS
     where = "signal"
     block = "variance"
     trials = (
@@ -50,7 +47,7 @@ class ConversionGainError(CatalogueEffect):
         return cast(Signal, (signal * (1.0 + self.error_rel)).astype(signal.dtype))
 
     def responsivity_taken(self) -> float:
-        """Return 1 + e: in the fit the mean stays, and the responsivity has it."""
+        """Return 1 + e: a fit lowers the responsivity by it, for the mean is measured."""
         return 1.0 + self.error_rel
 
     def slope(self, signal: Signal, context: ExposureContext) -> float:
@@ -58,14 +55,10 @@ class ConversionGainError(CatalogueEffect):
         return 1.0 + self.error_rel
 
     def tile(self, after: TileMoments, before: TileMoments, context: ExposureContext) -> TileMoments:
-        """Return the moments at the mean that was there before."""
-        error, factor = self.error_rel, 1.0 + self.error_rel
-        shot = np.maximum(before.mean, 0.0)
-        dark = declared_dark_e(context)  # their number is not in question, unlike that of the light's
-        read2 = (before.variance - shot) * (1.0 + self.read_share * (factor**2 - 1.0))
-        return replace(
-            before, mean=before.mean + error * dark, variance=shot * factor + dark * (factor**2 - factor) + read2
-        )
+        """Return the moments with the share of the read noise that is stated in DN, and does not grow."""
+        read_e2 = (context.camera.read_noise_e or 0.0) ** 2  # where none is stated it is fitted, and is none's share
+        in_dn = (1.0 - self.read_share) * read_e2
+        return after.changed(variance=after.variance - in_dn * ((1.0 + self.error_rel) ** 2 - 1.0))
 
     def remark(self, camera: CameraDescription, u: Mapping[str, float | None]) -> str:
         """Return the electrons per DN that are stated and those that the noise shows."""

@@ -31,8 +31,7 @@ class EventOffset(Offset):
 
     name = "event_offset"
     stage = Stage.READOUT
-    unit_in = DIGITAL_NUMBER
-    unit_out = DIGITAL_NUMBER
+    unit_in = unit_out = DIGITAL_NUMBER
     where = "timestamp_s"
     block = "mean"
     also = ("first",)

@@ -26,8 +26,7 @@ class ExposureLabelError(Scaling):
 
     name = "exposure_label_error"
     stage = Stage.SHUTTER
-    unit_in = EXPOSURE
-    unit_out = EXPOSURE
+    unit_in = unit_out = EXPOSURE
     where = "exposure_s"
     block = "mean"
     log_prior_odds = -6.0

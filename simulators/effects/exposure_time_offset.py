@@ -25,8 +25,7 @@ class ExposureTimeOffset(Scaling):
 
     name = "exposure_time_offset"
     stage = Stage.SHUTTER
-    unit_in = EXPOSURE
-    unit_out = EXPOSURE
+    unit_in = unit_out = EXPOSURE
     where = "exposure_s"
     block = "mean"
     trials = (

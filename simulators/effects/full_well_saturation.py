@@ -26,13 +26,13 @@ class FullWellSaturation(CatalogueEffect):
 
     name = "full_well_saturation"
     stage = Stage.WELL
-    unit_in = ELECTRONS
-    unit_out = ELECTRONS
+    unit_in = unit_out = ELECTRONS
     where = "signal"
     block = "mean"
     saturates = "sharply"
     trials = ()
     fitted = ("full_well_e",)
+    further = ({"spread_rel": _SPREAD},)
     settles = "a ladder of exposures to 120 % of the full well at 0 dB"
     full_well_e: float = parameter(10_000.0, "e-", 10.0, 1e7, source="datasheet")
     spread_rel: float = parameter(0.0, "1", 0.0, 0.2, source="scatter of the wells from pixel to pixel")
@@ -75,14 +75,6 @@ class FullWellSaturation(CatalogueEffect):
     def covers(cls, context: ExposureContext) -> tuple[Self, ...]:
         """Return wells that differ by one percent."""
         return tuple(replace(start, spread_rel=_SPREAD) for start in cls.starts(context))
-
-    def loosened(self, context: ExposureContext) -> tuple[Self, ...]:
-        """Return the same with wells that differ."""
-        return () if self.spread_rel else (replace(self, spread_rel=_SPREAD),)
-
-    def free(self) -> tuple[str, ...]:
-        """Return the parameters to fit: the spread only where there is one."""
-        return ("full_well_e", "spread_rel") if self.spread_rel else ("full_well_e",)
 
     def _capacity_e(self, context: ExposureContext) -> float:
         return self.full_well_e * context.geometry.binning**2

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from types import MappingProxyType
-from typing import Any, Final, Self, cast
+from typing import Any, Final, cast
 
 import numpy as np
 
@@ -29,8 +29,7 @@ class GammaEnabled(CatalogueEffect):
 
     name = "gamma_enabled"
     stage = Stage.DIGITAL
-    unit_in = DIGITAL_NUMBER
-    unit_out = DIGITAL_NUMBER
+    unit_in = unit_out = DIGITAL_NUMBER
     before = "quantisation"
     where = "signal"
     block = "mean"
@@ -48,6 +47,7 @@ class GammaEnabled(CatalogueEffect):
         {"gamma": 0.9, "above_black": 1.0},
     )
     fitted = ("gamma",)
+    further = tuple({"toe": toe} for toe in (0.03, 0.08, 0.2))
     least = MappingProxyType({"gamma": 0.005})  # a setting, in steps of a hundredth where cameras tell them
     settles = "the same digital number reached at two gains"
     gamma: float = parameter(1.0, "1", 0.2, 5.0, source="engineering prior; refined on a real rig")
@@ -98,14 +98,6 @@ class GammaEnabled(CatalogueEffect):
         found = bent_normal(middle, width, begin, reach, 1.0 / self.gamma, float(self.toe), self._lift())
         after, square, slope = (values.reshape(given[0].shape) for values in found)
         return after, square, slope
-
-    def loosened(self, context: ExposureContext) -> tuple[Self, ...]:
-        """Return curves with a toe at a few levels."""
-        return () if self.toe else tuple(self.with_parameters(toe=toe) for toe in (0.03, 0.08, 0.2))
-
-    def free(self) -> tuple[str, ...]:
-        """Return the parameters to fit: the toe only where there is one."""
-        return ("gamma", "toe") if self.toe else ("gamma",)
 
     def _range(self, context: ExposureContext) -> tuple[Any, Any]:
         """Return where the curve begins, and how far it reaches from there."""

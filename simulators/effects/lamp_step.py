@@ -26,8 +26,7 @@ class LampStep(Scaling):
 
     name = "lamp_step"
     stage = Stage.SOURCE
-    unit_in = RADIANCE
-    unit_out = RADIANCE
+    unit_in = unit_out = RADIANCE
     where = "timestamp_s"
     block = "mean"
     log_prior_odds = -2.0

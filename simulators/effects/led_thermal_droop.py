@@ -25,14 +25,10 @@ class LedThermalDroop(Scaling):
 
     name = "led_thermal_droop"
     stage = Stage.SOURCE
-    unit_in = RADIANCE
-    unit_out = RADIANCE
+    unit_in = unit_out = RADIANCE
     where = "source_level"
     block = "mean"
-    trials = (
-        {"droop_rel": 0.02, "curvature_rel": 0.0},
-        {"droop_rel": -0.02, "curvature_rel": 0.0},
-    )
+    trials = ({"droop_rel": 0.02, "curvature_rel": 0.0}, {"droop_rel": -0.02, "curvature_rel": 0.0})
     fitted = ("droop_rel",)
     settles = "several source levels at one exposure"
     droop_rel: float = parameter(0.0, "1", -0.9, 0.9, source="engineering prior; refined on a real rig")

@@ -35,8 +35,7 @@ class LineStartOffset(Offset):
 
     name = "line_start_offset"
     stage = Stage.READOUT
-    unit_in = DIGITAL_NUMBER
-    unit_out = DIGITAL_NUMBER
+    unit_in = unit_out = DIGITAL_NUMBER
     where = "image_x"
     block = "mean"
     also = ("slope",)

@@ -28,19 +28,11 @@ class NaturalVignetting(Scaling):
 
     name = "natural_vignetting"
     stage = Stage.OPTICS
-    unit_in = IRRADIANCE
-    unit_out = IRRADIANCE
+    unit_in = unit_out = IRRADIANCE
     where = "field_radius"
     block = "slope"
-    trials = (
-        {"strength": 0.02, "k4": 0.0},
-        {"strength": 0.1, "k4": 0.0},
-        {"strength": 0.0, "k4": 0.03},
-    )
-    fitted = (
-        "strength",
-        "k4",
-    )
+    trials = ({"strength": 0.02, "k4": 0.0}, {"strength": 0.1, "k4": 0.0}, {"strength": 0.0, "k4": 0.03})
+    fitted = ("strength", "k4")
     settles = "the screen turned or shifted against the camera"
     stands_for = ("angle_dependence",)  # where no stop changes it
     essential = ("strength",)  # every lens has it; a fall-off towards the corners alone is cut off, not oblique

@@ -33,8 +33,7 @@ class NominalSettings(Scaling):
 
     name = "nominal_settings"
     stage = Stage.SHUTTER
-    unit_in = EXPOSURE
-    unit_out = EXPOSURE
+    unit_in = unit_out = EXPOSURE
     where = "exposure_s"
     block = "mean"
     is_stepwise = True

@@ -24,8 +24,7 @@ class Quantisation(Effect):
 
     name = "quantisation"
     stage = Stage.DIGITAL
-    unit_in = DIGITAL_NUMBER
-    unit_out = DIGITAL_NUMBER
+    unit_in = unit_out = DIGITAL_NUMBER
 
     def mean(self, signal: Signal, context: ExposureContext) -> Signal:
         """Return output DN, not rounded."""

@@ -24,16 +24,12 @@ class ReciprocityFailure(Scaling):
 
     name = "reciprocity_failure"
     stage = Stage.SHUTTER
-    unit_in = EXPOSURE
-    unit_out = EXPOSURE
+    unit_in = unit_out = EXPOSURE
     where = "exposure_s"
     block = "mean"
     log_prior_odds = -5.0
     prior_reason = "silicon counts photons: nothing of the kind is expected of it"
-    trials = (
-        {"exponent": 0.005},
-        {"exponent": -0.005},
-    )
+    trials = ({"exponent": 0.005}, {"exponent": -0.005})
     fitted = ("exponent",)
     settles = "one signal reached by exposure and by source level"
     exponent: float = parameter(0.0, "1", -0.5, 0.5, source="engineering prior; refined on a real rig")

@@ -24,8 +24,7 @@ class SeriesSettling(Scaling):
 
     name = "series_settling"
     stage = Stage.SOURCE
-    unit_in = RADIANCE
-    unit_out = RADIANCE
+    unit_in = unit_out = RADIANCE
     where = "previous_frame"
     block = "first"
     also = ("common",)

@@ -32,8 +32,7 @@ class StrayLightKernel(CatalogueEffect):
 
     name = "stray_light_kernel"
     stage = Stage.OPTICS
-    unit_in = IRRADIANCE
-    unit_out = IRRADIANCE
+    unit_in = unit_out = IRRADIANCE
     where = "image_x"
     block = "mean"
     trials = (

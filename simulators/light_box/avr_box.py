@@ -28,7 +28,7 @@ LAG_S: Final = 0.1
 
 
 def rested_eeprom(serial: str) -> bytes:
-    """Return the beginning of the EEPROM of a box whose buckets are full (docs/reference/light-box-protocol.md, memory)."""
+    """Return the beginning of the EEPROM of a box whose buckets are full (docs/reference/light-box-protocol.md)."""
     record = bytes([1, *[64] * 6, 8])
     return serial.encode("ascii")[:8].ljust(16, b"\xff") + record + (crc32(record) & 0xFFFF).to_bytes(2, "little")
 
@@ -71,7 +71,6 @@ class AvrBox:
 
     Args:
         hex_file: Firmware as `make -C drivers/firmware/light_box` builds it.
-        serial: Eight characters for the EEPROM.
         lag_s: Longest step of box time; what the machine cannot keep up with beyond it is given up.
         memory: Content of the EEPROM; that of a box that has rested where None.
     """

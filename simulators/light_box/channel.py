@@ -37,22 +37,15 @@ PARTS_BEFORE_RAISING = 4
 
 @dataclass(slots=True)
 class Channel:
-    """State of one channel; `mode` is O, S, R, P or B as on the wire.
+    """State of one channel; `mode` is O, S, R, P or B as on the wire."""
 
-    Attributes:
-        limits: What is built in.
-        bucket: Energy units left.
-        level: Level driven now.
-        high: Whether at the high current.
-        kept: 64ths of the full bucket that the box's memory holds: a reset leaves these. 64 in a box that has rested.
-    """
-
-    limits: ChannelLimits
-    bucket: int
+    limits: ChannelLimits  # what is built in
+    bucket: int  # energy units left
+    # 64ths of the full bucket that the box's memory holds: a reset leaves these. 64 in a box that has rested
     kept: int = PARTS
     mode: str = "O"
-    high: bool = False
-    level: int = 0
+    high: bool = False  # whether at the high current
+    level: int = 0  # level driven now
     bright: bool = False
     left_ms: int = 0
     on_ms: int = 0

@@ -27,7 +27,6 @@ class SimulatedAvr:
     """An ATmega328P with a program in its flash.
 
     Args:
-        hex_file: Intel HEX file of the program.
         frequency_hz: Clock frequency in Hz.
         eeprom: First bytes of the EEPROM.
 

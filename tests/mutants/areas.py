@@ -65,4 +65,26 @@ AREAS: dict[str, tuple[str, ...]] = {
         "radiometer/reconciliation/search/*.py",
     ),
     "sensor_effects": ("simulators/effects/*.py",),
+    "files": ("radiometer/data/*.py", "radiometer/importing/*.py"),
+    "photographs_and_screen": (
+        "radiometer/photographs/*.py",
+        "radiometer/screen/*.py",
+        "radiometer/screen/exports/*.py",
+    ),
+    "archive_and_bench": ("radiometer/archive/*.py", "radiometer/bench/*.py", "radiometer/devices/*.py"),
+    "reconcile_rooms": (
+        "radiometer/reconciliation/*.py",
+        *(f"radiometer/reconciliation/{room}/*.py" for room in ("advice", "inputs", "logs", "measure", "model")),
+        *(f"radiometer/reconciliation/{room}/*.py" for room in ("propose", "report")),
+    ),
+    "alarms_and_networks": (
+        "radiometer/adapters/*.py",
+        *(f"radiometer/daemon/{name}*.py" for name in ("alarm", "epics", "lateness", "light", "log", "mqtt", "whose")),
+    ),
+    "faces": ("radiometer/api/*.py", "radiometer/cli/*.py", "radiometer/cli/*/*.py"),
+    "cameras_and_worlds": (
+        "drivers/cameras/*.py",
+        *(f"simulators/{room}/*.py" for room in ("cameras", "chain", "displays", "observers", "scenes")),
+    ),
+    "quality_and_exports": ("radiometer/analysis/quality/*.py", "radiometer/analysis/exports/*.py"),
 }

@@ -11,11 +11,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from radiometer.analysis.characterise.line_fit import Line, fit_line
+from radiometer.analysis.characterise.spatial_split import typical_pixels
 from radiometer.data import Quantity
+from radiometer.statistics.scale import robust_sigma
 
 _FEWEST_FRAMES: Final = 5
 _HIGHEST_LEVERAGE: Final = 0.9
-_REACH_SIGMAS: Final = 4.0  # pixels whose mean lies farther from the median are hot, cold or hit
 _CLIP_SIGMAS: Final = 6.0
 _LARGEST_U_REL: Final = 0.2  # above it the dark current is too weak to tell the gain
 
@@ -51,7 +52,7 @@ def dark_transfer(frames: Iterable[NDArray[np.float64]]) -> DarkTransfer | None:
     if len(flat) < _FEWEST_FRAMES:
         return None
     values = np.stack(flat)
-    values = values[:, _bulk(values.mean(axis=0))]
+    values = values[:, typical_pixels(values.mean(axis=0))]
     x = values.mean(axis=1)
     design = np.column_stack([np.ones_like(x), x - x.mean()])
     if np.ptp(x) <= 0:
@@ -86,15 +87,10 @@ def _halves_u(x: NDArray[np.float64], variance: NDArray[np.float64], u: NDArray[
     return abs(slopes[1] - slopes[0]) / math.sqrt(12.0)
 
 
-def _bulk(mean: NDArray[np.float64]) -> NDArray[np.bool_]:
-    distance = np.abs(mean - np.median(mean))
-    return np.asarray(distance <= _REACH_SIGMAS * max(1.4826 * float(np.median(distance)), 0.5))
-
-
 def _clipped_variance(residual: NDArray[np.float64]) -> float:
     """Return the variance without what particles and telegraph noise throw beyond six standard deviations."""
     distance = np.abs(residual - np.median(residual))
-    sigma = max(1.4826 * float(np.median(distance)), 1e-9)
+    sigma = max(robust_sigma(residual), 1e-9)
     return float(np.var(residual[distance <= _CLIP_SIGMAS * sigma]))
 
 

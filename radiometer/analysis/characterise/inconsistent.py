@@ -10,6 +10,7 @@ import numpy as np
 
 from radiometer.analysis.characterise.group_statistics import GroupStatistics
 from radiometer.analysis.characterise.steps import SignalStep
+from radiometer.statistics.scale import robust_sigma
 
 _NEIGHBOURS: Final = 2  # on either side
 _FEWEST: Final = 6
@@ -61,7 +62,7 @@ def contradicting_darks(dark: Sequence[GroupStatistics], top_dn: float) -> list[
     slope = _median_slope(times, means)
     rest = means - slope * times
     centre = float(np.median(rest))
-    spread = 1.4826 * float(np.median(np.abs(rest - centre)))
+    spread = robust_sigma(rest)
     found = []
     for index, group in enumerate(dark):
         off = abs(float(rest[index]) - centre)

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from radiometer.analysis.characterise.result import Characterisation
 from radiometer.reporting.numbers import with_u
 from radiometer.reporting.pictures import BEFORE, DIMMED, MARK, MODEL, RULE, SEEN, dress, legend, mark, picture
+from radiometer.typing import Array
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -18,7 +19,6 @@ if TYPE_CHECKING:
 
 _WIDE: Final = (6.4, 3.6)
 _NARROW: Final = (4.0, 3.0)
-Array = NDArray[np.float64]
 
 
 def story(result: Characterisation) -> str:

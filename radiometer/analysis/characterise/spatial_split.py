@@ -4,9 +4,15 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
+
+from radiometer.statistics.scale import robust_sigma
+
+_REACH_SIGMAS: Final = 4.0  # pixels whose mean lies farther from the median are hot, cold or hit
+_LEAST_SIGMA_DN: Final = 0.5  # most means may show one code, and their median deviation is then 0
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,7 +85,10 @@ def split_spatial_variance(average: NDArray[np.float64], noise: NoiseLeft) -> Sp
 
 def typical_mean(average: NDArray[np.float64]) -> float:
     """Return the mean of the pixels within four robust standard deviations of the median: hot ones do not count."""
-    median = float(np.median(average))
-    distance = np.abs(average - median)
-    reach = 4.0 * max(1.4826 * float(np.median(distance)), 0.5)
-    return float(np.mean(average[distance <= reach]))
+    return float(np.mean(average[typical_pixels(average)]))
+
+
+def typical_pixels(average: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """Return which pixels' means are within four robust standard deviations (at least 0.5 DN) of their median."""
+    reach = _REACH_SIGMAS * max(robust_sigma(average), _LEAST_SIGMA_DN)
+    return np.asarray(np.abs(average - np.median(average)) <= reach)

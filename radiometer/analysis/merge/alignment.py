@@ -20,9 +20,7 @@ from numpy.typing import NDArray
 from radiometer.analysis.merge.climb import BLUR_PX, Climb
 from radiometer.data import Bracket, Frame
 from radiometer.errors import MeasurementError
-
-Array = NDArray[np.float64]
-Image = NDArray[np.float32]
+from radiometer.typing import Array, Image
 
 # Larger pictures are reduced to this for the estimate, which is then good to some hundredths of a reduced pixel.
 _ENOUGH_PIXELS: Final = 800_000

@@ -23,9 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from radiometer.errors import MeasurementError
-
-Array = NDArray[np.float64]
-Image = NDArray[np.float32]
+from radiometer.typing import Array, Image
 
 BLUR_PX: Final = 5
 _LEAST_STEP: Final = 1e-6  # of the correlation

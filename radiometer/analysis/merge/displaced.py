@@ -19,8 +19,7 @@ from radiometer.analysis.merge.records import AGREEMENT_SIGMA, CONTRADICTION_SIG
 from radiometer.analysis.merge.sums import MergeSample
 from radiometer.analysis.merge.tables import MergeTables
 from radiometer.compiled import compiled
-
-Array = NDArray[np.float64]
+from radiometer.typing import Array
 
 # Levels per e-fold at which the weights of the frames are worked out: they change little between.
 _PER_FOLD: Final = 16.0

@@ -17,8 +17,7 @@ from numpy.typing import NDArray
 
 from radiometer.analysis.merge.sums import MergeSample
 from radiometer.analysis.merge.tables import MergeTables
-
-Array = NDArray[np.float64]
+from radiometer.typing import Array
 
 # Frames agree within so many standard deviations of their difference.
 _AGREE_SIGMA: Final = 4.0

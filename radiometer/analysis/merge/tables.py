@@ -13,6 +13,7 @@ from radiometer.analysis.merge.frames import FrameTerms
 from radiometer.analysis.merge.moments import LEVEL_SIZE
 from radiometer.analysis.merge.records import RECORD_SIZE
 from radiometer.analysis.signal.model import SignalModel
+from radiometer.typing import Array
 
 _ROOT_TABLE_SIZE = 2048
 # Sets of frames, a power of 2: a bracket of 16 has some hundred; memory is taken by those that occur.
@@ -20,7 +21,6 @@ _KEPT_SETS = 256
 # Frames that agree to this are consistent whatever the noise; more slack where the noise is only a typical one.
 _AGREEMENT_REL = 0.01
 _AGREEMENT_ASSUMED_REL = 0.1
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -7,13 +7,11 @@ from functools import cache
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from radiometer.analysis.photometry.photometry import Observer, spectral_mismatch_factor
 from radiometer.analysis.photometry.spectra import spectrum
 from radiometer.data import SpectralResponse
-
-Array = NDArray[np.float64]
+from radiometer.typing import Array
 
 # The kinds of light that people measure, each as likely as any other, and the lights of a kind alike.
 # Source: CIE 015:2018 for lamps and daylight; for screens the usual primaries of `display_types`.

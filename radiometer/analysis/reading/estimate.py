@@ -11,11 +11,9 @@ from numpy.typing import NDArray
 from radiometer.analysis.reading.frames import PatchFrame
 from radiometer.analysis.signal.dark import DarkLevel
 from radiometer.analysis.signal.model import SignalModel
+from radiometer.statistics.model_choice import AKAIKE, FIVE_SIGMA, is_supported
+from radiometer.statistics.restricted_likelihood import common_deviance
 
-# Twice the gain in log-likelihood that a fluctuation must bring: five sigma for one parameter.
-_FLICKER_EVIDENCE = 25.0
-# Less than this (Akaike's criterion for one parameter) is chance and takes no part.
-_FLUCTUATION_EVIDENCE = 2.0
 # Frames of a steady source through a good calibration agree to this; only more is called flicker.
 _FLICKER_FLOOR_REL = 1e-3
 _FLUCTUATION_GRID = np.concatenate([[0.0], np.geomspace(1e-5, 1.0, 101)])
@@ -55,7 +53,7 @@ class PatchEstimate:
     @property
     def flickers(self) -> bool:
         """Return whether frames differ more than their noise and the calibration explain."""
-        return self.fluctuation_rel >= _FLICKER_FLOOR_REL and self.evidence >= _FLICKER_EVIDENCE
+        return self.fluctuation_rel >= _FLICKER_FLOOR_REL and is_supported(self.evidence, FIVE_SIGMA)
 
 
 def estimate_patch(
@@ -135,18 +133,11 @@ def _fluctuation(
 ) -> tuple[float, float]:
     """Return the relative standard deviation between frames beyond their variance, and twice its log-likelihood gain.
 
-    By restricted maximum likelihood: matching χ² to its expectation instead would let the noise of dim frames
-    pass for a fluctuation that the bright frames contradict.
-
-    Source: Patterson and Thompson 1971, Biometrika 58, 545.
+    By restricted maximum likelihood. One that chance may have made takes no part.
     """
     if means.size < 2:
         return 0.0, 0.0
-    total = variance + np.outer(_FLUCTUATION_GRID, rate * exposures) ** 2
-    weights = exposures**2 / total
-    rates = means / exposures
-    centre = (weights @ rates / weights.sum(1))[:, None]
-    deviance = np.log(total).sum(1) + np.log(weights.sum(1)) + (weights * (rates - centre) ** 2).sum(1)
+    deviance = common_deviance(means, exposures, variance, np.outer(_FLUCTUATION_GRID, rate * exposures))
     best = int(np.argmin(deviance))
     evidence = float(deviance[0] - deviance[best])
-    return (float(_FLUCTUATION_GRID[best]), evidence) if evidence >= _FLUCTUATION_EVIDENCE else (0.0, evidence)
+    return (float(_FLUCTUATION_GRID[best]), evidence) if is_supported(evidence, AKAIKE) else (0.0, evidence)

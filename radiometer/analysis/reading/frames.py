@@ -13,6 +13,7 @@ from radiometer.analysis.signal.model import SignalModel
 from radiometer.data import Bracket, Frame, FrameSettings, Patch
 from radiometer.data.frame import DigitalNumbers
 from radiometer.errors import MeasurementError
+from radiometer.statistics.scale import TWENTIETH_TO_SIGMA, neighbour_sigma
 from radiometer.units import gain_factor
 
 # A patch counts as unclipped where its mean stays this many standard deviations of its pixels below clipping.
@@ -126,14 +127,14 @@ def _brightest_part(dn: DigitalNumbers) -> float:
     1.645 standard deviations of the noise above the level.
     """
     high = float(np.percentile(dn, 95.0))
-    return max(float(np.median(dn)), high - 1.645 * _neighbour_noise(dn))
+    return max(float(np.median(dn)), high - TWENTIETH_TO_SIGMA * _neighbour_noise(dn))
 
 
 def _neighbour_noise(dn: DigitalNumbers) -> float:
     """Return the noise in DN from the middle of the differences between neighbours, which edges do not move."""
     values = dn.astype(np.float64)
     differences = np.concatenate([np.diff(values, axis=axis).ravel() for axis in (0, 1)])
-    return float(1.4826 * np.median(np.abs(differences)) / math.sqrt(2.0)) if differences.size else 0.0
+    return neighbour_sigma(differences) if differences.size else 0.0
 
 
 def _noise_dn(model: SignalModel, settings: FrameSettings, dn: float) -> float:

@@ -6,14 +6,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from radiometer.analysis.response.basis import ValueBasis
 from radiometer.analysis.response.curves import finished_curve, supported_range
 from radiometer.analysis.response.debevec1997 import curve_debevec1997
 from radiometer.analysis.response.estimate import Agreement, ResponseEstimate, inner_range, spread_rms
 from radiometer.analysis.response.fit import ResponseFit
-from radiometer.analysis.response.jackknife import jackknife_u
 from radiometer.analysis.response.left_out import dial_step_dn, error_dn, follow_no_curve, prediction_error_dn
 from radiometer.analysis.response.noise_shift import ASSUMPTION
 from radiometer.analysis.response.planes import Plane
@@ -26,8 +24,8 @@ from radiometer.analysis.response.wrong_labels import WrongLabel
 from radiometer.data.bracket import Bracket
 from radiometer.data.response_curve import ResponseCurve
 from radiometer.one_thread import on_one_blas_thread
-
-Array = NDArray[np.float64]
+from radiometer.statistics.jackknife import jackknife_u
+from radiometer.typing import Array
 
 METHOD = "auto"
 _AS_STATED = "exposure times as stated"

@@ -12,7 +12,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from radiometer.typing import Array
 
 # The sum over correlations ends where two neighbouring ones together are no longer clearly positive.
 _LEAST_PAIR: Final = 0.1

@@ -14,12 +14,12 @@ from radiometer.analysis.response.basis import ValueBasis
 from radiometer.analysis.response.normal import NormalEquations, eliminate_groups
 from radiometer.analysis.response.samples import ResponseSamples
 from radiometer.errors import MeasurementError
+from radiometer.statistics.model_choice import STATED_IS_WRONG, is_supported
+from radiometer.statistics.restricted_likelihood import penalised_terms
+from radiometer.typing import Array
 
-Array = NDArray[np.float64]
 # Relative standard deviations of the exposure times that are tried; none is always among the choices.
 _TIME_SPREADS = (0.001, 0.003, 0.01, 0.03)
-# Twice the gain in log likelihood that calls for errors of the exposure times.
-_CALLS_FOR_TIME_ERRORS = 20.0
 # ln of true over stated time of a frame whose label is not believed, and its standard deviation.
 UNKNOWN_LABEL = (0.0, 3.0)
 # A part of the data that decides more of the fit than this has no residual that shows its error.
@@ -172,7 +172,7 @@ def fit_response(
         modes = np.hstack([labels, time_error_modes(samples.frame_log_time)])
         with_times = equations(modes)
         freest = min((problem(with_times, modes, one) for one in spreads if one), key=lambda one: one.deviance)
-        if chosen is None or freest.deviance < chosen.deviance - _CALLS_FOR_TIME_ERRORS:
+        if chosen is None or is_supported(chosen.deviance - freest.deviance, STATED_IS_WRONG):
             chosen = freest
     if chosen is None or not np.isfinite(chosen.deviance):
         raise MeasurementError(_UNDETERMINED)
@@ -263,12 +263,7 @@ def information(covariance: Array) -> Array:
 
 def _deviance(square: float, right: Array, fixed: Array, penalty: Array, smoothing: float, rank: int) -> float:
     """Return −2 ln of the restricted likelihood up to a constant, the rows' variances being as stated."""
-    try:
-        factor = la.cho_factor(fixed + smoothing * penalty, lower=True)
-    except la.LinAlgError:
-        return float("inf")
-    explained = float(la.cho_solve(factor, right) @ right)
-    log_det = 2.0 * float(np.log(np.diag(factor[0])).sum())
+    explained, log_det = penalised_terms(fixed + smoothing * penalty, right)
     return square - explained + log_det - rank * float(np.log(smoothing))
 
 

@@ -6,7 +6,6 @@ from collections.abc import Sequence
 
 import numpy as np
 import scipy.sparse as sp
-from numpy.typing import NDArray
 from scipy.interpolate import BSpline
 from scipy.optimize import minimize_scalar
 
@@ -18,8 +17,7 @@ from radiometer.analysis.response.samples import ResponseSamples, gather_samples
 from radiometer.data.bracket import Bracket
 from radiometer.data.response_curve import ResponseCurve
 from radiometer.one_thread import on_one_blas_thread
-
-Array = NDArray[np.float64]
+from radiometer.typing import Array
 
 METHOD = "linear_spline"
 _PIECES = 20

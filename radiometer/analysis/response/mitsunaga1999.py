@@ -6,22 +6,19 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from radiometer.analysis.response.curves import finished_curve, supported_range
 from radiometer.analysis.response.debevec1997 import curve_debevec1997
 from radiometer.analysis.response.estimate import ResponseEstimate, compare_thirds
-from radiometer.analysis.response.jackknife import jackknife
 from radiometer.analysis.response.noise_shift import ASSUMPTION
 from radiometer.analysis.response.pairs import LEAST_PART, Gauge, Pairs, with_log_ratios
 from radiometer.analysis.response.polynomial import Polynomial, fit_polynomial
-from radiometer.analysis.response.samples import ResponseSamples, gather_samples
+from radiometer.analysis.response.samples import ResponseSamples, gather_samples, u_by_groups
 from radiometer.data.bracket import Bracket
 from radiometer.data.response_curve import ResponseCurve
 from radiometer.errors import MeasurementError
 from radiometer.one_thread import on_one_blas_thread
-
-Array = NDArray[np.float64]
+from radiometer.typing import Array
 
 METHOD = "mitsunaga1999"
 OF_VALUES, OF_FIRST_ESTIMATE = "digital number", "first estimate of the exposure"
@@ -89,7 +86,7 @@ def solve_mitsunaga1999(
         inner = situation.of_part(part, argument).fit(argument, order)
         return np.concatenate([inner.log_curve(), inner.log_ratios])
 
-    u = jackknife(samples, values)
+    u = u_by_groups(samples, values)
     misfit, ratio_misfit = _misfit(situation, argument, order, here)
     _refuse_flat(here.log_curve()[slice(*supported_range(samples))], situation.pairs)
     shared = _off_the_first(situation, here) if situation.gauge.total is not None else np.zeros(size)

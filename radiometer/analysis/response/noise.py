@@ -5,10 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import nnls
 
-Array = NDArray[np.float64]
+from radiometer.typing import Array
+
 _QUANTISATION_DN2 = 1.0 / 12.0
 
 

@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from radiometer.analysis.response.limits import ValueLimits
-
-Array = NDArray[np.float64]
+from radiometer.typing import Array
 
 ASSUMPTION = "noise arises before the response curve (shot and read noise); only quantisation after it"
 _QUANTISATION_DN2 = 1.0 / 12.0

@@ -10,8 +10,9 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from radiometer.errors import MeasurementError
+from radiometer.statistics.restricted_likelihood import penalised_terms
+from radiometer.typing import Array
 
-Array = NDArray[np.float64]
 # What a curve over the digital numbers itself can be off by in ln H: no row is known better.
 _LEAST_ERROR = 1e-4
 
@@ -140,18 +141,13 @@ def solve_penalised(
 
 
 def _restricted_deviance(normal: NormalEquations, penalty: Array, fixed: Array, weight: float, order: int) -> float:
-    try:
-        factor = la.cho_factor(fixed + weight * penalty, lower=True)
-    except la.LinAlgError:
-        return float("inf")
-    solution = la.cho_solve(factor, normal.right)
-    fit = normal.square - float(solution @ normal.right)  # residual and penalty together at the optimum
+    explained, log_det = penalised_terms(fixed + weight * penalty, normal.right)
+    fit = normal.square - explained  # residual and penalty together at the optimum
     # A curve through every mean (two frames: as many coefficients as rows) would have no error, and λ go to nothing.
     fit = max(fit, 0.0) + _LEAST_ERROR**2 * float(normal.weight.sum())
     rank = penalty.shape[0] - order
     # What the penalty leaves free takes its dimensions; a constant, one of them, the groups have taken already.
     freedom = max(normal.freedom - (order - 1), 1)
-    log_det = 2.0 * float(np.log(np.diag(factor[0])).sum())
     return float(freedom * np.log(max(fit, 1e-300)) + log_det - rank * np.log(weight))
 
 

@@ -12,8 +12,7 @@ from radiometer.analysis.response.noise_shift import mean_exposure_dn
 from radiometer.analysis.response.samples import ResponseSamples
 from radiometer.analysis.response.weights import noise_of, row_variance, value_at
 from radiometer.errors import UsageError
-
-Array = NDArray[np.float64]
+from radiometer.typing import Array
 
 # Closer to black, in parts of full scale, the last stops' small H would pull at the ratios.
 LEAST_PART = 0.02

@@ -18,8 +18,7 @@ from radiometer.data.bracket import Bracket
 from radiometer.data.response_curve import ResponseCurve
 from radiometer.data.sensor_noise import SensorNoise
 from radiometer.errors import MeasurementError
-
-Array = NDArray[np.float64]
+from radiometer.typing import Array
 
 _PIXELS: Final = 6000
 _FEWEST_ROWS: Final = 50

@@ -11,8 +11,8 @@ from scipy.optimize import least_squares
 
 from radiometer.analysis.response.pairs import Gauge, Pairs
 from radiometer.analysis.response.weights import value_at
-
-Array = NDArray[np.float64]
+from radiometer.statistics.least_squares import solve
+from radiometer.typing import Array
 
 # Weight of the row that holds the product of all ratios: firm compared with the data, not singular.
 _FIRM = 1e7
@@ -173,4 +173,4 @@ def _like(argument: Array, order: int, start: Array, pairs: Pairs) -> Array:
     g = value_at(start, dn) - start[start.size // 2]
     shrink = np.exp(-g)
     rows = design(argument, dn, order) * shrink[:, None]
-    return np.asarray(np.linalg.lstsq(rows, (np.exp(g) - 1.0) * shrink, rcond=None)[0])
+    return solve(rows, (np.exp(g) - 1.0) * shrink)

@@ -7,15 +7,13 @@ from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from radiometer.analysis.response.left_out import error_dn, prediction_error_dn
 from radiometer.analysis.response.samples import ResponseSamples
 from radiometer.analysis.response.settle import Choices, FittedResponse, error_of_quadrants, fit_with, refit, settle
 from radiometer.analysis.response.wrong_labels import WrongLabel, thinned
 from radiometer.errors import MeasurementError
-
-Array = NDArray[np.float64]
+from radiometer.typing import Array
 
 # Frames are left out one by one up to this many, then every so many together.
 FRAME_FOLDS: Final = 8

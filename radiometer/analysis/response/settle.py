@@ -6,7 +6,6 @@ from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from radiometer.analysis.response.basis import ValueBasis, hat_weight
 from radiometer.analysis.response.curves import rising, supported_range
@@ -19,8 +18,7 @@ from radiometer.analysis.response.noise_shift import mean_exposure_dn
 from radiometer.analysis.response.samples import ResponseSamples
 from radiometer.analysis.response.weights import dn_at, group_residual, noise_of, row_variance, slope_at, value_at
 from radiometer.errors import MeasurementError
-
-Array = NDArray[np.float64]
+from radiometer.typing import Array
 
 # Below this the rounding to whole numbers is a large part of the exposure. The cut is made on the value that the
 # other frames predict. A cut on the noisy value itself would keep the brighter half.

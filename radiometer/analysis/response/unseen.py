@@ -5,12 +5,10 @@ from __future__ import annotations
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from radiometer.analysis.response.basis import ValueBasis
 from radiometer.analysis.response.estimate import inner_range
-
-Array = NDArray[np.float64]
+from radiometer.typing import Array
 
 # Frames at whole stops do not show a wave of one stop's period, and real responses hold more of it than their
 # smoothness elsewhere predicts. With this factor the mean squared error in units of u over the DoRF curves is about 1

@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from radiometer.analysis.response.basis import hat_weight
 from radiometer.analysis.response.noise import LogNoise, fit_log_noise
 from radiometer.analysis.response.samples import ResponseSamples
-
-Array = NDArray[np.float64]
+from radiometer.typing import Array
 
 # Hat weight from which a row counts in full: 5 % of the range away from black and from saturation.
 _FULLY_TRUSTED_HAT = 0.1

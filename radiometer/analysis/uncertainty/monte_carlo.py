@@ -6,13 +6,11 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from radiometer.analysis.reading.contributions import PatchSituation, budget_terms
 from radiometer.analysis.reading.estimate import curve_u_rel
 from radiometer.data import Reading
-
-Array = NDArray[np.float64]
+from radiometer.typing import Array
 
 # What the ends of an interval that was drawn are known to, in u: two and a half of their standard deviations.
 _DRAWN_ENDS = 0.05

@@ -34,7 +34,7 @@ def command(
         Path,
         typer.Argument(
             help="Capture set, photograph folder, FITS or raw TIFF files, EMVA 1288 descriptor (.txt) or light-meter "
-            "table (.csv).",
+            "table (.csv)."
         ),
     ],
     model: Annotated[Path | None, typer.Option(help="Model to start from; the ideal camera by default.")] = None,

@@ -33,8 +33,7 @@ def command(
         float | None, typer.Option("--luminance-meter-k", help="Constant K of the camera's light meter (ISO 2720).")
     ] = None,
     k_u_rel: Annotated[
-        float | None,
-        typer.Option(min=0.0, help="Relative u of K beyond the meter's ±1/6 stop; 6.7 % (ISO 2720)."),
+        float | None, typer.Option(min=0.0, help="Relative u of K beyond the meter's ±1/6 stop; 6.7 % (ISO 2720).")
     ] = None,
     f_number: Annotated[
         float | None, typer.Option(help="f-number of the reference photograph, or of frames that do not state theirs.")
@@ -76,8 +75,7 @@ def command(
         Path | None, typer.Option(help="Camera file of `radiometer characterise`: gain, noise, saturation as measured.")
     ] = None,
     model: Annotated[
-        Path | None,
-        typer.Option(help="Model of `radiometer reconcile`: readings are corrected for its effects."),
+        Path | None, typer.Option(help="Model of `radiometer reconcile`: readings are corrected for its effects.")
     ] = None,
     stated: Annotated[
         list[str] | None,

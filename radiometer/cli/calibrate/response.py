@@ -84,7 +84,6 @@ def app(arguments: Sequence[str], **how: Any) -> Any:
 
     Args:
         arguments: Words after `radiometer response`.
-        how: Passed on to Typer.
     """
     inner = typer.Typer(add_completion=False, rich_markup_mode=None, pretty_exceptions_enable=False)
     inner.command(name="response", context_settings={"help_option_names": ["-h", "--help"]})(command)

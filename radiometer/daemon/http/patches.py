@@ -102,7 +102,6 @@ def trend_columns(points: list[TrendPoint], every_s: float | None) -> dict[str, 
     """Return points in columns, in s since 1970, of the newest unit; where readings are missing stands a row of nulls.
 
     Args:
-        points: The points, oldest first.
         every_s: Period of continuous measurement in s; None where there is none.
     """
     unit = points[-1].unit if points else ""

@@ -34,19 +34,12 @@ _PERCENTILES: Final = (0.5, 99.8)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ServedPicture:
-    """Radiance of every pixel as far as the frames determine it.
+    """Radiance of every pixel as far as the frames determine it."""
 
-    Attributes:
-        radiance: Radiance, shape (height, width), above 0 where defined.
-        clipped: Pixels that clip even in the shortest frame.
-        unit: Unit of the radiance.
-        sequence: Sequence number of the reading it belongs to.
-    """
-
-    radiance: NDArray[np.float32]
-    clipped: NDArray[np.bool_]
-    unit: str
-    sequence: int
+    radiance: NDArray[np.float32]  # radiance, shape (height, width), above 0 where defined
+    clipped: NDArray[np.bool_]  # pixels that clip even in the shortest frame
+    unit: str  # unit of the radiance
+    sequence: int  # sequence number of the reading it belongs to
 
 
 def composite(measurement: Measurement, response: ResponseCurve | None, sequence: int) -> ServedPicture:
@@ -82,11 +75,8 @@ def render(picture: ServedPicture, *, width: int, scale: str, colours: str, bar:
     """Return the PNG and headers that state its scale.
 
     Args:
-        picture: What to show.
         width: Width of the picture without its bar in pixels.
         scale: "log", "linear" or "auto".
-        colours: One of inferno, grey, red.
-        bar: Whether to draw the scale bar.
     """
     rows, columns = picture.radiance.shape
     height = max(1, round(rows * width / columns))

@@ -61,7 +61,6 @@ class HttpServer:
     """Serves one station over HTTP.
 
     Args:
-        station: The instrument.
         limits: What clients may use.
         token: What clients must send, 16 characters or more; None where only loopback is listened on.
 

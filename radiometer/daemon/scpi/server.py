@@ -318,7 +318,6 @@ class ScpiServer:
     """Listens for SCPI clients.
 
     Args:
-        station: The instrument.
         limits: What clients may use.
         allow: Networks that may connect in addition to loopback.
     """

@@ -37,8 +37,6 @@ class Session:
     """One client.
 
     Args:
-        station: The instrument, shared by all sessions.
-        table: The command table.
         reply_bytes: Bytes that the replies of one message may have together, without the largest of them.
     """
 
@@ -127,10 +125,7 @@ class Session:
         """Return the reading that FETCh? means; one message always sees one reading.
 
         A session with a separate patch sees its own readings only. Any other sees the newest of the patch that is
-        measured for all: its own while nothing measures continuously.
-
-        Raises:
-            ScpiError: If there is none yet.
+        measured for all: its own while nothing measures continuously. Raises ScpiError if there is none yet.
         """
         if self._held is None:
             own = self._own_if_current()

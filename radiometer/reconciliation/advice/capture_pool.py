@@ -12,10 +12,11 @@ from numpy.typing import NDArray
 
 from radiometer.data import FrameEntry, FrameSettings
 from radiometer.reconciliation.fit.state import FitState
-from radiometer.reconciliation.measure.design import BRIGHT_SURROUND, DARK_SURROUND, Array, Design
+from radiometer.reconciliation.measure.design import BRIGHT_SURROUND, DARK_SURROUND, Design
 from radiometer.reconciliation.measure.pattern_images import PatternImages
 from radiometer.reconciliation.model.tile_model import TileModel
 from radiometer.reconciliation.prediction import Prediction
+from radiometer.typing import Array
 from simulators.effects.context import ExposureContext
 
 FRAMES: Final = 4  # of one proposed capture

@@ -20,9 +20,10 @@ from radiometer.data.storage import write_yaml_atomic
 from radiometer.reconciliation.advice.capture_pool import FRAMES, CapturePool
 from radiometer.reconciliation.fit.descent import beside, refit
 from radiometer.reconciliation.fit.state import FitState, with_effects, with_terms
-from radiometer.reconciliation.measure.design import Array, Design
+from radiometer.reconciliation.measure.design import Design
 from radiometer.reconciliation.result import Limit, ReconcileResult
 from radiometer.reconciliation.search.screening import best_start
+from radiometer.typing import Array
 from simulators.effects.catalogue import CatalogueEffect
 
 FORMAT: Final = "radiometer-plan/1"

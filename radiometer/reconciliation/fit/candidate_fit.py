@@ -12,7 +12,7 @@ from radiometer.reconciliation.fit.comparison import FAMILY
 from radiometer.reconciliation.fit.held_out import leave_one_group_out
 from radiometer.reconciliation.fit.linear import descended
 from radiometer.reconciliation.fit.state import FitState
-from radiometer.reconciliation.measure.design import Array
+from radiometer.typing import Array
 from simulators.effects.catalogue import CatalogueEffect
 
 _CONVERGED: Final = 0.02

@@ -15,8 +15,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from radiometer.reconciliation.chances import Mask, deviances, followed_scores, log_bias, sine_freedom
-from radiometer.reconciliation.measure.design import Array, Design
+from radiometer.reconciliation.chances import deviances, followed_scores, log_bias, sine_freedom
+from radiometer.reconciliation.measure.design import Design
 from radiometer.reconciliation.measure.row_bands import RowBins, wave_power
 from radiometer.reconciliation.measure.seen import COMB_PERIODS, CaptureStatistics
 from radiometer.reconciliation.noise.dark_errors import errors_of_darkness
@@ -48,6 +48,7 @@ from radiometer.reconciliation.statistics import (
     named,
     usable_entries,
 )
+from radiometer.typing import Array, Mask
 
 TILE_BLOCKS: Final = named(given=Given.TILE)
 CAPTURE_BLOCKS: Final = named(given=Given.CAPTURE)

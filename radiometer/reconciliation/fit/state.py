@@ -14,7 +14,7 @@ from radiometer.reconciliation.fit.held_out import Groups, HeldOut, leave_one_gr
 from radiometer.reconciliation.fit.linear import LinearFit, RowBlock
 from radiometer.reconciliation.fit.nuisances import Change, NuisanceLayout
 from radiometer.reconciliation.fit.terms import LinearTerm, inverse, prior_residual
-from radiometer.reconciliation.measure.design import Array, Design
+from radiometer.reconciliation.measure.design import Design
 from radiometer.reconciliation.measure.seen import CaptureStatistics
 from radiometer.reconciliation.model.parameters import EffectParameters
 from radiometer.reconciliation.model.several import predict_several
@@ -25,6 +25,7 @@ from radiometer.reconciliation.noise.responses import darkness_of, form_floors, 
 from radiometer.reconciliation.noise.shared_errors import Repeatability, relative_bands, relative_flicker
 from radiometer.reconciliation.prediction import Prediction
 from radiometer.reconciliation.statistics import usable_entries
+from radiometer.typing import Array
 from simulators.effects.catalogue import CatalogueEffect
 
 # What of a state was worked out and hangs on the model and the nuisances alone, whatever is frozen or fitted.

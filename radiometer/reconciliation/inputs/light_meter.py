@@ -20,8 +20,8 @@ from radiometer.data.reader_limits import bounded_reader
 from radiometer.data.storage import write_text_atomic, write_yaml_atomic
 from radiometer.data.text_table import column_for, read_table
 from radiometer.errors import InputError
-from radiometer.reconciliation.measure.design import Array
 from radiometer.reconciliation.result import FittedParameter, FoundEffect, Limit, ReconcileResult, Verdict
+from radiometer.typing import Array
 from radiometer.units import exact_exposure_s, exact_f_number, read_number, unit_of
 
 _GAP_UNIT: Final = "standard deviation of ln K within a source"

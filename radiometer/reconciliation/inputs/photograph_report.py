@@ -9,17 +9,16 @@ from functools import partial
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from radiometer.reconciliation.result import ReconcileResult, Verdict
 from radiometer.reporting.numbers import with_u
 from radiometer.reporting.page import folded, heading, listed, page, paragraph, section, table
 from radiometer.reporting.pictures import BEFORE, DIMMED, MODEL, RULE, dress, label, legend, picture, shortened
+from radiometer.typing import Array
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-Array = NDArray[np.float64]
 
 OFFSET: Final = "exposure_time_offset"
 _BINS: Final = 24

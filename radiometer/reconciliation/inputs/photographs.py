@@ -47,9 +47,8 @@ from radiometer.errors import CaptureError, InputError, MeasurementError
 from radiometer.one_thread import on_one_blas_thread
 from radiometer.reconciliation.inputs.photograph_report import OFFSET, FrameFinding, report_html
 from radiometer.reconciliation.result import FittedParameter, FoundEffect, Limit, ReconcileResult, Verdict
+from radiometer.typing import Array
 from radiometer.units import exact_exposure_s
-
-Array = NDArray[np.float64]
 
 _GAP_UNIT: Final = "mean error in DN of predicting left-out quadrants over that of the final exposures"
 _LABEL: Final = "exposure_label_error"

@@ -15,8 +15,7 @@ from numpy.typing import NDArray
 from radiometer.data import CaptureHeader, FrameSettings
 from radiometer.data.thermometer import readings_c, regulated, uncertainty_of_readings
 from radiometer.errors import CaptureError
-
-Array = NDArray[np.float64]
+from radiometer.typing import Array
 
 # Patterns of these names show the first pattern's patches in another surround.
 BRIGHT_SURROUND: Final = "bright_surround"

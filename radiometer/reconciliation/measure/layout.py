@@ -10,7 +10,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from radiometer.reconciliation.measure.design import Array, Design, Tile
+from radiometer.reconciliation.measure.design import Design, Tile
+from radiometer.typing import Array
 
 SHORTEST_PART_PX: Final = 4  # of a line, below which nothing tells whether it is even
 LINES: Final = 7  # from one line inside a patch's stated border to five lines outside it

@@ -7,8 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from radiometer.reconciliation.measure.design import Array
 from radiometer.reconciliation.measure.layout import TileGroup
+from radiometer.typing import Array, Mask
 
 _TREND_TERMS_PER_AXIS = 3  # constant, slope and curvature of each tile are taken out of its profile
 
@@ -59,7 +59,6 @@ def fixed_profile(
     return _named("columns", _profile(columns), 1) | _named("rows", _profile(rows), 1)
 
 
-Mask = NDArray[np.bool_]
 _Piece = tuple[NDArray[np.intp], Array, NDArray[np.intp], Array, int]
 
 

@@ -8,9 +8,10 @@ from typing import Final
 
 import numpy as np
 
-from radiometer.reconciliation.measure.design import Array, Design
+from radiometer.reconciliation.measure.design import Design
+from radiometer.statistics.scale import robust_sigma
+from radiometer.typing import Array
 
-_NORMAL: Final = 1.4826  # standard deviation of normal values over their median deviation
 _STANDS_OUT: Final = 8.0  # times what neighbouring frames differ by otherwise
 _STAYS: Final = 4.0  # the same of the frames behind the jump: a lone frame that differs is no jump
 _BESIDE: Final = 3  # frames on either side that tell whether it stays
@@ -40,7 +41,7 @@ def _series(design: Design) -> Iterator[tuple[int, ...]]:
 def _of_series(frames: tuple[int, ...], means: Array) -> list[int]:
     level = np.median(means - means.mean(axis=0), axis=1)
     steps = np.diff(level)
-    usual = _NORMAL * float(np.median(np.abs(steps - np.median(steps))))
+    usual = robust_sigma(steps)
     found = []
     for at in np.argsort(-np.abs(steps), kind="stable")[:_MOST_JUMPS].tolist():
         behind, before = level[at + 1 : at + 1 + _BESIDE], level[max(at + 1 - _BESIDE, 0) : at + 1]

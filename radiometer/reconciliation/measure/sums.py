@@ -8,30 +8,26 @@ from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from radiometer.data import Frame
-from radiometer.reconciliation.measure.design import Array
 from radiometer.reconciliation.measure.kernels import add_tiles
 from radiometer.reconciliation.measure.layout import PatchSides, TileGroup
 from radiometer.reconciliation.measure.profiles import fixed_profile, row_temporal_profile
 from radiometer.reconciliation.measure.row_bands import RowBins, row_light
 from radiometer.reconciliation.measure.seen import COMB_PERIODS
+from radiometer.statistics.scale import MAD_TO_SIGMA, TWENTIETH_TO_SIGMA
+from radiometer.typing import Array, Mask
 
 OUTLIER_SIGMAS: Final = 6.0  # one false alarm in 5·10⁸ pixels of Gaussian pattern
 _NEARLY_FULL: Final = 0.98  # counts as clipped: the highest code in use may lie a little below full scale
-_MAD_TO_SIGMA: Final = 1.4826
-_TWENTIETH_TO_SIGMA: Final = 1.6449
 _LOPSIDED: Final = 2.0  # a twentieth of the pixels as many times farther below: light cut off, no defects
 # Above this scatter (variance 15 DN²) an honest histogram shows no comb of period 5: exp(−2π²·15/25) = 7e-6. The
 # median deviation tells it, for one hot pixel does not move that.
-_SMOOTH_MAD_DN: Final = 15.0**0.5 / _MAD_TO_SIGMA
+_SMOOTH_MAD_DN: Final = 15.0**0.5 / MAD_TO_SIGMA
 _MOST_FOR_MEDIAN: Final = 4096  # samples that give a robust sigma to 2 %; more would cost time and change nothing
 _TREND_TERMS: Final = 6
 _HALF_WAVES: Final = 3  # down a frame, of a black level that moves while the rows are read
 _CUT_OFF: Final = 1.0 / 3.0  # of a darker tile's noise, below which light is cut off: six sigmas of 36 pixels in pairs
-
-Mask = NDArray[np.bool_]
 
 
 @dataclass(slots=True, eq=False)
@@ -324,8 +320,8 @@ def _outlying(picture: Array, group: TileGroup, spacing_dn: float) -> Mask:
 def _far(residual: Array, step: int, spacing_dn: float) -> Mask:
     some = residual[:, ::step]
     low, centre = np.percentile(some, (5.0, 50.0), axis=1)[..., None]
-    sigma = _MAD_TO_SIGMA * np.median(np.abs(some - centre), axis=1, keepdims=True)
-    tail = (centre - low) / _TWENTIETH_TO_SIGMA
+    sigma = MAD_TO_SIGMA * np.median(np.abs(some - centre), axis=1, keepdims=True)
+    tail = (centre - low) / TWENTIETH_TO_SIGMA
     sigma = np.where(tail > _LOPSIDED * sigma, tail, sigma)
     limit = np.maximum(OUTLIER_SIGMAS * np.where(sigma > 0, sigma, np.inf), spacing_dn)
     return np.asarray(np.abs(residual - centre) > limit)

@@ -8,7 +8,8 @@ from typing import Final, Literal, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from radiometer.reconciliation.measure.design import Array, Design
+from radiometer.reconciliation.measure.design import Design
+from radiometer.typing import Array
 
 Part = Literal["all", "first", "later"]
 _MOST_KNOWN: Final = 64  # tables that are kept: a search comes back to the same time constants

@@ -14,9 +14,9 @@ from typing import Any, Final, Self, TypeVar
 
 import numpy as np
 
-from radiometer.reconciliation.measure.design import Array
 from radiometer.reconciliation.model.tile_model import Nuisance, TileModel, Trace, Walk, first_of, looks_back
 from radiometer.reconciliation.prediction import Prediction
+from radiometer.typing import Array
 from simulators.effects.base import DIGITAL_NUMBER, ELECTRONS
 from simulators.effects.tile_moments import Moments
 
@@ -100,7 +100,8 @@ class _Together:
         known = self._like.prediction
         signal = self._of_members(1 + first_of(self._like.links, ELECTRONS), TileModel.signal, known.signal.shape)
         gain = self._of_members(first_of(self._like.links, DIGITAL_NUMBER), TileModel.gain, known.gain.shape)
-        return self._model.summary(self._passed[-1], signal, gain)
+        taken = np.array([[one.model.taken] for one in self.members])
+        return self._model.summary(self._passed[-1], signal, taken * gain)
 
     def _join(self, joining: list[_Apart], number: int) -> list[_Apart]:
         """Put models into the stack in front of a step; return those that have other figures of a whole frame."""
@@ -126,7 +127,7 @@ class _Together:
         late = [one for one in self.members if one.joins > number]
         found = [of(one.model, one.walk)[None] for one in late]
         if early := len(self.members) - len(late):
-            walk = Walk(like.nuisance, like.links, like.chain, tuple(self._passed))
+            walk = Walk(like.nuisance, like.taken, like.links, like.chain, tuple(self._passed))
             found = [np.broadcast_to(of(self._model, walk), (early, *shape)), *found]
         return np.concatenate(found)
 

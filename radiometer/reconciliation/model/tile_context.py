@@ -14,9 +14,10 @@ from typing import Any, Final, Literal, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from radiometer.reconciliation.measure.design import Array, Design
+from radiometer.reconciliation.measure.design import Design
 from radiometer.reconciliation.measure.pattern_images import PatternImages
 from radiometer.reconciliation.model.past import CapturesPast, FrameTimes, Part
+from radiometer.typing import Array
 from simulators.chain.undeclared import completed
 from simulators.effects.context import ExposureContext, FrameGeometry, Signal
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections import defaultdict
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -11,11 +12,12 @@ from typing import Any, Final
 
 import numpy as np
 
-from radiometer.reconciliation.measure.design import Array, Design
+from radiometer.reconciliation.measure.design import Design
 from radiometer.reconciliation.measure.pattern_images import PatternImages
 from radiometer.reconciliation.measure.row_bands import TileBands
 from radiometer.reconciliation.model.tile_context import TileContext, rise_of, scene_radiance, tile_context, tilt_of
 from radiometer.reconciliation.prediction import Prediction, of_tiles
+from radiometer.typing import Array
 from simulators.chain.stages import in_order, place_for
 from simulators.chain.undeclared import Undeclared, undeclared_chain
 from simulators.effects.base import DIGITAL_NUMBER, ELECTRONS, Effect
@@ -104,21 +106,32 @@ class TileModel:
         if like is not None and len(walk.passed) == len(walk.chain) + 1 == len(like.passed):
             return like
         walk = self.walked(walk, len(walk.chain))
-        prediction = self.summary(walk.passed[-1], self.signal(walk), self.gain(walk))
-        return Trace(walk.nuisance, walk.links, walk.chain, walk.passed, prediction)
+        prediction = self.summary(walk.passed[-1], self.signal(walk), self.taken * self.gain(walk))
+        return Trace(walk.nuisance, walk.taken, walk.links, walk.chain, walk.passed, prediction)
 
     # ---- the chain, step by step ---------------------------------------------------------------------------
+
+    @property
+    def taken(self) -> float:
+        """Return the factor on the electrons' mean by which effects lower the responsivity, which is fitted.
+
+        A wrong conversion gain moves no mean then: it moves the number of electrons behind it, and with them their
+        noise and all that acts by their number.
+        """
+        return math.prod(effect.responsivity_taken() for effect in (*self.given, *self.effects))
 
     def links(self, nuisance: Nuisance, like: Walk | None = None) -> tuple[Effect, ...]:
         """Return the links of the declared camera; effects act in front of the link that `place_for` gives.
 
         Where a chain is known, its unchanged links are reused.
         """
-        if like is not None and nuisance.off is like.nuisance.off:
+        taken = self.taken
+        if like is not None and nuisance.off is like.nuisance.off and taken == like.taken:
             return like.links
         header = self.design.header
         ends = header.camera.full_well_e is not None and not self.passes_well
-        links = undeclared_chain(header.camera, header.lens, nuisance.off, self.design.pattern_index, ends_in_well=ends)
+        off = replace(nuisance.off, log_responsivity=nuisance.off.log_responsivity - math.log(taken))
+        links = undeclared_chain(header.camera, header.lens, off, self.design.pattern_index, ends_in_well=ends)
         known = {} if like is None else {type(link): link for link in like.links}
         return tuple(_as_known(link, known.get(type(link))) for link in links)
 
@@ -132,9 +145,9 @@ class TileModel:
         links = self.links(nuisance, like)
         chain = self._chain(links)
         if like is None or not like.shows(nuisance):
-            return Walk(nuisance, links, chain, (self._scene(nuisance),))
+            return Walk(nuisance, self.taken, links, chain, (self._scene(nuisance),))
         shared = sum(1 for _ in takewhile(lambda pair: pair[0] is pair[1], zip(like.chain, chain, strict=False)))
-        return Walk(nuisance, links, chain, like.passed[: 1 + shared])
+        return Walk(nuisance, self.taken, links, chain, like.passed[: 1 + shared])
 
     def walked(self, walk: Walk, until: int) -> Walk:
         """Return a walk that went on to the front of a step of its chain, by number; behind the last is one more."""
@@ -268,12 +281,14 @@ class Walk:
 
     Attributes:
         nuisance: The nuisances.
+        taken: Factor by which effects lower the responsivity.
         links: The links of the declared camera.
         chain: These and the effects, in the order of the light.
         passed: Moments in front of each step that was reached; behind the last one too where all were taken.
     """
 
     nuisance: Nuisance
+    taken: float
     links: tuple[Effect, ...]
     chain: tuple[Effect, ...]
     passed: tuple[TileMoments, ...]

@@ -7,10 +7,10 @@ from typing import Final
 
 import numpy as np
 
-from radiometer.reconciliation.chances import Mask
-from radiometer.reconciliation.measure.design import Array, Design
+from radiometer.reconciliation.measure.design import Design
 from radiometer.reconciliation.noise.darkness import Darkness
 from radiometer.reconciliation.noise.shared import Part, SharedError
+from radiometer.typing import Array, Mask
 
 _HALF_WAVES: Final = 12  # of a black level that moves within a frame: three to each of four tiles
 

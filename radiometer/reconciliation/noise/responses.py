@@ -7,11 +7,11 @@ from typing import Final
 
 import numpy as np
 
-from radiometer.reconciliation.measure.design import Array
 from radiometer.reconciliation.measure.seen import CaptureStatistics
 from radiometer.reconciliation.model.tile_model import TileModel, Trace
 from radiometer.reconciliation.noise.darkness import Darkness, drift_of_black, wander_of_black
 from radiometer.reconciliation.statistics import STATISTICS, Scale
+from radiometer.typing import Array
 
 _SENSITIVITY_STEP: Final = 1e-3
 _WARMER_K: Final = 0.1

@@ -7,8 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from radiometer.reconciliation.chances import Mask
-from radiometer.reconciliation.measure.design import Array
+from radiometer.typing import Array, Mask
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -17,12 +17,13 @@ from typing import Final
 
 import numpy as np
 
-from radiometer.reconciliation.chances import Mask, frames_counted, score_slope
-from radiometer.reconciliation.measure.design import SURFACE_LINES, Array, Design
+from radiometer.reconciliation.chances import frames_counted, score_slope
+from radiometer.reconciliation.measure.design import SURFACE_LINES, Design
 from radiometer.reconciliation.measure.row_bands import RowBins, TileBands
 from radiometer.reconciliation.measure.seen import CaptureStatistics
 from radiometer.reconciliation.noise.shared import Part, SharedError
 from radiometer.reconciliation.prediction import Prediction
+from radiometer.typing import Array, Mask
 
 _LEAST_EXCESS: Final = -0.9  # of a variance ratio, so that it stays positive
 _FAIR_SHARE: Final = 0.05  # of the brightest tile's light

@@ -15,8 +15,8 @@ from typing import Any, Final
 
 import numpy as np
 
-from radiometer.reconciliation.measure.design import Array
 from radiometer.reconciliation.propose.formula import Formula, formula
+from radiometer.typing import Array
 
 _STEPS: Final = 24  # places of a step that are tried
 _BORDERS: Final = 48  # of a border in the picture

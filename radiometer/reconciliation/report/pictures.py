@@ -9,7 +9,6 @@ import numpy as np
 from radiometer.reconciliation.fit.comparison import FAMILY
 from radiometer.reconciliation.fit.covariates import covariates
 from radiometer.reconciliation.fit.state import FitState
-from radiometer.reconciliation.measure.design import Array
 from radiometer.reconciliation.prediction import Prediction
 from radiometer.reconciliation.report.words import AXES, axis_label
 from radiometer.reconciliation.result import Verdict
@@ -17,6 +16,7 @@ from radiometer.reconciliation.search.outcome import Reconciled
 from radiometer.reconciliation.statistics import STATISTICS
 from radiometer.reporting.pictures import BEFORE, RULE, SEEN, dress, label, legend, picture, shortened
 from radiometer.reporting.pictures import MODEL as AFTER
+from radiometer.typing import Array
 from simulators.effects.catalogue import CatalogueEffect
 
 if TYPE_CHECKING:

@@ -15,6 +15,7 @@ from radiometer.reconciliation.search.outcome import Reconciled
 from simulators.chain.camera_model import CameraModel
 from simulators.chain.undeclared import completed
 from simulators.effects.catalogue import CatalogueEffect
+from simulators.effects.full_well_saturation import FullWellSaturation
 from simulators.effects.registry import EffectEntry
 
 _SMALLEST, _LARGEST = 0.01, 1.0  # quantum efficiency
@@ -33,8 +34,8 @@ def reconciled_model(
         provisional: Switch provisional effects on nevertheless.
     """
     state = reconciled.outcome.state
-    model = _base(state)
     found = {effect.name: effect for effect in reconciled.result.effects}
+    model = _base(state, _other_well_e(state, found.get(FullWellSaturation.name)))
     enabled = provisional or reconciled.result.verdict is not Verdict.INCOMPLETE
     for effect in state.model.given:
         model = model.with_effect(effect)
@@ -51,9 +52,17 @@ def _switched_off(entry: EffectEntry, effect: CatalogueEffect) -> EffectEntry:
     return EffectEntry(entry.effect, False, entry.notes) if entry.effect is effect else entry
 
 
-def _base(state: FitState) -> CameraModel:
+def _other_well_e(state: FitState, found: FoundEffect | None) -> float | None:
+    """Return the full well that the brightest pixels show in place of the declared one; None where it is fitted."""
+    fitted = any(isinstance(effect, FullWellSaturation) for effect in state.effects)
+    return None if found is None or fitted else found.parameters["full_well_e"].value
+
+
+def _base(state: FitState, other_well_e: float | None = None) -> CameraModel:
     header = state.design.header
     camera = _completed(state)
+    if other_well_e is not None:
+        camera = camera.model_copy(update={"full_well_e": other_well_e})
     responsivity = float(np.exp(state.nuisance.off.log_responsivity))
     for effect in state.effects:
         responsivity /= effect.responsivity_taken()

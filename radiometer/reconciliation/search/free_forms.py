@@ -8,9 +8,9 @@ from typing import Final
 
 import numpy as np
 
-from radiometer.reconciliation.chances import Mask
 from radiometer.reconciliation.fit.state import FitState
 from radiometer.reconciliation.thresholds import PARAMETER_NATS
+from radiometer.typing import Mask
 from simulators.chain.stages import place_for
 from simulators.effects.catalogue import CatalogueEffect
 from simulators.effects.free_law import FreeLaw, axis_scale, axis_values, freed, unscaled

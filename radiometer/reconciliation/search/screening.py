@@ -12,10 +12,10 @@ import numpy as np
 from radiometer.errors import ConfigurationError, MeasurementError
 from radiometer.reconciliation.fit.candidate_fit import Candidate
 from radiometer.reconciliation.fit.state import FitState
-from radiometer.reconciliation.measure.design import Array
 from radiometer.reconciliation.measure.seen import COMB_PERIODS, CaptureStatistics
 from radiometer.reconciliation.search.starts import StartPool
 from radiometer.reconciliation.statistics import seen_step
+from radiometer.typing import Array
 from simulators.effects.catalogue import CatalogueEffect
 
 _OTHER_STARTS: Final = 2  # of an entry that are kept for the fit beside the best

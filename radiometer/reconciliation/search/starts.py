@@ -15,9 +15,9 @@ from typing import Any, Final
 import numpy as np
 
 from radiometer.reconciliation.fit.state import FitState
-from radiometer.reconciliation.measure.design import Array
 from radiometer.reconciliation.measure.row_bands import RowBins, wave_power
 from radiometer.reconciliation.noise.shared_errors import mixing_of_bands, relative_bands
+from radiometer.typing import Array
 from simulators.effects.base import DIGITAL_NUMBER
 from simulators.effects.catalogue import CatalogueEffect, Offset, Scaling
 from simulators.effects.tile_moments import TileMoments

@@ -20,10 +20,10 @@ from radiometer.data.storage import read_yaml, write_yaml_atomic
 from radiometer.devices import CameraPreset
 from radiometer.errors import InputError, MeasurementError
 from radiometer.reporting.numbers import rounded
-from simulators.cameras.simulated_capture import simulate_capture
 from simulators.chain.camera_model import CameraModel
 from simulators.scenes import StepChartScene, UniformScene
 from testing.report_checks import HOSTILE
+from testing.simulated_capture import simulate_capture
 
 CAMERA = CameraDescription(
     bit_depth=12,

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from radiometer.analysis.response.jackknife import jackknife
 
 from radiometer.analysis.response import debevec1997 as debevec
 from radiometer.analysis.response.basis import ValueBasis
 from radiometer.analysis.response.compare import compare_methods
 from radiometer.analysis.response.estimate import ResponseEstimate
-from radiometer.analysis.response.jackknife import jackknife
 from radiometer.analysis.response.limits import ValueLimits, find_limits
 from radiometer.analysis.response.samples import gather_samples
 from radiometer.analysis.response.unseen import unseen_factor

@@ -7,13 +7,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from radiometer.analysis.response.jackknife import jackknife, jackknife_u
 
 from radiometer.analysis.response import pixel_noise
 from radiometer.analysis.response.dynamic_range import RangePoint, dynamic_range, with_dynamic_range
 from radiometer.analysis.response.effective import places_as_one, tones_as_one
 from radiometer.analysis.response.estimate import compare_thirds
 from radiometer.analysis.response.fit import time_error_modes
-from radiometer.analysis.response.jackknife import jackknife, jackknife_u
 from radiometer.analysis.response.left_out import error_dn
 from radiometer.analysis.response.limits import ValueLimits
 from radiometer.analysis.response.methods import METHODS, method_names

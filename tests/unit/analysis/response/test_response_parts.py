@@ -6,10 +6,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from radiometer.analysis.response.jackknife import jackknife_u
 
 from radiometer.analysis.response.curves import rising
 from radiometer.analysis.response.effective import places_as_one, tones_as_one
-from radiometer.analysis.response.jackknife import jackknife_u
 from radiometer.analysis.response.left_out import prediction_error_dn
 from radiometer.analysis.response.limits import ValueLimits, find_limits
 from radiometer.analysis.response.noise import LogNoise, fit_log_noise

@@ -14,10 +14,10 @@ from radiometer.data import CaptureSet, FrameSettings, LensDescription
 from radiometer.devices import Camera, CameraCapabilities, CameraPreset, CameraSettings, Roi
 from radiometer.errors import ConfigurationError, DeviceError, DeviceInUse, SettingOutOfRange
 from simulators.cameras.simulated_camera import SimulatedCamera
-from simulators.cameras.simulated_capture import simulate_capture
 from simulators.chain.camera_model import CameraModel
 from simulators.scenes import StepChartScene, Steps, UniformScene
 from testing.patience import within
+from testing.simulated_capture import simulate_capture
 
 LENS = LensDescription(focal_length_mm=16, f_number=4.0)
 SETTINGS = CameraSettings(exposure_s=0.004, black_level_dn=64.0)

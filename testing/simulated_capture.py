@@ -1,4 +1,4 @@
-"""Capture sets made by a camera model, for tests, demonstrations and the comparison with measured ones."""
+"""Capture sets made by a camera model, for tests and benchmarks."""
 
 from __future__ import annotations
 
@@ -41,15 +41,12 @@ def simulate_capture(
     The model may hold effects that the header does not state; the header states only what is believed.
 
     Args:
-        model: The true camera.
         plan: Settings in the order they are visited. A missing f-number, black level or timestamp is filled in from
             the lens, the camera and a clock that runs by exposure and readout.
-        scene: What it looks at.
         path: Folder to write; must not exist or be empty.
         width: Sensor width in pixels.
         height: Sensor height in pixels.
         frames_per_setting: Frames taken in a row at each setting.
-        seed: Makes the noise.
         serial: Serial number; the fixed patterns follow from it.
         believed_camera: What the header says of the camera; by default the model's own description.
         believed_lens: What the header says of the lens; by default the model's own.
