@@ -324,9 +324,8 @@ def _no_curve(result: FittedResponse) -> str | None:
         return None
     return (
         "these frames follow no single curve with their exposures: a frame is predicted from the others to "
-        f"{error:.2g} DN "
-        f"only, where a third of a stop is {dial_step_dn(rows, g):.2g} DN (another scene or light in some of them, "
-        "movement, wrong exposures); do not rely on the curve, even within its uncertainty"
+        f"{error:.2g} DN only, where a third of a stop is {dial_step_dn(rows, g):.2g} DN. Causes are another scene or "
+        "light in some of them, movement, or wrong exposures. Do not rely on the curve, even within its uncertainty"
     )
 
 

@@ -184,6 +184,6 @@ def telling(estimate: ResponseEstimate, where: str) -> ResponseEstimate:
         return estimate
     raise MeasurementError(
         f"{where or 'the frames'}: no response follows from these frames: between {low} and {high} DN "
-        f"they give {stops:.3g} stops of exposure, ln H known to {u:.2g} (k = 1); check that the pictures differ as "
+        f"they give {stops:.3g} stops of exposure, ln H known to {u:.2g} (k = 1). Check that the pictures differ as "
         "their exposure times state, or take more of them, a stop apart"
     )
