@@ -31,6 +31,10 @@ _HOMES = {
         "adapt_retest",
         "adapt_run",
     ),
+    "radiometer.api.alpha_opic": (
+        "AlphaOpicQuantities",
+        "alpha_opic",
+    ),
     "radiometer.api.archive": (
         "Batch",
         "Passports",
@@ -56,6 +60,10 @@ _HOMES = {
         "Stack",
         "read",
         "read_photographs",
+    ),
+    "radiometer.api.flicker": (
+        "FlickerReport",
+        "flicker",
     ),
     "radiometer.api.importing": (
         "Imported",
@@ -177,6 +185,8 @@ if TYPE_CHECKING:
     from radiometer.api.adapt import adapt_protocols as adapt_protocols
     from radiometer.api.adapt import adapt_retest as adapt_retest
     from radiometer.api.adapt import adapt_run as adapt_run
+    from radiometer.api.alpha_opic import AlphaOpicQuantities as AlphaOpicQuantities
+    from radiometer.api.alpha_opic import alpha_opic as alpha_opic
     from radiometer.api.archive import Batch as Batch
     from radiometer.api.archive import Passports as Passports
     from radiometer.api.archive import Trends as Trends
@@ -197,6 +207,8 @@ if TYPE_CHECKING:
     from radiometer.api.files import Stack as Stack
     from radiometer.api.files import read as read
     from radiometer.api.files import read_photographs as read_photographs
+    from radiometer.api.flicker import FlickerReport as FlickerReport
+    from radiometer.api.flicker import flicker as flicker
     from radiometer.api.importing import Imported as Imported
     from radiometer.api.importing import import_capture as import_capture
     from radiometer.api.led_flux import Flux as Flux

@@ -189,14 +189,19 @@ def makes_sense(fit: BranchFit) -> bool:
 def derived_quantities(fit_values: Mapping[str, float], fit: BranchFit, criterion: float | None) -> dict[str, float]:
     """Return final threshold, area under the curve and, at a criterion, the time at which it is met.
 
-    The area is that between the curve and its final threshold, from the first to the last threshold, in log10·min. The
-    intercept is where the S2 line, prolonged where needed, or a single branch crosses the criterion.
+    The area under the dark-adaptation curve (AUDAC) is that between the curve and its final threshold, from the first
+    to the last threshold, in log10·min; the times at which it begins and is cut come with it. The intercept is where the S2 line, prolonged where needed, or a single branch crosses the criterion.
     """
     times = fit.series.time_min
     grid = np.linspace(times[0], times[-1], GRID)
     curve = fit.model.threshold(grid, dict(fit_values))
     final = float(curve[-1])
-    derived = {"final_threshold": final, "area_log10_min": float(np.trapezoid(curve - final, grid))}
+    derived = {
+        "final_threshold": final,
+        "area_log10_min": float(np.trapezoid(curve - final, grid)),
+        "area_from_min": float(times[0]),
+        "area_to_min": float(times[-1]),
+    }
     if criterion is not None:
         derived["criterion_min"] = _crossing(fit_values, criterion)
     return derived

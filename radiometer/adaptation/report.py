@@ -27,7 +27,9 @@ LABELS: Final = {
     "rod_intercept_min": "Rod-intercept time",
     "criterion_min": "Time at the criterion",
     "final_threshold": "Final threshold",
-    "area_log10_min": "Area above the final threshold",
+    "area_log10_min": "Area under the dark-adaptation curve (AUDAC), above the final threshold",
+    "area_from_min": "AUDAC from",
+    "area_to_min": "AUDAC cut at",
 }
 _HELD_WEIGHT: Final = 0.5  # of the largest; below, a threshold hardly counts
 

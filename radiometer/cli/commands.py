@@ -37,6 +37,12 @@ COMMANDS: Final[dict[str, CommandEntry]] = {
         "radiometer.cli.capture.import_", "Turn FITS, raw TIFF, EMVA 1288 sets and tables into capture sets."
     ),
     "flux": CommandEntry("radiometer.cli.analyse.flux", "Find the radiant flux of a light-emitting diode."),
+    "flicker": CommandEntry(
+        "radiometer.cli.analyse.flicker", "Measure flicker and the stroboscopic effect of a light (SVM, PstLM)."
+    ),
+    "alpha-opic": CommandEntry(
+        "radiometer.cli.analyse.alpha_opic", "Convert light of a known spectrum into α-opic quantities (CIE S 026)."
+    ),
     "reconcile": CommandEntry("radiometer.cli.analyse.reconcile", "Find what a simulation lacks, name it and add it."),
     "log-fit": CommandEntry(
         "radiometer.cli.analyse.log_fit", "Find what a camera's log lacks, compared with a reference meter."

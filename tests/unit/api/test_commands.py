@@ -58,6 +58,11 @@ CASES = (
         "import statistics.csv -o {out}/imported --json",
         lambda out: rm.import_capture("statistics.csv", out / "imported"),
     ),
+    Case("flicker lamp.csv --dark 0 --json", lambda out: rm.flicker("lamp.csv", dark=0.0)),
+    Case(
+        "alpha-opic 80 --u 0.8 --spectrum white_led --wavelength-u 0.5 --json",
+        lambda out: rm.alpha_opic(80.0, u=0.8, spectrum="white_led", wavelength_u_nm=0.5),
+    ),
     Case("log-fit sky.csv --no-control --json", lambda out: rm.log_fit("sky.csv", control=False)),
     Case("log journal.sqlite --json", lambda out: rm.log("journal.sqlite")),
     Case(
