@@ -27,7 +27,7 @@ from radiometer.data.storage import check_outputs
 from radiometer.errors import MeasurementError, UsageError
 from radiometer.photographs.iso_record import with_iso_speeds
 from radiometer.photographs.response import ENOUGH_PIXELS
-from radiometer.photographs.scene import Photographs, refuse_lying_photographs
+from radiometer.photographs.scene import Photographs, reject_inconsistent_photographs
 from radiometer.photographs.stated import with_gains
 
 if TYPE_CHECKING:
@@ -246,7 +246,7 @@ def _read(
         taken, by_hand = stack.as_photographs(), stack.photographs
     if by_hand:
         taken = taken.thinned().each(lambda one: with_gains(one, IsoSpeeds(measured_iso)))
-    refuse_lying_photographs(taken)
+    reject_inconsistent_photographs(taken)
     placed = taken.placed(align if by_hand else "off")  # a camera on a bench stands still
     if placed.absent:
         note(f"{taken.folder}: {placed.alignment}")

@@ -6,7 +6,7 @@ import numpy as np
 
 from radiometer.bench.boxes import LightBoxConfig
 from radiometer.errors import UsageError
-from simulators.light_box.box import LightBoxTwin
+from simulators.light_box.box import SimulatedLightBox
 from simulators.observers.eye_kinetics import Eye, drawn_amd_eye, drawn_clinical_eye
 from simulators.observers.observer import Habits, Observer
 from simulators.observers.observer_at_box import ObserverAtBox
@@ -18,7 +18,7 @@ def places_of(preset: LightBoxConfig) -> dict[str, tuple[float, float]]:
     return {name: (c.place.temporal_deg, -c.place.below_deg) for name, c in known.items() if c.place is not None}
 
 
-def seat_subject(twin: LightBoxTwin, behaviour: str, seed: int, filter_density: float) -> ObserverAtBox:
+def seat_subject(twin: SimulatedLightBox, behaviour: str, seed: int, filter_density: float) -> ObserverAtBox:
     """Seat a simulated subject before a simulated box and return it.
 
     Args:

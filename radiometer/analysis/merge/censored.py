@@ -98,7 +98,7 @@ def with_censored(
 
 
 @compiled_apart
-def hear_nearest(
+def include_nearest_censored(
     rates: Any, variances: Any, slots: Any, records: Any, frames: Any, kappa: float, contradictions: Any
 ) -> None:  # pragma: no cover (compiled)
     """Do as `with_censored` does for a run of pixels that one frame only has something to say of: many at a time.

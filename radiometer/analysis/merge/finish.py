@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from radiometer.analysis.merge.censored import hear_nearest, near_clipping
+from radiometer.analysis.merge.censored import include_nearest_censored, near_clipping
 from radiometer.analysis.merge.moments import (
     FIRST_LEVEL,
     SHARE,
@@ -93,7 +93,7 @@ def finish(sums: Any, kept: Any, tables: Any, quantisation: Any, image: Any) -> 
         these, seen = bits[start:end], mask[start:end]
         if quantisation is None:
             straight(*run, these, slots, records, dark, rates, variances, seen, doubtful)
-            _hear_nearest(rates, variances, seen, slots, doubtful[:count], waiting, records, frames, kappa)
+            _include_nearest_censored(rates, variances, seen, slots, doubtful[:count], waiting, records, frames, kappa)
         else:
             straight_curved(
                 *run,
@@ -144,7 +144,7 @@ def finish(sums: Any, kept: Any, tables: Any, quantisation: Any, image: Any) -> 
 
 
 @compiled
-def _hear_nearest(
+def _include_nearest_censored(
     rates: Any,
     variances: Any,
     mask: Any,
@@ -181,7 +181,7 @@ def _hear_nearest(
             estimates[0, count], estimates[1, count] = rates[i], variances[i]
             count += 1
     heard, their_variances = estimates[0, :count], estimates[1, :count]
-    hear_nearest(heard, their_variances, places_of_records[:count], records, frames, kappa, contradictions)
+    include_nearest_censored(heard, their_variances, places_of_records[:count], records, frames, kappa, contradictions)
     for j in range(count):
         i = places[j]
         rates[i], variances[i], doubtful[i] = heard[j], their_variances[j], 0
