@@ -239,7 +239,8 @@ def _offset_note(exposures: Exposures, printed: ResponseSamples) -> tuple[str, .
         return ()
     shortest = int(np.argmin(printed.exposures_s))
     return (
-        f"all exposures are {offset.in_words()} than their labels (the shutter's offset; {_label(printed, shortest)} has "
+        f"all exposures are {offset.in_words()} than their labels (the shutter's offset; "
+        f"{_label(printed, shortest)} has "
         f"{1.0 + offset.seconds / printed.exposures_s[shortest]:.3f} of that); the exposures found were used",
     )
 
