@@ -61,7 +61,7 @@ def test_shifted_photographs_give_the_scene(folder, tmp_path, capsys):
     _merged(folder, tmp_path / "map.tiff", "--json")
     said = json.loads(capsys.readouterr().out)
     assert said["alignment"].startswith("aligned to p")
-    assert "not to be told" not in said["alignment"]
+    assert "unknown for" not in said["alignment"]
     assert said["pixels"]["moved"] > 100
     assert said["median_u_rel"] < 0.025
     dx, dy = SHIFTS[int(said["alignment"].split("aligned to p")[1][0])]
