@@ -14,10 +14,10 @@ _SAME_EXPOSURE_REL: Final = 1e-3  # the chunk is rounded as the register is; nei
 # A chunk counts whole µs (FLIR's descriptions: ChunkExposureTimeUS = RAW*1), and a whole µs more or less is another
 # setting: only what is less than a step away may be the same.
 _CHUNK_STEP_S: Final = 1e-6
-_WITHIN_STEP: Final = 0.999
-_SAME_GAIN_DB: Final = 0.01
+_WITHIN_STEP: Final = 0.999  # a difference of a whole step counts as one, rounding of floats included
+_SAME_GAIN_DB: Final = 0.01  # cameras step by 0.1 dB or finer steps of which rounding leaves hundredths
 _SAME_BLACK_REL: Final = 2e-4  # of full scale
-_SAME_BLACK_DN: Final = 0.5
+_SAME_BLACK_DN: Final = 0.5  # read back in whole DN
 
 
 def switch_on_chunks(camera: Any, features: FeatureAccess, notes: list[str]) -> tuple[str, ...]:

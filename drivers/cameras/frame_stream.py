@@ -18,7 +18,7 @@ from radiometer.errors import DeviceError, DeviceTimeout
 
 _LOG = structlog.get_logger(__name__)
 
-BUFFER_COUNT: Final = 8
+BUFFER_COUNT: Final = 8  # a pause of Python of several frame times loses no frame; at 20 MB a frame it holds 160 MB
 # With 10 ‰ of the packets lost and no resend, half of the frames of 70 packets are whole: 40 in a row fail 1e-12.
 MAX_ATTEMPTS: Final = 40
 _POLL_S: Final = 0.2  # how often a wait looks whether the camera is still there

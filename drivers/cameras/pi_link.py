@@ -15,8 +15,8 @@ from radiometer.errors import DeviceError, DeviceTimeout
 
 MAX_STALE: Final = 12  # frames of the settings before: the camera stack queues several requests
 _SAME_EXPOSURE_REL: Final = 0.02  # lines of the sensor: some tens of µs, coarse for the shortest exposures
-_SAME_EXPOSURE_US: Final = 60.0
-_SAME_GAIN_REL: Final = 0.02
+_SAME_EXPOSURE_US: Final = 60.0  # two lines of 30 µs
+_SAME_GAIN_REL: Final = 0.02  # analogue gains come in steps of 1 to 2 %
 _FULL_SCALE_16: Final = 16  # bits in which the stack states black levels
 
 

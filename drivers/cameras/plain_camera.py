@@ -7,10 +7,10 @@ each); what the `Camera` protocol asks beyond that stands here once.
 from __future__ import annotations
 
 import threading
-from abc import ABC, abstractmethod
+from abc import abstractmethod
 from collections.abc import Callable, Generator
 from dataclasses import dataclass, replace
-from typing import Generic, Protocol, Self, TypeVar
+from typing import Generic, Protocol, TypeVar
 
 from radiometer.data import CameraDescription, Frame, FrameSettings, LensDescription
 from radiometer.data.frame import CameraFile, DigitalNumbers
@@ -23,7 +23,9 @@ from radiometer.devices import (
     Finding,
     Roi,
     refuse_out_of_range,
+    refuse_roi_outside,
 )
+from radiometer.devices.opening import Opened
 from radiometer.errors import DeviceError, DeviceInUse, DeviceLost, SettingOutOfRange
 
 _Result = TypeVar("_Result")
@@ -31,30 +33,13 @@ _held: set[str] = set()  # devices opened by this process: some libraries let on
 _held_lock = threading.Lock()
 
 
-class NamedCamera(ABC):
+class NamedCamera(Opened):
     """What every driver of a camera has: a name for messages, one opening per process, and the form of a block."""
 
     @property
     @abstractmethod
     def identity(self) -> CameraIdentity:
         """Return who the camera is."""
-
-    @abstractmethod
-    def open(self) -> None:
-        """Take the device."""
-
-    @abstractmethod
-    def close(self) -> None:
-        """Release the device."""
-
-    def __enter__(self) -> Self:
-        """Open the camera."""
-        self.open()
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        """Close the camera."""
-        self.close()
 
     @property
     def _label(self) -> str:
@@ -346,17 +331,8 @@ class PlainCamera(NamedCamera):
         refuse_out_of_range(self._label, settings, limits)
         if settings.binning != 1:
             raise SettingOutOfRange(self._label, "binning", settings.binning, 1, 1, "pixels")
-        roi = settings.roi
-        if roi is None:
-            return
-        for name, value, low, high in (
-            ("ROI left", roi.x, 0, limits.width - 1),
-            ("ROI top", roi.y, 0, limits.height - 1),
-            ("ROI width", roi.width, 1, limits.width - roi.x),
-            ("ROI height", roi.height, 1, limits.height - roi.y),
-        ):
-            if not low <= value <= high:
-                raise SettingOutOfRange(self._label, name, value, low, high, "pixels")
+        if settings.roi is not None:
+            refuse_roi_outside(self._label, settings.roi, limits.width, limits.height)
 
 
 def bits_of(pixel_format: str) -> int:

@@ -7,7 +7,7 @@ import threading
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
-from typing import Final, Protocol, Self
+from typing import Final, Protocol
 
 from drivers.light_box.answers import (
     RANGE_LETTERS,
@@ -33,6 +33,7 @@ from radiometer.devices.light_box import (
     LightBoxIdentity,
     LightBoxStatus,
 )
+from radiometer.devices.opening import Opened
 from radiometer.devices.retinal_safety import FlashLight, HazardFractions, hazard_fractions
 from radiometer.errors import (
     CalibrationError,
@@ -48,10 +49,10 @@ from radiometer.errors import (
 
 TEND_INTERVAL_S: Final = 0.25  # a quarter of the box's dead-man time
 START_UP_S: Final = 4.0  # opening the port resets an Arduino, whose boot loader waits 1 to 2 s
-LISTEN_S: Final = 0.02
+LISTEN_S: Final = 0.02  # a press is read within this time; its time is the box's
 BOOT_S: Final = 2.2  # the boot loader's wait, after which the program of an Arduino runs
 FLASH: Final = "flash"  # its name in the account of the exposure
-WRONG_VERSION: Final = 9
+WRONG_VERSION: Final = 9  # refusal code of the protocol: a version that the firmware does not know
 AUDIT_INTERVAL_S: Final = 5.0  # a twentieth of a per mille of the window
 # The box's dead man waits 1 s by its own clock; the rest is what USB adapters and operating systems hold back.
 DARK_AFTER_S: Final = 1.5
@@ -68,7 +69,7 @@ class RadianceTable(Protocol):
 
 
 @dataclass(slots=True)
-class SerialLightBox:
+class SerialLightBox(Opened):
     """A light box behind a line."""
 
     link: BoxLink  # exchanges with the box
@@ -322,13 +323,6 @@ class SerialLightBox:
         """Tend the box if a quarter of its dead-man time has passed since it was tended last."""
         if self.link.line.now() - self._tended_s >= TEND_INTERVAL_S:
             self.tend()
-
-    def __enter__(self) -> Self:
-        self.open()
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
 
     @property
     def _name(self) -> str:

@@ -15,7 +15,7 @@ from radiometer.errors import MeasurementError
 TICK_S: Final = 4e-6  # the box stamps in steps of 4 µs
 # A ceramic resonator, as on the Arduino Uno, is within 0.5 % of its frequency (Murata CSTCE, data sheet).
 RATE_PRIOR: Final = 0.005
-WINDOW: Final = 512
+WINDOW: Final = 512  # samples; older ones say nothing of the rate of the box's clock now
 DELAY_SLACK_S: Final = 0.0005  # samples whose free delay exceeds the least by more are left out
 
 

@@ -7,7 +7,7 @@ from typing import Final
 
 from drivers.light_box.frames import Event
 
-KEPT_BY_BOX: Final = 16
+KEPT_BY_BOX: Final = 16  # events that the firmware holds for a host that asks again
 
 
 @dataclass(slots=True)

@@ -26,7 +26,7 @@ from radiometer.errors import DeviceError, DeviceLost, DeviceTimeout, UnsafeStim
 
 REPLY_TIMEOUT_S: Final = 0.1  # an answer takes 8 ms on the wire; USB adapters hold bytes back for up to 16 ms
 ATTEMPTS: Final = 16  # 1.6 s: longer than any pause of a busy machine or a USB hub that comes back
-EVENT_SLOTS: Final = 1024
+EVENT_SLOTS: Final = 1024  # presses not yet taken; no person gives as many between two looks
 DARK_SOON: Final = "its light may be on until it goes dark by itself, 1 s after it heard this program last; reopen it"
 
 

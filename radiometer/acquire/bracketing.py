@@ -15,7 +15,7 @@ from radiometer.errors import DeviceError, UsageError
 
 # Progress: how many frames are done, how many there will be, and the frame just taken.
 Progress = Callable[[int, int, Frame], None]
-DEFAULT_TIME_LIMIT_S = 60.0
+DEFAULT_TIME_LIMIT_S = 60.0  # engineering choice: a minute of light frames is what a person waits for
 
 
 @dataclass(frozen=True, slots=True)

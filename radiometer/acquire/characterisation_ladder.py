@@ -11,9 +11,9 @@ from radiometer.data import Frame, Patch
 from radiometer.devices import Camera
 from radiometer.errors import MeasurementError
 
-_TRIES = 12
-_FIRST_GUESS_S = 0.01
-_TOO_BRIGHT_FACTOR = 0.1
+_TRIES = 12  # a tenth or up to 100 times each: 12 cross the range of any camera
+_FIRST_GUESS_S = 0.01  # the middle of usual ranges, 10 µs to 10 s, by ratio
+_TOO_BRIGHT_FACTOR = 0.1  # a clipped frame does not state by how much: a decade less
 
 
 @dataclass(frozen=True, slots=True)

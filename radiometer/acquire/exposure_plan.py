@@ -23,7 +23,7 @@ _PLANNING_MARGIN = 1.0 + 3.0 / MINIMUM_SNR
 DISTINCT_RATIO = 2.0**0.5
 # Rates are gathered in bins this wide (natural logarithm): 1 %.
 _BIN_WIDTH = 0.01
-_MAXIMUM_FRAMES = 64
+_MAXIMUM_FRAMES = 64  # a ladder of 1/3 stop over 21 stops; more is a slip in --stops
 
 
 @dataclass(frozen=True, slots=True)
@@ -145,7 +145,7 @@ def plan_exposures(
 
 # Frames that show whether the light is steady: more where each is short against a period of mains light.
 STEADY_FRAMES = 3
-STEADY_SHORT_FRAMES = 9
+STEADY_SHORT_FRAMES = 9  # flicker is random to a short exposure: nine frames average 1 % of it to 0.3 %
 _MAINS_PERIODS_S = (0.05, 0.01)  # of 100 and 120 Hz together; of 100 Hz
 
 

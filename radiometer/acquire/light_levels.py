@@ -24,12 +24,12 @@ from radiometer.errors import MeasurementError, UnsafeStimulus
 
 REFERENCE_EVERY: Final = 6  # points between two measurements of the reference level
 LOWEST_STEP: Final = 16  # below, neighbouring steps differ by more than 6 %
-SETTLED_REL: Final = 0.0005
+SETTLED_REL: Final = 0.0005  # per step: small against the 1 % of a calibration
 DARK_TERM: Final = "dark and black level"
 # What is left to come when two readings 20 s apart agree: twice their difference, for time constants up to a minute.
 UNSETTLED_PART: Final = 2 / math.sqrt(3)
 LIT_S: Final = (600.0, 280.0, 180.0, 90.0)  # how long a level is lit: the longest of these that is allowed
-SETTLING_STEP_S: Final = 20.0
+SETTLING_STEP_S: Final = 20.0  # LEDs on their heat sinks settle within minutes
 ENERGY_KEPT: Final = 0.15  # of a channel's energy budget, so that the box does not darken it while it is measured
 
 Measure = Callable[[], Reading]

@@ -12,7 +12,7 @@ from radiometer.acquire.exposure_plan import ExposureWindow
 from radiometer.data import Frame, Patch, SensorNoise
 from radiometer.devices import Camera
 
-FIRST_TRIAL_S = 0.01
+FIRST_TRIAL_S = 0.01  # the middle of usual ranges, 10 µs to 10 s, by ratio
 # From one trial to the next: well inside the dynamic range of any sensor, so that no pixel falls between.
 TRIAL_RATIO = 32.0
 

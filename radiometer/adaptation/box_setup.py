@@ -16,8 +16,7 @@ from radiometer.adaptation.checks import Check, Finding, judge_age
 from radiometer.adaptation.protocol import AdaptationProtocol, FlashBleach
 from radiometer.adaptation.request import RunRequest
 from radiometer.adaptation.room import measured_room
-from radiometer.analysis.photometry.photometry import luminous_efficacy_lm_per_w
-from radiometer.analysis.photometry.spectra import spectrum
+from radiometer.analysis.photometry.photometry import luminous_efficacy_lm_per_w, spectrum
 from radiometer.bench.boxes import OpenedBox, open_light_box
 from radiometer.bench.light_bench import open_light_camera
 from radiometer.bench.seated_subject import places_of, seat_subject
@@ -28,8 +27,8 @@ from radiometer.errors import CalibrationError, MeasurementError, RadiometerErro
 
 SIMULATED: Final = "sim"
 SIMULATED_CALIBRATION: Final = "calibrations/simulated-box.yaml"
-PEAK_TOLERANCE_NM: Final = 10.0
-PLACE_TOLERANCE_DEG: Final = 1.0
+PEAK_TOLERANCE_NM: Final = 10.0  # bin of LEDs: ± 5 to 10 nm; rods change by less than 10 % within it near 500 nm
+PLACE_TOLERANCE_DEG: Final = 1.0  # spots are 1.5 to 2.5° wide
 
 
 @contextmanager

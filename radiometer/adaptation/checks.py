@@ -10,7 +10,7 @@ from typing import Any, Final
 from radiometer.adaptation.protocol import AdaptationProtocol
 from radiometer.errors import CalibrationError, MeasurementError, RadiometerError
 
-COVERAGE: Final = 2.0
+COVERAGE: Final = 2.0  # k for 95 %: the room must be dark enough with its uncertainty
 
 
 @dataclass(frozen=True, slots=True)

@@ -15,7 +15,7 @@ from radiometer.adaptation.reliability import BLIND_SPOT, BRIGHT
 from radiometer.adaptation.threshold_series import FEWEST, ThresholdSeries
 from radiometer.errors import MeasurementError
 
-_CURVE_POINTS: Final = 160
+_CURVE_POINTS: Final = 160  # twice as many as a terminal has columns
 
 
 @dataclass(slots=True)

@@ -9,7 +9,7 @@ import threading
 import time
 from collections.abc import Callable, Coroutine, Mapping
 from importlib.resources import files
-from typing import Any, Final, Self
+from typing import Any, Final
 
 from aiohttp import web
 
@@ -17,10 +17,11 @@ from radiometer.adaptation.controls import Controls
 from radiometer.adaptation.journal import Event
 from radiometer.adaptation.live import LiveState, RunningFit, running_fit
 from radiometer.adaptation.protocol import AdaptationProtocol
+from radiometer.devices.opening import Opened
 from radiometer.errors import DeviceError
 from radiometer.screen.loopback import Darken, LoopbackServer, Message, darkened, nothing_to_darken
 
-_SLOW_BROWSER_S: Final = 2.0
+_SLOW_BROWSER_S: Final = 2.0  # loopback takes ms; a browser that takes longer is asleep
 _REFRESH_S: Final = 0.05  # events that come closer together are reported together
 _BY: Final = "page"
 _LIGHTS_OFF: Final = "lights off"
@@ -29,7 +30,7 @@ _OVER: Final = None
 Health = Callable[[], Mapping[str, str]]
 
 
-class LivePage:
+class LivePage(Opened):
     """Shows a running test to any number of browsers; one that goes away does no harm.
 
     Args:
@@ -191,13 +192,6 @@ class LivePage:
             await self._send(socket, {**self._message(), "phase": "over"})
             with contextlib.suppress(ConnectionError, RuntimeError):
                 await socket.close()
-
-    def __enter__(self) -> Self:
-        self.open()
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
 
 
 def replayed(page: LivePage, events: list[Event]) -> None:

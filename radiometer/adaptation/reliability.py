@@ -21,8 +21,8 @@ MEANINGS: Final = {
     "lapses": "spots ten times above threshold that were not answered",
     "fixation_losses": "looks away from the mark, by the light in the blind spot, false alarms and lapses taken out",
 }
-_DRAWS: Final = 40_000
-_TAILS: Final = (0.025, 0.975)
+_DRAWS: Final = 40_000  # the ends of a 95 % interval repeat to about 1 % of its width
+_TAILS: Final = (0.025, 0.975)  # of a 95 % interval
 
 
 @dataclass(frozen=True, slots=True)

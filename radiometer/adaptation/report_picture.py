@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-_POINTS: Final = 600
+_POINTS: Final = 600  # about one per pixel
 _LEFT_PART: Final = 0.45  # of the time axis; where the break is there, its words are to the right of it
 _INTERVAL_SIGMAS: Final = 1.96  # 95 %
 

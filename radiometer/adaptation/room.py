@@ -7,13 +7,12 @@ from typing import Final
 from radiometer.adaptation.checks import Finding, judge_room
 from radiometer.adaptation.protocol import AdaptationProtocol
 from radiometer.adaptation.request import RunRequest
-from radiometer.analysis.photometry.photometry import luminous_efficacy_lm_per_w
-from radiometer.analysis.photometry.spectra import spectrum
+from radiometer.analysis.photometry.photometry import luminous_efficacy_lm_per_w, spectrum
 from radiometer.bench.assembly import open_instrument
 from radiometer.bench.instrument import Instrument
 from radiometer.errors import CalibrationError
 
-ROOM_U_REL: Final = 0.05
+ROOM_U_REL: Final = 0.05  # 5 % decides whether a room is dark, and less takes long
 
 
 def measured_room(instrument: Instrument, protocol: AdaptationProtocol, white: str) -> Finding:

@@ -27,9 +27,9 @@ from simulators.displays import DISPLAYS, SimulatedDisplay
 from simulators.observers.eye_kinetics import Eye
 from simulators.observers.observer import Habits, Observer, ObserverAtScreen
 
-_FRAME_S: Final = 1 / 60
-_SIMULATED_SIZE: Final = (1920, 1080)
-_SIMULATED_PIXEL_MM: Final = 0.27
+_FRAME_S: Final = 1 / 60  # usual screens show 60 frames per second
+_SIMULATED_SIZE: Final = (1920, 1080)  # Full HD
+_SIMULATED_PIXEL_MM: Final = 0.27  # Full HD at 24 inches
 _HABITS: Final[dict[str, tuple[Habits, float]]] = {
     "steady": (Habits(), np.inf),
     "never": (Habits(), -1.0),

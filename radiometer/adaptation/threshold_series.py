@@ -16,7 +16,7 @@ from radiometer.data.reader_limits import bounded_reader
 from radiometer.errors import InputError, MeasurementError
 from radiometer.statistics.scale import MEDIAN_U, neighbour_sigma
 
-FEWEST: Final = 8
+FEWEST: Final = 8  # one more than the seven parameters of the largest model
 LEAST_RECOVERY: Final = 0.15  # log10 units; a series that moves by less shows no recovery
 
 

@@ -15,7 +15,7 @@ from radiometer.data.json_text import json_text
 from radiometer.data.reading import Flag
 from radiometer.errors import DeviceError, DeviceLost
 
-TIMEOUT_S: Final = 120.0
+TIMEOUT_S: Final = 120.0  # as the daemon's own deadline of a measurement
 
 
 class ReadingSource(Protocol):

@@ -13,7 +13,7 @@ from radiometer.analysis.photometry.alpha_opic import (
     SpectrumDoubt,
     alpha_opic_quantities,
 )
-from radiometer.analysis.photometry.spectra import spectrum as spectrum_of
+from radiometer.analysis.photometry.photometry import spectrum as spectrum_of
 from radiometer.api.files import PathLike
 from radiometer.api.result import Result
 from radiometer.data import Quantity, Reading

@@ -15,6 +15,8 @@ from radiometer.data import Bracket, CameraDescription, LensDescription, PatchDe
 from radiometer.data.capture_set import HEADER_NAME
 from radiometer.data.drawing import new_axes, picture
 from radiometer.data.frame import DigitalNumbers
+from radiometer.data.storage import check_new_folder as check_new_folder  # the command line asks here
+from radiometer.data.storage import check_outputs as check_outputs
 from radiometer.errors import CaptureError, UsageError
 from radiometer.photographs.scene import Photographs
 

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from radiometer.analysis.exports.curves import read_curves
 from radiometer.analysis.exports.maps import MapPicture, in_luminance, writer_for
 from radiometer.analysis.merge.bracket import merge as merge_bracket
-from radiometer.analysis.photometry.spectra import spectrum as spectrum_of
+from radiometer.analysis.photometry.photometry import spectrum as spectrum_of
 from radiometer.analysis.response.curves import black_of_curve
 from radiometer.api.files import PathLike, Stack, stack_of
 from radiometer.api.response import Response

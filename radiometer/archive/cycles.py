@@ -14,22 +14,22 @@ from radiometer.typing import Array
 
 # Cycles that are looked for, from one in the span to one in some readings (or so many), this many steps per one.
 MOST_CYCLES: Final = 3
-_READINGS_PER_CYCLE: Final = 2.5
-_FINER: Final = 8
+_READINGS_PER_CYCLE: Final = 2.5  # more than the two of the sampling theorem, for times are uneven
+_FINER: Final = 8  # steps on each side of the best frequency
 # Cycles in the span that are hardly separable from a drift.
 _SLOW_PER_SPAN: Final = (0.75, 1.0, 1.25, 1.5, 1.75, 2.0, 2.5, 3.0, 4.0)
 _FEWEST_PER_SPAN: Final = 0.5  # below which the record cannot separate a cycle from a drift
 # Cycles in the span beyond the season's that may replace it.
 _NEAR_THE_SEASON: Final = (-0.5, -0.375, -0.25, -0.125, 0.125, 0.25, 0.375, 0.5)
 _APART: Final = 0.6  # cycles per span by which two separable cycles differ
-_TRIFLE: Final = 1e-3
+_TRIFLE: Final = 1e-3  # share of the variance that a cycle must explain
 _LEAST_APART: Final = 1e-4  # smallest over largest singular value of columns of norm 1
 _MOST_ODDS: Final = 3.0  # for cycles that were not clear enough to be taken as found
-_MOST_PER_SPAN: Final = 120
-_STEPS: Final = 4
+_MOST_PER_SPAN: Final = 120  # a year of readings: periods down to three days
+_STEPS: Final = 4  # per cycle and span: a peak of a periodogram is one wide
 # Correlation times of neighbours that compete with a cycle, as parts of the span.
 _TIMES_OF_SPAN: Final = (0.003, 0.01, 0.03, 0.1, 0.3)
-_MOST_CORRELATED: Final = 0.995
+_MOST_CORRELATED: Final = 0.995  # nearer to 1 the covariance cannot be inverted in double precision
 # Values in a table of trial cycles at once.
 _MOST_VALUES: Final = 4_000_000
 

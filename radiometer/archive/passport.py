@@ -19,18 +19,18 @@ from radiometer.typing import Array
 # To what an unchanged camera repeats at best between sessions, relative: a smaller difference is no change, however
 # well it is known.
 _REPEATABILITY: Final[dict[str, float]] = {"K": 0.01, "K_dark": 0.01, "sigma_y_dark": 0.01}
-_REPEATABILITY_BLACK_DN: Final = 1.0
+_REPEATABILITY_BLACK_DN: Final = 1.0  # black levels wander by a DN with temperature and age
 _COMPARED: Final = ("K", "K_dark", "sigma_y_dark", "mu_y_dark")
-_AGREE_SIGMAS: Final = 2.0
-_CHANGED_SIGMAS: Final = 3.0
+_AGREE_SIGMAS: Final = 2.0  # 95 %
+_CHANGED_SIGMAS: Final = 3.0  # 0.3 % by chance; the limit rises with the number of pairs
 _TINY_U: Final = 1e-300  # where nothing is known of both uncertainties
-_JUMP_SIGMAS: Final = 5.0
-_SMALLEST_JUMP_REL: Final = 0.002
-_LIGHT_CHANGED_REL: Final = 0.01
+_JUMP_SIGMAS: Final = 5.0  # by chance once in 2 million places
+_SMALLEST_JUMP_REL: Final = 0.002  # engineering prior: lamps wander by a tenth of a percent from frame to frame
+_LIGHT_CHANGED_REL: Final = 0.01  # engineering prior: to this a lamp repeats that is switched on again
 _PARAMETERS: Final = 2  # of a law of the dark current
 _COVERED: Final = 0.97725  # of a normal distribution, below two sigma
-_STEP_K: Final = 0.01
-_ZERO_C_K: Final = 273.15
+_STEP_K: Final = 0.01  # of a central difference, short against the kelvins within which the rate doubles
+_ZERO_C_K: Final = 273.15  # 0 °C in K
 _CARRIERS_POWER, _CARRIERS_K = 2.54, 6726.0  # of silicon
 
 

@@ -11,8 +11,8 @@ from typing import Any, Final
 import numpy as np
 
 from radiometer.analysis.characterise import Characterisation, characterise, subject_of_capture
-from radiometer.analysis.characterise.dark_figures import typical_rates
-from radiometer.analysis.characterise.frame_groups import groups_of_capture
+from radiometer.analysis.characterise.dark_signal import typical_rates
+from radiometer.analysis.characterise.subject import groups_of_capture
 from radiometer.data import CaptureSet, Quantity
 from radiometer.data.capture_set import HEADER_NAME
 from radiometer.errors import InputError, MeasurementError, RadiometerError, UnsettledError
@@ -20,7 +20,7 @@ from radiometer.importing import import_sources
 from radiometer.importing.emva_listing import DESCRIPTOR_NAME
 from radiometer.importing.sources import FITS_SUFFIXES, TIFF_SUFFIXES, as_capture
 
-_FEWEST_OF_A_SERIES: Final = 3
+_FEWEST_OF_A_SERIES: Final = 3  # two frames are a pair; a course needs a third
 
 
 @dataclass(frozen=True, slots=True)

@@ -22,7 +22,7 @@ from radiometer.archive.cycles import (
 from radiometer.errors import InputError
 from radiometer.typing import Array
 
-MONTH_S: Final = 365.25 / 12 * 86400.0
+MONTH_S: Final = 365.25 / 12 * 86400.0  # of the Julian year
 # A drift is claimed where chance alone would show it in so many archives: 3 sigma of many readings. What is guessed of
 # the correlation costs a little more, and false claims stay below one in a hundred.
 CLAIM_CHANCE: Final = 0.0027
@@ -30,19 +30,19 @@ CLAIM_CHANCE: Final = 0.0027
 # records it is assumed to be of any phase and of amplitudes up to some 5 % (2 % each of sine and cosine, k = 1). An
 # example is a lamp of 0.3 %/K whose room is 15 K warmer in summer.
 _YEAR_S: Final = 365.25 * 86400.0
-_SEASON_YEARS: Final = 0.75
-_SEASON_REL: Final = 0.02
+_SEASON_YEARS: Final = 0.75  # three quarters of a year separate a season from a line
+_SEASON_REL: Final = 0.02  # engineering prior: lamps and cameras in a room follow it by 1 to 2 %
 _WITH_SEASON: Final = 4  # columns of the design: level, months, the year's sine and cosine
 # Before so much of a year a change that a straight line shows may be a season's.
 _TOLD_YEARS: Final = 1.5
 # Correlation times that are tried, as parts of the span; and the correlation of neighbours that counts as whole.
 _TIMES_OF_SPAN: Final = np.geomspace(1e-3, 1.0, 25)
-_MOST_CORRELATED: Final = 0.995
-_OUTLIER_SIGMAS: Final = 4.0
+_MOST_CORRELATED: Final = 0.995  # nearer to 1 the covariance cannot be inverted in double precision
+_OUTLIER_SIGMAS: Final = 4.0  # by chance once in 16 000 readings
 _ROUNDS: Final = 4  # of scatter and stated sizes
 _LEAST_SCATTER: Final = 1e-3  # of the stated sigma, below which stated sizes pull no less
 _MOST_VALUES: Final = 4_000_000  # in a table of correlation times at once
-_MINIMUM_READINGS: Final = 8
+_MINIMUM_READINGS: Final = 8  # twice as many as line and season have parameters
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -34,7 +34,7 @@ if TYPE_CHECKING:
 _OPENING: Final = 4  # histories in the opening picture; the others follow with their sections
 _GAP_OF_USUAL: Final = 10.0  # a pause so many times as long as the usual one is shown as a gap
 _GAP_OF_SPAN: Final = 0.01  # and of the whole span at least, for others would not be seen
-_BEYOND_SIGMAS: Final = 2.0
+_BEYOND_SIGMAS: Final = 2.0  # 95 %
 _TAGS: Final = {"drift": "drifts", "season_or_drift": "season or drift", "no_drift": "not claimed"}
 _VERDICTS: Final = {"drift": "drifts", "season_or_drift": "a season or a drift", "no_drift": "no drift shown"}
 

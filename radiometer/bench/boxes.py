@@ -22,7 +22,7 @@ from radiometer.bench.known_boxes import is_known, remember
 from radiometer.data.config_files import shipped_config
 from radiometer.data.guards import safe_file_name
 from radiometer.data.light_calibration import LightCalibration
-from radiometer.data.storage import read_yaml
+from radiometer.data.storage import read_yaml, state_folder
 from radiometer.data.validation import ConfigSection, validate
 from radiometer.devices.exposure_account import AccountStore, FileStore, MemoryStore
 from radiometer.devices.exposure_ledger import ExposureLedger
@@ -45,7 +45,7 @@ SIMULATED_SERIAL: Final = "SIM00001"
 DEFAULT_PRESET: Final = "light_boxes/reference.yaml"
 PORT_VARIABLE: Final = "RADIOMETER_LIGHT_BOX_PORTS"
 STATE_VARIABLE: Final = "RADIOMETER_STATE"
-TEND_SLICE_S: Final = 0.2
+TEND_SLICE_S: Final = 0.2  # a fifth of the box's dead-man time
 _SILENT: Final[
     dict[str, float]
 ] = {}  # ports that were asked and did not answer as a box, and when they were plugged in
@@ -277,9 +277,7 @@ def calibration_file(serial: str) -> Path:
 
 def exposure_store() -> FileStore:
     """Return the account of retinal exposure of this user: in RADIOMETER_STATE, else in the XDG state folder."""
-    base = Path(os.environ.get("XDG_STATE_HOME") or Path(".local") / "state")
-    # A relative path begins at the user's home: the same one whatever folder a command runs in.
-    return FileStore(Path.home() / (os.environ.get(STATE_VARIABLE) or base / "radiometer"))
+    return FileStore(Path.home() / (os.environ.get(STATE_VARIABLE) or state_folder()))
 
 
 def confirm_no_exposure(serial: str) -> None:

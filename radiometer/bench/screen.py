@@ -11,9 +11,15 @@ from typing import Final
 
 import numpy as np
 
-from radiometer.analysis.photometry.display_types import CRT, DISPLAY_TYPES
-from radiometer.analysis.photometry.photometry import Observer, luminous_efficacy_lm_per_w
-from radiometer.analysis.photometry.spectra import Spectrum, spectral_columns, spectrum
+from radiometer.analysis.photometry.photometry import (
+    CRT,
+    DISPLAY_TYPES,
+    Observer,
+    Spectrum,
+    luminous_efficacy_lm_per_w,
+    spectral_columns,
+    spectrum,
+)
 from radiometer.bench.assembly import calibration_path, open_bench_camera
 from radiometer.bench.box_holder import darken_held
 from radiometer.bench.cameras import SIMULATED, preset_path
@@ -31,7 +37,7 @@ BROWSER: Final = "browser"
 START_TIMEOUT_S: Final = 600.0  # from the page's opening until somebody presses its Start
 # The camera sees only the middle of a simulated screen; a small sensor shows as much and is quick.
 _SIMULATED_SIZE: Final = (96, 64)
-_FLICKER_FRAMES: Final = 16
+_FLICKER_FRAMES: Final = 16  # a scatter from 16 is known to 18 %
 PRIMARIES: Final = ("red", "green", "blue")
 _OBSERVERS: Final[tuple[Observer, ...]] = ("photopic", "scotopic")
 

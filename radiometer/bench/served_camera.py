@@ -20,7 +20,7 @@ from simulators.cameras.blackfly_pictures import ForwardModelSource, PictureSour
 from simulators.cameras.simulated_camera import SimulatedCamera
 from simulators.scenes.factory import SCENES
 
-_LOOK_S = 0.02
+_LOOK_S = 0.02  # how late Ctrl-C may take effect
 _PICTURES = (".png", ".tif", ".tiff", ".jpg", ".jpeg", ".hdr", ".exr", ".npy")
 
 

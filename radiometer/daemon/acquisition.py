@@ -23,9 +23,9 @@ from radiometer.errors import DeviceError, RadiometerError, SettingOutOfRange, U
 
 _log = structlog.get_logger(__name__)
 ALARM: Final = "measurement"
-WAVELENGTH_LIMITS_NM: Final = (300.0, 1200.0)
-EVERY_LIMITS_S: Final = (0.0, 86400.0)
-_PAUSE_AFTER_ERROR_S: Final = 0.5
+WAVELENGTH_LIMITS_NM: Final = (300.0, 1200.0)  # what silicon sees
+EVERY_LIMITS_S: Final = (0.0, 86400.0)  # as fast as it goes, to once a day
+_PAUSE_AFTER_ERROR_S: Final = 0.5  # a fault that stays is tried twice a second, not in a tight loop
 _JOURNAL_PATIENCE_S: Final = 5.0  # a client is not kept waiting for a journal that is known to be blocked
 _Turn = Literal["shared", "asked", "named"]
 

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from radiometer.analysis.calibration.shared import require_camera
-from radiometer.analysis.photometry.spectra import spectrum
+from radiometer.analysis.photometry.photometry import spectrum
 from radiometer.bench.assembly import calibration_path, stated_source, states_spectrum
 from radiometer.bench.cameras import open_camera
 from radiometer.bench.config import BenchConfig, read_bench

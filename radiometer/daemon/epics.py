@@ -23,7 +23,7 @@ from radiometer.data import Reading
 from radiometer.errors import MissingLibrary, UsageError
 
 _log = structlog.get_logger(__name__)
-_QUEUED_EVENTS: Final = 1000
+_QUEUED_EVENTS: Final = 1000  # a quarter of an hour of readings, once a second
 _NAMED: Final[Mapping[str, str]] = {
     "radiance": "radiance of the patch",
     "u_radiance": "standard uncertainty of the radiance (k = 1)",

@@ -24,11 +24,11 @@ from radiometer.data.storage import state_folder
 from radiometer.errors import OutputError
 
 APPLICATION_ID: Final = 0x52414D4A  # "RAMJ": identifies a radiometer journal to `file` and to us
-SCHEMA_VERSION: Final = 2
+SCHEMA_VERSION: Final = 2  # 1 had no streams
 OWN_STREAM: Final = "own"
-_BUSY_TIMEOUT_S: Final = 2.0
-_RETENTION_CHUNK: Final = 5000
-MINUTE_US: Final = 60_000_000
+_BUSY_TIMEOUT_S: Final = 2.0  # a reader's snapshot or a backup lasts that long; then an alarm
+_RETENTION_CHUNK: Final = 5000  # rows of one transaction: writing is never held up for long
+MINUTE_US: Final = 60_000_000  # a minute in µs
 _TREND_COLUMNS: Final = (
     "stream TEXT NOT NULL",
     "minute INTEGER NOT NULL",

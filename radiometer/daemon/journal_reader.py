@@ -20,26 +20,10 @@ from radiometer.errors import InputError
 from radiometer.reporting.plain_text import spreadsheet_cell
 
 CSV_COLUMNS: Final = (
-    "sequence",
-    "time",
-    "instrument",
-    "radiance",
-    "u_radiance",
-    "radiance_unit",
-    "luminance",
-    "u_luminance",
-    "luminance_unit",
-    "U_rel",
-    "coverage_factor",
-    "flags",
-    "x",
-    "y",
-    "width",
-    "height",
-    "exposures_s",
-    "name",
+    "sequence", "time", "instrument", "radiance", "u_radiance", "radiance_unit", "luminance", "u_luminance",
+    "luminance_unit", "U_rel", "coverage_factor", "flags", "x", "y", "width", "height", "exposures_s", "name",
     "session",
-)
+)  # fmt: skip
 _FINE_US: Final = 7_500_000_000  # two hours and a bit: up to here readings, beyond it minutes
 _FINE_TREND: Final = """
 SELECT time_us / ? AS bucket, avg(radiance), avg(coalesce(json_extract(json, '$.radiance.u'), 0)), min(radiance),
@@ -54,7 +38,7 @@ SELECT minute / ? AS bucket, sum(total) / sum(count), sum(total_u) / sum(count),
 FROM (SELECT * FROM trend WHERE stream = ? AND minute >= ? AND minute < ?)
 GROUP BY bucket, unit ORDER BY bucket
 """
-_STEPS_BETWEEN_CHECKS: Final = 10_000
+_STEPS_BETWEEN_CHECKS: Final = 10_000  # of SQLite's machine: short against any deadline
 
 
 @dataclass(frozen=True, slots=True)
@@ -227,24 +211,10 @@ def _csv_row(line: str) -> list[Any]:
     reading = json.loads(line)
     radiance, luminance, patch = reading["radiance"], reading["luminance"] or {}, reading["patch"]
     cells = [
-        reading["sequence"],
-        reading["time"],
-        reading["instrument"],
-        radiance["value"],
-        radiance["u"],
-        radiance["unit"],
-        luminance.get("value", ""),
-        luminance.get("u", ""),
-        luminance.get("unit", ""),
-        reading["U_rel"],
-        reading["coverage_factor"],
-        " ".join(reading["flags"]),
-        patch["x"],
-        patch["y"],
-        patch["width"],
-        patch["height"],
-        " ".join(map(repr, reading["exposures_s"])),
-        reading.get("name", ""),
+        reading["sequence"], reading["time"], reading["instrument"], radiance["value"], radiance["u"],
+        radiance["unit"], luminance.get("value", ""), luminance.get("u", ""), luminance.get("unit", ""),
+        reading["U_rel"], reading["coverage_factor"], " ".join(reading["flags"]), patch["x"], patch["y"],
+        patch["width"], patch["height"], " ".join(map(repr, reading["exposures_s"])), reading.get("name", ""),
         reading.get("session", ""),
-    ]
+    ]  # fmt: skip
     return list(map(spreadsheet_cell, cells))

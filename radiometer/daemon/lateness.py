@@ -14,13 +14,13 @@ from radiometer.daemon.patches import MAIN
 
 PERIOD: Final = "period"
 READING: Final = "reading"
-_LOOK_S: Final = 0.5
+_LOOK_S: Final = 0.5  # a twentieth of the shortest window
 _WINDOW_S: Final = 10.0  # shorter ones would alarm at every pause of a busy machine
-_WINDOW_PERIODS: Final = 5
+_WINDOW_PERIODS: Final = 5  # one late measurement of five is no alarm
 _BEHIND: Final = 2 / 3  # below this share of the measurements due, the alarm goes up
 _KEPT: Final = 0.9  # at this share it goes down: a pace near the first bound must not make it flap
-_MISSING_PERIODS: Final = 5
-_MISSING_S: Final = 10.0
+_MISSING_PERIODS: Final = 5  # as many as the window of the period
+_MISSING_S: Final = 10.0  # shorter pauses come with a busy machine
 _MISSING_DURATIONS: Final = 3.0  # a bracket of long exposures may last longer than its period
 
 

@@ -20,11 +20,11 @@ from radiometer.errors import MissingLibrary, UsageError
 
 _log = structlog.get_logger(__name__)
 ALARM: Final = "mqtt"
-_KEEP_ALIVE_S: Final = 10
-_AT_LEAST_ONCE: Final = 1
-_QUEUED_MESSAGES: Final = 1000
+_KEEP_ALIVE_S: Final = 10  # a broker announces the last will after one and a half of it
+_AT_LEAST_ONCE: Final = 1  # quality of service 1 (MQTT 3.1.1, 4.3.2)
+_QUEUED_MESSAGES: Final = 1000  # a quarter of an hour of readings, once a second
 _ACKNOWLEDGED_WITHIN_S: Final = 10.0  # a healthy broker takes milliseconds; as long as the connection is kept alive
-_LOOK_S: Final = 1.0
+_LOOK_S: Final = 1.0  # a tenth of the time in which messages must be acknowledged
 _READING: Final = "reading"
 
 

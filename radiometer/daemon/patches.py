@@ -13,10 +13,10 @@ from radiometer.data.json_text import json_text
 from radiometer.errors import UsageError
 
 MAIN: Final = "main"  # means the patch that is measured for all where a name is asked for
-MOST_PATCHES: Final = 12
-_LONGEST_NAME: Final = 32
+MOST_PATCHES: Final = 12  # engineering choice: each takes a measurement in every period
+_LONGEST_NAME: Final = 32  # fits a column of the page and a level of a topic
 _CONFIRMATIONS: Final = 2  # so many readings in a row must say the same: one outlier is no alarm, and no all-clear
-DEFAULT_HYSTERESIS_REL: Final = 0.01
+DEFAULT_HYSTERESIS_REL: Final = 0.01  # a few times the noise of a reading
 
 
 @dataclass(frozen=True, slots=True)

@@ -31,7 +31,7 @@ from radiometer.data.provenance import utc_now
 from radiometer.errors import RadiometerError, UsageError
 
 _log = structlog.get_logger(__name__)
-_LONGEST_REMARK = 500
+_LONGEST_REMARK = 500  # a paragraph; it is one line of the log
 
 
 class Station:

@@ -34,7 +34,7 @@ class BleachingConstant:
 
 
 ROD_HALF_BLEACH_LOG10_TD: Final = 4.4  # CVRL, table of half-bleaching constants
-CONE_HALF_BLEACH_LOG10_TD: Final = 4.3
+CONE_HALF_BLEACH_LOG10_TD: Final = 4.3  # likewise
 
 ROD_EXPOSURE: Final = BleachingConstant(
     "rod exposure",

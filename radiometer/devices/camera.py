@@ -129,6 +129,18 @@ class Camera(Protocol):
     def __exit__(self, *_: object) -> None: ...
 
 
+def refuse_roi_outside(device: str, roi: Roi, width: int, height: int) -> None:
+    """Raise SettingOutOfRange where a region is not wholly on a sensor of `width` × `height` pixels."""
+    for name, value, low, high in (
+        ("ROI left", roi.x, 0, width - 1),
+        ("ROI top", roi.y, 0, height - 1),
+        ("ROI width", roi.width, 1, width - roi.x),
+        ("ROI height", roi.height, 1, height - roi.y),
+    ):
+        if not low <= value <= high:
+            raise SettingOutOfRange(device, name, value, low, high, "pixels")
+
+
 def refuse_out_of_range(device: str, settings: CameraSettings, limits: CameraCapabilities) -> None:
     """Raise SettingOutOfRange for the first setting outside the camera's limits."""
     checks = (

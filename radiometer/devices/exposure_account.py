@@ -30,7 +30,7 @@ FILE_NAME: Final = "exposure-account.json"
 BIN_S: Final = 50.0  # what ends within it is one entry that expires with its end: 201 entries hold any history
 MOST_BYTES: Final = 4_000_000  # a thousand boxes and eyes with full histories take a tenth of it
 LOCK_PATIENCE_S: Final = 0.5  # below the box's dead-man time: a wait for the lock darkens no other channel
-LOCK_LOOK_S: Final = 0.005
+LOCK_LOOK_S: Final = 0.005  # the account is held for some ms
 # Steps of the wall clock below this at a restart are corrections of a drifting clock; time counts as standing still.
 CLOCK_STEP_S: Final = 60.0
 _BOOT_ID: Final = Path("/proc/sys/kernel/random/boot_id")

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from enum import StrEnum
 from typing import Final, Protocol, Self, runtime_checkable
 
-FULL_LEVEL: Final = 65535
+FULL_LEVEL: Final = 65535  # 16 bits, as the box's protocol has it
 
 
 class CurrentRange(StrEnum):

@@ -24,12 +24,12 @@ _BLUE: Final = np.array([
 ])
 # fmt: on
 BLUE_DOSE_LIMIT_J_SR_M2: Final = 1e6  # 4.3.3: L_B·t, for t up to 10⁴ s
-BLUE_WINDOW_S: Final = 1e4
+BLUE_WINDOW_S: Final = 1e4  # IEC 62471:2006, 4.3.3: blue light is summed over 10⁴ s
 SMALL_SOURCE_RAD: Final = 0.011  # 4.3.4: below it the limits are set on irradiance
 SMALL_SOURCE_DOSE_J_M2: Final = 100.0  # 4.3.4: E_B·t, for t up to 100 s
 SMALL_SOURCE_IRRADIANCE_W_M2: Final = 1.0  # 4.3.4: E_B, beyond 100 s
 THERMAL_CONSTANT: Final = 50_000.0  # 4.3.5: L_R ≤ 50 000/(α·t^0.25), 10 µs to 10 s
-DEFAULT_FRACTION: Final = 0.1
+DEFAULT_FRACTION: Final = 0.1  # engineering choice: a tenth of the limit, for bounds may be off
 
 
 @dataclass(frozen=True, slots=True)

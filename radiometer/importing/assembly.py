@@ -22,13 +22,13 @@ from radiometer.importing.record import ImportRecord, by_wording, doubts_about, 
 _LOOKED_AT: Final = 4  # frames whose codes are looked at for padding and clipping
 _FEWEST_CODES: Final = 10  # different ones: all even by chance once in a thousand
 _CODES_FROM: Final = 65_536  # pixels of a frame that show its codes
-_FEWEST_CLIPPED: Final = 4
+_FEWEST_CLIPPED: Final = 4  # noise alone puts hardly two pixels on the same highest code
 _CAMERA_KEYS: Final = (
     "vendor", "model", "serial", "unit", "mode", "band", "wavelength_nm", "binning", "pixel_pitch_um",
     "conversion_gain_e_per_dn", "read_noise_e",
 )  # fmt: skip
 _OWN_KEYS: Final = ("vendor", "model", "serial", "band", "binning", "mode")  # what a camera is called by among several
-_MASKED_SAME_DN: Final = 1.0
+_MASKED_SAME_DN: Final = 1.0  # masked rows are read to a fraction of a DN
 _UNEVEN_PERCENT: Final = 0.5  # of light that a calibration moves, above which it is reported
 
 

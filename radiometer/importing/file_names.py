@@ -16,7 +16,7 @@ _MINUTES_AND_SECONDS: Final = re.compile(rf"(?<![\da-z.]){_NUMBER}m{_NUMBER}s(?!
 _TIME: Final = re.compile(rf"(?<![\d.]){_NUMBER}({_UNITS})(?![a-z\d])")
 _BARE: Final = re.compile(rf"(?:expos|exposure|exptime|exp){_NUMBER}(?![\d.]*[a-z])")
 _KINDS: Final = {"bias": "dark", "zero": "dark", "dark": "dark", "flat": "light", "light": "light"}
-_SAME_REL: Final = 0.02
+_SAME_REL: Final = 0.02  # names round exposures to two digits
 
 
 @dataclass(frozen=True, slots=True)

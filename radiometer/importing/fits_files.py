@@ -41,16 +41,8 @@ Header = Mapping[str, Statement]
 # others are in use without a definition: their unit must be stated.
 _EXPOSURE: Final = places("XPOSURE:s EXPTIME:s EXPOSURE:s EXPOINUS:us EXP_TIME ITIME INTTIME EXPTIME1 TEXP EXPOSED")
 _TEMPERATURE: Final = (
-    "CCD-TEMP",
-    "CCDTEMP",
-    "DET-TEMP",
-    "DETTEMP",
-    "SENSTEMP",
-    "TEMPERAT",
-    "CHIPTEMP",
-    "CAMTEMP",
-    "TEMP",
-)
+    "CCD-TEMP", "CCDTEMP", "DET-TEMP", "DETTEMP", "SENSTEMP", "TEMPERAT", "CHIPTEMP", "CAMTEMP", "TEMP",
+)  # fmt: skip
 _SET_TEMPERATURE: Final = ("SET-TEMP", "SETTEMP", "CCD-TSET")
 _TIME: Final = ("DATE-OBS", "DATE-BEG", "DATE_OBS", "DATE")
 _CAMERA_NAME: Final = ("INSTRUME", "CAMERA", "DETECTOR", "DETNAM")
@@ -72,7 +64,7 @@ _PROCESSED_WORDS: Final = (
     "calibrat", "combine", "averag", "median", "stack", "reduc", "resampl", "overscan correct", "zerocor", "darkcor",
 )  # fmt: skip
 _KELVINS: Final = (150.0, 400.0)  # without a unit, a number between them can only be kelvins
-_SETTLED_K: Final = 1.0
+_SETTLED_K: Final = 1.0  # coolers hold a tenth of a kelvin once they have settled
 _EXPOSURES_SAME_REL: Final = 0.01  # by which two keywords of the exposure may differ unnoticed
 
 

@@ -25,11 +25,11 @@ discussions of 2005, uncertain by at least 1 %; a constant factor, which the cam
 """
 _MAGNITUDES: Final = ("mag", "sqm", "mpsas", "msas")
 _GAP_S: Final = 3.0 * 3600.0  # without a reading: another night
-_DAY_S: Final = 86400.0
+_DAY_S: Final = 86400.0  # a day
 _APART_S: Final = 300.0  # by which readings of a reference in a separate file may differ in time from the camera's
-_FEWEST_NIGHTS: Final = 3
-_FEWEST_ROWS: Final = 12
-_MOST_PER_NIGHT: Final = 300
+_FEWEST_NIGHTS: Final = 3  # one is held out, and two show what repeats
+_FEWEST_ROWS: Final = 12  # fewer fit any model of a log
+_MOST_PER_NIGHT: Final = 300  # evenly thinned: more are correlated and only cost time
 _NEEDS: Final = (
     "a camera's value, its exposure and a reference (gain, temperature, time and colour where there are any)"
 )

@@ -23,7 +23,7 @@ from radiometer.units import heading_parts
 TAG: Final = 51123  # MicroManagerMetadata; also in the TIFF tag tables of ImageJ and tifffile
 FACT: Final = "acquisition"
 _SIDECARS: Final = ("_frame_metadata.json", "metadata.txt")
-_LARGEST_TEXT: Final = 50_000_000
+_LARGEST_TEXT: Final = 50_000_000  # characters: far beyond the metadata of any acquisition
 
 
 @dataclass(frozen=True, slots=True)

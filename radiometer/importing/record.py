@@ -9,7 +9,7 @@ from typing import Any
 from radiometer.data import CaptureHeader, CaptureSet
 from radiometer.importing.found import FoundFrame
 
-_NAMED_FILES = 3
+_NAMED_FILES = 3  # names that a line shows
 
 
 @dataclass(frozen=True, slots=True)

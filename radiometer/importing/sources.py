@@ -439,15 +439,6 @@ def _light_off_exposure(lit: Sequence[tuple[float, float]]) -> str | None:
 
 
 __all__ = [
-    "FileStore",
-    "ImportRecord",
-    "as_capture",
-    "copy_into",
-    "import_into",
-    "import_sources",
-    "is_foreign",
-    "open_capture",
-    "read_found",
-    "statistics_of",
-    "write_statistics",
-]
+    "FileStore", "ImportRecord", "as_capture", "copy_into", "import_into", "import_sources", "is_foreign",
+    "open_capture", "read_found", "statistics_of", "write_statistics",
+]  # fmt: skip

@@ -39,7 +39,7 @@ from radiometer.importing.micro_manager import completed, planes_of
 from radiometer.importing.xmp import numbers, read_xmp
 from radiometer.units import BASE_ISO
 
-_XMP, _MAKE, _MODEL, _DATE_TIME = 700, 271, 272, 306
+_XMP, _MAKE, _MODEL, _DATE_TIME = 700, 271, 272, 306  # TIFF 6.0 and XMP part 3
 _WHITE_LEVEL, _SERIAL = 50717, 50735  # DNG 1.7, chapter 4
 # DNG 1.7, chapter 4: BlackLevel is rows × columns × samples of the repeating pattern; the deltas add to it by column
 # and row.

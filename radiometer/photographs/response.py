@@ -93,7 +93,7 @@ def linear_doubt(bracket: Bracket) -> str | None:
     Args:
         bracket: The photographs.
     """
-    from radiometer.analysis.response.proportion import growth_power
+    from radiometer.analysis.response.limits import growth_power
 
     power = growth_power(bracket, bracket.light[0].settings.black_level_dn or 0.0)
     if power is not None and abs(power - 1.0) > _NOT_LINEAR:

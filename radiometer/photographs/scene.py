@@ -31,7 +31,6 @@ from radiometer.data import (
 from radiometer.data.setup import Setup
 from radiometer.errors import UsageError
 from radiometer.photographs.alignment import in_one_place
-from radiometer.photographs.iso_record import with_iso_in_map
 from radiometer.photographs.lens_profile import lensfun_flat_field, read_lens_record
 from radiometer.photographs.response import (
     ENOUGH_PIXELS,
@@ -46,7 +45,7 @@ from radiometer.photographs.response import (
     with_found_times,
     with_offset_of_response,
 )
-from radiometer.photographs.stated import iso_speeds, with_f_number, with_gains, with_iso
+from radiometer.photographs.stated import iso_speeds, with_f_number, with_gains, with_iso, with_iso_in_map
 
 # The offset of a shutter that photographs did not show. The travel of one curtain against the other is adjusted to
 # 0.1 ms (`analysis.response.shutter_offset` names the source), taken as a rectangle: 6 % (k = 1) at 1/1000 s.

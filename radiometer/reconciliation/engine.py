@@ -17,9 +17,9 @@ from radiometer.data import CaptureHeader, Frame
 from radiometer.errors import CaptureError
 from radiometer.importing import open_capture
 from radiometer.one_thread import on_one_blas_thread
-from radiometer.reconciliation.advice.limits import limits
 from radiometer.reconciliation.advice.next_capture import propose, propose_for_blind, propose_for_unnamed
 from radiometer.reconciliation.advice.separability import Separability, inseparable, separability
+from radiometer.reconciliation.advice.sizes import limits
 from radiometer.reconciliation.fit.covariance import fitted_parameters, is_misfit
 from radiometer.reconciliation.fit.descent import first_state
 from radiometer.reconciliation.fit.nuisances import dark_current_is_free
@@ -28,6 +28,7 @@ from radiometer.reconciliation.full_well import ShownWell, levels_of_brightest, 
 from radiometer.reconciliation.measure.reduce import FrameReader, frame_reader
 from radiometer.reconciliation.noise.darkness import drift_of_black, wander_of_black
 from radiometer.reconciliation.noise.repeats import repeats_of
+from radiometer.reconciliation.posterior import UNNAMED, Posterior, posterior_of
 from radiometer.reconciliation.propose.beyond import held_to_laws
 from radiometer.reconciliation.result import (
     CovariateGap,
@@ -265,7 +266,7 @@ def examine(
     scenes = set(design.patterns).difference(frame.pattern for frame in header.frames)
     if scenes:
         notes.append(f"the scene changes: {1 + len(scenes)} scenes are shown, each with a separate pattern")
-    found = search(start, entries, say, is_doubted)
+    found = search(start, entries, say, lambda found: is_doubted(found, posterior_of(found.state, entries)))
     outcome = _optional_step("laws outside the catalogue", lambda: held_to_laws(found, entries, say), notes) or found
     well = shown_well(outcome.state, levels_of_brightest(header, read))
     result = _result(outcome, entries, again, total, begun, notes, well, with_limits=with_limits)
@@ -300,10 +301,12 @@ def _result(
     *,
     with_limits: bool,
 ) -> ReconcileResult:
-    doubts = [*outcome.remarks, *doubts_of(outcome), *faint(outcome)]
     state, other_well = outcome.state, well is not None and well.contradicts
+    found = _found(outcome, entries, again, failed)
+    weighed, alternatives = posterior_of(state, entries), {effect.name: effect.alternatives for effect in found}
+    doubts = [*outcome.remarks, *doubts_of(outcome, weighed, alternatives), *faint(outcome)]
     verdict = verdict_of(outcome, doubts, again, other_well=other_well)
-    effects = _found(outcome, entries, again, failed, provisional=verdict is Verdict.INCOMPLETE)
+    effects = tuple(_believed(effect, weighed, verdict) for effect in found)
     if well is not None and other_well:
         effects = (*effects, well.as_effect(state.gap))
     shown: Mapping[str, Limit] = {}
@@ -333,7 +336,19 @@ def _result(
         captures=len(state.design.captures),
         frames=frames,
         seconds=time.monotonic() - begun,
+        models=weighed.listed(),
         extra=_remarks(state, effects, well),
+    )
+
+
+def _believed(effect: FoundEffect, weighed: Posterior, verdict: Verdict) -> FoundEffect:
+    """Return a found effect with its probability, and its parameters averaged over the models that hold it."""
+    return replace(
+        effect,
+        provisional=verdict is Verdict.INCOMPLETE and effect.name != UNNAMED,
+        probability=weighed.probability(effect.name),
+        probability_of_any=weighed.probability(effect.name, *effect.alternatives),
+        averaged=weighed.averaged(effect.name),
     )
 
 
@@ -387,8 +402,6 @@ def _found(
     entries: Mapping[str, type[CatalogueEffect]],
     again: Periodic | None,
     failed: list[str],
-    *,
-    provisional: bool,
 ) -> tuple[FoundEffect, ...]:
     """Return the names in the order of finding, and the residual as one entry, where its largest part was found."""
     state, weak = outcome.state, insignificant_names(outcome)
@@ -415,7 +428,7 @@ def _found(
                     f"how well the size of {step.name} is known", partial(sizes_by_own_law, state, own), failed
                 )
                 told |= {name: entry for name, entry in (sizes or {}).items() if told[name].u is None}
-            effect = _effect(shown, own, told, advice, provisional=provisional)
+            effect = _effect(shown, own, told, advice)
             other = size_of_rest(state, own.block) if own in others else None
             found.append(replace(effect, other_law=other, curve=LawCurve.of(own, parameters[step.name])))
     return (*found, rest) if rest is not None and rest not in found else tuple(found)
@@ -426,8 +439,6 @@ def _effect(
     effect: CatalogueEffect,
     parameters: Mapping[str, FittedParameter],
     advice: Mapping[str, Any] | None,
-    *,
-    provisional: bool,
 ) -> FoundEffect:
     curved = effect.law_names() if isinstance(effect, FreeLaw) else ()
     return FoundEffect(
@@ -440,7 +451,6 @@ def _effect(
         advice,
         step.gain_nats,
         effect.block,
-        provisional,
     )
 
 

@@ -16,8 +16,7 @@ from typing import Final
 import numpy as np
 
 from radiometer.reconciliation.chances import log_variance
-from radiometer.reconciliation.measure.design import Design
-from radiometer.reconciliation.measure.layout import slope_lengths
+from radiometer.reconciliation.measure.design import Design, slope_lengths
 from radiometer.reconciliation.measure.row_bands import RowBins
 from radiometer.reconciliation.measure.seen import COMB_PERIODS, CaptureStatistics
 from radiometer.reconciliation.prediction import Prediction

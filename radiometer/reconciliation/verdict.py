@@ -17,7 +17,8 @@ from radiometer.reconciliation.fit.covariance import fitted_parameters, is_misfi
 from radiometer.reconciliation.fit.covariates import covariates
 from radiometer.reconciliation.fit.descent import refit
 from radiometer.reconciliation.fit.state import FitState, with_effects, with_terms
-from radiometer.reconciliation.result import FittedParameter, FoundEffect, Verdict
+from radiometer.reconciliation.posterior import Posterior
+from radiometer.reconciliation.result import SURE, FittedParameter, FoundEffect, Verdict
 from radiometer.reconciliation.search.frame_order import Periodic
 from radiometer.reconciliation.search.localise import axis_of, departing, own_place
 from radiometer.reconciliation.search.outcome import Search, Step
@@ -56,20 +57,28 @@ def verdict_of(
     return Verdict.UNNAMED if unnamed else Verdict.AGREES
 
 
-def is_doubted(outcome: Search) -> bool:
+def is_doubted(outcome: Search, weighed: Posterior) -> bool:
     """Return whether the names of a search are provisional though nothing structured is left."""
-    return not leaves_structure(outcome) and bool(doubts_of(outcome))
+    return not leaves_structure(outcome) and bool(doubts_of(outcome, weighed))
 
 
-def doubts_of(outcome: Search) -> list[str]:
-    """Return in words why names are provisional though nothing structured is left."""
+def doubts_of(
+    outcome: Search, weighed: Posterior, alternatives: Mapping[str, Collection[str]] | None = None
+) -> list[str]:
+    """Return in words why names are provisional though nothing structured is left.
+
+    Args:
+        outcome: The search.
+        weighed: The posterior over all models that it fitted.
+        alternatives: What these data cannot separate from each name; by default the rivals of its step.
+    """
     state, effects = outcome.state, outcome.state.effects
+    alike = {step.name: [rival.name for rival in step.rivals] for step in outcome.steps}
+    alike = alike if alternatives is None else dict(alternatives)
     said = [f"{name} is fitted at the end of its range: the data contain something else" for name in _at_bound(state)]
     said += [
-        f"{name} alone may explain what all names explain together" for name in one_for_all(outcome.steps, effects)
-    ]
-    said += [
-        f"{name} is likelier beforehand, but its rival predicts better" for name in outperformed(outcome.steps, effects)
+        f"{name} has a probability of {probability:.2f}, its alternatives included: other models predict as well"
+        for name, probability in uncertain([effect.name for effect in effects], weighed, alike).items()
     ]
     said += [
         f"{name} fits by its secondary terms alone: its essential parameter is within three uncertainties of zero"
@@ -354,29 +363,23 @@ def _explained(values: Array, basis: Array) -> float:
     return float(1.0 - chi_square(columns, values) / freedom / max(float(np.var(values)), 1e-30))
 
 
-def one_for_all(steps: Sequence[Step], effects: Sequence[CatalogueEffect]) -> list[str]:
-    """Return the entries that rival every one of several names: one cause may do what they all do.
+def uncertain(
+    names: Sequence[str], weighed: Posterior, alternatives: Mapping[str, Collection[str]]
+) -> dict[str, float]:
+    """Return the names that are not almost certain, with their probability.
+
+    Which of several alike names it is may be open. An alternative to every one of several names is no such name: it
+    alone may explain what all of them do.
 
     Args:
-        steps: What was added, in order.
-        effects: The effects of the model.
+        names: The names that are reported.
+        weighed: The posterior over all models.
+        alternatives: What these data cannot separate from each name.
     """
-    present = {effect.name for effect in effects}
-    named = [step for step in steps if step.name in present]
-    if len(named) < 2:
-        return []
-    return sorted(set.intersection(*({rival.name for rival in step.rivals} for step in named)) - present)
-
-
-def outperformed(steps: Sequence[Step], effects: Sequence[CatalogueEffect]) -> list[str]:
-    """Return the names for which only what is usual speaks: something else predicts better.
-
-    Args:
-        steps: What was added, in order.
-        effects: The effects of the model.
-    """
-    present = {effect.name for effect in effects}
-    return [step.name for step in steps if step.outperformed and step.name in present]
+    alike = {name: set(alternatives.get(name, ())) for name in names}
+    common = set.intersection(*alike.values()) if len(names) > 1 else set()
+    found = {name: weighed.probability(name, *(alike[name] - common)) for name in names}
+    return {name: probability for name, probability in found.items() if probability < SURE}
 
 
 def without_essential(

@@ -25,8 +25,8 @@ MARK: Final = "#9a5b00"  # what is pointed out
 DIMMED: Final = "#8a8a8a"  # what is not claimed
 RULE: Final = "#555555"  # lines that something is compared with
 _FEW_DECADES: Final = 1.0 / 3.0  # below, labels of a logarithmic axis run into each other and show no ratio
-_NARROW_PX: Final = 640
-_SMALLEST_PT: Final = 9.0
+_NARROW_PX: Final = 640  # telephones held upright
+_SMALLEST_PT: Final = 9.0  # what can be read in print
 
 Place = Literal["best", "upper left", "upper right", "lower left", "lower right"]
 Draw = Callable[["Figure", bool], None]

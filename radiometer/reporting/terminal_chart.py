@@ -7,7 +7,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from typing import Final
 
-_BLANK: Final = 0x2800
+_BLANK: Final = 0x2800  # Unicode: Braille pattern without dots
 # Bits of the dots in a character: rows from above, left and right column.
 _DOTS: Final = ((0x01, 0x08), (0x02, 0x10), (0x04, 0x20), (0x40, 0x80))
 

@@ -18,9 +18,9 @@ from radiometer.screen.plan import make_plan
 from radiometer.screen.run import Light, Measured, Progress, curves_of, measure_steps
 
 _WHITE: Final = DisplayPatch((1.0, 1.0, 1.0))
-_PILOTS: Final = 8
-_WANTED_SCATTER_REL: Final = 0.004
-_MOST_REPEATS: Final = 64
+_PILOTS: Final = 8  # a scatter from eight is known to a quarter
+_WANTED_SCATTER_REL: Final = 0.004  # of the mean: well below the 1 % of a calibration
+_MOST_REPEATS: Final = 64  # bounds the time that one patch takes
 
 
 class Instrumented(Protocol):

@@ -20,7 +20,7 @@ _HEADERS: Final = {
     "connect-src 'self'; img-src data:; frame-ancestors 'none'",
     "X-Content-Type-Options": "nosniff",
 }
-_TIMEOUT_S: Final = 10.0
+_TIMEOUT_S: Final = 10.0  # loopback takes ms; a machine that swaps takes seconds
 
 Message = dict[str, Any]
 Darken = Callable[[], str]

@@ -30,7 +30,7 @@ METER_U_REL: Final = 0.04
 REPEAT_U_REL: Final = 0.001  # of a reading; the SpyderX's white repeats within 0.1 to 0.3 %
 SHARED_SHAPE_U_REL: Final = 0.05  # of a primary whose curve is taken from grey's
 CAL_SHAPE_U_REL: Final = 0.03  # of a response inferred from a calibration curve and its target
-FULL: Final = 255
+FULL: Final = 255  # 8 bits
 
 
 @dataclass(frozen=True, slots=True)

@@ -12,7 +12,7 @@ from typing import Final
 from aiohttp import web
 
 from radiometer.errors import DeviceLost, DeviceTimeout
-from radiometer.screen.loopback import Darken, LoopbackServer, Message, darkened, nothing_to_darken
+from radiometer.screen.loopback import Darken, LoopbackServer, Message, darkened
 
 _COMMON: Final = "/* common.js */"
 
@@ -32,7 +32,7 @@ class PageServer:
         darken: Darkens the light box, whoever holds it, and returns what it did in words; called on its own thread.
     """
 
-    def __init__(self, port: int = 0, page: str = "display.html", darken: Darken = nothing_to_darken) -> None:
+    def __init__(self, port: int, page: str, darken: Darken) -> None:
         self._server = LoopbackServer(page_text(page), self, port, what="screen's page")
         self._socket: web.WebSocketResponse | None = None
         self._connected, self._begun = threading.Event(), threading.Event()

@@ -17,8 +17,8 @@ _PRIMARIES: Final[dict[str, tuple[float, float, float]]] = {
     "green": (0.0, 1.0, 0.0),
     "blue": (0.0, 0.0, 1.0),
 }
-QUICK_LEVELS: Final = (0, 32, 64, 96, 128, 192, 255)
-REFERENCE_EVERY: Final = 10
+QUICK_LEVELS: Final = (0, 32, 64, 96, 128, 192, 255)  # dense where a screen's curve bends, dark
+REFERENCE_EVERY: Final = 10  # a drift over ten readings is a straight line
 
 Purpose = Literal["level", "white", "black"]
 

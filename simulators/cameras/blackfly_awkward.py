@@ -33,10 +33,10 @@ from simulators.cameras.pixel_packing import WIRE_FORMATS, pack_pixels
 
 SERIAL: Final = "0138C343"  # as USB reports 20497219
 MODEL: Final = "Blackfly S BFS-PGE-19S4M"
-PIPELINE_FRAMES: Final = 2
-_ADC_BITS: Final = 12
+PIPELINE_FRAMES: Final = 2  # one exposed, one read out, when a setting changes
+_ADC_BITS: Final = 12  # Sony IMX sensors of the series convert to 12
 _MADE_UNDER: Final = ("exposure_s", "gain_db", "black_level_dn")
-_LOOK_S: Final = 0.002
+_LOOK_S: Final = 0.002  # short against the shortest frame
 
 
 class AwkwardBlackfly(BlackflyGige):

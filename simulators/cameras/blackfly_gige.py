@@ -15,11 +15,12 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Final, Self
+from typing import Final
 
 import structlog
 
 from radiometer.devices import CameraCapabilities
+from radiometer.devices.opening import Opened
 from radiometer.errors import RadiometerError
 from simulators.cameras import blackfly_features as registers
 from simulators.cameras.aravis_fake_device import FakeGigeDevice
@@ -32,7 +33,7 @@ _LOG = structlog.get_logger(__name__)
 
 READOUT_S: Final = 1 / 131  # 131 frames per second at full size: BFS-U3-19S4M specification page
 _TRIGGER_LOOKS_HZ: Final = 400.0  # the device waits in whole ms and spins for the rest
-_LOOK_S: Final = 0.002
+_LOOK_S: Final = 0.002  # short against the shortest frame
 INFO_TEXT: Final = "simulated by radiometer"  # DeviceManufacturerInfo, by which the quirk file knows it
 
 
@@ -46,7 +47,7 @@ class SentPicture:
     made_under: PictureRequest
 
 
-class BlackflyGige:
+class BlackflyGige(Opened):
     """Serves a simulated camera until it is closed.
 
     Args:
@@ -136,15 +137,6 @@ class BlackflyGige:
         self._write_word(registers.DISCONNECT, 1)
         while self.is_served:
             self._sleep(_LOOK_S)
-
-    def __enter__(self) -> Self:
-        """Serve the camera."""
-        self.open()
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        """Leave the network."""
-        self.close()
 
     def _features(self) -> list[Feature]:
         return registers.blackfly_features(self._limits, self._native_bits, self._temperature_c)

@@ -10,7 +10,7 @@ from xml.etree import ElementTree
 Kind = Literal["float", "integer", "boolean", "enumeration", "command", "string", "formula", "chunk"]
 Bound = float | int | str  # a string is the name of another node
 
-_STRING_LENGTH: Final = 32
+_STRING_LENGTH: Final = 32  # bytes of a text register, as GigE Vision's bootstrap has them
 _NAMESPACE: Final = "http://www.genicam.org/GenApi/Version_1_0"
 
 

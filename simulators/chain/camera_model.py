@@ -32,7 +32,7 @@ from simulators.effects.context import ExposureContext, FrameGeometry, Signal
 from simulators.effects.registry import EffectEntry
 
 FORMAT: Final = "radiometer-model/1"
-DEFAULT_WAVELENGTH_NM: Final = 550.0
+DEFAULT_WAVELENGTH_NM: Final = 550.0  # the middle of the visible, near the peak of V(λ)
 
 _ResultT = TypeVar("_ResultT")
 

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Self
 
 import numpy as np
 
 from radiometer.devices import DisplayPatch
+from radiometer.devices.opening import Opened
 from radiometer.errors import DeviceError, SettingOutOfRange
 from simulators.clock import SimulatedClock
 
@@ -30,7 +30,7 @@ class DisplayModel:
     edge_falloff: float = 0.0  # relative loss of light in the corners
 
 
-class SimulatedDisplay:
+class SimulatedDisplay(Opened):
     """A Display whose radiance is known.
 
     Args:
@@ -84,13 +84,6 @@ class SimulatedDisplay:
             return 1.0
         first, last = start_s * hz, (start_s + duration_s) * hz
         return float((_lit_periods(last, duty) - _lit_periods(first, duty)) / (last - first) / duty)
-
-    def __enter__(self) -> Self:
-        self.open()
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
 
 
 def _lit_periods(phase: float, duty: float) -> float:

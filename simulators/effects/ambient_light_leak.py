@@ -40,7 +40,6 @@ class AmbientLightLeak(Offset):
     tilt_y: float = parameter(0.0, "1", -1.0, 1.0, source="the same from top to bottom")
 
     def offset(self, context: ExposureContext) -> Any:
-        """Return the further irradiance in W·m⁻²."""
         known: Any = 4.0 if context.f_number is None else context.f_number
         through = (4.0 / np.asarray(known)) ** 2
         x, y = context.geometry.sensor_xy()

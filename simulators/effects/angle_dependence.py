@@ -45,7 +45,6 @@ class AngleDependence(Scaling):
     cone: float = parameter(0.0, "1", -1.0, 1.0, source="pixel vignetting at f/1.4 takes up to a third")
 
     def factor(self, context: ExposureContext) -> Any:
-        """Return the factor."""
         stopped: Any = 8.0 if context.f_number is None else context.f_number
         loss = self.strength * context.geometry.field_radius() ** self.radius_power
         slant = 1.0 - loss * np.asarray(stopped) ** -self.stop_power

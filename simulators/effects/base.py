@@ -43,7 +43,7 @@ ELECTRONS: Final = "e-"
 DIGITAL_NUMBER: Final = "DN"
 
 KINDS_KEPT: Final = 2048  # classes of which facts are kept: several times the catalogue; laws make classes without end
-_RELATIVE_STEP: Final = 1e-4
+_RELATIVE_STEP: Final = 1e-4  # of a central difference: neither rounding nor bending matters
 _LARGEST_FULL_SCALE_DN: Final = 2.0**32  # of any converter that may ever stand in a model file
 
 

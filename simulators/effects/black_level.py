@@ -20,6 +20,5 @@ class BlackLevel(UnitSlope):
     )
 
     def mean(self, signal: Signal, context: ExposureContext) -> Signal:
-        """Return DN with black level."""
         level = context.settings.black_level_dn
         return signal + (self.black_level_dn if level is None else level)

@@ -42,6 +42,5 @@ class BlackLevelDrift(Offset):
     )
 
     def offset(self, context: ExposureContext) -> Any:
-        """Return the offset in DN."""
         warmer = warmer_k(context, self.reference_C)
         return self.drift_dn_per_K * warmer + self.bend_dn_per_K2 * warmer**2

@@ -11,8 +11,8 @@ from simulators.effects.base import DIGITAL_NUMBER, Stage, parameter
 from simulators.effects.catalogue import Offset, gain_of
 from simulators.effects.context import ExposureContext
 
-_MOST_GAINS: Final = 16
-_BEND: Final = 0.01
+_MOST_GAINS: Final = 16  # more are a sweep: a start at each would only cost time
+_BEND: Final = 0.01  # from which a fit begins
 
 
 @dataclass(frozen=True)
@@ -43,12 +43,10 @@ class BlackLevelGainSlope(Offset):
     bend: float = parameter(0.0, "1", -1.0, 1.0, source="an amplifier's offset moves with its feedback")
 
     def offset(self, context: ExposureContext) -> Any:
-        """Return the offset in DN."""
         more = np.maximum(gain_of(context) / 10.0 ** (self.from_db / 20.0), 1.0) - 1.0
         return self.slope_dn * (more + self.bend * np.square(more))
 
     def free(self) -> tuple[str, ...]:
-        """Return the parameters to fit: the bend only where there is one."""
         return ("slope_dn", "bend") if self.bend else ("slope_dn",)
 
     @classmethod

@@ -36,7 +36,6 @@ class BlackLevelOffset(Offset):
     tilt_y_dn: float = parameter(0.0, "DN", -0.025, 0.025, source="references sag along a frame", of_full_scale=True)
 
     def offset(self, context: ExposureContext) -> Any:
-        """Return the offset in DN."""
         if not (self.tilt_x_dn or self.tilt_y_dn):
             return self.offset_dn
         x, y = context.geometry.sensor_xy()

@@ -15,7 +15,7 @@ from simulators.effects.context import ExposureContext, Signal
 from simulators.effects.tile_moments import TileMoments
 
 _FAR_PX: Final = 8.0  # farther than a push is seen: covariances of flats end in their noise at lags of 5
-_STARTING_PX: Final = 0.5
+_STARTING_PX: Final = 0.5  # the mean of the two CCDs below
 _KERNELS: Final = 64  # that are kept: those of the last steps of a fit
 _FULLEST: Final = 1.2  # of the full well, beyond which a pixel pushes no more
 _LARGEST: Final = 0.1 * _FULLEST  # share that moves at most

@@ -23,7 +23,7 @@ from simulators.effects.tile_moments import TileMoments
 
 # Where the description of the dark current says neither, as in the ideal chain.
 _DARK_REFERENCE_C: Final = 25.0
-_DARK_DOUBLING_K: Final = 7.0
+_DARK_DOUBLING_K: Final = 7.0  # silicon: 6 to 8 K
 _TOLD_RATIO: Final = 2.0  # of the longest dark exposure to the shortest
 _COMPARABLE_K: Final = 10.0  # one doubling to two of a dark current in silicon
 _WANDER_K: Final = 2.0  # engineering prior: what an uncooled sensor wanders by within a session

@@ -45,7 +45,6 @@ class CorrelatedReadNoise(KeepsMean, CatalogueEffect):
         return cast(Signal, signal + self.sigma_e / math.sqrt(2.0) * (drawn[:, 1:] + self.sign * drawn[:, :-1]))
 
     def variance(self, signal: Signal, context: ExposureContext) -> float:
-        """Return s² in e-²."""
         return 0.5 * self.sigma_e**2 * (1.0 + self.sign**2)
 
     def tile(self, after: TileMoments, before: TileMoments, context: ExposureContext) -> TileMoments:

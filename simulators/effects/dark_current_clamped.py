@@ -40,7 +40,6 @@ class DarkCurrentClamped(UnitSlope, CatalogueEffect):
     left_share: float = parameter(0.0, "1", -0.5, 0.9, source="masked rows are not quite as warm as the others")
 
     def mean(self, signal: Signal, context: ExposureContext) -> Signal:
-        """Return the signal with the share of the mean that stays."""
         if not self.left_share:
             return signal
         return cast(Signal, (signal + self.left_share * self.electrons(context)).astype(signal.dtype))

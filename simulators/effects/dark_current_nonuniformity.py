@@ -14,7 +14,7 @@ from simulators.effects.catalogue import CatalogueEffect, dark_exposures_vary, d
 from simulators.effects.context import ExposureContext, Signal
 from simulators.effects.tile_moments import TileMoments
 
-_USUAL_DOUBLING_K: Final = 7.0
+_USUAL_DOUBLING_K: Final = 7.0  # silicon: 6 to 8 K
 _TOLD_K: Final = 2.0  # by which darks must differ to tell a law
 _LEAST_E: Final = 1e-12  # a pattern that is none
 _SURELY: Final = 9.0  # sigmas of the leak's logarithm below which less than 1e-18 of the pixels lie

@@ -29,14 +29,9 @@ class Defocus(UnitSlope, CatalogueEffect):
     where = "f_number"
     block = "edge"
     trials = (
-        {"sigma_f1_px": 1.0},
-        {"sigma_f1_px": 0.6},
-        {"sigma_f1_px": 0.8},
-        {"sigma_f1_px": 1.4},
-        {"sigma_f1_px": 2.0},
-        {"sigma_f1_px": 3.0},
-        {"sigma_f1_px": 6.0},
-    )
+        {"sigma_f1_px": 1.0}, {"sigma_f1_px": 0.6}, {"sigma_f1_px": 0.8}, {"sigma_f1_px": 1.4}, {"sigma_f1_px": 2.0},
+        {"sigma_f1_px": 3.0}, {"sigma_f1_px": 6.0},
+    )  # fmt: skip
     fitted = ("sigma_f1_px",)
     varies = "f_number"
     further = ({"evenness": 0.5},)

@@ -48,5 +48,4 @@ class DisplayGammaError(Scaling):
         return (cls(0.01, 0.001),)
 
     def free(self) -> tuple[str, ...]:
-        """Return the parameters to fit: the bend only where there is one."""
         return ("exponent", "bend") if self.bend else ("exponent",)

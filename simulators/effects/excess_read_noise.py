@@ -31,9 +31,7 @@ class ExcessReadNoise(KeepsMean, CatalogueEffect):
     excess_e: float = parameter(0.0, "e-", 0.0, 1000.0, source="engineering prior; refined on a real rig")
 
     def sample(self, signal: Signal, context: ExposureContext, rng: np.random.Generator) -> Signal:
-        """Return the signal with the further noise on it."""
         return cast(Signal, signal + self.excess_e * rng.standard_normal(signal.shape, dtype=np.float32))
 
     def variance(self, signal: Signal, context: ExposureContext) -> float:
-        """Return s² in e-²."""
         return self.excess_e**2

@@ -43,5 +43,4 @@ class FirstFrameOffset(UnitSlope, CatalogueEffect):
 
     @classmethod
     def usable(cls, context: ExposureContext) -> bool:
-        """Tell whether any setting has several frames."""
         return bool(np.max(np.asarray(getattr(context, "frames", 2.0))) > 1)

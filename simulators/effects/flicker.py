@@ -10,7 +10,7 @@ from simulators.effects.base import RADIANCE, KeepsMean, Stage
 from simulators.effects.catalogue import CatalogueEffect
 from simulators.effects.context import ExposureContext, Signal
 
-_HARMONICS: Final = 12
+_HARMONICS: Final = 12  # the thirteenth of a square wave has 0.5 % of its variance
 
 
 class Flicker(KeepsMean, CatalogueEffect):
@@ -45,6 +45,5 @@ class Flicker(KeepsMean, CatalogueEffect):
         return cast(Signal, (signal * max(0.0, 1.0 + self.modulation * float(wave))).astype(signal.dtype))
 
     def common_variance(self, signal: Signal, context: ExposureContext) -> Any:
-        """Return the variance that all pixels of a frame share."""
         parts = [0.5 * np.square(c) for _, c in self._harmonics(context.settings.exposure_s)]
         return np.square(self.modulation * signal) * sum(parts[1:], parts[0])

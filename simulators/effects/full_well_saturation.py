@@ -12,7 +12,7 @@ from simulators.effects.catalogue import CatalogueEffect, well_e
 from simulators.effects.clipping import censored_above, is_reached, limited, unevenly_limited
 from simulators.effects.context import ExposureContext, Signal
 
-_SPREAD: Final = 0.01
+_SPREAD: Final = 0.01  # from which a fit of the scatter begins
 
 
 @dataclass(frozen=True)
@@ -42,7 +42,6 @@ class FullWellSaturation(CatalogueEffect):
         return np.minimum(signal, self._capacity_e(context))
 
     def slope(self, signal: Signal, context: ExposureContext) -> Signal:
-        """Return 1 below the full well and 0 on it."""
         return (signal < self._capacity_e(context)).astype(signal.dtype)
 
     def moments(self, before: Moments, context: ExposureContext) -> Moments:

@@ -13,7 +13,7 @@ from simulators.effects.base import DIGITAL_NUMBER, Moments, Stage, parameter
 from simulators.effects.catalogue import CatalogueEffect
 from simulators.effects.context import ExposureContext, Signal
 
-_LEAST_DN2: Final = 1e-6
+_LEAST_DN2: Final = 1e-6  # a step of a fit may try less than no noise
 
 
 @dataclass(frozen=True)
@@ -35,17 +35,10 @@ class GammaEnabled(CatalogueEffect):
     block = "mean"
     neutral_at_one = ("gamma",)
     trials = (
-        {"gamma": 1.02},
-        {"gamma": 0.98},
-        {"gamma": 1.1},
-        {"gamma": 0.9},
-        {"gamma": 1.5},
-        {"gamma": 2.2},
-        {"gamma": 0.45},
-        {"gamma": 1.1, "above_black": 1.0},
-        {"gamma": 1.4, "above_black": 1.0},
+        {"gamma": 1.02}, {"gamma": 0.98}, {"gamma": 1.1}, {"gamma": 0.9}, {"gamma": 1.5}, {"gamma": 2.2},
+        {"gamma": 0.45}, {"gamma": 1.1, "above_black": 1.0}, {"gamma": 1.4, "above_black": 1.0},
         {"gamma": 0.9, "above_black": 1.0},
-    )
+    )  # fmt: skip
     fitted = ("gamma",)
     further = tuple({"toe": toe} for toe in (0.03, 0.08, 0.2))
     least = MappingProxyType({"gamma": 0.005})  # a setting, in steps of a hundredth where cameras tell them
@@ -57,7 +50,6 @@ class GammaEnabled(CatalogueEffect):
     above_black: float = parameter(0.0, "1", 0.0, 1.0, source="1 where the black level is added after the curve")
 
     def mean(self, signal: Signal, context: ExposureContext) -> Signal:
-        """Return the bent value."""
         black, room = self._range(context)
         return cast(Signal, self._bent(signal, black, room).astype(signal.dtype))
 
@@ -70,7 +62,6 @@ class GammaEnabled(CatalogueEffect):
         return black + room * (np.copysign(bent, off) if self.above_black else bent)
 
     def slope(self, signal: Signal, context: ExposureContext) -> Any:
-        """Return d(mean)/d(signal)."""
         black, room = self._range(context)
         share = np.maximum(np.abs(signal - black) / room, 1e-6)
         return np.where(share > self.toe, share ** (1.0 / self.gamma - 1.0) / self.gamma, self._lift())

@@ -31,6 +31,5 @@ class Ghost(UnitSlope, CatalogueEffect):
     blur: float = parameter(0.0, "1", 0.0, 0.3, source="σ over the longer side: ghosts are seldom in focus")
 
     def mean(self, signal: Signal, context: ExposureContext) -> Signal:
-        """Return irradiance with the ghost."""
         turned = surroundings_of(context).reflected(signal, self.blur)
         return cast(Signal, (signal + self.share * turned).astype(signal.dtype))

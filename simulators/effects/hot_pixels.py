@@ -40,7 +40,6 @@ class HotPixels(KeepsMean, CatalogueEffect):
     doubling_K: float = parameter(7.0, "K", 2.0, 30.0, source="silicon: 6 to 8 K")  # noqa: N815
 
     def sample(self, signal: Signal, context: ExposureContext, rng: np.random.Generator) -> Signal:
-        """Return the signal with this camera's hot pixels."""
         fixed = context.fixed_rng(self.name)
         hot = fixed.random(signal.shape) < self.share
         rate = fixed.exponential(1.0, signal.shape)

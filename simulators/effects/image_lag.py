@@ -80,7 +80,6 @@ class ImageLag(UnitSlope, CatalogueEffect):
         return cast(Signal, (self.mean(signal, context) + scatter).astype(signal.dtype))
 
     def variance(self, signal: Signal, context: ExposureContext) -> Signal:
-        """Return the variance of what stays behind."""
         return np.asarray(self.noise * np.maximum(self._left(signal, context), 0.0))
 
     def tile(self, after: TileMoments, before: TileMoments, context: ExposureContext) -> TileMoments:

@@ -50,7 +50,6 @@ class MechanicalVignetting(Scaling):
     wander: float = parameter(0.0, "1", -5.0, 5.0, source="how far the displacement scales with the pupil's size")
 
     def factor(self, context: ExposureContext) -> Any:
-        """Return the fall-off."""
         stopped: Any = 8.0 if context.f_number is None else context.f_number
         pupil, rho = 2.0 / np.asarray(stopped), context.geometry.field_radius()
         law = np.maximum(1.0 - self.strength * rho**self.radius_power * pupil**self.exponent, 0.01)

@@ -12,7 +12,7 @@ from simulators.effects.catalogue import Scaling
 from simulators.effects.context import ExposureContext
 
 _BENT: Final = 0.01  # k₄ from which a fit begins
-_RINGS: Final = 101
+_RINGS: Final = 101  # a turning point is found to 1 % of the radius
 _BACK: Final = 0.1  # of what was lost, by which k₄ may err
 
 
@@ -43,14 +43,12 @@ class NaturalVignetting(Scaling):
     axis_y: float = parameter(0.0, "1", -0.5, 0.5, source="the same downwards")
 
     def factor(self, context: ExposureContext) -> Any:
-        """Return the fall-off."""
         x, y = context.geometry.field_xy()
         rho2 = np.square(x - self.axis_x) + np.square(y - self.axis_y)
         return (1.0 + self.strength * rho2) ** -2.0 * (1.0 - self.k4 * rho2**2)
 
     @classmethod
     def in_place_of_others(cls) -> Self:
-        """Return the plain law."""
         return cls(0.03)
 
     @classmethod

@@ -31,7 +31,6 @@ class Polarisation(Scaling):
     axis_rad: float = parameter(0.0, "rad", -3.2, 3.2, source="angle of the largest response")
 
     def factor(self, context: ExposureContext) -> Any:
-        """Return the factor."""
         return 1.0 + self.strength * np.cos(2.0 * (context.geometry.screen_rotation_rad - self.axis_rad))
 
     @classmethod

@@ -34,10 +34,8 @@ class Prnu(KeepsMean, CatalogueEffect):
     proportional: ClassVar[bool] = True  # the pattern grows with the light
 
     def sample(self, signal: Signal, context: ExposureContext, rng: np.random.Generator) -> Signal:
-        """Return the signal with this camera's pattern of sensitivities."""
         pattern = context.fixed_rng(self.name).standard_normal(signal.shape, dtype=np.float32)
         return cast(Signal, signal * np.maximum(1.0 + self.sigma_rel * pattern, 0.0))
 
     def spatial_variance(self, signal: Signal, context: ExposureContext) -> Signal:
-        """Return (p·S)² in e-²."""
         return cast(Signal, np.square(self.sigma_rel * signal))

@@ -26,14 +26,9 @@ class PsfBlur(UnitSlope, CatalogueEffect):
     where = "image_x"
     block = "edge"
     trials = (
-        {"sigma_px": 0.25},
-        {"sigma_px": 0.3},
-        {"sigma_px": 0.35},
-        {"sigma_px": 0.42},
-        {"sigma_px": 0.5},
-        {"sigma_px": 0.7},
-        {"sigma_px": 1.0},
-    )
+        {"sigma_px": 0.25}, {"sigma_px": 0.3}, {"sigma_px": 0.35}, {"sigma_px": 0.42}, {"sigma_px": 0.5},
+        {"sigma_px": 0.7}, {"sigma_px": 1.0},
+    )  # fmt: skip
     fitted = ("sigma_px",)
     settles = "an edge at several f-numbers"
     sigma_px: float = parameter(0.0, "px", 0.0, 50.0, source="engineering prior; refined on a real rig")

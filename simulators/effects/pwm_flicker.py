@@ -12,7 +12,7 @@ from simulators.effects.context import ExposureContext
 from simulators.effects.flicker import Flicker
 
 _FREQUENCIES_HZ: Final = np.geomspace(60.0, 4000.0, 36)
-_DUTIES: Final = (0.1, 0.25, 0.4, 0.5, 0.6, 0.75, 0.9)
+_DUTIES: Final = (0.1, 0.25, 0.4, 0.5, 0.6, 0.75, 0.9)  # the usual dimming steps
 _COMB: Final = np.geomspace(0.94, 1.06, 9)  # from halfway to one neighbour to halfway to the other
 
 
@@ -43,5 +43,4 @@ class PwmFlicker(Flicker):
         return tuple(self.with_parameters(frequency_hz=float(self.frequency_hz * factor)) for factor in _COMB)
 
     def loosened(self, context: ExposureContext) -> tuple[Self, ...]:
-        """Return waves of other duties."""
         return tuple(self.with_parameters(duty=duty) for duty in _DUTIES if duty != self.duty)

@@ -33,6 +33,5 @@ class QuantumEfficiencyTemperature(Scaling):
     bend_per_K2: float = parameter(0.0, "1/K²", -1e-3, 1e-3, source="the band edge moves with temperature")  # noqa: N815
 
     def factor(self, context: ExposureContext) -> Any:
-        """Return the factor of the response."""
         warmer = warmer_k(context, 25.0)
         return 1.0 + self.coefficient_per_K * warmer + self.bend_per_K2 * warmer**2

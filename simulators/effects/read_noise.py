@@ -23,12 +23,10 @@ class ReadNoise(KeepsMean):
     read_noise_e: float = parameter(2.5, "e-", 0.0, 1e4, source="datasheet, quantisation taken out")
 
     def sample(self, signal: Signal, context: ExposureContext, rng: np.random.Generator) -> Signal:
-        """Return the signal with noise on it."""
         noise = rng.standard_normal(signal.shape, dtype=np.float32)
         noise *= np.float32(self.read_noise_e)
         noise += signal
         return noise
 
     def variance(self, signal: Signal, context: ExposureContext) -> float:
-        """Return σ_d² in e-²."""
         return self.read_noise_e**2

@@ -11,8 +11,8 @@ from simulators.effects.base import EXPOSURE, Stage, parameter
 from simulators.effects.catalogue import Scaling
 from simulators.effects.context import ExposureContext
 
-_NO_THRESHOLD_S: Final = 1e5
-_FEWEST_EXPOSURES: Final = 6
+_NO_THRESHOLD_S: Final = 1e5  # above any exposure
+_FEWEST_EXPOSURES: Final = 6  # a power with a threshold bends through fewer by chance
 
 
 @dataclass(frozen=True)
@@ -36,7 +36,6 @@ class ReciprocityFailure(Scaling):
     threshold_s: float = parameter(_NO_THRESHOLD_S, "s", 1e-6, _NO_THRESHOLD_S, source="none by default")
 
     def factor(self, context: ExposureContext) -> Any:
-        """Return the factor of exposure."""
         return (np.minimum(np.asarray(context.settings.exposure_s), self.threshold_s) / 1e-3) ** self.exponent
 
     @classmethod

@@ -54,7 +54,6 @@ class ResidualCharge(UnitSlope, CatalogueEffect):
         return context.past is not None
 
     def mean(self, signal: Signal, context: ExposureContext) -> Signal:
-        """Return the electrons with what was let go."""
         return cast(Signal, (signal + self._let_go(context)).astype(signal.dtype))
 
     def sample(self, signal: Signal, context: ExposureContext, rng: np.random.Generator) -> Signal:
@@ -63,7 +62,6 @@ class ResidualCharge(UnitSlope, CatalogueEffect):
         return cast(Signal, (signal + rng.poisson(let_go)).astype(signal.dtype))
 
     def variance(self, signal: Signal, context: ExposureContext) -> Signal | float:
-        """Return the variance of what was let go."""
         return cast(Signal | float, self._let_go(context))
 
     @property

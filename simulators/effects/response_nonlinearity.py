@@ -44,7 +44,6 @@ class ResponseNonlinearity(CatalogueEffect):
         return cast(Signal, (well * (curve + self._rise(bent) * (z - bent))).astype(signal.dtype))
 
     def slope(self, signal: Signal, context: ExposureContext) -> Any:
-        """Return 1 − 2·a₂·z − 3·a₃·z²."""
         return self._rise(np.clip(signal / well_e(context), 0.0, self._end()))
 
     def _rise(self, z: Any) -> Any:

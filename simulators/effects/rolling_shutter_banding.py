@@ -12,11 +12,11 @@ from simulators.effects.catalogue import CatalogueEffect
 from simulators.effects.context import ExposureContext, Signal
 from simulators.effects.tile_moments import TileMoments
 
-_START: Final = 0.02
+_START: Final = 0.02  # a fit is linear in its square: any size begins
 _FREQUENCIES_HZ: Final = np.geomspace(100.0, 4000.0, 12)
-_MOST_PERIODS: Final = 48.0
-_ROWS_PER_PERIOD: Final = 8.0
-_ROW_TIMES_S: Final = (1e-6, 3e-4)
+_MOST_PERIODS: Final = 48.0  # per frame, of waves that tiles still resolve
+_ROWS_PER_PERIOD: Final = 8.0  # a wave of fewer rows cannot be separated from noise of rows
+_ROW_TIMES_S: Final = (1e-6, 3e-4)  # of CMOS sensors: 1 µs to 0.3 ms
 _SHIFTS: Final = np.linspace(-0.5, 0.5, 21)  # periods per frame
 _NEARBY_HZ: Final = np.arange(60.0, 4500.0, 20.0)  # no lobe over the exposures slips through
 

@@ -32,14 +32,11 @@ class RowTemporalNoise(KeepsMean, CatalogueEffect):
     sigma_e: float = parameter(0.0, "e-", 0.0, 1000.0, source="engineering prior; refined on a real rig")
 
     def sample(self, signal: Signal, context: ExposureContext, rng: np.random.Generator) -> Signal:
-        """Return the signal with an offset on each row."""
         rows = rng.standard_normal((signal.shape[0], 1), dtype=np.float32)
         return cast(Signal, signal + self.sigma_e * rows)
 
     def variance(self, signal: Signal, context: ExposureContext) -> float:
-        """Return s² in e-² for a lone pixel."""
         return self.sigma_e**2
 
     def tile(self, after: TileMoments, before: TileMoments, context: ExposureContext) -> TileMoments:
-        """Return the moments with the noise booked as one of rows."""
         return after.changed(variance=before.variance, row_variance=before.row_variance + self.sigma_e**2)

@@ -69,5 +69,4 @@ class SeriesSettling(Scaling):
 
     @classmethod
     def usable(cls, context: ExposureContext) -> bool:
-        """Tell whether any setting has several frames."""
         return bool(np.max(np.asarray(getattr(context, "frames", 2.0))) > 1)

@@ -22,7 +22,6 @@ class ShotNoise(KeepsMean):
     unit_in = unit_out = ELECTRONS
 
     def sample(self, signal: Signal, context: ExposureContext, rng: np.random.Generator) -> Signal:
-        """Return Poisson counts."""
         return rng.poisson(signal).astype(signal.dtype)
 
     def variance(self, signal: Signal, context: ExposureContext) -> Signal:

@@ -68,7 +68,6 @@ class SoftSaturation(CatalogueEffect):
         return (free, charging) if self.hardness in _PLAIN else (charging,)
 
     def mean(self, signal: Signal, context: ExposureContext) -> Signal:
-        """Return the electrons that stay."""
         z = signal / well_e(context)
         width = max(self.ceiling - self.knee, _NARROWEST)
         y = np.maximum(z - self.knee, 0.0) / width

@@ -21,5 +21,4 @@ class SourceLevel(Effect):
         return signal * context.settings.source_level
 
     def slope(self, signal: Signal, context: ExposureContext) -> float:
-        """Return the level."""
         return context.settings.source_level

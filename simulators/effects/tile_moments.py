@@ -67,19 +67,9 @@ class TileMoments(Moments):
     """Expected statistics of tiles; every field broadcasts against `mean`."""
 
     squared: ClassVar[tuple[str, ...]] = (
-        *Moments.squared,
-        "row_variance",
-        "band_variance",
-        "fixed_column_variance",
-        "fixed_row_variance",
-        "neighbour_x",
-        "neighbour_y",
-        "limit_variance",
-        "renewed_variance",
-        "beyond_x",
-        "beyond_y",
-        "beyond_rows",
-    )
+        *Moments.squared, "row_variance", "band_variance", "fixed_column_variance", "fixed_row_variance",
+        "neighbour_x", "neighbour_y", "limit_variance", "renewed_variance", "beyond_x", "beyond_y", "beyond_rows",
+    )  # fmt: skip
     linear: ClassVar[tuple[str, ...]] = ("first_excess",)
     figures: ClassVar[tuple[str, ...]] = ("comb_step", "comb_kept", "band_frequency")
 
@@ -113,17 +103,7 @@ class TileMoments(Moments):
         """Return the moments of a signal that is known exactly."""
         nothing = np.zeros((1,) * mean.ndim)
         return cls(
-            mean,
-            variance=nothing,
-            spatial_variance=nothing,
-            common_variance=nothing,
-            row_variance=nothing,
-            band_variance=nothing,
-            fixed_column_variance=nothing,
-            fixed_row_variance=nothing,
-            neighbour_x=nothing,
-            neighbour_y=nothing,
-            first_excess=nothing,
-            edge_share=nothing,
-            outliers=nothing,
-        )
+            mean, variance=nothing, spatial_variance=nothing, common_variance=nothing, row_variance=nothing,
+            band_variance=nothing, fixed_column_variance=nothing, fixed_row_variance=nothing, neighbour_x=nothing,
+            neighbour_y=nothing, first_excess=nothing, edge_share=nothing, outliers=nothing,
+        )  # fmt: skip

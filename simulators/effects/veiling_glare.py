@@ -38,12 +38,10 @@ class VeilingGlare(CatalogueEffect):
     bowl: float = parameter(0.0, "1", -1.0, 1.0, source="change from middle to corner; ISO 9358 asks for it")
 
     def mean(self, signal: Signal, context: ExposureContext) -> Signal:
-        """Return irradiance with the veil."""
         veil = self.share * surroundings_of(context).frame_mean(signal) * self._field(context)
         return cast(Signal, (signal * (1.0 - self.share) + veil).astype(signal.dtype))
 
     def slope(self, signal: Signal, context: ExposureContext) -> float:
-        """Return 1 − v."""
         return 1.0 - self.share
 
     @property

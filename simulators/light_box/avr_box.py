@@ -21,10 +21,10 @@ RANGE_PINS: Final = {
 }
 SELECT_PINS: Final = {"spot_green": ("C", 2), "field": ("C", 3)}  # high: the shared output drives this LED
 SHARED: Final = {"spot_green": "spot_red", "field": "bleach"}
-TRIGGER: Final = ("B", 0)
-BUTTON: Final = ("D", 2)
+TRIGGER: Final = ("B", 0)  # PB0, as wired in the firmware
+BUTTON: Final = ("D", 2)  # PD2, as wired in the firmware
 BYTE_CYCLES: Final = 1360  # 10 bits at 117 647 Bd, what the firmware's divider gives
-LAG_S: Final = 0.1
+LAG_S: Final = 0.1  # a machine that is later than this cannot keep up
 
 
 def rested_eeprom(serial: str) -> bytes:

@@ -18,10 +18,10 @@ from simulators.light_box.commands import Commands, checked
 from simulators.light_box.flash import Flash
 from simulators.light_box.led_physics import AMBIENT_C, REFERENCE_LEDS, Emission, LedParameters, LedState
 
-DEADMAN_MS: Final = 1000
-HELD_OFF_MS: Final = 3000
-LINE_SIZE: Final = 64
-TICK_MS: Final = 0.004
+DEADMAN_MS: Final = 1000  # as the firmware
+HELD_OFF_MS: Final = 3000  # as the firmware: a button held for 3 s darkens the box
+LINE_SIZE: Final = 64  # as the firmware
+TICK_MS: Final = 0.004  # timer 1 at 16 MHz / 64
 BOOT_MS: Final = 0.008  # the clock starts two ticks before the main program
 
 

@@ -14,7 +14,7 @@ from simulators.clock import SimulatedClock
 from simulators.light_box.box import SimulatedLightBox
 from simulators.scenes.uniform import UniformScene
 
-WHITE_EFFECTIVE_NM: Final = 555.0
+WHITE_EFFECTIVE_NM: Final = 555.0  # peak of V(λ)
 
 
 @dataclass(slots=True)

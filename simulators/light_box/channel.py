@@ -30,9 +30,9 @@ CHANNELS_OF_VERSION = {1: 4, 2: 6}
 PARTNERS = {"bleach": "field", "field": "bleach", "spot_red": "spot_green", "spot_green": "spot_red"}
 
 
-PARTS = 64
-SOON_MS, AHEAD_MS = 256, 512
-PARTS_BEFORE_RAISING = 4
+PARTS = 64  # as the firmware
+SOON_MS, AHEAD_MS = 256, 512  # as the firmware
+PARTS_BEFORE_RAISING = 4  # as the firmware: EEPROM cells wear out
 
 
 @dataclass(slots=True)

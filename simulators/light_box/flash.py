@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import Final
 
-GAP_MS: Final = 5000
-IN_A_ROW: Final = 8
-REFILL_MS: Final = 75_000
+GAP_MS: Final = 5000  # as the firmware
+IN_A_ROW: Final = 8  # as the firmware
+REFILL_MS: Final = 75_000  # as the firmware
 
 
 @dataclass(slots=True)

@@ -12,7 +12,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-AMBIENT_C: Final = 25.0
+AMBIENT_C: Final = 25.0  # at which datasheets state LEDs
 
 
 @dataclass(frozen=True, slots=True)

@@ -13,7 +13,7 @@ from simulators.observers.eye_kinetics import Eye, eye_after_bleach, in_blind_sp
 
 # Wavelengths in nm that stand for a simulated display's primaries, and lm per W of its white (displays/lcd.py).
 PRIMARY_NM: Final = (610.0, 545.0, 450.0)
-WHITE_LM_PER_W: Final = 340.0
+WHITE_LM_PER_W: Final = 340.0  # luminous efficacy of radiation of a white LED
 
 
 @dataclass(frozen=True, slots=True)

@@ -24,7 +24,7 @@ HOLD_S: Final = 0.15  # how long the button is held
 BLEACHES: Final = ("bleach", "field")
 WHITE_LM_PER_W: Final = 320.0  # of a white LED's light: 450 nm pump, phosphor at 560 nm
 TAPPING_S: Final = 0.7  # how often a subject presses who always does
-LONGEST_S: Final = 3 * 3600.0
+LONGEST_S: Final = 3 * 3600.0  # longer than any protocol
 
 
 @dataclass(slots=True)

@@ -4,10 +4,7 @@ from __future__ import annotations
 
 AREAS: dict[str, tuple[str, ...]] = {
     "merge": ("radiometer/analysis/merge/*.py",),
-    "patch_and_budget": (
-        "radiometer/analysis/reading/*.py",
-        "radiometer/analysis/uncertainty/*.py",
-    ),
+    "patch_and_budget": ("radiometer/analysis/reading/*.py", "radiometer/statistics/*.py"),
     "response": (
         "radiometer/analysis/response/*.py",
         "radiometer/data/response_curve.py",
@@ -79,12 +76,24 @@ AREAS: dict[str, tuple[str, ...]] = {
     ),
     "alarms_and_networks": (
         "radiometer/adapters/*.py",
-        *(f"radiometer/daemon/{name}*.py" for name in ("alarm", "epics", "lateness", "light", "log", "mqtt", "whose")),
+        *(
+            f"radiometer/daemon/{name}*.py"
+            for name in ("alarm", "descr", "epics", "hub", "lateness", "light", "log", "mqtt")
+        ),
+        *(
+            f"radiometer/daemon/{name}*.py"
+            for name in ("bench", "instr", "mem", "metrics", "patch_book", "places", "s")
+        ),
     ),
-    "faces": ("radiometer/api/*.py", "radiometer/cli/*.py", "radiometer/cli/*/*.py"),
+    "faces": ("radiometer/*.py", "radiometer/api/*.py", "radiometer/cli/*.py", "radiometer/cli/*/*.py"),
     "cameras_and_worlds": (
         "drivers/cameras/*.py",
+        "simulators/*.py",
         *(f"simulators/{room}/*.py" for room in ("cameras", "chain", "displays", "observers", "scenes")),
     ),
-    "quality_and_exports": ("radiometer/analysis/quality/*.py", "radiometer/analysis/exports/*.py"),
+    "quality_and_exports": (
+        "radiometer/analysis/quality/*.py",
+        "radiometer/analysis/exports/*.py",
+        "radiometer/reporting/*.py",
+    ),
 }

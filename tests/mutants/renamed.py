@@ -44,7 +44,8 @@ def rename(paths: Sequence[Path], seed: int, count: int) -> list[str]:
     names = private_functions(list(texts.values()))
     drawn = random.Random(seed).sample(names, min(count, len(names)))
     for path, text in texts.items():
-        path.write_text(with_other_names(text, drawn), encoding="utf-8")
+        if any(name in text for name in drawn):
+            path.write_text(with_other_names(text, drawn), encoding="utf-8")
     return drawn
 
 

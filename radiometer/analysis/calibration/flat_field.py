@@ -16,9 +16,9 @@ from radiometer.statistics.model_choice import aicc
 from radiometer.statistics.scale import robust_sigma
 from radiometer.typing import Array
 
-_TILES_ACROSS = 32
-_FEWEST_TILES = 24
-_OUTLIER_SIGMA = 5.0
+_TILES_ACROSS = 32  # over the shorter side: a fall-off has no finer structure, and dust fills few of them
+_FEWEST_TILES = 24  # at least four values for each of at most six parameters
+_OUTLIER_SIGMA = 5.0  # of some thousand tiles of normal scatter none is so far off
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -17,7 +17,7 @@ from radiometer.statistics.jackknife import jackknife_u
 from radiometer.statistics.scale import robust_sigma
 
 _TILES: Final = 10
-_BIN_PX: Final = 0.25
+_BIN_PX: Final = 0.25  # ISO 12233: four bins a pixel
 _BLOCKS: Final = 8
 _PLATEAU_SHARE: Final = 0.2  # of the distance to the farthest pixel at either side
 _SOURCE_HEIGHT: Final = 0.1  # of the picture: what smear is stated for

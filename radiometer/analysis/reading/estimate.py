@@ -8,9 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from radiometer.analysis.reading.frames import PatchFrame
-from radiometer.analysis.signal.dark import DarkLevel
-from radiometer.analysis.signal.model import SignalModel
+from radiometer.analysis.signal.model import DarkLevel, PatchFrame, SignalModel
 from radiometer.statistics.model_choice import AKAIKE, FIVE_SIGMA, is_supported
 from radiometer.statistics.restricted_likelihood import common_deviance
 
@@ -114,18 +112,9 @@ def _variances(
     """Return per frame the expected signal and the variances of one pixel, of the curve and of the dark level."""
     expected = rate * exposures
     single = np.array([float(model.variance(x, f.settings)) for x, f in zip(expected, frames, strict=True)])
-    curve = np.array([curve_u_rel(model, f, x) for x, f in zip(expected, frames, strict=True)])
+    curve = np.array([model.curve_u_rel(x, f.settings) for x, f in zip(expected, frames, strict=True)])
     dark_u = np.array([np.hypot(d.u_independent, d.u_common) for d in dark])
     return expected, single, (curve * expected) ** 2, dark_u**2
-
-
-def curve_u_rel(model: SignalModel, frame: PatchFrame, expected: float) -> float:
-    """Return the response curve's relative standard uncertainty at an expected signal of a frame."""
-    return float(
-        model.at_dn(
-            model.u_rel, model.dn_of(expected, frame.settings) - model.black_of(frame.settings) + model.black_dn
-        )
-    )
 
 
 def _fluctuation(

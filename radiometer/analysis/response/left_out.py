@@ -7,8 +7,8 @@ import math
 import numpy as np
 
 from radiometer.analysis.response.basis import hat_weight
+from radiometer.analysis.response.noise import dn_at, slope_at, value_at
 from radiometer.analysis.response.samples import ResponseSamples
-from radiometer.analysis.response.weights import dn_at, slope_at, value_at
 from radiometer.typing import Array
 
 # ln of the least step of a camera's dial, a third of a stop. Photographs agree with their labels where one is predicted

@@ -11,18 +11,17 @@ from scipy.optimize import nnls
 
 from radiometer.analysis.response.basis import hat_weight
 from radiometer.analysis.response.limits import ValueLimits
-from radiometer.analysis.response.noise import LogNoise
+from radiometer.analysis.response.noise import LogNoise, group_residual, slope_at, value_at
 from radiometer.analysis.response.samples import ResponseSamples
-from radiometer.analysis.response.weights import group_residual, slope_at, value_at
 from radiometer.data.bracket import Bracket
 from radiometer.data.response_curve import ResponseCurve
 from radiometer.data.sensor_noise import SensorNoise
 from radiometer.errors import MeasurementError
 from radiometer.typing import Array
 
-_PIXELS: Final = 6000
-_FEWEST_ROWS: Final = 50
-_ROUNDS: Final = 6
+_PIXELS: Final = 6000  # noise parameters are then known to some per cent
+_FEWEST_ROWS: Final = 50  # fewer do not separate shot from read noise
+_ROUNDS: Final = 6  # of the weights, which follow the fitted noise
 # Rounding alone, in DN²: no stack is quieter.
 _ROUNDING_DN2: Final = 1.0 / 12.0
 # Electrons of a sensor whose shot noise a stack does not show: many enough to weigh nothing.

@@ -187,7 +187,7 @@ def _show_effect(number: int, effect: FoundEffect) -> None:
     tentative = " (provisional)" if effect.provisional else ""
     out.print(
         f"\n{number}. [bold]{effect.name}[/bold]{tentative} along {effect.where}, seen in {effect.block}: "
-        f"gap {effect.gap_before:.3f} → {effect.gap_after:.3f} ({effect.gain_nats:.0f} nats{weak})"
+        f"gap {effect.gap_before:.3f} → {effect.gap_after:.3f} ({effect.evidence}{weak})"
     )
     for name, entry in effect.parameters.items():
         shown = f"{entry.value:.6g}" if entry.u is None else f"{significant(entry.value, entry.u)} ± {entry.u:.2g}"
@@ -204,7 +204,8 @@ def _show_effect(number: int, effect: FoundEffect) -> None:
     if effect.closest:
         out.print(f"   closest effect: {effect.closest[0]}, which explains {100 * effect.closest[1]:.0f} % of it")
     if effect.alternatives:
-        out.print(f"   these data cannot separate it from: {', '.join(effect.alternatives)}")
+        together = f" ({effect.evidence_of_any})" if effect.evidence_of_any else ""
+        out.print(f"   these data cannot separate it from: {', '.join(effect.alternatives)}{together}")
         if any(entry.u is not None for entry in effect.parameters.values()):
             out.print("   each ± is conditional on this effect being the right one")
     if effect.next_capture:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 import radiometer as rm
-from radiometer.cli.arguments import ISO_HELP, parse_measured_iso, parse_patch, parse_seconds
+from radiometer.cli.arguments import ISO_HELP, parse_measured_iso, parse_patch, parse_radiance, parse_seconds
 from radiometer.cli.calibrate.report import show_report
 from radiometer.cli.console import note, progress
 from radiometer.cli.outputs import writes
@@ -26,7 +26,9 @@ def command(
     patch: Annotated[
         str | None, typer.Option(help="The known source: X,Y,W,H, or a patch name of the capture.")
     ] = None,
-    radiance: Annotated[float | None, typer.Option(help="Its radiance in W·sr⁻¹·m⁻².")] = None,
+    radiance: Annotated[
+        str | None, typer.Option(help="Its radiance in W·sr⁻¹·m⁻², or its calibration certificate (DCC, .xml).")
+    ] = None,
     luminance: Annotated[float | None, typer.Option(help="Its luminance in cd·m⁻², instead of the radiance.")] = None,
     u_rel: Annotated[float | None, typer.Option(min=0.0, help="Its relative standard uncertainty (k = 1).")] = None,
     meter_k: Annotated[
@@ -92,38 +94,16 @@ def command(
         raise UsageError("-o FILE is missing: name the file to write the calibration to")
     with progress(shown=not json) as shown:
         found = rm.calibrate(
-            capture,
-            out=out,
-            response=response,
-            patch=_patch(patch),
-            radiance=radiance,
+            capture, out=out, response=response, patch=_patch(patch), radiance=parse_radiance(radiance),
             luminance=luminance,
-            u_rel=u_rel,
-            luminance_meter_k=meter_k,
-            k_u_rel=k_u_rel,
-            f_number=f_number,
-            exposure_s=parse_seconds(exposure, "--exposure") if exposure else None,
-            iso=iso,
-            measured_iso=parse_measured_iso(measured_iso),
-            channel=channel,
-            pattern=pattern,
-            align=align,
-            reference_dn=reference_dn,
-            dynamic_range=[_region(word) for word in dynamic_range or ()],
-            as_printed=as_printed,
-            spectrum=spectrum,
-            black_level=black_level,
-            validity_days=validity_days,
-            spectral_response=spectral_response,
-            flat=flat,
-            flat_u_rel=flat_u_rel,
-            camera=camera,
-            bench=bench,
-            camera_file=camera_file,
-            model=model,
-            stated=dict(_stated(word) for word in stated or ()),
-            progress=shown,
-        )
+            u_rel=u_rel, luminance_meter_k=meter_k, k_u_rel=k_u_rel, f_number=f_number,
+            exposure_s=parse_seconds(exposure, "--exposure") if exposure else None, iso=iso,
+            measured_iso=parse_measured_iso(measured_iso), channel=channel, pattern=pattern, align=align,
+            reference_dn=reference_dn, dynamic_range=[_region(word) for word in dynamic_range or ()],
+            as_printed=as_printed, spectrum=spectrum, black_level=black_level, validity_days=validity_days,
+            spectral_response=spectral_response, flat=flat, flat_u_rel=flat_u_rel, camera=camera, bench=bench,
+            camera_file=camera_file, model=model, stated=dict(_stated(word) for word in stated or ()), progress=shown,
+        )  # fmt: skip
     for text in found.notes:
         note(text)
     print(found.to_json()) if json else show_report(found.to_mapping())

@@ -60,17 +60,10 @@ def command(
     started = time.monotonic()
     with progress() as shown:
         found = rm.recover_response(
-            paths,
-            method,
-            channel=channel,
-            known_ratio=parse_known_ratios(known_ratio),
-            measured_iso=parse_measured_iso(measured_iso),
-            align=align,
-            output=output,
-            plot=_plot_path(plot, output),
-            force=force,
-            progress=shown,
-        )
+            paths, method, channel=channel, known_ratio=parse_known_ratios(known_ratio),
+            measured_iso=parse_measured_iso(measured_iso), align=align, output=output, plot=_plot_path(plot, output),
+            force=force, progress=shown,
+        )  # fmt: skip
     for text in found.notes:
         note(text)
     if as_json:

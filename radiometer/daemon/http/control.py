@@ -15,10 +15,10 @@ from radiometer.daemon.metrics import CONTENT_TYPE
 from radiometer.daemon.station import Station
 from radiometer.errors import UsageError
 
-_MEASURING_DEADLINE_S: Final = 120.0
+_MEASURING_DEADLINE_S: Final = 120.0  # twice the time limit of a bracket
 _NUMBERS: Final = itertools.count(1)
-_CURVE_POINTS: Final = 512
-_FULL_SCALE_DN: Final = 4095
+_CURVE_POINTS: Final = 512  # about the pixels of the page's plot
+_FULL_SCALE_DN: Final = 4095  # 12 bits; the line is the same at any depth
 
 
 async def measure(request: web.Request) -> web.Response:

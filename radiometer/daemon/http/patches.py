@@ -18,10 +18,10 @@ from radiometer.daemon.timestamps import now_us, parse_moment
 from radiometer.data import Patch
 from radiometer.errors import UsageError
 
-_QUERY_DEADLINE_S: Final = 10.0
-_MOST_POINTS: Final = 5000
-_MOST_EVENTS: Final = 5000
-_COVERAGE_FACTOR: Final = 2.0
+_QUERY_DEADLINE_S: Final = 10.0  # what takes longer hinders the writer
+_MOST_POINTS: Final = 5000  # more than a screen has columns
+_MOST_EVENTS: Final = 5000  # more than a page can show
+_COVERAGE_FACTOR: Final = 2.0  # 95 %
 _TREND_QUERY: Final = (
     QueryParameter("stream", "string", "main (the default) or patch NAME."),
     QueryParameter("since", "string", "From this time on: ISO 8601, or an age such as 1h, 7d; 1h by default."),

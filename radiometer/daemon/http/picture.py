@@ -26,10 +26,10 @@ _QUERY: Final = (
     QueryParameter("bar", "boolean", "Draw the scale bar; on by default."),
 )
 _MAPS: Final = ("inferno", "grey", "red")
-_BAR_WIDTH: Final = 132
-_CLIPPED_RGB: Final = (64, 224, 255)
-_HATCH_PX: Final = 4
-_PERCENTILES: Final = (0.5, 99.8)
+_BAR_WIDTH: Final = 132  # pixels: the bar and its longest number
+_CLIPPED_RGB: Final = (64, 224, 255)  # cyan, which inferno and grey do not hold
+_HATCH_PX: Final = 4  # wide enough to be seen, in the red view, on a page at half size
+_PERCENTILES: Final = (0.5, 99.8)  # a few hot pixels or glints do not set the scale
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -22,7 +22,7 @@ from radiometer.errors import DeviceError, InputError, RadiometerError, SettingO
 _log = structlog.get_logger(__name__)
 Handler = Callable[[web.Request], Awaitable[web.StreamResponse]]
 LOOPBACK_HOSTS: Final = frozenset({"localhost", "127.0.0.1", "::1"})
-_BUCKETS: Final = 512
+_BUCKETS: Final = 512  # addresses counted at a time; those that have rested are forgotten first
 _TURNS: Final = 50  # at most so often a newcomer tries to get its turn
 _HEADERS: Final = {
     "Content-Security-Policy": "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' blob: data:;"

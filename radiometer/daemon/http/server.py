@@ -23,7 +23,7 @@ from radiometer.daemon.station import Station
 from radiometer.errors import OutputError, UsageError
 
 _log = structlog.get_logger(__name__)
-_KEEP_ALIVE_S: Final = 30.0
+_KEEP_ALIVE_S: Final = 30.0  # twice the heartbeat of a stream
 _PAGE: Final = {
     "/": ("index.html", "text/html"),
     "/page.css": ("page.css", "text/css"),

@@ -17,7 +17,7 @@ from radiometer.daemon.station import Station
 from radiometer.data import Patch, Reading
 
 GROUP: Final = "Measuring"
-_DEFAULT_PERIOD_S: Final = 1.0
+_DEFAULT_PERIOD_S: Final = 1.0  # as of `radiometer serve`
 ELEMENTS: Final = ("READing", "UNCertainty", "EXPanded", "COVerage", "TIME", "SEQuence", "FLAGs")
 
 

@@ -25,7 +25,7 @@ from radiometer.data import Flag, Patch, Reading
 from radiometer.errors import RadiometerError
 
 _log = structlog.get_logger(__name__)
-MEASURING_DEADLINE_S: Final = 120.0
+MEASURING_DEADLINE_S: Final = 120.0  # twice the time limit of a bracket
 _REPLY_BYTES: Final = Limits().reply_bytes
 _DEFAULT_ELEMENTS: Final = ("READing", "UNCertainty")
 _CALIBRATION_FLAGS: Final = {Flag.UNCALIBRATED, Flag.STALE_CALIBRATION}

@@ -15,8 +15,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from radiometer.reconciliation.measure.design import Design
-from radiometer.reconciliation.measure.layout import TileGroup
+from radiometer.reconciliation.measure.design import Design, TileGroup
 from radiometer.typing import Array, Mask
 
 _MOST_BINS: Final = 240  # rows of a large frame are gathered to so many

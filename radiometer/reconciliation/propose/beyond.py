@@ -21,13 +21,14 @@ from radiometer.errors import ConfigurationError
 from radiometer.reconciliation.fit.covariance import scatter_of
 from radiometer.reconciliation.fit.full_fit import UnfitError, included
 from radiometer.reconciliation.fit.state import FitState
+from radiometer.reconciliation.posterior import posterior_of
 from radiometer.reconciliation.propose.grammar import PLACES
 from radiometer.reconciliation.propose.proposal import Proposal
 from radiometer.reconciliation.propose.search import propose_law
-from radiometer.reconciliation.search.free_forms import worth
 from radiometer.reconciliation.search.free_laws import in_a_looser_form, nowhere_near
 from radiometer.reconciliation.search.localise import localise, significant
 from radiometer.reconciliation.search.outcome import Search, Step
+from radiometer.reconciliation.search.score import worth
 from radiometer.reconciliation.thresholds import NAMED_NATS, RIVAL_NATS, SMOOTH_SHARE
 from radiometer.reconciliation.verdict import acting_as_others, doubts_of, leaves_structure
 from simulators.effects.catalogue import CatalogueEffect
@@ -49,7 +50,11 @@ def held_to_laws(
     effects = outcome.state.effects
     if not effects:
         return outcome
-    stays = len(effects) > 1 or leaves_structure(outcome) or bool(doubts_of(outcome))
+    stays = (
+        len(effects) > 1
+        or leaves_structure(outcome)
+        or bool(doubts_of(outcome, posterior_of(outcome.state, catalogue)))
+    )
     along = () if stays else own_covariates(effects[0])
     law = propose_law(outcome.start, along=along, most=nowhere_near(outcome.start, outcome.state))
     if law is None:

@@ -171,7 +171,8 @@ def _evidence(effect: FoundEffect) -> str:
         return said
     closed = f" With it the gap falls from {effect.gap_before:.3g} to {effect.gap_after:.3g}"
     weak = "; that is little: repeat the captures" if _is_weak(effect) else ""
-    return f"{said}{closed}, and settings left out are predicted better by {effect.gain_nats:.0f} nats{weak}."
+    known = f" Its {effect.evidence}." if effect.probability is not None else ""
+    return f"{said}{closed}, and settings left out are predicted better by {effect.gain_nats:.0f} nats{weak}.{known}"
 
 
 def _effect_picture(effect: FoundEffect, entry: CatalogueEffect | None, reconciled: Reconciled) -> str:
@@ -223,8 +224,9 @@ def _rivals(effect: FoundEffect) -> str:
     if not effect.alternatives:
         return closest
     others = listed([f"{name}.{_in_words(name)}" for name in effect.alternatives])
+    together = f" ({effect.evidence_of_any})" if effect.evidence_of_any else ""
     only = "Each ± is conditional on this effect being the right one."
-    return f"{closest}{paragraph('These data cannot separate it from:')}{others}{paragraph(only, 'small')}"
+    return f"{closest}{paragraph(f'These data cannot separate it from{together}:')}{others}{paragraph(only, 'small')}"
 
 
 def _in_words(name: str) -> str:

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 import radiometer as rm
-from radiometer.analysis.reading import outside, reading
+from radiometer.analysis.reading import budget, reading
 from radiometer.cli.main import run
 from tests.unit.api.test_dark_frames import CAMERA, LENS, calibration
 from tests.unit.photographs.test_one_path import TIMES_S, photographs, scene
@@ -99,7 +99,7 @@ def test_the_command_prints_what_the_function_returns(name, desk, monkeypatch, c
     monkeypatch.chdir(desk)
     # The age of a calibration goes on between two calls: it is taken as of one moment.
     moment = dt.datetime.now(dt.UTC)
-    monkeypatch.setattr(outside, "dt", _Stopped(moment))
+    monkeypatch.setattr(budget, "dt", _Stopped(moment))
     monkeypatch.setattr(reading, "dt", _Stopped(moment))
     words, function = CASES[name]
     capsys.readouterr()

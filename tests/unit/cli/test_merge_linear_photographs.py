@@ -219,7 +219,9 @@ def test_an_amplified_photograph_clips_where_the_others_do():
     assert np.sqrt(np.mean(z**2)) == pytest.approx(1.0, abs=0.1)
 
 
-@pytest.mark.parametrize(("end", "highest", "depth"), [(4095, 4095, 12), (4000, 4000, 16), (4095, 9000, 16)])
+@pytest.mark.parametrize(
+    ("end", "highest", "depth"), [(4095, 4095, 12), (511, 511, 9), (255, 255, 16), (4000, 4000, 16), (4095, 9000, 16)]
+)
 def test_photographs_have_the_bits_that_their_numbers_have(end, highest, depth):
     """12 where they gather at 4095 and none is above; where they end at another number they stay as they are."""
     light = np.arange(100, 6100, dtype=np.uint16).reshape(60, 100)

@@ -19,7 +19,7 @@ from astropy.io import fits
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from radiometer.analysis.photometry.spectra import spectrum_from_csv
+from radiometer.analysis.photometry.photometry import spectrum_from_csv
 from radiometer.errors import RadiometerError
 from radiometer.importing import import_sources, statistics_of
 from radiometer.importing.photograph_times import read_exif, read_list

@@ -9,7 +9,7 @@ import pytest
 
 from radiometer.analysis.merge.bracket import StreamingMerge, merge
 from radiometer.analysis.merge.frames import frame_terms
-from radiometer.analysis.merge.moments import mixture
+from radiometer.analysis.merge.tables import mixture
 from radiometer.analysis.signal.situation import situation_of
 from radiometer.data import (
     BlackLevel,

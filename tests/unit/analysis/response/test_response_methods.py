@@ -5,9 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from radiometer.analysis.response.compare import compare_methods
 from radiometer.analysis.response.linear_spline import recover_response_linear_spline
-from radiometer.analysis.response.methods import DEFAULT_METHOD, METHODS, method_names
+from radiometer.analysis.response.methods import DEFAULT_METHOD, METHODS, compare_methods, method_names
 from radiometer.analysis.response.mitsunaga1999 import recover_response_mitsunaga1999
 from radiometer.data import Bracket, Frame, FrameSettings
 from radiometer.errors import InputError, MeasurementError, UsageError
@@ -154,7 +153,7 @@ def test_choice_all_names_every_method():
 
 def test_a_polynomial_that_explains_nothing_is_refused(make_stack, monkeypatch):
     """A curve that is flat makes all frames agree, with u near 0: that is an error, not a response."""
-    from radiometer.analysis.response.polynomial import Polynomial
+    from radiometer.analysis.response.mitsunaga1999 import Polynomial
 
     monkeypatch.setattr(Polynomial, "log_curve", lambda self: np.zeros(256))
     with pytest.raises(MeasurementError, match="mitsunaga1999 finds no response"):
@@ -164,7 +163,7 @@ def test_a_polynomial_that_explains_nothing_is_refused(make_stack, monkeypatch):
 @pytest.mark.slow
 def test_a_polynomial_off_the_first_estimate_owns_up_to_it(make_stack, monkeypatch):
     """Bent by a fifth against Debevec and Malik's curve, its u holds most of that fifth."""
-    from radiometer.analysis.response.polynomial import Polynomial
+    from radiometer.analysis.response.mitsunaga1999 import Polynomial
 
     plain = Polynomial.log_curve
 

@@ -83,8 +83,8 @@ def test_frames_carry_settings_temperature_and_simulated_time(camera: SimulatedC
         ({"black_level_dn": 512.0}, r"black level 512 DN is out of range; allowed is 0 to 511 DN"),
         ({"pixel_format": "Mono8", "black_level_dn": 64.0}, r"black level 64 DN is out of range; allowed is 0 to 31"),
         ({"binning": 5}, r"binning 5 px is out of range; allowed is 1 to 4 px"),
-        ({"roi": Roi(60, 0, 8, 8)}, r"roi width 8 px is out of range; allowed is 1 to 4 px"),
-        ({"roi": Roi(0, 99, 8, 8)}, r"roi y 99 px is out of range; allowed is 0 to 47 px"),
+        ({"roi": Roi(60, 0, 8, 8)}, r"ROI width 8 pixels is out of range; allowed is 1 to 4 pixels"),
+        ({"roi": Roi(0, 99, 8, 8)}, r"ROI top 99 pixels is out of range; allowed is 0 to 47 pixels"),
     ],
 )
 def test_what_is_out_of_range_is_refused_and_nothing_changes(
