@@ -29,7 +29,7 @@ from radiometer.data import Patch, Quantity, RadianceMap
 from radiometer.data.drawing import new_axes, picture
 from radiometer.data.storage import write_text_atomic
 from radiometer.errors import UsageError
-from radiometer.reporting.numbers import unit_text, with_u
+from radiometer.numbers import unit_text, with_u
 from radiometer.reporting.page import listed, page, section, table
 from radiometer.typing import Array
 

@@ -73,8 +73,9 @@ def doubts_of(
         alternatives: What these data cannot separate from each name; by default the rivals of its step.
     """
     state, effects = outcome.state, outcome.state.effects
-    alike = {step.name: [rival.name for rival in step.rivals] for step in outcome.steps}
-    alike = alike if alternatives is None else dict(alternatives)
+    alike: Mapping[str, Collection[str]] = alternatives or {
+        step.name: [rival.name for rival in step.rivals] for step in outcome.steps
+    }
     said = [f"{name} is fitted at the end of its range: the data contain something else" for name in _at_bound(state)]
     said += [
         f"{name} has a probability of {probability:.2f}, its alternatives included: other models predict as well"

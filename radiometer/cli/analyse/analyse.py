@@ -13,7 +13,7 @@ from radiometer.cli.console import console, note
 from radiometer.cli.options import JsonOption, ReportOption
 from radiometer.cli.outputs import writes
 from radiometer.errors import UsageError
-from radiometer.reporting.numbers import unit_text, with_u
+from radiometer.numbers import unit_text, with_u
 
 if TYPE_CHECKING:
     from radiometer import MapAnalysis, Patch

@@ -20,8 +20,7 @@ from radiometer.reconciliation.fit.linear import LinearFit
 from radiometer.reconciliation.fit.state import FitState
 from radiometer.reconciliation.model.tile_context import from_grid, rise_of
 from radiometer.reconciliation.propose.grammar import FORMS, PER_FRAME, PLACES, Term
-from radiometer.reconciliation.propose.law import Law
-from radiometer.reconciliation.propose.law_effect import effect_of
+from radiometer.reconciliation.propose.law import Law, effect_of
 from radiometer.reconciliation.statistics import STATISTICS
 from radiometer.reconciliation.thresholds import PARAMETER_NATS
 from radiometer.typing import Array

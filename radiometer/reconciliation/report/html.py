@@ -174,7 +174,7 @@ def _evidence(effect: FoundEffect) -> str:
         return said
     closed = f" With it the gap falls from {effect.gap_before:.3g} to {effect.gap_after:.3g}"
     weak = "; that is little: repeat the captures" if _is_weak(effect) else ""
-    known = f" Its {effect.evidence}." if effect.probability is not None else ""
+    known = f" {effect.evidence.capitalize()}." if effect.probability is not None else ""
     return f"{said}{closed}, and settings left out are predicted better by {effect.gain_nats:.0f} nats{weak}.{known}"
 
 
