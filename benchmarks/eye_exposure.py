@@ -19,8 +19,9 @@ FIRMWARE = ROOT / "drivers" / "firmware" / "light_box"
 FIRST_SEED = 100_000
 PART = 250
 ABOUT = (
-    "Each sequence is 30 events at a desk with two boxes and two eyes. Programs give light, are killed at any step on"
-    " the line or the disk, and take the longest pulse that is not refused. Cables are pulled, answers get lost, boxes"
+    "Each sequence is 30 events at a desk with two boxes and two eyes. Programs name an eye, state that none looks, or"
+    " name none, and then any eye may look. They give light, are killed at any step on the line or the disk, and take"
+    " the longest pulse that is not refused. Cables are pulled, answers get lost, boxes"
     " and computer restart, the clock is set wrong, the account is deleted or damaged. What an eye receives is"
     " integrated from the outputs of the boxes, for the brightest box that the preset allows. A tenth of the limit is"
     " promised."

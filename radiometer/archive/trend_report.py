@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from radiometer.archive.trend import MONTH_S, Trend
-from radiometer.reporting.numbers import unit_text, with_u
+from radiometer.numbers import unit_text, with_u
 from radiometer.reporting.page import folded, heading, listed, page, paragraph, section, table
 from radiometer.reporting.pictures import (
     BEFORE,

@@ -83,7 +83,10 @@ def read_tiff_pixels(path: Path, part: int) -> NDArray[Any]:
         page = _full_size(tiff)[0][part][0]
         _refuse_cut_short(path, page, tiff.filehandle.size)
         refuse_size(path, page.shape, page.dtype.itemsize)
-        values = _with_pillow(path, page) if page.compression in _OF_PILLOW else page.asarray()
+        if page.compression in _OF_PILLOW:
+            values = _with_pillow(path, page.dataoffsets[0]).astype(page.dtype, copy=False)
+        else:
+            values = page.asarray()
     return np.asarray(values[..., 0] if values.ndim == 3 and values.shape[-1] == 1 else values)
 
 
@@ -92,14 +95,15 @@ _OF_PILLOW: Final = (2, 3, 4, 5, 7)
 _STRIPS, _TILES = 273, 324  # where the data of a directory begin
 
 
-def _with_pillow(path: Path, page: Any) -> NDArray[Any]:
+@bounded_reader(apart="PIL")
+def _with_pillow(path: Path, data_begin: int) -> NDArray[Any]:
     """Return the values of a directory that Pillow decodes; it is found by where its data begin."""
     image: Any
     with Image.open(io.BytesIO(read_bytes(path))) as image:
         for number in range(getattr(image, "n_frames", 1)):
             image.seek(number)
-            if image.tag_v2.get(_STRIPS, image.tag_v2.get(_TILES, (None,)))[0] == page.dataoffsets[0]:
-                return np.asarray(image).astype(page.dtype, copy=False)
+            if image.tag_v2.get(_STRIPS, image.tag_v2.get(_TILES, (None,)))[0] == data_begin:
+                return np.asarray(image)
     raise CaptureError(f"{path}: a directory of this compression is within another; save it without compression")
 
 

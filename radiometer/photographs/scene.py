@@ -46,6 +46,7 @@ from radiometer.photographs.response import (
     with_offset_of_response,
 )
 from radiometer.photographs.stated import iso_speeds, with_f_number, with_gains, with_iso, with_iso_in_map
+from radiometer.progress import Progress, unseen
 
 # The offset of a shutter that photographs did not show. The travel of one curtain against the other is adjusted to
 # 0.1 ms (`analysis.response.shutter_offset` names the source), taken as a rectangle: 6 % (k = 1) at 1/1000 s.
@@ -113,16 +114,17 @@ class Photographs:
         """Return a lattice of pixels that is enough for a response."""
         return self.each(lambda one: one.thinned(ENOUGH_PIXELS))
 
-    def placed(self, align: str = "auto") -> Photographs:
+    def placed(self, align: str = "auto", progress: Progress = unseen) -> Photographs:
         """Return the photographs in the place of that which shows most of the scene.
 
         Args:
             align: "auto" moves them where they need it, "on" always, "off" never looks.
+            progress: Called after every photograph.
 
         Raises:
             UsageError: If it is none of these.
         """
-        found = in_one_place(list(self.brackets.values()), align)
+        found = in_one_place(list(self.brackets.values()), align, progress)
         names = list(self.brackets)
         return replace(
             self,
@@ -166,6 +168,7 @@ def prepared(
     f_number: float | None = None,
     align: str = "auto",
     map_path: Path | None = None,
+    progress: Progress = unseen,
 ) -> Photographs:
     """Return photographs in one place with gains, response and exposure times, ready to be merged or read.
 
@@ -182,6 +185,7 @@ def prepared(
         f_number: f-number of photographs that state none.
         align: "auto", "on" or "off".
         map_path: Keep a recovered response next to this file; None keeps none.
+        progress: Called as they are aligned, and when their response is recovered.
 
     Raises:
         CalibrationError: If photographs and calibration do not go together.
@@ -197,7 +201,7 @@ def prepared(
             of_speed = require_photograph(calibration, bracket.light[0])
     elif linear:
         taken = _in_their_own_depth(taken)
-    taken = taken.placed(align)
+    taken = taken.placed(align, progress)
     if calibration is not None:
         held = calibration.found.exposure_offset_s != 0.0  # a model's offset takes the place of the response's
         timed = with_offset(taken, {} if held else dict.fromkeys(taken.brackets, calibration.response))
@@ -207,6 +211,7 @@ def prepared(
         return with_offset(replace(taken, curves={k: v for k, v in given.items() if v is not None}), given)
     if linear or taken.are_raw:
         return _linear(taken)
+    progress("recovering the response", 0, None)
     return _recovered(taken, map_path)
 
 
@@ -351,6 +356,7 @@ def merge_photographs(
     flat: FlatField | None = None,
     *,
     keep_ghosts: bool = False,
+    progress: Progress = unseen,
 ) -> dict[str, RadianceMap]:
     """Return the radiance maps of prepared photographs by channel.
 
@@ -359,13 +365,15 @@ def merge_photographs(
         calibration: The calibration that they were prepared with; None for relative values.
         flat: Fall-off to take out.
         keep_ghosts: Average what moved instead of taking it from the frames that agree.
+        progress: Called before every channel.
 
     Raises:
         CalibrationError: If the calibration does not fit.
         MeasurementError: If frames do not belong together.
     """
     maps = {}
-    for name, bracket in photographs.brackets.items():
+    for done, (name, bracket) in enumerate(photographs.brackets.items()):
+        progress("merging", done, len(photographs.brackets))
         curve = photographs.curves.get(name)
         if calibration is not None:
             known, displacement = calibration, displacement_of(bracket, calibration.response)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import json
 import secrets
 import threading
 from collections.abc import Callable, Coroutine
@@ -12,6 +11,7 @@ from typing import Any, Final, Protocol, TypeVar
 
 from aiohttp import WSMsgType, web
 
+from radiometer.data.json_text import parsed_json
 from radiometer.errors import DeviceError, DeviceInUse, RadiometerError
 
 _HEADERS: Final = {
@@ -149,7 +149,7 @@ class LoopbackServer:
 def _mapping(text: str) -> Message | None:
     """Return the JSON object in a text; None for anything else: a stranger's nonsense is not answered."""
     try:
-        message = json.loads(text)
+        message = parsed_json(text)
     except ValueError:
         return None
     return message if isinstance(message, dict) else None

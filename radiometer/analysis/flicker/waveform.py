@@ -8,15 +8,13 @@ from pathlib import Path
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.fft import next_fast_len, rfft, rfftfreq
 from scipy.optimize import minimize_scalar
 
 from radiometer.data.statements import StatementMap, is_unknown
 from radiometer.data.text_table import TextTable, finite, read_table
 from radiometer.errors import InputError
-
-Array = NDArray[np.float64]
+from radiometer.typing import Array
 
 FEWEST_SAMPLES: Final = 32
 _TIME_NAMES: Final = ("time", "t", "timestamp", "seconds", "x", "second")

@@ -13,8 +13,14 @@ from typing import Final
 
 import numpy as np
 
-from radiometer.analysis.photometry.photometry import KM_LM_PER_W, holds_visible_light, luminous_efficiency
-from radiometer.analysis.photometry.spectra import Spectrum, spectrum, table
+from radiometer.analysis.photometry.photometry import (
+    KM_LM_PER_W,
+    Spectrum,
+    holds_visible_light,
+    luminous_efficiency,
+    spectrum,
+    table,
+)
 from radiometer.data import Quantity
 from radiometer.errors import InputError
 

@@ -81,7 +81,7 @@ class MeterReconciled:
             for row in self.rows
         )
         said = "".join(f"<p>{text}</p>" for text in self.result.extra.get("remarks", []))
-        head = "<tr><th>source</th><th>cd/m²</th><th>f</th><th>s</th><th>K printed</th><th>K exact</th></tr>"
+        head = "<tr><th>source</th><th>cd·m⁻²</th><th>f</th><th>s</th><th>K printed</th><th>K exact</th></tr>"
         write_text_atomic(
             path,
             "<!doctype html><html lang='en'><meta charset='utf-8'><title>light meter</title>"

@@ -47,15 +47,10 @@ _OUTSIDE: Final = 3.0  # ranges of a covariate by which a place or a time may be
 
 @dataclass(frozen=True, slots=True)
 class Law:
-    """A link of the chain and one or two terms that are multiplied.
+    """A link of the chain and one or two terms that are multiplied."""
 
-    Attributes:
-        link: Key of the link.
-        terms: The terms; none for a constant.
-    """
-
-    link: str
-    terms: tuple[Term, ...] = ()
+    link: str  # key of the link
+    terms: tuple[Term, ...] = ()  # the terms; none for a constant
 
     @property
     def amplitude(self) -> str:

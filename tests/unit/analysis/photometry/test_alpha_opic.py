@@ -7,10 +7,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from radiometer.analysis.photometry.spectra import Spectrum, spectrum, table
 
 import radiometer as rm
 from radiometer.analysis.photometry.alpha_opic import RECEPTORS, SpectrumDoubt, alpha_opic_quantities
+from radiometer.analysis.photometry.photometry import Spectrum, spectrum, table
 from radiometer.data import Quantity
 from radiometer.errors import InputError, UsageError
 
