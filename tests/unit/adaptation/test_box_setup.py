@@ -200,4 +200,4 @@ def test_box_whose_red_light_stands_elsewhere_says_that_fixation_is_not_checked(
 
 def test_spot_of_a_channel_that_stands_elsewhere_is_refused(quick: AdaptationProtocol) -> None:
     """The red channel of the reference box stands in the blind spot: nobody would see it as a test spot."""
-    assert "stands 15.6° from it" in str(refusal(changed(quick, "spot", channel="spot_red", peak_nm=640.0)))
+    assert "is 15.6° from it" in str(refusal(changed(quick, "spot", channel="spot_red", peak_nm=640.0)))
