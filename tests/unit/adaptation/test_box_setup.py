@@ -187,7 +187,7 @@ def _preset(path: Path, text: str) -> Path:
 
 @pytest.mark.parametrize(
     ("stated", "why"),
-    [("", "states no `place`"), (", place: {temporal_deg: 5, below_deg: 0}", "stands 5° temporal")],
+    [("", "states no `place`"), (", place: {temporal_deg: 5, below_deg: 0}", "is 5° temporal")],
 )
 def test_box_whose_red_light_stands_elsewhere_says_that_fixation_is_not_checked(
     tmp_path: Path, quick: AdaptationProtocol, stated: str, why: str
