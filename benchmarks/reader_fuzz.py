@@ -25,7 +25,7 @@ def run(files: int, seed: int) -> list[tuple[str, ...]]:
     def limit() -> None:
         resource.setrlimit(resource.RLIMIT_DATA, (_MOST_BYTES, _MOST_BYTES))
 
-    found = []
+    found = list[tuple[str, ...]]()
     with tempfile.TemporaryDirectory() as folder:
         command = [sys.executable, str(_SCRIPT), folder, str(files), str(seed)]
         with subprocess.Popen(command, preexec_fn=limit, stdout=subprocess.PIPE, text=True, cwd=ROOT) as process:
@@ -38,22 +38,32 @@ def run(files: int, seed: int) -> list[tuple[str, ...]]:
     return found
 
 
+def table(found: list[tuple[str, ...]]) -> str:
+    """Return the figures of all kinds in a row, for the page."""
+    shares = [100 * int(refused) / int(count) for _, count, refused, *_ in found]
+    row = [
+        ", ".join(kind for kind, *_ in found),
+        str(sum(int(count) for _, count, *_ in found)),
+        f"{min(shares):.0f} to {max(shares):.0f} %",
+        str(sum(int(faults) for *_, faults, _, _ in found)),
+        f"{max(float(longest_s) for *_, longest_s, _ in found):.1f} s",
+        f"{max(int(peak_mb) for *_, peak_mb in found)} MB",
+    ]
+    return (
+        "Each reader gets files that none may stumble over (unpacking bombs, loops, nesting, noise), then good files"
+        " with one to four damages. Refused means with one line of our own. A fault is anything else: a traceback, a"
+        " crash, two lines. One process reads them all and may take 1 GB; so may the one that reads apart. The time is"
+        " processor time of both.\n\n| kinds | files | refused, by kind | faults | longest | peak memory |\n"
+        f"|---|---|---|---|---|---|\n| {' | '.join(row)} |\n"
+    )
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--files", type=int, default=FILES)
     parser.add_argument("--seed", type=int, default=SEED)
     options = parser.parse_args()
-    rows = [
-        f"| {kind} | {count} | {100 * int(refused) / int(count):.0f} % | {faults} | {longest_s} s | {peak} MB |\n"
-        for kind, count, refused, faults, longest_s, peak in run(options.files, options.seed)
-    ]
-    body = (
-        "Each reader gets files that none may stumble over (unpacking bombs, loops, nesting, noise), then good files"
-        " with one to four damages. Refused means with one line of our own. A fault is anything else: a traceback, a"
-        " crash, two lines. One process reads them all and may take 1 GB; so may the one that reads apart. The time is"
-        " processor time of both.\n\n| kind | files | refused | faults | longest | peak memory so far |\n"
-        "|---|---|---|---|---|---|\n" + "".join(rows)
-    )
+    body = table(run(options.files, options.seed))
     print(body)
     write_section("reader-fuzz", "Readers fuzzed", "python -m benchmarks reader_fuzz", body)
 

@@ -30,7 +30,7 @@ from radiometer.devices.exposure_ledger import ExposureLedger
 from radiometer.devices.light_box import CurrentRange, DriveLevel
 from radiometer.devices.retinal_safety import ChannelOptics
 from radiometer.errors import DeviceInUse, DeviceLost, RadiometerError, UnsafeStimulus
-from simulators.light_box.box import LightBoxTwin, TwinSettings
+from simulators.light_box.box import SimulatedBoxSettings, SimulatedLightBox
 from testing.firmware_board import FirmwareBox, build, rested_memory
 
 PROMISED: Final = 0.1
@@ -142,12 +142,12 @@ class TwinHardware:
     serial: str
     clock_ppm: float
     look: Look
-    twin: LightBoxTwin = field(init=False)
+    twin: SimulatedLightBox = field(init=False)
     _since_s: float = 0.0
     _radiances: dict[str, float] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        self.twin = LightBoxTwin(TwinSettings(serial=self.serial, clock_ppm=self.clock_ppm))
+        self.twin = SimulatedLightBox(SimulatedBoxSettings(serial=self.serial, clock_ppm=self.clock_ppm))
         self.twin.watch = self._watch
 
     def receive(self, raw: bytes, time_s: float) -> None:

@@ -216,7 +216,7 @@ def derived_quantities(fit_values: Mapping[str, float], fit: BranchFit, criterio
     """Return final threshold, area under the curve and, at a criterion, the time at which it is met.
 
     The area under the dark-adaptation curve (AUDAC) is that between the curve and its final threshold, from the first
-    to the last threshold, in log10·min; the times at which it begins and is cut come with it. The intercept is where
+    to the last threshold, in log10·min. The times at which it begins and is cut come with it. The intercept is where
     the S2 line, prolonged where needed, or a single branch crosses the criterion.
     """
     times = fit.series.time_min

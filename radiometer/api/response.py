@@ -24,7 +24,7 @@ from radiometer.data.iso_speeds import IsoSpeeds
 from radiometer.data.storage import check_outputs
 from radiometer.errors import MeasurementError, UsageError
 from radiometer.photographs.response import ENOUGH_PIXELS
-from radiometer.photographs.scene import Photographs, refuse_lying_photographs
+from radiometer.photographs.scene import Photographs, reject_inconsistent_photographs
 from radiometer.photographs.stated import with_gains, with_iso_speeds
 from radiometer.progress import unseen
 
@@ -244,7 +244,7 @@ def _read(
         taken, by_hand = stack.as_photographs(), stack.photographs
     if by_hand:
         taken = taken.thinned().each(lambda one: with_gains(one, IsoSpeeds(measured_iso)))
-    refuse_lying_photographs(taken)
+    reject_inconsistent_photographs(taken)
     placed = taken.placed(align if by_hand else "off", progress or unseen)  # a camera on a bench stands still
     if placed.absent:
         note(f"{taken.folder}: {placed.alignment}")

@@ -120,7 +120,8 @@ def advice(ordered: Sequence[Trend]) -> list[str]:
             )
         elif trend.verdict == "season_or_drift":
             said.append(
-                f"{trend.patch}: measure until {_day(trend.told_from_s)[:10]}, a year and a half after the first one: "
+                f"{trend.patch}: measure until {_day(trend.decided_from_s)[:10]}, a year and a half after the "
+                "first one: "
                 "that separates a season from a drift. Or keep temperature and ambient light steady."
             )
         else:

@@ -37,7 +37,7 @@ from radiometer.errors import (
     InputError,
     UsageError,
 )
-from simulators.light_box.box import LightBoxTwin, TwinSettings
+from simulators.light_box.box import SimulatedBoxSettings, SimulatedLightBox
 from simulators.light_box.virtual_line import VirtualLine
 
 SIMULATED: Final = "sim"
@@ -120,7 +120,7 @@ class OpenedBox:
     config: LightBoxConfig  # its preset
     calibration: LightCalibration | None  # its calibration; None where there is none
     wait: Callable[[float], None]  # lets a time in s pass while the box is kept lit
-    twin: LightBoxTwin | None = None  # the simulated box behind it; None for a real one
+    twin: SimulatedLightBox | None = None  # the simulated box behind it; None for a real one
 
 
 def read_preset(path: Path | None = None) -> LightBoxConfig:
@@ -417,7 +417,7 @@ def nothing_answers(serial: str | None, held: Sequence[str] = ()) -> str:
 
 
 def _simulated(config: LightBoxConfig) -> OpenedBox:
-    twin = LightBoxTwin(TwinSettings(serial=SIMULATED_SERIAL))
+    twin = SimulatedLightBox(SimulatedBoxSettings(serial=SIMULATED_SERIAL))
     line = VirtualLine(twin, latency_s=0.0003)
     ledger = ExposureLedger(config.optics, MemoryStore(line.now, (SIMULATED_SERIAL,)), config.allowed_fraction)
     flash = config.flash.light if config.flash else None

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from radiometer.bench.boxes import LightBoxConfig
-from simulators.light_box.box import LightBoxTwin
+from simulators.light_box.box import SimulatedLightBox
 from simulators.observers.behaviours import behaviour_of
 from simulators.observers.observer import Observer
 from simulators.observers.observer_at_box import ObserverAtBox
@@ -17,7 +17,7 @@ def places_of(preset: LightBoxConfig) -> dict[str, tuple[float, float]]:
     return {name: (c.place.temporal_deg, -c.place.below_deg) for name, c in known.items() if c.place is not None}
 
 
-def seat_subject(twin: LightBoxTwin, behaviour: str, seed: int, filter_density: float) -> ObserverAtBox:
+def seat_subject(twin: SimulatedLightBox, behaviour: str, seed: int, filter_density: float) -> ObserverAtBox:
     """Seat a simulated subject before a simulated box and return it.
 
     Args:

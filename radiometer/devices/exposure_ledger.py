@@ -52,7 +52,7 @@ class ExposureLedger:
 
     All channels count as falling on the same place of the retina, a blinking channel as bright for the planned time,
     and a ramp as the higher of its two levels for its whole time. Light that no eye was named for counts for every eye,
-    so that an eye that goes from box to box gets no more than an eye that stays.
+    so that an eye that changes the box gets at most as much as an eye that stays.
     """
 
     optics: Mapping[str, ChannelOptics]  # optics of each channel

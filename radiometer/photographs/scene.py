@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from radiometer.analysis.calibration.shared import require_photograph
 from radiometer.analysis.exports.curves import FILE_METHOD, read_curves
 from radiometer.analysis.merge.bracket import merge
-from radiometer.analysis.response.labels import refuse_lying_labels
+from radiometer.analysis.response.labels import reject_inconsistent_exposures
 from radiometer.data import (
     Bracket,
     Calibration,
@@ -37,11 +37,11 @@ from radiometer.photographs.response import (
     displacement_of,
     in_their_own_depth,
     linear_doubt,
-    offset_told,
+    offset_in_words,
     recovered_curves,
     relative_calibration,
     shutter_offset_of,
-    with_displacement_told,
+    with_displacement_stated,
     with_found_times,
     with_offset_of_response,
 )
@@ -147,14 +147,14 @@ class Photographs:
         return replace(bracket, light=tuple(light))
 
 
-def refuse_lying_photographs(photographs: Photographs) -> None:
+def reject_inconsistent_photographs(photographs: Photographs) -> None:
     """Refuse photographs whose brightness contradicts their exposures.
 
     Raises:
         MeasurementError: If they do; with the names.
     """
     for bracket in photographs.brackets.values():
-        refuse_lying_labels(bracket)
+        reject_inconsistent_exposures(bracket)
 
 
 def prepared(
@@ -232,7 +232,7 @@ def _recovered(photographs: Photographs, map_path: Path | None) -> Photographs:
     notes: list[str] = []
     curves, files = recovered_curves(list(photographs.common.values()), map_path, notes.append)
     brackets = {name: with_found_times(one, curves[name]) for name, one in photographs.brackets.items()}
-    told = {name: offset_told(curve) for name, curve in curves.items()}
+    told = {name: offset_in_words(curve) for name, curve in curves.items()}
     assumed = {name: (text or times_as_stated(photographs),) for name, text in told.items()}
     return replace(photographs, brackets=brackets, curves=curves, assumed=assumed, files=tuple(files)).noted(*notes)
 
@@ -389,7 +389,7 @@ def merge_photographs(
             displacement_px=displacement.px if displacement else 0.0,
             doubt_exposures=True,
         )
-        found = with_iso_in_map(with_displacement_told(found, displacement), bracket.light)
+        found = with_iso_in_map(with_displacement_stated(found, displacement), bracket.light)
         further = (*_assumed_of(curve, name), *photographs.assumed.get(name, ()))
         origin = found.provenance
         maps[name] = replace(found, provenance=replace(origin, assumptions=(*origin.assumptions, *further)))

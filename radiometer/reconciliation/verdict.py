@@ -92,7 +92,7 @@ def doubts_of(
     ]
     said += [
         f"{name} improves the prediction little; it may be another effect or the residual of one"
-        for name in faint_beside_others(outcome.steps, effects)
+        for name in insignificant_next_to_others(outcome.steps, effects)
     ]
     said += [
         f"{name} is not exactly the law that the data follow: a residual remains where it acts"
@@ -421,7 +421,7 @@ def below_least(effects: Sequence[CatalogueEffect]) -> list[str]:
     ]
 
 
-def faint_beside_others(steps: Sequence[Step], effects: Sequence[CatalogueEffect]) -> list[str]:
+def insignificant_next_to_others(steps: Sequence[Step], effects: Sequence[CatalogueEffect]) -> list[str]:
     """Return the names that bring little where another entry might absorb them, or where others bring more.
 
     What is left of a law that is not quite the one that was named looks like one more effect, but a faint one.

@@ -151,7 +151,7 @@ def waveform_of_rows(
         origin: What the frame is called.
         black_dn: Black level.
         flat: Digital numbers of the same field under steady light (or a mean of many frames), same shape; it takes the
-            fall-off away. Without it a parabola over the rows is taken for the fall-off.
+            fall-off away. Without it the fall-off is assumed to be a parabola over the rows.
         u_black_dn: Standard uncertainty of the black level.
 
     Raises:

@@ -207,7 +207,7 @@ def telling(estimate: ResponseEstimate, where: str) -> ResponseEstimate:
         return estimate if stops >= _NARROW_STOPS else replace(estimate, notes=(*estimate.notes, _narrow(stops)))
     raise MeasurementError(
         f"{where or 'the frames'}: no response follows from these frames: between {low} and {high} DN "
-        f"they give {stops:.3g} stops of exposure, ln H known to {u:.2g} (k = 1); check that the pictures differ as "
+        f"they give {stops:.3g} stops of exposure, ln H known to {u:.2g} (k = 1). Check that the pictures differ as "
         "their exposure times state, or take more of them, a stop apart"
     )
 

@@ -398,10 +398,10 @@ class ScpiServer:
 
     def make_room(self) -> str:
         """Put the connection out that has the least claim to its place; return why the next one gets none."""
-        if (outdone := self.places.make_room()) is not None:
-            outdone.drop("makes room for another client")
-            self.connections.discard(outdone)
-            self.places.leave(outdone)
+        if (displaced := self.places.make_room()) is not None:
+            displaced.drop("makes room for another client")
+            self.connections.discard(displaced)
+            self.places.leave(displaced)
         return "too many connections" if self.places.is_full else ""
 
     def _state_changed(self) -> None:

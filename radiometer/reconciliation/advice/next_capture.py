@@ -209,7 +209,9 @@ def propose(state: FitState, chosen: CatalogueEffect, rivals: Sequence[Catalogue
     }
 
 
-def tells_apart(state: FitState, effect: CatalogueEffect, others: Sequence[CatalogueEffect]) -> dict[str, Any] | None:
+def separating_capture(
+    state: FitState, effect: CatalogueEffect, others: Sequence[CatalogueEffect]
+) -> dict[str, Any] | None:
     """Return the capture under which an effect and others that show the same so far would differ most.
 
     Args:

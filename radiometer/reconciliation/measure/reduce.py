@@ -28,23 +28,14 @@ _COARSE_CELLS: Final = 192  # longer side of the coarse picture; stray light is 
 
 @dataclass(slots=True, eq=False)
 class PatternImages:
-    """Coarse mean pictures, in DN above black per unit of t·G·level/N².
+    """Coarse mean pictures, in DN above black per unit of t·G·level/N²."""
 
-    Attributes:
-        cell_px: Edge of a coarse cell in pixels.
-        total: Sum of unclipped signals, shape (patterns, rows, columns).
-        weight: Sum of t·G·level/N² over the same samples.
-        scale: (captures,) t·G·level/N² of each capture.
-        pattern: (captures,) pattern of each capture.
-        black_dn: (captures,) black level of each capture.
-    """
-
-    cell_px: int
-    total: Array
-    weight: Array
-    scale: Array
-    pattern: Array
-    black_dn: Array
+    cell_px: int  # edge of a coarse cell in pixels
+    total: Array  # sum of unclipped signals, shape (patterns, rows, columns)
+    weight: Array  # sum of t·G·level/N² over the same samples
+    scale: Array  # (captures,) t·G·level/N² of each capture
+    pattern: Array  # (captures,) pattern of each capture
+    black_dn: Array  # (captures,) black level of each capture
 
     @classmethod
     def empty(cls, design: Design) -> PatternImages:
