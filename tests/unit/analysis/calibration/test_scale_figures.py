@@ -22,6 +22,7 @@ from radiometer.analysis.calibration.calibrate import (
     unscaled_calibration,
 )
 from radiometer.analysis.photometry.photometry import spectrum_from_csv
+from radiometer.analysis.reading import budget
 from radiometer.analysis.signal import situation
 from radiometer.analysis.signal.lens import lens_factor_sr, lens_in_use, relative_sensitivity
 from radiometer.data import (
@@ -103,10 +104,10 @@ def test_a_camera_that_sees_a_colour_better_needs_less_of_it(used, factor):
 def test_what_a_spectral_correction_is_doubted_by():
     """The response's own 2 %; unknown as much as cameras differ there; beside what is stated, in squares."""
     stated = NOTHING.model_copy(update={"spectral_u_rel": 0.03, "efficacy_u_rel": 0.04})
-    unknown = situation.unknown_mismatch_u_rel("line:650", "line:450")
+    unknown = budget.unknown_mismatch_u_rel("line:650", "line:450")
     assert unknown > 0.1
     shown = [
-        situation.spectral_u_rel(spectral(*names, response, **more), stated)
+        budget.spectral_u_rel(spectral(*names, response, **more), stated)
         for names, response, more in (
             (("line:450", "line:450"), RESPONSE, {}),
             (("line:450", "line:650"), RESPONSE, {}),
@@ -124,7 +125,7 @@ def test_cameras_of_unknown_colour_differ_as_four_kinds_do():
         red, blue = (w * (1.0 if peak is None else 2.0 ** -(((w - peak) / 150.0) ** 2)) for w in (650.0, 450.0))
         logs.append(math.log(blue / red))
     expected = math.sqrt(sum(one**2 for one in logs) / 4)
-    assert situation.unknown_mismatch_u_rel("line:650", "line:450") == pytest.approx(expected, rel=1e-6)
+    assert budget.unknown_mismatch_u_rel("line:650", "line:450") == pytest.approx(expected, rel=1e-6)
 
 
 @pytest.mark.parametrize(("m", "p", "near"), [(0.0, 1.0, 1.0), (1.0, 1.0, 4.0), (0.5, 2.0, 1.5625), (0.5, 0.5, 4.0)])
@@ -142,21 +143,21 @@ def test_what_the_lens_in_use_brings_to_the_budget(rig):
         uncertainties=NOTHING.model_copy(update={"f_number_u_rel": 0.02, "magnification_u_rel": 0.1})
     )
     stated = base.uncertainties
-    assert situation.f_number_u_rel(base, stated, {4.0})[0] == 0.0
-    assert situation.f_number_u_rel(base, stated, {4.0, 8.0})[0] == pytest.approx(0.04)
-    assert situation.f_number_u_rel(None, stated, {8.0})[0] == 0.0
+    assert budget.f_number_u_rel(base, stated, {4.0})[0] == 0.0
+    assert budget.f_number_u_rel(base, stated, {4.0, 8.0})[0] == pytest.approx(0.04)
+    assert budget.f_number_u_rel(None, stated, {8.0})[0] == 0.0
     near = base.lens.model_copy(update={"magnification": 0.5, "pupil_magnification": 2.0})
-    assert situation.magnification_u_rel(base, near)[0] == pytest.approx(2.0 * 0.1 * 0.25 / 1.25)
-    assert situation.magnification_u_rel(base, base.lens)[0] == 0.0
+    assert budget.magnification_u_rel(base, near)[0] == pytest.approx(2.0 * 0.1 * 0.25 / 1.25)
+    assert budget.magnification_u_rel(base, base.lens)[0] == 0.0
     filtered = base.lens.model_copy(update={"transmittance": 0.5, "transmittance_u_rel": 0.04})
     clear = replace(base, lens=base.lens.model_copy(update={"transmittance": 0.9, "transmittance_u_rel": 0.03}))
-    assert situation.transmittance_u_rel(clear, filtered)[0] == pytest.approx(0.05)
-    assert situation.transmittance_u_rel(clear, clear.lens)[0] == 0.0
+    assert budget.transmittance_u_rel(clear, filtered)[0] == pytest.approx(0.05)
+    assert budget.transmittance_u_rel(clear, clear.lens)[0] == 0.0
     vague = base.lens.model_copy(update={"transmittance": 0.5})
-    assert situation.transmittance_u_rel(clear, vague)[0] == pytest.approx(math.hypot(0.03, 0.1 / math.sqrt(3.0)))
+    assert budget.transmittance_u_rel(clear, vague)[0] == pytest.approx(math.hypot(0.03, 0.1 / math.sqrt(3.0)))
     sheet = replace(base, scale=base.scale.model_copy(update={"method": "datasheet"}))
-    assert situation.transmittance_u_rel(sheet, filtered)[0] == pytest.approx(0.04)
-    assert situation.transmittance_u_rel(sheet, vague)[0] == 0.0
+    assert budget.transmittance_u_rel(sheet, filtered)[0] == pytest.approx(0.04)
+    assert budget.transmittance_u_rel(sheet, vague)[0] == 0.0
 
 
 def test_what_all_readings_of_a_map_share(rig):
@@ -168,9 +169,9 @@ def test_what_all_readings_of_a_map_share(rig):
     calibration = rig.calibration(u_rel=0.2, uncertainties=stated, flat_field=flat)
     settled = situation.situation_of(Setup(calibration.camera, calibration.lens, calibration))
     parts = (0.01, 0.02, 0.2, 0.04, 0.1)
-    assert situation.common_u_rel(settled) == pytest.approx(math.sqrt(sum(u**2 for u in parts)))
+    assert budget.common_u_rel(settled) == pytest.approx(math.sqrt(sum(u**2 for u in parts)))
     alone = replace(settled, setup=Setup(calibration.camera, calibration.lens))
-    assert situation.common_u_rel(alone) == pytest.approx(math.hypot(0.01, 0.02))
+    assert budget.common_u_rel(alone) == pytest.approx(math.hypot(0.01, 0.02))
     assert situation.flat_field_for(calibration, (16, 16)) is flat
     with pytest.raises(CalibrationError, match="16 × 16"):
         situation.flat_field_for(calibration, (12, 16))
