@@ -329,12 +329,22 @@ def _heading(body: list[tuple[int, list[str]]]) -> tuple[tuple[str, ...], list[t
 
 
 def _heading_above(comments: Sequence[str], width: int) -> tuple[str, ...]:
-    """Return the names in the last comment that has as many as the table has columns; () where none has."""
-    for line in reversed(comments):
-        for separator in filter(None, _SEPARATORS):  # words with blanks between them are a remark
-            names = tuple(_split(line, separator))
-            if len(names) == width > 1 and not any(_is_number(name) for name in names):
-                return names
+    """Return the names in the last comment that has as many as the table has columns; () where none has.
+
+    Of two such comments one after the other the second has the units of the first, as in files of sky meters.
+    """
+    found = [_names_in(line, width) for line in comments]
+    last = max((n for n, names in enumerate(found) if names), default=None)
+    if last is None:
+        return ()
+    return found[last - 1] if last > 0 and found[last - 1] else found[last]
+
+
+def _names_in(line: str, width: int) -> tuple[str, ...]:
+    for separator in filter(None, _SEPARATORS):  # words with blanks between them are a remark
+        names = tuple(_split(line, separator))
+        if len(names) == width > 1 and not any(_is_number(name) for name in names):
+            return names
     return ()
 
 

@@ -152,6 +152,15 @@ def count_pictures(path: Path) -> int:
         return 1  # reported when its pixels are read
 
 
+def is_zero_white(path: Path) -> bool:
+    """Return whether a TIFF states that 0 is white: decoders turn such numbers in some depths and not in others."""
+    try:
+        with tifffile.TiffFile(path) as tiff:
+            return any(page.photometric == 0 for page, _ in directories(tiff))
+    except DAMAGE:
+        return False  # reported when its pixels are read
+
+
 def _of_tiff(path: Path) -> dict[str, Statement]:
     try:
         with tifffile.TiffFile(path) as tiff:

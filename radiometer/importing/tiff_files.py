@@ -249,7 +249,9 @@ def _meaning_of_numbers(path: Path, page: Any) -> list[str]:
     found = []
     if page.photometric == _WHITE_IS_ZERO:
         if page.dtype.kind != "u":
-            raise CaptureError(f"{path}: its tags state that 0 is white, in numbers without a greatest one; save it anew")
+            raise CaptureError(
+                f"{path}: its tags state that 0 is white, in numbers without a greatest one; save it anew"
+            )
         found.append("its tags state that 0 is white: the numbers are turned")
     if page.photometric == _MOSAIC:
         found.append("a mosaic of colours by its tags: pixels under several filters count as one channel")

@@ -238,8 +238,8 @@ def _ti3_scale(path: Path, keys: Mapping[str, str], brightest: float) -> tuple[f
     if relative == "YES":
         raise InputError(f"{path}: XYZ relative to white, and no LUMINANCE_XYZ_CDM2 that says how bright that is")
     raise InputError(
-        f"{path}: nothing states whether its XYZ are absolute; add the line NORMALIZED_TO_Y_100 \"NO\" where they are "
-        "in cd/m², else \"YES\" and LUMINANCE_XYZ_CDM2"
+        f'{path}: nothing states whether its XYZ are absolute; add the line NORMALIZED_TO_Y_100 "NO" where they are '
+        'in cd/m², else "YES" and LUMINANCE_XYZ_CDM2'
     )
 
 
