@@ -237,6 +237,9 @@ def _position(words: Sequence[str], known: Sequence[str], without: Sequence[int 
 
 
 def _minutes(times: np.ndarray, word: str, facts: dict[str, str]) -> tuple[np.ndarray, str]:
+    stated = heading_parts(word, "exposure")[1]
+    if stated is not None:
+        return times * stated.to_base(1.0) / 60.0, f"time in {stated.name}, as its header states"
     said = re.sub(r"[^a-z]+", " ", f"{word} {facts.get('time unit', facts.get('time', ''))}".lower()).split()
     unit = next((unit for w in said if (unit := unit_of(w, "exposure")) is not None), None)
     if unit is not None:
