@@ -164,10 +164,11 @@ def _places(table: TextTable, said: LogColumns, wanted: Sequence[str]) -> dict[s
             if chosen[key] not in table.header:
                 raise UsageError(f"{table.path}: no column {chosen[key]!r}; it has {', '.join(table.header)}")
             places[key] = table.header.index(chosen[key])
-        elif (at := table.find([n for n in names if not _is_taken(table, n, chosen)])) is not None:
-            places[key] = at
-        elif (at := _with_unit(table, key, names)) is not None:
-            places[key] = at
+        else:
+            at = table.find([n for n in names if not _is_taken(table, n, chosen)])
+            at = _with_unit(table, key, names) if at is None else at
+            if at is not None:
+                places[key] = at
     missing = [key for key in wanted if key not in places]
     if missing:
         raise InputError(

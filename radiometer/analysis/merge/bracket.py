@@ -102,6 +102,7 @@ class _Excused:
         """Return no pixels."""
         return cls(np.empty(0, np.intp), np.empty(0), None)
 
+
 _DARKER_SIGMAS = 5.0  # of one pixel: no middle of a picture is so far below its dark level
 
 

@@ -219,7 +219,7 @@ def _places(table: TextTable, names: Mapping[str, Sequence[str]], form: str) -> 
             )
         if (other := _OTHER_DENSITY.search(table.header[at].lower())) is not None:
             raise InputError(
-                f"{table.path}: {table.header[at]!r} is in {other[0]}; a spectrum needs power per wavelength: convert it"
+                f"{table.path}: {table.header[at]!r} is in {other[0]}; a spectrum needs power per wavelength"
             )
         found[name] = (at, "number", "1")
     return found

@@ -131,7 +131,7 @@ IMAGES: dict[str, tuple[Any, Facts, str]] = {
     "a palette": (in_tiff(picture=flat(level=60), photometric="palette", colormap=np.zeros((3, 65_536), np.uint16)),
                   {}, "refused: table of colours"),
     "scikit-image/scikit-image/issues/1929": (
-        lambda p: tifffile.imwrite(p / "a_8ms.tif", flat(np.float32, 0.4)) or p / "a_8ms.tif", {}, "refused: full scale"),
+        lambda p: tifffile.imwrite(p / "8ms.tif", flat(np.float32, 0.4)) or p / "8ms.tif", {}, "refused: full scale"),
     "emmanueltouzery/hsexif/issues/23": (
         in_tiff((37377, "2i", 1, (827, 100), True), seconds=None), {"s": 2.0**-8.27}, ""),
     "mattiasw/ExifReader/issues/201": (

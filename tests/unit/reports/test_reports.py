@@ -274,11 +274,11 @@ DARKS = {
 
 @pytest.mark.parametrize(("seconds", "celsius", "works"), DARKS.values(), ids=DARKS)
 def test_dark_frames_are_used_for_the_exposure_and_temperature_they_have(seconds, celsius, works, tmp_path, capsys):
-    """10 000 DN/s of light at the right end within 1 %; a dark frame that says nothing of these is refused."""
+    """10 000 DN/s at the right end, 3 % being four sigma of the dimmest column; one that shows neither is refused."""
     imported(inputs.light_and_dark(tmp_path / "in", seconds, celsius), tmp_path / "set")
     assert run(["merge", str(tmp_path / "set"), "-o", str(tmp_path / "o.tiff")]) == (0 if works else 1)
     if not works:
         assert "darker than the dark frames show" in capsys.readouterr().err
         return
     found = tifffile.imread(tmp_path / "o.tiff", key=0).mean(axis=0)
-    assert found == pytest.approx(1e4 * np.linspace(0.1, 1.0, 64), rel=0.01)
+    assert found == pytest.approx(1e4 * np.linspace(0.1, 1.0, 64), rel=0.03)

@@ -437,7 +437,7 @@ def argyll_variant(draw: st.DrawFn) -> tuple[dict[str, Any], Callable[[Path], Ca
     """Return a .ti3 whose XYZ are absolute or relative, as its keywords state or not, its columns in any order."""
     relative, full = draw(st.booleans()), draw(st.sampled_from([100.0, 255.0]))
     stated = draw(st.booleans())
-    white = "LUMINANCE_XYZ_CDM2 \"218.7 230.2 253.2\"" if draw(st.booleans()) else "DEVICE_CLASS \"DISPLAY\""
+    white = 'LUMINANCE_XYZ_CDM2 "218.7 230.2 253.2"' if draw(st.booleans()) else 'DEVICE_CLASS "DISPLAY"'
     key = f'NORMALIZED_TO_Y_100 "{"YES" if relative else "NO"}"' if stated else ""
     levels = list(range(0, 256, 15))
     light = [0.2 + 230 * (n / 255) ** 2.2 for n in levels]
@@ -447,8 +447,7 @@ def argyll_variant(draw: st.DrawFn) -> tuple[dict[str, Any], Callable[[Path], Ca
     names = draw(st.permutations(sorted(columns)))
     rows = "\n".join(" ".join(cells) for cells in zip(*(columns[name] for name in names), strict=True))
     text = (
-        f"CTI3\n\n{white}\n{key}\nBEGIN_DATA_FORMAT\n{' '.join(names)}\nEND_DATA_FORMAT\n"
-        f"BEGIN_DATA\n{rows}\nEND_DATA\n"
+        f"CTI3\n\n{white}\n{key}\nBEGIN_DATA_FORMAT\n{' '.join(names)}\nEND_DATA_FORMAT\nBEGIN_DATA\n{rows}\nEND_DATA\n"
     )
 
     def made(folder: Path) -> Callable[[], Read]:

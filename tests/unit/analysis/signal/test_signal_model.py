@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -164,7 +165,6 @@ def test_warmer_dark_frames_are_scaled_to_the_light_frame():
               for dn, t in ((106, 0.1), (118, 0.4))]  # fmt: skip
     (level,) = dark_levels([replace(LIGHT, temperature_c=30.0)], frames, LINEAR, DOUBT)
     assert level.signal == pytest.approx(2.0 + 4.0 / 4.0)
-
 
 
 @quick
