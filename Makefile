@@ -21,7 +21,7 @@ define install_packages
 	fi
 endef
 
-.PHONY: help measure test test-fast test-slow check docs man tutorial mutants coverage shake bench interop soak firmware calibration clean
+.PHONY: help measure test test-fast test-slow check docs man tutorial mutants renamed coverage shake bench interop soak firmware calibration clean
 
 help:  ## List the targets
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | awk -F':.*## ' '{printf "  make %-12s %s\n", $$1, $$2}'
@@ -68,6 +68,9 @@ tutorial: $(VENV)/.ready-test  ## Follow the tutorial word by word in a fresh fo
 mutants: $(VENV)/.ready-test out/mutants.coverage  ## Draw mistakes at random and count which the fast tests notice (BLIND=seed, AREA=planning)
 	$(BIN)/python -m tests.mutants $(AREA) --blind $(or $(BLIND),$(error give the seed, for example BLIND=41)) --report out/blind-$(BLIND).md
 
+renamed: $(VENV)/.ready-test  ## Rename 50 private functions at random; no fast test may notice (SEED=n, TESTS="tests/unit/data")
+	$(ONE_THREAD) $(BIN)/python -m tests.mutants $(TESTS) --renamed $(or $(SEED),$(error give the seed, for example SEED=41))
+
 out/mutants.coverage: $(VENV)/.ready-test  # which fast test runs which line; delete it after changes
 	$(BIN)/python -m tests.mutants --record
 
@@ -85,7 +88,7 @@ shake: $(VENV)/.ready-test  ## Run the fast tests in ten orders under two busy l
 	    || failed=$$((failed + 1)); \
 	done; echo "$$failed of $(RUNS) runs failed"; [ $$failed = 0 ]
 
-bench: $(VENV)/.ready-test  ## Run the long benchmarks and rewrite the tables in docs/benchmarks.md
+bench: $(VENV)/.ready-test  ## Run the long benchmarks and rewrite the tables in docs/benchmarks
 	$(BIN)/python -m benchmarks
 
 soak: $(VENV)/.ready-test  ## Run the daemon for an hour and watch its memory

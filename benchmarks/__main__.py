@@ -1,7 +1,7 @@
 """Runs every benchmark, or those named: `python -m benchmarks [NAME…] [--soak] [--list]`.
 
 A benchmark is a module of this package with `main()`, which prints its figures and writes its own section of
-docs/benchmarks.md. Names that end in `_soak` run only with --soak. Options that follow a single name are its own.
+docs/benchmarks. Names that end in `_soak` run only with --soak. Options that follow a single name are its own.
 """
 
 from __future__ import annotations

@@ -11,7 +11,7 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
-from radiometer.analysis.photometry.spectra import spectrum
+from radiometer.analysis.photometry.photometry import spectrum
 from radiometer.data import CameraDescription, Frame, FrameSettings, LensDescription
 from radiometer.devices import AcquisitionCounts, CameraCapabilities, CameraIdentity, CameraSettings
 

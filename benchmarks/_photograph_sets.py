@@ -13,7 +13,7 @@ import numpy as np
 import tifffile
 from numpy.typing import NDArray
 
-from radiometer.bench.sources import open_brackets
+from radiometer.bench.sources import open_source
 from radiometer.data import Bracket, Frame, FrameSettings
 
 Array = NDArray[np.float64]
@@ -135,7 +135,7 @@ def _photographs(folder: Path, camera: str) -> Iterator[RealStack]:
         "fisheye": folder / "canon5d2_fisheye_calibrated" / "example" / "JPEG",
     }[camera]
     nothing = np.empty(0)
-    for bracket in open_brackets(place, "each"):
+    for bracket in open_source(place, "each").brackets:
         yield RealStack(camera, str(bracket.light[0].extra["channel"]), "", _thinned(bracket), nothing, nothing)
 
 

@@ -236,7 +236,7 @@ def _times(results: list[Result]) -> str:
 
 def _confusion(fine: dict[str, list[Result]]) -> str:
     lines = [
-        "Answers that were not exact (all kinds with one hidden effect at full size):",
+        "Answers without a doubt that were not exact (one hidden effect at full size):",
         "",
         "| hidden | kind | answer | runs |",
         "|---|---|---|---|",
@@ -248,7 +248,7 @@ def _confusion(fine: dict[str, list[Result]]) -> str:
             hidden = "+".join(r["names"]) or "nothing"
             total[hidden, kind] += 1
             good = r["judged"]["exact"] if kind != "null" else r["judged"]["verdict"] == "agrees"
-            if not good:
+            if not good and r["judged"]["verdict"] == "effects_found":
                 said = " + ".join(e["name"] if e["name"] != "unnamed" else f"? ({e['where']})" for e in r["effects"])
                 count[hidden, kind, f"{r['judged']['verdict']}: {said or '-'}"] += 1
     lines += [f"| {h} | {k} | {said} | {n}/{total[h, k]} |" for (h, k, said), n in sorted(count.items())]

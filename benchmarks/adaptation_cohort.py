@@ -27,11 +27,10 @@ from simulators.observers.eye_kinetics import (
     Eye,
     drawn_amd_eye,
     drawn_clinical_eye,
-    drawn_eye,
-    drawn_full_bleach_eye,
     scotopic_per_photopic,
 )
 from simulators.observers.observer import Habits, Observer
+from testing.drawn_eyes import drawn_eye, drawn_full_bleach_eye
 
 TIMES_MIN = np.arange(0.5, 35.0, 0.5)
 SCATTER_LOG10 = 0.1

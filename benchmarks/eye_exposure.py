@@ -48,7 +48,7 @@ def main() -> None:
 
 
 def report(found: dict[str, Desks]) -> None:
-    """Print the tables and write them into docs/light-box.md."""
+    """Print the tables and write them into docs/reference/light-box.md."""
     body = [
         "| box | sequences | largest share of the limit in any 10⁴ s | median | above 9 % | above 10 % |",
         "|---|---|---|---|---|---|",
@@ -68,7 +68,7 @@ def report(found: dict[str, Desks]) -> None:
         "How much an eye receives, whatever happens",
         "python -m benchmarks eye_exposure",
         "\n".join(body),
-        ROOT / "docs" / "light-box.md",
+        ROOT / "docs" / "reference" / "light-box.md",
     )
 
 

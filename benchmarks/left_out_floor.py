@@ -17,7 +17,7 @@ import numpy as np
 from benchmarks._photograph_sets import HIGHEST_DN, LOWEST_DN, Array, RealStack, real_stacks, stacks_folder
 from benchmarks._sections import write_section
 from benchmarks.photographs import OURS, Recover, Recovered, predicted, programs
-from radiometer.analysis.response.weights import dn_at
+from radiometer.analysis.response.noise import dn_at
 from radiometer.data import Bracket, Frame
 
 # The response that the simulated frames have: ours, and another program's.

@@ -20,7 +20,7 @@ from benchmarks._photograph_sets import stacks_folder
 from benchmarks._sections import write_section
 from radiometer.analysis.merge.bracket import merge
 from radiometer.analysis.response.curves import black_of_curve
-from radiometer.bench.sources import open_brackets
+from radiometer.bench.sources import open_source
 from radiometer.data import Bracket, CameraDescription, Frame, LensDescription, RadianceMap, ResponseCurve
 from radiometer.data.setup import Setup
 from radiometer.photographs.response import recovered_curves, relative_calibration, with_found_times
@@ -40,7 +40,7 @@ _LEAST_DN, _MOST_DN = 13, 242
 
 def maps(folder: Path) -> dict[str, tuple[Bracket, ResponseCurve, RadianceMap]]:
     """Return bracket, response and map by colour, nothing aligned: as the file's own frames lay."""
-    brackets = open_brackets(folder, "each")
+    brackets = open_source(folder, "each").brackets
     with tempfile.TemporaryDirectory() as beside:
         curves, _ = recovered_curves(brackets, Path(beside) / "map.exr", lambda _: None)
     camera, lens, found = CameraDescription(bit_depth=8), LensDescription(), {}

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from benchmarks._photograph_sets import stacks_folder
 from benchmarks._sections import write_section
 from radiometer.analysis.merge.bracket import merge
-from radiometer.bench.sources import open_brackets
+from radiometer.bench.sources import open_source
 from radiometer.cli.main import run
 from radiometer.data import Bracket, CameraDescription, LensDescription, RadianceMap
 from radiometer.data.setup import Setup
@@ -34,7 +34,7 @@ def half(bracket: Bracket, parity: int) -> Bracket:
 
 def halves(path: Path) -> tuple[dict[str, tuple[RadianceMap, RadianceMap]], str]:
     """Return the maps of odd and even frames by colour, each with a response of its own, and how the frames lay."""
-    placed = in_one_place(open_brackets(path, "each", most_pixels=_ENOUGH_PIXELS), "auto")
+    placed = in_one_place(open_source(path, "each", most_pixels=_ENOUGH_PIXELS).brackets, "auto")
     camera, lens, found = CameraDescription(bit_depth=8), LensDescription(), []
     for parity in (0, 1):
         with tempfile.TemporaryDirectory() as folder:

@@ -142,7 +142,7 @@ def main() -> None:
     parser.add_argument("--figures", action="store_true", help="the figures of characterise instead")
     parser.add_argument("--only", default="", help="cases, by comma")
     parser.add_argument("--results", type=Path, default=RESULTS)
-    parser.add_argument("--write", action="store_true", help="write the section of docs/benchmarks.md")
+    parser.add_argument("--write", action="store_true", help="write the section of docs/benchmarks/reconcile.md")
     options = parser.parse_args()
     try:
         names = cases_of(options.python or sys.executable)

@@ -25,7 +25,7 @@ from benchmarks._sections import write_section
 from radiometer.analysis.response.estimate import ResponseEstimate
 from radiometer.analysis.response.limits import find_limits
 from radiometer.analysis.response.methods import METHODS
-from radiometer.analysis.response.weights import dn_at
+from radiometer.analysis.response.noise import dn_at
 from radiometer.data import Bracket, Frame, ResponseCurve
 from radiometer.errors import RadiometerError
 

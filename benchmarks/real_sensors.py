@@ -29,7 +29,7 @@ from radiometer.importing.sources import as_capture
 from radiometer.reconciliation.inputs.sources import reconcile_source
 from radiometer.reconciliation.result import ReconcileResult
 
-PAGE = Path(__file__).resolve().parents[1] / "docs" / "real-sensors.md"
+PAGE = Path(__file__).resolve().parents[1] / "docs" / "reference" / "real-sensors.md"
 LSST_SEED = 20
 _LEADING = 3  # places of the localisation that count as first
 _READ = "read, not found"  # is counted neither way
@@ -130,7 +130,7 @@ def of_multispectral(folder: Path) -> Iterator[Row]:
     said = "codes in steps of " + " and ".join(f"{step} DN" for step in steps)
     yield Row(title, "12 and 10 bits in 16", "all values", said, "right" if steps == [16, 64] else "missed", seconds)
     for what, entry in (
-        ("rows exposed for times of their own", "row_dependent_exposure"),
+        ("states row-dependent exposure", "row_dependent_exposure"),
         ("fall-off to the corners", "natural_vignetting"),
     ):
         sets = sum(any(entry in line for line in imported_of(capture).doubts) for capture in found)

@@ -105,7 +105,7 @@ def main() -> None:
     )
     parser.add_argument("--results", type=Path, default=RESULTS)
     parser.add_argument("--report-only", action="store_true")
-    parser.add_argument("--write", action="store_true", help="write the section of docs/benchmarks.md")
+    parser.add_argument("--write", action="store_true", help="write the section of docs/benchmarks/reconcile.md")
     options = parser.parse_args()
     kinds = tuple(options.kinds.split(","))
     plain = all(kind.startswith("plain") for kind in kinds)

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks._sections import write_section
-from radiometer.reconciliation.advice.capture_pool import CapturePool
+from radiometer.reconciliation.advice.next_capture import CapturePool
 from radiometer.reconciliation.engine import examine
 from radiometer.reconciliation.measure.reduce import frame_reader
 from radiometer.reconciliation.search.outcome import Reconciled

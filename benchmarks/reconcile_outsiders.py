@@ -148,7 +148,7 @@ def main() -> None:
     parser.add_argument("--first-seed", type=int, default=0)
     parser.add_argument("--results", type=Path, default=RESULTS)
     parser.add_argument("--report-only", action="store_true", help="tell what the results file holds of it")
-    parser.add_argument("--write", action="store_true", help="write the section of docs/benchmarks.md")
+    parser.add_argument("--write", action="store_true", help="write the section of docs/benchmarks/reconcile.md")
     options = parser.parse_args()
     options.generator = options.generator or sorted(GENERATORS)
     options.kind = options.kind or list(KINDS)

@@ -138,19 +138,9 @@ def page(results: list[dict[str, Any]]) -> str:
         f"| it closes 90 % of the excess in another session, with four parameters at most | "
         f"{len(closed)}/{len(results)} | 80 % |",
         *([f"| a reconciliation of a third session names it first | {len(again)}/{len(looked)} | |"] if looked else []),
-        "",
-        "| outsider | sessions | plans | proposed (times) | closed, median |",
-        "|---|---|---|---|---|",
     ]
-    for name in sorted({r["name"] for r in results}):
-        own = [r for r in results if r["name"] == name]
-        laws = [r["proposed"] or "nothing" for r in own]
-        counts = ", ".join(f"`{law}` ({laws.count(law)})" for law in dict.fromkeys(laws))
-        shares = [r["closed"] for r in own if r["proposed"] and r["closed"] is not None]
-        middle = f"{100 * float(np.median(shares)):.0f} %" if shares else "–"
-        plans = ", ".join(sorted({r["plan"] for r in own}))
-        lines.append(f"| {name} | {len(own)} | {plans} | {counts} | {middle} |")
-    return "\n".join(lines)
+    open_ones = [f"{r['name']} ({100 * r['closed']:.0f} %)" for r in shown if r["closed"] < 0.9]
+    return "\n".join([*lines, "", f"Closed by less than 90 %: {', '.join(open_ones) or 'none'}."])
 
 
 def main() -> None:
@@ -162,7 +152,7 @@ def main() -> None:
     parser.add_argument("--without", action="append", default=[], help="outsiders to leave out")
     parser.add_argument("--files", type=Path, help="folder for the files of each proposal")
     parser.add_argument("--results", type=Path, default=RESULTS)
-    parser.add_argument("--write", action="store_true", help="write the section of docs/benchmarks.md")
+    parser.add_argument("--write", action="store_true", help="write the section of docs/benchmarks/reconcile.md")
     options = parser.parse_args()
     makers = OWN if options.own else GENERATORS
     names = [(g, n) for g, (_, table) in makers.items() for n, h in table.items() if h.kind == "outsider"]

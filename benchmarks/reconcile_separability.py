@@ -30,8 +30,7 @@ from radiometer.reconciliation.fit.descent import first_state
 from radiometer.reconciliation.fit.state import FitState
 from radiometer.reconciliation.measure.design import Design
 from radiometer.reconciliation.measure.reduce import frame_reader, reduce_frames
-from radiometer.reconciliation.search.screening import screen
-from radiometer.reconciliation.search.starts import StartPool
+from radiometer.reconciliation.search.screening import StartPool, screen
 from radiometer.reconciliation.thresholds import RIVAL_NATS
 from simulators.effects.catalogue import CatalogueEffect
 from testing.generator.plan import Setting

@@ -16,7 +16,7 @@ from benchmarks._response_stacks import Array
 from benchmarks._sections import write_section
 from radiometer.analysis.response.estimate import ResponseEstimate
 from radiometer.analysis.response.methods import METHODS
-from radiometer.bench.sources import open_brackets
+from radiometer.bench.sources import open_source
 from radiometer.data import Bracket, Frame, FrameSettings
 
 STACKS = Path(__file__).resolve().parents[2] / "shared" / "data" / "stacks"
@@ -30,7 +30,7 @@ def canon() -> str:
     rows, times = [], []
     for channel, line in zip(CHANNELS, filter(str.strip, lines), strict=True):
         peer = np.log(np.polyval([float(word) for word in line.split()[1:]], np.arange(256) / 255.0)[INNER])
-        brackets = open_brackets(folder / "JPEG", channel)
+        brackets = open_source(folder / "JPEG", channel).brackets
         estimate = METHODS["auto"](brackets)
         times.append(100 * np.array(estimate.details["log_time_errors"]))
         g, u = estimate.curve.log_exposure[INNER], estimate.curve.u_log_exposure[INNER]

@@ -5,7 +5,7 @@
     with rm.open() as meter:
         print(meter.measure(patch=(840, 240, 120, 120)))
 
-What stands in `__all__` is public and stays as it is within a major version; everything else may change. Every command
+Every name in `__all__` is public and stays as it is within a major version; everything else may change. Every command
 of the command line is one function here, with the same arguments. Nothing is loaded before it is used.
 """
 
@@ -20,149 +20,47 @@ __version__ = "0.2.0"
 # in that list: the daemon builds on what this package lists, and a type checker would go round in a circle.
 _HOMES = {
     "radiometer.api.adapt": (
-        "AdaptationCurve",
-        "AdaptationRun",
-        "Bleach",
-        "Protocols",
-        "Retest",
-        "adapt_bleach",
-        "adapt_fit",
-        "adapt_protocols",
-        "adapt_retest",
-        "adapt_run",
+        "AdaptationCurve", "AdaptationRun", "Bleach", "Protocols", "Retest", "adapt_bleach", "adapt_fit",
+        "adapt_protocols", "adapt_retest", "adapt_run",
     ),
-    "radiometer.api.archive": (
-        "Batch",
-        "Passports",
-        "Trends",
-        "batch",
-        "passport",
-        "trend",
-    ),
-    "radiometer.api.capture": (
-        "BracketReport",
-        "bracket",
-    ),
+    "radiometer.api.alpha_opic": ("AlphaOpicQuantities", "alpha_opic"),
+    "radiometer.api.archive": ("Batch", "Passports", "Trends", "batch", "passport", "trend"),
+    "radiometer.api.capture": ("BracketReport", "bracket"),
     "radiometer.api.devices": (
-        "Devices",
-        "Diagnosis",
-        "list_devices",
-        "doctor",
-        "new_bench",
-        "simulate_box",
-        "simulate_camera",
+        "Devices", "Diagnosis", "list_devices", "doctor", "new_bench", "simulate_box", "simulate_camera",
     ),
-    "radiometer.api.files": (
-        "Stack",
-        "read",
-        "read_photographs",
-    ),
-    "radiometer.api.importing": (
-        "Imported",
-        "import_capture",
-    ),
+    "radiometer.api.certificate": ("Certificate", "certificate"),
+    "radiometer.api.files": ("Stack", "read", "read_photographs"),
+    "radiometer.api.flicker": ("FlickerReport", "flicker"),
+    "radiometer.api.importing": ("Imported", "import_capture"),
     "radiometer.api.light": (
-        "BoxStatus",
-        "ButtonPress",
-        "CalibratedBox",
-        "Darkness",
-        "ExposureAccount",
-        "LitChannel",
-        "light_account",
-        "light_blink",
-        "light_calibrate",
-        "light_off",
-        "light_pulse",
-        "light_set",
-        "light_status",
+        "BoxStatus", "ButtonPress", "CalibratedBox", "Darkness", "ExposureAccount", "LitChannel", "light_account",
+        "light_blink", "light_calibrate", "light_off", "light_pulse", "light_set", "light_status",
         "light_watch_buttons",
     ),
-    "radiometer.api.logs": (
-        "LogFinding",
-        "log_fit",
-    ),
-    "radiometer.api.reading": (
-        "measure",
-        "readings",
-    ),
-    "radiometer.api.meter": (
-        "Meter",
-        "open",
-    ),
-    "radiometer.api.quality": (
-        "QualityPlan",
-        "QualityReport",
-        "quality_plan",
-        "quality_report",
-        "quality_take",
-    ),
-    "radiometer.api.radiance": (
-        "Radiance",
-        "merge",
-    ),
-    "radiometer.api.response": (
-        "Response",
-        "recover_response",
-    ),
-    "radiometer.api.results": (
-        "Reconciliation",
-        "Separability",
-        "reconcile",
-        "reconcile_plan",
-    ),
-    "radiometer.api.calibration": (
-        "Calibrated",
-        "calibrate",
-    ),
-    "radiometer.api.led_flux": (
-        "Flux",
-        "flux",
-    ),
+    "radiometer.api.logs": ("LogFinding", "log_fit"),
+    "radiometer.api.reading": ("measure", "readings"),
+    "radiometer.api.meter": ("Meter", "open"),
+    "radiometer.api.quality": ("QualityPlan", "QualityReport", "quality_plan", "quality_report", "quality_take"),
+    "radiometer.api.radiance": ("Radiance", "merge"),
+    "radiometer.api.response": ("Response", "recover_response"),
+    "radiometer.api.results": ("Reconciliation", "Separability", "reconcile", "reconcile_plan"),
+    "radiometer.api.calibration": ("Calibrated", "calibrate"),
+    "radiometer.api.led_flux": ("Flux", "flux"),
     "radiometer.api.photographs": ("measure_photographs",),
     "radiometer.api.screen": (
-        "CalibratedScreen",
-        "ScreenLevel",
-        "screen_calibrate",
-        "screen_export",
-        "screen_import",
-        "screen_level",
+        "CalibratedScreen", "ScreenLevel", "screen_calibrate", "screen_export", "screen_import", "screen_level",
     ),
-    "radiometer.api.sensor": (
-        "Sensor",
-        "characterise",
-    ),
-    "radiometer.data.reading": (
-        "Patch",
-        "Reading",
-    ),
-    "radiometer.daemon.log": (
-        "LoggedReadings",
-        "log",
-        "log_budget",
-        "log_events",
-    ),
+    "radiometer.api.sensor": ("Sensor", "characterise"),
+    "radiometer.data.reading": ("Patch", "Reading"),
+    "radiometer.daemon.log": ("LoggedReadings", "log", "log_budget", "log_events"),
     "radiometer.daemon.serving": ("serve",),
     "radiometer.errors": (
-        "CalibrationError",
-        "CaptureError",
-        "ConfigurationError",
-        "DamagedFileError",
-        "DeviceError",
-        "DeviceInUse",
-        "DeviceLost",
-        "DeviceNotFound",
-        "DeviceTimeout",
-        "InputError",
-        "MeasurementError",
-        "MissingLibrary",
-        "OutputError",
-        "RadiometerError",
-        "SettingOutOfRange",
-        "UnsafeStimulus",
-        "UnsettledError",
-        "UsageError",
+        "CalibrationError", "CaptureError", "ConfigurationError", "DamagedFileError", "DeviceError", "DeviceInUse",
+        "DeviceLost", "DeviceNotFound", "DeviceTimeout", "InputError", "MeasurementError", "MissingLibrary",
+        "OutputError", "RadiometerError", "SettingOutOfRange", "UnsafeStimulus", "UnsettledError", "UsageError",
     ),
-}
+}  # fmt: skip
 _HOME_OF = {name: home for home, names in _HOMES.items() for name in names}
 __all__ = sorted(_HOME_OF)
 
@@ -177,6 +75,8 @@ if TYPE_CHECKING:
     from radiometer.api.adapt import adapt_protocols as adapt_protocols
     from radiometer.api.adapt import adapt_retest as adapt_retest
     from radiometer.api.adapt import adapt_run as adapt_run
+    from radiometer.api.alpha_opic import AlphaOpicQuantities as AlphaOpicQuantities
+    from radiometer.api.alpha_opic import alpha_opic as alpha_opic
     from radiometer.api.archive import Batch as Batch
     from radiometer.api.archive import Passports as Passports
     from radiometer.api.archive import Trends as Trends
@@ -187,6 +87,8 @@ if TYPE_CHECKING:
     from radiometer.api.calibration import calibrate as calibrate
     from radiometer.api.capture import BracketReport as BracketReport
     from radiometer.api.capture import bracket as bracket
+    from radiometer.api.certificate import Certificate as Certificate
+    from radiometer.api.certificate import certificate as certificate
     from radiometer.api.devices import Devices as Devices
     from radiometer.api.devices import Diagnosis as Diagnosis
     from radiometer.api.devices import doctor as doctor
@@ -197,6 +99,8 @@ if TYPE_CHECKING:
     from radiometer.api.files import Stack as Stack
     from radiometer.api.files import read as read
     from radiometer.api.files import read_photographs as read_photographs
+    from radiometer.api.flicker import FlickerReport as FlickerReport
+    from radiometer.api.flicker import flicker as flicker
     from radiometer.api.importing import Imported as Imported
     from radiometer.api.importing import import_capture as import_capture
     from radiometer.api.led_flux import Flux as Flux

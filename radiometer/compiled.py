@@ -12,7 +12,7 @@ ResultT = TypeVar("ResultT")
 
 
 def compiled(function: Callable[..., ResultT]) -> Callable[..., ResultT]:
-    """Compile a loop that holds no lock, and keep the code on disk beside its module or in the user's cache.
+    """Compile a loop that holds no lock, and keep the code on disk next to its module or in the user's cache.
 
     Where neither place can be written (a read-only installation without a home), it is compiled anew in each process.
     """
@@ -22,8 +22,8 @@ def compiled(function: Callable[..., ResultT]) -> Callable[..., ResultT]:
 def compiled_apart(function: Callable[..., ResultT]) -> Callable[..., ResultT]:
     """Compile a loop as `compiled` does whose arrays share no memory, which the caller answers for.
 
-    Values from places that only the pixel tells are then looked up many at a time. Of arrays that might overlap LLVM
-    asks beforehand whether they do, but knows no bounds of such places, and goes pixel by pixel.
+    Values whose places depend on the pixel are then looked up many at a time. For arrays that might overlap, LLVM tests
+    for overlap first. It knows no bounds of such places, and so falls back to pixel by pixel.
     """
     return _compiled(function, pipeline_class=_ApartCompiler)
 
@@ -34,7 +34,7 @@ def compiled_within(function: Callable[..., ResultT]) -> Callable[..., ResultT]:
 
 
 class _ApartCompiler(Compiler):  # type: ignore[misc]
-    """numba's compiler, told that no array given as an argument overlaps another."""
+    """numba's compiler with the promise that no argument array overlaps another."""
 
     def define_pipelines(self) -> Any:
         """Return numba's own steps."""

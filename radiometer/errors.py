@@ -1,26 +1,22 @@
 """Errors that a user or a program can act on.
 
-    RadiometerError                  exit code 1 unless said otherwise
-    ├── UsageError                   misused: wrong argument, key or file form      (exit code 2)
-    │   └── ConfigurationError       a configuration file holds something not allowed
-    ├── InputError                   the data handed in cannot be used
-    │   ├── CaptureError             a capture set or photograph folder is unfinished or inconsistent
-    │   │   └── DamagedFileError     one file of pictures is damaged or cut short
-    │   ├── UnsettledError           a file states a number whose unit or place is not known; an option settles it
-    │   └── CalibrationError         a calibration does not fit the camera or the question
-    ├── MeasurementError             the measurement cannot be done with this scene or these frames
-    ├── OutputError                  a result cannot be written
-    │   └── OutputRefused            its place was refused before the work began        (exit code 2)
-    └── DeviceError                  something about a camera, light box or display
-        ├── DeviceNotFound           nothing answers to that name
-        ├── DeviceInUse              another program holds it
-        ├── DeviceLost               it stopped answering; reopening may work
-        ├── DeviceTimeout            no answer within the deadline
-        ├── SettingOutOfRange        a value is outside the device's limits
-        ├── UnsafeStimulus           a light level above what eye or box may take
-        └── MissingLibrary           a system library is not installed
+    RadiometerError
+        UsageError
+            ConfigurationError
+        InputError
+            CaptureError
+                DamagedFileError
+            UnsettledError
+            CalibrationError
+        MeasurementError
+        OutputError
+            OutputRefused
+        DeviceError
+            DeviceNotFound, DeviceInUse, DeviceLost, DeviceTimeout
+            SettingOutOfRange, UnsafeStimulus, MissingLibrary
 
-Every message says what was wrong, where, and the way out.
+The exit code is 1 by default, and 2 for UsageError and OutputRefused. Every message states what is wrong, where, and
+what to do.
 """
 
 from __future__ import annotations
@@ -117,7 +113,7 @@ class DeviceTimeout(DeviceError):
 
 
 class SettingOutOfRange(DeviceError, ValueError):
-    """A requested value lies outside the device's limits; nothing was changed."""
+    """A requested value is outside the device's limits; nothing was changed."""
 
     def __init__(self, device: str, name: str, value: float, low: float, high: float, unit: str) -> None:
         self.device, self.name, self.value, self.low, self.high, self.unit = (
@@ -134,7 +130,7 @@ class SettingOutOfRange(DeviceError, ValueError):
 
 
 def _apart(value: float, *limits: float) -> str:
-    """Return a value with as many digits as tell it from each limit."""
+    """Return a value with as many digits as distinguish it from each limit."""
     told = (f"{value:.{digits}g}" for digits in (6, 9, 12, 17))
     return next((text for text in told if all(float(text) != float(f"{limit:g}") for limit in limits)), f"{value!r}")
 

@@ -13,11 +13,11 @@ R = TypeVar("R")
 
 
 def on_one_blas_thread(function: Callable[P, R]) -> Callable[P, R]:
-    """Return the function with BLAS held to one thread while it runs.
+    """Return the function so that BLAS uses one thread while it runs.
 
-    The systems of response recovery have some 60 unknowns, those of `reconcile` some 100. Measured with both cores
-    busy: 0.2 s on one thread and 2 s on two for a response, 11 s and 39 s of processor time for a session of 131
-    captures; most of it is spent spinning.
+    The systems of response recovery have some 60 unknowns, those of `reconcile` some 100. With both cores busy, a
+    response takes 0.2 s on one thread and 2 s on two. A session of 131 captures takes 11 s and 39 s of processor time.
+    Most of that time is spent spinning.
 
     Args:
         function: What solves small systems.

@@ -9,6 +9,6 @@ A simulated bench is composed of four things (`radiometer.bench` does it from a 
     camera = SimulatedCamera(model, scene, seed=0, serial="22500001",
                              limits=preset.require_limits(where).capabilities(has_shutter=True))
 
-Effects (`simulators.effects`) are the entries of the model; `simulate_capture` writes capture sets without a bench.
+Effects (`simulators.effects`) are the entries of the model.
 Nothing here imports `radiometer.analysis`: the formula that makes the light must not be the one that measures it.
 """

@@ -18,11 +18,7 @@ class SimulatedClock:
         return self._now_s
 
     def advance(self, duration_s: float) -> None:
-        """Move the clock forward.
-
-        Raises:
-            ValueError: If the duration is negative: time does not run back.
-        """
+        """Move the clock forward. Raises ValueError if the duration is negative: time does not run back."""
         if duration_s < 0:
             raise ValueError(f"cannot advance the clock by {duration_s} s; durations are 0 or more")
         self._now_s += duration_s

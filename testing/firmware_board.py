@@ -8,7 +8,7 @@ from __future__ import annotations
 import ctypes
 import shutil
 import subprocess
-from _ctypes import dlclose
+from _ctypes import dlclose, dlopen
 from pathlib import Path
 from zlib import crc32
 
@@ -64,7 +64,8 @@ class FirmwareBox:
         self, library: Path, copy: Path, reset_flags: int = 1, serial: str = SERIAL, memory: bytes | None = None
     ) -> None:
         self._copy = Path(shutil.copy(library, copy))
-        self._board = ctypes.CDLL(str(copy))
+        self._handle = dlopen(str(copy), ctypes.DEFAULT_MODE)
+        self._board = ctypes.CDLL(str(copy), handle=self._handle)
         self._board.board_start(rested_memory(serial) if memory is None else memory, reset_flags)
         for name in ("board_pass", "board_pass_watched", "board_cut_after"):
             getattr(self._board, name).argtypes = [ctypes.c_uint32]
@@ -74,7 +75,7 @@ class FirmwareBox:
 
     def close(self) -> None:
         """Forget the box; its file stays till then, for one that takes over its number would be taken for the same."""
-        dlclose(self._board._handle)
+        dlclose(self._handle)
         self._copy.unlink()
 
     def run(self, ms: int) -> None:

@@ -11,6 +11,7 @@ from __future__ import annotations
 import contextlib
 import os
 import pickle
+import shutil
 import signal
 import tempfile
 from collections import OrderedDict
@@ -185,8 +186,9 @@ def run(session: pytest.Session, group_of: Callable[[str], str], processes: int)
     """
     groups = grouped(session.items, group_of)
     taken = turns(len(groups))
-    session.config._tmp_path_factory.getbasetemp()  # type: ignore[attr-defined]  # one folder, emptied at the end
     with contextlib.ExitStack() as files:
+        folder = tempfile.mkdtemp(prefix="pytest-of-several-", dir=os.environ.get("PYTEST_DEBUG_TEMPROOT"))
+        os.environ["PYTEST_DEBUG_TEMPROOT"] = folder  # each process makes its own files there
         streams = [files.enter_context(tempfile.TemporaryFile(buffering=0)) for _ in range(processes - 1)]
         children = [forked(session, groups, taken, stream) for stream in streams]
         readers = [Reader(session.config, stream) for stream in streams]
@@ -206,4 +208,6 @@ def run(session: pytest.Session, group_of: Callable[[str], str], processes: int)
         session.shouldfail = f"another process of tests ended with {os.waitstatus_to_exitcode(status)}"
     if session.shouldfail:
         raise session.Failed(session.shouldfail)
+    if not session.testsfailed:
+        shutil.rmtree(folder, ignore_errors=True)
     return True

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import asyncio
+import functools
 import selectors
-from collections.abc import Coroutine
+from collections.abc import Callable, Coroutine
 from typing import Any
 
 
@@ -35,6 +36,16 @@ class VirtualLoop(asyncio.SelectorEventLoop):
     def time(self) -> float:
         """Return the virtual time in s."""
         return self._jumping.now
+
+
+def in_virtual_time(story: Callable[..., Coroutine[Any, Any, Any]]) -> Callable[..., Any]:
+    """Return a test that runs a coroutine function in virtual time."""
+
+    @functools.wraps(story)
+    def test(*arguments: Any, **named: Any) -> Any:
+        return run(story(*arguments, **named))
+
+    return test
 
 
 def run(work: Coroutine[Any, Any, Any]) -> Any:

@@ -8,11 +8,10 @@ with camera:
 
 from __future__ import annotations
 
-import threading
 from collections.abc import Generator
 from functools import lru_cache
-from types import ModuleType, TracebackType
-from typing import NamedTuple, Self
+from types import ModuleType
+from typing import NamedTuple
 
 import structlog
 
@@ -22,14 +21,12 @@ from drivers.cameras.camera_opening import CameraSession, open_session
 from drivers.cameras.camera_quirks import load_preset
 from drivers.cameras.frame_stream import Tally
 from drivers.cameras.fresh_frames import FreshFrames
+from drivers.cameras.plain_camera import NamedCamera, let_go
 from radiometer.data import CameraDescription, Frame, LensDescription
 from radiometer.devices import AcquisitionCounts, CameraCapabilities, CameraIdentity, CameraSettings
 from radiometer.errors import DeviceError, DeviceInUse, DeviceLost, MissingLibrary
 
 _LOG = structlog.get_logger(__name__)
-
-_held: set[str] = set()  # ids opened by this process: the library itself lets one process open a camera twice
-_held_lock = threading.Lock()
 
 
 class _Library(NamedTuple):
@@ -40,11 +37,7 @@ class _Library(NamedTuple):
 
 @lru_cache(maxsize=1)
 def load_library() -> _Library:
-    """Return Aravis and GLib.
-
-    Raises:
-        MissingLibrary: If PyGObject or Aravis is not installed; names the packages.
-    """
+    """Return Aravis and GLib. Raises MissingLibrary if PyGObject or Aravis is not installed; names the packages."""
     try:
         import gi
     except ImportError as error:
@@ -63,29 +56,19 @@ def load_library() -> _Library:
     raise MissingLibrary("GenICam cameras need Aravis: apt install gir1.2-aravis-0.8 aravis-tools")
 
 
-def discover(*, include_fake: bool = False) -> list[CameraIdentity]:
-    """Return the cameras that answer on all network interfaces and USB ports; takes about 1 s.
-
-    Args:
-        include_fake: Also list Aravis's built-in fake camera.
-
-    Raises:
-        MissingLibrary: If Aravis is not installed.
-    """
-    return listed_cameras(load_library().aravis, include_fake=include_fake)
+def discover() -> list[CameraIdentity]:
+    """Return the cameras that answer on all networks and USB ports; takes about 1 s. Raises MissingLibrary."""
+    return listed_cameras(load_library().aravis)
 
 
 def open_camera(
-    name: str | None = None,
-    preset: str | CameraDescription | None = None,
-    lens: LensDescription | None = None,
+    name: str | None = None, preset: str | CameraDescription | None = None, lens: LensDescription | None = None
 ) -> AravisCamera:
     """Return a camera by id, serial number or address, ready for `open()`.
 
     Args:
         name: Device id, serial number or IP address; None for the only camera connected.
         preset: Name or path of a datasheet preset, or the description itself; None for that of the camera's model.
-        lens: The lens in front of it.
 
     Raises:
         DeviceNotFound: If nothing of that name answers, or several cameras do where none was named.
@@ -95,13 +78,12 @@ def open_camera(
     return AravisCamera(find_camera(load_library().aravis, name, discover), preset=description, lens=lens)
 
 
-class AravisCamera:
+class AravisCamera(NamedCamera):
     """A GenICam camera as a `Camera`.
 
     Args:
         identity: Who it is; `device_id` is what Aravis opens it by. Completed when it is opened.
         preset: What its datasheet says; None to look its model up among the presets.
-        lens: The lens in front of it.
         frame_deadline_s: Longest wait for a frame beyond twice its exposure time, in s.
     """
 
@@ -165,15 +147,9 @@ class AravisCamera:
         if self._session is not None:
             raise DeviceInUse(f"{self._label} is open already; close it first")
         library = load_library()
-        with _held_lock:
-            if self._identity.device_id in _held:
-                raise DeviceInUse(f"{self._label} is in use by this program already; close it there first")
-            _held.add(self._identity.device_id)
-        try:
-            self._session = open_session(library.aravis, library.glib.Error, self._identity, self._preset)
-        except BaseException:
-            _held.discard(self._identity.device_id)
-            raise
+        self._session = self._hold(
+            lambda: open_session(library.aravis, library.glib.Error, self._identity, self._preset)
+        )
         self._identity, self._tally = self._session.identity, Tally()
         for finding in self._session.hygiene:
             if finding.state == "still_on":
@@ -192,7 +168,7 @@ class AravisCamera:
         except DeviceError as error:  # it is being given up: a refusal must not hide the error before it
             _LOG.info("camera did not say goodbye", camera=self._label, reason=str(error))
         finally:
-            _held.discard(session.opened_by)
+            let_go(session.opened_by)
             session.features.close()
             if session.is_lost():
                 give_up_in_background(session.camera, load_library().glib.Error)
@@ -241,22 +217,6 @@ class AravisCamera:
     def set_shutter(self, *, closed: bool) -> None:
         """Refuse: machine cameras have no mechanical shutter. Raises DeviceError."""
         raise DeviceError(f"{self._label}: has no shutter; cover the lens by hand for dark frames")
-
-    def __enter__(self) -> Self:
-        """Open the camera."""
-        self.open()
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        """Close the camera."""
-        self.close()
-
-    @property
-    def _label(self) -> str:
-        known = (self._identity.vendor, self._identity.model, self._identity.serial)
-        return "camera " + (" ".join(part for part in known if part) or self._identity.device_id)
 
     @property
     def _open_session(self) -> CameraSession:

@@ -13,8 +13,8 @@ from contextlib import suppress
 from typing import Any, Final
 
 _OWN_REFERENCES: Final = 2  # that of the list, and that of the question itself
-_LOOK_S: Final = 0.05
-_PATIENCE_S: Final = 60.0
+_LOOK_S: Final = 0.05  # short against the 2.5 s that each goodbye may wait
+_PATIENCE_S: Final = 60.0  # an exception may hold an object for a while; a minute later it is dropped whoever holds it
 # A second between two heartbeats, 5 s in which one is repeated, five times 0.5 s for the last of them (Aravis 0.8).
 HEARTBEAT_S: Final = 10.0
 

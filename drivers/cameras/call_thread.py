@@ -31,18 +31,13 @@ class CallThread:
     """One call at a time in a thread that ends with `close()`, or with the call it was left with.
 
     Args:
-        name: How messages call the camera.
         is_gone: Asks the camera whether it is there, past the library; called while a call takes long.
         patience_s: How long a call may take before that is asked, and between two questions, in s.
         deadline_s: How long a call may take at all in s; None for as long as the camera is there.
     """
 
     def __init__(
-        self,
-        name: str,
-        is_gone: Callable[[], bool],
-        patience_s: float = PATIENCE_S,
-        deadline_s: float | None = None,
+        self, name: str, is_gone: Callable[[], bool], patience_s: float = PATIENCE_S, deadline_s: float | None = None
     ) -> None:
         self._name, self._is_gone, self._patience_s = name, is_gone, patience_s
         self._questions = math.inf if deadline_s is None else math.ceil(deadline_s / patience_s)

@@ -46,37 +46,21 @@ _USB_DEADLINE_S: Final = 5.0  # libusb's own patience with a transfer is endless
 
 @dataclass(slots=True)
 class CameraSession:
-    """A camera under our control, with what was read from it.
+    """A camera under our control, with what was read from it."""
 
-    Attributes:
-        camera: The `Aravis.Camera`.
-        features: Its features.
-        access: Its settings.
-        quirks: How its family differs from the standard.
-        identity: Who it is.
-        opened_by: The id it was opened by.
-        preset: What its datasheet says; None where there is none.
-        hygiene: What was found of the falsifying features.
-        chunk_names: Chunk values it sends with every frame.
-        notes: What it refused or was changed in while it was opened, for people.
-        throughput: How fast it may send; None where that cannot be set.
-        settings: In force, as read back.
-        capabilities: Its limits in the pixel format in force.
-    """
-
-    camera: Any
-    features: FeatureAccess
-    access: SettingsAccess
-    quirks: CameraQuirks
-    identity: CameraIdentity
-    opened_by: str
-    preset: CameraDescription | None
-    hygiene: tuple[HygieneFinding, ...]
-    chunk_names: tuple[str, ...]
-    notes: tuple[str, ...]
-    throughput: LinkThroughput | None
-    settings: CameraSettings
-    capabilities: CameraCapabilities
+    camera: Any  # the `Aravis.Camera`
+    features: FeatureAccess  # its features
+    access: SettingsAccess  # its settings
+    quirks: CameraQuirks  # how its family differs from the standard
+    identity: CameraIdentity  # who it is
+    opened_by: str  # the id it was opened by
+    preset: CameraDescription | None  # what its datasheet says; None where there is none
+    hygiene: tuple[HygieneFinding, ...]  # what was found of the falsifying features
+    chunk_names: tuple[str, ...]  # chunk values it sends with every frame
+    notes: tuple[str, ...]  # what it refused or was changed in while it was opened, for people
+    throughput: LinkThroughput | None  # how fast it may send; None where that cannot be set
+    settings: CameraSettings  # in force, as read back
+    capabilities: CameraCapabilities  # its limits in the pixel format in force
     _temperature: tuple[float, float | None] = field(default=(float("-inf"), None))
 
     @property

@@ -37,28 +37,19 @@ class PresetChoice(ConfigSection):
 
 
 class CameraQuirks(ConfigSection):
-    """How a family of cameras differs from the standard; each figure's origin is stated in `sources`.
-
-    Attributes:
-        matches: Which cameras are meant.
-        presets: Datasheet presets of its models.
-        discard_after_change: Frames thrown away after a change of settings, in addition to those that chunks
-            distinguish.
-        load_default_user_set: Load the factory's user set when opening.
-        mono16_left_aligned_bits: Significant bits of Mono16 where they are shifted to the top; 0 where not.
-        mono16_big_endian: Mono16 comes with the high byte first.
-        gain_db_per_unit: dB per unit of the gain feature.
-        black_level_dn_per_unit: DN per unit of the black level feature; None: from the unit that the camera states.
-    """
+    """How a family of cameras differs from the standard; each figure's origin is stated in `sources`."""
 
     format: Literal["radiometer-camera-quirks/1"]
-    matches: CameraMatch
-    presets: tuple[PresetChoice, ...] = ()
+    matches: CameraMatch  # which cameras are meant
+    presets: tuple[PresetChoice, ...] = ()  # datasheet presets of its models
+    # Frames thrown away after a change of settings, in addition to those that chunks distinguish
     discard_after_change: int = Field(1, ge=0, le=20)
-    load_default_user_set: bool = False
+    load_default_user_set: bool = False  # load the factory's user set when opening
+    # Significant bits of Mono16 where they are shifted to the top; 0 where not
     mono16_left_aligned_bits: int = Field(0, ge=0, le=16)
-    mono16_big_endian: bool = False
-    gain_db_per_unit: float = Field(1.0, gt=0)
+    mono16_big_endian: bool = False  # mono16 comes with the high byte first
+    gain_db_per_unit: float = Field(1.0, gt=0)  # dB per unit of the gain feature
+    # DN per unit of the black level feature; None: from the unit that the camera states
     black_level_dn_per_unit: float | None = Field(None, gt=0)
     sources: dict[str, str] = Field(default_factory=dict)
 

@@ -14,10 +14,10 @@ _SAME_EXPOSURE_REL: Final = 1e-3  # the chunk is rounded as the register is; nei
 # A chunk counts whole µs (FLIR's descriptions: ChunkExposureTimeUS = RAW*1), and a whole µs more or less is another
 # setting: only what is less than a step away may be the same.
 _CHUNK_STEP_S: Final = 1e-6
-_WITHIN_STEP: Final = 0.999
-_SAME_GAIN_DB: Final = 0.01
+_WITHIN_STEP: Final = 0.999  # a difference of a whole step counts as one, rounding of floats included
+_SAME_GAIN_DB: Final = 0.01  # cameras step by 0.1 dB or finer steps of which rounding leaves hundredths
 _SAME_BLACK_REL: Final = 2e-4  # of full scale
-_SAME_BLACK_DN: Final = 0.5
+_SAME_BLACK_DN: Final = 0.5  # read back in whole DN
 
 
 def switch_on_chunks(camera: Any, features: FeatureAccess, notes: list[str]) -> tuple[str, ...]:
@@ -28,7 +28,6 @@ def switch_on_chunks(camera: Any, features: FeatureAccess, notes: list[str]) -> 
 
     Args:
         camera: An `Aravis.Camera`.
-        features: Its features.
         notes: What was met on the way is added here.
     """
     if not features.has("ChunkModeActive") or not features.has("ChunkSelector"):
@@ -62,7 +61,6 @@ def holds_other_settings(raw: RawFrame, settings: CameraSettings, exposure_step_
     """Tell whether a frame's chunks say that it was exposed under other settings than those in force.
 
     Args:
-        raw: The frame.
         settings: In force, as read back.
         exposure_step_s: The camera's own step of the exposure time in s; 0 where unknown.
     """
@@ -84,7 +82,6 @@ def told_by_chunks(
         changed: Names of the chunks of the settings that were changed.
         settings: In force, as read back.
         black_level_scale: DN of a unit of the camera's black level.
-        full_scale_dn: Highest digital number.
     """
     if not changed <= raw.chunks.keys():
         return False
@@ -98,10 +95,8 @@ def tells_black(raw: RawFrame, black_level_dn: float, black_level_scale: float, 
     """Tell whether a frame's chunk says that it was exposed under a black level.
 
     Args:
-        raw: The frame.
         black_level_dn: The black level in DN.
         black_level_scale: DN of a unit of the camera's black level.
-        full_scale_dn: Highest digital number.
     """
     said = raw.chunks.get("BlackLevel")
     tolerance_dn = max(_SAME_BLACK_DN, _SAME_BLACK_REL * full_scale_dn)

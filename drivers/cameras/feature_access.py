@@ -22,7 +22,6 @@ class FeatureAccess:
 
     Args:
         camera: An `Aravis.Camera`.
-        name: How messages call the camera.
         library_error: The exception class of the library, `GLib.Error`.
         thread: Where calls run that may wait for the camera; None to run them where they are asked for.
 
@@ -121,7 +120,6 @@ def translated(error: Exception, name: str) -> DeviceError:
 
     Args:
         error: A `GLib.Error`.
-        name: How messages call the camera.
     """
     code, domain = getattr(error, "code", None), getattr(error, "domain", "")
     text = getattr(error, "message", str(error))

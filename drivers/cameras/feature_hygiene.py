@@ -11,40 +11,24 @@ from radiometer.errors import DeviceError, DeviceInUse, DeviceLost
 
 @dataclass(frozen=True, slots=True)
 class FalsifyingFeature:
-    """A camera feature that makes digital numbers differ from light, its harmless value, and what it does.
+    """A camera feature that makes digital numbers differ from light, its harmless value, and what it does."""
 
-    Attributes:
-        name: The feature.
-        harmless: Its value that falsifies nothing.
-        effect: What any other value does.
-        selector: Feature that selects which of several of this name is meant; "" where there is one only.
-        selected: Its entries, each of which is treated.
-    """
-
-    name: str
-    harmless: FeatureValue
-    effect: str
-    selector: str = ""
-    selected: tuple[str, ...] = ()
+    name: str  # the feature
+    harmless: FeatureValue  # its value that falsifies nothing
+    effect: str  # what any other value does
+    selector: str = ""  # feature that selects which of several of this name is meant; "" where there is one only
+    selected: tuple[str, ...] = ()  # its entries, each of which is treated
 
 
 @dataclass(frozen=True, slots=True)
 class HygieneFinding:
-    """What was found of one falsifying feature, and what became of it.
+    """What was found of one falsifying feature, and what became of it."""
 
-    Attributes:
-        feature: Which one.
-        found: Its value when the camera was opened.
-        now: Its value as read back afterwards.
-        state: "off" (it was harmless already), "switched_off", or "still_on".
-        reason: Why it is still on; empty otherwise.
-    """
-
-    feature: FalsifyingFeature
-    found: FeatureValue
-    now: FeatureValue
-    state: Literal["off", "switched_off", "still_on"]
-    reason: str = ""
+    feature: FalsifyingFeature  # which one
+    found: FeatureValue  # its value when the camera was opened
+    now: FeatureValue  # its value as read back afterwards
+    state: Literal["off", "switched_off", "still_on"]  # "off" (it was harmless already), "switched_off", or "still_on"
+    reason: str = ""  # why it is still on; empty otherwise
 
     def __str__(self) -> str:
         """Return the finding as one line."""

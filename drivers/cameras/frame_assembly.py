@@ -22,11 +22,8 @@ def assemble(
     """Return the frame.
 
     Args:
-        raw: What came over the wire.
         settings: Settings in force, as read back.
         quirks: How the camera's Mono16 is laid out.
-        bit_depth: Bits of a digital number.
-        lens: Lens in front of the camera.
         temperature_c: Sensor temperature in °C; None where unknown.
 
     Raises:

@@ -26,8 +26,6 @@ class FreshFrames:
     Args:
         aravis: The library's module.
         session: The open camera.
-        lens: The lens in front of it.
-        tally: Counts to add to.
         frame_deadline_s: Longest wait for a frame beyond twice its exposure time, in s.
     """
 

@@ -1,4 +1,7 @@
-"""Asks a GigE Vision camera whether it is there, without taking control of it."""
+"""Asks a GigE Vision camera whether it is there, without taking control of it.
+
+Each question goes to an IPv4 address `attempts` times and waits `timeout_s` for each answer.
+"""
 
 from __future__ import annotations
 
@@ -6,12 +9,12 @@ import socket
 import struct
 from typing import Final
 
-GVCP_PORT: Final = 3956
+GVCP_PORT: Final = 3956  # GigE Vision 2.0: UDP port of the control channel
 # GigE Vision 2.0, discovery command: key 0x42, flag "acknowledge", command 0x0002, no payload, request id 1.
 _DISCOVERY_COMMAND: Final = struct.pack(">BBHHH", 0x42, 0x01, 0x0002, 0, 1)
-_DISCOVERY_ACK: Final = 0x0003
+_DISCOVERY_ACK: Final = 0x0003  # GigE Vision 2.0, DISCOVERY_ACK
 _HEADER: Final = struct.Struct(">HHHH")
-_READ_MEMORY_ACK: Final = 0x0085
+_READ_MEMORY_ACK: Final = 0x0085  # GigE Vision 2.0, READMEM_ACK
 # READMEM, not READREG: some devices (Aravis's own server) take a register read of the privilege for a heartbeat, and
 # asking again and again would keep a controller that died in control for ever.
 _CONTROL_PRIVILEGE: Final = 0x0A00
@@ -20,25 +23,12 @@ _ASK_CONTROL: Final = struct.pack(">BBHHHIHH", 0x42, 0x01, 0x0084, 8, 2, _CONTRO
 
 
 def answers(address: str, attempts: int = 3, timeout_s: float = 0.4, port: int = GVCP_PORT) -> bool:
-    """Tell whether a camera at an address acknowledges a discovery command.
-
-    Args:
-        address: IPv4 address.
-        attempts: Commands sent before giving up.
-        timeout_s: Longest wait for each answer in s.
-        port: UDP port of its control channel.
-    """
+    """Tell whether a camera at an address acknowledges a discovery command."""
     return _answer(_DISCOVERY_COMMAND, _DISCOVERY_ACK, address, attempts, timeout_s, port) is not None
 
 
 def is_controlled(address: str, attempts: int = 2, timeout_s: float = 0.4, port: int = GVCP_PORT) -> bool:
     """Tell whether some program controls the camera at an address; False where nothing answers.
-
-    Args:
-        address: IPv4 address.
-        attempts: Questions asked before giving up.
-        timeout_s: Longest wait for each answer in s.
-        port: UDP port of its control channel.
 
     Source: GigE Vision 2.0, control channel privilege register, bits 30 (exclusive) and 31 (control).
     """
@@ -50,14 +40,7 @@ def is_controlled(address: str, attempts: int = 2, timeout_s: float = 0.4, port:
 
 
 def name_at(address: str, attempts: int = 2, timeout_s: float = 0.4, port: int = GVCP_PORT) -> tuple[str, str, str]:
-    """Return vendor, model and serial number of the camera at an address; empty where nothing answers.
-
-    Args:
-        address: IPv4 address.
-        attempts: Questions asked before giving up.
-        timeout_s: Longest wait for each answer in s.
-        port: UDP port of its control channel.
-    """
+    """Return vendor, model and serial number of the camera at an address; empty where nothing answers."""
     packet = _answer(_DISCOVERY_COMMAND, _DISCOVERY_ACK, address, attempts, timeout_s, port) or b""
     registers = packet[_HEADER.size :]
     vendor, model, serial = (

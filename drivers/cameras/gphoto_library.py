@@ -11,8 +11,8 @@ from drivers.cameras.call_thread import CallThread
 from radiometer.devices import CameraIdentity
 from radiometer.errors import DeviceError, DeviceInUse, DeviceLost, DeviceNotFound, DeviceTimeout, MissingLibrary
 
-_LOOK_S: Final = 0.5
-_SETTING_DEADLINE_S: Final = 15.0
+_LOOK_S: Final = 0.5  # how often a call that takes long is looked at
+_SETTING_DEADLINE_S: Final = 15.0  # a camera that writes a raw file to its card answers late by seconds
 # gphoto2-result.h and gphoto2-port-result.h.
 _NOT_FOUND: Final = frozenset({-105, -52, -5, -4})  # MODEL_NOT_FOUND, IO_USB_FIND, UNKNOWN_PORT, LIBRARY
 _IN_USE: Final = frozenset({-53, -60, -110})  # IO_USB_CLAIM, IO_LOCK, CAMERA_BUSY
@@ -62,13 +62,7 @@ class GphotoLibrary:
 
 
 class GphotoDevice:
-    """An open photographic camera.
-
-    Args:
-        library: The binding.
-        camera: Its camera.
-        name: How messages call it.
-    """
+    """An open photographic camera."""
 
     def __init__(self, library: Any, camera: Any, name: str) -> None:
         self._library, self._camera, self._name = library, camera, name

@@ -14,10 +14,10 @@ from radiometer.errors import MissingLibrary
 
 FRAME_BYTES: Final = 1616 * 1240 * 2  # a full Mono12 frame of the target camera
 WANTED_BUFFER_BYTES: Final = 33_554_432  # several frames; what camera makers' guides set
-JUMBO_MTU: Final = 9000
+JUMBO_MTU: Final = 9000  # bytes; what GigE cameras are made for: fewer packets, fewer interrupts
 USBFS_MB: Final = 1000  # FLIR's guide for USB3 cameras on Linux
 FLIR_USB_VENDOR: Final = "1e10"
-USB3_MBIT_S: Final = 5000
+USB3_MBIT_S: Final = 5000  # SuperSpeed, USB 3.2 Gen 1
 _ETHERNET: Final = "1"  # ARPHRD_ETHER, if_arp.h
 _USB3_VISION: Final = ("ef", "05")  # class and subclass of a control interface, USB3 Vision 1.0
 _UDEV_RULE: Final = 'SUBSYSTEM=="usb", ATTRS{idVendor}=="1e10", MODE="0660", GROUP="plugdev", TAG+="uaccess"'

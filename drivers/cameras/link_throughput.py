@@ -22,19 +22,12 @@ _SLOWER: Final = 0.75  # each time that frames were lost
 
 @dataclass(slots=True)
 class LinkThroughput:
-    """The limit of one open camera.
+    """The limit of one open camera."""
 
-    Attributes:
-        features: The camera's features.
-        name: How messages call it.
-        limit_bytes_s: In force, as read back.
-        lowest_bytes_s: What it may be set to at least.
-    """
-
-    features: FeatureAccess
-    name: str
-    limit_bytes_s: int
-    lowest_bytes_s: int
+    features: FeatureAccess  # the camera's features
+    name: str  # how messages call it
+    limit_bytes_s: int  # in force, as read back
+    lowest_bytes_s: int  # what it may be set to at least
 
     def slow_down(self) -> bool:
         """Lower the limit by a quarter, and return whether that could be done; the acquisition must be stopped.
@@ -62,8 +55,6 @@ def choose_throughput(camera: Any, features: FeatureAccess, name: str, notes: li
 
     Args:
         camera: An `Aravis.Camera`.
-        features: Its features.
-        name: How messages call it.
         notes: What was met on the way is added here.
     """
     if not features.has(LIMIT):

@@ -29,8 +29,6 @@ def open_own(name: str, lens: LensDescription | None = None, preset: CameraDescr
 
     Args:
         name: Library, colon, and path, number or port; nothing behind the colon for the only one there is.
-        lens: The lens in front of it.
-        preset: What its datasheet says.
 
     Raises:
         DeviceNotFound: If there is none, or several where none was named.

@@ -16,7 +16,7 @@ from drivers.cameras.pi_link import RawRequest, SensorMode
 from radiometer.devices import CameraIdentity
 from radiometer.errors import DeviceError, DeviceInUse, DeviceLost, DeviceNotFound, DeviceTimeout, MissingLibrary
 
-_LOOK_S: Final = 0.5
+_LOOK_S: Final = 0.5  # how often a call that takes long is looked at
 
 
 def load_library() -> ModuleType:
@@ -58,7 +58,6 @@ class PicameraDevice:
 
     Args:
         camera: A `Picamera2`.
-        number: Its number, for messages.
     """
 
     def __init__(self, camera: Any, number: int) -> None:

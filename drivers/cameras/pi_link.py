@@ -9,14 +9,14 @@ from typing import Any, Final, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.cameras.plain_camera import Grab, bits_of
+from drivers.cameras.plain_camera import Grab, LibraryLink, bits_of
 from radiometer.devices import CameraCapabilities, CameraIdentity, CameraSettings, Finding, Health
-from radiometer.errors import DeviceError, DeviceLost, DeviceTimeout
+from radiometer.errors import DeviceError, DeviceTimeout
 
 MAX_STALE: Final = 12  # frames of the settings before: the camera stack queues several requests
 _SAME_EXPOSURE_REL: Final = 0.02  # lines of the sensor: some tens of µs, coarse for the shortest exposures
-_SAME_EXPOSURE_US: Final = 60.0
-_SAME_GAIN_REL: Final = 0.02
+_SAME_EXPOSURE_US: Final = 60.0  # two lines of 30 µs
+_SAME_GAIN_REL: Final = 0.02  # analogue gains come in steps of 1 to 2 %
 _FULL_SCALE_16: Final = 16  # bits in which the stack states black levels
 
 
@@ -43,27 +43,21 @@ class PiDevice(Protocol):
 
     def modes(self) -> list[SensorMode]:
         """Return its raw modes."""
-        ...
 
     def limits(self) -> dict[str, tuple[float, float]]:
         """Return lowest and highest value of its controls by the stack's names."""
-        ...
 
     def start(self, mode: SensorMode, controls: dict[str, Any]) -> None:
         """Begin to capture in a raw mode. Raises DeviceInUse, DeviceError."""
-        ...
 
     def request(self, deadline_s: float) -> RawRequest:
         """Return the next frame. Raises DeviceTimeout, DeviceLost."""
-        ...
 
     def stop(self) -> None:
         """End the capture."""
-        ...
 
     def close(self) -> None:
         """Give the device back."""
-        ...
 
 
 class PiLibrary(Protocol):
@@ -71,36 +65,20 @@ class PiLibrary(Protocol):
 
     def open(self, number: int) -> PiDevice:
         """Open a camera by its number. Raises DeviceNotFound, DeviceInUse, MissingLibrary."""
-        ...
 
 
-class PiLink:
+class PiLink(LibraryLink[PiDevice]):
     """One Raspberry Pi camera; of a colour sensor the green pixels, at half size.
 
     Args:
-        library: Opens it.
         identity: Who it is; `device_id` is "picamera:" and its number.
     """
 
     def __init__(self, library: PiLibrary, identity: CameraIdentity) -> None:
-        self._library, self._identity = library, identity
-        self._device: PiDevice | None = None
-        self._mode = SensorMode(10, 0, 0, "")
-        self._limits: CameraCapabilities | None = None
+        super().__init__(identity)
+        self._library, self._mode = library, SensorMode(10, 0, 0, "")
         self._settings = CameraSettings(0.01, pixel_format="Mono10")
         self._black_dn = 0.0
-
-    @property
-    def identity(self) -> CameraIdentity:
-        """Return who the camera is."""
-        return self._identity
-
-    @property
-    def capabilities(self) -> CameraCapabilities:
-        """Return its limits. Raises DeviceError unless open."""
-        if self._limits is None:
-            raise DeviceError(f"{self._identity.device_id} is not open; call open() first")
-        return self._limits
 
     def open(self) -> CameraSettings:
         """Open the camera in its deepest, largest raw mode, and learn its black level. Raises DeviceError."""
@@ -121,12 +99,6 @@ class PiLink:
             self.close()
             raise
         return self.apply(CameraSettings(0.01, pixel_format=f"Mono{self._mode.bit_depth}"))
-
-    def close(self) -> None:
-        """Give the device back."""
-        device, self._device = self._device, None
-        if device is not None:
-            device.close()
 
     def apply(self, settings: CameraSettings) -> CameraSettings:
         """Take over exposure time and gain: they are set when the acquisition starts, and every frame states them."""
@@ -167,12 +139,6 @@ class PiLink:
             return []
         message = f"colour sensor ({self._mode.mosaic}): the green pixels of every 2 × 2 are read"
         return [Finding("mosaic", Health.NOTE, message)]
-
-    @property
-    def _open(self) -> PiDevice:
-        if self._device is None:
-            raise DeviceLost(f"{self._identity.device_id} is not open; open it again")
-        return self._device
 
     def _read_limits(self, device: PiDevice, black_dn: float) -> CameraCapabilities:
         limits, step = device.limits(), 2 if self._mode.mosaic else 1

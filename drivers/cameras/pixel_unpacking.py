@@ -17,21 +17,13 @@ _Unpack = Callable[[NDArray[np.uint8], int], DigitalNumbers]
 
 @dataclass(frozen=True, slots=True)
 class PixelFormat:
-    """A monochrome pixel format.
+    """A monochrome pixel format."""
 
-    Attributes:
-        name: PFNC name.
-        code: PFNC 32-bit value.
-        bit_depth: Bits of a digital number.
-        bits_per_pixel: Bits a pixel takes on the wire.
-        unpack: Payload bytes and number of pixels → digital numbers.
-    """
-
-    name: str
-    code: int
-    bit_depth: int
-    bits_per_pixel: int
-    unpack: _Unpack
+    name: str  # PFNC name
+    code: int  # PFNC 32-bit value
+    bit_depth: int  # bits of a digital number
+    bits_per_pixel: int  # bits a pixel takes on the wire
+    unpack: _Unpack  # payload bytes and number of pixels → digital numbers
 
     def payload_bytes(self, pixel_count: int) -> int:
         """Return the bytes that a picture of so many pixels takes, rounded up."""
@@ -39,19 +31,12 @@ class PixelFormat:
 
 
 def unpack_pixels(
-    payload: bytes,
-    format_name: str,
-    width: int,
-    height: int,
-    *,
-    left_aligned_bits: int = 0,
-    big_endian: bool = False,
+    payload: bytes, format_name: str, width: int, height: int, *, left_aligned_bits: int = 0, big_endian: bool = False
 ) -> DigitalNumbers:
     """Return the digital numbers of a picture, right-aligned, shape (height, width).
 
     Args:
         payload: What came over the wire; longer than needed where the device pads it.
-        format_name: PFNC name, one of MONO_FORMATS.
         width: Picture width in pixels.
         height: Picture height in pixels.
         left_aligned_bits: Significant bits of a Mono16 whose camera shifts them to the top; 0 where it does not.

@@ -7,10 +7,10 @@ each); what the `Camera` protocol asks beyond that stands here once.
 from __future__ import annotations
 
 import threading
+from abc import abstractmethod
 from collections.abc import Callable, Generator
 from dataclasses import dataclass, replace
-from types import TracebackType
-from typing import Protocol, Self, TypeVar
+from typing import Generic, Protocol, TypeVar
 
 from radiometer.data import CameraDescription, Frame, FrameSettings, LensDescription
 from radiometer.data.frame import CameraFile, DigitalNumbers
@@ -23,7 +23,9 @@ from radiometer.devices import (
     Finding,
     Roi,
     refuse_out_of_range,
+    refuse_roi_outside,
 )
+from radiometer.devices.opening import Opened
 from radiometer.errors import DeviceError, DeviceInUse, DeviceLost, SettingOutOfRange
 
 _Result = TypeVar("_Result")
@@ -31,32 +33,52 @@ _held: set[str] = set()  # devices opened by this process: some libraries let on
 _held_lock = threading.Lock()
 
 
+class NamedCamera(Opened):
+    """What every driver of a camera has: a name for messages, one opening per process, and the form of a block."""
+
+    @property
+    @abstractmethod
+    def identity(self) -> CameraIdentity:
+        """Return who the camera is."""
+
+    @property
+    def _label(self) -> str:
+        who = self.identity
+        return "camera " + (" ".join(part for part in (who.vendor, who.model, who.serial) if part) or who.device_id)
+
+    def _hold(self, open_device: Callable[[], _Result]) -> _Result:
+        """Return what opening the device gives. Raises DeviceInUse where this process holds it already."""
+        name = self.identity.device_id
+        with _held_lock:
+            if name in _held:
+                raise DeviceInUse(f"{self._label} is in use by this program already; close it there first")
+            _held.add(name)
+        try:
+            return open_device()
+        except BaseException:
+            _held.discard(name)
+            raise
+
+
+def let_go(device_id: str) -> None:
+    """Let this process open a device again."""
+    _held.discard(device_id)
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Grab:
-    """A whole frame as the library gave it.
+    """A whole frame as the library gave it."""
 
-    Attributes:
-        dn: Digital numbers, right-aligned, shape (height, width).
-        bit_depth: Bits of a digital number.
-        exposure_s: Exposure time that it was taken with in s.
-        gain_db: Gain that it was taken with in dB.
-        black_level_dn: Its black level in DN.
-        timestamp_s: Time of a steady clock in s.
-        temperature_c: Sensor temperature in °C; None where unknown.
-        f_number: f-number as the camera states it; None where it does not.
-        file: The raw file that the numbers were read from, where the camera wrote one.
-        white_level_dn: Digital number from which the camera says that pixels are saturated; None where it does not.
-    """
-
-    dn: DigitalNumbers
-    bit_depth: int
-    exposure_s: float
-    gain_db: float
-    black_level_dn: float
-    timestamp_s: float
-    temperature_c: float | None = None
-    f_number: float | None = None
-    file: CameraFile | None = None
+    dn: DigitalNumbers  # digital numbers, right-aligned, shape (height, width)
+    bit_depth: int  # bits of a digital number
+    exposure_s: float  # exposure time that it was taken with in s
+    gain_db: float  # gain that it was taken with in dB
+    black_level_dn: float  # its black level in DN
+    timestamp_s: float  # time of a steady clock in s
+    temperature_c: float | None = None  # sensor temperature in °C; None where unknown
+    f_number: float | None = None  # f-number as the camera states it; None where it does not
+    file: CameraFile | None = None  # the raw file that the numbers were read from, where the camera wrote one
+    # Digital number from which the camera says that pixels are saturated; None where it does not
     white_level_dn: float | None = None
 
 
@@ -66,48 +88,81 @@ class FrameLink(Protocol):
     @property
     def identity(self) -> CameraIdentity:
         """Return who the camera is."""
-        ...
 
     @property
     def capabilities(self) -> CameraCapabilities:
         """Return its limits; known once it is open."""
-        ...
 
     def open(self) -> CameraSettings:
         """Take the device and return the settings in force. Raises DeviceNotFound, DeviceInUse, MissingLibrary."""
-        ...
 
     def close(self) -> None:
         """Give the device back, whatever its state."""
-        ...
 
     def apply(self, settings: CameraSettings) -> CameraSettings:
         """Set exposure, gain and format, and return them as read back. Raises DeviceError."""
-        ...
 
     def start(self) -> None:
         """Begin an acquisition: frames grabbed from now on are exposed from now on. Raises DeviceError."""
-        ...
 
     def grab(self) -> Grab:
         """Return the next frame exposed under the settings in force. Raises DeviceTimeout, DeviceLost."""
-        ...
 
     def stop(self) -> None:
         """End the acquisition."""
-        ...
 
     def findings(self) -> list[Finding]:
         """Return what was found of the camera that a user must know."""
-        ...
 
 
-class PlainCamera:
+class LinkedDevice(Protocol):
+    """An open device of any library."""
+
+    def close(self) -> None:
+        """Give it back."""
+
+
+_Device = TypeVar("_Device", bound=LinkedDevice)
+
+
+class LibraryLink(Generic[_Device]):
+    """What every `FrameLink` to a library's device has in common: who it is, its limits, and its end."""
+
+    def __init__(self, identity: CameraIdentity) -> None:
+        self._identity = identity
+        self._device: _Device | None = None
+        self._limits: CameraCapabilities | None = None
+
+    @property
+    def identity(self) -> CameraIdentity:
+        """Return who the camera is."""
+        return self._identity
+
+    @property
+    def capabilities(self) -> CameraCapabilities:
+        """Return its limits. Raises DeviceError unless open."""
+        if self._limits is None:
+            raise DeviceError(f"{self._identity.device_id} is not open; call open() first")
+        return self._limits
+
+    def close(self) -> None:
+        """Give the device back."""
+        device, self._device = self._device, None
+        if device is not None:
+            device.close()
+
+    @property
+    def _open(self) -> _Device:
+        if self._device is None:
+            raise DeviceLost(f"{self._identity.device_id} is not open; open it again")
+        return self._device
+
+
+class PlainCamera(NamedCamera):
     """A camera behind a `FrameLink`, as a `Camera`.
 
     Args:
         link: The library's camera.
-        lens: The lens in front of it.
         preset: What its datasheet says; None where nothing is known.
     """
 
@@ -178,15 +233,7 @@ class PlainCamera:
         """
         if self._settings is not None:
             raise DeviceInUse(f"{self._label} is open already; close it first")
-        with _held_lock:
-            if self.identity.device_id in _held:
-                raise DeviceInUse(f"{self._label} is in use by this program already; close it there first")
-            _held.add(self.identity.device_id)
-        try:
-            self._settings = self._link.open()
-        except BaseException:
-            _held.discard(self.identity.device_id)
-            raise
+        self._settings = self._hold(self._link.open)
         self._lost, self._frames = False, 0
 
     def close(self) -> None:
@@ -194,7 +241,7 @@ class PlainCamera:
         if self._settings is None:
             return
         self._settings = None
-        _held.discard(self.identity.device_id)
+        let_go(self.identity.device_id)
         self._link.close()
 
     def configure(self, settings: CameraSettings) -> CameraSettings:
@@ -236,22 +283,6 @@ class PlainCamera:
     def set_shutter(self, *, closed: bool) -> None:
         """Refuse: none of these can keep its shutter closed for a dark frame. Raises DeviceError."""
         raise DeviceError(f"{self._label}: has no shutter to close; cover the lens by hand for dark frames")
-
-    def __enter__(self) -> Self:
-        """Open the camera."""
-        self.open()
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        """Close the camera."""
-        self.close()
-
-    @property
-    def _label(self) -> str:
-        who = self.identity
-        return "camera " + (" ".join(part for part in (who.vendor, who.model, who.serial) if part) or who.device_id)
 
     def _require_open(self) -> CameraSettings:
         if self._settings is None:
@@ -300,17 +331,8 @@ class PlainCamera:
         refuse_out_of_range(self._label, settings, limits)
         if settings.binning != 1:
             raise SettingOutOfRange(self._label, "binning", settings.binning, 1, 1, "pixels")
-        roi = settings.roi
-        if roi is None:
-            return
-        for name, value, low, high in (
-            ("ROI left", roi.x, 0, limits.width - 1),
-            ("ROI top", roi.y, 0, limits.height - 1),
-            ("ROI width", roi.width, 1, limits.width - roi.x),
-            ("ROI height", roi.height, 1, limits.height - roi.y),
-        ):
-            if not low <= value <= high:
-                raise SettingOutOfRange(self._label, name, value, low, high, "pixels")
+        if settings.roi is not None:
+            refuse_roi_outside(self._label, settings.roi, limits.width, limits.height)
 
 
 def bits_of(pixel_format: str) -> int:

@@ -8,7 +8,7 @@ from typing import Any, Final
 from drivers.cameras.camera_quirks import CameraQuirks
 from drivers.cameras.feature_access import FeatureAccess
 from drivers.cameras.pixel_unpacking import MONO_FORMATS
-from radiometer.devices import CameraCapabilities, CameraSettings, Roi, refuse_out_of_range
+from radiometer.devices import CameraCapabilities, CameraSettings, Roi, refuse_out_of_range, refuse_roi_outside
 from radiometer.errors import DeviceError, DeviceInUse, DeviceLost, SettingOutOfRange
 
 _TRIGGER_STEPS: Final = (("TriggerSelector", "FrameStart"), ("TriggerSource", "Software"), ("TriggerMode", "On"))
@@ -23,19 +23,12 @@ def bit_depth_of(format_name: str, quirks: CameraQuirks) -> int:
 
 @dataclass(frozen=True, slots=True)
 class SettingsAccess:
-    """Settings of one open camera.
+    """Settings of one open camera."""
 
-    Attributes:
-        camera: An `Aravis.Camera`.
-        features: Its features.
-        quirks: How its family differs from the standard.
-        name: How messages call it.
-    """
-
-    camera: Any
-    features: FeatureAccess
-    quirks: CameraQuirks
-    name: str
+    camera: Any  # an `Aravis.Camera`
+    features: FeatureAccess  # its features
+    quirks: CameraQuirks  # how its family differs from the standard
+    name: str  # how messages call it
 
     def capabilities(self, format_name: str) -> CameraCapabilities:
         """Return the limits in s, dB and DN; the black level's are those of the given pixel format."""
@@ -163,14 +156,7 @@ class SettingsAccess:
         return int(low), int(high)
 
     def _check_roi(self, roi: Roi, width: int, height: int) -> None:
-        for name, value, low, high in (
-            ("ROI left", roi.x, 0, width - 1),
-            ("ROI top", roi.y, 0, height - 1),
-            ("ROI width", roi.width, 1, width - roi.x),
-            ("ROI height", roi.height, 1, height - roi.y),
-        ):
-            if not low <= value <= high:
-                raise SettingOutOfRange(self.name, name, value, low, high, "pixels")
+        refuse_roi_outside(self.name, roi, width, height)
         for name, value, increment in (
             ("OffsetX", roi.x, "get_x_offset_increment"),
             ("OffsetY", roi.y, "get_y_offset_increment"),

@@ -5,12 +5,12 @@ from __future__ import annotations
 import math
 import tempfile
 import time
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Final, Protocol
 
-from drivers.cameras.plain_camera import Grab
+from drivers.cameras.plain_camera import Grab, LibraryLink
 from radiometer.data.frame import CameraFile
 from radiometer.data.raw_files import RAW_SUFFIXES
 from radiometer.devices import CameraCapabilities, CameraIdentity, CameraSettings, Finding, Health
@@ -42,27 +42,21 @@ class TetheredDevice(Protocol):
 
     def names(self) -> frozenset[str]:
         """Return the names of its settings."""
-        ...
 
     def read(self, name: str) -> str:
         """Return a setting. Raises DeviceLost."""
-        ...
 
     def choices(self, name: str) -> list[str]:
         """Return what a setting can be set to; empty where it is not chosen from a list."""
-        ...
 
     def write(self, name: str, value: str) -> str:
         """Set it and return it as read back. Raises DeviceError, DeviceLost."""
-        ...
 
     def capture(self, deadline_s: float) -> tuple[str, bytes]:
         """Release the shutter and return name and bytes of the file. Raises DeviceTimeout, DeviceLost."""
-        ...
 
     def close(self) -> None:
         """Give the camera back."""
-        ...
 
 
 class TetheredLibrary(Protocol):
@@ -70,7 +64,6 @@ class TetheredLibrary(Protocol):
 
     def open(self, port: str) -> TetheredDevice:
         """Open the camera at a port. Raises DeviceNotFound, DeviceInUse, MissingLibrary."""
-        ...
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,33 +78,19 @@ class _Dial:
         return min(self.entries, key=lambda entry: abs(math.log(self.entries[entry] / value)))
 
 
-class TetheredLink:
+class TetheredLink(LibraryLink[TetheredDevice]):
     """One tethered photographic camera.
 
     Args:
-        library: Opens it.
         identity: Who it is; `device_id` is "gphoto2:" and its port.
     """
 
     def __init__(self, library: TetheredLibrary, identity: CameraIdentity) -> None:
-        self._library, self._identity = library, identity
-        self._device: TetheredDevice | None = None
-        self._limits: CameraCapabilities | None = None
+        super().__init__(identity)
+        self._library = library
         self._shutter, self._iso = _Dial("", {}), _Dial("", {})
         self._findings: list[Finding] = []
         self._settings = CameraSettings(0.01)
-
-    @property
-    def identity(self) -> CameraIdentity:
-        """Return who the camera is."""
-        return self._identity
-
-    @property
-    def capabilities(self) -> CameraCapabilities:
-        """Return its limits. Raises DeviceError unless open."""
-        if self._limits is None:
-            raise DeviceError(f"{self._identity.device_id} is not open; call open() first")
-        return self._limits
 
     def open(self) -> CameraSettings:
         """Take the camera, have it write raw files, and learn size, bits and black level. Raises DeviceError."""
@@ -130,12 +109,6 @@ class TetheredLink:
             self.close()
             raise
         return self.apply(CameraSettings(0.01, pixel_format=self._limits.pixel_formats[0]))
-
-    def close(self) -> None:
-        """Give the camera back."""
-        device, self._device = self._device, None
-        if device is not None:
-            device.close()
 
     def apply(self, settings: CameraSettings) -> CameraSettings:
         """Set exposure time and ISO speed to the nearest that the dials have, and return what they say then."""
@@ -170,12 +143,6 @@ class TetheredLink:
         """Return what still falsifies, and that the exposure times are those its dial means."""
         message = "exposure times are the exact stops behind the dial's numbers; the shutter's own error is not known"
         return [*self._findings, Finding("shutter", Health.NOTE, message, "`radiometer reconcile` finds it")]
-
-    @property
-    def _open(self) -> TetheredDevice:
-        if self._device is None:
-            raise DeviceLost(f"{self._identity.device_id} is not open; open it again")
-        return self._device
 
     def _set(self, exposure_s: float, gain_db: float) -> tuple[float, float]:
         entry = self._open.write(self._shutter.name, self._shutter.nearest(exposure_s))
@@ -257,16 +224,14 @@ def _number_of(text: str) -> float | None:
     return number if math.isfinite(number) and number > 0 else None
 
 
-def _dial(device: TetheredDevice, names: frozenset[str], wanted: Iterable[str], meaning: _Meaning) -> _Dial:
+def _dial(
+    device: TetheredDevice, names: frozenset[str], wanted: Iterable[str], meaning: Callable[[str], float | None]
+) -> _Dial:
     for name in wanted:
         if name in names:
             found = {entry: meaning(entry) for entry in device.choices(name)}
             return _Dial(name, {entry: value for entry, value in found.items() if value is not None})
     return _Dial("", {})
-
-
-class _Meaning(Protocol):
-    def __call__(self, text: str, /) -> float | None: ...
 
 
 def _raw_files(device: TetheredDevice, names: frozenset[str]) -> list[Finding]:

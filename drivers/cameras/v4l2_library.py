@@ -12,7 +12,7 @@ from drivers.cameras.v4l2_link import Control, VideoFrame
 from radiometer.devices import CameraIdentity
 from radiometer.errors import DeviceError, DeviceInUse, DeviceLost, DeviceNotFound, DeviceTimeout, MissingLibrary
 
-_LOOK_S: Final = 0.1
+_LOOK_S: Final = 0.1  # whether the device file is there is asked this often: it goes at once when it is unplugged
 _GONE: Final = {errno.ENODEV, errno.ENXIO, errno.EIO, errno.EPIPE}
 
 
@@ -61,7 +61,6 @@ class LinuxpyDevice:
 
     Args:
         library: linuxpy's video module.
-        device: Its device.
         path: Where it is.
     """
 

@@ -9,7 +9,7 @@ from typing import Final, Protocol
 import numpy as np
 
 from drivers.cameras.feature_hygiene import FalsifyingFeature, HygieneFinding
-from drivers.cameras.plain_camera import Grab, bits_of
+from drivers.cameras.plain_camera import Grab, LibraryLink, bits_of
 from radiometer.data.frame import DigitalNumbers
 from radiometer.devices import CameraCapabilities, CameraIdentity, CameraSettings, Finding, Health
 from radiometer.errors import DeviceError, DeviceLost
@@ -65,31 +65,24 @@ class VideoDevice(Protocol):
 
     def formats(self) -> list[tuple[str, int, int]]:
         """Return four-letter code, width and height of every format."""
-        ...
 
     def controls(self) -> dict[str, Control]:
         """Return its controls by name."""
-        ...
 
     def set_control(self, name: str, value: int) -> int:
         """Set a control and return it as read back. Raises DeviceError."""
-        ...
 
     def start(self, fourcc: str, width: int, height: int) -> None:
         """Begin to stream. Raises DeviceInUse, DeviceError."""
-        ...
 
     def frame(self, deadline_s: float) -> VideoFrame:
         """Return the next frame. Raises DeviceTimeout, DeviceLost."""
-        ...
 
     def stop(self) -> None:
         """End streaming."""
-        ...
 
     def close(self) -> None:
         """Give the device back."""
-        ...
 
 
 class VideoLibrary(Protocol):
@@ -97,37 +90,22 @@ class VideoLibrary(Protocol):
 
     def open(self, path: str) -> VideoDevice:
         """Open a device. Raises DeviceNotFound, DeviceInUse, MissingLibrary."""
-        ...
 
 
-class V4l2Link:
+class V4l2Link(LibraryLink[VideoDevice]):
     """One V4L2 camera.
 
     Args:
-        library: Opens it.
         identity: Who it is; `device_id` is "v4l2:" and its path.
     """
 
     def __init__(self, library: VideoLibrary, identity: CameraIdentity) -> None:
-        self._library, self._identity = library, identity
-        self._device: VideoDevice | None = None
-        self._limits: CameraCapabilities | None = None
+        super().__init__(identity)
+        self._library = library
         self._codes: dict[str, str] = {}
         self._exposure_control, self._settings = "", CameraSettings(0.01, pixel_format="Mono8")
         self._hygiene: list[HygieneFinding] = []
         self._stale = 0
-
-    @property
-    def identity(self) -> CameraIdentity:
-        """Return who the camera is."""
-        return self._identity
-
-    @property
-    def capabilities(self) -> CameraCapabilities:
-        """Return its limits. Raises DeviceError unless open."""
-        if self._limits is None:
-            raise DeviceError(f"{self._identity.device_id} is not open; call open() first")
-        return self._limits
 
     def open(self) -> CameraSettings:
         """Open the device with manual exposure, its least gain, and no automatic function that can be switched off."""
@@ -139,12 +117,6 @@ class V4l2Link:
             self.close()
             raise
         return self.apply(CameraSettings(0.01, pixel_format=self._limits.pixel_formats[0]))
-
-    def close(self) -> None:
-        """Give the device back."""
-        device, self._device = self._device, None
-        if device is not None:
-            device.close()
 
     def apply(self, settings: CameraSettings) -> CameraSettings:
         """Set exposure time and format, and return them as read back."""
@@ -192,12 +164,6 @@ class V4l2Link:
             found.append(Finding("tone curve", Health.WARNING, message, "recover it with `radiometer response`"))
         return found
 
-    @property
-    def _open(self) -> VideoDevice:
-        if self._device is None:
-            raise DeviceLost(f"{self._identity.device_id} is not open; open it again")
-        return self._device
-
     def _read_limits(self, device: VideoDevice) -> CameraCapabilities:
         offered = device.formats()
         sizes: dict[str, set[tuple[int, int]]] = {}
@@ -233,7 +199,6 @@ def plain_numbers(payload: bytes, fourcc: str, width: int, height: int) -> Digit
     """Return the digital numbers of a frame, shape (height, width).
 
     Args:
-        payload: Bytes of the frame.
         fourcc: Format, one of FORMATS: words are little-endian, of YUYV every other byte is a luma.
         width: Width in pixels.
         height: Height in pixels.

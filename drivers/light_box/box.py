@@ -7,8 +7,7 @@ import threading
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
-from types import TracebackType
-from typing import Final, Protocol, Self
+from typing import Final, Protocol
 
 from drivers.light_box.answers import (
     RANGE_LETTERS,
@@ -34,6 +33,7 @@ from radiometer.devices.light_box import (
     LightBoxIdentity,
     LightBoxStatus,
 )
+from radiometer.devices.opening import Opened
 from radiometer.devices.retinal_safety import FlashLight, HazardFractions, hazard_fractions
 from radiometer.errors import (
     CalibrationError,
@@ -49,10 +49,10 @@ from radiometer.errors import (
 
 TEND_INTERVAL_S: Final = 0.25  # a quarter of the box's dead-man time
 START_UP_S: Final = 4.0  # opening the port resets an Arduino, whose boot loader waits 1 to 2 s
-LISTEN_S: Final = 0.02
+LISTEN_S: Final = 0.02  # a press is read within this time; its time is the box's
 BOOT_S: Final = 2.2  # the boot loader's wait, after which the program of an Arduino runs
 FLASH: Final = "flash"  # its name in the account of the exposure
-WRONG_VERSION: Final = 9
+WRONG_VERSION: Final = 9  # refusal code of the protocol: a version that the firmware does not know
 AUDIT_INTERVAL_S: Final = 5.0  # a twentieth of a per mille of the window
 # The box's dead man waits 1 s by its own clock; the rest is what USB adapters and operating systems hold back.
 DARK_AFTER_S: Final = 1.5
@@ -63,32 +63,22 @@ class RadianceTable(Protocol):
 
     def drive_for(self, channel: str, radiance_w_sr_m2: float) -> tuple[int, bool]:
         """Return the level nearest to a radiance and whether it is on the high range; raises SettingOutOfRange."""
-        ...
 
     def highest_radiance(self, channel: str, level: int, high: bool) -> float | None:
         """Return a radiance in W·sr⁻¹·m⁻² that the level stays below (k = 2); None where it is not calibrated."""
-        ...
 
 
 @dataclass(slots=True)
-class SerialLightBox:
-    """A light box behind a line.
+class SerialLightBox(Opened):
+    """A light box behind a line."""
 
-    Attributes:
-        link: Exchanges with the box.
-        ledger: Account of the retinal exposure; refuses what is too much.
-        calibration: Level ↔ radiance; None where levels can only be raw.
-        mild: Wait for what answers to boot, ask it once, and let it be if it is silent: the port may be another's.
-        keep_alive: Tend the box from a separate thread; without it the caller calls `tend` often enough.
-        flash: The photographic flash at its trigger; None where there is none.
-    """
-
-    link: BoxLink
-    ledger: ExposureLedger
-    calibration: RadianceTable | None = None
-    keep_alive: bool = True
+    link: BoxLink  # exchanges with the box
+    ledger: ExposureLedger  # account of the retinal exposure; refuses what is too much
+    calibration: RadianceTable | None = None  # level ↔ radiance; None where levels can only be raw
+    keep_alive: bool = True  # tend the box from a separate thread; without it the caller calls `tend` often enough
+    # Wait for what answers to boot, ask it once, and let it be if it is silent: the port may be another's
     mild: bool = False
-    flash: FlashLight | None = None
+    flash: FlashLight | None = None  # the photographic flash at its trigger; None where there is none
     _identity: LightBoxIdentity | None = None
     _channels: dict[str, ChannelCapabilities] = field(default_factory=dict)
     _buckets: dict[str, int] = field(default_factory=dict)
@@ -174,8 +164,6 @@ class SerialLightBox:
         """Return which fractions of the exposure limits a stimulus would use up, without lighting anything.
 
         Args:
-            channel: Name of the channel.
-            level: Raw level, or radiance of a calibrated channel.
             bright_s: Bright time in s, in sum.
 
         Raises:
@@ -188,7 +176,7 @@ class SerialLightBox:
         radiance = self._highest_radiance(channel, drive)
         self.ledger.refuse_unsafe(channel, radiance, bright_s)
         high = drive.current_range is CurrentRange.HIGH
-        units_per_ms = (drive.level >> 8) + 1 if high else 1  # docs/light-box-protocol.md, safety in the box
+        units_per_ms = (drive.level >> 8) + 1 if high else 1  # docs/reference/light-box-protocol.md, safety in the box
         longest_s = self._buckets[channel] / units_per_ms / 1000.0
         if bright_s > longest_s:
             raise UnsafeStimulus(
@@ -335,15 +323,6 @@ class SerialLightBox:
         """Tend the box if a quarter of its dead-man time has passed since it was tended last."""
         if self.link.line.now() - self._tended_s >= TEND_INTERVAL_S:
             self.tend()
-
-    def __enter__(self) -> Self:
-        self.open()
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
 
     @property
     def _name(self) -> str:

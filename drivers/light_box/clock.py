@@ -15,29 +15,20 @@ from radiometer.errors import MeasurementError
 TICK_S: Final = 4e-6  # the box stamps in steps of 4 µs
 # A ceramic resonator, as on the Arduino Uno, is within 0.5 % of its frequency (Murata CSTCE, data sheet).
 RATE_PRIOR: Final = 0.005
-WINDOW: Final = 512
+WINDOW: Final = 512  # samples; older ones say nothing of the rate of the box's clock now
 DELAY_SLACK_S: Final = 0.0005  # samples whose free delay exceeds the least by more are left out
 
 
 @dataclass(frozen=True, slots=True)
 class ClockSample:
-    """One exchange: sent and received on the host's clock, received and answered on the box's, in s.
+    """One exchange: sent and received on the host's clock, received and answered on the box's, in s."""
 
-    Attributes:
-        sent_s: Host time before the request left.
-        box_received_s: Box time of the request's last byte.
-        box_answered_s: Box time at which the answer was made.
-        received_s: Host time of the answer's last byte.
-        request_wire_s: Time that the request's bytes take on the wire.
-        answer_wire_s: Time that the answer's bytes take.
-    """
-
-    sent_s: float
-    box_received_s: float
-    box_answered_s: float
-    received_s: float
-    request_wire_s: float = 0.0
-    answer_wire_s: float = 0.0
+    sent_s: float  # host time before the request left
+    box_received_s: float  # box time of the request's last byte
+    box_answered_s: float  # box time at which the answer was made
+    received_s: float  # host time of the answer's last byte
+    request_wire_s: float = 0.0  # time that the request's bytes take on the wire
+    answer_wire_s: float = 0.0  # time that the answer's bytes take
 
     @property
     def free_delay_s(self) -> float:

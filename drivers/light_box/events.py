@@ -7,20 +7,15 @@ from typing import Final
 
 from drivers.light_box.frames import Event
 
-KEPT_BY_BOX: Final = 16
+KEPT_BY_BOX: Final = 16  # events that the firmware holds for a host that asks again
 
 
 @dataclass(slots=True)
 class EventInbox:
-    """Releases events in the order of their numbers, which wrap at 256.
+    """Releases events in the order of their numbers, which wrap at 256."""
 
-    Attributes:
-        expected: Number of the next event to release; None before the first synchronisation.
-        lost: Events that could not be had any more.
-    """
-
-    expected: int | None = None
-    lost: int = 0
+    expected: int | None = None  # number of the next event to release; None before the first synchronisation
+    lost: int = 0  # events that could not be had any more
     _waiting: dict[int, Event] = field(default_factory=dict)
 
     def start_after(self, number: int) -> None:

@@ -1,4 +1,4 @@
-"""The lines of the light-box protocol: written, read and checked. See docs/light-box-protocol.md."""
+"""The lines of the light-box protocol: written, read and checked. See docs/reference/light-box-protocol.md."""
 
 from __future__ import annotations
 
@@ -52,7 +52,6 @@ def request_line(sequence: int, words: str) -> bytes:
 
     Args:
         sequence: 0 to 255.
-        words: Command and arguments, parted by single spaces.
     """
     body = f"#{sequence:02X} {words}".encode("ascii")
     return body + f"*{zlib.crc32(body):08X}\n".encode("ascii")

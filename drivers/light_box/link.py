@@ -26,7 +26,7 @@ from radiometer.errors import DeviceError, DeviceLost, DeviceTimeout, UnsafeStim
 
 REPLY_TIMEOUT_S: Final = 0.1  # an answer takes 8 ms on the wire; USB adapters hold bytes back for up to 16 ms
 ATTEMPTS: Final = 16  # 1.6 s: longer than any pause of a busy machine or a USB hub that comes back
-EVENT_SLOTS: Final = 1024
+EVENT_SLOTS: Final = 1024  # presses not yet taken; no person gives as many between two looks
 DARK_SOON: Final = "its light may be on until it goes dark by itself, 1 s after it heard this program last; reopen it"
 
 
@@ -44,22 +44,14 @@ class BoxLink:
     """Sends requests until they are answered, and keeps what the box says by itself.
 
     A request is repeated with the same number; the box answers a repetition without doing it again.
-
-    Attributes:
-        line: The serial line, owned by this link.
-        byte_time_s: Time that one byte takes on the wire in s.
-        clock: Collects the comparisons of the clocks.
-        inbox: Puts events in order.
-        retries: Requests that were sent again since opening.
-        damaged_lines: Lines that held nothing undamaged since opening.
     """
 
-    line: Line
-    byte_time_s: float = 10 / 115200
-    clock: BoxClock = field(default_factory=BoxClock)
-    inbox: EventInbox = field(default_factory=EventInbox)
-    retries: int = 0
-    damaged_lines: int = 0
+    line: Line  # the serial line, owned by this link
+    byte_time_s: float = 10 / 115200  # time that one byte takes on the wire in s
+    clock: BoxClock = field(default_factory=BoxClock)  # collects the comparisons of the clocks
+    inbox: EventInbox = field(default_factory=EventInbox)  # puts events in order
+    retries: int = 0  # requests that were sent again since opening
+    damaged_lines: int = 0  # lines that held nothing undamaged since opening
     _sequence: int = field(default_factory=lambda: secrets.randbelow(256))
     _events: deque[Event] = field(default_factory=lambda: deque(maxlen=EVENT_SLOTS))
     _fault: str | None = None
@@ -69,7 +61,6 @@ class BoxLink:
         """Return the fields of the answer to a request.
 
         Args:
-            words: Command and arguments, parted by single spaces.
             attempts: How often to send it at most.
 
         Raises:
@@ -93,7 +84,7 @@ class BoxLink:
                 continue
             self._take_times(fields, sent_s, received, request_bytes)
             return
-        self.give_up(f"light box on {self.line.name} does not tell its time; {DARK_SOON}")
+        self.give_up(f"light box on {self.line.name} does not report its time; {DARK_SOON}")
 
     def listen(self, timeout_s: float) -> None:
         """Take in what comes by itself for `timeout_s`. Raises DeviceLost."""

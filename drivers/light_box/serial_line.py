@@ -33,12 +33,10 @@ class Received(Protocol):
     @property
     def text(self) -> bytes:
         """Return the bytes."""
-        ...
 
     @property
     def time_s(self) -> float:
         """Return when the line's end arrived, in s."""
-        ...
 
 
 class Line(Protocol):
@@ -47,42 +45,30 @@ class Line(Protocol):
     @property
     def name(self) -> str:
         """Return the port's name."""
-        ...
 
     def open(self) -> None:
         """Open the port. Raises DeviceNotFound or DeviceInUse."""
-        ...
 
     def close(self) -> None:
         """Release the port; closing twice does nothing."""
-        ...
 
     def write(self, line: bytes) -> float:
         """Send bytes and return the time in s just before they left. Raises DeviceLost."""
-        ...
 
     def read_line(self, timeout_s: float) -> Received | None:
         """Return the next line, or None where none is complete within `timeout_s`. Raises DeviceLost."""
-        ...
 
     def now(self) -> float:
         """Return the time in s on the clock that stamps the lines."""
-        ...
 
 
 @dataclass(slots=True)
 class SerialLine:
-    """A serial port (or pseudo-terminal) through pyserial; 8 data bits, no parity, 1 stop bit.
+    """A serial port (or pseudo-terminal) through pyserial; 8 data bits, no parity, 1 stop bit."""
 
-    Attributes:
-        port: Device file, such as /dev/ttyACM0.
-        baud_rate: Bits per second.
-        clock: Time in s for stamps and deadlines.
-    """
-
-    port: str
-    baud_rate: int = 115200
-    clock: Callable[[], float] = time.monotonic
+    port: str  # device file, such as /dev/ttyACM0
+    baud_rate: int = 115200  # bits per second
+    clock: Callable[[], float] = time.monotonic  # time in s for stamps and deadlines
     _serial: Any = None
     _buffer: bytes = b""
 

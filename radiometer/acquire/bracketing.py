@@ -15,24 +15,18 @@ from radiometer.errors import DeviceError, UsageError
 
 # Progress: how many frames are done, how many there will be, and the frame just taken.
 Progress = Callable[[int, int, Frame], None]
-DEFAULT_TIME_LIMIT_S = 60.0
+DEFAULT_TIME_LIMIT_S = 60.0  # engineering choice: a minute of light frames is what a person waits for
 
 
 @dataclass(frozen=True, slots=True)
 class BracketRequest:
-    """What a bracket is to achieve.
+    """What a bracket is to achieve."""
 
-    Attributes:
-        region: Pixels that matter; None for the whole frame.
-        target_u_rel: Wanted relative standard uncertainty of the region's mean from noise; None for one pass.
-        time_limit_s: Bound on the sum of the exposure times of the light frames in s.
-        dark_frames: Dark frames per distinct exposure time.
-    """
-
-    region: Patch | None = None
+    region: Patch | None = None  # pixels that matter; None for the whole frame
+    # Wanted relative standard uncertainty of the region's mean from noise; None for one pass
     target_u_rel: float | None = None
-    time_limit_s: float = DEFAULT_TIME_LIMIT_S
-    dark_frames: int = 0
+    time_limit_s: float = DEFAULT_TIME_LIMIT_S  # bound on the sum of the exposure times of the light frames in s
+    dark_frames: int = 0  # Dark frames per distinct exposure time
 
 
 def plan_for_scene(camera: Camera, request: BracketRequest) -> ExposurePlan:
@@ -40,7 +34,6 @@ def plan_for_scene(camera: Camera, request: BracketRequest) -> ExposurePlan:
 
     Args:
         camera: An open camera.
-        request: What the bracket is to achieve.
 
     Raises:
         UsageError: If the region leaves the frame or the time limit is not above 0.
@@ -77,8 +70,6 @@ def take_plan(
 
     Args:
         camera: An open camera.
-        plan: Exposure times.
-        request: How many dark frames are requested.
         progress: Called after every frame.
         close_shutter: Called with True before the dark frames and False after them; the camera's own shutter where
             None.

@@ -11,25 +11,19 @@ from radiometer.data import Frame, Patch
 from radiometer.devices import Camera
 from radiometer.errors import MeasurementError
 
-_TRIES = 12
-_FIRST_GUESS_S = 0.01
-_TOO_BRIGHT_FACTOR = 0.1
+_TRIES = 12  # a tenth or up to 100 times each: 12 cross the range of any camera
+_FIRST_GUESS_S = 0.01  # the middle of usual ranges, 10 µs to 10 s, by ratio
+_TOO_BRIGHT_FACTOR = 0.1  # a clipped frame does not state by how much: a decade less
 
 
 @dataclass(frozen=True, slots=True)
 class LadderRequest:
-    """What to take.
+    """What to take."""
 
-    Attributes:
-        region: Where the light is.
-        steps: Exposures from near darkness to just above saturation.
-        stack: Frames in a row at half of saturation, for the differences between pixels.
-        dark_exposures_s: Further exposures with the shutter closed, for the dark current.
-    """
-
-    region: Patch
-    steps: int = 30
-    stack: int = 8
+    region: Patch  # where the light is
+    steps: int = 30  # exposures from near darkness to just above saturation
+    stack: int = 8  # frames in a row at half of saturation, for the differences between pixels
+    # Further exposures with the shutter closed, for the dark current
     dark_exposures_s: tuple[float, ...] = (1.0, 2.0, 4.0)
 
     def frames(self) -> int:
@@ -44,7 +38,6 @@ def take_ladder(
 
     Args:
         camera: An open camera; its gain, black level and pixel format stay as they are set.
-        request: What to take.
         close_shutter: Called with True before the dark frames and with False after them; the camera's own shutter
             where None.
 

@@ -23,7 +23,7 @@ _PLANNING_MARGIN = 1.0 + 3.0 / MINIMUM_SNR
 DISTINCT_RATIO = 2.0**0.5
 # Rates are gathered in bins this wide (natural logarithm): 1 %.
 _BIN_WIDTH = 0.01
-_MAXIMUM_FRAMES = 64
+_MAXIMUM_FRAMES = 64  # a ladder of 1/3 stop over 21 stops; more is a slip in --stops
 
 
 @dataclass(frozen=True, slots=True)
@@ -145,7 +145,7 @@ def plan_exposures(
 
 # Frames that show whether the light is steady: more where each is short against a period of mains light.
 STEADY_FRAMES = 3
-STEADY_SHORT_FRAMES = 9
+STEADY_SHORT_FRAMES = 9  # flicker is random to a short exposure: nine frames average 1 % of it to 0.3 %
 _MAINS_PERIODS_S = (0.05, 0.01)  # of 100 and 120 Hz together; of 100 Hz
 
 
@@ -191,9 +191,7 @@ def repeats_for(
     """Return how often a plan must be taken so that the mean of a region reaches a relative uncertainty.
 
     Args:
-        plan: Exposures taken once.
         rates_dn_per_s: Rates of the region's pixels in DN per s at gain 0 dB.
-        camera: The camera, for its noise.
         gain_db: Analogue gain in dB.
         target_u_rel: Wanted relative standard uncertainty (k = 1) of the region's mean from noise, above 0.
 

@@ -23,13 +23,13 @@ from radiometer.devices.light_box import (
 from radiometer.errors import MeasurementError, UnsafeStimulus
 
 REFERENCE_EVERY: Final = 6  # points between two measurements of the reference level
-LOWEST_STEP: Final = 16  # below, neighbouring steps lie more than 6 % apart
-SETTLED_REL: Final = 0.0005
+LOWEST_STEP: Final = 16  # below, neighbouring steps differ by more than 6 %
+SETTLED_REL: Final = 0.0005  # per step: small against the 1 % of a calibration
 DARK_TERM: Final = "dark and black level"
 # What is left to come when two readings 20 s apart agree: twice their difference, for time constants up to a minute.
 UNSETTLED_PART: Final = 2 / math.sqrt(3)
 LIT_S: Final = (600.0, 280.0, 180.0, 90.0)  # how long a level is lit: the longest of these that is allowed
-SETTLING_STEP_S: Final = 20.0
+SETTLING_STEP_S: Final = 20.0  # LEDs on their heat sinks settle within minutes
 ENERGY_KEPT: Final = 0.15  # of a channel's energy budget, so that the box does not darken it while it is measured
 
 Measure = Callable[[], Reading]
@@ -38,15 +38,10 @@ Progress = Callable[[str, int, int], None]
 
 @dataclass(frozen=True, slots=True)
 class SpectralCorrection:
-    """What a reading is multiplied by, for the camera was calibrated at another wavelength.
+    """What a reading is multiplied by, for the camera was calibrated at another wavelength."""
 
-    Attributes:
-        factor: Responsivity (per W) at the calibration's light over that at the channel's.
-        u_rel: Its relative standard uncertainty.
-    """
-
-    factor: float = 1.0
-    u_rel: float = 0.0
+    factor: float = 1.0  # responsivity (per W) at the calibration's light over that at the channel's
+    u_rel: float = 0.0  # its relative standard uncertainty
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,31 +59,18 @@ class Measured:
 
 @dataclass(slots=True)
 class LevelSurvey:
-    """Measures one channel: levels in random order, the reference level in between, each after it has settled.
+    """Measures one channel: levels in random order, the reference level in between, each after it has settled."""
 
-    Attributes:
-        box: An open light box; all channels dark.
-        measure: Takes one reading of the lit area.
-        wait: Lets a time in s pass while the box is kept lit.
-        rng: Makes the order.
-        points_per_decade: Density of the levels.
-        progress: Called with channel, points done and points in all.
-    """
-
-    box: LightBox
-    measure: Measure
-    wait: Callable[[float], None]
-    rng: np.random.Generator
-    points_per_decade: float = 4.0
-    progress: Progress | None = None
+    box: LightBox  # an open light box; all channels dark
+    measure: Measure  # takes one reading of the lit area
+    wait: Callable[[float], None]  # lets a time in s pass while the box is kept lit
+    rng: np.random.Generator  # makes the order
+    points_per_decade: float = 4.0  # density of the levels
+    progress: Progress | None = None  # called with channel, points done and points in all
     _dark: Reading | None = field(default=None)
 
     def survey(self, channel: str, correction: SpectralCorrection) -> ChannelCalibration:
         """Return the channel's calibration.
-
-        Args:
-            channel: Name of the channel.
-            correction: Spectral correction of the readings.
 
         Raises:
             MeasurementError: If fewer than two levels stand out of the noise.
@@ -142,8 +124,8 @@ class LevelSurvey:
     def _light(self, channel: str, drive: DriveLevel) -> float:
         """Light a channel for as long as the eye allows, up to the longest settling, and return that time.
 
-        Where light without an end would be beyond the limits of the eye, a stated end keeps it within them; what needs
-        an end is bright, so that readings take no time in addition to the settling.
+        Where light without an end would exceed the limits of the eye, a stated end keeps it within them. Such light is
+        bright, so that readings take no time in addition to the settling.
         """
         try:
             self.box.set_level(channel, drive)
@@ -206,10 +188,7 @@ def assemble(
     """Return the calibration from measured levels: drift of the reference taken out, uncertainties put together.
 
     Args:
-        channel: The channel.
         measured: Levels in the order in which they were measured.
-        references: Measurements of the reference level in between.
-        correction: Spectral correction.
 
     Raises:
         MeasurementError: If fewer than two levels of each range stand out of the noise.

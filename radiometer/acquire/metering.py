@@ -13,23 +13,19 @@ from radiometer.data import Frame, Patch, SensorNoise
 from radiometer.data.pile_up import with_white_levels
 from radiometer.devices import Camera
 
-FIRST_TRIAL_S = 0.01
+FIRST_TRIAL_S = 0.01  # the middle of usual ranges, 10 µs to 10 s, by ratio
 # From one trial to the next: well inside the dynamic range of any sensor, so that no pixel falls between.
 TRIAL_RATIO = 32.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SceneRates:
-    """How bright a scene is.
+    """How bright a scene is."""
 
-    Attributes:
-        rates_dn_per_s: Signal above black in DN per s at gain 0 dB, shape (height, width); infinite where a pixel
-            clips even at the shortest exposure, 0 where it never rose above the noise.
-        trials: The frames taken to find out.
-    """
-
+    # Signal above black in DN per s at gain 0 dB, shape (height, width); infinite where a pixel clips even at the
+    # shortest exposure, 0 where it never rose above the noise
     rates_dn_per_s: NDArray[np.float64]
-    trials: tuple[Frame, ...]
+    trials: tuple[Frame, ...]  # the frames taken to find out
 
 
 def meter(camera: Camera, region: Patch | None = None, *, longest_s: float = math.inf) -> SceneRates:
@@ -38,7 +34,6 @@ def meter(camera: Camera, region: Patch | None = None, *, longest_s: float = mat
     Args:
         camera: An open camera; its gain and black level stay as they are.
         region: Pixels that matter; None for the whole frame.
-        longest_s: No trial is longer than this.
 
     Returns:
         Rates over the region's pixels.

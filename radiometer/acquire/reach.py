@@ -14,19 +14,13 @@ from radiometer.data import CameraDescription, Frame, Patch
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Reach:
-    """How often each pixel was well exposed.
+    """How often each pixel was well exposed."""
 
-    Attributes:
-        cover: Number of frames in which the pixel lay between noise floor and clipping, shape (height, width).
-        saturated: Pixels that clipped in every frame.
-        below_noise: Pixels that never rose above the noise floor.
-        origin: Column and row of the first of these pixels in the frame.
-    """
-
+    # Number of frames in which the pixel lay between noise floor and clipping, shape (height, width)
     cover: NDArray[np.uint16]
-    saturated: NDArray[np.bool_]
-    below_noise: NDArray[np.bool_]
-    origin: tuple[int, int] = (0, 0)
+    saturated: NDArray[np.bool_]  # pixels that clipped in every frame
+    below_noise: NDArray[np.bool_]  # pixels that never rose above the noise floor
+    origin: tuple[int, int] = (0, 0)  # column and row of the first of these pixels in the frame
 
     def sentences(self) -> list[str]:
         """Return in plain language which pixels could not be reached; empty where all were, twice."""
@@ -45,7 +39,6 @@ def assess_reach(frames: Iterable[Frame], camera: CameraDescription, region: Pat
 
     Args:
         frames: Frames of one size; dark frames are passed over.
-        camera: The camera, for its noise and clipping level.
         region: The pixels that are looked at; all of the frame where None.
 
     Raises:

@@ -8,7 +8,6 @@ from dataclasses import dataclass
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from radiometer.adaptation.branch_fit import BranchFit, fit_model
 from radiometer.adaptation.branch_models import MODELS
@@ -17,12 +16,12 @@ from radiometer.adaptation.intervals import Interval, bootstrap_values, percenti
 from radiometer.adaptation.rod_intercept import InterceptRule, rod_intercept
 from radiometer.adaptation.threshold_series import ThresholdSeries
 from radiometer.errors import MeasurementError
+from radiometer.statistics.model_choice import CLEARLY_BETTER, is_supported
 
 SHALLOWEST_S2: Final = -0.03  # log10 units per min; a flatter line after the "break" is no rod branch
 STEEPEST_S2: Final = (
     -0.6
 )  # the steepest published is about −0.3 (Lamb and Pugh 2004); beyond, wild presses make the line
-EVIDENCE_AICC: Final = 4.0  # an evidence ratio of e² = 7 (Burnham and Anderson 2002, section 2.6)
 SETTLED_TAUS: Final = 1.5  # cones have gone 78 % of their way at the break; else rods alone are treated as both
 FASTEST_CONES_MIN: Final = 0.5  # time constant of a cone branch that is seen to fall; published are 1 to 2 min
 SEEN_FALL: Final = 1.0  # log10 units of it in the thresholds from which its time constant is known
@@ -30,26 +29,17 @@ LEAST_ROD_FALL: Final = 0.5  # log10 units by which rods must go below the cones
 SLACK_MIN: Final = 1.0  # a test that ends at its criterion has its last threshold just there
 GRID: Final = 2000
 
-Array = NDArray[np.float64]
-
 
 @dataclass(frozen=True, slots=True)
 class FitRequest:
-    """How to fit.
+    """How to fit."""
 
-    Attributes:
-        criterion: log10 threshold of which the time is requested; None for none.
-        stimulus_u_log10: Standard uncertainty of the stimulus calibration in log10 units, shared by all thresholds.
-        bootstrap_draws: Redraws for the intervals of derived quantities; 0 leaves them out.
-        confidence: Probability of the intervals.
-        intercept: The rod intercept that belongs to the protocol; None where it reports none.
-    """
-
-    criterion: float | None = None
+    criterion: float | None = None  # log10 threshold of which the time is requested; None for none
+    # Standard uncertainty of the stimulus calibration in log10 units, shared by all thresholds
     stimulus_u_log10: float = 0.0
-    bootstrap_draws: int = 200
-    confidence: float = 0.95
-    intercept: InterceptRule | None = None
+    bootstrap_draws: int = 200  # redraws for the intervals of derived quantities; 0 leaves them out
+    confidence: float = 0.95  # probability of the intervals
+    intercept: InterceptRule | None = None  # the rod intercept that belongs to the protocol; None where it reports none
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,25 +63,16 @@ class Estimate:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class AdaptationFit:
-    """What was found of an eye.
+    """What was found of an eye."""
 
-    Attributes:
-        chosen: The simplest model near the least AICc among those that make sense.
-        tried: All fits, also those left out.
-        estimates: Parameters and derived quantities by name.
-        criterion: Stated log10 threshold of which the time is given; None where one branch alone does not cross it.
-        verdict: What the curve shows, in words.
-        request: How it was fitted.
-        evidence: What speaks for a break.
-    """
-
-    chosen: BranchFit
-    tried: tuple[BranchFit, ...]
-    estimates: Mapping[str, Estimate]
+    chosen: BranchFit  # the simplest model near the least AICc among those that make sense
+    tried: tuple[BranchFit, ...]  # all fits, also those left out
+    estimates: Mapping[str, Estimate]  # parameters and derived quantities by name
+    # Stated log10 threshold of which the time is given; None where one branch alone does not cross it
     criterion: float | None
-    verdict: str
-    request: FitRequest
-    evidence: BreakEvidence
+    verdict: str  # what the curve shows, in words
+    request: FitRequest  # how it was fitted
+    evidence: BreakEvidence  # what speaks for a break
 
     @property
     def has_break(self) -> bool:
@@ -101,11 +82,6 @@ class AdaptationFit:
 
 def fit_adaptation(series: ThresholdSeries, request: FitRequest, rng: np.random.Generator) -> AdaptationFit:
     """Return the fit of the family's best member, with intervals.
-
-    Args:
-        series: The thresholds.
-        request: How to fit.
-        rng: Source of chance for the bootstrap.
 
     Raises:
         MeasurementError: If the series shows no adaptation, or none that a branch model describes.
@@ -181,11 +157,11 @@ def _fit_family(series: ThresholdSeries) -> tuple[BranchFit, ...]:
 
 
 def _choose(fits: list[BranchFit]) -> BranchFit:
-    """Return the simplest fit within EVIDENCE_AICC of the best: more branches must be worth their parameters."""
+    """Return the simplest fit near the least AICc: more branches must be worth their parameters."""
     if not fits:
         raise MeasurementError("no branch model describes these thresholds: they rise, or jump; look at the curve")
     best = min(fit.aicc for fit in fits)
-    return next(fit for fit in fits if fit.aicc <= best + EVIDENCE_AICC)
+    return next(fit for fit in fits if not is_supported(fit.aicc - best, CLEARLY_BETTER))
 
 
 def makes_sense(fit: BranchFit) -> bool:
@@ -213,14 +189,20 @@ def makes_sense(fit: BranchFit) -> bool:
 def derived_quantities(fit_values: Mapping[str, float], fit: BranchFit, criterion: float | None) -> dict[str, float]:
     """Return final threshold, area under the curve and, at a criterion, the time at which it is met.
 
-    The area is that between the curve and its final threshold, from the first to the last threshold, in log10·min. The
-    intercept is where the S2 line, prolonged where needed, or a single branch crosses the criterion.
+    The area under the dark-adaptation curve (AUDAC) is that between the curve and its final threshold, from the first
+    to the last threshold, in log10·min; the times at which it begins and is cut come with it. The intercept is where
+    the S2 line, prolonged where needed, or a single branch crosses the criterion.
     """
     times = fit.series.time_min
     grid = np.linspace(times[0], times[-1], GRID)
     curve = fit.model.threshold(grid, dict(fit_values))
     final = float(curve[-1])
-    derived = {"final_threshold": final, "area_log10_min": float(np.trapezoid(curve - final, grid))}
+    derived = {
+        "final_threshold": final,
+        "area_log10_min": float(np.trapezoid(curve - final, grid)),
+        "area_from_min": float(times[0]),
+        "area_to_min": float(times[-1]),
+    }
     if criterion is not None:
         derived["criterion_min"] = _crossing(fit_values, criterion)
     return derived

@@ -6,27 +6,17 @@ import math
 from dataclasses import dataclass
 from typing import Final, Literal
 
-from radiometer.data.bleaching_constants import (
-    CONE_HALF_BLEACH,
-    CONE_REGENERATION,
-    ROD_EXPOSURE,
-    ROD_REGENERATION,
-)
+from radiometer.data.bleaching_constants import CONE_HALF_BLEACH, CONE_REGENERATION, ROD_EXPOSURE, ROD_REGENERATION
 
 Receptor = Literal["rods", "cones"]
 
 
 @dataclass(frozen=True, slots=True)
 class PigmentKinetics:
-    """Kinetics of bleaching and regeneration of a receptor's pigment.
+    """Kinetics of bleaching and regeneration of a receptor's pigment."""
 
-    Attributes:
-        td_s: Retinal exposure Q_e in troland·s that leaves 1/e of the pigment.
-        regeneration_s: Time constant of regeneration in s.
-    """
-
-    td_s: float
-    regeneration_s: float
+    td_s: float  # retinal exposure Q_e in troland·s that leaves 1/e of the pigment
+    regeneration_s: float  # time constant of regeneration in s
 
     @property
     def half_bleach_td(self) -> float:
@@ -86,7 +76,6 @@ def bleached_fraction(
     Args:
         retinal_td: Retinal illuminance I in trolands, 0 or more: scotopic for rods, photopic for cones.
         duration_s: Duration in s, 0 or more.
-        receptor: Rods or cones.
         before: Fraction bleached when it begins.
 
     Source: Rushton and Henry 1968, Vision Research 8, 617; first-order kinetics.
@@ -100,7 +89,6 @@ def bleached_range(retinal_td: float, duration_s: float, receptor: Receptor = "r
     Args:
         retinal_td: Retinal illuminance in trolands, 0 or more.
         duration_s: Duration in s, 0 or more.
-        receptor: Rods or cones.
     """
     fractions = [_fraction(kinetics, retinal_td, duration_s, 0.0) for kinetics in _extremes(receptor)]
     return min(fractions), max(fractions)
@@ -110,19 +98,3 @@ def _fraction(kinetics: PigmentKinetics, retinal_td: float, duration_s: float, b
     rate = retinal_td / kinetics.td_s + 1.0 / kinetics.regeneration_s
     steady = retinal_td / kinetics.td_s / rate
     return steady + (before - steady) * math.exp(-rate * duration_s)
-
-
-def retinal_exposure_for(fraction: float, duration_s: float, receptor: Receptor = "rods") -> float:
-    """Return the retinal exposure in td·s that bleaches a fraction of a rested eye's pigment in a given time.
-
-    Raises:
-        ValueError: If the fraction is not between 0 and 1.
-    """
-    if not 0.0 < fraction < 1.0:
-        raise ValueError(f"a bleached fraction lies between 0 and 1, not {fraction}")
-    low, high = 0.0, 1e12
-    for _ in range(200):
-        middle = 0.5 * (low + high)
-        short = bleached_fraction(middle / duration_s, duration_s, receptor) < fraction
-        low, high = (middle, high) if short else (low, middle)
-    return high

@@ -16,8 +16,7 @@ from radiometer.adaptation.checks import Check, Finding, judge_age
 from radiometer.adaptation.protocol import AdaptationProtocol, FlashBleach
 from radiometer.adaptation.request import RunRequest
 from radiometer.adaptation.room import measured_room
-from radiometer.analysis.photometry.photometry import luminous_efficacy_lm_per_w
-from radiometer.analysis.photometry.spectra import spectrum
+from radiometer.analysis.photometry.photometry import luminous_efficacy_lm_per_w, spectrum
 from radiometer.bench.boxes import OpenedBox, open_light_box
 from radiometer.bench.light_bench import open_light_camera
 from radiometer.bench.seated_subject import places_of, seat_subject
@@ -28,8 +27,8 @@ from radiometer.errors import CalibrationError, MeasurementError, RadiometerErro
 
 SIMULATED: Final = "sim"
 SIMULATED_CALIBRATION: Final = "calibrations/simulated-box.yaml"
-PEAK_TOLERANCE_NM: Final = 10.0
-PLACE_TOLERANCE_DEG: Final = 1.0
+PEAK_TOLERANCE_NM: Final = 10.0  # bin of LEDs: ± 5 to 10 nm; rods change by less than 10 % within it near 500 nm
+PLACE_TOLERANCE_DEG: Final = 1.0  # spots are 1.5 to 2.5° wide
 
 
 @contextmanager
@@ -99,8 +98,8 @@ def _no_blind_spot(protocol: AdaptationProtocol, opened: OpenedBox) -> str | Non
     apart_deg = math.hypot(place.temporal_deg - check.temporal_deg, place.below_deg - check.below_deg)
     if apart_deg > PLACE_TOLERANCE_DEG:
         return (
-            f"channel {check.channel} stands {place.temporal_deg:g}° temporal and {place.below_deg:g}° below the mark, "
-            f"the protocol wants {check.temporal_deg:g}° and {check.below_deg:g}°"
+            f"channel {check.channel} is {place.temporal_deg:g}° temporal and {place.below_deg:g}° below the mark, "
+            f"the protocol needs {check.temporal_deg:g}° and {check.below_deg:g}°"
         )
     if opened.calibration is None or check.channel not in opened.calibration.channels:
         return f"channel {check.channel} has no calibration"
@@ -189,20 +188,20 @@ def _require_colour(opened: OpenedBox, protocol: AdaptationProtocol) -> None:
         apart = math.hypot(stated.place.temporal_deg, stated.place.below_deg)
         if abs(apart - spot.eccentricity_deg) > PLACE_TOLERANCE_DEG:
             raise UsageError(
-                f"protocol {protocol.name} wants its spot {spot.eccentricity_deg:g}° from the mark, channel "
-                f"{spot.channel} stands {apart:.1f}° from it: name another channel, or a preset with its place"
+                f"protocol {protocol.name} needs its spot {spot.eccentricity_deg:g}° from the mark, channel "
+                f"{spot.channel} is {apart:.1f}° from it: name another channel, or a preset with its place"
             )
     known = opened.box.channels.get(spot.channel)
     peak_nm = known.peak_nm if known else None
     if peak_nm is not None and abs(peak_nm - spot.peak_nm) > PEAK_TOLERANCE_NM:
         raise UsageError(
-            f"protocol {protocol.name} wants a spot of {spot.peak_nm:g} nm, channel {spot.channel} has {peak_nm:g} nm: "
-            "name another channel, or state its own wavelength in the protocol"
+            f"protocol {protocol.name} needs a spot of {spot.peak_nm:g} nm, channel {spot.channel} has {peak_nm:g} nm: "
+            "name another channel, or state that wavelength in the protocol"
         )
 
 
 def _explained(refusal: RadiometerError, opened: OpenedBox, lights: BoxLights) -> RadiometerError:
-    """Return a refusal with the way out where the box cannot give what the protocol wants."""
+    """Return a refusal with the way out where the box cannot give what the protocol needs."""
     if not isinstance(refusal, SettingOutOfRange) or opened.calibration is None:
         return refusal
     protocol, spot = lights.protocol, lights.protocol.spot

@@ -16,27 +16,16 @@ FLASH_GAP_S = 10.0  # between two photographic flashes: the box wants 5 s, the f
 
 @dataclass(frozen=True, slots=True)
 class BoxLights:
-    """What the eye makes of the box's light, and what of it the protocol wants.
+    """What the eye makes of the box's light, and what of it the protocol wants."""
 
-    Attributes:
-        protocol: The protocol.
-        bleach_photopic_lm_per_w: Luminous efficacy of the bleaching light.
-        bleach_scotopic_lm_per_w: Its scotopic luminous efficacy.
-        spot_scotopic_lm_per_w: That of the spot's light.
-        fixation_w_sr_m2: Radiance of the fixation mark; 0 leaves it dark.
-        u_scale_log10: Standard uncertainty that all levels of the spot share, in log10 units.
-        blind_spot_w_sr_m2: Radiance of the light in the blind spot; 0 where this box has none there.
-        no_fixation_check: Why it has none, for the journal.
-    """
-
-    protocol: AdaptationProtocol
-    bleach_photopic_lm_per_w: float
-    bleach_scotopic_lm_per_w: float
-    spot_scotopic_lm_per_w: float
-    fixation_w_sr_m2: float = 0.0
-    u_scale_log10: float = 0.0
-    blind_spot_w_sr_m2: float = 0.0
-    no_fixation_check: str = ""
+    protocol: AdaptationProtocol  # the protocol
+    bleach_photopic_lm_per_w: float  # luminous efficacy of the bleaching light
+    bleach_scotopic_lm_per_w: float  # its scotopic luminous efficacy
+    spot_scotopic_lm_per_w: float  # that of the spot's light
+    fixation_w_sr_m2: float = 0.0  # radiance of the fixation mark; 0 leaves it dark
+    u_scale_log10: float = 0.0  # standard uncertainty that all levels of the spot share, in log10 units
+    blind_spot_w_sr_m2: float = 0.0  # radiance of the light in the blind spot; 0 where this box has none there
+    no_fixation_check: str = ""  # why it has none, for the journal
 
     @property
     def bleach(self) -> Radiance:
@@ -67,21 +56,13 @@ class BoxLights:
 
 @dataclass(slots=True)
 class BoxStage:
-    """Runs a test on an open light box, in real time.
+    """Runs a test on an open light box, in real time."""
 
-    Attributes:
-        box: An open light box with calibrated channels.
-        lights: Its lights.
-        clock: Steady clock in s, the one that the box's button events are given on.
-        sleep: Waits for a number of seconds.
-        wall_clock: Time of day as Unix time in s; None where the box is simulated.
-    """
-
-    box: LightBox
-    lights: BoxLights
-    clock: Callable[[], float]
-    sleep: Callable[[float], None]
-    wall_clock: Callable[[], float] | None = None
+    box: LightBox  # an open light box with calibrated channels
+    lights: BoxLights  # its lights
+    clock: Callable[[], float]  # steady clock in s, the one that the box's button events are given on
+    sleep: Callable[[float], None]  # waits for a number of seconds
+    wall_clock: Callable[[], float] | None = None  # time of day as Unix time in s; None where the box is simulated
     _zero_s: float = field(default=0.0, init=False)
     _pressed_s: float | None = field(default=None, init=False)
     _longest: tuple[float, float] = field(default=(0.0, 0.0), init=False)

@@ -7,14 +7,16 @@ from dataclasses import dataclass
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import minimize
 
 from radiometer.adaptation.branch_models import BranchModel
 from radiometer.adaptation.threshold_series import ThresholdSeries
 from radiometer.errors import MeasurementError
+from radiometer.statistics.least_squares import solve
+from radiometer.statistics.model_choice import aicc
+from radiometer.statistics.scale import robust_sigma
+from radiometer.typing import Array
 
-Array = NDArray[np.float64]
 HUBER: Final = 2.5  # residuals beyond so many robust standard deviations count less (Huber 1964)
 # What the weights leave of the mean square of normal residuals: E[min(1, k/|r|)·r²] = 1 − 2·Q(k).
 HUBER_CONSISTENCY: Final = 1.0 - math.erfc(HUBER / math.sqrt(2.0))
@@ -25,23 +27,14 @@ _FAR: Final = 1e12
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BranchFit:
-    """A fitted branch model.
+    """A fitted branch model."""
 
-    Attributes:
-        model: Which one.
-        series: What it was fitted to.
-        values: Parameters by name.
-        weights: Weight of each threshold: 1/σ² relative, less where robustness has taken some off, shape (n,).
-        sum_of_squares: Weighted sum of squared residuals.
-        aicc: Akaike's information criterion, corrected for small samples (Hurvich and Tsai 1989).
-    """
-
-    model: BranchModel
-    series: ThresholdSeries
-    values: dict[str, float]
-    weights: Array
-    sum_of_squares: float
-    aicc: float
+    model: BranchModel  # which one
+    series: ThresholdSeries  # what it was fitted to
+    values: dict[str, float]  # parameters by name
+    weights: Array  # weight of each threshold: 1/σ² relative, less where robustness has taken some off, shape (n,)
+    sum_of_squares: float  # weighted sum of squared residuals
+    aicc: float  # akaike's information criterion, corrected for small samples (Hurvich and Tsai 1989)
 
     @property
     def degrees_of_freedom(self) -> int:
@@ -62,8 +55,6 @@ def fit_model(series: ThresholdSeries, model: BranchModel, weights: Array | None
     """Return the least-squares fit of a model, outliers weighed down after Huber 1964.
 
     Args:
-        series: The thresholds.
-        model: The model.
         weights: Weights to keep as they are, such as those of another model's fit; found from the residuals where None.
 
     Raises:
@@ -85,7 +76,7 @@ def fit_model(series: ThresholdSeries, model: BranchModel, weights: Array | None
     nonlinear = refine(series.time_min, series.log_threshold, model, weights, nonlinear)
     total, linear = project(series.time_min, series.log_threshold, model, weights, nonlinear)
     values = dict(zip(model.parameters, map(float, (*linear, *nonlinear)), strict=True))
-    return BranchFit(model, series, values, weights, total, _aicc(total, count, len(model.parameters) + 1))
+    return BranchFit(model, series, values, weights, total, aicc(total, count, len(model.parameters) + 1))
 
 
 def prior_weights(series: ThresholdSeries) -> Array:
@@ -99,11 +90,10 @@ def project(
     time_min: Array, log_threshold: Array, model: BranchModel, weights: Array, nonlinear: Array
 ) -> tuple[float, Array]:
     """Return the weighted sum of squares at fixed nonlinear parameters, and the best linear ones."""
-    root = np.sqrt(weights)
     basis = model.basis(time_min, nonlinear)
-    linear, *_ = np.linalg.lstsq(basis * root[:, np.newaxis], log_threshold * root, rcond=None)
+    linear = solve(basis, log_threshold, weights)
     residuals = log_threshold - basis @ linear
-    return float(weights @ residuals**2), np.asarray(linear, dtype=np.float64)
+    return float(weights @ residuals**2), linear
 
 
 def refine(time_min: Array, log_threshold: Array, model: BranchModel, weights: Array, start: Array) -> Array:
@@ -136,12 +126,7 @@ def _best_of_grid(series: ThresholdSeries, model: BranchModel, weights: Array) -
 def _huber(series: ThresholdSeries, model: BranchModel, prior: Array, nonlinear: Array, linear: Array) -> Array:
     residuals = np.sqrt(prior) * (series.log_threshold - model.basis(series.time_min, nonlinear) @ linear)
     free = residuals.size / (residuals.size - len(model.parameters))  # a fit's residuals are smaller than the errors
-    spread = 1.4826 * float(np.median(np.abs(residuals))) * float(np.sqrt(free))
+    spread = robust_sigma(residuals, 0.0) * float(np.sqrt(free))
     if spread == 0.0:
         return np.ones_like(residuals)
     return np.minimum(1.0, HUBER * spread / np.maximum(np.abs(residuals), 1e-300))
-
-
-def _aicc(total: float, count: int, parameters: int) -> float:
-    correction = 2 * parameters * (parameters + 1) / (count - parameters - 1) if count > parameters + 1 else np.inf
-    return float(count * np.log(max(total, 1e-300) / count) + 2 * parameters + correction)

@@ -17,26 +17,18 @@ from itertools import pairwise
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from radiometer.typing import Array
 
 
 @dataclass(frozen=True, slots=True)
 class BranchModel:
-    """One member of the family.
+    """One member of the family."""
 
-    Attributes:
-        name: Name in reports.
-        linear: Parameters in which it is linear, in the order of the basis' columns.
-        nonlinear: The others: time constant, breaks.
-        meaning: What its branches are.
-    """
-
-    name: str
-    linear: tuple[str, ...]
-    nonlinear: tuple[str, ...]
-    meaning: str
+    name: str  # name in reports
+    linear: tuple[str, ...]  # parameters in which it is linear, in the order of the basis' columns
+    nonlinear: tuple[str, ...]  # the others: time constant, breaks
+    meaning: str  # what its branches are
 
     @property
     def parameters(self) -> tuple[str, ...]:

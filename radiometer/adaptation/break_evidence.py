@@ -12,14 +12,14 @@ from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import nnls
 
 from radiometer.adaptation.branch_fit import HUBER, REWEIGHTINGS, BranchFit, prior_weights
+from radiometer.statistics.model_choice import STATED_IS_WRONG
+from radiometer.typing import Array
 
-Array = NDArray[np.float64]
-# Deviance that a break must be worth. Measured: see the section "adaptation_one_branch" of docs/benchmarks.md.
-LEAST_DEVIANCE: Final = 20.0
+# Deviance that a break must be worth; measured: "adaptation_one_branch" in docs/benchmarks/adaptation.md.
+LEAST_DEVIANCE: Final = STATED_IS_WRONG.gain
 KNOTS: Final = 48  # of the convex curve, at quantiles of the times
 # A typical eye for the statement of power (Lamb and Pugh 2004: S2 −0.24 log10 per min; cones −1.5 min⁻¹ or so).
 TYPICAL_TAU_MIN: Final = 1.6
@@ -32,18 +32,14 @@ EXACT_LOG10: Final = 1e-3  # a curve that is met within this by every threshold 
 
 @dataclass(frozen=True, slots=True)
 class BreakEvidence:
-    """What speaks for a break.
+    """What speaks for a break."""
 
-    Attributes:
-        deviance: n·ln(loss of the best falling convex curve / loss of the best model with a break), both Huber's with
-            the latter's scale; −inf where no model with a break makes sense.
-        needed: Deviance from which a break is claimed.
-        earliest_visible_min: A typical eye's break before this time would not be seen in thresholds at these times and
-            of this scatter, in min; None where none would be seen at all, or it was not asked for.
-    """
-
+    # n·ln(loss of the best falling convex curve / loss of the best model with a break), both Huber's with the latter's
+    # scale; −inf where no model with a break makes sense
     deviance: float
-    needed: float = LEAST_DEVIANCE
+    needed: float = LEAST_DEVIANCE  # deviance from which a break is claimed
+    # A typical eye's break before this time would not be seen in thresholds at these times and of this scatter, in min;
+    # None where none would be seen at all, or it was not asked for
     earliest_visible_min: float | None = None
 
     @property
@@ -109,12 +105,7 @@ def break_evidence(with_break: BranchFit | None) -> BreakEvidence:
 
 
 def with_power(evidence: BreakEvidence, one_branch: BranchFit) -> BreakEvidence:
-    """Return evidence with the earliest break that the thresholds of a curve of one branch would show.
-
-    Args:
-        evidence: The evidence.
-        one_branch: A fit of one branch, for times, thresholds and weights.
-    """
+    """Return evidence with the earliest break that the thresholds of a curve of one branch would show."""
     series = one_branch.series
     convex = convex_sum_of_squares(series.time_min, series.log_threshold, one_branch.weights)
     sigma = max(math.sqrt(convex / series.time_min.size), EXACT_LOG10)

@@ -10,22 +10,16 @@ from typing import Any, Final
 from radiometer.adaptation.protocol import AdaptationProtocol
 from radiometer.errors import CalibrationError, MeasurementError, RadiometerError
 
-COVERAGE: Final = 2.0
+COVERAGE: Final = 2.0  # k for 95 %: the room must be dark enough with its uncertainty
 
 
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """What a check has found.
+    """What a check has found."""
 
-    Attributes:
-        kind: Kind of the event: "room" or "check".
-        facts: What is written to the journal.
-        refusal: Why the test must not begin; None where it may.
-    """
-
-    kind: str
-    facts: Mapping[str, Any]
-    refusal: RadiometerError | None = None
+    kind: str  # kind of the event: "room" or "check"
+    facts: Mapping[str, Any]  # what is written to the journal
+    refusal: RadiometerError | None = None  # why the test must not begin; None where it may
 
 
 Check = Callable[[], Finding]
@@ -37,10 +31,7 @@ def judge_age(
     """Return whether a calibration is young enough for a protocol.
 
     Args:
-        what: What is calibrated, for the message.
         created: When, ISO 8601 with time zone.
-        protocol: States the limit in days.
-        now: The time, with time zone.
         accept_stale: Go on with an old one; the journal says so.
     """
     try:
@@ -71,7 +62,6 @@ def judge_room(luminance_cd_m2: float, u_cd_m2: float, protocol: AdaptationProto
     Args:
         luminance_cd_m2: Luminance of the dark field in cd·m⁻².
         u_cd_m2: Its standard uncertainty.
-        protocol: States the limit.
     """
     limit = protocol.safety.darkest_room_cd_m2
     facts = {"luminance_cd_m2": luminance_cd_m2, "u_cd_m2": u_cd_m2, "limit_cd_m2": limit}

@@ -12,16 +12,12 @@ class Controls:
     """Requests to a run from outside; safe to call from any thread.
 
     The run looks at it after every blink: it goes dark, journals the pause, and waits. The eye adapts on.
-
-    Attributes:
-        paused_by: Who asked for the pause that is asked for now; None where none is.
-        stopped_by: Who asked for the end; None while there is no request.
-        linger_s: Real time that each look at a pause takes besides; for runs in simulated time, where a pause would
-            be over before anybody could end it.
     """
 
-    paused_by: str | None = None
-    stopped_by: str | None = None
+    paused_by: str | None = None  # who asked for the pause that is asked for now; None where none is
+    stopped_by: str | None = None  # who asked for the end; None while there is no request
+    # Real time that each look at a pause takes besides; for runs in simulated time, where a pause would be over before
+    # anybody could end it
     linger_s: float = 0.0
     _lock: threading.Lock = field(default_factory=threading.Lock)
 

@@ -8,13 +8,13 @@ from functools import partial
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import brentq, minimize
 from scipy.stats import f as f_distribution
 
 from radiometer.adaptation.branch_fit import HUBER_CONSISTENCY, BranchFit, project, refine
+from radiometer.statistics.least_squares import solve
+from radiometer.typing import Array
 
-Array = NDArray[np.float64]
 # Measured: over 500 simulated subjects (69 thresholds, 3 nonlinear parameters) the mean likelihood ratio of the truth
 # was 1.11 ± 0.03 of its limit, averaged over the 7 parameters. These are other subjects than those of the benchmark.
 BARTLETT: Final = 2.6
@@ -45,11 +45,6 @@ def profile_interval(fit: BranchFit, name: str, confidence: float = 0.95) -> Int
     parameters and s² the robust variance. The last factor is Bartlett's: at small n the likelihood ratio of a curved
     model is larger on average than its limit.
 
-    Args:
-        fit: The fit.
-        name: Name of the parameter.
-        confidence: Probability of the interval.
-
     Source: Bates and Watts 1988, Nonlinear Regression Analysis, section 6.1; Bartlett 1937, Proc. R. Soc. A 160, 268.
     """
     dof = fit.degrees_of_freedom
@@ -64,11 +59,6 @@ def bootstrap_values(fit: BranchFit, draws: int, rng: np.random.Generator) -> li
     """Return the parameters of fits to the fitted curve plus redrawn residuals.
 
     Residuals are drawn with replacement, scaled to the robust standard deviation, at the fit's weights.
-
-    Args:
-        fit: The fit.
-        draws: Number of redraws.
-        rng: Source of chance.
 
     Source: Efron and Tibshirani 1993, An Introduction to the Bootstrap, chapter 9.
     """
@@ -121,7 +111,6 @@ def _profile(fit: BranchFit, name: str, value: float, start: Array) -> tuple[flo
 
 def _held_linear(fit: BranchFit, column: int, value: float, start: Array) -> tuple[float, Array]:
     series, model, weights = fit.series, fit.model, fit.weights
-    root = np.sqrt(weights)
     free = [index for index in range(len(model.linear)) if index != column]
 
     def cost(nonlinear: Any) -> float:
@@ -129,7 +118,7 @@ def _held_linear(fit: BranchFit, column: int, value: float, start: Array) -> tup
             return 1e12
         basis = model.basis(series.time_min, nonlinear)
         wanted = series.log_threshold - value * basis[:, column]
-        linear, *_ = np.linalg.lstsq(basis[:, free] * root[:, np.newaxis], wanted * root, rcond=None)
+        linear = solve(basis[:, free], wanted, weights)
         return float(weights @ (wanted - basis[:, free] @ linear) ** 2)
 
     return _minimum(cost, start)

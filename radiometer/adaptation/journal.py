@@ -7,7 +7,6 @@ import os
 from collections import deque
 from collections.abc import Iterator
 from pathlib import Path
-from types import TracebackType
 from typing import IO, Any, Final, Self
 
 from radiometer.data.json_text import json_text
@@ -52,11 +51,9 @@ class RunJournal:
         """Append an event and return it.
 
         Args:
-            kind: What happened.
             time_s: When, in s.
             lasting: Wait until it is on the disk, so that even a power cut does not lose it; else it is with the
                 operating system, which a crash of the program does not touch.
-            facts: What else is known of it.
 
         Raises:
             OutputError: If the disk refuses it.
@@ -100,9 +97,7 @@ class RunJournal:
         self._sorted = len(self.events)
         return list(self._of_kind.get(kind, ()))
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         if self._stream:
             self._stream.close()
             self._stream = None

@@ -15,7 +15,7 @@ from radiometer.adaptation.reliability import BLIND_SPOT, BRIGHT
 from radiometer.adaptation.threshold_series import FEWEST, ThresholdSeries
 from radiometer.errors import MeasurementError
 
-_CURVE_POINTS: Final = 160
+_CURVE_POINTS: Final = 160  # twice as many as a terminal has columns
 
 
 @dataclass(slots=True)
@@ -143,16 +143,11 @@ class LiveState:
 
 @dataclass(frozen=True, slots=True)
 class RunningFit:
-    """The fit of the thresholds so far.
+    """The fit of the thresholds so far."""
 
-    Attributes:
-        count: How many thresholds it is of.
-        text: What it says.
-        curve: Minutes and log10 thresholds of the line; empty where nothing can be fitted yet.
-    """
-
-    count: int
-    text: str
+    count: int  # how many thresholds it is of
+    text: str  # what it says
+    # Minutes and log10 thresholds of the line; empty where nothing can be fitted yet
     curve: tuple[tuple[float, float], ...] = ()
 
     def to_mapping(self) -> dict[str, Any]:

@@ -9,8 +9,7 @@ import threading
 import time
 from collections.abc import Callable, Coroutine, Mapping
 from importlib.resources import files
-from types import TracebackType
-from typing import Any, Final, Self
+from typing import Any, Final
 
 from aiohttp import web
 
@@ -18,10 +17,11 @@ from radiometer.adaptation.controls import Controls
 from radiometer.adaptation.journal import Event
 from radiometer.adaptation.live import LiveState, RunningFit, running_fit
 from radiometer.adaptation.protocol import AdaptationProtocol
+from radiometer.devices.opening import Opened
 from radiometer.errors import DeviceError
 from radiometer.screen.loopback import Darken, LoopbackServer, Message, darkened, nothing_to_darken
 
-_SLOW_BROWSER_S: Final = 2.0
+_SLOW_BROWSER_S: Final = 2.0  # loopback takes ms; a browser that takes longer is asleep
 _REFRESH_S: Final = 0.05  # events that come closer together are reported together
 _BY: Final = "page"
 _LIGHTS_OFF: Final = "lights off"
@@ -30,14 +30,12 @@ _OVER: Final = None
 Health = Callable[[], Mapping[str, str]]
 
 
-class LivePage:
+class LivePage(Opened):
     """Shows a running test to any number of browsers; one that goes away does no harm.
 
     Args:
-        protocol: What is done.
         controls: Where its buttons ask for a pause or the end.
         port: Port on 127.0.0.1; 0 for any free one.
-        audio: Whether prompts are sounded.
         health: Returns the state of box or screen by name; asked on the thread of the run after every trial.
         darken: Darkens the light box, whoever holds it, and returns what it did in words; called on its own thread.
         clock: Steady clock in s.
@@ -194,15 +192,6 @@ class LivePage:
             await self._send(socket, {**self._message(), "phase": "over"})
             with contextlib.suppress(ConnectionError, RuntimeError):
                 await socket.close()
-
-    def __enter__(self) -> Self:
-        self.open()
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
 
 
 def replayed(page: LivePage, events: list[Event]) -> None:

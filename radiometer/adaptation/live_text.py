@@ -27,7 +27,6 @@ class LiveText:
     """The running test as the lines of a terminal.
 
     Args:
-        protocol: What is done.
         known: Events that the journal holds already.
         clock: Steady clock in s.
     """
@@ -46,11 +45,7 @@ class LiveText:
         self._newest_s = self._clock()
 
     def lines(self, columns: int) -> list[str]:
-        """Return what is to be seen now; the fit is brought up to date here.
-
-        Args:
-            columns: Width of the chart in characters.
-        """
+        """Return what is to be seen now; the fit is brought up to date here."""
         points = self._state.points
         if len(points) != self._fit.count:
             self._fit = running_fit(points)
@@ -62,9 +57,6 @@ def live_lines(state: LiveState, fit: RunningFit, columns: int, waited_s: float 
     """Return the lines of the live view.
 
     Args:
-        state: The test.
-        fit: The fit so far.
-        columns: Width of the chart in characters.
         waited_s: Time since the newest event in s.
     """
     level = state.blink["log10_level"] if state.blink and state.phase == "threshold" else None

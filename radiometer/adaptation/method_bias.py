@@ -12,8 +12,8 @@ from radiometer.adaptation.protocol import DownUpMethod, LimitsMethod, QuestPlus
 
 # Exponents of the Weibull function of detection that are usual, and the most usual one (Watson and Pelli 1983).
 SLOPES: Final = (2.5, 3.5, 5.0)
-PHASES: Final = 8
-LONGEST: Final = 80
+PHASES: Final = 8  # of the grid of levels against the threshold, over which the bias is averaged
+LONGEST: Final = 80  # blinks, far beyond the end of any search
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,9 +29,6 @@ def method_bias(method: LimitsMethod | StaircaseMethod | DownUpMethod | QuestPlu
 
     Exact for a usual psychometric function, averaged over the places of the levels; its uncertainty is that of the
     slope.
-
-    Args:
-        method: The method and its steps.
     """
     if isinstance(method, LimitsMethod):
         biases = [_ascent(slope, method.step_log10, method.start_below_log10) for slope in SLOPES]

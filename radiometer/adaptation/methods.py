@@ -3,94 +3,77 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Protocol
+from typing import Any, Protocol
 
 from radiometer.adaptation.protocol import DownUpMethod, LimitsMethod, QuestPlusMethod, Spot, StaircaseMethod
 from radiometer.adaptation.quest_plus import QuestPlusSearch
 
 
 class Method(Protocol):
-    """The search for one threshold.
+    """The search for one threshold."""
 
-    Attributes:
-        level: log10 level of the next blink.
-        threshold: log10 threshold once it is found.
-        exhausted: Whether the search ended without one.
-        u_log10: Standard uncertainty of the threshold; None where the method states none.
-    """
-
-    level: float
-    threshold: float | None
-    exhausted: bool
-    u_log10: float | None
+    level: float  # log10 level of the next blink
+    threshold: float | None  # log10 threshold once it is found
+    exhausted: bool  # whether the search ended without one
+    u_log10: float | None  # standard uncertainty of the threshold; None where the method states none
 
     def answer(self, *, seen: bool) -> None:
         """Take the answer to the blink at `level` and go on."""
-        ...
 
 
 @dataclass
-class Ascent:
-    """Ascending limits: up by a step per blink until it is seen; an ascent that is seen at once begins lower.
+class Search:
+    """What all searches have that step from level to level."""
 
-    Attributes:
-        spot: The spot's levels.
-        method: Its settings.
-        last: Threshold before, log10; None at the start, where the ascent begins near the top.
-        shift: Part of a step, 0 to 1, by which it begins lower.
-    """
-
-    spot: Spot
-    method: LimitsMethod
-    last: float | None = None
-    shift: float = 0.0
+    spot: Spot  # the spot's levels
+    method: Any  # its settings
+    last: float | None = None  # threshold before, log10; None at the start, where the search begins near the top
+    shift: float = 0.0  # part of a step, 0 to 1, by which it begins lower
     threshold: float | None = None
     exhausted: bool = False
     u_log10: float | None = None
     level: float = field(init=False)
-    _missed: bool = False
 
     def __post_init__(self) -> None:
-        below = self.method.start_below_log10 + self.shift * self.method.step_log10
-        self.level = _start(self.spot, self.last, below)
+        first = self.spot.highest_log10 - 1.0 if self.last is None else self.last - self._below()
+        self.level = min(max(first, self.spot.lowest_log10), self.spot.highest_log10)
+
+    def _below(self) -> float:
+        """Return how far below the threshold before the search begins, in log10 units."""
+        return float(self.method.start_below_log10 + self.shift * self.method.step_log10)
+
+    def _step(self, by_log10: float) -> None:
+        """Move the level; a search that stands at the end of the spot's levels is over."""
+        end = self.spot.highest_log10 if by_log10 > 0 else self.spot.lowest_log10
+        if abs(self.level - end) < 1e-9:
+            self.exhausted = True
+        else:
+            self.level = min(max(self.level + by_log10, self.spot.lowest_log10), self.spot.highest_log10)
+
+
+@dataclass
+class Ascent(Search):
+    """Ascending limits: up by a step per blink until it is seen; an ascent that is seen at once begins lower."""
+
+    method: LimitsMethod
+    _missed: bool = False
 
     def answer(self, *, seen: bool) -> None:
         """Take the answer to the blink at `level` and go on."""
         if seen and self._missed:
             self.threshold = self.level
-        elif seen and self.level <= self.spot.lowest_log10 + 1e-9:
-            self.exhausted = True
-        elif seen:
-            self.level = max(self.level - self.method.start_below_log10, self.spot.lowest_log10)
         else:
-            self._miss()
-
-    def _miss(self) -> None:
-        self._missed = True
-        if self.level >= self.spot.highest_log10 - 1e-9:
-            self.exhausted = True
-        else:
-            self.level = min(self.level + self.method.step_log10, self.spot.highest_log10)
+            self._missed = self._missed or not seen
+            self._step(-self.method.start_below_log10 if seen else self.method.step_log10)
 
 
 @dataclass
-class Staircase:
+class Staircase(Search):
     """4-2 dB staircase: the mean of the last reversals is the threshold."""
 
-    spot: Spot
     method: StaircaseMethod
-    last: float | None = None
-    shift: float = 0.0
-    threshold: float | None = None
-    exhausted: bool = False
-    u_log10: float | None = None
-    level: float = field(init=False)
     _turns: list[float] = field(default_factory=list)
     _went_up: bool | None = None
-
-    def __post_init__(self) -> None:
-        below = self.method.start_below_log10 + self.shift * self.method.step_log10
-        self.level = _start(self.spot, self.last, below)
 
     def answer(self, *, seen: bool) -> None:
         """Take the answer to the blink at `level` and go on."""
@@ -102,32 +85,19 @@ class Staircase:
             kept = self._turns[1:]
             self.threshold = sum(kept) / len(kept)
             return
-        end = self.spot.highest_log10 if up else self.spot.lowest_log10
-        if abs(self.level - end) < 1e-9:
-            self.exhausted = True
-            return
         step = self.method.step_log10 if self._turns else self.method.first_step_log10
-        moved = self.level + step if up else self.level - step
-        self.level = min(max(moved, self.spot.lowest_log10), self.spot.highest_log10)
+        self._step(step if up else -step)
 
 
 @dataclass
-class DownUp:
+class DownUp(Search):
     """Down in big steps while it is seen, up in small ones until it is seen again: that level is the threshold."""
 
-    spot: Spot
     method: DownUpMethod
-    last: float | None = None
-    shift: float = 0.0
-    threshold: float | None = None
-    exhausted: bool = False
-    u_log10: float | None = None
-    level: float = field(init=False)
     _rising: bool = False
 
-    def __post_init__(self) -> None:
-        below = self.shift * self.method.up_log10 - self.method.start_above_log10
-        self.level = _start(self.spot, self.last, below)
+    def _below(self) -> float:
+        return self.shift * self.method.up_log10 - self.method.start_above_log10
 
     def answer(self, *, seen: bool) -> None:
         """Take the answer to the blink at `level` and go on."""
@@ -135,12 +105,7 @@ class DownUp:
             self.threshold = self.level
             return
         self._rising = self._rising or not seen
-        end = self.spot.highest_log10 if self._rising else self.spot.lowest_log10
-        if abs(self.level - end) < 1e-9:
-            self.exhausted = True
-            return
-        moved = self.level + (self.method.up_log10 if self._rising else -self.method.down_log10)
-        self.level = min(max(moved, self.spot.lowest_log10), self.spot.highest_log10)
+        self._step(self.method.up_log10 if self._rising else -self.method.down_log10)
 
 
 AnyMethod = LimitsMethod | StaircaseMethod | DownUpMethod | QuestPlusMethod
@@ -151,7 +116,6 @@ def begin(spot: Spot, method: AnyMethod, last: float | None, shift: float = 0.0)
 
     Args:
         spot: The spot's levels.
-        method: Which search, and its settings.
         last: Threshold before, log10; None at the start.
         shift: Part of a step, 0 to 1, by which limits and staircase begin lower. By chance from threshold to threshold,
             it keeps them from lying on one grid of levels, where errors of neighbours go together.
@@ -166,8 +130,3 @@ def begin(spot: Spot, method: AnyMethod, last: float | None, shift: float = 0.0)
     if isinstance(method, DownUpMethod):
         return DownUp(spot, method, last, shift)
     return QuestPlusSearch(spot, method, last)
-
-
-def _start(spot: Spot, last: float | None, below: float) -> float:
-    first = spot.highest_log10 - 1.0 if last is None else last - below
-    return min(max(first, spot.lowest_log10), spot.highest_log10)

@@ -32,9 +32,10 @@ EXPLANATIONS: Final = {
     Verdict.FLOOR_REACHED: "the dimmest level of the spot is seen every time: the curve is known down to it",
     Verdict.NO_RESPONSE: "the button was never pressed: no threshold is known, nothing is fitted",
     Verdict.LEFT: "presses stopped: the subject left or fell asleep; nothing is fitted",
-    Verdict.UNRELIABLE: "the button was pressed without a light too often: thresholds mean nothing, nothing is fitted",
-    Verdict.FIXATION_LOST: "the light in the blind spot was seen too often: the subject did not look at the mark, the "
-    "thresholds are of nobody knows which place; nothing is fitted",
+    Verdict.UNRELIABLE: "the button was pressed without a light too often: the thresholds have no meaning; "
+    "nothing is fitted",
+    Verdict.FIXATION_LOST: "the light in the blind spot was seen too often: the subject did not look at the mark, so "
+    "the place of the thresholds on the retina is unknown; nothing is fitted",
     Verdict.STOPPED: "the test was stopped before its end: its thresholds are kept, nothing is fitted",
 }
 
@@ -44,27 +45,16 @@ FITTED: Final = (Verdict.COMPLETE, Verdict.CRITERION_REACHED, Verdict.FLOOR_REAC
 
 @dataclass(frozen=True, slots=True)
 class Outcome:
-    """The result of a run.
+    """The result of a run."""
 
-    Attributes:
-        verdict: In one word.
-        explanation: For the user, what it means.
-        times_min: Time of each threshold in min after the end of the bleach.
-        thresholds_log10: Thresholds, log10 of scotopic cd·m⁻².
-        false_presses: Presses to catches or faster than a human can.
-        catches: Catches without a light shown.
-        u_log10: Standard uncertainty of each threshold; empty where the method states none.
-        reliability: False alarms, lapses and looks away from the mark.
-    """
-
-    verdict: Verdict
-    explanation: str
-    times_min: tuple[float, ...]
-    thresholds_log10: tuple[float, ...]
-    false_presses: int
-    catches: int
-    u_log10: tuple[float, ...] = ()
-    reliability: Reliability = field(default_factory=Reliability)
+    verdict: Verdict  # in one word
+    explanation: str  # for the user, what it means
+    times_min: tuple[float, ...]  # time of each threshold in min after the end of the bleach
+    thresholds_log10: tuple[float, ...]  # thresholds, log10 of scotopic cd·m⁻²
+    false_presses: int  # presses to catches or faster than a human can
+    catches: int  # catches without a light shown
+    u_log10: tuple[float, ...] = ()  # standard uncertainty of each threshold; empty where the method states none
+    reliability: Reliability = field(default_factory=Reliability)  # False alarms, lapses and looks away from the mark
 
     @property
     def can_be_fitted(self) -> bool:

@@ -29,15 +29,10 @@ def prompts_after(event: Event) -> tuple[str, ...]:
 
 @dataclass(frozen=True, slots=True)
 class Prompter:
-    """Journals prompts and has them sounded.
+    """Journals prompts and has them sounded."""
 
-    Attributes:
-        journal: The open journal of the test.
-        sound: Told every prompt, as an event of kind "prompt".
-    """
-
-    journal: RunJournal
-    sound: Callable[[Event], None]
+    journal: RunJournal  # the open journal of the test
+    sound: Callable[[Event], None]  # told every prompt, as an event of kind "prompt"
 
     def after(self, event: Event) -> None:
         """Give the prompts that an event calls for. Raises OutputError."""

@@ -13,16 +13,7 @@ from radiometer.data.storage import read_yaml
 from radiometer.data.validation import ConfigSection, validate
 from radiometer.errors import ConfigurationError, InputError
 
-SHIPPED = (
-    "classic",
-    "classic-blue",
-    "rapid",
-    "quick",
-    "led-only",
-    "questplus",
-    "steady-low",
-    "screen-only",
-)
+SHIPPED = ("classic", "classic-blue", "rapid", "quick", "led-only", "questplus", "steady-low", "screen-only")
 BLEACH_CHANNEL = "bleach"
 # Conditions of the published rod intercept at 5·10⁻³ scotopic cd·m⁻²: spot of about 2°, 500 to 510 nm, 5° from
 # fixation. The bleach covered three quarters to four fifths of the rods (Jackson and Edwards 2008; Jackson et al. #
@@ -114,25 +105,16 @@ class FixationCheck(ConfigSection):
 
     It is red, as the mark: rods hardly see it, and the cones, once they are back, always do. The blind spot's middle is
     15.5° temporal of fixation and 1.5° below it, its size 5.5° by 7.5° (Armaly 1969).
-
-    Attributes:
-        share: Share of the trials.
-        channel: Channel of the box whose opening stands there; a screen shows it by its red.
-        temporal_deg: Where it stands, temporal of the mark.
-        below_deg: And below it.
-        size_deg: Its diameter.
-        luminance_cd_m2: Its luminance at the eye.
-        from_min: Time in the dark from which it is shown.
-        most_lost_share: Share of lost fixation which, if it is certainly passed, leaves nothing to be fitted.
     """
 
-    share: float = Field(0.06, gt=0, le=0.3)
-    channel: str = "spot_red"
-    temporal_deg: float = Field(15.5, ge=13.5, le=17.5)
-    below_deg: float = Field(1.5, ge=-1.0, le=4.0)
-    size_deg: float = Field(1.0, gt=0, le=2.0)
-    luminance_cd_m2: float = Field(0.1, gt=0, le=1)
-    from_min: float = Field(4.0, ge=0, le=30)
+    share: float = Field(0.06, gt=0, le=0.3)  # share of the trials
+    channel: str = "spot_red"  # channel of the box whose opening stands there; a screen shows it by its red
+    temporal_deg: float = Field(15.5, ge=13.5, le=17.5)  # where it stands, temporal of the mark
+    below_deg: float = Field(1.5, ge=-1.0, le=4.0)  # and below it
+    size_deg: float = Field(1.0, gt=0, le=2.0)  # its diameter
+    luminance_cd_m2: float = Field(0.1, gt=0, le=1)  # its luminance at the eye
+    from_min: float = Field(4.0, ge=0, le=30)  # time in the dark from which it is shown
+    # Share of lost fixation which, if it is certainly passed, leaves nothing to be fitted
     most_lost_share: float = Field(0.33, gt=0, le=1)
 
 
@@ -259,7 +241,7 @@ class AdaptationProtocol(ConfigSection):
     def _criterion_within_reach(self) -> Self:
         criterion = self.end.criterion_log10
         if criterion is not None and not self.spot.lowest_log10 < criterion < self.spot.highest_log10:
-            raise ValueError("end.criterion_log10 lies outside the spot's levels")
+            raise ValueError("end.criterion_log10 is outside the spot's levels")
         return self
 
     @model_validator(mode="after")

@@ -21,22 +21,15 @@ class QuestPlusSearch:
     The psychometric function is a Weibull function of log10 luminance; its threshold is where the chance of an answer
     is 1 − 1/e (but for lapses and false alarms). The slope is a nuisance: it is marginalised out.
 
-    Attributes:
-        spot: The spot's levels.
-        method: Its settings.
-        last: Threshold before, log10, on which the prior is centred; None for a flat prior.
-        threshold: Mean of the posterior, once its standard deviation is small enough.
-        u_log10: That standard deviation.
-
     Source: Watson 2017, QUEST+: a general multidimensional Bayesian adaptive psychometric method, J. Vision 17(3):10.
     """
 
-    spot: Spot
-    method: QuestPlusMethod
-    last: float | None = None
-    threshold: float | None = None
+    spot: Spot  # the spot's levels
+    method: QuestPlusMethod  # its settings
+    last: float | None = None  # threshold before, log10, on which the prior is centred; None for a flat prior
+    threshold: float | None = None  # mean of the posterior, once its standard deviation is small enough
     exhausted: bool = False
-    u_log10: float | None = None
+    u_log10: float | None = None  # that standard deviation
     level: float = field(init=False)
     _levels: NDArray[np.float64] = field(init=False)
     _quest: Any = field(init=False)

@@ -14,17 +14,8 @@ from radiometer.errors import InputError
 
 # gzip, bzip2 and xz, in which R packs; its own binary and ASCII forms, with and without the head of `save`.
 _BEGINNINGS: Final = (
-    b"\x1f\x8b",
-    b"BZh",
-    b"\xfd7zXZ",
-    b"RDX2\n",
-    b"RDX3\n",
-    b"RDA2\n",
-    b"RDA3\n",
-    b"X\n",
-    b"A\n3\n",
-    b"A\n2\n",
-)
+    b"\x1f\x8b", b"BZh", b"\xfd7zXZ", b"RDX2\n", b"RDX3\n", b"RDA2\n", b"RDA3\n", b"X\n", b"A\n3\n", b"A\n2\n",
+)  # fmt: skip
 _MOST_BYTES: Final = 64_000_000  # unpacked; a study of a hundred runs has less than 1 MB
 AS_TEXT: Final = "write.csv(data.frame(time=dark$time, thrs=dark$thrs), 'run.csv')"
 _TIME: Final = ("time", "Time", "t")

@@ -21,8 +21,8 @@ MEANINGS: Final = {
     "lapses": "spots ten times above threshold that were not answered",
     "fixation_losses": "looks away from the mark, by the light in the blind spot, false alarms and lapses taken out",
 }
-_DRAWS: Final = 40_000
-_TAILS: Final = (0.025, 0.975)
+_DRAWS: Final = 40_000  # the ends of a 95 % interval repeat to about 1 % of its width
+_TAILS: Final = (0.025, 0.975)  # of a 95 % interval
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,19 +38,12 @@ class Count:
 
 @dataclass(frozen=True, slots=True)
 class Rate:
-    """A share with its 95 % interval.
+    """A share with its 95 % interval."""
 
-    Attributes:
-        value: The share, 0 to 1.
-        low: Lower end.
-        high: Upper end.
-        count: What was counted.
-    """
-
-    value: float
-    low: float
-    high: float
-    count: Count
+    value: float  # the share, 0 to 1
+    low: float  # lower end
+    high: float  # upper end
+    count: Count  # what was counted
 
     def __str__(self) -> str:
         return f"{100 * self.value:.1f} % ({100 * self.low:.1f} to {100 * self.high:.1f} %, {self.count})"
@@ -58,17 +51,11 @@ class Rate:
 
 @dataclass(frozen=True, slots=True)
 class Reliability:
-    """Counts of a run.
+    """Counts of a run."""
 
-    Attributes:
-        false_alarms: Blinks without a spot that were answered.
-        lapses: Spots far above the threshold that were not.
-        fixation: Lights in the blind spot that were answered.
-    """
-
-    false_alarms: Count = field(default_factory=Count)
-    lapses: Count = field(default_factory=Count)
-    fixation: Count = field(default_factory=Count)
+    false_alarms: Count = field(default_factory=Count)  # blinks without a spot that were answered
+    lapses: Count = field(default_factory=Count)  # spots far above the threshold that were not
+    fixation: Count = field(default_factory=Count)  # lights in the blind spot that were answered
 
     @property
     def rates(self) -> dict[str, Rate]:
@@ -116,7 +103,6 @@ class Reliability:
 
         Args:
             events: Events in order.
-            fastest_press_s: Presses faster than this are no answers.
         """
         counts = {kind: [0, 0] for kind in (BLANK, BRIGHT, BLIND_SPOT)}
         for blink in events:

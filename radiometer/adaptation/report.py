@@ -27,7 +27,9 @@ LABELS: Final = {
     "rod_intercept_min": "Rod-intercept time",
     "criterion_min": "Time at the criterion",
     "final_threshold": "Final threshold",
-    "area_log10_min": "Area above the final threshold",
+    "area_log10_min": "Area under the dark-adaptation curve (AUDAC), above the final threshold",
+    "area_from_min": "AUDAC from",
+    "area_to_min": "AUDAC cut at",
 }
 _HELD_WEIGHT: Final = 0.5  # of the largest; below, a threshold hardly counts
 
@@ -92,11 +94,11 @@ def report_html(fit: AdaptationFit, title: str = "Dark adaptation") -> str:
             _intercept(fit),
             story(fit),
             section("What it means, and what to do", listed(meaning(fit))),
-            section("What to mind", *(paragraph(text, "flag") for text in _remarks(fit))),
+            section("Remarks", *(paragraph(text, "flag") for text in _remarks(fit))),
             section("Estimates", _estimates(fit)),
             section("The subject", _reliability(fit)),
-            section("Models that were tried", _models(fit)),
-            folded("What the file says of itself", table((), sorted(fit.chosen.series.facts.items()), words=(1,))),
+            section("Models compared", _models(fit)),
+            folded("What the file states", table((), sorted(fit.chosen.series.facts.items()), words=(1,))),
             folded("What was assumed", listed(_assumptions(fit))),
         ],
         kind="Dark adaptation",
@@ -134,14 +136,14 @@ def meaning(fit: AdaptationFit) -> list[str]:
     if not fit.has_break:
         earliest = fit.evidence.earliest_visible_min
         seen = (
-            "With these thresholds no break could be seen at all: take more of them, or a longer test."
+            "With these thresholds no break could be detected. Take more of them, or a longer test."
             if earliest is None
             else f"A typical eye's break after {earliest:.1f} min would have been seen, an earlier one not. An eye of "
             "rods or of cones alone looks like this, and so does a bleach that was too weak."
         )
         return [
             seen,
-            f"The last threshold was taken after {last_min:.1f} min: a break after it cannot be told from none.",
+            f"The last threshold was taken after {last_min:.1f} min: a later break cannot be detected.",
         ]
     values = fit.chosen.values
     said = [
@@ -151,7 +153,7 @@ def meaning(fit: AdaptationFit) -> list[str]:
         f"{1.0 / -values['s2_slope_per_min']:.1f} min.",
     ]
     if "rod_rod_break_min" in values:
-        said.append(f"From {_with_interval(fit, 'rod_rod_break_min', 'min')} on they fall more slowly (S3).")
+        said.append(f"From {_with_interval(fit, 'rod_rod_break_min', 'min')} on it falls more slowly (S3).")
     interval = fit.estimates["break_min"].profile or fit.estimates["break_min"].bootstrap
     if interval is None or not np.isfinite([interval.low, interval.high]).all():
         said.append("The break's interval is open at an end: more thresholds around it would close it.")
@@ -163,9 +165,9 @@ def _remarks(fit: AdaptationFit) -> list[str]:
     light = np.count_nonzero(fit.chosen.weights < _HELD_WEIGHT * float(np.max(fit.chosen.weights)))
     said = [f"Taken: {text}." for text in series.taken]
     if light and series.sigma is None:
-        said.append(f"{light} of {series.time_min.size} thresholds lie far off the curve and count for little.")
+        said.append(f"{light} of {series.time_min.size} thresholds are far from the curve and have little weight.")
     if not fit.request.stimulus_u_log10:
-        said.append("No uncertainty of the stimulus' calibration was given: levels in log10 units are without it.")
+        said.append("No uncertainty of the stimulus' calibration was given: levels in log10 units do not include it.")
     return said
 
 
@@ -175,15 +177,16 @@ def _assumptions(fit: AdaptationFit) -> list[str]:
         f"Model {fit.chosen.model.name}: {fit.chosen.model.meaning}.",
         f"Intervals are of {percent}: of parameters by profile likelihood, of the others by "
         f"{fit.request.bootstrap_draws} bootstrap redraws.",
-        f"The stimulus' calibration is uncertain by {fit.request.stimulus_u_log10:g} log10 units, which levels hold.",
-        f"A break is claimed from a deviance of {fit.evidence.needed:g} on against the best falling convex curve; here "
+        f"The stimulus' calibration is uncertain by {fit.request.stimulus_u_log10:g} log10 units, which the "
+        "levels include.",
+        f"A break is claimed from a deviance of {fit.evidence.needed:g} against the best falling convex curve; here "
         f"it is {_deviance(fit)}.",
     ]
 
 
 def _deviance(fit: AdaptationFit) -> str:
     found = fit.evidence.deviance
-    return f"{found:.1f}" if math.isfinite(found) else "none, for no model with a break makes sense"
+    return f"{found:.1f}" if math.isfinite(found) else "none: no model with a break is plausible"
 
 
 def _with_interval(fit: AdaptationFit, name: str, unit: str) -> str:

@@ -5,19 +5,18 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from radiometer.adaptation.adaptation_fit import AdaptationFit
 from radiometer.adaptation.branch_fit import BranchFit
 from radiometer.reporting.numbers import rounded
 from radiometer.reporting.pictures import BEFORE, DIMMED, MARK, MODEL, RULE, SEEN, dress, legend, mark, picture
+from radiometer.typing import Array
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-Array = NDArray[np.float64]
-_POINTS: Final = 600
+_POINTS: Final = 600  # about one per pixel
 _LEFT_PART: Final = 0.45  # of the time axis; where the break is there, its words are to the right of it
 _INTERVAL_SIGMAS: Final = 1.96  # 95 %
 
@@ -27,11 +26,9 @@ def story(fit: AdaptationFit) -> str:
     claimed = (
         "the vertical line is the break, with its interval; the sloping one S2"
         if fit.has_break
-        else "grey is the best curve with a break, which these thresholds do not bear out"
+        else "grey is the best curve with a break, which these thresholds do not support"
     )
-    caption = (
-        f"Thresholds with 95 % bars and the fitted curve; {claimed}. Below, what the curve leaves of the thresholds."
-    )
+    caption = f"Thresholds with 95 % bars and the fitted curve; {claimed}. Below, the residuals."
 
     def draw(figure: Figure, narrow: bool) -> None:
         upper, lower = figure.subplots(2, 1, sharex=True, height_ratios=(3.6, 1.0))

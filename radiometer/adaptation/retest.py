@@ -32,19 +32,12 @@ class Bound:
 
 @dataclass(frozen=True, slots=True)
 class Agreement:
-    """Limits of agreement of one quantity.
+    """Limits of agreement of one quantity."""
 
-    Attributes:
-        mean: Mean of the differences, second less first visit.
-        sd: Their standard deviation.
-        lower: Lower limit of agreement: mean − 1.96·sd.
-        upper: Upper limit.
-    """
-
-    mean: Bound
-    sd: float
-    lower: Bound
-    upper: Bound
+    mean: Bound  # mean of the differences, second less first visit
+    sd: float  # their standard deviation
+    lower: Bound  # lower limit of agreement: mean − 1.96·sd
+    upper: Bound  # upper limit
 
     def to_mapping(self) -> dict[str, Any]:
         """Return what is written to the JSON."""
@@ -54,23 +47,15 @@ class Agreement:
 
 @dataclass(frozen=True, slots=True)
 class Compared:
-    """One quantity over all pairs of visits.
+    """One quantity over all pairs of visits."""
 
-    Attributes:
-        name: Its name.
-        unit: Its unit.
-        visits: First and second value of the pairs in which both visits have it, shape (pairs, 2).
-        u_fits: Standard uncertainty of a difference as the fits alone have it (root mean square); NaN where unknown.
-        missing: Numbers, from 1, of the pairs in which a visit has it not.
-        agreement: Limits of agreement; None for fewer than three pairs.
-    """
-
-    name: str
-    unit: str
-    visits: NDArray[np.float64]
+    name: str  # its name
+    unit: str  # its unit
+    visits: NDArray[np.float64]  # first and second value of the pairs in which both visits have it, shape (pairs, 2)
+    # Standard uncertainty of a difference as the fits alone have it (root mean square); NaN where unknown
     u_fits: float
-    missing: tuple[int, ...]
-    agreement: Agreement | None
+    missing: tuple[int, ...]  # numbers, from 1, of the pairs in which a visit has it not
+    agreement: Agreement | None  # limits of agreement; None for fewer than three pairs
 
     def to_mapping(self) -> dict[str, Any]:
         """Return what is written to the JSON."""
@@ -92,7 +77,6 @@ def limits_of_agreement(differences: NDArray[np.float64], confidence: float = 0.
 
     Args:
         differences: Second less first visit, shape (pairs,), two at least.
-        confidence: Of the intervals.
 
     Raises:
         ValueError: If there are fewer than two.

@@ -7,36 +7,28 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.stats import t as student
 
 from radiometer.adaptation.intervals import Interval
 from radiometer.adaptation.threshold_series import ThresholdSeries
+from radiometer.statistics.scale import robust_sigma
+from radiometer.typing import Array
 
 WINDOW_MIN: Final = 3.0  # on either side: 0.7 log10 units of a healthy S2, within which it is straight
 FEWEST: Final = 5
 HUBER: Final = 1.5
 ROUNDS: Final = 5
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True)
 class InterceptRule:
-    """What belongs to a rod intercept.
+    """What belongs to a rod intercept."""
 
-    Attributes:
-        criterion_log10: The criterion, log10 of scotopic cd·m⁻².
-        limit_min: Published limit in min; None where there is none.
-        bias_log10: What the method finds above the eye's own threshold, log10 units.
-        u_bias_log10: Its standard uncertainty.
-        source: Where criterion and limit come from.
-    """
-
-    criterion_log10: float
-    limit_min: float | None = None
-    bias_log10: float = 0.0
-    u_bias_log10: float = 0.0
-    source: str = ""
+    criterion_log10: float  # the criterion, log10 of scotopic cd·m⁻²
+    limit_min: float | None = None  # published limit in min; None where there is none
+    bias_log10: float = 0.0  # what the method finds above the eye's own threshold, log10 units
+    u_bias_log10: float = 0.0  # its standard uncertainty
+    source: str = ""  # where criterion and limit come from
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,10 +48,8 @@ def rod_intercept(
     A robust straight line through the thresholds within 3 min of the first crossing, read backwards.
 
     Args:
-        series: The thresholds.
         rule: Criterion and the method's bias.
         u_scale_log10: Standard uncertainty that all levels share, log10 units.
-        confidence: Probability of the interval.
     """
     target = rule.criterion_log10 + rule.bias_log10
     times, levels = series.time_min, series.log_threshold
@@ -89,7 +79,7 @@ def _read_back(times: Array, levels: Array, target: float, u_level: float, confi
     for _ in range(ROUNDS):
         slope, level = np.polyfit(times, levels, 1, w=np.sqrt(weights))
         residuals = np.abs(levels - slope * times - level)
-        scale = max(1.4826 * float(np.median(residuals)), 1e-6)
+        scale = max(robust_sigma(residuals, 0.0), 1e-6)
         weights = np.minimum(1.0, HUBER * scale / np.maximum(residuals, 1e-12))
     if slope >= 0:
         return None

@@ -7,21 +7,18 @@ from typing import Final
 from radiometer.adaptation.checks import Finding, judge_room
 from radiometer.adaptation.protocol import AdaptationProtocol
 from radiometer.adaptation.request import RunRequest
-from radiometer.analysis.photometry.photometry import luminous_efficacy_lm_per_w
-from radiometer.analysis.photometry.spectra import spectrum
+from radiometer.analysis.photometry.photometry import luminous_efficacy_lm_per_w, spectrum
 from radiometer.bench.assembly import open_instrument
 from radiometer.bench.instrument import Instrument
 from radiometer.errors import CalibrationError
 
-ROOM_U_REL: Final = 0.05
+ROOM_U_REL: Final = 0.05  # 5 % decides whether a room is dark, and less takes long
 
 
 def measured_room(instrument: Instrument, protocol: AdaptationProtocol, white: str) -> Finding:
     """Return whether what a camera sees is dark enough.
 
     Args:
-        instrument: Sees the dark field.
-        protocol: States the limit.
         white: Spectrum that light in the room is taken to have.
 
     Raises:
@@ -30,7 +27,10 @@ def measured_room(instrument: Instrument, protocol: AdaptationProtocol, white: s
         InputError: If the spectrum is unknown.
     """
     if instrument.calibration is None or not instrument.calibration.absolute:
-        raise CalibrationError("the camera has no absolute calibration, so it cannot tell how dark the room is")
+        raise CalibrationError(
+            "the camera has no absolute calibration, so it cannot measure how dark the room is; calibrate it with "
+            "`radiometer calibrate`"
+        )
     lm_per_w = luminous_efficacy_lm_per_w(spectrum(white), "photopic")
     radiance = instrument.measure(target_u_rel=ROOM_U_REL).radiance
     return judge_room(radiance.value * lm_per_w, radiance.u * lm_per_w, protocol)

@@ -48,11 +48,7 @@ def run_test(
     """Run a test from the beginning, or from where its journal ends.
 
     Args:
-        protocol: What is done.
-        stage: The devices.
         journal: An open journal; events in it are not done again.
-        subject: Pseudonym of the subject.
-        seed: Seed of the catches.
         watch: Told every new event.
         controls: Where pauses and the end are asked for; by the subject's long press alone where None.
         checks: Made before the bleach; what they find is journalled, what they refuse is raised.

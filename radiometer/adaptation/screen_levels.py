@@ -13,8 +13,8 @@ from radiometer.adaptation.protocol import AdaptationProtocol
 from radiometer.errors import ConfigurationError
 from radiometer.screen.calibration import LUMINANCE, SCOTOPIC, ChannelCurve, ScreenCalibration
 from radiometer.screen.stimulus import Code
+from radiometer.typing import Array
 
-Array = NDArray[np.float64]
 _MASKS: Final[dict[str, Code]] = {"grey": (1, 1, 1), "red": (1, 0, 0), "green": (0, 1, 0), "blue": (0, 0, 1)}
 # A spot whose light above black is less certain than this factor (k = 2) is not shown as a level.
 _LEAST_KNOWN_REL: Final = 0.5
@@ -22,21 +22,13 @@ _LEAST_KNOWN_REL: Final = 0.5
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SpotLevels:
-    """The levels of one channel as spots.
+    """The levels of one channel as spots."""
 
-    Attributes:
-        channel: Name of the channel.
-        codes: Whole levels that can be distinguished from black, ascending, shape (n,).
-        log10: log10 of the scotopic luminance in cd·m⁻² that each adds to the black, behind the filter, shape (n,).
-        u_log10: Its standard uncertainty without what all levels share, shape (n,).
-        u_common_log10: What all share: the scale.
-    """
-
-    channel: str
-    codes: NDArray[np.int64]
-    log10: Array
-    u_log10: Array
-    u_common_log10: float
+    channel: str  # name of the channel
+    codes: NDArray[np.int64]  # whole levels that can be distinguished from black, ascending, shape (n,)
+    log10: Array  # log10 of the scotopic luminance in cd·m⁻² that each adds to the black, behind the filter, shape (n,)
+    u_log10: Array  # its standard uncertainty without what all levels share, shape (n,)
+    u_common_log10: float  # what all share: the scale
 
     @classmethod
     def of(cls, calibration: ScreenCalibration, channel: str, filter_density: float = 0.0) -> SpotLevels:
@@ -44,7 +36,6 @@ class SpotLevels:
 
         Args:
             calibration: The screen's calibration.
-            channel: The channel.
             filter_density: Optical density of a neutral filter before screen or eye.
 
         Raises:
@@ -61,7 +52,8 @@ class SpotLevels:
         first = int(np.argmax(usable)) if usable.any() else codes.size
         if first == codes.size:
             raise ConfigurationError(
-                f"screen {calibration.name}: no level of {channel} can be told from its black; calibrate it with more "
+                f"screen {calibration.name}: no level of {channel} can be distinguished from its black; calibrate "
+                "it with more "
                 "repeats"
             )
         # Above the first usable level all are used: an uncertain one between two good ones is bounded by them.

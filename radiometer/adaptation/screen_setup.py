@@ -27,9 +27,9 @@ from simulators.displays import DISPLAYS, SimulatedDisplay
 from simulators.observers.eye_kinetics import Eye
 from simulators.observers.observer import Habits, Observer, ObserverAtScreen
 
-_FRAME_S: Final = 1 / 60
-_SIMULATED_SIZE: Final = (1920, 1080)
-_SIMULATED_PIXEL_MM: Final = 0.27
+_FRAME_S: Final = 1 / 60  # usual screens show 60 frames per second
+_SIMULATED_SIZE: Final = (1920, 1080)  # Full HD
+_SIMULATED_PIXEL_MM: Final = 0.27  # Full HD at 24 inches
 _HABITS: Final[dict[str, tuple[Habits, float]]] = {
     "steady": (Habits(), np.inf),
     "never": (Habits(), -1.0),
@@ -41,19 +41,12 @@ _HABITS: Final[dict[str, tuple[Habits, float]]] = {
 
 @dataclass(slots=True)
 class ObservedScreen:
-    """A simulated screen with a simulated subject before it, in simulated time.
+    """A simulated screen with a simulated subject before it, in simulated time."""
 
-    Attributes:
-        watcher: The subject and the display.
-        viewing: Where the subject's eye is.
-        seed: Makes the subject's answers.
-        eye: Which of its eyes looks.
-    """
-
-    watcher: ObserverAtScreen
-    viewing: Viewing
-    seed: int = 0
-    eye: str = "right"
+    watcher: ObserverAtScreen  # the subject and the display
+    viewing: Viewing  # where the subject's eye is
+    seed: int = 0  # makes the subject's answers
+    eye: str = "right"  # which of its eyes looks
     _shown: ScreenPicture = field(default_factory=ScreenPicture)
 
     @property
@@ -119,7 +112,6 @@ def open_screen_stage(
     """Open a calibrated screen as a stage for the block, with its checks.
 
     Args:
-        request: A run whose protocol shows its spot on a screen.
         announce: Called with the page's address.
 
     Raises:

@@ -21,24 +21,15 @@ _SAME_PRESS_S: Final = 0.2  # two beginnings of a press that are reported closer
 
 @dataclass(slots=True)
 class ScreenStage:
-    """Runs a test on a screen.
+    """Runs a test on a screen."""
 
-    Attributes:
-        screen: An open screen before the subject.
-        calibration: Its calibration.
-        protocol: The protocol, within the screen's reach.
-        viewing: Where the eye is.
-        clock: Steady clock in s.
-        wall_clock: Time of day as Unix time in s; None where time is simulated.
-        eye: "right" or "left": the spot stands temporal of the mark, and so does the light in the blind spot.
-    """
-
-    screen: StimulusScreen
-    calibration: ScreenCalibration
-    protocol: AdaptationProtocol
-    viewing: Viewing
-    clock: Callable[[], float]
-    wall_clock: Callable[[], float] | None = None
+    screen: StimulusScreen  # an open screen before the subject
+    calibration: ScreenCalibration  # its calibration
+    protocol: AdaptationProtocol  # the protocol, within the screen's reach
+    viewing: Viewing  # where the eye is
+    clock: Callable[[], float]  # steady clock in s
+    wall_clock: Callable[[], float] | None = None  # time of day as Unix time in s; None where time is simulated
+    # "right" or "left": the spot stands temporal of the mark, and so does the light in the blind spot
     eye: str = "right"
     levels: SpotLevels = field(init=False)
     _zero_s: float = field(default=0.0, init=False)

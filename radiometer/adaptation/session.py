@@ -31,21 +31,13 @@ Watcher = Callable[[Event], None]
 
 @dataclass(frozen=True, slots=True)
 class Session:
-    """A run whose devices and journal are open.
+    """A run whose devices and journal are open."""
 
-    Attributes:
-        request: What was asked for.
-        stage: The devices before the subject.
-        checks: What is checked before the bleach.
-        journal: Every event, before the next one happens.
-        controls: Where pauses and the end are asked for.
-    """
-
-    request: RunRequest
-    stage: Stage
-    checks: Sequence[Check]
-    journal: RunJournal
-    controls: Controls = field(default_factory=Controls)
+    request: RunRequest  # what was asked for
+    stage: Stage  # the devices before the subject
+    checks: Sequence[Check]  # what is checked before the bleach
+    journal: RunJournal  # every event, before the next one happens
+    controls: Controls = field(default_factory=Controls)  # where pauses and the end are asked for
 
     def run(self, watch: Watcher = lambda event: None) -> Outcome:
         """Run the test from the beginning, or from where its journal ends. Raises as `run_test`.
@@ -79,7 +71,6 @@ class Session:
 
         Args:
             port: Port of the page; 0 for any free one.
-            audio: Whether the page sounds prompts.
             announce: Called with its address.
 
         Raises:
@@ -136,7 +127,6 @@ def open_session(
     """Open devices and journal of a run for the block.
 
     Args:
-        request: What is asked for.
         journal: File of the journal; one that exists is taken up.
         controls: Where pauses and the end are asked for.
         announce: Called with the address of the subject's page.

@@ -14,17 +14,11 @@ BEHAVIOURS = ("steady", "never", "always", "leaves", "wanders")
 
 @dataclass
 class SubjectStage:
-    """A simulated subject before a simulated spot; no time passes but on the clock.
+    """A simulated subject before a simulated spot; no time passes but on the clock."""
 
-    Attributes:
-        protocol: The protocol.
-        subject: Who answers.
-        clock: Simulated time.
-    """
-
-    protocol: AdaptationProtocol
-    subject: SimulatedSubject
-    clock: SimulatedClock = field(default_factory=SimulatedClock)
+    protocol: AdaptationProtocol  # the protocol
+    subject: SimulatedSubject  # who answers
+    clock: SimulatedClock = field(default_factory=SimulatedClock)  # simulated time
 
     def now_s(self) -> float:
         """Return the simulated time in s."""
@@ -77,10 +71,8 @@ def simulated_stage(protocol: AdaptationProtocol, behaviour: str, *, seed: int =
     """Return a stage with a simulated subject of healthy curve.
 
     Args:
-        protocol: The protocol.
         behaviour: "steady", "never" (presses), "always" (presses), "leaves" (after 10 min) or "wanders" (looks
             away in two blinks of five).
-        seed: Makes the answers.
 
     Raises:
         UsageError: If the behaviour is unknown.

@@ -24,41 +24,27 @@ from radiometer.units import heading_parts, unit_of
 
 TIME_WORDS: Final = ("time", "t", "minutes", "min", "minute", "seconds", "sec", "s", "elapsed", "x", "zeit")
 THRESHOLD_WORDS: Final = (
-    "threshold",
-    "thrs",
-    "thresholds",
-    "thr",
-    "sensitivity",
-    "log_threshold",
-    "luminance",
-    "attenuation",
-    "y",
+    "threshold", "thrs", "thresholds", "thr", "sensitivity", "log_threshold", "luminance", "attenuation", "y",
     "schwelle",
-)
+)  # fmt: skip
 LEVEL_WORDS: Final = (*THRESHOLD_WORDS, "level", "stim", "intensity", "db", "log", "log10")
 SIGMA_WORDS: Final = ("sigma", "u", "sd", "se", "u_log", "u_threshold", "u_log10_threshold", "u_log10", "stderr")
 MISSING: Final = ("", "na", "nan", "null", "none", "inf", "-inf", "-")
-OPI_BRIGHTEST_CD_M2: Final = 10_000.0 / math.pi
-DB_PER_LOG10: Final = 10.0
+OPI_BRIGHTEST_CD_M2: Final = 10_000.0 / math.pi  # 0 dB of the Humphrey Field Analyzer: 10 000 asb
+DB_PER_LOG10: Final = 10.0  # perimeters' decibels: 10 per log10 unit of luminance
 _MOST_ROWS: Final = 1_000_000  # a run of one threshold per second for eleven days
 SECONDS_FROM: Final = 121.0  # no test lasts so many minutes; greater times without a unit are seconds
-MILLISECONDS_FROM: Final = 36_000.0
+MILLISECONDS_FROM: Final = 36_000.0  # 36 s as ms; as s it would be ten hours, as min 25 days
 LINEAR_RATIO: Final = 30.0  # all above 0, and the greatest so many times the least: no logarithms
 
 
 @dataclass(frozen=True, slots=True)
 class TakenTable:
-    """Numbers of a file, turned to minutes and log10, and how.
+    """Numbers of a file, turned to minutes and log10, and how."""
 
-    Attributes:
-        rows: Time in min, log10 threshold and, where known, its u, in order of time; shape (n, 2) or (n, 3).
-        facts: What the lines beginning with # say, by lower-case name.
-        taken: What was made of the file, in words.
-    """
-
-    rows: np.ndarray
-    facts: dict[str, str] = field(default_factory=dict)
-    taken: tuple[str, ...] = ()
+    rows: np.ndarray  # time in min, log10 threshold and, where known, its u, in order of time; shape (n, 2) or (n, 3)
+    facts: dict[str, str] = field(default_factory=dict)  # what the lines beginning with # say, by lower-case name
+    taken: tuple[str, ...] = ()  # what was made of the file, in words
 
 
 @bounded_reader(error=InputError)
@@ -180,12 +166,7 @@ def _taken(
 
 
 def _of_trials(
-    path: Path,
-    header: list[str],
-    body: list[tuple[int, list[str]]],
-    facts: dict[str, str],
-    how: list[str],
-    seen: int,
+    path: Path, header: list[str], body: list[tuple[int, list[str]]], facts: dict[str, str], how: list[str], seen: int
 ) -> TakenTable:
     """Return the thresholds of a list of trials: where the answer changes between two levels."""
     when = column_of_onsets(path, header, [row for _, row in body], without=seen)

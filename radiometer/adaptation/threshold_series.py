@@ -14,28 +14,24 @@ from numpy.typing import NDArray
 from radiometer.adaptation.threshold_files import read_table
 from radiometer.data.reader_limits import bounded_reader
 from radiometer.errors import InputError, MeasurementError
+from radiometer.statistics.scale import MEDIAN_U, neighbour_sigma
 
-FEWEST: Final = 8
+FEWEST: Final = 8  # one more than the seven parameters of the largest model
 LEAST_RECOVERY: Final = 0.15  # log10 units; a series that moves by less shows no recovery
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ThresholdSeries:
-    """Thresholds of one eye after one bleach.
+    """Thresholds of one eye after one bleach."""
 
-    Attributes:
-        time_min: Minutes after the bleach ended, ascending, shape (n,).
-        log_threshold: log10 of the threshold, shape (n,); of whatever unit the stimulus was calibrated in.
-        sigma: Relative weights' standard deviations in log10 units, shape (n,); None where all count alike.
-        facts: What the file says of itself in lines beginning with #, by lower-case name.
-        taken: What was made of the file's form and units, in words.
-    """
-
-    time_min: NDArray[np.float64]
+    time_min: NDArray[np.float64]  # minutes after the bleach ended, ascending, shape (n,)
+    # log10 of the threshold, shape (n,); of whatever unit the stimulus was calibrated in
     log_threshold: NDArray[np.float64]
+    # Relative weights' standard deviations in log10 units, shape (n,); None where all count alike
     sigma: NDArray[np.float64] | None = None
+    # What the file says of itself in lines beginning with #, by lower-case name
     facts: Mapping[str, str] = field(default_factory=dict)
-    taken: tuple[str, ...] = ()
+    taken: tuple[str, ...] = ()  # what was made of the file's form and units, in words
 
     def __post_init__(self) -> None:
         for name in ("time_min", "log_threshold", "sigma"):
@@ -79,8 +75,8 @@ class ThresholdSeries:
                 "the button was never, or always, pressed; there is nothing to fit"
             )
         # Standard error of a difference of two medians of `edge` values; noise from differences of neighbours.
-        noise = 1.4826 * float(np.median(np.abs(np.diff(self.log_threshold)))) / math.sqrt(2)
-        if fall < max(LEAST_RECOVERY, 2.5 * 1.2533 * noise * math.sqrt(2 / edge)):
+        noise = neighbour_sigma(np.diff(self.log_threshold))
+        if fall < max(LEAST_RECOVERY, 2.5 * MEDIAN_U * noise * math.sqrt(2 / edge)):
             raise MeasurementError(
                 f"the threshold falls by {fall:.2f} log units from beginning to end: no recovery is seen; "
                 "check the bleach, and whether the subject was there"

@@ -28,10 +28,7 @@ def column_of_answers(header: Sequence[str]) -> int | None:
 def column_of_onsets(path: Path, header: Sequence[str], rows: Sequence[Sequence[str]], without: int) -> int:
     """Return the column of when each trial was shown: the first of a known name whose numbers ascend.
 
-    OPI's own `time` is the reaction time in ms: it does not ascend.
-
-    Raises:
-        InputError: If there is none.
+    OPI's own `time` is the reaction time in ms: it does not ascend. Raises InputError if there is none.
     """
     stems = [re.sub(r"[^a-z]+", "_", re.sub(r"[\[(].*?[\])]", "", cell.lower())).strip("_") for cell in header]
     for word in ONSET_WORDS:
@@ -53,21 +50,19 @@ def _ascends(cells: Sequence[str]) -> bool:
     return values.size > 1 and bool(np.all(np.diff(values) >= 0)) and bool(values[-1] > values[0])
 
 
-def changes_of_answer(path: Path, trials: NDArray[np.float64], said: Sequence[str]) -> NDArray[np.float64]:
+def changes_of_answer(path: Path, trials: NDArray[np.float64], answers: Sequence[str]) -> NDArray[np.float64]:
     """Return time and log10 threshold, shape (m, 2), wherever the answer changes from one trial to the next.
 
     The brighter of the two levels is the one that was seen, else one of the answers was an error; levels far apart,
     where a search begins anew, are left out. The threshold is midway between the levels, its time between the times.
 
     Args:
-        path: The file, for messages.
         trials: Times in min, ascending, and log10 levels, shape (n, 2).
-        said: The answers, in words.
 
     Raises:
         InputError: If an answer is neither yes nor no, or none changes.
     """
-    seen = np.array([_answer(path, word) for word in said])
+    seen = np.array([_answer(path, word) for word in answers])
     level = trials[:, 1]
     rise = np.where(seen[1:], level[1:] - level[:-1], level[:-1] - level[1:])
     changes = (seen[1:] != seen[:-1]) & (rise > 0)

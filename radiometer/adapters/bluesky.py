@@ -21,12 +21,7 @@ from radiometer.errors import MissingLibrary, UsageError
 
 try:
     from bluesky.protocols import Movable
-    from ophyd_async.core import (
-        AsyncStatus,
-        StandardReadable,
-        StandardReadableFormat,
-        soft_signal_r_and_setter,
-    )
+    from ophyd_async.core import AsyncStatus, StandardReadable, StandardReadableFormat, soft_signal_r_and_setter
 except ImportError as _error:
     raise MissingLibrary("Bluesky's adapters need ophyd-async: pip install 'radiometer[bluesky]'") from _error
 
@@ -39,12 +34,11 @@ _RELATIVE: Final = "relative"
 class RadiometerDetector(StandardReadable):
     """A readable device: each trigger measures once, and documents hold radiance ± u with their units.
 
-    `radiance` and `u_radiance` (standard uncertainty, k = 1) stand in the documents, with `luminance` and `u_luminance`
-    (NaN where no spectrum is known), the expanded relative uncertainty `U_rel` and its `flags` (a,b).
+    Documents hold `radiance` and `u_radiance` (standard uncertainty, k = 1), `luminance` and `u_luminance` (NaN where
+    no spectrum is known), the expanded relative uncertainty `U_rel` and the `flags` (a,b).
 
     Args:
         source: What measures: a meter of this process or a daemon.
-        name: Name in the documents.
         unit: Unit of the radiance: "W sr-1 m-2", or "relative" for a camera without calibration.
     """
 
@@ -98,8 +92,6 @@ class LightBoxLevel(StandardReadable, Movable[float]):
 
     Args:
         box: The open box.
-        channel: Name of the channel.
-        name: Name in the documents.
         gate: Held while the box is spoken to; share it with who else does.
     """
 
@@ -130,7 +122,7 @@ class LightBoxLevel(StandardReadable, Movable[float]):
 
 @dataclasses.dataclass(frozen=True, slots=True)
 class _Gated:
-    """Readings taken while nobody else speaks to the box that the camera looks at."""
+    """Readings taken while no other thread speaks to the box that the camera looks at."""
 
     source: ReadingSource
     gate: threading.RLock
@@ -152,9 +144,6 @@ def open_light_bench(
 
     Args:
         box: "sim", a serial number or a port.
-        channel: Channel to be scanned.
-        detector_name: Name of the detector in the documents.
-        level_name: Name of the level in the documents.
 
     Raises:
         DeviceError: If box or camera cannot be opened.

@@ -56,7 +56,6 @@ class RadiometerPhotometer(BasePhotometerDevice):  # type: ignore[misc]
         patch: (x, y, width, height) in pixels where the camera sees the middle of the screen.
         spectrum: Spectrum that the screen's light is taken to have, such as "white_led"; the calibration's where None.
             A daemon keeps its own.
-        source: What measures, in place of an address.
 
     Raises:
         DeviceError: If the camera cannot be opened.

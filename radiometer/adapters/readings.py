@@ -15,7 +15,7 @@ from radiometer.data.json_text import json_text
 from radiometer.data.reading import Flag
 from radiometer.errors import DeviceError, DeviceLost
 
-TIMEOUT_S: Final = 120.0
+TIMEOUT_S: Final = 120.0  # as the daemon's own deadline of a measurement
 
 
 class ReadingSource(Protocol):
@@ -24,24 +24,17 @@ class ReadingSource(Protocol):
     @property
     def origin(self) -> str:
         """Return what measures, such as "radiometer:22500001"."""
-        ...
 
     def measure(self) -> Reading:
         """Return one reading. Raises DeviceError, MeasurementError."""
-        ...
 
 
 @dataclass(frozen=True, slots=True)
 class MeterSource:
-    """Readings of an open meter.
+    """Readings of an open meter."""
 
-    Attributes:
-        meter: The meter.
-        patch: Where to read; the meter's own patch where None.
-    """
-
-    meter: Meter
-    patch: Patch | None = None
+    meter: Meter  # the meter
+    patch: Patch | None = None  # where to read; the meter's own patch where None
 
     @property
     def origin(self) -> str:
@@ -55,19 +48,12 @@ class MeterSource:
 
 @dataclass(frozen=True, slots=True)
 class DaemonSource:
-    """Readings of a daemon, measured when asked (`POST /measure`).
+    """Readings of a daemon, measured when asked (`POST /measure`)."""
 
-    Attributes:
-        url: Address of its HTTP interface, such as http://127.0.0.1:8080.
-        patch: Where to read; the daemon's own patch where None.
-        token: Its token, where it asks for one.
-        timeout_s: Longest wait for a reading in s.
-    """
-
-    url: str
-    patch: Patch | None = None
-    token: str | None = None
-    timeout_s: float = TIMEOUT_S
+    url: str  # address of its HTTP interface, such as http://127.0.0.1:8080
+    patch: Patch | None = None  # where to read; the daemon's own patch where None
+    token: str | None = None  # its token, where it asks for one
+    timeout_s: float = TIMEOUT_S  # longest wait for a reading in s
 
     @property
     def origin(self) -> str:
@@ -99,11 +85,7 @@ class DaemonSource:
 
 
 def reading_of(mapping: Mapping[str, Any]) -> Reading:
-    """Return a reading from its documented JSON form.
-
-    Raises:
-        DeviceError: If it is none.
-    """
+    """Return a reading from its documented JSON form. Raises DeviceError if it is none."""
     try:
         luminance = mapping.get("luminance")
         return Reading(
@@ -123,7 +105,7 @@ def reading_of(mapping: Mapping[str, Any]) -> Reading:
 
 
 def _quantity(mapping: Mapping[str, Any]) -> Quantity:
-    u = mapping["u"]  # JSON knows no infinity: null stands for it
+    u = mapping["u"]  # JSON knows no infinity: null means it
     return Quantity(float(mapping["value"]), float("inf") if u is None else float(u), str(mapping["unit"]))
 
 

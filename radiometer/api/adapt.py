@@ -27,11 +27,10 @@ from radiometer.adaptation.session import Watcher as Watcher
 from radiometer.adaptation.session import open_session
 from radiometer.adaptation.threshold_series import ThresholdSeries
 from radiometer.api.files import PathLike
-from radiometer.api.outputs import check_outputs
 from radiometer.api.result import Notice, Result, unheard
 from radiometer.data.guards import safe_name
 from radiometer.data.json_text import json_text
-from radiometer.data.storage import write_text_atomic
+from radiometer.data.storage import check_outputs, write_text_atomic
 from radiometer.errors import MeasurementError, UsageError
 
 # Opens what watches a run for as long as it lasts, such as a live view of a terminal.

@@ -8,7 +8,6 @@ from typing import Any
 
 from radiometer.api.files import PathLike
 from radiometer.api.meter import PatchLike, as_patch
-from radiometer.api.outputs import check_outputs
 from radiometer.api.result import Progress, Result
 from radiometer.archive.discovery import find_captures
 from radiometer.archive.history import read_histories
@@ -21,7 +20,7 @@ from radiometer.archive.sessions import read_sessions
 from radiometer.archive.settings import JobSettings
 from radiometer.archive.trend import Trend as Trend
 from radiometer.archive.trend_report import trend_report
-from radiometer.data.storage import write_text_atomic
+from radiometer.data.storage import check_outputs, write_text_atomic
 from radiometer.errors import InputError, UsageError
 
 

@@ -2,25 +2,31 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import math
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
-from radiometer.analysis.calibration import absolute
 from radiometer.analysis.calibration import calibrate as make
-from radiometer.analysis.calibration.absolute import MeterSettings
-from radiometer.analysis.calibration.calibrate import KnownSource, MeterReading
+from radiometer.analysis.calibration.calibrate import (
+    KnownSource,
+    MeterReading,
+    MeterSettings,
+    metered_luminance_cd_m2,
+    metered_radiance_u_rel,
+    metered_u_rel,
+)
 from radiometer.analysis.calibration.flat_field import fit_flat_field
 from radiometer.analysis.calibration.shared import require_channel
+from radiometer.analysis.exports.certificate import read_certificate
 from radiometer.analysis.merge.bracket import merge
 from radiometer.analysis.photometry import photometry
-from radiometer.analysis.photometry.spectra import spectrum as spectrum_of
-from radiometer.analysis.photometry.spectra import spectrum_from_csv
+from radiometer.analysis.photometry.photometry import spectrum as spectrum_of
+from radiometer.analysis.photometry.photometry import spectrum_from_csv
 from radiometer.analysis.response.dynamic_range import DynamicRange, RangePoint, dynamic_range, with_dynamic_range
-from radiometer.analysis.signal.dark import black_from_darks
+from radiometer.analysis.signal.model import black_from_darks
 from radiometer.api.files import PathLike, stack_of
-from radiometer.api.read_back import with_found_effects
 from radiometer.api.result import Progress, Result
 from radiometer.bench.assembly import open_instrument
 from radiometer.bench.sources import is_photographs, open_source
@@ -38,21 +44,30 @@ from radiometer.data import (
     StatedUncertainties,
 )
 from radiometer.data.iso_speeds import IsoSpeeds
+from radiometer.data.reading import RADIANCE_UNIT
 from radiometer.data.setup import Setup
 from radiometer.devices import CameraPreset
-from radiometer.errors import UsageError
+from radiometer.errors import InputError, UsageError
 from radiometer.importing import imported_of, open_capture
-from radiometer.photographs.iso_record import at_iso, reference_iso
 from radiometer.photographs.response import linear_doubt
 from radiometer.photographs.scene import UNTOLD_SHUTTER_U_S, Photographs, has_untold_shutter, with_offset
-from radiometer.photographs.stated import with_f_number, with_gains, with_iso
+from radiometer.photographs.stated import at_iso, reference_iso, with_f_number, with_gains, with_iso
 from radiometer.units import exact_exposure_s
+
+if TYPE_CHECKING:
+    from radiometer.data import Calibration, FlatField, LensDescription
+    from simulators.effects.base import Effect
 
 # Luminous efficacies of radiation (380 to 780 nm) of usual sources, 2856 K to a phosphor-converted LED, are from 0.86
 # to 1.8 times that of equal energy. The constant is the root mean square of that rectangle about 1.
 UNKNOWN_EFFICACY_U_REL: Final = 0.43
 
 PatchLike = Patch | tuple[int, int, int, int]
+# The gain in dB, and the warmth in K from 25 °C, at which the uncertainty of a law is stated.
+_TYPICAL_GAIN_DB: Final = 24.0
+_TYPICAL_WARMER_K: Final = 15.0
+_BLACK: Final = "black level"  # its uncertainty has a place of its own in a calibration
+_USUAL_WELL_E: Final = 10_000.0  # what the forward model takes where nobody states one
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -115,12 +130,12 @@ class Calibrated(Result):
 
 
 def _metered(meter: MeterReading, calibration: Calibration) -> dict[str, Any]:
-    luminance = absolute.metered_luminance_cd_m2(meter.meter_k, meter.settings)
+    luminance = metered_luminance_cd_m2(meter.meter_k, meter.settings)
     radiance = photometry.radiance_w_sr_m2(luminance, spectrum_of(calibration.spectrum))
     thesis = photometry.radiance_thesis_w_sr_m2_um(luminance)
-    u_rel = absolute.metered_u_rel(meter.k_u_rel)
+    u_rel = metered_u_rel(meter.k_u_rel)
     # A radiance from a luminance carries the efficacy of the light as well.
-    of_radiance = absolute.metered_radiance_u_rel(meter.k_u_rel, calibration.uncertainties.efficacy_u_rel)
+    of_radiance = metered_radiance_u_rel(meter.k_u_rel, calibration.uncertainties.efficacy_u_rel)
     return {
         "luminance": {"value": luminance, "u": luminance * u_rel, "unit": "cd m-2"},
         "radiance": {"value": radiance, "u": radiance * of_radiance, "unit": "W sr-1 m-2"},
@@ -134,7 +149,7 @@ def calibrate(
     out: PathLike | None = None,
     response: ResponseCurve | PathLike | None = None,
     patch: PatchLike | str | None = None,
-    radiance: float | None = None,
+    radiance: float | PathLike | None = None,
     luminance: float | None = None,
     u_rel: float | None = None,
     luminance_meter_k: float | None = None,
@@ -178,7 +193,7 @@ def calibrate(
         out: Calibration file to write.
         response: Response curve, or its file; linear above black without one.
         patch: The known source: (x, y, width, height), or a patch name of the capture set.
-        radiance: Its radiance in W·sr⁻¹·m⁻².
+        radiance: Its radiance in W·sr⁻¹·m⁻², or a digital calibration certificate (XML) of it with its uncertainty.
         luminance: Its luminance in cd·m⁻², instead of the radiance.
         u_rel: Its relative standard uncertainty.
         luminance_meter_k: Constant K of the camera's light meter (ISO 2720) in cd·m⁻²·s.
@@ -218,6 +233,8 @@ def calibrate(
     measured = dict(measured_iso or {})
     real_iso = measured.get(iso, iso) if iso is not None else None
     speeds = IsoSpeeds(measured, real_iso, iso if iso in measured else None)
+    if radiance is not None and not isinstance(radiance, int | float):
+        radiance, u_rel = _certified(Path(radiance), u_rel)
     by_source = radiance is not None or luminance is not None
     needed = by_source or luminance_meter_k is None
     seen = _seen(capture, camera, bench, patch, channel, pattern, align, speeds, iso, progress, needed=needed)
@@ -371,7 +388,7 @@ def _with_f_number(seen: _Seen, f_number: float | None, *, required: bool) -> _S
     if unstated and f_number is None:
         raise UsageError(
             "the f-number of the frames is not stated: give --f-number N (1 of a lens whose iris cannot change); "
-            "without it the scale could be used at no other"
+            "without it the scale holds at this unknown f-number alone"
         )
     if not unstated and not required:
         return seen
@@ -391,6 +408,14 @@ def _meter_settings(
         raise UsageError("--f-number and --iso must be above 0")
     printed = MeterSettings(exposure_s, f_number, iso)
     return printed if as_printed else printed.exact()
+
+
+def _certified(path: Path, u_rel: float | None) -> tuple[float, float]:
+    """Return the radiance that a certificate states, and its relative standard uncertainty."""
+    if u_rel is not None:
+        raise UsageError(f"--u-rel: {path} states the uncertainty of the radiance; leave the option out")
+    stated = read_certificate(path, RADIANCE_UNIT)
+    return stated.value, stated.u_rel
 
 
 def _known_source(
@@ -429,7 +454,7 @@ def _base(
         update = {"f_number": numbers.pop()} if len(numbers) == 1 else {}
         camera, lens = seen.camera, seen.lens.model_copy(update=update)
     elif curve is None or meter is None:
-        raise UsageError("--response is missing: without frames the curve says how many bits the camera has")
+        raise UsageError("--response is missing: without frames only the curve states how many bits the camera has")
     else:
         camera, lens = CameraDescription(bit_depth=curve.bit_depth), LensDescription(f_number=meter.f_number)
     if preset is not None:
@@ -508,3 +533,157 @@ def _uncertainties(stated: Mapping[str, float] | None, preset: CameraPreset | No
     if any(not 0.0 <= u < float("inf") for u in figures.values()):
         raise UsageError("an uncertainty must be 0 or more, and finite")
     return StatedUncertainties(**figures)
+
+
+@dataclass(frozen=True, slots=True)
+class _Use:
+    """Which figure a parameter becomes, and whose uncertainty it replaces (by how much per unit)."""
+
+    corrects: str
+    states: str = ""
+    per_unit: float = 1.0
+
+
+_LAW_OF_GAIN: Final = _TYPICAL_GAIN_DB * math.log(10.0) / 20.0
+_USES: Final[Mapping[str, Mapping[str, _Use]]] = {
+    "exposure_time_offset": {
+        "offset_s": _Use("exposure_offset_s", "exposure_u_s"),
+        "further_s": _Use("exposure_further_s", "exposure_u_s"),
+        "above_db": _Use("exposure_above_db"),
+    },
+    "veiling_glare": {"share": _Use("glare", "glare_u")},
+    "black_level_offset": {"offset_dn": _Use("black_offset_dn", _BLACK)},
+    "black_level_gain_slope": {
+        "slope_dn": _Use("black_slope_dn", _BLACK, 10.0 ** (_TYPICAL_GAIN_DB / 20.0) - 1.0),
+        "from_db": _Use("black_from_db"),
+        "bend": _Use("black_bend"),
+    },
+    "gain_step_error": {
+        "error_rel": _Use("gain_error_rel", "gain_step_u_rel", _LAW_OF_GAIN),
+        "gains_db": _Use("gains_db"),
+        "errors_rel": _Use("gain_errors_rel", "gain_step_u_rel"),
+    },
+    "quantum_efficiency_temperature": {
+        "coefficient_per_K": _Use("temperature_slope_per_k", "temperature_u_rel_per_k"),
+        "bend_per_K2": _Use("temperature_bend_per_k2", "temperature_u_rel_per_k", _TYPICAL_WARMER_K),
+    },
+    "response_nonlinearity": {"a2": _Use("well_a2", "bend_u_rel"), "a3": _Use("well_a3", "bend_u_rel")},
+}
+# Parts of the ideal chain, and effects that shape noise only: nothing is to be corrected for them.
+_HARMLESS: Final = frozenset({"prnu", "dsnu", "hot_pixels", "row_temporal_noise", "excess_read_noise"})
+
+
+def with_found_effects(
+    base: Calibration, path: Path, stated: Collection[str], shape: tuple[int, int] | None = None
+) -> Calibration:
+    """Return the calibration with the effects of a reconciled model that readings can be corrected for.
+
+    Args:
+        base: Calibration without a scale.
+        path: Model file of `radiometer reconcile`.
+        stated: Names of uncertainties that the user stated and that stay as they are.
+        shape: (height, width) of the frames, for a fall-off; None where there are none.
+
+    Raises:
+        InputError: If the model holds an effect that readings cannot be corrected for, or one without its u.
+    """
+    from simulators.chain.camera_model import CameraModel
+
+    found: dict[str, Any] = {}
+    variances: dict[str, float] = {}
+    names, flat = list[str](), base.flat_field
+    model = CameraModel.read(path)
+    for entry in model.entries:
+        notes, effect = entry.notes, entry.effect
+        if not entry.enabled or notes.get("found_by") != "radiometer reconcile" or effect.name in _HARMLESS:
+            continue
+        where = f"{path}: {effect.name}"
+        if effect.name == "natural_vignetting":
+            flat = _flat_field_of_effect(effect, notes, base.lens, shape, where)
+        elif effect.name not in _USES:
+            there = ", ".join((*_USES, "natural_vignetting"))
+            raise InputError(
+                f"{path}: readings cannot be corrected for {effect.name!r}, only for {there}; remove its cause, or "
+                "switch it off in the model (enabled: false) and state its uncertainty with --stated"
+            )
+        else:
+            _take(effect, notes, where, found, variances)
+        names.append(effect.name)
+    if "response_nonlinearity" in names:
+        well = model.camera.full_well_e or _USUAL_WELL_E
+        found["well_e"] = well
+        variances["bend_u_rel"] *= _full_scale_share(base, well, path) ** 2
+    figures = {name: math.sqrt(v) for name, v in variances.items() if name != _BLACK and name not in stated}
+    black = base.black_level
+    if _BLACK in variances:
+        own = 0.0 if "black_level_offset" in names else black.u_dn
+        black = black.model_copy(update={"u_dn": math.hypot(own, math.sqrt(variances[_BLACK]))})
+    section = type(base.found)(**{**found, "names": tuple(names)})
+    uncertainties = base.uncertainties.model_copy(update=figures)
+    return replace(base, found=section, uncertainties=uncertainties, black_level=black, flat_field=flat)
+
+
+def _take(
+    effect: Effect, notes: Mapping[str, Any], where: str, found: dict[str, Any], variances: dict[str, float]
+) -> None:
+    """Put an effect's parameters among what was found, and the squares of what they are uncertain by."""
+    uses, usual, own = _USES[effect.name], type(effect)().values(), effect.values()
+    for name, value in own.items():
+        if value == usual[name]:
+            continue
+        if name not in uses:
+            raise InputError(
+                f"{where}: readings cannot be corrected for its {name!r} ({value:g}): it is not the same everywhere in "
+                "the picture; calibrate where you read, and switch it off in the model (enabled: false)"
+            )
+        use = uses[name]
+        found[use.corrects] = value
+        if use.states:
+            u = use.per_unit * _u_of(notes, name, where)
+            variances[use.states] = variances.get(use.states, 0.0) + u**2
+
+
+def _u_of(notes: Mapping[str, Any], parameter: str, where: str) -> float:
+    """Return the uncertainty of a parameter; the largest of a table's entries."""
+    stated = notes.get("u", {})
+    figures = [u for name, u in stated.items() if name == parameter or name.startswith(f"{parameter}[")]
+    if not figures or not all(isinstance(u, int | float) and math.isfinite(u) and u >= 0 for u in figures):
+        raise InputError(f"{where}: states no uncertainty of {parameter}; reconcile again, or add notes.u.{parameter}")
+    return float(max(figures))
+
+
+def _full_scale_share(base: Calibration, well_e: float, path: Path) -> float:
+    """Return full scale over the well; refuse a nonlinearity together with a response curve, which includes it."""
+    if base.response is not None:
+        raise InputError(
+            f"{path}: response_nonlinearity and --response both bend the response. Give one of them, or switch the "
+            "effect off in the model (enabled: false)"
+        )
+    return base.camera.full_scale_dn * base.noise.conversion_gain_e_per_dn / well_e
+
+
+def _flat_field_of_effect(
+    effect: Effect, notes: Mapping[str, Any], lens: LensDescription, shape: tuple[int, int] | None, where: str
+) -> FlatField:
+    """Return the fall-off (1 + s·ρ²)⁻²·(1 − k₄·ρ⁴) as a flat field, with its uncertainty in the corners."""
+    from radiometer.data import FlatField
+
+    if shape is None:
+        raise InputError(f"{where}: a fall-off needs frames of the known source, to know the picture's size")
+    height, width = shape
+    own, radius = effect.values(), 0.5 * math.hypot(width, height)
+    s, k4 = own["strength"], own["k4"]
+    x, y = lens.principal_point_px or ((width - 1) / 2.0, (height - 1) / 2.0)
+    # Brighter towards the corners is no cosine: the first terms of the series stand for it.
+    series = (-2.0 * s, 3.0 * s**2 - k4, -4.0 * s**3 + 2.0 * s * k4)
+    law: dict[str, Any] = {"coefficients": (0.0, -k4, 0.0) if s > 0.0 else series}
+    law["focal_length_px"] = radius / math.sqrt(s) if s > 0.0 else None
+    of_k4 = _u_of(notes, "k4", where) if k4 else 0.0
+    return FlatField(
+        principal_point_px=(x + own["axis_x"] * radius, y + own["axis_y"] * radius),
+        radius_px=radius,
+        u_rel=math.hypot(2.0 * _u_of(notes, "strength", where) / (1.0 + s), of_k4),
+        shape=shape,
+        f_number=lens.f_number,
+        **law,
+    )

@@ -108,7 +108,7 @@ def bracket(
     """
     ladder = _ladder(stops, shortest_s, longest_s)
     if plan is not None and (ladder or patch or u_rel is not None or darks or repeat > 1):
-        raise UsageError("--plan says everything itself; leave out --stops, --from, --to, --patch, --u-rel, --darks")
+        raise UsageError("--plan states all settings; leave out --stops, --from, --to, --patch, --u-rel, --darks")
     region = as_patch(patch)
     request = BracketRequest(region, u_rel, time_limit_s, darks)
 

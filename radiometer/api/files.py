@@ -15,6 +15,8 @@ from radiometer.data import Bracket, CameraDescription, LensDescription, PatchDe
 from radiometer.data.capture_set import HEADER_NAME
 from radiometer.data.drawing import new_axes, picture
 from radiometer.data.frame import DigitalNumbers
+from radiometer.data.storage import check_new_folder as check_new_folder  # the command line asks here
+from radiometer.data.storage import check_outputs as check_outputs
 from radiometer.errors import CaptureError, UsageError
 from radiometer.photographs.scene import Photographs
 
@@ -33,6 +35,7 @@ class Stack:
         >>> stack = rm.read_photographs("photographs")
         >>> len(stack), list(stack.brackets)
         (3, ['red', 'green', 'blue'])
+
         >>> stack["green"]
         <Stack photographs: green: 3 frames of 96 × 64 pixels, 8 bits, 0.02 to 0.08 s>
         >>> stack["green"].bracket.light[0].dn.shape
@@ -157,6 +160,7 @@ def read(path: PathLike, channel: str = "luminance") -> Stack:
     Examples:
         >>> import radiometer as rm
         >>> stack = rm.read("out/chart")
+
         >>> stack
         <Stack out/chart: default: 9 + 9 dark frames of 96 × 64 pixels, 12 bits, 0.0002 to 0.0512 s>
         >>> stack.plot().get_xlabel()

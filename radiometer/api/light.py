@@ -10,7 +10,6 @@ from typing import Any, Final
 
 from radiometer.api.files import PathLike
 from radiometer.api.meter import PatchLike, as_patch
-from radiometer.api.outputs import check_outputs
 from radiometer.api.result import Notice, Progress, Result, unheard
 from radiometer.bench.boxes import (
     ExposureReport,
@@ -26,13 +25,14 @@ from radiometer.bench.boxes import (
 from radiometer.bench.light_bench import SurveyRequest, open_light_camera, survey_box
 from radiometer.data.json_text import json_text
 from radiometer.data.light_calibration import LevelChoice, LightCalibration
+from radiometer.data.storage import check_outputs
 from radiometer.devices import ChannelMode, ChannelState, CurrentRange, DriveLevel, Radiance
 from radiometer.devices.light_box import Level
 from radiometer.errors import DeviceError, DeviceNotFound, UsageError
 
 _LOOK_S: Final = 0.25  # how often the light is looked at: half of the time in which a lost box must be reported
 _BUDGET_USED_UP: Final = 0.02  # of the full budget: it refills from the moment the light went out
-_FOREVER_S: Final = 1e9
+_FOREVER_S: Final = 1e9  # 32 years
 
 
 @dataclass(frozen=True, repr=False)
@@ -149,14 +149,6 @@ def light_pulse(
     Args:
         channel: As all further ones for `light_set`.
         duration_s: Length in s, at most 600.
-        radiance: See there.
-        level: See there.
-        low: See there.
-        box: See there.
-        calibration: See there.
-        preset: See there.
-        lit: See there.
-        notice: See there.
 
     Raises:
         RadiometerError: As `light_set`.
@@ -197,15 +189,7 @@ def light_blink(
         on_s: Bright time in s.
         off_s: Dark time in s.
         count: Number of blinks; 0 without end.
-        radiance: See there.
-        level: See there.
-        low: See there.
         hold_s: Stop after this time in s.
-        box: See there.
-        calibration: See there.
-        preset: See there.
-        lit: See there.
-        notice: See there.
 
     Raises:
         RadiometerError: As `light_set`.
@@ -587,7 +571,7 @@ def _stay(opened: OpenedBox, lit_s: float | None, channel: str | None, notice: N
 def _ended_early(opened: OpenedBox, channel: str, after_s: float, lit_s: float | None) -> DeviceError:
     left = opened.box.read_channel(channel).energy_left
     reason = (
-        "its energy budget is used up; take a lower level or a shorter time"
+        "its energy budget is used up; use a lower level or a shorter time"
         if left < _BUDGET_USED_UP
         else "another program asked for darkness, or the button of the box was held"
     )

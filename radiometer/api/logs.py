@@ -55,7 +55,7 @@ class LogFinding(Result):
 
 def log_fit(
     table: PathLike,
-    beside: PathLike | None = None,
+    reference_file: PathLike | None = None,
     *,
     value: str | None = None,
     reference: str | None = None,
@@ -77,7 +77,7 @@ def log_fit(
 
     Args:
         table: CSV of the camera's value and exposure, a reference, and perhaps gain, temperature, time, colour.
-        beside: File of the reference meter with separate times, where it is not a column.
+        reference_file: File of the reference meter with separate times, where it is not a column.
         value: Column of the camera's value in DN.
         reference: Column of the reference.
         exposure: Column of the exposure time.
@@ -97,5 +97,5 @@ def log_fit(
         "colour": colour,
     }  # fmt: skip
     chosen = {key: column for key, column in named.items() if column is not None}
-    log = read_log(Path(table), LogColumns(chosen, gain_unit, black), Path(beside) if beside else None)
+    log = read_log(Path(table), LogColumns(chosen, gain_unit, black), Path(reference_file) if reference_file else None)
     return LogFinding(fit_log(log, control=control))

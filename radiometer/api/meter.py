@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from contextlib import ExitStack
 from pathlib import Path
-from types import TracebackType
 from typing import Self
 
 from radiometer.acquire.bracketing import DEFAULT_TIME_LIMIT_S, BracketRequest, plan_for_scene, take_plan
@@ -25,10 +24,11 @@ class Meter:
     Examples:
         >>> import radiometer as rm
         >>> with rm.open("bench.yaml", uncalibrated=True) as meter:
-        ...     relative = meter.measure((8, 8, 32, 32), u_rel=0.01)
+        ...     relative = meter.measure((8, 8, 32, 32))
         ...     stack = meter.bracket(darks=1)
         ...     meter
         <Meter FLIR BFS-U3-19S4M 22500001, patch 40,24 16 × 16, uncalibrated>
+
         >>> relative.radiance.unit, relative.patch.width, len(stack.bracket.dark) > 0
         ('relative', 32, True)
 
@@ -44,9 +44,7 @@ class Meter:
         """Return the meter itself."""
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         """Close the camera."""
         self.close()
 

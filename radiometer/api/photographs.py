@@ -8,18 +8,17 @@ from pathlib import Path
 
 import numpy as np
 
+from radiometer.analysis.reading.monte_carlo import propagate_distributions
 from radiometer.analysis.reading.reading import patch_situation, read_patch
-from radiometer.analysis.uncertainty.monte_carlo import propagate_distributions
 from radiometer.api.files import PathLike, Stack, stack_of
 from radiometer.api.result import Progress
 from radiometer.bench.sources import open_source
 from radiometer.data import Bracket, Calibration, CameraDescription, LensDescription, Patch, Provenance, Reading
 from radiometer.data.setup import Setup
 from radiometer.errors import UsageError
-from radiometer.photographs.iso_record import with_iso_in_reading
 from radiometer.photographs.response import relative_calibration
 from radiometer.photographs.scene import Photographs, prepared, with_shutter_doubt
-from radiometer.photographs.stated import with_f_number
+from radiometer.photographs.stated import with_f_number, with_iso_in_reading
 
 
 def measure_photographs(

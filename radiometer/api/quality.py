@@ -7,7 +7,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from radiometer.analysis.photometry.spectra import spectrum_from_csv
+from radiometer.analysis.photometry.photometry import spectrum_from_csv
 from radiometer.analysis.quality.datasheet import shown, write_datasheet
 from radiometer.analysis.quality.procedures import PROCEDURES, Procedure
 from radiometer.analysis.quality.session import SOURCE_U_REL, Datasheet, Evaluation, evaluate

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from radiometer.analysis.exports.curves import read_curves
 from radiometer.analysis.exports.maps import MapPicture, in_luminance, writer_for
 from radiometer.analysis.merge.bracket import merge as merge_bracket
-from radiometer.analysis.photometry.spectra import spectrum as spectrum_of
+from radiometer.analysis.photometry.photometry import spectrum as spectrum_of
 from radiometer.analysis.response.curves import black_of_curve
 from radiometer.api.files import PathLike, Stack, stack_of
 from radiometer.api.response import Response
@@ -67,8 +67,10 @@ class Radiance(Result):
         >>> radiance = rm.merge(rm.read("out/chart"), calibration="calibration.yaml")
         >>> radiance.value.shape, radiance.u.shape, radiance.unit
         ((64, 96), (64, 96), 'W sr-1 m-2')
+
         >>> radiance.mask.dtype, bool((radiance.u[radiance.mask == 0] > 0).all())
         (dtype('uint8'), True)
+
         >>> radiance.to_xarray().radiance.attrs["units"]
         'W sr-1 m-2'
         >>> radiance.write("map.exr")
@@ -357,7 +359,7 @@ def merge(
         UsageError: If arguments exclude each other.
     """
     if calibration is not None and response is not None:
-        raise UsageError("--calibration holds a response curve of its own; leave --response out")
+        raise UsageError("--calibration holds a response curve already; leave --response out")
     if linear and response is not None:
         raise UsageError("--linear photographs need no response curve; leave --response out")
     if align not in ALIGN_CHOICES:
@@ -367,10 +369,10 @@ def merge(
         writer_for(file)
     check_outputs(*files, force=True)
     known = calibration if isinstance(calibration, Calibration | None) else Calibration.read(Path(calibration))
-    beside = files[0] if files else None
+    map_path = files[0] if files else None
     asked = _Asked(
         known, response, channel, dict(measured_iso or {}), iso, f_number, linear, demosaic, align, keep_ghosts,
-        None if vignetting is None else str(vignetting), lens, beside,
+        None if vignetting is None else str(vignetting), lens, map_path,
     )  # fmt: skip
     found = (
         _of_stack(source, asked, pattern)
@@ -402,7 +404,7 @@ class _Asked:
     keep_ghosts: bool
     vignetting: str | None
     lens: str | None
-    beside: Path | None
+    map_path: Path | None
 
     def curves(self, bit_depth: int) -> dict[str, ResponseCurve]:
         """Return the response as given, by channel."""
@@ -522,7 +524,7 @@ def _of_photographs(photographs: Photographs, asked: _Asked) -> Radiance:
         iso=asked.iso,
         f_number=asked.f_number,
         align=asked.align,
-        beside=asked.beside,
+        map_path=asked.map_path,
     )
     maps = merge_photographs(ready, asked.calibration, flat, keep_ghosts=asked.keep_ghosts)
     return Radiance(maps, (), ready.files, ready.alignment, falloff, ready.notes)

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from radiometer.analysis.uncertainty.monte_carlo import propagate_distributions
+from radiometer.analysis.reading.monte_carlo import propagate_distributions
 from radiometer.api.files import PathLike
 from radiometer.api.meter import PatchLike, as_patch
 from radiometer.api.result import Ask, Notice, Progress, unheard
@@ -106,21 +106,9 @@ def readings(
 
     Args:
         camera: As all further ones for `measure`.
-        patch: See there.
-        bench: See there.
-        calibration: See there.
-        uncalibrated: See there.
-        f_number: See there.
-        spectrum: See there.
-        u_rel: See there.
-        darks: See there.
-        monte_carlo: See there.
         repeat: Number of readings.
         watch: Read without end; a camera that is lost is waited for.
         every_s: Time from one reading's start to the next's in s.
-        ask: See there.
-        notice: See there.
-        progress: See there.
         sleep: Waits for a number of seconds.
         clock: Steady clock in s.
 

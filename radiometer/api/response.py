@@ -11,12 +11,10 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from radiometer.analysis.exports.curves import CURVE_SUFFIXES, write_curves
-from radiometer.analysis.exports.response_plot import check_plot_name, draw_responses
+from radiometer.analysis.exports.curves import CURVE_SUFFIXES, check_plot_name, draw_responses, write_curves
 from radiometer.analysis.response.auto import recover_colours_auto
-from radiometer.analysis.response.compare import compare_methods
 from radiometer.analysis.response.estimate import ResponseEstimate, median_uncertainty, telling
-from radiometer.analysis.response.methods import DEFAULT_METHOD, METHODS, RATIO_METHODS, method_names
+from radiometer.analysis.response.methods import DEFAULT_METHOD, METHODS, RATIO_METHODS, compare_methods, method_names
 from radiometer.api.files import PathLike, Stack, stack_of
 from radiometer.api.result import Progress, Result
 from radiometer.bench.sources import open_source
@@ -25,10 +23,9 @@ from radiometer.data.drawing import new_axes, picture
 from radiometer.data.iso_speeds import IsoSpeeds
 from radiometer.data.storage import check_outputs
 from radiometer.errors import MeasurementError, UsageError
-from radiometer.photographs.iso_record import with_iso_speeds
 from radiometer.photographs.response import ENOUGH_PIXELS
 from radiometer.photographs.scene import Photographs, refuse_lying_photographs
-from radiometer.photographs.stated import with_gains
+from radiometer.photographs.stated import with_gains, with_iso_speeds
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -45,7 +45,7 @@ class Separability(Result):
     Examples:
         >>> import radiometer as rm
         >>> rm.reconcile_plan("out/chart")
-        <Separability not told from others: ...>
+        <Separability not separated from others: ...>
 
     Attributes:
         plan: Pairs that they cannot, what they cannot show at all, and the captures that would.
@@ -60,7 +60,7 @@ class Separability(Result):
     def __str__(self) -> str:
         """Return how many effects cannot be separated from others, and which do not show."""
         together = ", ".join(one.name for one in self.plan.together) or "none"
-        return f"not told from others: {together}; not shown: {', '.join(self.plan.blind) or 'none'}"
+        return f"not separated from others: {together}; not shown: {', '.join(self.plan.blind) or 'none'}"
 
 
 @dataclass(frozen=True, eq=False, repr=False)

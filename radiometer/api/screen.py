@@ -9,11 +9,11 @@ from typing import Any, Final
 
 from radiometer.api.files import PathLike
 from radiometer.api.meter import PatchLike, as_patch
-from radiometer.api.outputs import check_outputs
 from radiometer.api.result import Notice, Progress, Result, unheard
 from radiometer.bench.screen import BROWSER, lights, open_screen_bench, primaries_of
 from radiometer.data import Quantity
 from radiometer.data.statements import StatementMap
+from radiometer.data.storage import check_outputs
 from radiometer.errors import UsageError
 from radiometer.screen.calibration import LUMINANCE, RADIANCE, SCOTOPIC, ChannelCurve, ScreenCalibration
 from radiometer.screen.calibration_run import Options, calibrate_screen

@@ -14,10 +14,9 @@ from radiometer.acquire.characterisation_ladder import LadderRequest, take_ladde
 from radiometer.analysis.characterise import Characterisation, read_subject
 from radiometer.analysis.characterise import characterise as characterise_subject
 from radiometer.analysis.characterise.emva_export import export_descriptor
-from radiometer.analysis.characterise.report import datasheet
-from radiometer.analysis.characterise.report_plots import draw_telling
+from radiometer.analysis.characterise.report import datasheet, draw_telling
+from radiometer.analysis.characterise.result import SYMBOLS, as_printed
 from radiometer.analysis.characterise.subject import with_known_radiance
-from radiometer.analysis.characterise.symbols import SYMBOLS, as_printed
 from radiometer.api.files import PathLike
 from radiometer.api.meter import PatchLike, as_patch
 from radiometer.api.result import Ask, Progress, Result

@@ -7,32 +7,31 @@ from collections.abc import Sequence
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
+
+from radiometer.statistics.least_squares import solve
+from radiometer.statistics.model_choice import is_supported, schwarz
+from radiometer.typing import Array
 
 # Cycles that are looked for, from one in the span to one in some readings (or so many), this many steps per one.
 MOST_CYCLES: Final = 3
-_READINGS_PER_CYCLE: Final = 2.5
-_FINER: Final = 8
+_READINGS_PER_CYCLE: Final = 2.5  # more than the two of the sampling theorem, for times are uneven
+_FINER: Final = 8  # steps on each side of the best frequency
 # Cycles in the span that are hardly separable from a drift.
 _SLOW_PER_SPAN: Final = (0.75, 1.0, 1.25, 1.5, 1.75, 2.0, 2.5, 3.0, 4.0)
 _FEWEST_PER_SPAN: Final = 0.5  # below which the record cannot separate a cycle from a drift
 # Cycles in the span beyond the season's that may replace it.
 _NEAR_THE_SEASON: Final = (-0.5, -0.375, -0.25, -0.125, 0.125, 0.25, 0.375, 0.5)
 _APART: Final = 0.6  # cycles per span by which two separable cycles differ
-_TRIFLE: Final = 1e-3
+_TRIFLE: Final = 1e-3  # share of the variance that a cycle must explain
 _LEAST_APART: Final = 1e-4  # smallest over largest singular value of columns of norm 1
 _MOST_ODDS: Final = 3.0  # for cycles that were not clear enough to be taken as found
-_MOST_PER_SPAN: Final = 120
-_STEPS: Final = 4
+_MOST_PER_SPAN: Final = 120  # a year of readings: periods down to three days
+_STEPS: Final = 4  # per cycle and span: a peak of a periodogram is one wide
 # Correlation times of neighbours that compete with a cycle, as parts of the span.
 _TIMES_OF_SPAN: Final = (0.003, 0.01, 0.03, 0.1, 0.3)
-_MOST_CORRELATED: Final = 0.995
-# What a cycle must gain in log-likelihood beyond its two amplitudes' ln n and the number of periods that were tried.
-_EVIDENCE: Final = 3.0
+_MOST_CORRELATED: Final = 0.995  # nearer to 1 the covariance cannot be inverted in double precision
 # Values in a table of trial cycles at once.
 _MOST_VALUES: Final = 4_000_000
-
-Array = NDArray[np.float64]
 
 
 def hidden_cycles(
@@ -40,8 +39,7 @@ def hidden_cycles(
 ) -> tuple[float, ...]:
     """Return the periods in s of cycles that the readings show beyond line and season, the clearest first.
 
-    A cycle is taken where it explains more than neighbours' correlation does, by the Bayesian information criterion,
-    with the number of periods that were tried as its odds.
+    A cycle is taken where it explains more than neighbours' correlation does, by Schwarz's criterion.
 
     Args:
         design: Columns of what is fitted without cycles, shape (n, columns).
@@ -50,7 +48,7 @@ def hidden_cycles(
         time_s: Times in s, ascending, same shape.
         season_s: Periods in s of cycles that the design holds already.
 
-    Source: Schwarz 1978, Annals of Statistics 6, 461; generalised Lomb–Scargle, Zechmeister and Kürster 2009.
+    Source: generalised Lomb–Scargle, Zechmeister and Kürster 2009.
     """
     span, count = float(time_s[-1] - time_s[0]), relative.size
     per_span = np.arange(1.0, min(count / _READINGS_PER_CYCLE, _MOST_PER_SPAN) + 1e-9, 1.0 / _STEPS)
@@ -62,7 +60,7 @@ def hidden_cycles(
             break
         without, gains = _likelihoods(design, relative / sigma, sigma, time_s, span / per_span)
         best = int(gains.argmax())
-        if gains[best] - without <= _EVIDENCE + math.log(count) + math.log(float(per_span[-1])):
+        if not is_supported(2.0 * (gains[best] - without), schwarz(2, count, trials=float(per_span[-1]))):
             break
         if not tells_apart(np.column_stack([design, cycle_columns(time_s, span / float(per_span[best]))])):
             break
@@ -160,7 +158,7 @@ def with_period(design: Array, relative: Array, sigma: Array, time_s: Array, per
     """
     columns = cycle_columns(time_s, period_s)
     both = np.column_stack([design, columns]) / sigma[:, None]
-    size = np.linalg.lstsq(both, relative / sigma, rcond=None)[0][-2:]
+    size = solve(both, relative / sigma)[-2:]
     turned = columns[:, 1] * size[0] - columns[:, 0] * size[1]
     middle = (time_s - time_s.mean()) / (time_s[-1] - time_s[0])
     return np.column_stack([columns, middle * turned / max(float(np.hypot(*size)), 1e-300)])

@@ -23,7 +23,6 @@ def read_histories(table: Path, quantity: str) -> list[Trend]:
     """Return the trend of a quantity for every patch of a table of results.
 
     Args:
-        table: Table written by a batch, .parquet or .csv.
         quantity: Such as "radiance".
 
     Raises:

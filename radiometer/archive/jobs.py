@@ -29,7 +29,6 @@ def run_job(capture: Path, settings: JobSettings, done_hashes: frozenset[str] = 
 
     Args:
         capture: The capture set's folder.
-        settings: What to do.
         done_hashes: Content hashes of what the table holds already for these settings.
     """
     import radiometer

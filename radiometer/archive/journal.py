@@ -7,7 +7,6 @@ import os
 from collections.abc import Iterable
 from io import BytesIO
 from pathlib import Path
-from types import TracebackType
 from typing import Self
 
 from radiometer.archive.jobs import COLUMNS, Row
@@ -90,9 +89,7 @@ class ResultJournal:
         write_bytes_atomic(self.table, content.getvalue())
         return len(frame)
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         os.close(self._descriptor)
 
     def _without_old_failures(self) -> Iterable[Row]:

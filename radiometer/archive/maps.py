@@ -14,7 +14,6 @@ def write_map(merged: RadianceMap, path: Path) -> None:
     """Write a radiance map as a Zarr group with the arrays radiance, u_radiance and mask; whole or not at all.
 
     Args:
-        merged: The map.
         path: Folder of the group; one that exists is replaced.
 
     Raises:

@@ -9,9 +9,9 @@ from typing import Final
 
 # mallopt(3): parameter numbers of glibc, and the largest block that a thread's heap may hold on 64-bit machines.
 _TRIM_THRESHOLD: Final = -1
-_MMAP_THRESHOLD: Final = -3
-_LARGEST_BLOCK: Final = 32 << 20
-_KEPT_BYTES: Final = 256 << 20
+_MMAP_THRESHOLD: Final = -3  # malloc.h of glibc
+_LARGEST_BLOCK: Final = 32 << 20  # glibc's own upper limit on 64 bits
+_KEPT_BYTES: Final = 256 << 20  # a capture's frames are read again and again: giving them back costs page faults
 
 
 @cache

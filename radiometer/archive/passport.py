@@ -9,30 +9,28 @@ from dataclasses import asdict, dataclass, replace
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import nnls
 from scipy.special import ndtr, ndtri, stdtrit
 
 from radiometer.archive.sessions import LightSeries, Session
 from radiometer.data import Quantity
-
-Array = NDArray[np.float64]
+from radiometer.typing import Array
 
 # To what an unchanged camera repeats at best between sessions, relative: a smaller difference is no change, however
 # well it is known.
 _REPEATABILITY: Final[dict[str, float]] = {"K": 0.01, "K_dark": 0.01, "sigma_y_dark": 0.01}
-_REPEATABILITY_BLACK_DN: Final = 1.0
+_REPEATABILITY_BLACK_DN: Final = 1.0  # black levels wander by a DN with temperature and age
 _COMPARED: Final = ("K", "K_dark", "sigma_y_dark", "mu_y_dark")
-_AGREE_SIGMAS: Final = 2.0
-_CHANGED_SIGMAS: Final = 3.0
+_AGREE_SIGMAS: Final = 2.0  # 95 %
+_CHANGED_SIGMAS: Final = 3.0  # 0.3 % by chance; the limit rises with the number of pairs
 _TINY_U: Final = 1e-300  # where nothing is known of both uncertainties
-_JUMP_SIGMAS: Final = 5.0
-_SMALLEST_JUMP_REL: Final = 0.002
-_LIGHT_CHANGED_REL: Final = 0.01
+_JUMP_SIGMAS: Final = 5.0  # by chance once in 2 million places
+_SMALLEST_JUMP_REL: Final = 0.002  # engineering prior: lamps wander by a tenth of a percent from frame to frame
+_LIGHT_CHANGED_REL: Final = 0.01  # engineering prior: to this a lamp repeats that is switched on again
 _PARAMETERS: Final = 2  # of a law of the dark current
 _COVERED: Final = 0.97725  # of a normal distribution, below two sigma
-_STEP_K: Final = 0.01
-_ZERO_C_K: Final = 273.15
+_STEP_K: Final = 0.01  # of a central difference, short against the kelvins within which the rate doubles
+_ZERO_C_K: Final = 273.15  # 0 °C in K
 _CARRIERS_POWER, _CARRIERS_K = 2.54, 6726.0  # of silicon
 
 
@@ -47,28 +45,22 @@ class SessionDoubling:
 
 @dataclass(frozen=True, slots=True)
 class DarkLaw:
-    """One law of the dark current over all sessions, of T in °C.
+    """One law of the dark current over all sessions, of T in °C."""
 
-    Attributes:
-        doubling_k: T_d on average between the temperatures, its standard uncertainty widened by the points' scatter.
-        between_c: The lowest and the highest of these in °C.
-        rate_at_0: Dark current at 0 °C in DN/s.
-        generation_share: Share of what is generated in the depletion region halfway between them, the rest being
-            diffusion; None where D = D_0·2^(T / T_d) describes the points better.
-        birge_ratio: Scatter over what the points' uncertainties allow.
-        offset: Largest relative offset of one session from the law of the others, its u widened by the scatter; None
-            where one session is all there is, or temperatures and sessions cannot be separated.
-        points: (session, temperature in °C, dark current in DN/s, its distance from the law in u).
-        doublings: Doublings of the single sessions: with two mechanisms they differ with the temperature.
-    """
-
+    # T_d on average between the temperatures, its standard uncertainty widened by the points' scatter
     doubling_k: Quantity
-    between_c: tuple[float, float]
-    rate_at_0: Quantity
+    between_c: tuple[float, float]  # the lowest and the highest of these in °C
+    rate_at_0: Quantity  # Dark current at 0 °C in DN/s
+    # Share of what is generated in the depletion region halfway between them, the rest being diffusion; None where D =
+    # D_0·2^(T / T_d) describes the points better
     generation_share: Quantity | None
-    birge_ratio: float
+    birge_ratio: float  # scatter over what the points' uncertainties allow
+    # Largest relative offset of one session from the law of the others, its u widened by the scatter; None where one
+    # session is all there is, or temperatures and sessions cannot be separated
     offset: Quantity | None
+    # (session, temperature in °C, dark current in DN/s, its distance from the law in u)
     points: tuple[tuple[str, float, float, float], ...]
+    # Doublings of the single sessions: with two mechanisms they differ with the temperature
     doublings: tuple[SessionDoubling, ...]
 
     @property
@@ -96,23 +88,14 @@ class Change:
 
 @dataclass(frozen=True, slots=True)
 class Passport:
-    """What the sessions of one camera say together.
+    """What the sessions of one camera say together."""
 
-    Attributes:
-        camera: Maker, model, serial number, band.
-        sessions: The sessions by time.
-        dark_law: The law of the dark current; None where fewer than two temperatures show it.
-        gain: Lines on the gain: stated against light against darks.
-        changes: What changed and what did not, of the camera.
-        light: What the light did, which is not the camera's.
-    """
-
-    camera: tuple[str, ...]
-    sessions: tuple[Session, ...]
-    dark_law: DarkLaw | None
-    gain: tuple[str, ...]
-    changes: tuple[Change, ...]
-    light: tuple[str, ...]
+    camera: tuple[str, ...]  # maker, model, serial number, band
+    sessions: tuple[Session, ...]  # the sessions by time
+    dark_law: DarkLaw | None  # the law of the dark current; None where fewer than two temperatures show it
+    gain: tuple[str, ...]  # lines on the gain: stated against light against darks
+    changes: tuple[Change, ...]  # what changed and what did not, of the camera
+    light: tuple[str, ...]  # what the light did, which is not the camera's
 
     def to_mapping(self) -> dict[str, Any]:
         """Return the passport as plain values."""
@@ -143,11 +126,7 @@ class Passport:
                     for name, t, rate, z in law.points
                 ],
                 "session_doublings": [
-                    {
-                        "session": one.session,
-                        "doubling_K": one.measured_k.to_mapping(),
-                        "expected_K": one.expected_k,
-                    }
+                    {"session": one.session, "doubling_K": one.measured_k.to_mapping(), "expected_K": one.expected_k}
                     for one in law.doublings
                 ],
                 "session_doublings_apart_u": law.doublings_apart_u,
@@ -232,19 +211,12 @@ def fit_dark_law(sessions: Sequence[Session]) -> DarkLaw | None:
 
 @dataclass(frozen=True, slots=True)
 class _Fitted:
-    """D = Σ amplitudeᵢ·shapeᵢ(T) or, of one shape, ln D = a + b·T: parameters, their covariance, and χ².
+    """D = Σ amplitudeᵢ·shapeᵢ(T) or, of one shape, ln D = a + b·T: parameters, their covariance, and χ²."""
 
-    Attributes:
-        parameters: (a, b), or the amplitudes of diffusion and generation at 0 °C in DN/s.
-        covariance: (2, 2) of them, for the points' uncertainties as stated.
-        chi2: Of the logarithms.
-        is_sum: Whether it is the sum of two mechanisms.
-    """
-
-    parameters: Array
-    covariance: Array
-    chi2: float
-    is_sum: bool
+    parameters: Array  # (a, b), or the amplitudes of diffusion and generation at 0 °C in DN/s
+    covariance: Array  # (2, 2) of them, for the points' uncertainties as stated
+    chi2: float  # of the logarithms
+    is_sum: bool  # whether it is the sum of two mechanisms
 
     def log_rate(self, celsius: float | Array) -> Array:
         """Return ln D at temperatures."""
@@ -333,8 +305,6 @@ def _largest_offset(
         names: Session of each point.
         laws: The chosen law and the other. Which one is true is unknown, so a curvature between sessions is an offset
             under one of them. The u includes the difference.
-        temperatures: In °C.
-        logs: ln D.
         u: Its standard uncertainty.
     """
     found = []

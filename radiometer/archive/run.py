@@ -52,8 +52,6 @@ def run_batch(
     """Do a job on every capture set that is not done yet and write the table.
 
     Args:
-        captures: Folders of capture sets.
-        settings: What to do.
         table: Table to write, .parquet or .csv; what it holds of the same captures, settings and code is kept.
         scheduler: Address of a Dask scheduler, "tcp://HOST:PORT"; None for this machine.
         workers: Local worker processes; 0 works in this process. Ignored with a scheduler.

@@ -11,8 +11,8 @@ from typing import Any, Final
 import numpy as np
 
 from radiometer.analysis.characterise import Characterisation, characterise, subject_of_capture
-from radiometer.analysis.characterise.dark_figures import typical_rates
-from radiometer.analysis.characterise.frame_groups import groups_of_capture
+from radiometer.analysis.characterise.dark_signal import typical_rates
+from radiometer.analysis.characterise.subject import groups_of_capture
 from radiometer.data import CaptureSet, Quantity
 from radiometer.data.capture_set import HEADER_NAME
 from radiometer.errors import InputError, MeasurementError, RadiometerError, UnsettledError
@@ -20,7 +20,7 @@ from radiometer.importing import import_sources
 from radiometer.importing.emva_listing import DESCRIPTOR_NAME
 from radiometer.importing.sources import FITS_SUFFIXES, TIFF_SUFFIXES, as_capture
 
-_FEWEST_OF_A_SERIES: Final = 3
+_FEWEST_OF_A_SERIES: Final = 3  # two frames are a pair; a course needs a third
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,27 +42,17 @@ class LightSeries:
 
 @dataclass(frozen=True, slots=True)
 class Session:
-    """One session of one camera.
+    """One session of one camera."""
 
-    Attributes:
-        name: Folder, with the camera's name where it holds several.
-        camera: Maker, model, serial number and band; what is unknown is left out.
-        taken: Time of its first frame; None where unknown.
-        stated_e_per_dn: Conversion gain that its headers state; None where unknown.
-        figures: EMVA 1288 figures that it gives.
-        dark_rates: (temperature in °C, u in K, dark current in DN/s) of each plateau.
-        series: Repeated bright frames.
-        notes: What a user must know.
-    """
-
-    name: str
-    camera: tuple[str, ...]
-    taken: dt.datetime | None
-    stated_e_per_dn: float | None
-    figures: dict[str, Quantity]
+    name: str  # folder, with the camera's name where it holds several
+    camera: tuple[str, ...]  # maker, model, serial number and band; what is unknown is left out
+    taken: dt.datetime | None  # time of its first frame; None where unknown
+    stated_e_per_dn: float | None  # conversion gain that its headers state; None where unknown
+    figures: dict[str, Quantity]  # EMVA 1288 figures that it gives
+    # (temperature in °C, u in K, dark current in DN/s) of each plateau
     dark_rates: tuple[tuple[float, float, Quantity], ...]
-    series: tuple[LightSeries, ...]
-    notes: tuple[str, ...]
+    series: tuple[LightSeries, ...]  # repeated bright frames
+    notes: tuple[str, ...]  # what a user must know
 
 
 def find_sessions(archive: Path) -> list[CaptureSet]:

@@ -12,19 +12,13 @@ from radiometer.data.provenance import source_hash
 
 @dataclass(frozen=True, slots=True)
 class JobSettings:
-    """One job with everything that its result depends on in addition to the capture set.
+    """One job with everything that its result depends on in addition to the capture set."""
 
-    Attributes:
-        job: Name in the registry of `jobs.py`.
-        calibration: Calibration file; None for relative values.
-        patch: Region X,Y,W,H; None for the patches that each capture set names, else the whole frame.
-        maps: Folder that radiance maps are written to; None for none.
-    """
-
-    job: str
-    calibration: str | None = None
+    job: str  # name in the registry of `jobs.py`
+    calibration: str | None = None  # calibration file; None for relative values
+    # Region X,Y,W,H; None for the patches that each capture set names, else the whole frame
     patch: tuple[int, int, int, int] | None = None
-    maps: str | None = None
+    maps: str | None = None  # folder that radiance maps are written to; None for none
 
     def fingerprint(self) -> str:
         """Return a hash of the settings, the calibration's content and the code: equal means the same result."""

@@ -20,8 +20,9 @@ from radiometer.archive.cycles import (
     with_period,
 )
 from radiometer.errors import InputError
+from radiometer.typing import Array
 
-MONTH_S: Final = 365.25 / 12 * 86400.0
+MONTH_S: Final = 365.25 / 12 * 86400.0  # of the Julian year
 # A drift is claimed where chance alone would show it in so many archives: 3 sigma of many readings. What is guessed of
 # the correlation costs a little more, and false claims stay below one in a hundred.
 CLAIM_CHANCE: Final = 0.0027
@@ -29,70 +30,47 @@ CLAIM_CHANCE: Final = 0.0027
 # records it is assumed to be of any phase and of amplitudes up to some 5 % (2 % each of sine and cosine, k = 1). An
 # example is a lamp of 0.3 %/K whose room is 15 K warmer in summer.
 _YEAR_S: Final = 365.25 * 86400.0
-_SEASON_YEARS: Final = 0.75
-_SEASON_REL: Final = 0.02
+_SEASON_YEARS: Final = 0.75  # three quarters of a year separate a season from a line
+_SEASON_REL: Final = 0.02  # engineering prior: lamps and cameras in a room follow it by 1 to 2 %
 _WITH_SEASON: Final = 4  # columns of the design: level, months, the year's sine and cosine
 # Before so much of a year a change that a straight line shows may be a season's.
 _TOLD_YEARS: Final = 1.5
 # Correlation times that are tried, as parts of the span; and the correlation of neighbours that counts as whole.
 _TIMES_OF_SPAN: Final = np.geomspace(1e-3, 1.0, 25)
-_MOST_CORRELATED: Final = 0.995
-_OUTLIER_SIGMAS: Final = 4.0
+_MOST_CORRELATED: Final = 0.995  # nearer to 1 the covariance cannot be inverted in double precision
+_OUTLIER_SIGMAS: Final = 4.0  # by chance once in 16 000 readings
 _ROUNDS: Final = 4  # of scatter and stated sizes
 _LEAST_SCATTER: Final = 1e-3  # of the stated sigma, below which stated sizes pull no less
 _MOST_VALUES: Final = 4_000_000  # in a table of correlation times at once
-_MINIMUM_READINGS: Final = 8
-
-Array = NDArray[np.float64]
+_MINIMUM_READINGS: Final = 8  # twice as many as line and season have parameters
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Trend:
-    """The history of one quantity of one patch.
+    """The history of one quantity of one patch."""
 
-    Attributes:
-        patch: Name of the patch.
-        quantity: Name of the quantity.
-        unit: Its unit.
-        time_s: Times in s since 1970, ascending, shape (n,).
-        value: Values, same shape.
-        u: Stated standard uncertainties, same shape.
-        line: Fitted straight line at the times.
-        u_line: Standard uncertainty of the line there.
-        outlier: Which readings are more than 4 of their total sigmas from the line; they take no part.
-        excess_rel: Relative scatter from reading to reading beyond the stated uncertainties (k = 1).
-        drift_per_month: Relative drift per month of 30.44 days.
-        u_drift_per_month: Its standard uncertainty, neighbours' correlation and seasons counted.
-        degrees_of_freedom: Behind that uncertainty: of the readings' effective number.
-        correlation: Of a reading with the next one, beyond line and season.
-        season_rel: Amplitude of the yearly cycle; None where the readings do not determine it.
-        straight_per_month: Relative drift per month if there were no cycle that the readings do not show.
-        u_straight_per_month: Its standard uncertainty.
-        cycles: Period in s and relative amplitude of other cycles that the readings show.
-        changes_s: Times from which on another calibration, or other settings, were in use; in s since 1970.
-        flags: How many readings bear each flag.
-    """
-
-    patch: str
-    quantity: str
-    unit: str
-    time_s: Array
-    value: Array
-    u: Array
-    line: Array
-    u_line: Array
-    outlier: NDArray[np.bool_]
-    excess_rel: float
-    drift_per_month: float
-    u_drift_per_month: float
-    degrees_of_freedom: float = math.inf
-    correlation: float = 0.0
-    season_rel: float | None = None
-    straight_per_month: float = 0.0
-    u_straight_per_month: float = math.inf
+    patch: str  # name of the patch
+    quantity: str  # name of the quantity
+    unit: str  # its unit
+    time_s: Array  # times in s since 1970, ascending, shape (n,)
+    value: Array  # values, same shape
+    u: Array  # stated standard uncertainties, same shape
+    line: Array  # fitted straight line at the times
+    u_line: Array  # standard uncertainty of the line there
+    outlier: NDArray[np.bool_]  # which readings are more than 4 of their total sigmas from the line; they take no part
+    excess_rel: float  # relative scatter from reading to reading beyond the stated uncertainties (k = 1)
+    drift_per_month: float  # relative drift per month of 30.44 days
+    u_drift_per_month: float  # its standard uncertainty, neighbours' correlation and seasons counted
+    degrees_of_freedom: float = math.inf  # behind that uncertainty: of the readings' effective number
+    correlation: float = 0.0  # of a reading with the next one, beyond line and season
+    season_rel: float | None = None  # amplitude of the yearly cycle; None where the readings do not determine it
+    straight_per_month: float = 0.0  # relative drift per month if there were no cycle that the readings do not show
+    u_straight_per_month: float = math.inf  # its standard uncertainty
+    # Period in s and relative amplitude of other cycles that the readings show
     cycles: tuple[tuple[float, float], ...] = ()
+    # Times from which on another calibration, or other settings, were in use; in s since 1970
     changes_s: tuple[float, ...] = ()
-    flags: Mapping[str, int] = field(default_factory=dict)
+    flags: Mapping[str, int] = field(default_factory=dict)  # how many readings bear each flag
 
     @property
     def claim_sigmas(self) -> float:
@@ -112,9 +90,9 @@ class Trend:
         """
         if self.drifts:
             return "drift"
-        told = self.time_s[-1] - self.time_s[0] >= _TOLD_YEARS * _YEAR_S
+        season_is_known = self.time_s[-1] - self.time_s[0] >= _TOLD_YEARS * _YEAR_S
         shown = abs(self.straight_per_month) > self.claim_sigmas * self.u_straight_per_month
-        return "season_or_drift" if shown and not told else "no_drift"
+        return "season_or_drift" if shown and not season_is_known else "no_drift"
 
     @property
     def told_from_s(self) -> float:
@@ -157,9 +135,6 @@ def fit_trend(time_s: Array, value: Array, u: Array, *, patch: str = "", quantit
         time_s: Times in s, shape (n,), any order.
         value: Values, above 0.
         u: Stated standard uncertainties, above 0.
-        patch: Name for the result.
-        quantity: Name for the result.
-        unit: Unit for the result.
 
     Raises:
         InputError: If there are fewer than 8 readings, or they are not above 0, or all at one time.
@@ -172,7 +147,7 @@ def fit_trend(time_s: Array, value: Array, u: Array, *, patch: str = "", quantit
     relative, sigma = value / level, u / level
     outlier = np.zeros(value.size, bool)
     season = _season(months, time_s)
-    design, told = season.design, season.told
+    design, season_is_known = season.design, season.season_is_known
     while True:
         (solution,), _, (scatter,) = _least_squares(
             (design[~outlier] / sigma[~outlier, None])[None], (relative / sigma)[None, ~outlier], season.spread
@@ -184,13 +159,13 @@ def fit_trend(time_s: Array, value: Array, u: Array, *, patch: str = "", quantit
             break
         outlier[worst] = True
     kept = ~outlier
-    of_season_s = (_YEAR_S,) if told else ()
-    straight = design if told else design[:, :2]
+    of_season_s = (_YEAR_S,) if season_is_known else ()
+    straight = design if season_is_known else design[:, :2]
     periods_s = hidden_cycles(straight[kept], relative[kept], sigma[kept], time_s[kept], of_season_s)
     for period in periods_s:
         more = with_period(straight, relative, sigma, time_s, period)
         straight, design = np.column_stack([straight, more]), np.column_stack([design, more])
-    models = _models(design, straight, relative, sigma, time_s, kept, periods_s, told=told)
+    models = _models(design, straight, relative, sigma, time_s, kept, periods_s, season_is_known=season_is_known)
     fit, line, u_line = _averaged(models, relative, sigma, time_s, kept, season.spread)
     without = _generalised(
         np.delete(design, slice(2, _WITH_SEASON), axis=1)[kept], relative[kept], sigma[kept], time_s[kept]
@@ -206,7 +181,7 @@ def fit_trend(time_s: Array, value: Array, u: Array, *, patch: str = "", quantit
         u_drift_per_month=float(math.sqrt(fit.covariance[1, 1]) / own[0]),
         degrees_of_freedom=fit.degrees_of_freedom,
         correlation=fit.correlation,
-        season_rel=float(np.hypot(own[2], own[3]) / own[0]) if told else None,
+        season_rel=float(np.hypot(own[2], own[3]) / own[0]) if season_is_known else None,
         straight_per_month=float(without.solution[1] / without.solution[0]),
         u_straight_per_month=float(math.sqrt(without.covariance[1, 1]) / without.solution[0]),
         cycles=_amplitudes(periods_s, own),
@@ -225,7 +200,7 @@ class _Season:
 
     design: Array
     spread: Array
-    told: bool
+    season_is_known: bool
 
 
 def _season(months: Array, time_s: Array) -> _Season:
@@ -234,8 +209,10 @@ def _season(months: Array, time_s: Array) -> _Season:
     # The cosine is 0 in the middle of the record, where the level is determined.
     design = np.stack([np.ones_like(months), months, np.sin(phase), np.cos(phase) - 1.0], axis=1)
     long = time_s[-1] - time_s[0] >= _SEASON_YEARS * _YEAR_S and time_s.size >= 2 * _MINIMUM_READINGS
-    told = bool(long and tells_apart(design))
-    return _Season(design, np.array([math.inf, math.inf, *(math.inf if told else _SEASON_REL,) * 2]), told)
+    season_is_known = bool(long and tells_apart(design))
+    return _Season(
+        design, np.array([math.inf, math.inf, *(math.inf if season_is_known else _SEASON_REL,) * 2]), season_is_known
+    )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -257,14 +234,14 @@ def _models(
     kept: NDArray[np.bool_],
     periods_s: tuple[float, ...],
     *,
-    told: bool,
+    season_is_known: bool,
 ) -> list[tuple[Array, float]]:
     """Return designs at all times, and how likely each is: as fitted, with a slow cycle more, or one for the year's."""
-    fitted_s = (*((_YEAR_S,) if told else ()), *periods_s)
+    fitted_s = (*((_YEAR_S,) if season_is_known else ()), *periods_s)
     slow = slow_cycles(straight[kept], relative[kept], sigma[kept], time_s[kept], fitted_s)
     models = [(design, 1.0)]
     models += [(np.column_stack([design, cycle_columns(time_s, period)]), odds) for period, odds in slow]
-    if told:
+    if season_is_known:
         others = np.delete(straight, slice(2, _WITH_SEASON), axis=1)
         near = near_the_season(others[kept], relative[kept], sigma[kept], time_s[kept], _YEAR_S)
         for period, odds in near:
@@ -320,9 +297,9 @@ def _generalised(design: Array, relative: Array, sigma: Array, time_s: Array, sp
     spread = np.full(columns, math.inf) if spread is None else spread
     phi = np.zeros((_TIMES_OF_SPAN.size + 1, gaps.size))  # without a correlation first
     phi[1:] = np.minimum(np.exp(-gaps / (_TIMES_OF_SPAN * span)[:, None]), _MOST_CORRELATED)
-    told = np.column_stack([design, relative]) / sigma[:, None]
-    at_once = max(_MOST_VALUES // told.size, 1)
-    parts = [_solved(told, phi[k : k + at_once], spread) for k in range(0, len(phi), at_once)]
+    whitened = np.column_stack([design, relative]) / sigma[:, None]
+    at_once = max(_MOST_VALUES // whitened.size, 1)
+    parts = [_solved(whitened, phi[k : k + at_once], spread) for k in range(0, len(phi), at_once)]
     solutions, covariances, likelihoods = (np.concatenate(each) for each in zip(*parts, strict=True))
     weight = np.exp(likelihoods - likelihoods.max())
     weight /= weight.sum()
@@ -335,26 +312,26 @@ def _generalised(design: Array, relative: Array, sigma: Array, time_s: Array, sp
     return _Fit(centre, covariance, float(weight @ freedom), float(weight @ mean))
 
 
-def _solved(told: Array, phi: Array, spread: Array) -> tuple[Array, Array, Array]:
+def _solved(whitened: Array, phi: Array, spread: Array) -> tuple[Array, Array, Array]:
     """Return solutions, their covariances and log-likelihoods, each for one row of neighbours' correlations.
 
     Args:
-        told: Columns and, as the last, values, all over sigma, shape (n, columns + 1).
+        whitened: Columns and, as the last, values, all over sigma, shape (n, columns + 1).
         phi: Correlations of neighbours, shape (times, n - 1).
         spread: Standard deviations that the columns' sizes are known to have beforehand, shape (columns,).
     """
     root = np.sqrt(1.0 - phi**2)
-    white = np.empty((len(phi), *told.shape))
-    white[:, 0] = told[0]
-    white[:, 1:] = (told[1:] - phi[:, :, None] * told[:-1]) / root[:, :, None]
+    white = np.empty((len(phi), *whitened.shape))
+    white[:, 0] = whitened[0]
+    white[:, 1:] = (whitened[1:] - phi[:, :, None] * whitened[:-1]) / root[:, :, None]
     solutions, normals, scatters = _least_squares(white[:, :, :-1], white[:, :, -1], spread)
     information = -np.linalg.slogdet(normals / scatters[:, None, None] ** 2)[1]
-    freedom = told.shape[0] - spread.size
+    freedom = whitened.shape[0] - spread.size
     likelihoods = -freedom * np.log(scatters) - 0.5 * information - np.log(root).sum(axis=1)
     return solutions, normals, likelihoods
 
 
-def _least_squares(rows: Array, told: Array, spread: Array) -> tuple[Array, Array, Array]:
+def _least_squares(rows: Array, values: Array, spread: Array) -> tuple[Array, Array, Array]:
     """Return solutions, their covariances, and the scatters in units of the stated sigma, of problems in a stack.
 
     A column of a stated size is an observation more: that it is 0 ± that size. What this weighs depends on the
@@ -362,12 +339,12 @@ def _least_squares(rows: Array, told: Array, spread: Array) -> tuple[Array, Arra
 
     Args:
         rows: Columns, shape (problems, n, columns).
-        told: Values, shape (problems, n).
+        values: Values, shape (problems, n).
         spread: Stated sizes, infinite where there is none, shape (columns,).
     """
     known = np.isfinite(spread)
     across = rows.transpose(0, 2, 1)
-    squared, normal_rows = across @ told[:, :, None], across @ rows
+    squared, normal_rows = across @ values[:, :, None], across @ rows
     freedom = max(rows.shape[1] - rows.shape[2] + int(known.sum()), 1)
     scatter = np.zeros(len(rows))
     for _ in range(_ROUNDS if known.any() else 1):
@@ -375,7 +352,7 @@ def _least_squares(rows: Array, told: Array, spread: Array) -> tuple[Array, Arra
         pull = np.where(known, least / np.where(known, spread, 1.0), 0.0)
         inverse: Array = np.linalg.inv(normal_rows + np.eye(spread.size) * pull[:, :, None] ** 2).astype(np.float64)
         solution = (inverse @ squared)[:, :, 0]
-        residual = told - (rows @ solution[:, :, None])[:, :, 0]
+        residual = values - (rows @ solution[:, :, None])[:, :, 0]
         chi2 = (residual**2).sum(axis=1) + ((pull * solution) ** 2).sum(axis=1)
         scatter = np.maximum(np.sqrt(chi2 / freedom), 1e-12)
     return solution, inverse * scatter[:, None, None] ** 2, scatter

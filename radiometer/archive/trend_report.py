@@ -25,6 +25,7 @@ from radiometer.reporting.pictures import (
     picture,
     shortened,
 )
+from radiometer.typing import Array
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -33,18 +34,15 @@ if TYPE_CHECKING:
 _OPENING: Final = 4  # histories in the opening picture; the others follow with their sections
 _GAP_OF_USUAL: Final = 10.0  # a pause so many times as long as the usual one is shown as a gap
 _GAP_OF_SPAN: Final = 0.01  # and of the whole span at least, for others would not be seen
-_BEYOND_SIGMAS: Final = 2.0
+_BEYOND_SIGMAS: Final = 2.0  # 95 %
 _TAGS: Final = {"drift": "drifts", "season_or_drift": "season or drift", "no_drift": "not claimed"}
 _VERDICTS: Final = {"drift": "drifts", "season_or_drift": "a season or a drift", "no_drift": "no drift shown"}
-
-Array = NDArray[np.float64]
 
 
 def trend_report(trends: Sequence[Trend], source: str) -> str:
     """Return an HTML page with the outcome, a picture of the histories, and a section for each patch.
 
     Args:
-        trends: Histories.
         source: Where they come from, for the reader.
     """
     # Claimed ones first, the fastest in front: the opening picture shows these.
@@ -78,11 +76,7 @@ def trend_report(trends: Sequence[Trend], source: str) -> str:
 
 
 def outcome(ordered: Sequence[Trend]) -> str:
-    """Return in one sentence what drifts, by how much, or that nothing is shown to.
-
-    Args:
-        ordered: Histories, the claimed and fastest first.
-    """
+    """Return in one sentence what drifts, by how much, or that nothing is shown to."""
     first = ordered[0]
     if not first.drifts:
         open_ones = [trend for trend in ordered if trend.verdict == "season_or_drift"]
@@ -104,8 +98,8 @@ def _undecided(changed: Sequence[Trend], count: int) -> str:
     one = changed[0]
     of = "" if count == 1 else f" ({len(changed)} of {count} patches)"
     return (
-        f"{one.patch} changes{of}, {_straight(one)}, k = 2, if on a straight line; a season would change it as much, "
-        "and the record is too short to tell the two apart."
+        f"{one.patch} changes{of}, {_straight(one)}, k = 2, if on a straight line. A season could change it as much; "
+        "the record is too short to separate the two."
     )
 
 
@@ -114,11 +108,7 @@ def _straight(trend: Trend) -> str:
 
 
 def advice(ordered: Sequence[Trend]) -> list[str]:
-    """Return what to do about the drifts, or what would show one.
-
-    Args:
-        ordered: Histories, the claimed and fastest first.
-    """
+    """Return what to do about the drifts, or what would show one."""
     said = []
     for trend in ordered:
         stated = float(np.median(trend.u / trend.value))
@@ -131,7 +121,7 @@ def advice(ordered: Sequence[Trend]) -> list[str]:
         elif trend.verdict == "season_or_drift":
             said.append(
                 f"{trend.patch}: measure until {_day(trend.told_from_s)[:10]}, a year and a half after the first one: "
-                "that tells a season from a drift; or keep temperature and ambient light steady, so that none is there."
+                "that separates a season from a drift. Or keep temperature and ambient light steady."
             )
         else:
             said.append(
@@ -170,28 +160,28 @@ def _alike(ordered: Sequence[Trend]) -> str:
     ]
     if not apart:
         return (
-            "All patches change alike, as far as these readings tell: look first for what they share, camera, lens, "
-            "calibration or supply."
+            "All patches change alike within their uncertainty. Check first what they share: camera, lens, calibration "
+            "or supply."
         )
     names = ", ".join(trend.patch for trend in apart[:5])
-    return f"Not all patches change alike ({names} apart from {first.patch}): what they share cannot be all of it."
+    return f"Not all patches change alike ({names} apart from {first.patch}): what they share is not the only cause."
 
 
 def _section(trend: Trend, *, drawn: bool) -> str:
     days = (trend.time_s[-1] - trend.time_s[0]) / 86400.0
     verdict = (
         f"The drift is claimed: it is {abs(trend.drift_per_month) / trend.u_drift_per_month:.1f} standard "
-        f"uncertainties from zero, where {trend.claim_sigmas:.1f} are asked for."
+        f"uncertainties from zero; {trend.claim_sigmas:.1f} are required."
         if trend.drifts
-        else f"No drift is claimed: it would be from {100 * _claimed_from(trend):.2g} % per month on."
+        else f"No drift is claimed; one of {100 * _claimed_from(trend):.2g} % per month or more would be."
     )
     outliers = trend.time_s[trend.outlier]
     facts = [
         f"{trend.time_s.size} readings of {trend.quantity} over {days:.3g} days ({days * 86400 / MONTH_S:.2g} months).",
         f"A reading is correlated with the next by {trend.correlation:.2f}." if trend.correlation > 0.05 else "",
-        f"A yearly cycle of ±{100 * trend.season_rel:.2g} % is fitted beside the drift."
+        f"A yearly cycle of ±{100 * trend.season_rel:.2g} % is fitted together with the drift."
         if trend.season_rel is not None
-        else "The readings do not tell a yearly cycle from a drift: one of up to some 5 % is in its uncertainty.",
+        else "The readings do not separate a yearly cycle from a drift: a cycle of up to 5 % is in its uncertainty.",
         f"Without any season it would be {_straight(trend)}." if trend.verdict == "season_or_drift" else "",
         " ".join(
             f"A cycle of {period / 86400:.3g} days, ±{100 * size:.2g} %, is fitted." for period, size in trend.cycles
@@ -233,7 +223,7 @@ def _picture(trends: Sequence[Trend]) -> str:
     caption = (
         "Readings with their stated uncertainty (k = 1) over real time. Line: the model"
         f"{', a drift and a yearly cycle' if seasonal else ''}, with its k = 2 band; broken line: no drift claimed. "
-        "Grey: times without readings. Dotted: where 3 standard deviations of the readings lie. Crosses: outliers."
+        "Grey: times without readings. Dotted: 3 standard deviations of the readings. Crosses: outliers."
     )
 
     def draw(figure: Figure, narrow: bool) -> None:

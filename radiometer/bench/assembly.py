@@ -54,7 +54,6 @@ def open_instrument(
         name: "sim", or a GenICam id, serial number or address; the bench's own camera where None.
         patch: Where to read; the bench's, else the middle of the frame, where None.
         calibration: Calibration file; the bench's own where None.
-        uncalibrated: Use no calibration at all.
         spectrum: Spectrum assumed for the luminance; the bench's, else the calibration's, where None.
         f_number: f-number that a real lens is set to; the bench's where None.
 

@@ -23,19 +23,12 @@ _LONGEST_WORD: Final = 4400  # characters: a path of 4095 bytes, a serial number
 
 @dataclass(frozen=True, slots=True)
 class HeldBox:
-    """A light box that a program holds.
+    """A light box that a program holds."""
 
-    Attributes:
-        serial: Its serial number.
-        port: The port it is on.
-        pid: Process that holds it.
-        address: Socket on which that program can be asked.
-    """
-
-    serial: str
-    port: str
-    pid: int
-    address: Path
+    serial: str  # its serial number
+    port: str  # the port it is on
+    pid: int  # process that holds it
+    address: Path  # socket on which that program can be asked
 
 
 def runtime_folder(name: str) -> Path:
@@ -73,7 +66,6 @@ def holding(serial: str, port: str, darken: Callable[[], None]) -> Iterator[None
 
     Args:
         serial: Serial number of the box held.
-        port: Its port.
         darken: Darkens every channel; called from a separate thread.
     """
     folder = runtime_folder("radiometer-held-boxes")

@@ -22,7 +22,7 @@ from radiometer.bench.known_boxes import is_known, remember
 from radiometer.data.config_files import shipped_config
 from radiometer.data.guards import safe_file_name
 from radiometer.data.light_calibration import LightCalibration
-from radiometer.data.storage import read_yaml
+from radiometer.data.storage import read_yaml, state_folder
 from radiometer.data.validation import ConfigSection, validate
 from radiometer.devices.exposure_account import AccountStore, FileStore, MemoryStore
 from radiometer.devices.exposure_ledger import ExposureLedger
@@ -45,7 +45,7 @@ SIMULATED_SERIAL: Final = "SIM00001"
 DEFAULT_PRESET: Final = "light_boxes/reference.yaml"
 PORT_VARIABLE: Final = "RADIOMETER_LIGHT_BOX_PORTS"
 STATE_VARIABLE: Final = "RADIOMETER_STATE"
-TEND_SLICE_S: Final = 0.2
+TEND_SLICE_S: Final = 0.2  # a fifth of the box's dead-man time
 _SILENT: Final[
     dict[str, float]
 ] = {}  # ports that were asked and did not answer as a box, and when they were plugged in
@@ -114,21 +114,13 @@ class LightBoxConfig(ConfigSection):
 
 @dataclass(frozen=True, slots=True)
 class OpenedBox:
-    """An open light box with what belongs to it.
+    """An open light box with what belongs to it."""
 
-    Attributes:
-        box: The box.
-        config: Its preset.
-        calibration: Its calibration; None where there is none.
-        wait: Lets a time in s pass while the box is kept lit.
-        twin: The simulated box behind it; None for a real one.
-    """
-
-    box: SerialLightBox
-    config: LightBoxConfig
-    calibration: LightCalibration | None
-    wait: Callable[[float], None]
-    twin: LightBoxTwin | None = None
+    box: SerialLightBox  # the box
+    config: LightBoxConfig  # its preset
+    calibration: LightCalibration | None  # its calibration; None where there is none
+    wait: Callable[[float], None]  # lets a time in s pass while the box is kept lit
+    twin: LightBoxTwin | None = None  # the simulated box behind it; None for a real one
 
 
 def read_preset(path: Path | None = None) -> LightBoxConfig:
@@ -221,17 +213,11 @@ def _asked_box(port: str, *, mild: bool) -> SerialLightBox:
 
 @dataclass(frozen=True, slots=True)
 class DarkBox:
-    """A light box that was darkened.
+    """A light box that was darkened."""
 
-    Attributes:
-        serial: Its serial number.
-        dark: Whether each channel is dark, as read back; empty where another process holds the box.
-        darkened_by: The process that holds it; None where none does.
-    """
-
-    serial: str
-    dark: Mapping[str, bool]
-    darkened_by: int | None = None
+    serial: str  # its serial number
+    dark: Mapping[str, bool]  # whether each channel is dark, as read back; empty where another process holds the box
+    darkened_by: int | None = None  # the process that holds it; None where none does
 
 
 def darken(name: str | None = None, channel: str | None = None) -> tuple[list[DarkBox], list[DeviceError]]:
@@ -291,9 +277,7 @@ def calibration_file(serial: str) -> Path:
 
 def exposure_store() -> FileStore:
     """Return the account of retinal exposure of this user: in RADIOMETER_STATE, else in the XDG state folder."""
-    base = Path(os.environ.get("XDG_STATE_HOME") or Path(".local") / "state")
-    # A relative path begins at the user's home: the same one whatever folder a command runs in.
-    return FileStore(Path.home() / (os.environ.get(STATE_VARIABLE) or base / "radiometer"))
+    return FileStore(Path.home() / (os.environ.get(STATE_VARIABLE) or state_folder()))
 
 
 def confirm_no_exposure(serial: str) -> None:
@@ -330,18 +314,12 @@ def require_known_box(serial: str | None) -> str:
 
 @dataclass(frozen=True, slots=True)
 class ExposureReport:
-    """What the account of retinal exposure holds of a box or an eye.
+    """What the account of retinal exposure holds of a box or an eye."""
 
-    Attributes:
-        name: "box SERIAL" or "eye SUBJECT right".
-        blue_light: Fraction of the blue-light limit used up within 10⁴ s, with all that is planned.
-        frees_in_s: Time in s after which all of it has left the window.
-        unknown_for_s: Time in s for which the limit counts as used up, for the history is unknown; 0 where it is known.
-    """
-
-    name: str
-    blue_light: float
-    frees_in_s: float
+    name: str  # "box SERIAL" or "eye SUBJECT right"
+    blue_light: float  # fraction of the blue-light limit used up within 10⁴ s, with all that is planned
+    frees_in_s: float  # time in s after which all of it has left the window
+    # Time in s for which the limit counts as used up, for the history is unknown; 0 where it is known
     unknown_for_s: float
 
 

@@ -15,8 +15,8 @@ from radiometer.devices import Camera, CameraSettings, Finding, Health
 
 _RATE_FRAMES, _RATE_LIMIT_S = 30, 5.0
 _HOT_C = 65.0  # dark current has grown a hundredfold over 20 °C there, and makers' limits are near
-_METER_STEPS = 12
-_LONGEST_CHECK_S = 1.0
+_METER_STEPS = 12  # by 0.1 to 16 times each: 12 cross the range of any camera
+_LONGEST_CHECK_S = 1.0  # a check is not worth more of a person's time
 _LINEAR_WITHIN = 0.005  # beyond the noise: what a linear sensor and its exposure clock keep easily
 _LIGHT = (0.35, 0.75)  # of full scale: where the brighter of two exposures is put
 

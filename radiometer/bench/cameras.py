@@ -5,15 +5,8 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
-from radiometer.bench.config import (
-    SIMULATED as SIMULATED,
-)
-from radiometer.bench.config import (
-    BenchConfig,
-    CameraConfig,
-    GenicamCameraConfig,
-    SimulatedCameraConfig,
-)
+from radiometer.bench.config import SIMULATED as SIMULATED
+from radiometer.bench.config import BenchConfig, CameraConfig, GenicamCameraConfig, SimulatedCameraConfig
 from radiometer.data.config_files import shipped_config
 from radiometer.devices import Camera, CameraCapabilities, CameraIdentity, CameraPreset, CameraSettings
 from radiometer.errors import ConfigurationError, MissingLibrary
@@ -26,7 +19,6 @@ def open_camera(config: BenchConfig, where: Path, name: str | None = None) -> Ca
     """Return an opened camera with gain, black level and pixel format set as the bench file wants them.
 
     Args:
-        config: The bench.
         where: The bench file, for messages and relative paths.
         name: "sim", or a GenICam id, serial number or address; None for the bench's own camera.
 

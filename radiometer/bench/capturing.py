@@ -46,10 +46,8 @@ def capture_exposures(
     """Capture the planned exposures into a new folder and return what was written.
 
     Args:
-        out: Folder to create.
         camera: An open camera.
         plan: Exposures in s.
-        request: Dark frames and limits.
         config: The bench: its light and its patches are written to the header.
         ask: Has the lens covered where the camera has no shutter.
         taken: Called after every frame with how many are taken, and of how many.
@@ -83,11 +81,8 @@ def capture_settings(
 
     Args:
         out: As all further ones for `capture_exposures`.
-        camera: See there.
         plan: Settings with what must be arranged for each.
-        config: See there.
         ask: Arranges what a setting needs.
-        taken: See there.
 
     Raises:
         DeviceError: If the camera fails, or needs a hand and `ask` is missing.

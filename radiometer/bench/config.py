@@ -118,7 +118,6 @@ def read_bench(path: Path | None = None, camera: str | None = None) -> tuple[Ben
     """Return a validated bench file and its path; the simulated bench where neither file nor camera is named.
 
     Args:
-        path: The bench file.
         camera: Name of a camera. A real one without a bench file stands on no bench: its lens, what it looks at and
             its calibration are unknown, and stay so.
 

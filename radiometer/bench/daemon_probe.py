@@ -9,10 +9,10 @@ from typing import Final
 
 from radiometer.devices import Finding, Health
 
-SCPI_PORT: Final = 5025
-HTTP_PORT: Final = 8080
+SCPI_PORT: Final = 5025  # the daemon's default, registered for SCPI (IANA: scpi-raw)
+HTTP_PORT: Final = 8080  # the daemon's default
 _CHECK: Final = "daemon"
-_PATIENCE_S: Final = 1.0
+_PATIENCE_S: Final = 1.0  # a daemon on this computer answers within ms
 
 
 def check_daemon(scpi_port: int = SCPI_PORT, http_port: int = HTTP_PORT) -> Finding:
@@ -26,7 +26,7 @@ def check_daemon(scpi_port: int = SCPI_PORT, http_port: int = HTTP_PORT) -> Find
         return Finding(_CHECK, Health.WARNING, f"127.0.0.1:{scpi_port} is taken by another program: {identity}", cure)
     alarms = _alarms(http_port)
     if alarms:
-        cure = "`radiometer log --events` tells since when, GET /status why"
+        cure = "`radiometer log --events` shows since when, GET /status shows why"
         return Finding(_CHECK, Health.WARNING, f"{identity} runs with alarms: {', '.join(alarms)}", cure)
     return Finding(_CHECK, Health.OK, f"{identity} answers at 127.0.0.1:{scpi_port}")
 

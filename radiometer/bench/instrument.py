@@ -20,7 +20,7 @@ from radiometer.acquire.bracketing import (
 )
 from radiometer.acquire.exposure_plan import STEADY_SHORT_FRAMES, ExposurePlan, steadied
 from radiometer.analysis.calibration.shared import require_camera
-from radiometer.analysis.reading.contributions import PatchSituation
+from radiometer.analysis.reading.budget import PatchSituation
 from radiometer.analysis.reading.reading import patch_situation, read_patch
 from radiometer.data import Bracket, Calibration, Frame, LensDescription, Patch, Reading, SourceDescription
 from radiometer.data.pile_up import with_white_levels
@@ -30,14 +30,14 @@ from radiometer.errors import UsageError
 
 # A surround of which more than this clips is looked at in a shorter frame, each by this factor.
 _SURROUND_CLIPS = 0.002
-_SURROUND_STEP = 16.0
+_SURROUND_STEP = 16.0  # 4 stops: what clips around a patch is rarely brighter by more
 # A patch of which as much clips is bright; frames that flicker so are taken again, each time shorter by the factor.
 _CLIPS = 0.5
-_UNCLIPPED_STEP = 4.0
-_MOST_TRIES = 12
+_UNCLIPPED_STEP = 4.0  # 2 stops at a time: few tries, and no more noise than needed
+_MOST_TRIES = 12  # 24 stops: the whole range of any camera
 # Dark frames at each exposure, taken where the dark level's uncertainty is more than this part of the light.
 _DARK_FRAMES = 2
-_DARK_MATTERS_REL = 0.003
+_DARK_MATTERS_REL = 0.003  # a third of the 1 % that a reading is good for
 
 
 def clipped_part(frame: Frame) -> float:
@@ -47,29 +47,20 @@ def clipped_part(frame: Frame) -> float:
 
 @dataclass(frozen=True, slots=True)
 class Instrument:
-    """Reads the radiance of patches with an open camera.
+    """Reads the radiance of patches with an open camera."""
 
-    Attributes:
-        camera: An open camera.
-        patch: Where to read by default.
-        calibration: Absolute calibration of this camera; None gives relative readings flagged so.
-        time_limit_s: Bound on the sum of the exposure times of one reading in s.
-        f_number: f-number that the lens is set to where the camera's description does not hold.
-        source: What is known of the light.
-        spectrum_stated: Whether the light's spectrum is known to be the one that the calibration names for it.
-        cover: Called with True to have the lens covered for dark frames, and False after them; None for none by hand.
-        clock: Steady clock in s.
-    """
-
-    camera: Camera
-    patch: Patch
+    camera: Camera  # an open camera
+    patch: Patch  # where to read by default
+    # Absolute calibration of this camera; None gives relative readings flagged so
     calibration: Calibration | None = None
-    time_limit_s: float = DEFAULT_TIME_LIMIT_S
-    f_number: float | None = None
-    source: SourceDescription | None = None
+    time_limit_s: float = DEFAULT_TIME_LIMIT_S  # bound on the sum of the exposure times of one reading in s
+    f_number: float | None = None  # f-number that the lens is set to where the camera's description does not hold
+    source: SourceDescription | None = None  # what is known of the light
+    # Whether the light's spectrum is known to be the one that the calibration names for it
     spectrum_stated: bool = True
+    # Called with True to have the lens covered for dark frames, and False after them; None for none by hand
     cover: Callable[[bool], None] | None = None
-    clock: Callable[[], float] = time.monotonic
+    clock: Callable[[], float] = time.monotonic  # steady clock in s
 
     def __post_init__(self) -> None:
         if self.calibration is not None:

@@ -26,10 +26,6 @@ def remember(port: str, plugged: Sequence[SerialPort]) -> None:
     """Remember the USB device behind a port, which has just answered as a light box.
 
     Where it cannot be stored, the port has to be named next time as well.
-
-    Args:
-        port: Name of the port.
-        plugged: The serial ports of this machine.
     """
     real = os.path.realpath(port)
     device = next((one for one in plugged if os.path.realpath(one.device) == real), None)

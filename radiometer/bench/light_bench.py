@@ -32,23 +32,16 @@ SIMULATED_SPECTRAL_U_REL: Final = 0.01
 
 @dataclass(frozen=True, slots=True)
 class SurveyRequest:
-    """What to calibrate and how.
+    """What to calibrate and how."""
 
-    Attributes:
-        channels: Names of the channels.
-        points_per_decade: Density of the levels.
-        seed: Makes the random order; None for another one each time.
-        responsivity: CSV of the camera's relative responsivity per watt; None takes its quantum efficiency as flat.
-        spectral_u_rel: Relative standard uncertainty of the spectral correction; None for the default.
-        target_u_rel: Relative standard uncertainty required of a reading's noise.
-    """
-
-    channels: tuple[str, ...]
-    points_per_decade: float = 4.0
-    seed: int | None = None
+    channels: tuple[str, ...]  # names of the channels
+    points_per_decade: float = 4.0  # density of the levels
+    seed: int | None = None  # makes the random order; None for another one each time
+    # CSV of the camera's relative responsivity per watt; None takes its quantum efficiency as flat
     responsivity: Path | None = None
+    # Relative standard uncertainty of the spectral correction; None for the default
     spectral_u_rel: float | None = None
-    target_u_rel: float = 0.003
+    target_u_rel: float = 0.003  # relative standard uncertainty required of a reading's noise
 
 
 @contextmanager
@@ -68,7 +61,6 @@ def open_light_camera(
         bench: Bench file; the shipped one where None.
         patch: Where to read; the bench's where None.
         calibration: Calibration of the camera; the bench's where None.
-        ambient_w_sr_m2: Radiance of the simulated room on the simulated box.
 
     Raises:
         UsageError: If a simulated box is to be looked at by a real camera.
@@ -140,7 +132,7 @@ def _provenance(
 def _absolute(instrument: Instrument) -> Instrument:
     if instrument.calibration is None or not instrument.calibration.absolute:
         raise CalibrationError(
-            "the camera has no absolute calibration, so it cannot tell a radiance; "
+            "the camera has no absolute calibration, so it cannot measure a radiance; "
             "make one with `radiometer calibrate` and give it with --calibration"
         )
     # The box's light is known: the survey corrects every channel's readings for it, with its uncertainty.

@@ -21,7 +21,7 @@ _OVER: Final = 64.0
 # Linearity over the signal's upper 1.6 decades in half stops; below them, noise dominates each step.
 _LADDER_SPAN, _LADDER_STOPS = 40.0, 0.5
 _FEWEST_FRAMES: Final = 5  # fewer short ones cannot show whether the light is steady
-_TIME_LIMIT_S: Final = 60.0
+_TIME_LIMIT_S: Final = 60.0  # as of a bracket
 
 
 def procedure_named(name: str) -> Procedure:
@@ -62,9 +62,6 @@ def take_step(
     A step whose name states a gain, such as "12dB", is taken at that gain.
 
     Args:
-        out: Folder to create.
-        of: The procedure.
-        step: The step.
         bench: Bench file; the simulated bench where None.
         name: Camera by name; the bench's own where None.
         patch: Where the index is read; the bench's where None.

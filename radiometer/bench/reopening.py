@@ -13,17 +13,13 @@ PAUSE_S: Final = 0.5  # between two tries: what an opening of a camera that is t
 
 
 def reopen(
-    camera: Camera,
-    settings: CameraSettings,
-    told: Callable[[str], None],
-    sleep: Callable[[float], None] = time.sleep,
+    camera: Camera, settings: CameraSettings, report: Callable[[str], None], sleep: Callable[[float], None] = time.sleep
 ) -> None:
     """Close a camera that was lost, and try to open it until it is back with its settings in force.
 
     Args:
         camera: The camera; nothing more is asked of it before it is open again.
-        settings: What it is to be set to.
-        told: Called with why it cannot be opened, once for each reason.
+        report: Called with why it cannot be opened, once for each reason.
         sleep: Waits so many seconds.
 
     Raises:
@@ -41,7 +37,7 @@ def reopen(
             camera.close()
             if str(error) != reason:
                 reason = str(error)
-                told(reason)
+                report(reason)
             sleep(PAUSE_S)
         else:
             return

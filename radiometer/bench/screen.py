@@ -11,9 +11,15 @@ from typing import Final
 
 import numpy as np
 
-from radiometer.analysis.photometry.display_types import CRT, DISPLAY_TYPES
-from radiometer.analysis.photometry.photometry import Observer, luminous_efficacy_lm_per_w
-from radiometer.analysis.photometry.spectra import Spectrum, spectral_columns, spectrum
+from radiometer.analysis.photometry.photometry import (
+    CRT,
+    DISPLAY_TYPES,
+    Observer,
+    Spectrum,
+    luminous_efficacy_lm_per_w,
+    spectral_columns,
+    spectrum,
+)
 from radiometer.bench.assembly import calibration_path, open_bench_camera
 from radiometer.bench.box_holder import darken_held
 from radiometer.bench.cameras import SIMULATED, preset_path
@@ -31,26 +37,19 @@ BROWSER: Final = "browser"
 START_TIMEOUT_S: Final = 600.0  # from the page's opening until somebody presses its Start
 # The camera sees only the middle of a simulated screen; a small sensor shows as much and is quick.
 _SIMULATED_SIZE: Final = (96, 64)
-_FLICKER_FRAMES: Final = 16
+_FLICKER_FRAMES: Final = 16  # a scatter from 16 is known to 18 %
 PRIMARIES: Final = ("red", "green", "blue")
 _OBSERVERS: Final[tuple[Observer, ...]] = ("photopic", "scotopic")
 
 
 @dataclass(frozen=True)
 class ScreenBench:
-    """An open display, and the instrument that looks at it.
+    """An open display, and the instrument that looks at it."""
 
-    Attributes:
-        display: The display.
-        instrument: The instrument.
-        sleep: Waits for a number of seconds on the clock of both.
-        clock: That clock in s.
-    """
-
-    display: Display
-    instrument: Instrument
-    sleep: Callable[[float], None]
-    clock: Callable[[], float]
+    display: Display  # the display
+    instrument: Instrument  # the instrument
+    sleep: Callable[[float], None]  # waits for a number of seconds on the clock of both
+    clock: Callable[[], float]  # that clock in s
 
     def read(self) -> ScreenReading:
         """Return one reading of the patch (a Meter). Raises DeviceError, MeasurementError."""
@@ -94,7 +93,6 @@ def lights(white: str = "white_led", primaries: str | None = None) -> dict[str, 
     """Return the light of every channel whose spectrum is known or chosen.
 
     Args:
-        white: Spectrum of grey.
         primaries: Display type (`DISPLAY_TYPES`), or a CSV with the columns wavelength in nm, red, green, blue; None
             where the primaries are not known: then they have no light.
 
@@ -166,9 +164,7 @@ def open_screen_bench(
         camera: Camera before a browser, by name.
         calibration: Calibration file; the bench's own where None.
         patch: Where the camera sees the middle of the screen; the middle of its frame where None.
-        port: Port for the page.
         announce: Called with the page's address.
-        seed: Seed of the simulated camera.
 
     Raises:
         UsageError: If the display is unknown.

@@ -22,10 +22,8 @@ def seat_subject(twin: LightBoxTwin, behaviour: str, seed: int, filter_density: 
     """Seat a simulated subject before a simulated box and return it.
 
     Args:
-        twin: The simulated box.
         behaviour: "steady", "never" (presses), "always" (presses), "leaves" (after 10 min), "wanders" (looks away in
             two blinks of five); "healthy" and "amd" have eyes drawn from published rod intercepts.
-        seed: Makes the answers.
         filter_density: Optical density of the filter before the spot.
 
     Raises:

@@ -27,17 +27,11 @@ _PRESS_S: Final = 0.2  # of a short press by a finger
 
 @dataclass(frozen=True, slots=True)
 class ServedBox:
-    """A light box on a pseudo-terminal.
+    """A light box on a pseudo-terminal."""
 
-    Attributes:
-        server: Serves it once started.
-        press: Presses (True) or releases (False) the button now.
-        reset: Restarts the box now.
-    """
-
-    server: PtyServer
-    press: Callable[[bool], None]
-    reset: Callable[[], None]
+    server: PtyServer  # serves it once started
+    press: Callable[[bool], None]  # presses (True) or releases (False) the button now
+    reset: Callable[[], None]  # restarts the box now
 
 
 def served_box(
@@ -55,10 +49,8 @@ def served_box(
     """Return a simulated light box ready to be served.
 
     Args:
-        serial: Eight letters or digits.
         link: Name of its port; in the folder where boxes are looked for where None.
         firmware: Run this firmware (Intel HEX) in simavr instead of the twin.
-        clock_ppm: Rate of its clock above true time.
         corrupt: Probability that a byte on the line becomes another one.
         drop: Probability that a byte is lost.
         seed: Makes the faults, and the subject's answers.
@@ -125,14 +117,6 @@ def serve_box(
 
     Args:
         serial: As all up to `filter_density` for `served_box`.
-        link: See there.
-        firmware: See there.
-        clock_ppm: See there.
-        corrupt: See there.
-        drop: See there.
-        seed: See there.
-        subject: See there.
-        filter_density: See there.
         reset_every_s: Restart the box this often; None for never.
         press_every_s: Press the button this often; None for never.
         ready: Called with the name of its port once it is served.

@@ -20,25 +20,18 @@ from simulators.cameras.blackfly_pictures import ForwardModelSource, PictureSour
 from simulators.cameras.simulated_camera import SimulatedCamera
 from simulators.scenes.factory import SCENES
 
-_LOOK_S = 0.02
+_LOOK_S = 0.02  # how late Ctrl-C may take effect
 _PICTURES = (".png", ".tif", ".tiff", ".jpg", ".jpeg", ".hdr", ".exr", ".npy")
 
 
 @dataclass(frozen=True, slots=True)
 class Faults:
-    """What goes wrong with a served camera.
+    """What goes wrong with a served camera."""
 
-    Attributes:
-        lose_per_mille: Packets lost of a thousand.
-        answer_delay_s: Time by which frames and answers are late, in s.
-        stall_after: Frames after which it sends no more; None for never.
-        drop_after: Frames after which it falls silent; None for never.
-    """
-
-    lose_per_mille: int = 0
-    answer_delay_s: float = 0.0
-    stall_after: int | None = None
-    drop_after: int | None = None
+    lose_per_mille: int = 0  # packets lost of a thousand
+    answer_delay_s: float = 0.0  # time by which frames and answers are late, in s
+    stall_after: int | None = None  # frames after which it sends no more; None for never
+    drop_after: int | None = None  # frames after which it falls silent; None for never
 
 
 def served_camera(
@@ -59,9 +52,7 @@ def served_camera(
         scene: YAML file of a scene, or of a bench whose scene is taken; a picture; or the name of a kind of scene.
             The bench's own where None.
         serial: Serial number; the bench's where None.
-        address: Address of a network interface of this computer.
         seed: Makes the noise; the bench's where None.
-        real_time: Frames take their exposure time.
         pool: Frames served again and again; 0 makes every frame anew.
         awkward: Serve one that is as awkward as a real Blackfly, with a new serial number where none is given.
 

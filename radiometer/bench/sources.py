@@ -20,21 +20,14 @@ _UNREAD = frozenset({".heic", ".heif", ".avif", ".webp", ".jxl", ".jp2", ".bmp",
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Source:
-    """What a user has on disk.
+    """What a user has on disk."""
 
-    Attributes:
-        path: Where it is.
-        brackets: Of a capture set one per displayed pattern and source level, of photographs one per channel.
-        header: What a capture set states of camera, lens and source; None of photographs.
-        listed: Name of the list that gives the exposures of photographs; None where EXIF does.
-        doubts: What is missing and what is doubted of files that are read where they are.
-    """
-
-    path: Path
+    path: Path  # where it is
+    # Of a capture set one per displayed pattern and source level, of photographs one per channel
     brackets: list[Bracket]
-    header: CaptureHeader | None = None
-    listed: str | None = None
-    doubts: tuple[str, ...] = ()
+    header: CaptureHeader | None = None  # what a capture set states of camera, lens and source; None of photographs
+    listed: str | None = None  # name of the list that gives the exposures of photographs; None where EXIF does
+    doubts: tuple[str, ...] = ()  # what is missing and what is doubted of files that are read where they are
 
 
 def is_photographs(path: Path) -> bool:
@@ -42,21 +35,6 @@ def is_photographs(path: Path) -> bool:
     if not path.is_dir() or (path / HEADER_NAME).exists() or is_foreign(path):
         return False
     return bool(image_files(path)) or not (path / "frames").is_dir()
-
-
-def open_brackets(
-    path: Path,
-    channel: str = "luminance",
-    *,
-    report: Callable[[int, int], None] | None = None,
-    speeds: IsoSpeeds | None = None,
-    most_pixels: int | None = None,
-    interpolated: bool = False,
-) -> list[Bracket]:
-    """Return the brackets of what a user has on disk; see `open_source`."""
-    return open_source(
-        path, channel, report=report, speeds=speeds, most_pixels=most_pixels, interpolated=interpolated
-    ).brackets
 
 
 def open_source(
@@ -150,4 +128,4 @@ def _instead(path: Path) -> str:
     if not inner:
         return "give a capture set or photographs"
     named = ", ".join(one.name for one in inner[:_NAMED]) + (" …" if len(inner) > _NAMED else "")
-    return f"they lie in folders of it ({named}): give one of these"
+    return f"they are in folders below it ({named}); give one of these"

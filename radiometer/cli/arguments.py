@@ -137,12 +137,22 @@ def parse_f_number(text: str | float | None, option: str) -> float | None:
     return number
 
 
-def parse_bounds(text: str, option: str) -> tuple[float, float]:
-    """Return the two numbers of "LOW,HIGH".
+def parse_radiance(text: str | None) -> float | str | None:
+    """Return a radiance in W·sr⁻¹·m⁻², or the name of a certificate; None where nothing is given.
 
     Raises:
-        UsageError: If they are not two numbers with 0 < LOW < HIGH.
+        UsageError: If it is neither a number nor the name of an XML file.
     """
+    if text is None or text.lower().endswith(".xml"):
+        return text
+    try:
+        return float(text)
+    except ValueError as error:
+        raise UsageError(f"--radiance {text!r}: give a number in W·sr⁻¹·m⁻², or a certificate (.xml)") from error
+
+
+def parse_bounds(text: str, option: str) -> tuple[float, float]:
+    """Return the two numbers of "LOW,HIGH". Raises UsageError if they are not two numbers with 0 < LOW < HIGH."""
     try:
         low, high = (float(part) for part in text.split(","))
     except ValueError as error:

@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from typing import Final
 
-LOOK_S: Final = 0.2
+LOOK_S: Final = 0.2  # how long the end waits for the thread at most
 
 
 @contextmanager

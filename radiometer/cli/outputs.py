@@ -34,7 +34,7 @@ def writes(*files: str, folder: str | None = None) -> Callable[[_Command], _Comm
 
         @functools.wraps(command)
         def checked(*args: Any, force: bool = False, **kwargs: Any) -> Any:
-            from radiometer.api.outputs import check_new_folder, check_outputs
+            from radiometer.api.files import check_new_folder, check_outputs
 
             given = signature.bind(*args, **kwargs, **({"force": force} if asks_itself else {}))
             given.apply_defaults()

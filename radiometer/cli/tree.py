@@ -55,21 +55,13 @@ def group() -> Any:
 
 @dataclass(frozen=True, slots=True)
 class CommandHelp:
-    """One command as its own help describes it.
+    """One command as its own help describes it."""
 
-    Attributes:
-        path: Words that lead to it, such as ("light", "set").
-        text: The whole help text; paragraphs apart by an empty line.
-        arguments: What is given by position: how it is written, and what it does.
-        options: What is given by name, likewise.
-        below: Names of its own commands.
-    """
-
-    path: tuple[str, ...]
-    text: str
-    arguments: tuple[tuple[str, str], ...]
-    options: tuple[tuple[str, str], ...]
-    below: tuple[str, ...]
+    path: tuple[str, ...]  # words that lead to it, such as ("light", "set")
+    text: str  # the whole help text; paragraphs apart by an empty line
+    arguments: tuple[tuple[str, str], ...]  # what is given by position: how it is written, and what it does
+    options: tuple[tuple[str, str], ...]  # what is given by name, likewise
+    below: tuple[str, ...]  # names of the commands below it
 
 
 def command_tree() -> Iterator[CommandHelp]:

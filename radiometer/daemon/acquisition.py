@@ -23,9 +23,9 @@ from radiometer.errors import DeviceError, RadiometerError, SettingOutOfRange, U
 
 _log = structlog.get_logger(__name__)
 ALARM: Final = "measurement"
-WAVELENGTH_LIMITS_NM: Final = (300.0, 1200.0)
-EVERY_LIMITS_S: Final = (0.0, 86400.0)
-_PAUSE_AFTER_ERROR_S: Final = 0.5
+WAVELENGTH_LIMITS_NM: Final = (300.0, 1200.0)  # what silicon sees
+EVERY_LIMITS_S: Final = (0.0, 86400.0)  # as fast as it goes, to once a day
+_PAUSE_AFTER_ERROR_S: Final = 0.5  # a fault that stays is tried twice a second, not in a tight loop
 _JOURNAL_PATIENCE_S: Final = 5.0  # a client is not kept waiting for a journal that is known to be blocked
 _Turn = Literal["shared", "asked", "named"]
 
@@ -47,12 +47,12 @@ class Acquisition:
     carries their names.
 
     Args:
-        instrument: The camera with its calibration.
         keeper: Keeps that camera open.
-        writer: Commits the readings.
         alarms: Where failures of continuous measurement are reported.
-        lateness: Follows whether the period is kept.
         on_measured: Called with every measurement, what it was made for and its duration in s, before it is committed.
+
+    Attributes:
+        journal_patience_s: Longest time in s that a client waits for a journal that is known to be blocked.
     """
 
     def __init__(
@@ -75,6 +75,7 @@ class Acquisition:
         self._round: deque[str] = deque()  # patches with a name whose turn is still to come in this period
         self.named: dict[str, Patch] = {}
         self.settings = MeasurementSettings()
+        self.journal_patience_s = _JOURNAL_PATIENCE_S
         self.failures = 0
         self.busy = False
 
@@ -134,7 +135,7 @@ class Acquisition:
             TimeoutError: If the deadline passes first.
         """
         blocked = self._writer.trouble
-        wait_s = min(deadline_s, _JOURNAL_PATIENCE_S) if blocked else deadline_s
+        wait_s = min(deadline_s, self.journal_patience_s) if blocked else deadline_s
         try:
             return await self._ask(settings or self.settings, wait_s, session)
         except TimeoutError as error:

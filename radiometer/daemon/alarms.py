@@ -15,17 +15,11 @@ _log = structlog.get_logger(__name__)
 
 @dataclass(frozen=True, slots=True)
 class AlarmKind:
-    """One of the alarms that the daemon knows.
+    """One of the alarms that the daemon knows."""
 
-    Attributes:
-        name: Its name; a word in capitals is to be read as a channel or the name of a patch.
-        cause: When it goes up.
-        end: When it goes down.
-    """
-
-    name: str
-    cause: str
-    end: str
+    name: str  # its name; a word in capitals is to be read as a channel or the name of a patch
+    cause: str  # when it goes up
+    end: str  # when it goes down
 
 
 KINDS: Final = (
@@ -55,19 +49,12 @@ KINDS: Final = (
 
 @dataclass(frozen=True, slots=True)
 class Alarm:
-    """One thing that is wrong now.
+    """One thing that is wrong now."""
 
-    Attributes:
-        name: What it concerns, such as "camera" or "journal".
-        message: What is wrong and the way out.
-        since: ISO 8601 time in UTC at which it began.
-        announced: How often it was announced: once when it began, and whenever it became worse.
-    """
-
-    name: str
-    message: str
-    since: str
-    announced: int = 1
+    name: str  # what it concerns, such as "camera" or "journal"
+    message: str  # what is wrong and the way out
+    since: str  # ISO 8601 time in UTC at which it began
+    announced: int = 1  # how often it was announced: once when it began, and whenever it became worse
 
     def to_mapping(self) -> dict[str, str]:
         """Return {name, message, since}."""
@@ -96,13 +83,7 @@ class Alarms:
         return alarm.message if alarm else ""
 
     def put_up(self, name: str, message: str, *, worse: bool = False) -> None:
-        """Put an alarm up; one that is up keeps its time and takes the new message.
-
-        Args:
-            name: What it concerns.
-            message: What is wrong and the way out.
-            worse: Announce it again although it is up.
-        """
+        """Put an alarm up; one that is up keeps its time and takes the new message."""
         standing = self._active.get(name)
         if standing is None:
             self._active[name] = Alarm(name, message, utc_now())

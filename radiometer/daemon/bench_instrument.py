@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from radiometer.analysis.calibration.shared import require_camera
-from radiometer.analysis.photometry.spectra import spectrum
+from radiometer.analysis.photometry.photometry import spectrum
 from radiometer.bench.assembly import calibration_path, stated_source, states_spectrum
 from radiometer.bench.cameras import open_camera
 from radiometer.bench.config import BenchConfig, read_bench
@@ -30,7 +30,6 @@ class BenchInstrument:
         bench: Bench file; the simulated bench where None.
         camera_name: "sim", or a GenICam id, serial number or address; the bench's own camera where None.
         calibration: Calibration file; the bench's own where None.
-        uncalibrated: Use no calibration at all.
         spectrum_name: Spectrum assumed for the luminance; the bench's, else the calibration's, where None.
 
     Raises:

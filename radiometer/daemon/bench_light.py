@@ -20,7 +20,6 @@ class BenchLight:
 
     Args:
         open_box: Returns a block in which the box is open; called again after each loss.
-        name: Name for messages.
     """
 
     def __init__(self, open_box: Callable[[], AbstractContextManager[LightBox]], name: str = "light box") -> None:
@@ -69,11 +68,7 @@ class BenchLight:
         box = self._opened()
         status, levels = box.status(), {name: _level(box.read_channel(name)) for name in self._channels}
         self._limits = {name: _highest(box, name) for name in self._channels}
-        counts = {
-            "damaged_lines": status.damaged_lines,
-            "lost_bytes": status.lost_bytes,
-            "darkened": status.darkened,
-        }
+        counts = {"damaged_lines": status.damaged_lines, "lost_bytes": status.lost_bytes, "darkened": status.darkened}
         return DeviceReport(status.temperature_celsius, counts, levels)
 
     def set_level(self, channel: str, level: float) -> float:

@@ -12,7 +12,7 @@ from radiometer.daemon.timestamps import iso_time, now_us
 
 JUMP_US: Final = 5_000_000  # time services move the clock in steps of less; larger steps are reported
 _LONGEST_PAUSE_US: Final = 86_400_000_000  # a daemon that was off for longer may as well have a wrong clock
-_PERIOD_S: Final = 1.0
+_PERIOD_S: Final = 1.0  # a jump is noted before the next reading of the usual period
 
 
 def steady_us() -> int:
@@ -22,15 +22,10 @@ def steady_us() -> int:
 
 @dataclass(frozen=True, slots=True)
 class Jump:
-    """The wall clock was set.
+    """The wall clock was set."""
 
-    Attributes:
-        before_us: What it would show had it not been, µs since 1970.
-        after_us: What it shows.
-    """
-
-    before_us: int
-    after_us: int
+    before_us: int  # what it would show had it not been, µs since 1970
+    after_us: int  # what it shows
 
     @property
     def by_us(self) -> int:

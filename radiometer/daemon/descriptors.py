@@ -15,7 +15,7 @@ from radiometer.daemon.alarms import Alarms
 ALARM: Final = "descriptors"
 _QUEUE: Final = 100  # connections that the system keeps until they are accepted; asyncio's own figure
 _ENOUGH: Final = 4096  # several times what the limits of all interfaces together allow
-_FREE: Final = 0.1
+_FREE: Final = 0.1  # share that must be free again before the alarm ends: else it would flap
 _OPEN: Final = Path("/proc/self/fd")
 
 

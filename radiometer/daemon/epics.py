@@ -23,7 +23,7 @@ from radiometer.data import Reading
 from radiometer.errors import MissingLibrary, UsageError
 
 _log = structlog.get_logger(__name__)
-_QUEUED_EVENTS: Final = 1000
+_QUEUED_EVENTS: Final = 1000  # a quarter of an hour of readings, once a second
 _NAMED: Final[Mapping[str, str]] = {
     "radiance": "radiance of the patch",
     "u_radiance": "standard uncertainty of the radiance (k = 1)",
@@ -37,15 +37,10 @@ _NO_STATUS, _DEVICE_STATUS, _RECORD_STATUS = 0, 1, 3
 
 @dataclass(frozen=True, slots=True)
 class PvaOptions:
-    """How process variables are served.
+    """How process variables are served."""
 
-    Attributes:
-        prefix: First part of their names.
-        isolated: Serve on loopback at a free port, and answer no searches (for tests).
-    """
-
-    prefix: str = "radiometer"
-    isolated: bool = False
+    prefix: str = "radiometer"  # first part of their names
+    isolated: bool = False  # serve on loopback at a free port, and answer no searches (for tests)
 
     def __post_init__(self) -> None:
         if not self.prefix or any(c.isspace() for c in self.prefix):
@@ -53,15 +48,7 @@ class PvaOptions:
 
 
 class PvaServer:
-    """Serves one station's readings.
-
-    Args:
-        station: The instrument.
-        options: How.
-
-    Raises:
-        MissingLibrary: If p4p is not installed.
-    """
+    """Serves one station's readings. Raises MissingLibrary if p4p is not installed."""
 
     def __init__(self, station: Station, options: PvaOptions) -> None:
         self._station, self._options = station, options

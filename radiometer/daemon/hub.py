@@ -11,17 +11,11 @@ from typing import Literal
 
 @dataclass(frozen=True, slots=True)
 class Event:
-    """Something that is reported to listeners.
+    """Something that is reported to listeners."""
 
-    Attributes:
-        kind: "reading", "patch" (a reading of a patch with a name) or "status".
-        line: One line of JSON.
-        sequence: Sequence number of the reading; None where it is none.
-    """
-
-    kind: Literal["reading", "patch", "status"]
-    line: str
-    sequence: int | None = None
+    kind: Literal["reading", "patch", "status"]  # "reading", "patch" (a reading of a patch with a name) or "status"
+    line: str  # one line of JSON
+    sequence: int | None = None  # sequence number of the reading; None where it is none
 
 
 class Subscription:

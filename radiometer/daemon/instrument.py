@@ -9,25 +9,18 @@ from typing import Any, Final, Protocol
 from radiometer.data import Frame, Patch, Reading, ResponseCurve
 from radiometer.devices import CameraCapabilities, CameraIdentity
 
-_CLIPPED_FRACTION: Final = 0.001
+_CLIPPED_FRACTION: Final = 0.001  # hot pixels and glints are fewer
 
 
 @dataclass(frozen=True, slots=True)
 class MeasurementSettings:
-    """What one measurement is made with.
+    """What one measurement is made with."""
 
-    Attributes:
-        patch: Where to read; None for the middle of the picture.
-        auto_exposure: Whether exposures follow the scene.
-        exposure_s: Exposure time in s where `auto_exposure` is false.
-        gain_db: Analogue gain in dB.
-        wavelength_nm: Wavelength of the source in nm where it is a line; None for the configured spectrum.
-    """
-
-    patch: Patch | None = None
-    auto_exposure: bool = True
-    exposure_s: float = 0.01
-    gain_db: float = 0.0
+    patch: Patch | None = None  # where to read; None for the middle of the picture
+    auto_exposure: bool = True  # whether exposures follow the scene
+    exposure_s: float = 0.01  # exposure time in s where `auto_exposure` is false
+    gain_db: float = 0.0  # analogue gain in dB
+    # Wavelength of the source in nm where it is a line; None for the configured spectrum
     wavelength_nm: float | None = None
 
     @property
@@ -38,47 +31,30 @@ class MeasurementSettings:
 
 @dataclass(frozen=True, slots=True)
 class Origin:
-    """What a measurement was made with and for whom.
+    """What a measurement was made with and for whom."""
 
-    Attributes:
-        settings: What it was made with.
-        sessions: The clients whose own measurement it is; empty where it belongs to all.
-        name: Name of the patch; "" for the patch that is measured for all.
-    """
-
-    settings: MeasurementSettings
-    sessions: tuple[str, ...] = ()
-    name: str = ""
+    settings: MeasurementSettings  # what it was made with
+    sessions: tuple[str, ...] = ()  # the clients whose own measurement it is; empty where it belongs to all
+    name: str = ""  # name of the patch; "" for the patch that is measured for all
 
 
 @dataclass(frozen=True, slots=True)
 class DeviceReport:
-    """How a device is doing.
+    """How a device is doing."""
 
-    Attributes:
-        temperature_c: Sensor or box temperature in °C; None where not reported.
-        counters: Counts since it was opened, such as "missing_packets".
-        levels: Levels of the light channels as the device itself has just reported them; None where it does not.
-    """
-
-    temperature_c: float | None = None
-    counters: Mapping[str, int] = field(default_factory=dict)
+    temperature_c: float | None = None  # sensor or box temperature in °C; None where not reported
+    counters: Mapping[str, int] = field(default_factory=dict)  # counts since it was opened, such as "missing_packets"
+    # Levels of the light channels as the device itself has just reported them; None where it does not
     levels: Mapping[str, float] | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Measurement:
-    """A reading and the frames it was made from.
+    """A reading and the frames it was made from."""
 
-    Attributes:
-        reading: The reading; its sequence number is given later, by the journal.
-        frames: The light frames that it was made from; perhaps none.
-        report: How the camera was doing after it; None where that is not known.
-    """
-
-    reading: Reading
-    frames: tuple[Frame, ...] = ()
-    report: DeviceReport | None = None
+    reading: Reading  # the reading; its sequence number is given later, by the journal
+    frames: tuple[Frame, ...] = ()  # the light frames that it was made from; perhaps none
+    report: DeviceReport | None = None  # how the camera was doing after it; None where that is not known
 
     @property
     def frame(self) -> Frame | None:
@@ -96,51 +72,40 @@ class ServedInstrument(Protocol):
     @property
     def identity(self) -> CameraIdentity:
         """Return who the camera is; known before it is opened."""
-        ...
 
     @property
     def limits(self) -> CameraCapabilities:
         """Return the camera's limits as of the last opening. Raises DeviceError before the first."""
-        ...
 
     @property
     def late_at(self) -> float | None:
         """Return when the call in progress begins to be late (monotonic clock, s); None where that is not known."""
-        ...
 
     def open(self) -> None:
         """Open the camera. Raises DeviceError."""
-        ...
 
     def close(self) -> None:
         """Release the camera; closing twice, or a lost camera, does nothing."""
-        ...
 
     def check(self) -> DeviceReport:
         """Ask the camera whether it is still there, without taking a frame. Raises DeviceError."""
-        ...
 
     def measure(self, settings: MeasurementSettings) -> Measurement:
         """Take frames and return a reading. Raises DeviceError or MeasurementError."""
-        ...
 
     def self_test(self) -> list[str]:
         """Return what is wrong, one sentence each; empty if nothing is. Raises DeviceError."""
-        ...
 
     def reload_calibration(self) -> str:
         """Read the calibration file again and return one line that names it. Raises CalibrationError."""
-        ...
 
     @property
     def response(self) -> ResponseCurve | None:
         """Return the response curve in use; None where the response is taken as linear."""
-        ...
 
     @property
     def calibration_summary(self) -> Mapping[str, Any]:
         """Return where the calibration comes from: file, time, assumptions. Empty where uncalibrated."""
-        ...
 
 
 class LightSource(Protocol):
@@ -149,30 +114,23 @@ class LightSource(Protocol):
     @property
     def name(self) -> str:
         """Return the name for messages."""
-        ...
 
     @property
     def channels(self) -> tuple[str, ...]:
         """Return the names of the channels; SCPI numbers them from 1."""
-        ...
 
     @property
     def late_at(self) -> float | None:
         """Return when the call in progress begins to be late (monotonic clock, s); None where that is not known."""
-        ...
 
     def open(self) -> None:
         """Open the box, all channels dark. Raises DeviceError."""
-        ...
 
     def close(self) -> None:
         """Switch every channel off and release the box; closing twice, or a lost box, does nothing."""
-        ...
 
     def check(self) -> DeviceReport:
         """Ask the box whether it is still there and keep its dead-man timer from firing. Raises DeviceError."""
-        ...
 
     def set_level(self, channel: str, level: float) -> float:
         """Set a channel's level, 0 to 1, and return it as read back. Raises DeviceError."""
-        ...

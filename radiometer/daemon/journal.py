@@ -24,25 +24,26 @@ from radiometer.data.storage import state_folder
 from radiometer.errors import OutputError
 
 APPLICATION_ID: Final = 0x52414D4A  # "RAMJ": identifies a radiometer journal to `file` and to us
-SCHEMA_VERSION: Final = 2
+SCHEMA_VERSION: Final = 2  # 1 had no streams
 OWN_STREAM: Final = "own"
-_BUSY_TIMEOUT_S: Final = 2.0
-_RETENTION_CHUNK: Final = 5000
-MINUTE_US: Final = 60_000_000
-_TREND: Final = """
+_BUSY_TIMEOUT_S: Final = 2.0  # a reader's snapshot or a backup lasts that long; then an alarm
+_RETENTION_CHUNK: Final = 5000  # rows of one transaction: writing is never held up for long
+MINUTE_US: Final = 60_000_000  # a minute in µs
+_TREND_COLUMNS: Final = (
+    "stream TEXT NOT NULL",
+    "minute INTEGER NOT NULL",
+    "unit TEXT NOT NULL",
+    "count INTEGER NOT NULL",
+    "total REAL NOT NULL",
+    "total_u REAL NOT NULL",
+    "low REAL NOT NULL",
+    "high REAL NOT NULL",
+    "flagged INTEGER NOT NULL",
+    "PRIMARY KEY (stream, minute, unit)",
+)
+_TREND: Final = f"""
 CREATE INDEX readings_by_stream ON readings (stream, sequence);
-CREATE TABLE trend (
-    stream TEXT NOT NULL,
-    minute INTEGER NOT NULL,
-    unit TEXT NOT NULL,
-    count INTEGER NOT NULL,
-    total REAL NOT NULL,
-    total_u REAL NOT NULL,
-    low REAL NOT NULL,
-    high REAL NOT NULL,
-    flagged INTEGER NOT NULL,
-    PRIMARY KEY (stream, minute, unit)
-) WITHOUT ROWID;
+CREATE TABLE trend ({", ".join(_TREND_COLUMNS)}) WITHOUT ROWID;
 CREATE TABLE patches (name TEXT PRIMARY KEY, json TEXT NOT NULL) WITHOUT ROWID;
 """
 _UPGRADE_FROM_1: Final = f"""
@@ -53,10 +54,17 @@ INSERT INTO trend SELECT '', time_us / 60000000 AS minute, json_extract(json, '$
     FROM readings WHERE radiance IS NOT NULL GROUP BY minute, unit;
 PRAGMA user_version = {SCHEMA_VERSION};
 """
-_ADD_TO_TREND: Final = """
+_TREND_UPDATES: Final = (
+    "count = count + 1",
+    "total = total + :value",
+    "total_u = total_u + :u",
+    "low = min(low, :value)",
+    "high = max(high, :value)",
+    "flagged = flagged + :flagged",
+)
+_ADD_TO_TREND: Final = f"""
 INSERT INTO trend VALUES (:stream, :minute, :unit, 1, :value, :u, :value, :value, :flagged)
-ON CONFLICT DO UPDATE SET count = count + 1, total = total + :value, total_u = total_u + :u,
-    low = min(low, :value), high = max(high, :value), flagged = flagged + :flagged
+ON CONFLICT DO UPDATE SET {", ".join(_TREND_UPDATES)}
 """
 _SCHEMA: Final = f"""
 PRAGMA application_id = {APPLICATION_ID};
@@ -174,11 +182,7 @@ class Journal:
         return numbered
 
     def note(self, kind: str, message: str) -> None:
-        """Commit an event, such as a lost device.
-
-        Raises:
-            JournalError: If it cannot be committed now.
-        """
+        """Commit an event, such as a lost device. Raises JournalError if it cannot be committed now."""
         with self._transaction() as connection:
             connection.execute(
                 "INSERT INTO events (time_us, kind, message) VALUES (?, ?, ?)", (now_us(), kind, message)
@@ -203,10 +207,7 @@ class Journal:
     def note_jump(self, by_us: int) -> None:
         """Commit that the clock was set forward by a time in µs: what is stamped from now on is in doubt by that.
 
-        A clock that is set back takes the doubt away again.
-
-        Raises:
-            JournalError: If it cannot be committed now.
+        A clock that is set back takes the doubt away again. Raises JournalError if it cannot be committed now.
         """
         with self._transaction() as connection:
             connection.execute(

@@ -20,26 +20,10 @@ from radiometer.errors import InputError
 from radiometer.reporting.plain_text import spreadsheet_cell
 
 CSV_COLUMNS: Final = (
-    "sequence",
-    "time",
-    "instrument",
-    "radiance",
-    "u_radiance",
-    "radiance_unit",
-    "luminance",
-    "u_luminance",
-    "luminance_unit",
-    "U_rel",
-    "coverage_factor",
-    "flags",
-    "x",
-    "y",
-    "width",
-    "height",
-    "exposures_s",
-    "name",
+    "sequence", "time", "instrument", "radiance", "u_radiance", "radiance_unit", "luminance", "u_luminance",
+    "luminance_unit", "U_rel", "coverage_factor", "flags", "x", "y", "width", "height", "exposures_s", "name",
     "session",
-)
+)  # fmt: skip
 _FINE_US: Final = 7_500_000_000  # two hours and a bit: up to here readings, beyond it minutes
 _FINE_TREND: Final = """
 SELECT time_us / ? AS bucket, avg(radiance), avg(coalesce(json_extract(json, '$.radiance.u'), 0)), min(radiance),
@@ -54,32 +38,21 @@ SELECT minute / ? AS bucket, sum(total) / sum(count), sum(total_u) / sum(count),
 FROM (SELECT * FROM trend WHERE stream = ? AND minute >= ? AND minute < ?)
 GROUP BY bucket, unit ORDER BY bucket
 """
-_STEPS_BETWEEN_CHECKS: Final = 10_000
+_STEPS_BETWEEN_CHECKS: Final = 10_000  # of SQLite's machine: short against any deadline
 
 
 @dataclass(frozen=True, slots=True)
 class ReadingFilter:
-    """Which readings are asked for.
+    """Which readings are asked for."""
 
-    Attributes:
-        since_us: Not before this time, µs since 1970; None for no bound.
-        until_us: Before this time; None for no bound.
-        after: Sequence number above this; None for no bound.
-        flag: Only readings with this flag.
-        without_flags: Only readings without any flag.
-        limit: At most this many; None for all.
-        newest_first: Take (and give) the newest first.
-        stream: Only readings of this stream ("" is the patch measured for all); None for all.
-    """
-
-    since_us: int | None = None
-    until_us: int | None = None
-    after: int | None = None
-    flag: str | None = None
-    without_flags: bool = False
-    limit: int | None = None
-    newest_first: bool = False
-    stream: str | None = None
+    since_us: int | None = None  # not before this time, µs since 1970; None for no bound
+    until_us: int | None = None  # before this time; None for no bound
+    after: int | None = None  # sequence number above this; None for no bound
+    flag: str | None = None  # only readings with this flag
+    without_flags: bool = False  # only readings without any flag
+    limit: int | None = None  # at most this many; None for all
+    newest_first: bool = False  # take (and give) the newest first
+    stream: str | None = None  # only readings of this stream ("" is the patch measured for all); None for all
 
     def where(self) -> tuple[str, list[Any]]:
         """Return the SQL condition and its values."""
@@ -101,34 +74,22 @@ class ReadingFilter:
 
 @dataclass(frozen=True, slots=True)
 class TrendPoint:
-    """The readings of a short time, taken together.
+    """The readings of a short time, taken together."""
 
-    Attributes:
-        time_us: Middle of that time, µs since 1970.
-        value: Mean radiance.
-        u: Mean of the standard uncertainties: it is mostly the calibration's, so the mean has no smaller one.
-        low: Lowest radiance.
-        high: Highest.
-        count: How many readings.
-        flagged: How many of them have a flag.
-        unit: Unit of the radiances.
-    """
-
-    time_us: int
-    value: float
-    u: float
-    low: float
-    high: float
-    count: int
-    flagged: int
-    unit: str
+    time_us: int  # middle of that time, µs since 1970
+    value: float  # mean radiance
+    u: float  # mean of the standard uncertainties: it is mostly the calibration's, so the mean has no smaller one
+    low: float  # lowest radiance
+    high: float  # highest
+    count: int  # how many readings
+    flagged: int  # how many of them have a flag
+    unit: str  # unit of the radiances
 
 
 class JournalReader:
     """Reads a journal while a daemon may be writing it.
 
     Args:
-        path: The SQLite file.
         deadline_s: Longest time in s that one query may take.
     """
 
@@ -250,24 +211,10 @@ def _csv_row(line: str) -> list[Any]:
     reading = json.loads(line)
     radiance, luminance, patch = reading["radiance"], reading["luminance"] or {}, reading["patch"]
     cells = [
-        reading["sequence"],
-        reading["time"],
-        reading["instrument"],
-        radiance["value"],
-        radiance["u"],
-        radiance["unit"],
-        luminance.get("value", ""),
-        luminance.get("u", ""),
-        luminance.get("unit", ""),
-        reading["U_rel"],
-        reading["coverage_factor"],
-        " ".join(reading["flags"]),
-        patch["x"],
-        patch["y"],
-        patch["width"],
-        patch["height"],
-        " ".join(map(repr, reading["exposures_s"])),
-        reading.get("name", ""),
+        reading["sequence"], reading["time"], reading["instrument"], radiance["value"], radiance["u"],
+        radiance["unit"], luminance.get("value", ""), luminance.get("u", ""), luminance.get("unit", ""),
+        reading["U_rel"], reading["coverage_factor"], " ".join(reading["flags"]), patch["x"], patch["y"],
+        patch["width"], patch["height"], " ".join(map(repr, reading["exposures_s"])), reading.get("name", ""),
         reading.get("session", ""),
-    ]
+    ]  # fmt: skip
     return list(map(spreadsheet_cell, cells))

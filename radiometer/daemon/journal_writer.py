@@ -21,8 +21,8 @@ from radiometer.errors import OutputError
 _log = structlog.get_logger(__name__)
 _T = TypeVar("_T")
 ALARM: Final = "journal"
-_RETENTION_PERIOD_S: Final = 3600.0
-_CLOSING_DEADLINE_S: Final = 5.0
+_RETENTION_PERIOD_S: Final = 3600.0  # readings stay up to an hour longer than asked
+_CLOSING_DEADLINE_S: Final = 5.0  # systemd kills after 90 s; a blocked disk is given up long before
 
 
 class JournalWriter:

@@ -30,7 +30,7 @@ from radiometer.errors import (
 
 _log = structlog.get_logger(__name__)
 _T = TypeVar("_T")
-_LOOK_S = 0.02
+_LOOK_S = 0.02  # a late device is reported within a fifth of a second
 _FIRST_CALL_S = 2.0  # a call never made before may take so long, for nothing is known of it
 _REFUSALS = (SettingOutOfRange, UnsafeStimulus)  # the caller asked for too much; the device is well
 _LOSS = (DeviceLost, DeviceTimeout, DeviceNotFound, DeviceInUse, MissingLibrary)
@@ -42,19 +42,15 @@ class KeptDevice(Protocol):
     @property
     def late_at(self) -> float | None:
         """Return when the call in progress begins to be late (monotonic clock, s); None where that is not known."""
-        ...
 
     def open(self) -> None:
         """Open the device. Raises DeviceError."""
-        ...
 
     def close(self) -> None:
         """Release it, whatever its state."""
-        ...
 
     def check(self) -> DeviceReport:
         """Ask whether it is there. Raises DeviceError."""
-        ...
 
 
 class DeviceState(StrEnum):
@@ -69,19 +65,12 @@ class DeviceState(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class KeeperTimes:
-    """Times in s of a keeper.
+    """Times in s of a keeper."""
 
-    Attributes:
-        first_pause_s: Pause before the first try to reopen.
-        longest_pause_s: Longest pause between two tries; pauses double up to it.
-        check_every_s: An idle device is asked this often whether it is still there.
-        overdue_s: A call that takes this much longer than the last good one is reported.
-    """
-
-    first_pause_s: float = 0.2
-    longest_pause_s: float = 0.5
-    check_every_s: float = 0.5
-    overdue_s: float = 1.0
+    first_pause_s: float = 0.2  # pause before the first try to reopen
+    longest_pause_s: float = 0.5  # longest pause between two tries; pauses double up to it
+    check_every_s: float = 0.5  # an idle device is asked this often whether it is still there
+    overdue_s: float = 1.0  # a call that takes this much longer than the last good one is reported
 
 
 class DeviceKeeper:
@@ -91,7 +80,6 @@ class DeviceKeeper:
         name: "camera" or "light box": the name of its alarm.
         device: The device, not yet open.
         alarms: Where its loss is reported.
-        times: Pauses and deadlines.
         proof: The call that proves that the device does its work, such as "measure". Where it fails, an open port
             ends no alarm: only that call does, once it works.
         after_open: Called in the event loop after each opening.
@@ -154,7 +142,6 @@ class DeviceKeeper:
         """Run a blocking call on the device's thread and return its result.
 
         Args:
-            call: A method of the device.
             *arguments: What it is called with.
             usual_s: How long it should take; None to go by the last call of that name.
 

@@ -14,13 +14,13 @@ from radiometer.daemon.patches import MAIN
 
 PERIOD: Final = "period"
 READING: Final = "reading"
-_LOOK_S: Final = 0.5
+_LOOK_S: Final = 0.5  # a twentieth of the shortest window
 _WINDOW_S: Final = 10.0  # shorter ones would alarm at every pause of a busy machine
-_WINDOW_PERIODS: Final = 5
+_WINDOW_PERIODS: Final = 5  # one late measurement of five is no alarm
 _BEHIND: Final = 2 / 3  # below this share of the measurements due, the alarm goes up
 _KEPT: Final = 0.9  # at this share it goes down: a pace near the first bound must not make it flap
-_MISSING_PERIODS: Final = 5
-_MISSING_S: Final = 10.0
+_MISSING_PERIODS: Final = 5  # as many as the window of the period
+_MISSING_S: Final = 10.0  # shorter pauses come with a busy machine
 _MISSING_DURATIONS: Final = 3.0  # a bracket of long exposures may last longer than its period
 
 
@@ -36,10 +36,14 @@ class Lateness:
     Args:
         alarms: Where it reports.
         clock: Steady time in s.
+
+    Attributes:
+        missing_s: Shortest time without a reading, in s, that is an alarm.
     """
 
     def __init__(self, alarms: Alarms, clock: Callable[[], float] = time.monotonic) -> None:
         self._alarms, self._clock = alarms, clock
+        self.missing_s = _MISSING_S
         self._every_s: float | None = None
         self._since_s = 0.0
         self._begun: deque[_Begun] = deque()
@@ -106,7 +110,7 @@ class Lateness:
         self._begun.clear()
 
     def _look_for_readings(self, now: float, every_s: float) -> None:
-        longest_s = max(_MISSING_PERIODS * every_s, _MISSING_S, _MISSING_DURATIONS * self._usual_s)
+        longest_s = max(_MISSING_PERIODS * every_s, self.missing_s, _MISSING_DURATIONS * self._usual_s)
         for name, came_s in self._came.items():
             if now - came_s > longest_s:
                 pace = f"every {every_s:g} s" if every_s else "as fast as it goes"

@@ -20,7 +20,6 @@ class Light:
     Args:
         box: The box; None for none.
         alarms: Where loss, and light that is not as set, are reported.
-        writer: Notes in the journal when light goes on and off.
         times: Pauses and deadlines of looking after it.
         changed: Called after every change.
     """

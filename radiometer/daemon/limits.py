@@ -17,49 +17,34 @@ _SHORTEST_TOKEN: Final = 16  # characters: 64 bits even where they are hexadecim
 
 @dataclass(frozen=True, slots=True)
 class Limits:
-    """Limits of the interfaces.
+    """Limits of the interfaces."""
 
-    Attributes:
-        scpi_connections: Open SCPI connections.
-        line_bytes: Length of an SCPI message.
-        messages_waiting: Messages of one client that wait to be executed; reading pauses at more.
-        messages_per_s: SCPI messages per second of one client, sustained; more are delayed.
-        reply_bytes: Replies of one SCPI message together, without the largest of them; more are refused (-225).
-        reply_bytes_waiting: Reply bytes handed to the system that a client has not taken; the rest waits.
-        large_replies_bytes: Large replies that all clients of an interface have not taken yet; more are refused.
-        stuck_s: A client that does not take its replies, or does not finish a line, is dropped after this time in s.
-        idle_s: An SCPI session that sends nothing for this time in s is ended, with an entry in its error queue before.
-        head_s: An HTTP connection must have sent its first request head within this time in s.
-        vetting_s: A message that lights is held back for this time in s after the first bytes of a connection: if lines
-            of HTTP follow, it is never executed.
-        http_connections: Open HTTP connections.
-        http_requests_per_s: HTTP requests per second of one address, sustained; more are refused (429).
-        body_bytes: Size of an HTTP request body.
-        listeners: Open streams of readings. With all of them open, a new one ends the one that is furthest behind, else
-            the oldest: it reconnects and misses nothing.
-        listening_s: A stream is not ended for another one within this time in s.
-        rows: Readings in one HTTP reply.
-        queries: Queries of the journal that HTTP clients run at the same time; others wait.
-    """
-
-    scpi_connections: int = 256
-    line_bytes: int = 4096
-    messages_waiting: int = 64
-    messages_per_s: float = 1000.0
+    scpi_connections: int = 256  # open SCPI connections
+    line_bytes: int = 4096  # length of an SCPI message
+    messages_waiting: int = 64  # messages of one client that wait to be executed; reading pauses at more
+    messages_per_s: float = 1000.0  # SCPI messages per second of one client, sustained; more are delayed
+    # Replies of one SCPI message together, without the largest of them; more are refused (-225)
     reply_bytes: int = 4_000_000
-    reply_bytes_waiting: int = 262_144
+    reply_bytes_waiting: int = 262_144  # reply bytes handed to the system that a client has not taken; the rest waits
+    # Large replies that all clients of an interface have not taken yet; more are refused
     large_replies_bytes: int = 256_000_000
+    # A client that does not take its replies, or does not finish a line, is dropped after this time in s
     stuck_s: float = 30.0
+    # An SCPI session that sends nothing for this time in s is ended, with an entry in its error queue before
     idle_s: float = 14_400.0
-    head_s: float = 5.0
+    head_s: float = 5.0  # an HTTP connection must have sent its first request head within this time in s
+    # A message that lights is held back for this time in s after the first bytes of a connection: if lines of HTTP
+    # follow, it is never executed
     vetting_s: float = 0.1
-    http_connections: int = 128
-    http_requests_per_s: float = 100.0
-    body_bytes: int = 16_384
+    http_connections: int = 128  # open HTTP connections
+    http_requests_per_s: float = 100.0  # HTTP requests per second of one address, sustained; more are refused (429)
+    body_bytes: int = 16_384  # size of an HTTP request body
+    # Open streams of readings. With all of them open, a new one ends the one that is furthest behind, else the oldest:
+    # it reconnects and misses nothing.
     listeners: int = 64
-    listening_s: float = 5.0
-    rows: int = 20_000
-    queries: int = 2
+    listening_s: float = 5.0  # a stream is not ended for another one within this time in s
+    rows: int = 20_000  # readings in one HTTP reply
+    queries: int = 2  # queries of the journal that HTTP clients run at the same time; others wait
 
 
 class TokenBucket:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import datetime as dt
-import io
 import json
 import math
 import statistics
@@ -18,8 +17,7 @@ from radiometer.api.result import Result
 from radiometer.daemon.journal import default_journal_path
 from radiometer.daemon.journal_reader import JournalReader, ReadingFilter, to_csv
 from radiometer.daemon.timestamps import parse_moment
-from radiometer.data.drawing import new_axes
-from radiometer.data.storage import write_bytes_atomic
+from radiometer.data.drawing import new_axes, write_figure
 from radiometer.errors import UsageError
 
 if TYPE_CHECKING:
@@ -30,15 +28,10 @@ _PICTURES: Final = (".png", ".pdf", ".svg")
 
 @dataclass(frozen=True)
 class Place:
-    """Readings of one place: a patch that has a name, that a client measured, or that is measured for all.
+    """Readings of one place: a patch that has a name, that a client measured, or that is measured for all."""
 
-    Attributes:
-        name: The place in words.
-        readings: Its readings, oldest first.
-    """
-
-    name: str
-    readings: tuple[Mapping[str, Any], ...]
+    name: str  # the place in words
+    readings: tuple[Mapping[str, Any], ...]  # its readings, oldest first
 
     def summary(self) -> str:
         """Return number, time span, mean and standard deviation in one line."""
@@ -123,14 +116,7 @@ class LoggedReadings(Result):
 
     def write_plot(self, path: PathLike) -> None:
         """Draw the readings into a PNG, PDF or SVG file. Raises UsageError for another ending."""
-        target = Path(path)
-        if target.suffix.lower() not in _PICTURES:
-            raise UsageError(f"{target}: name a .png, .pdf or .svg file")
-        figure: Any = self.plot(new_axes()).figure
-        figure.set_size_inches(9, 4.2)
-        content = io.BytesIO()
-        figure.savefig(content, format=target.suffix.lower()[1:], dpi=150)
-        write_bytes_atomic(target, content.getvalue())
+        write_figure(Path(path), self.plot(new_axes()), inches=(9.0, 4.2))
 
     def __str__(self) -> str:
         """Return how many readings of how many places."""

@@ -10,7 +10,7 @@ from typing import Final
 import structlog
 from structlog.typing import EventDict, WrappedLogger
 
-_WINDOW_S: Final = 60.0
+_WINDOW_S: Final = 60.0  # with ten lines of a kind a minute a log stays readable
 _MOST: Final = 10  # enough to see a pattern; a thousand connections refused a second show nothing more
 _KINDS: Final = 256  # different lines that are remembered
 

@@ -8,9 +8,9 @@ import gc
 from collections.abc import Awaitable, Callable
 from typing import Final
 
-_PERIOD_S: Final = 60.0
+_PERIOD_S: Final = 60.0  # a minute: pieces do not add up, and collecting seldom pauses a measurement
 _M_ARENA_MAX: Final = -8  # malloc.h of glibc
-_MOST_ARENAS: Final = 2
+_MOST_ARENAS: Final = 2  # one for the event loop, one for the threads of the devices
 
 
 def limit_arenas() -> None:

@@ -21,13 +21,13 @@ from radiometer.data import Reading
 CONTENT_TYPE: Final = "text/plain; version=0.0.4; charset=utf-8"
 _LATENCY_BUCKETS_S: Final = (0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1, 2, 5, 10, 30, 60, 120)
 _COUNTER_FIELDS: Final = {
-    "missing_packets": ("radiometer_lost_packets", "Packets of the camera that never came."),
-    "resent_packets": ("radiometer_resent_packets", "Packets of the camera that came on request only."),
-    "retried": ("radiometer_retries", "Frames taken again because they were incomplete or late."),
-    "incomplete": ("radiometer_incomplete_frames", "Frames thrown away because a part was missing."),
-    "timeouts": ("radiometer_timeouts", "Waits for the camera that ended at their deadline."),
-    "underruns": ("radiometer_underruns", "Frames lost because no buffer was free."),
-    "frames": ("radiometer_frames", "Complete frames taken."),
+    "missing_packets": ("lost_packets", "Packets of the camera that never came."),
+    "resent_packets": ("resent_packets", "Packets of the camera that came on request only."),
+    "retried": ("retries", "Frames taken again because they were incomplete or late."),
+    "incomplete": ("incomplete_frames", "Frames thrown away because a part was missing."),
+    "timeouts": ("timeouts", "Waits for the camera that ended at their deadline."),
+    "underruns": ("underruns", "Frames lost because no buffer was free."),
+    "frames": ("frames", "Complete frames taken."),
 }
 
 
@@ -38,60 +38,40 @@ class Metrics:
         self.registry = registry = CollectorRegistry()
         ProcessCollector(registry=registry)
         PlatformCollector(registry=registry)
-        self.readings = Counter("radiometer_readings", "Readings committed to the journal.", registry=registry)
-        self.failures = Counter("radiometer_measurement_failures", "Measurements that failed.", registry=registry)
-        self.flagged = Counter("radiometer_flagged_readings", "Readings with a flag.", ["flag"], registry=registry)
-        self.measuring_s = Histogram(
-            "radiometer_measurement_seconds",
-            "Time from the start of a measurement to its reading.",
-            buckets=_LATENCY_BUCKETS_S,
-            registry=registry,
+
+        def gauge(name: str, text: str, *labels: str) -> Gauge:
+            return Gauge(f"radiometer_{name}", text, labels, registry=registry)
+
+        def counter(name: str, text: str, *labels: str) -> Counter:
+            return Counter(f"radiometer_{name}", text, labels, registry=registry)
+
+        def histogram(name: str, text: str) -> Histogram:
+            return Histogram(f"radiometer_{name}", text, buckets=_LATENCY_BUCKETS_S, registry=registry)
+
+        self.readings = counter("readings", "Readings committed to the journal.")
+        self.failures = counter("measurement_failures", "Measurements that failed.")
+        self.flagged = counter("flagged_readings", "Readings with a flag.", "flag")
+        self.measuring_s = histogram("measurement_seconds", "Time from the start of a measurement to its reading.")
+        self.committing_s = histogram("commit_seconds", "Time to commit a batch of readings to the journal.")
+        self.radiance = gauge("radiance", "Latest radiance, in the unit of the label.", "unit")
+        self.u_radiance = gauge("radiance_standard_uncertainty", "Its standard uncertainty (k=1).", "unit")
+        self.patch_radiance = gauge("patch_radiance", "Latest radiance of a patch with a name.", "patch", "unit")
+        self.patch_u_radiance = gauge(
+            "patch_radiance_standard_uncertainty", "Its standard uncertainty (k=1).", "patch", "unit"
         )
-        self.committing_s = Histogram(
-            "radiometer_commit_seconds",
-            "Time to commit a batch of readings to the journal.",
-            buckets=_LATENCY_BUCKETS_S,
-            registry=registry,
+        self.limit_alarm = gauge("limit_alarm", "1 while a patch is beyond a limit of it.", "patch")
+        self.exposure_s = gauge("exposure_seconds", "Longest exposure of the latest reading.")
+        self.temperature_c = gauge("temperature_celsius", "Temperature of a device.", "device")
+        self.device_up = gauge("device_up", "1 while the device answers.", "device")
+        self.device_losses = gauge("device_losses", "Times the device was lost.", "device")
+        self.queue_depth = gauge(
+            "queue_depth", "What waits: measurements asked for, readings to be committed.", "queue"
         )
-        self.radiance = Gauge(
-            "radiometer_radiance", "Latest radiance, in the unit of the label.", ["unit"], registry=registry
-        )
-        self.u_radiance = Gauge(
-            "radiometer_radiance_standard_uncertainty", "Its standard uncertainty (k=1).", ["unit"], registry=registry
-        )
-        self.patch_radiance = Gauge(
-            "radiometer_patch_radiance", "Latest radiance of a patch with a name.", ["patch", "unit"], registry=registry
-        )
-        self.patch_u_radiance = Gauge(
-            "radiometer_patch_radiance_standard_uncertainty", "Its standard uncertainty (k=1).", ["patch", "unit"],
-            registry=registry,
-        )  # fmt: skip
-        self.limit_alarm = Gauge(
-            "radiometer_limit_alarm", "1 while a patch is beyond a limit of it.", ["patch"], registry=registry
-        )
-        self.exposure_s = Gauge(
-            "radiometer_exposure_seconds", "Longest exposure of the latest reading.", registry=registry
-        )
-        self.temperature_c = Gauge(
-            "radiometer_temperature_celsius", "Temperature of a device.", ["device"], registry=registry
-        )
-        self.device_up = Gauge("radiometer_device_up", "1 while the device answers.", ["device"], registry=registry)
-        self.device_losses = Gauge(
-            "radiometer_device_losses", "Times the device was lost.", ["device"], registry=registry
-        )
-        self.queue_depth = Gauge(
-            "radiometer_queue_depth", "What waits: measurements asked for, readings to be committed.", ["queue"],
-            registry=registry,
-        )  # fmt: skip
-        self.alarms = Gauge("radiometer_alarms", "Alarms that are up.", registry=registry)
-        self.connections = Gauge("radiometer_connections", "Open connections.", ["interface"], registry=registry)
-        self.requests = Counter("radiometer_requests", "Commands or requests served.", ["interface"], registry=registry)
-        self.refused = Counter(
-            "radiometer_refused", "Connections or requests refused.", ["interface", "reason"], registry=registry
-        )
-        self._device_counters = {
-            field: Counter(name, text, registry=registry) for field, (name, text) in _COUNTER_FIELDS.items()
-        }
+        self.alarms = gauge("alarms", "Alarms that are up.")
+        self.connections = gauge("connections", "Open connections.", "interface")
+        self.requests = counter("requests", "Commands or requests served.", "interface")
+        self.refused = counter("refused", "Connections or requests refused.", "interface", "reason")
+        self._device_counters = {field: counter(*named) for field, named in _COUNTER_FIELDS.items()}
         self._seen: dict[str, int] = {}
         self._failed = 0
 

@@ -20,33 +20,24 @@ from radiometer.errors import MissingLibrary, UsageError
 
 _log = structlog.get_logger(__name__)
 ALARM: Final = "mqtt"
-_KEEP_ALIVE_S: Final = 10
-_AT_LEAST_ONCE: Final = 1
-_QUEUED_MESSAGES: Final = 1000
+_KEEP_ALIVE_S: Final = 10  # a broker announces the last will after one and a half of it
+_AT_LEAST_ONCE: Final = 1  # quality of service 1 (MQTT 3.1.1, 4.3.2)
+_QUEUED_MESSAGES: Final = 1000  # a quarter of an hour of readings, once a second
 _ACKNOWLEDGED_WITHIN_S: Final = 10.0  # a healthy broker takes milliseconds; as long as the connection is kept alive
-_LOOK_S: Final = 1.0
+_LOOK_S: Final = 1.0  # a tenth of the time in which messages must be acknowledged
 _READING: Final = "reading"
 
 
 @dataclass(frozen=True, slots=True)
 class MqttTarget:
-    """A broker.
+    """A broker."""
 
-    Attributes:
-        host: Name or address.
-        port: Port.
-        prefix: First level of the topics.
-        user: User name; None for none.
-        password: Password; None for none.
-        tls: Whether to use TLS with the system's certificates.
-    """
-
-    host: str
-    port: int = 1883
-    prefix: str = "radiometer"
-    user: str | None = None
-    password: str | None = None
-    tls: bool = False
+    host: str  # name or address
+    port: int = 1883  # port
+    prefix: str = "radiometer"  # first level of the topics
+    user: str | None = None  # user name; None for none
+    password: str | None = None  # password; None for none
+    tls: bool = False  # whether to use TLS with the system's certificates
 
     def __str__(self) -> str:
         return f"{self.host}:{self.port}"
@@ -69,9 +60,8 @@ class MqttPublisher:
     device states as JSON), `state` ("online"; "offline" is the last will). A retained reading is cleared where it is no
     longer one: the patch was moved or deleted, the daemon ended, or an earlier one was killed.
 
-    Args:
-        station: The instrument.
-        target: The broker.
+    Attributes:
+        acknowledged_within_s: A message that the broker has not acknowledged after this time in s is an alarm.
 
     Raises:
         MissingLibrary: If paho-mqtt is not installed.
@@ -79,6 +69,7 @@ class MqttPublisher:
 
     def __init__(self, station: Station, target: MqttTarget) -> None:
         self._station, self.target = station, target
+        self.acknowledged_within_s = _ACKNOWLEDGED_WITHIN_S
         self._mqtt = _library()
         self._client: Any = None
         self._subscription: Subscription | None = None
@@ -166,7 +157,7 @@ class MqttPublisher:
             self._dropped = 0
         oldest_s = time.monotonic() - min(self._waiting.values(), default=time.monotonic())
         trouble = self._trouble
-        if not trouble and (oldest_s > _ACKNOWLEDGED_WITHIN_S or self._dropped):
+        if not trouble and (oldest_s > self.acknowledged_within_s or self._dropped):
             trouble = f"MQTT broker {self.target} is connected but has not acknowledged a message for {oldest_s:.0f} s"
         if not trouble:
             self._station.alarms.clear(ALARM, "the MQTT broker takes messages again")

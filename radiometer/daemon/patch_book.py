@@ -22,11 +22,7 @@ class PatchBook:
     """Owns the patch that is measured for all and those with names.
 
     Args:
-        acquisition: Measures them.
-        lateness: Expects their readings.
-        writer: Keeps them in the journal.
         alarms: Where a broken limit is reported.
-        metrics: Their figures.
         changed: Called after every change.
     """
 

@@ -13,24 +13,19 @@ from radiometer.data.json_text import json_text
 from radiometer.errors import UsageError
 
 MAIN: Final = "main"  # means the patch that is measured for all where a name is asked for
-MOST_PATCHES: Final = 12
-_LONGEST_NAME: Final = 32
+MOST_PATCHES: Final = 12  # engineering choice: each takes a measurement in every period
+_LONGEST_NAME: Final = 32  # fits a column of the page and a level of a topic
 _CONFIRMATIONS: Final = 2  # so many readings in a row must say the same: one outlier is no alarm, and no all-clear
-DEFAULT_HYSTERESIS_REL: Final = 0.01
+DEFAULT_HYSTERESIS_REL: Final = 0.01  # a few times the noise of a reading
 
 
 @dataclass(frozen=True, slots=True)
 class PatchLimits:
-    """Between which radiances a patch should stay.
+    """Between which radiances a patch should stay."""
 
-    Attributes:
-        low: Lowest radiance that is well; None for no bound.
-        high: Highest; None for no bound.
-        hysteresis_rel: By which part of a limit the radiance must be back inside before the alarm goes.
-    """
-
-    low: float | None = None
-    high: float | None = None
+    low: float | None = None  # lowest radiance that is well; None for no bound
+    high: float | None = None  # highest; None for no bound
+    # By which part of a limit the radiance must be back inside before the alarm goes
     hysteresis_rel: float = DEFAULT_HYSTERESIS_REL
 
     def __post_init__(self) -> None:
@@ -38,7 +33,7 @@ class PatchLimits:
             if value is not None and not math.isfinite(value):
                 raise UsageError("a limit must be a finite radiance")
         if self.low is not None and self.high is not None and self.low >= self.high:
-            raise UsageError(f"the low limit {self.low:g} must lie below the high one {self.high:g}")
+            raise UsageError(f"the low limit {self.low:g} must be below the high one {self.high:g}")
         if not 0.0 <= self.hysteresis_rel <= 0.5:
             raise UsageError(f"the hysteresis must be 0 to 0.5 of the limit, not {self.hysteresis_rel:g}")
 
@@ -53,7 +48,6 @@ class PatchLimits:
         well be within.
 
         Args:
-            reading: The reading.
             standing: Whether an alarm is up: then the limits are drawn in by the hysteresis.
         """
         value, drawn_in = reading.radiance.value, self.hysteresis_rel if standing else 0.0
@@ -66,17 +60,11 @@ class PatchLimits:
 
 @dataclass(slots=True)
 class PatchWatch:
-    """Follows one patch: its latest reading, and whether it keeps within its limits.
+    """Follows one patch: its latest reading, and whether it keeps within its limits."""
 
-    Attributes:
-        limits: The limits.
-        latest: Its latest reading; None where there is none.
-        breached: Which limit it is beyond, as alarmed; "" where it is well.
-    """
-
-    limits: PatchLimits = field(default_factory=PatchLimits)
-    latest: Reading | None = None
-    breached: str = ""
+    limits: PatchLimits = field(default_factory=PatchLimits)  # the limits
+    latest: Reading | None = None  # its latest reading; None where there is none
+    breached: str = ""  # which limit it is beyond, as alarmed; "" where it is well
     _saying: str = ""
     _count: int = 0
 
@@ -105,17 +93,11 @@ class PatchWatch:
 
 @dataclass(frozen=True, slots=True)
 class NamedPatch:
-    """A patch with a name.
+    """A patch with a name."""
 
-    Attributes:
-        name: Its name.
-        patch: Where it is.
-        limits: Between which radiances it should stay.
-    """
-
-    name: str
-    patch: Patch
-    limits: PatchLimits = field(default_factory=PatchLimits)
+    name: str  # its name
+    patch: Patch  # where it is
+    limits: PatchLimits = field(default_factory=PatchLimits)  # between which radiances it should stay
 
     def to_json(self) -> str:
         """Return it as one line of JSON."""

@@ -6,9 +6,9 @@ import time
 from collections.abc import Callable
 from typing import Final
 
-_MARGIN: Final = 1.5
+_MARGIN: Final = 1.5  # the next late answer may be later by half
 _LONGEST_S: Final = 3.0  # a device that is gone is reported this much later at most
-_HALVED_AFTER_S: Final = 60.0
+_HALVED_AFTER_S: Final = 60.0  # a machine that was busy is calm again after minutes
 ON_TIME: Final = 2  # so many answers in time, one after the other, end the alarm: one of them may be luck
 
 

@@ -30,7 +30,6 @@ class Places(Generic[_C]):
     hold a quarter of the places; on loopback all clients have one address.
 
     Args:
-        limit: Number of places.
         patience_s: A connection not yet known may be put out for another one after this time in s.
         idle_s: A known one that has been idle for this time in s may be put out for another one.
         clock: Steady time in s.

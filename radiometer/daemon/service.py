@@ -30,33 +30,19 @@ _RELOAD_PAUSE_S: Final = 1.0  # between two reloads: a storm of signals leaves t
 
 @dataclass(frozen=True, slots=True)
 class ServiceOptions:
-    """Where the daemon listens and what it reports to whom.
+    """Where the daemon listens and what it reports to whom."""
 
-    Attributes:
-        every_s: Period of continuous measurement in s; None for on demand only.
-        scpi_address: Address for SCPI; None for no TCP.
-        scpi_port: Port for SCPI; 0 chooses a free one.
-        scpi_socket: Unix socket for SCPI; None for none.
-        scpi_allow: Networks that may connect to SCPI in addition to loopback.
-        http_address: Address for HTTP; None for none.
-        http_port: Port for HTTP; 0 chooses a free one.
-        token: Token for HTTP; None where only loopback is listened on.
-        mqtt: Broker to publish to; None for none.
-        pva: How to serve pvAccess; None for not at all.
-        limits: What clients may use.
-    """
-
-    every_s: float | None = None
-    scpi_address: str | None = "127.0.0.1"
-    scpi_port: int = 5025
-    scpi_socket: Path | None = None
-    scpi_allow: tuple[Network, ...] = ()
-    http_address: str | None = "127.0.0.1"
-    http_port: int = 8080
-    token: str | None = None
-    mqtt: MqttTarget | None = None
-    pva: PvaOptions | None = None
-    limits: Limits = field(default_factory=Limits)
+    every_s: float | None = None  # period of continuous measurement in s; None for on demand only
+    scpi_address: str | None = "127.0.0.1"  # address for SCPI; None for no TCP
+    scpi_port: int = 5025  # port for SCPI; 0 chooses a free one
+    scpi_socket: Path | None = None  # Unix socket for SCPI; None for none
+    scpi_allow: tuple[Network, ...] = ()  # networks that may connect to SCPI in addition to loopback
+    http_address: str | None = "127.0.0.1"  # address for HTTP; None for none
+    http_port: int = 8080  # port for HTTP; 0 chooses a free one
+    token: str | None = None  # token for HTTP; None where only loopback is listened on
+    mqtt: MqttTarget | None = None  # broker to publish to; None for none
+    pva: PvaOptions | None = None  # how to serve pvAccess; None for not at all
+    limits: Limits = field(default_factory=Limits)  # what clients may use
 
 
 class Service:

@@ -31,14 +31,13 @@ from radiometer.data.provenance import utc_now
 from radiometer.errors import RadiometerError, UsageError
 
 _log = structlog.get_logger(__name__)
-_LONGEST_REMARK = 500
+_LONGEST_REMARK = 500  # a paragraph; it is one line of the log
 
 
 class Station:
     """Puts the parts together; safe to use from the event loop only.
 
     Args:
-        instrument: The camera with its calibration.
         journal: Where readings are kept.
         box: The light box; None where there is none.
         keep_days: Age at which readings leave the journal; None keeps all.

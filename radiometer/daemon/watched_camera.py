@@ -7,28 +7,27 @@ import time
 import zlib
 from collections.abc import Callable, Generator, Iterator
 from contextlib import contextmanager
-from types import TracebackType
-from typing import Final, Self
+from typing import Final
 
 import numpy as np
 
 from radiometer.data import CameraDescription, Flag, Frame, LensDescription
 from radiometer.devices import AcquisitionCounts, Camera, CameraCapabilities, CameraIdentity, CameraSettings
+from radiometer.devices.opening import Opened
 from radiometer.errors import DeviceError
 
 GRACE_S: Final = 1.4  # beyond twice the exposure: what a healthy camera needs to read out, send, or answer
 # A camera rounds exposure times to its lines, 10 to 30 µs each, and to its clock: what differs more was not asked for.
 _ROUNDED_S: Final = 50e-6
-_ROUNDED_REL: Final = 0.02
+_ROUNDED_REL: Final = 0.02  # coarse line times at short exposures
 _EVERY_NTH_ROW: Final = 8  # noise in an eighth of the pixels never repeats either, and is looked at eight times faster
 _PICTURED: Final = 0.5  # below this share of pixels that are neither lowest nor highest, noise may not show
 
 
-class WatchedCamera:
+class WatchedCamera(Opened):
     """Passes every call on, notes by when it should have returned, and what is odd about its frames.
 
     Args:
-        camera: The camera.
         clock: Steady time in s.
     """
 
@@ -106,17 +105,6 @@ class WatchedCamera:
     def set_shutter(self, *, closed: bool) -> None:
         """Close or open the shutter."""
         self._camera.set_shutter(closed=closed)
-
-    def __enter__(self) -> Self:
-        """Open the camera."""
-        self.open()
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        """Close the camera."""
-        self.close()
 
     def _look_at(self, frame: Frame) -> None:
         stated_s = frame.settings.exposure_s

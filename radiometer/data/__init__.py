@@ -1,9 +1,9 @@
 """Frozen objects that travel between stages, each with its uncertainty and provenance."""
 
 from radiometer.data.bracket import Bracket
-from radiometer.data.calibration import Calibration
-from radiometer.data.calibration_sections import (
+from radiometer.data.calibration import (
     BlackLevel,
+    Calibration,
     FlatField,
     FoundEffects,
     Scale,
@@ -17,8 +17,7 @@ from radiometer.data.capture_header import (
     PatchDescription,
     SourceDescription,
 )
-from radiometer.data.capture_set import CaptureHeader, CaptureSet, FrameEntry, SettingStatistics
-from radiometer.data.capture_writer import CaptureSetWriter
+from radiometer.data.capture_set import CaptureHeader, CaptureSet, CaptureSetWriter, FrameEntry, SettingStatistics
 from radiometer.data.frame import Frame, FrameSettings
 from radiometer.data.provenance import Provenance
 from radiometer.data.radiance_map import PixelMask, RadianceMap

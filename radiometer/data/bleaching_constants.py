@@ -1,7 +1,7 @@
 """How easily light bleaches the visual pigments, and how fast they come back: one table for all that need it.
 
 The calculator, the checks of a protocol and the simulated eye take their numbers from here; each computes with
-separate formulas. docs/adaptation-test.md prints the same table.
+separate formulas. docs/reference/adaptation-test.md prints the same table.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ class BleachingConstant:
 
 
 ROD_HALF_BLEACH_LOG10_TD: Final = 4.4  # CVRL, table of half-bleaching constants
-CONE_HALF_BLEACH_LOG10_TD: Final = 4.3
+CONE_HALF_BLEACH_LOG10_TD: Final = 4.3  # likewise
 
 ROD_EXPOSURE: Final = BleachingConstant(
     "rod exposure",

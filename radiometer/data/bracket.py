@@ -50,12 +50,12 @@ class Bracket:
         for frame in self.every_frame:
             if frame.shape != first.shape:
                 raise InputError(
-                    f"{where}: frames differ in size ({frame.shape[1]} × {frame.shape[0]} beside "
+                    f"{where}: frames differ in size ({frame.shape[1]} × {frame.shape[0]} and "
                     f"{first.shape[1]} × {first.shape[0]} pixels); all frames of a bracket need one size"
                 )
             if frame.bit_depth != first.bit_depth:
                 raise InputError(
-                    f"{where}: frames differ in bit depth ({frame.bit_depth} beside {first.bit_depth}); "
+                    f"{where}: frames differ in bit depth ({frame.bit_depth} and {first.bit_depth}); "
                     "take the whole bracket in one pixel format"
                 )
 

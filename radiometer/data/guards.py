@@ -20,16 +20,16 @@ from PIL import Image, UnidentifiedImageError
 from radiometer.errors import CaptureError, InputError, UsageError
 
 MOST_PICTURE_BYTES: Final = 400_000_000  # decoded; the largest sensors sold have 151 million pixels of 16 bits
-MOST_FILE_BYTES: Final = 800_000_000
-MOST_YAML_BYTES: Final = 64_000_000
+MOST_FILE_BYTES: Final = 800_000_000  # twice the largest picture: headers and padding
+MOST_YAML_BYTES: Final = 64_000_000  # a capture set of 100,000 frames
 MOST_DIRECTORIES: Final = 1_000_000  # of a TIFF: a day of frames at 10 per second
-DEEPEST_NESTING: Final = 64
+DEEPEST_NESTING: Final = 64  # files of this program nest some ten levels
 MOST_ENTRIES: Final = 5_000_000  # after all repetitions are written out
 _Loader: Final = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
 _PNG_SIGNATURE: Final = b"\x89PNG\r\n\x1a\n"
 _PNG_CHANNELS: Final = {0: 1, 2: 3, 3: 1, 4: 2, 6: 4}  # PNG specification, 11.2.2: channels of each colour type
 _HDR_RESOLUTION: Final = re.compile(rb"[-+][XY] +(\d{1,12}) +[-+][XY] +(\d{1,12})\s")
-_LONGEST_HEAD: Final = 65_536
+_LONGEST_HEAD: Final = 65_536  # bytes; real headers have some hundred
 _LONGEST_NAME: Final = 64  # characters, of at most three bytes each: Linux file systems take 255 bytes
 _EXR_CHANNELS: Final = 4
 _MODE_BYTES: Final = {"1": 1, "L": 1, "P": 1, "I;16": 2, "I;16B": 2, "I": 4, "F": 4, "RGB": 3, "RGBA": 4, "CMYK": 4}

@@ -21,7 +21,7 @@ from radiometer.errors import CalibrationError, SettingOutOfRange
 
 FORMAT: Final = "radiometer-light-calibration/1"
 LOW_RANGE, HIGH_RANGE = "low", "high"
-COVERAGE: Final = 2.0
+COVERAGE: Final = 2.0  # k = 2: a limit of safety counts with the expanded uncertainty
 
 
 class LightPoint(FileSection):

@@ -1,10 +1,10 @@
 """Turns what a file states (a number, its unit, a word for "unknown") into a value in a known unit, or refuses it.
 
-Every reader of other people's files asks this module; no reader has separate units. The rules:
+Every reader of other people's files asks this module; no reader has separate units.
 
-* A unit comes from the file: a keyword, a header cell, a type tag, or the definition of the format.
-* A number for "unknown" (65535, 999, −999, −1, blank) gives no value, and a doubt is reported.
-* A unit that is missing or not known stops the reader. The error names the option that settles it.
+A unit comes from the file: a keyword, a header cell, a type tag, or the definition of the format. A number for
+"unknown" (65535, 999, −999, −1, blank) gives no value, and a doubt is reported. A unit that is missing or not known
+stops the reader. The error names the option that settles it.
 """
 
 from __future__ import annotations

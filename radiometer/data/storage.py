@@ -168,7 +168,8 @@ def _save_elsewhere(path: Path, content: bytes) -> Path | None:
 
 def state_folder() -> Path:
     """Return the user's folder for what programs keep (XDG Base Directory Specification: XDG_STATE_HOME)."""
-    return Path(os.environ.get("XDG_STATE_HOME") or Path.home() / ".local" / "state") / "radiometer"
+    # A relative path begins at the user's home: the same one whatever folder a command runs in.
+    return Path.home() / (os.environ.get("XDG_STATE_HOME") or Path(".local") / "state") / "radiometer"
 
 
 def write_text_atomic(path: Path, text: str) -> None:

@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from radiometer.data.capture_set import CaptureHeader
 
-_FINEST_STEP_K: Final = 0.05
-_WIDEST_STEP_K: Final = 0.75
+_FINEST_STEP_K: Final = 0.05  # finer steps are noise of the sensor, not its rounding
+_WIDEST_STEP_K: Final = 0.75  # wider steps are changes of temperature; thermometers step by at most 0.5 K
 _REPEATED: Final = 0.5  # share of frames that may have a unique reading before readings are no steps
 _ALIKE_K: Final = 0.02  # by which two readings of one step differ
 _IN_TURN: Final = 2  # changes between two readings: a drift makes one

@@ -8,6 +8,7 @@ from radiometer.devices.camera import (
     CameraSettings,
     Roi,
     refuse_out_of_range,
+    refuse_roi_outside,
 )
 from radiometer.devices.camera_preset import CameraLimits, CameraPreset
 from radiometer.devices.display import Display, DisplayPatch
@@ -27,28 +28,8 @@ from radiometer.devices.light_box import (
 )
 
 __all__ = [
-    "Finding",
-    "Health",
-    "AcquisitionCounts",
-    "ButtonEvent",
-    "Camera",
-    "CameraCapabilities",
-    "CameraIdentity",
-    "CameraLimits",
-    "CameraPreset",
-    "CameraSettings",
-    "ChannelCapabilities",
-    "ChannelMode",
-    "ChannelState",
-    "ClockEstimate",
-    "CurrentRange",
-    "Display",
-    "DisplayPatch",
-    "DriveLevel",
-    "LightBox",
-    "LightBoxIdentity",
-    "LightBoxStatus",
-    "Radiance",
-    "Roi",
-    "refuse_out_of_range",
-]
+    "Finding", "Health", "AcquisitionCounts", "ButtonEvent", "Camera", "CameraCapabilities", "CameraIdentity",
+    "CameraLimits", "CameraPreset", "CameraSettings", "ChannelCapabilities", "ChannelMode", "ChannelState",
+    "ClockEstimate", "CurrentRange", "Display", "DisplayPatch", "DriveLevel", "LightBox", "LightBoxIdentity",
+    "LightBoxStatus", "Radiance", "Roi", "refuse_out_of_range", "refuse_roi_outside",
+]  # fmt: skip

@@ -99,7 +99,6 @@ class CameraPreset(FileSection):
 
         Args:
             camera: The camera as a capture or device describes it.
-            where: Name of this file, for messages.
 
         Raises:
             CalibrationError: If the file is of another camera or bit depth.

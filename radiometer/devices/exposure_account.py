@@ -30,7 +30,7 @@ FILE_NAME: Final = "exposure-account.json"
 BIN_S: Final = 50.0  # what ends within it is one entry that expires with its end: 201 entries hold any history
 MOST_BYTES: Final = 4_000_000  # a thousand boxes and eyes with full histories take a tenth of it
 LOCK_PATIENCE_S: Final = 0.5  # below the box's dead-man time: a wait for the lock darkens no other channel
-LOCK_LOOK_S: Final = 0.005
+LOCK_LOOK_S: Final = 0.005  # the account is held for some ms
 # Steps of the wall clock below this at a restart are corrections of a drifting clock; time counts as standing still.
 CLOCK_STEP_S: Final = 60.0
 _BOOT_ID: Final = Path("/proc/sys/kernel/random/boot_id")
@@ -40,19 +40,12 @@ _UNKNOWN_BOOT: Final = uuid.uuid4().hex  # where the system names no boot, each 
 
 @dataclass(frozen=True, slots=True)
 class Moment:
-    """A time by the two clocks of a machine.
+    """A time by the two clocks of a machine."""
 
-    Attributes:
-        boot: Which start of the machine `uptime_s` counts from.
-        uptime_s: Time since that start in s, also while the machine slept; it cannot be set.
-        wall_s: Time of day as Unix time in s; may be set to anything.
-        machine: Which computer it is.
-    """
-
-    boot: str
-    uptime_s: float
-    wall_s: float
-    machine: str = ""
+    boot: str  # which start of the machine `uptime_s` counts from
+    uptime_s: float  # time since that start in s, also while the machine slept; it cannot be set
+    wall_s: float  # time of day as Unix time in s; may be set to anything
+    machine: str = ""  # which computer it is
 
 
 def machine_moment() -> Moment:
@@ -85,19 +78,12 @@ def is_running(name: str) -> bool:
 
 @dataclass(frozen=True, slots=True)
 class Phase:
-    """Light of one radiance within a stimulus, in fractions of the exposure limits.
+    """Light of one radiance within a stimulus, in fractions of the exposure limits."""
 
-    Attributes:
-        blue_per_s: Fraction of the blue-light limit that a bright second uses up.
-        blue_most: Fraction that it uses up at most, however long it is bright.
-        bright_s: Planned bright time in s; `math.inf` where no end is planned.
-        thermal: Fraction of the thermal limit.
-    """
-
-    blue_per_s: float
-    blue_most: float
-    bright_s: float
-    thermal: float
+    blue_per_s: float  # fraction of the blue-light limit that a bright second uses up
+    blue_most: float  # fraction that it uses up at most, however long it is bright
+    bright_s: float  # planned bright time in s; `math.inf` where no end is planned
+    thermal: float  # fraction of the thermal limit
 
     def blue(self, bright_s: float = math.inf) -> float:
         """Return the fraction of the blue-light limit for at most so many bright seconds of it."""
@@ -107,25 +93,15 @@ class Phase:
 
 @dataclass(frozen=True, slots=True)
 class Planned:
-    """A stimulus that was entered and is not settled.
+    """A stimulus that was entered and is not settled."""
 
-    Attributes:
-        box: Serial number of the light box.
-        eye: Whose eye looks; None where it is not known.
-        channel: Channel of the box.
-        holder: The program that entered it.
-        start_s: When it was entered, by the uptime of the account's boot.
-        over_s: When the box has ended it by itself at the latest; `math.inf` where no end is planned.
-        phases: Its light; all phases count as beginning at `start_s`.
-    """
-
-    box: str
-    eye: str | None
-    channel: str
-    holder: str
-    start_s: float
-    over_s: float
-    phases: tuple[Phase, ...]
+    box: str  # serial number of the light box
+    eye: str | None  # whose eye looks; None where it is not known
+    channel: str  # channel of the box
+    holder: str  # the program that entered it
+    start_s: float  # when it was entered, by the uptime of the account's boot
+    over_s: float  # when the box has ended it by itself at the latest; `math.inf` where no end is planned
+    phases: tuple[Phase, ...]  # its light; all phases count as beginning at `start_s`
 
     def blue(self, until_s: float = math.inf) -> float:
         """Return the fraction of the blue-light limit that it has used up at most, if it is dark from `until_s` on."""
@@ -154,20 +130,15 @@ def eye_key(eye: str) -> str:
 
 @dataclass(slots=True)
 class Account:
-    """What is known of all boxes and eyes at a moment.
+    """What is known of all boxes and eyes at a moment."""
 
-    Attributes:
-        moment: When it was brought up to date; times below are uptimes of its boot.
-        given: For each box and eye, the end of an interval of BIN_S and the blue-light fraction given in it.
-        assumed: Boxes whose history is unknown: until when their limit counts as used up, and why.
-        planned: What is open, by its name.
-        reason: Why the history of a box that it does not know is unknown.
-    """
-
-    moment: Moment
+    moment: Moment  # when it was brought up to date; times below are uptimes of its boot
+    # For each box and eye, the end of an interval of BIN_S and the blue-light fraction given in it
     given: dict[str, dict[float, float]] = field(default_factory=dict)
+    # Boxes whose history is unknown: until when their limit counts as used up, and why
     assumed: dict[str, tuple[float, str]] = field(default_factory=dict)
-    planned: dict[str, Planned] = field(default_factory=dict)
+    planned: dict[str, Planned] = field(default_factory=dict)  # what is open, by its name
+    # Why the history of a box that it does not know is unknown
     reason: str = "this computer has no account of its light"
 
     @property
@@ -259,19 +230,15 @@ class AccountStore(Protocol):
     @property
     def holder(self) -> str:
         """Return the name of this program in the account."""
-        ...
 
     def lives(self, holder: str) -> bool:
         """Return whether another program that entered light still runs."""
-        ...
 
     def now_s(self) -> float:
         """Return the present uptime in s."""
-        ...
 
     def look(self) -> Account:
         """Return the account as it is now, to read. Raises UnsafeStimulus where it cannot be had."""
-        ...
 
     def change(self) -> contextlib.AbstractContextManager[Account]:
         """Return a block that holds the account for itself and stores it at its end.
@@ -279,20 +246,14 @@ class AccountStore(Protocol):
         Raises:
             UnsafeStimulus: If it cannot be locked, read or stored; then nothing was changed.
         """
-        ...
 
 
 @dataclass(slots=True)
 class MemoryStore:
-    """The account of a simulated box whose world ends with the program.
+    """The account of a simulated box whose world ends with the program."""
 
-    Attributes:
-        clock: Simulated time in s.
-        boxes: Serial numbers of the boxes of that world: no eye was before them.
-    """
-
-    clock: Callable[[], float]
-    boxes: tuple[str, ...] = ()
+    clock: Callable[[], float]  # simulated time in s
+    boxes: tuple[str, ...] = ()  # serial numbers of the boxes of that world: no eye was before them
     holder: str = "this program"
     _account: Account | None = None
 
@@ -325,20 +286,13 @@ class FileStore:
     """The account in a folder: read, changed and written whole while the folder is locked.
 
     A file that is missing, damaged or from the future is an account that knows no box: see `Account.meet`.
-
-    Attributes:
-        folder: Holds the file; made where missing.
-        moment: Returns the present time.
-        sleep: Waits between two looks at a lock.
-        holder: Name of this program.
-        running: Returns whether the program of a name still runs.
     """
 
-    folder: Path
-    moment: Callable[[], Moment] = machine_moment
-    sleep: Callable[[float], None] = time.sleep
-    holder: str = field(default_factory=lambda: process_name(os.getpid()))
-    running: Callable[[str], bool] = is_running
+    folder: Path  # holds the file; made where missing
+    moment: Callable[[], Moment] = machine_moment  # returns the present time
+    sleep: Callable[[float], None] = time.sleep  # waits between two looks at a lock
+    holder: str = field(default_factory=lambda: process_name(os.getpid()))  # name of this program
+    running: Callable[[str], bool] = is_running  # returns whether the program of a name still runs
 
     def lives(self, holder: str) -> bool:
         """Return whether another program that entered light still runs."""

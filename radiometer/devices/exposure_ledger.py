@@ -9,14 +9,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Final
 
-from radiometer.devices.exposure_account import (
-    Account,
-    AccountStore,
-    Phase,
-    Planned,
-    box_key,
-    eye_key,
-)
+from radiometer.devices.exposure_account import Account, AccountStore, Phase, Planned, box_key, eye_key
 from radiometer.devices.retinal_safety import (
     BLUE_WINDOW_S,
     DEFAULT_FRACTION,
@@ -27,7 +20,7 @@ from radiometer.devices.retinal_safety import (
 )
 from radiometer.errors import UnsafeStimulus
 
-# An Arduino's ceramic resonator runs up to 0.5 % slow (docs/light-box-protocol.md); twice that counts.
+# An Arduino's ceramic resonator runs up to 0.5 % slow (docs/reference/light-box-protocol.md); twice that counts.
 BOX_CLOCK_FACTOR: Final = 1.01
 # A command may be repeated for 1.6 s, each time feeding the dead man, who waits 1 s: the old light may last that long.
 CHANGE_S: Final = 3.0
@@ -35,21 +28,13 @@ CHANGE_S: Final = 3.0
 
 @dataclass(frozen=True, slots=True)
 class Stimulus:
-    """Light of a channel as it is asked for.
+    """Light of a channel as it is asked for."""
 
-    Attributes:
-        channel: Name of the channel.
-        radiance_w_sr_m2: Radiance while bright that it stays below, in W·sr⁻¹·m⁻².
-        bright_s: Bright time in s, in sum; `math.inf` where no end is planned.
-        lasting_s: Time in s from its begin to its end, dark times included; `math.inf` where no end is planned.
-        ramp_s: Time in s within which the level moves there from the one before; 0 where it jumps.
-    """
-
-    channel: str
-    radiance_w_sr_m2: float
-    bright_s: float
-    lasting_s: float
-    ramp_s: float = 0.0
+    channel: str  # name of the channel
+    radiance_w_sr_m2: float  # radiance while bright that it stays below, in W·sr⁻¹·m⁻²
+    bright_s: float  # bright time in s, in sum; `math.inf` where no end is planned
+    lasting_s: float  # time in s from its begin to its end, dark times included; `math.inf` where no end is planned
+    ramp_s: float = 0.0  # time in s within which the level moves there from the one before; 0 where it jumps
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,18 +52,12 @@ class ExposureLedger:
 
     All channels count as falling on the same place of the retina, a blinking channel as bright for the planned time,
     and a ramp as the higher of its two levels for its whole time.
-
-    Attributes:
-        optics: Optics of each channel.
-        store: Keeps the account of all boxes and eyes.
-        allowed_fraction: Largest fraction of either limit that may be used up.
-        eye: Whose eye looks into the box; None where it is not known.
     """
 
-    optics: Mapping[str, ChannelOptics]
-    store: AccountStore
-    allowed_fraction: float = DEFAULT_FRACTION
-    eye: str | None = None
+    optics: Mapping[str, ChannelOptics]  # optics of each channel
+    store: AccountStore  # keeps the account of all boxes and eyes
+    allowed_fraction: float = DEFAULT_FRACTION  # largest fraction of either limit that may be used up
+    eye: str | None = None  # whose eye looks into the box; None where it is not known
     _box: str = ""
     _open: dict[str, _Open] = field(default_factory=dict)  # by name in the account
     _dark_s: dict[str, float] = field(default_factory=dict)  # by name: from when on it is dark, where not yet stored
@@ -120,7 +99,6 @@ class ExposureLedger:
         """Raise UnsafeStimulus if fractions of the limits are too much with all that was given before.
 
         Args:
-            where: What is planned, for the message.
             used: Fractions of the limits that it would use up.
         """
         with self._lock:

@@ -17,19 +17,12 @@ class Health(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """One line of a health report.
+    """One line of a health report."""
 
-    Attributes:
-        check: What was looked at.
-        health: How bad it is; only a fault keeps one from measuring.
-        message: What was found, with figures and units.
-        cure: What to do about it; empty where nothing is to be done.
-    """
-
-    check: str
-    health: Health
-    message: str
-    cure: str = ""
+    check: str  # what was looked at
+    health: Health  # how bad it is; only a fault keeps one from measuring
+    message: str  # what was found, with figures and units
+    cure: str = ""  # what to do about it; empty where nothing is to be done
 
     def to_mapping(self) -> dict[str, str]:
         """Return the mapping of the JSON form."""

@@ -24,48 +24,33 @@ _BLUE: Final = np.array([
 ])
 # fmt: on
 BLUE_DOSE_LIMIT_J_SR_M2: Final = 1e6  # 4.3.3: L_B·t, for t up to 10⁴ s
-BLUE_WINDOW_S: Final = 1e4
+BLUE_WINDOW_S: Final = 1e4  # IEC 62471:2006, 4.3.3: blue light is summed over 10⁴ s
 SMALL_SOURCE_RAD: Final = 0.011  # 4.3.4: below it the limits are set on irradiance
 SMALL_SOURCE_DOSE_J_M2: Final = 100.0  # 4.3.4: E_B·t, for t up to 100 s
 SMALL_SOURCE_IRRADIANCE_W_M2: Final = 1.0  # 4.3.4: E_B, beyond 100 s
 THERMAL_CONSTANT: Final = 50_000.0  # 4.3.5: L_R ≤ 50 000/(α·t^0.25), 10 µs to 10 s
-DEFAULT_FRACTION: Final = 0.1
+DEFAULT_FRACTION: Final = 0.1  # engineering choice: a tenth of the limit, for bounds may be off
 
 
 @dataclass(frozen=True, slots=True)
 class ChannelOptics:
-    """What the eye meets when a channel is on.
+    """What the eye meets when a channel is on."""
 
-    Attributes:
-        peak_nm: Peak wavelength in nm; None for a white LED (450 nm pump and yellow phosphor).
-        fwhm_nm: Full width of the line at half maximum in nm; not used for white.
-        subtense_deg: Angle that the lit area subtends at the eye, in degrees.
-        radiance_bound_w_sr_m2: Radiance at full level and high current that it certainly stays below.
-        low_range_ratio_bound: Fraction of that which the low current certainly stays below.
-    """
-
-    peak_nm: float | None
-    fwhm_nm: float
-    subtense_deg: float
-    radiance_bound_w_sr_m2: float
-    low_range_ratio_bound: float = 1 / 100
+    peak_nm: float | None  # peak wavelength in nm; None for a white LED (450 nm pump and yellow phosphor)
+    fwhm_nm: float  # full width of the line at half maximum in nm; not used for white
+    subtense_deg: float  # angle that the lit area subtends at the eye, in degrees
+    radiance_bound_w_sr_m2: float  # radiance at full level and high current that it certainly stays below
+    low_range_ratio_bound: float = 1 / 100  # fraction of that which the low current certainly stays below
 
 
 @dataclass(frozen=True, slots=True)
 class FlashLight:
-    """What the eye meets when the photographic flash is fired.
+    """What the eye meets when the photographic flash is fired."""
 
-    Attributes:
-        exposure_j_sr_m2: Radiant exposure of one flash, in J·sr⁻¹·m⁻².
-        exposure_bound_j_sr_m2: What it certainly stays below.
-        duration_s: Time in which it is given; the shortest that it may have, for a shorter one is worse.
-        subtense_deg: Angle that the diffuser subtends at the eye, in degrees.
-    """
-
-    exposure_j_sr_m2: float
-    exposure_bound_j_sr_m2: float
-    duration_s: float
-    subtense_deg: float
+    exposure_j_sr_m2: float  # radiant exposure of one flash, in J·sr⁻¹·m⁻²
+    exposure_bound_j_sr_m2: float  # what it certainly stays below
+    duration_s: float  # time in which it is given; the shortest that it may have, for a shorter one is worse
+    subtense_deg: float  # angle that the diffuser subtends at the eye, in degrees
 
     @property
     def optics(self) -> ChannelOptics:
@@ -75,15 +60,10 @@ class FlashLight:
 
 @dataclass(frozen=True, slots=True)
 class HazardFractions:
-    """Fractions of the exposure limits that a stimulus would use up; 1 is the limit itself.
+    """Fractions of the exposure limits that a stimulus would use up; 1 is the limit itself."""
 
-    Attributes:
-        blue_light: Of the photochemical (blue-light) limit.
-        thermal: Of the thermal limit.
-    """
-
-    blue_light: float
-    thermal: float
+    blue_light: float  # of the photochemical (blue-light) limit
+    thermal: float  # of the thermal limit
 
 
 def blue_light_weight(wavelength_nm: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -142,7 +122,6 @@ def hazard_fractions(optics: ChannelOptics, radiance_w_sr_m2: float, bright_s: f
     1.7 mrad (0.25 s), 1.7 mrad·√(t/0.25 s) or 11 mrad (10 s) to 100 mrad.
 
     Args:
-        optics: Spectrum and size of the source.
         radiance_w_sr_m2: Radiance while it is bright, in W·sr⁻¹·m⁻², averaged over its PWM.
         bright_s: Time in s for which it is bright, in sum; `math.inf` where no end is planned.
 
@@ -160,7 +139,6 @@ def refuse_unsafe(where: str, used: HazardFractions, allowed_fraction: float = D
     """Raise UnsafeStimulus where more than a stated fraction of a limit would be used up.
 
     Args:
-        where: What is planned, for the message.
         used: Fractions of the limits, with everything that adds to them.
         allowed_fraction: Largest fraction of either limit, 0 to 1.
     """

@@ -7,23 +7,9 @@ imported_of(capture)                               # what was taken from where, 
 
 from radiometer.importing.found import ImportOptions
 from radiometer.importing.record import ImportRecord, imported_of
-from radiometer.importing.sources import (
-    copy_into,
-    import_into,
-    import_sources,
-    is_foreign,
-    open_capture,
-    statistics_of,
-)
+from radiometer.importing.sources import copy_into, import_into, import_sources, is_foreign, open_capture, statistics_of
 
 __all__ = [
-    "ImportOptions",
-    "ImportRecord",
-    "copy_into",
-    "import_into",
-    "import_sources",
-    "imported_of",
-    "is_foreign",
-    "open_capture",
-    "statistics_of",
-]
+    "ImportOptions", "ImportRecord", "copy_into", "import_into", "import_sources", "imported_of", "is_foreign",
+    "open_capture", "statistics_of",
+]  # fmt: skip

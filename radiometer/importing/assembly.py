@@ -22,13 +22,13 @@ from radiometer.importing.record import ImportRecord, by_wording, doubts_about, 
 _LOOKED_AT: Final = 4  # frames whose codes are looked at for padding and clipping
 _FEWEST_CODES: Final = 10  # different ones: all even by chance once in a thousand
 _CODES_FROM: Final = 65_536  # pixels of a frame that show its codes
-_FEWEST_CLIPPED: Final = 4
+_FEWEST_CLIPPED: Final = 4  # noise alone puts hardly two pixels on the same highest code
 _CAMERA_KEYS: Final = (
     "vendor", "model", "serial", "unit", "mode", "band", "wavelength_nm", "binning", "pixel_pitch_um",
     "conversion_gain_e_per_dn", "read_noise_e",
 )  # fmt: skip
 _OWN_KEYS: Final = ("vendor", "model", "serial", "band", "binning", "mode")  # what a camera is called by among several
-_MASKED_SAME_DN: Final = 1.0
+_MASKED_SAME_DN: Final = 1.0  # masked rows are read to a fraction of a DN
 _UNEVEN_PERCENT: Final = 0.5  # of light that a calibration moves, above which it is reported
 
 
@@ -81,10 +81,7 @@ def assemble(
     """Return the header of a capture set for frames of one camera, by the time they were taken.
 
     Args:
-        title: Name of the camera among several.
-        frames: Its frames.
         root: Folder that the names of the frames are relative to.
-        options: How they are taken.
         read: Returns the digital numbers of a frame, for a look at their codes.
         left_out: Lines about files that could not be used.
         bit_depth: Bits per pixel where a descriptor states them.
@@ -289,7 +286,7 @@ def _black_by_gain(frames: Sequence[FoundFrame]) -> list[str]:
         return []
     said = ", ".join(f"{offset:+.0f} DN at {gain:g} dB" for gain, offset in offsets.items())
     kind = "black_level_offset and black_level_gain_slope" if len(offsets) > 1 else "black_level_offset"
-    return [f"masked rows lie off the black level tag by {said}: {kind}"]
+    return [f"masked rows differ from the black level tag by {said}: {kind}"]
 
 
 def _uncorrected(frames: Sequence[FoundFrame]) -> list[str]:
@@ -298,14 +295,14 @@ def _uncorrected(frames: Sequence[FoundFrame]) -> list[str]:
     rows = [100.0 * (f.extra["maker_row_gain_last"] - 1.0) for f in frames if "maker_row_gain_last" in f.extra]
     if rows and max(map(abs, rows)) > _UNEVEN_PERCENT:
         lines.append(
-            "the maker's calibration has rows exposed for times of their own, the last one with "
-            f"{_span(rows, '+.1f')} % of the first one's light more, which the frames hold: row_dependent_exposure"
+            "the maker's calibration states row-dependent exposure: the last row has "
+            f"{_span(rows, '+.1f')} % more light than the first. The frames include it: row_dependent_exposure"
         )
     corners = [v for frame in frames for v in frame.lens.get("maker_corner_illumination", ())]
     if corners and 100.0 * (1.0 - min(corners)) > _UNEVEN_PERCENT:
         lines.append(
-            f"the maker's calibration leaves the corners {_span(corners, '.2f')} of the middle's light, "
-            "which the frames hold: natural_vignetting or mechanical_vignetting"
+            f"the maker's calibration states {_span(corners, '.2f')} of the middle's light in the corners. "
+            "The frames include it: natural_vignetting or mechanical_vignetting"
         )
     return lines
 
@@ -318,7 +315,7 @@ def _span(values: Sequence[float], how: str) -> str:
 def _missing(frames: Sequence[FoundFrame], camera: CameraDescription) -> list[str]:
     found = []
     if not any(f.settings.is_dark for f in frames):
-        found.append("no dark frames: black level and read noise cannot be told from the light")
+        found.append("no dark frames: black level and read noise cannot be separated from the light")
     if all(f.settings.is_dark for f in frames):
         found.append("no frames with light: no photon transfer, no linearity, no saturation")
     if all(f.settings.temperature_c is None for f in frames):

@@ -17,17 +17,11 @@ DESCRIPTOR_NAME: Final = "EMVA1288_Data.txt"
 
 @dataclass(frozen=True, slots=True)
 class EmvaEntry:
-    """The images of one setting.
+    """The images of one setting."""
 
-    Attributes:
-        exposure_s: Exposure in s; 0 where the file states 0 (a bias frame, or light that does not follow it).
-        photons: Mean photons per pixel; 0 for dark images.
-        files: The images.
-    """
-
-    exposure_s: float
-    photons: float
-    files: tuple[Path, ...]
+    exposure_s: float  # exposure in s; 0 where the file states 0 (a bias frame, or light that does not follow it)
+    photons: float  # mean photons per pixel; 0 for dark images
+    files: tuple[Path, ...]  # the images
 
 
 @dataclass(frozen=True, slots=True)

@@ -16,7 +16,7 @@ from radiometer.data.statements import Statement, StatementMap, first_stated, pl
 
 Header = Mapping[str, Statement]
 
-EXIF_DIRECTORY: Final = 34665
+EXIF_DIRECTORY: Final = 34665  # TIFF tag of the EXIF directory (EXIF 2.32, 4.6.3)
 # Exif 2.32, sections 4.6.3 and 4.6.5, and DNG 1.7, chapter 4: names by code, for writers' libraries differ in them.
 _NAMES: Final = {
     33434: "ExposureTime", 33437: "FNumber", 34855: "PhotographicSensitivity", 34865: "StandardOutputSensitivity",

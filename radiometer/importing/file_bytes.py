@@ -20,7 +20,6 @@ def read_bytes(path: Path, most: int = -1) -> bytes:
     """Return a file's bytes, unpacked where it is gzipped.
 
     Args:
-        path: The file.
         most: How many bytes to return at most; -1 for all.
 
     Raises:

@@ -18,24 +18,17 @@ _MINUTES_AND_SECONDS: Final = re.compile(rf"(?<![\da-z.]){_NUMBER}m{_NUMBER}s(?!
 _TIME: Final = re.compile(rf"(?<![\d.,]){_NUMBER}({_UNITS})(?![a-z\d])")
 _BARE: Final = re.compile(rf"(?:expos|exposure|exptime|exp){_NUMBER}(?![\d.,]*[a-z])")
 _KINDS: Final = {"bias": "dark", "zero": "dark", "dark": "dark", "flat": "light", "light": "light"}
-_SAME_REL: Final = 0.02
+_SAME_REL: Final = 0.02  # names round exposures to two digits
 
 
 @dataclass(frozen=True, slots=True)
 class NameClaims:
-    """What a name claims.
+    """What a name claims."""
 
-    Attributes:
-        exposure_s: Exposure in s; None where it names none.
-        exposure_has_unit: False where a bare number was read as seconds.
-        kind: "dark", "light", or "".
-        doubt: What the exposure may be otherwise, in words; "" where it is clear.
-    """
-
-    exposure_s: float | None
-    exposure_has_unit: bool
-    kind: str
-    doubt: str = ""
+    exposure_s: float | None  # exposure in s; None where it names none
+    exposure_has_unit: bool  # False where a bare number was read as seconds
+    kind: str  # "dark", "light", or ""
+    doubt: str = ""  # what the exposure may be otherwise, in words; "" where it is clear
 
 
 def claims_of(file: Path) -> NameClaims:
@@ -71,9 +64,7 @@ def contradictions(claims: NameClaims, exposure_s: float | None, *, is_dark: boo
     """Return what a name claims against what the header says, in words; empty where they agree.
 
     Args:
-        claims: What the name claims.
         exposure_s: Exposure in s of the header; None where it states none.
-        is_dark: The header speaks of a dark frame.
     """
     found = []
     claimed = claims.exposure_s

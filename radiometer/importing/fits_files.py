@@ -42,16 +42,8 @@ Header = Mapping[str, Statement]
 # others are in use without a definition: their unit must be stated.
 _EXPOSURE: Final = places("XPOSURE:s EXPTIME:s EXPOSURE:s EXPOINUS:us EXP_TIME ITIME INTTIME EXPTIME1 TEXP EXPOSED")
 _TEMPERATURE: Final = (
-    "CCD-TEMP",
-    "CCDTEMP",
-    "DET-TEMP",
-    "DETTEMP",
-    "SENSTEMP",
-    "TEMPERAT",
-    "CHIPTEMP",
-    "CAMTEMP",
-    "TEMP",
-)
+    "CCD-TEMP", "CCDTEMP", "DET-TEMP", "DETTEMP", "SENSTEMP", "TEMPERAT", "CHIPTEMP", "CAMTEMP", "TEMP",
+)  # fmt: skip
 _SET_TEMPERATURE: Final = ("SET-TEMP", "SETTEMP", "CCD-TSET")
 _TIME: Final = ("DATE-OBS", "DATE-BEG", "DATE_OBS", "DATE")
 _CAMERA_NAME: Final = ("INSTRUME", "CAMERA", "DETECTOR", "DETNAM")
@@ -78,7 +70,7 @@ _PROCESSED_WORDS: Final = (
     "calibrat", "combine", "averag", "median", "stack", "reduc", "resampl", "overscan correct", "zerocor", "darkcor",
 )  # fmt: skip
 _KELVINS: Final = (150.0, 400.0)  # without a unit, a number between them can only be kelvins
-_SETTLED_K: Final = 1.0
+_SETTLED_K: Final = 1.0  # coolers hold a tenth of a kelvin once they have settled
 # Counts of frames in a sum or mean: NOAO's and ESO's keywords, Seestar's and Siril's, MaxIm's.
 _COMBINED: Final = ("NCOMBINE", "SNAPSHOT", "STACKCNT", "NSUBEXP", "NCOADD", "NCOADDS", "COADDS", "NEXP")
 # Units of data that are numbers of the converter (FITS standard 4.0, table 4; the rest are spellings in use).
@@ -96,7 +88,6 @@ def read_fits_headers(path: Path, mapped: StatementMap = StatementMap()) -> list
     of the file are reported as not used.
 
     Args:
-        path: The file.
         mapped: Where the user states that facts stand.
 
     Raises:
@@ -132,10 +123,6 @@ def read_fits_pixels(path: Path, part: int) -> NDArray[Any]:
     """Return the values of one plane of a FITS file, BSCALE and BZERO applied.
 
     Sixteen-bit integers with BZERO 32768 come as uint16, whole numbers stay whole.
-
-    Args:
-        path: The file.
-        part: Number of the plane, counted over all pictures of the file.
 
     Raises:
         CaptureError: If the file is damaged or truncated.
@@ -372,10 +359,10 @@ def _processing(header: Header, history: str) -> list[str]:
     said = history.lower()
     words = [word for word in _PROCESSED_WORDS if word in said]
     if words:
-        found.append(f"HISTORY speaks of processing ({', '.join(words)}): these may be no raw numbers")
+        found.append(f"HISTORY mentions processing ({', '.join(words)}): these may be no raw numbers")
     status = str(header["CALSTAT"].written).strip() if "CALSTAT" in header else ""
     if status:
-        found.append(f"CALSTAT {status}: bias, dark or flat were applied already")
+        found.append(f"CALSTAT {status}: bias, dark or flat corrections were applied already")
     combined = next((n for key in _COMBINED if (n := _number(header, key)) and n > 1), None)
     if combined:
         found.append(

@@ -20,21 +20,14 @@ TOP_DN = 65535  # the highest digital number that a capture set holds
 
 @dataclass(frozen=True, slots=True)
 class ImportOptions:
-    """How frames are taken.
+    """How frames are taken."""
 
-    Attributes:
-        crop: Region to keep; None for the whole frame.
-        sample: Keep every n-th row and column of it, from its first on.
-        full_scale: Value of full scale where the files hold 32-bit or floating-point numbers; None refuses them.
-        pedestal: Value added before, so that numbers below zero (processed darks) can be held.
-        mapped: Where the user states that facts stand.
-    """
-
-    crop: Patch | None = None
-    sample: int = 1
+    crop: Patch | None = None  # region to keep; None for the whole frame
+    sample: int = 1  # keep every n-th row and column of it, from its first on
+    # Value of full scale where the files hold 32-bit or floating-point numbers; None refuses them
     full_scale: float | None = None
-    pedestal: float = 0.0
-    mapped: StatementMap = field(default_factory=StatementMap)
+    pedestal: float = 0.0  # value added before, so that numbers below zero (processed darks) can be held
+    mapped: StatementMap = field(default_factory=StatementMap)  # where the user states that facts stand
 
     def __post_init__(self) -> None:
         if self.sample < 1:
@@ -43,16 +36,12 @@ class ImportOptions:
             raise UsageError(f"a full scale of {self.full_scale:g} is not possible; give a number above 0")
 
     def cut(self, pixels: NDArray[Any], where: str) -> NDArray[Any]:
-        """Return the requested part of a picture.
-
-        Raises:
-            CaptureError: If the crop is not inside it.
-        """
+        """Return the requested part of a picture. Raises CaptureError if the crop is not inside it."""
         if self.crop is not None:
             height, width = pixels.shape
             if not self.crop.fits((height, width)):
                 raise CaptureError(
-                    f"{where}: the crop {self.crop.x},{self.crop.y},{self.crop.width},{self.crop.height} does not lie "
+                    f"{where}: the crop {self.crop.x},{self.crop.y},{self.crop.width},{self.crop.height} is not "
                     f"on the frame of {width} × {height} pixels"
                 )
             pixels = pixels[self.crop.slices]
@@ -100,39 +89,24 @@ def _converted(part: NDArray[Any], options: ImportOptions, where: str) -> Digita
 
 @dataclass(frozen=True, slots=True)
 class FoundFrame:
-    """One frame in a file, not read yet.
+    """One frame in a file, not read yet."""
 
-    Attributes:
-        file: The file.
-        part: Number of the plane or page in it.
-        parts: How many frames the file holds.
-        shape: (height, width) as stored.
-        stored: Kind of the stored numbers, as NumPy names it.
-        settings: What it was taken with.
-        exposure_known: False where no source states the exposure.
-        camera: What the file says of the camera, by the keys of the capture set's header.
-        lens: The same of the lens.
-        taken: Where each fact came from, such as {"exposure_s": "EXPTIME"}.
-        doubts: What contradicts itself.
-        extra: Further facts for the frame's entry.
-        photons: Mean photons per pixel; None where unknown.
-        not_used: Units, directories and pages of its file that no frame was made of.
-    """
-
-    file: Path
-    shape: tuple[int, int]
-    stored: str
-    settings: FrameSettings
-    part: int = 0
-    parts: int = 1
-    exposure_known: bool = True
+    file: Path  # the file
+    shape: tuple[int, int]  # (height, width) as stored
+    stored: str  # kind of the stored numbers, as NumPy names it
+    settings: FrameSettings  # what it was taken with
+    part: int = 0  # number of the plane or page in it
+    parts: int = 1  # how many frames the file holds
+    exposure_known: bool = True  # False where no source states the exposure
+    # What the file says of the camera, by the keys of the capture set's header
     camera: Mapping[str, Any] = field(default_factory=dict)
-    lens: Mapping[str, Any] = field(default_factory=dict)
+    lens: Mapping[str, Any] = field(default_factory=dict)  # the same of the lens
+    # Where each fact came from, such as {"exposure_s": "EXPTIME"}
     taken: Mapping[str, str] = field(default_factory=dict)
-    doubts: tuple[str, ...] = ()
-    extra: Mapping[str, Any] = field(default_factory=dict)
-    photons: float | None = None
-    not_used: tuple[str, ...] = ()
+    doubts: tuple[str, ...] = ()  # what contradicts itself
+    extra: Mapping[str, Any] = field(default_factory=dict)  # further facts for the frame's entry
+    photons: float | None = None  # mean photons per pixel; None where unknown
+    not_used: tuple[str, ...] = ()  # units, directories and pages of its file that no frame was made of
 
     def doubting(self, *lines: str) -> FoundFrame:
         """Return the frame with further doubts."""

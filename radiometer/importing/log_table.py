@@ -15,9 +15,8 @@ from radiometer.data.reader_limits import bounded_reader
 from radiometer.data.statements import UNKNOWN
 from radiometer.data.text_table import TextTable, read_table, stamp_s
 from radiometer.errors import InputError, UnsettledError, UsageError
+from radiometer.typing import Array
 from radiometer.units import heading_parts, read_number, unit_of
-
-Array = NDArray[np.float64]
 
 CD_M2_AT_0_MAG: Final = 10.8e4
 """Luminance in cd·m⁻² of 0 mag/arcsec².
@@ -27,11 +26,11 @@ discussions of 2005, uncertain by at least 1 %; a constant factor, which the cam
 """
 _MAGNITUDES: Final = ("mag", "sqm", "mpsas", "msas")
 _GAP_S: Final = 3.0 * 3600.0  # without a reading: another night
-_DAY_S: Final = 86400.0
+_DAY_S: Final = 86400.0  # a day
 _APART_S: Final = 300.0  # by which readings of a reference in a separate file may differ in time from the camera's
-_FEWEST_NIGHTS: Final = 3
-_FEWEST_ROWS: Final = 12
-_MOST_PER_NIGHT: Final = 300
+_FEWEST_NIGHTS: Final = 3  # one is held out, and two show what repeats
+_FEWEST_ROWS: Final = 12  # fewer fit any model of a log
+_MOST_PER_NIGHT: Final = 300  # evenly thinned: more are correlated and only cost time
 _NEEDS: Final = (
     "a camera's value, its exposure and a reference (gain, temperature, time and colour where there are any)"
 )
@@ -65,35 +64,20 @@ _SATURATED_FROM_BITS: Final = range(8, 17)  # converters whose highest code the 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LogTable:
-    """Readings of a camera and a reference meter; arrays of one entry per reading.
+    """Readings of a camera and a reference meter; arrays of one entry per reading."""
 
-    Attributes:
-        value: Camera value in DN, the stated black level taken off.
-        exposure_s: Exposure time in s.
-        gain_db: Gain in dB; zeros where none is stated.
-        reference: Reference in a linear unit.
-        night: Number of the night, from 0.
-        time_s: Time in s from the first reading; None where unknown.
-        temperature_c: Sensor temperature in °C; None where unknown.
-        colour: Colour as it was written (mired for a colour temperature); None where unknown.
-        u_reference_rel: Relative standard uncertainty of the reference; zeros where none is stated.
-        taken: What was taken from which column, in words.
-        assumptions: What was assumed, in words.
-        units: Unit of "reference" and of "colour".
-    """
-
-    value: Array
-    exposure_s: Array
-    gain_db: Array
-    reference: Array
-    night: NDArray[np.intp]
-    time_s: Array | None = None
-    temperature_c: Array | None = None
-    colour: Array | None = None
-    u_reference_rel: Array | None = None
-    taken: tuple[str, ...] = ()
-    assumptions: tuple[str, ...] = ()
-    units: Mapping[str, str] | None = None
+    value: Array  # camera value in DN, the stated black level taken off
+    exposure_s: Array  # exposure time in s
+    gain_db: Array  # gain in dB; zeros where none is stated
+    reference: Array  # reference in a linear unit
+    night: NDArray[np.intp]  # number of the night, from 0
+    time_s: Array | None = None  # time in s from the first reading; None where unknown
+    temperature_c: Array | None = None  # sensor temperature in °C; None where unknown
+    colour: Array | None = None  # colour as it was written (mired for a colour temperature); None where unknown
+    u_reference_rel: Array | None = None  # relative standard uncertainty of the reference; zeros where none is stated
+    taken: tuple[str, ...] = ()  # what was taken from which column, in words
+    assumptions: tuple[str, ...] = ()  # what was assumed, in words
+    units: Mapping[str, str] | None = None  # unit of "reference" and of "colour"
 
     @property
     def size(self) -> int:
@@ -113,34 +97,28 @@ class LogTable:
 
 @dataclass(frozen=True, slots=True)
 class LogColumns:
-    """What is stated of the columns in addition to their names.
+    """What is stated of the columns in addition to their names."""
 
-    Attributes:
-        chosen: Column by quantity ("value", "reference", …), where the names do not state it.
-        gain_unit: "db", "x", "0.1db" or "iso"; None where the column's name states it.
-        black_dn: Black level in DN to take off.
-    """
-
+    # Column by quantity ("value", "reference", …), where the names do not state it
     chosen: Mapping[str, str] | None = None
-    gain_unit: str | None = None
-    black_dn: float = 0.0
+    gain_unit: str | None = None  # "db", "x", "0.1db" or "iso"; None where the column's name states it
+    black_dn: float = 0.0  # black level in DN to take off
 
 
 @bounded_reader(error=InputError)
-def read_log(path: Path, said: LogColumns | None = None, reference: Path | None = None) -> LogTable:
+def read_log(path: Path, stated: LogColumns | None = None, reference: Path | None = None) -> LogTable:
     """Return the readings of a table.
 
     Args:
         path: CSV of the camera, the reference among its columns or in a separate file.
-        said: What is stated of the columns.
         reference: File of the reference meter with its own times; the nearest readings are interpolated.
 
     Raises:
         InputError: If columns are missing, a value is unusable, or the nights are too few.
     """
-    stated = said or LogColumns()
+    stated = stated or LogColumns()
     table = read_table(path, _NEEDS, named=True)
-    places = _places(table, stated, wanted=("value", "exposure", *(() if reference else ("reference",))))
+    places = _places(table, stated, needed=("value", "exposure", *(() if reference else ("reference",))))
     if reference is not None:
         places.pop("reference", None)
     assumed: list[str] = []
@@ -157,8 +135,8 @@ def read_log(path: Path, said: LogColumns | None = None, reference: Path | None 
     return _checked(replace(found, taken=tuple(taken)), path, assumed)
 
 
-def _places(table: TextTable, said: LogColumns, wanted: Sequence[str]) -> dict[str, int]:
-    chosen, places = dict(said.chosen or {}), dict[str, int]()
+def _places(table: TextTable, stated: LogColumns, needed: Sequence[str]) -> dict[str, int]:
+    chosen, places = dict(stated.chosen or {}), dict[str, int]()
     for key, names in _ALIASES.items():
         if key in chosen:
             if chosen[key] not in table.header:
@@ -169,7 +147,7 @@ def _places(table: TextTable, said: LogColumns, wanted: Sequence[str]) -> dict[s
             at = _with_unit(table, key, names) if at is None else at
             if at is not None:
                 places[key] = at
-    missing = [key for key in wanted if key not in places]
+    missing = [key for key in needed if key not in places]
     if missing:
         raise InputError(
             f"{table.path}: no column for {missing[0]}; the table needs {_NEEDS}. It has {', '.join(table.header)}: "
@@ -249,7 +227,11 @@ def _number(text: str) -> float:
 
 
 def _assembled(
-    table: TextTable, places: Mapping[str, int], columns: Mapping[str, list[Any]], said: LogColumns, assumed: list[str]
+    table: TextTable,
+    places: Mapping[str, int],
+    columns: Mapping[str, list[Any]],
+    stated: LogColumns,
+    assumed: list[str],
 ) -> LogTable:
     def column(key: str) -> Array | None:
         return np.array(columns[key], dtype=np.float64) if key in columns else None
@@ -259,13 +241,13 @@ def _assembled(
     if seconds is None:
         assumed.append(f"the exposure {table.header[places['exposure']]!r} has no unit: s is assumed")
     black = column("black")
-    value = np.array(columns["value"], dtype=np.float64) - (said.black_dn if black is None else black)
+    value = np.array(columns["value"], dtype=np.float64) - (stated.black_dn if black is None else black)
     exposure = np.array(columns["exposure"], dtype=np.float64) * (seconds.to_base(1.0) if seconds else 1.0)
     gain = column("gain")
     gain_db = (
         np.zeros(value.size)
         if gain is None
-        else _decibels(gain, table.header[places["gain"]], said.gain_unit, table.path)
+        else _decibels(gain, table.header[places["gain"]], stated.gain_unit, table.path)
     )
     reference, unit = (np.ones(value.size), "1")
     if "reference" in columns:
@@ -312,8 +294,6 @@ def linear(reference: Array, name: str, assumed: list[str]) -> tuple[Array, str]
     """Return a reference in a linear unit, and the unit; magnitudes per square arcsecond become cd·m⁻².
 
     Args:
-        reference: As written.
-        name: Plain name of its column.
         assumed: Lines to which is added what was assumed.
     """
     if any(sign in name for sign in _MAGNITUDES):
@@ -350,8 +330,10 @@ def _beside(
 ) -> tuple[LogTable, list[str]]:
     """Return the log with a reference from a separate file, interpolated in time, without rows that have none."""
     if log.time_s is None:
-        raise InputError(f"{own.path}: has no column of times, by which {other.path} could be set beside it")
-    places = _places(other, LogColumns(), wanted=("time", "reference"))
+        raise InputError(
+            f"{own.path}: has no column of times, so {other.path} cannot be matched to it; name it with --time"
+        )
+    places = _places(other, LogColumns(), needed=("time", "reference"))
     assumed: list[str] = []
     written = np.array(_cells(other, places["reference"], "reference"), dtype=np.float64)
     name = other.plain[places["reference"]]
@@ -362,25 +344,25 @@ def _beside(
     times = np.array(_cells(other, places["time"], "time"), dtype=np.float64)[read]
     order = np.argsort(times)
     times, values = times[order], values[order]
-    wanted = np.array(columns["time"], dtype=np.float64)
-    after = np.clip(np.searchsorted(times, wanted), 1, times.size - 1) if times.size > 1 else np.zeros(wanted.size, int)
-    near = np.minimum(np.abs(times[after] - wanted), np.abs(times[after - 1] - wanted)) <= _APART_S
+    needed = np.array(columns["time"], dtype=np.float64)
+    after = np.clip(np.searchsorted(times, needed), 1, times.size - 1) if times.size > 1 else np.zeros(needed.size, int)
+    near = np.minimum(np.abs(times[after] - needed), np.abs(times[after - 1] - needed)) <= _APART_S
     if not near.any():
         raise InputError(
-            f"{other.path}: none of its times lies within {_APART_S:g} s of the camera's; are both in UTC?"
+            f"{other.path}: none of its times is within {_APART_S:g} s of the camera's; check that both are in UTC"
         )
     if (values <= 0).any():
         raise InputError(f"{other.path}: a reference of {values.min():g} is no light; leave such rows out")
-    there = np.exp(np.interp(wanted, times, np.log(values)))
-    said = [
+    there = np.exp(np.interp(needed, times, np.log(values)))
+    lines = [
         f"{key} from {other.header[at]!r} of {other.path.name}"
         for key, at in places.items()
         if key in ("time", "reference")
     ]
-    more = (*log.assumptions, *assumed, *([f"{int((~near).sum())} rows without a reference beside them are left out"]
+    more = (*log.assumptions, *assumed, *([f"{int((~near).sum())} rows without a reference at their time are left out"]
             if not near.all() else []))  # fmt: skip
     units = {**(log.units or {}), "reference": unit}
-    return replace(replace(log, reference=there, units=units).take(near), assumptions=more), said
+    return replace(replace(log, reference=there, units=units).take(near), assumptions=more), lines
 
 
 def _checked(log: LogTable, path: Path, assumed: list[str]) -> LogTable:

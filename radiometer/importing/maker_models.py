@@ -15,15 +15,11 @@ from radiometer.importing.xmp import numbers
 class FallOff:
     """A maker's model of vignetting: relative illumination k = 1 + Σ k_i·r^i, r in pixels from the centre.
 
-    Attributes:
-        centre_px: (x, y) of the centre in pixels.
-        coefficients: k_1 … k_n in px^-i.
-
     Source: MicaSense, RedEdge camera radiometric calibration model: I_corrected = I/k, k = 1 + k_0·r + k_1·r² + …
     """
 
-    centre_px: tuple[float, float]
-    coefficients: tuple[float, ...]
+    centre_px: tuple[float, float]  # (x, y) of the centre in pixels
+    coefficients: tuple[float, ...]  # k_1 … k_n in px^-i
 
     def relative_illumination(self, x_px: NDArray[np.float64], y_px: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the illumination relative to the centre at places in pixels."""
@@ -42,16 +38,12 @@ class FallOff:
 class RowExposure:
     """A maker's model of a row's extra exposure: signal ∝ exposure_s + a2·y − a3·exposure_s·y.
 
-    Attributes:
-        a2_s: Added exposure per row in s.
-        a3: Relative loss per row.
-
     Source: MicaSense, RedEdge camera radiometric calibration model:
     L = V·a1/g·(p − p_BL)/(t_e + a2·y − a3·t_e·y).
     """
 
-    a2_s: float
-    a3: float
+    a2_s: float  # added exposure per row in s
+    a3: float  # relative loss per row
 
     def gain_at(self, row: float, exposure_s: float) -> float:
         """Return the signal of a row relative to row 0."""

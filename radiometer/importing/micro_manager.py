@@ -23,38 +23,24 @@ from radiometer.units import heading_parts
 TAG: Final = 51123  # MicroManagerMetadata; also in the TIFF tag tables of ImageJ and tifffile
 FACT: Final = "acquisition"
 _SIDECARS: Final = ("_frame_metadata.json", "metadata.txt")
-_LARGEST_TEXT: Final = 50_000_000
+_LARGEST_TEXT: Final = 50_000_000  # characters: far beyond the metadata of any acquisition
 
 
 @dataclass(frozen=True, slots=True)
 class PlaneFacts:
-    """What is stated of one picture; what is not stated is None.
+    """What is stated of one picture; what is not stated is None."""
 
-    Attributes:
-        source: Where it stands, in words.
-        exposure_s: Exposure in s.
-        timestamp_s: Time in s, on the acquisition's clock or since 1970.
-        gain_db: Gain in dB where its unit is stated.
-        gain: Gain in the device's own unit, as text.
-        binning: Binning, as text such as "2".
-        bit_depth: Bits per pixel.
-        temperature_c: Sensor temperature in °C.
-        camera: Name of the camera.
-        device: Properties of the camera by name.
-        doubts: What is stated as unknown.
-    """
-
-    source: str
-    exposure_s: float | None = None
-    timestamp_s: float | None = None
-    gain_db: float | None = None
-    gain: str | None = None
-    binning: str | None = None
-    bit_depth: int | None = None
-    temperature_c: float | None = None
-    camera: str | None = None
-    device: Mapping[str, Any] = field(default_factory=dict)
-    doubts: tuple[str, ...] = ()
+    source: str  # where it stands, in words
+    exposure_s: float | None = None  # exposure in s
+    timestamp_s: float | None = None  # time in s, on the acquisition's clock or since 1970
+    gain_db: float | None = None  # gain in dB where its unit is stated
+    gain: str | None = None  # gain in the device's own unit, as text
+    binning: str | None = None  # binning, as text such as "2"
+    bit_depth: int | None = None  # bits per pixel
+    temperature_c: float | None = None  # sensor temperature in °C
+    camera: str | None = None  # name of the camera
+    device: Mapping[str, Any] = field(default_factory=dict)  # properties of the camera by name
+    doubts: tuple[str, ...] = ()  # what is stated as unknown
 
     def header(self) -> dict[str, Statement]:
         """Return the camera's properties as statements, where a user may point to."""
@@ -65,8 +51,6 @@ def planes_of(path: Path, pages: Sequence[Any], ome_xml: str | None) -> list[Pla
     """Return what is stated of each page of a TIFF file; None where nothing is.
 
     Args:
-        path: The file.
-        pages: Its pages.
         ome_xml: Its OME-XML; None where it has none.
     """
     tagged = [_of_tag(page) for page in pages]
@@ -160,7 +144,6 @@ def _of_ome(text: str, path: Path, pages: Sequence[int]) -> list[PlaneFacts | No
     """Return what OME-XML states of the planes of its images, in the order of the pages.
 
     Args:
-        text: The XML.
         path: The file, one of perhaps several that the XML describes.
         pages: Numbers of the directories that are frames.
     """

@@ -30,22 +30,15 @@ _JPEG_SUFFIXES: Final = frozenset({".jpg", ".jpeg"})
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Photograph:
-    """The stored values of one photograph.
+    """The stored values of one photograph."""
 
-    Attributes:
-        values: Shape (height, width) where grey, else (height, width, 3) in the order red, green, blue.
-        bit_depth: Bits per value.
-        black_levels_dn: Value of black by channel, in their order, where the file states it.
-        white_level_dn: Value from which pixels are saturated, where the file states it.
-        is_raw: Whether the values are the sensor's own, linear.
-        full_shape: (height, width) of the file where only a lattice of its pixels was taken.
-    """
-
-    values: DigitalNumbers
-    bit_depth: int
+    values: DigitalNumbers  # shape (height, width) where grey, else (height, width, 3) in the order red, green, blue
+    bit_depth: int  # bits per value
+    # Value of black by channel, in their order, where the file states it
     black_levels_dn: tuple[float, float, float] | None = None
-    white_level_dn: int | None = None
-    is_raw: bool = False
+    white_level_dn: int | None = None  # value from which pixels are saturated, where the file states it
+    is_raw: bool = False  # whether the values are the sensor's own, linear
+    # (height, width) of the file where only a lattice of its pixels was taken
     full_shape: tuple[int, int] | None = None
 
     @property
@@ -83,7 +76,6 @@ def luma_of(planes: Sequence[Any], saturated_dn: Sequence[int], full_scale_dn: i
     Args:
         planes: Values of red, green and blue, shape (height, width) each.
         saturated_dn: From which value each of them is saturated.
-        full_scale_dn: The highest value.
     """
     luma: DigitalNumbers = cv2.cvtColor(np.dstack(planes), cv2.COLOR_RGB2GRAY)
     # A sum is known only where all its parts are; a black part adds next to nothing.
@@ -102,7 +94,6 @@ def read_photograph(path: Path, most_pixels: int | None = None, *, interpolated:
     """Return the stored values of a photograph.
 
     Args:
-        path: JPEG, PNG, TIFF or camera raw file.
         most_pixels: Take every n-th pixel of every n-th row where the file holds more than this; None for all.
         interpolated: Of a camera raw file: fill in the colours that every pixel lacks.
 
@@ -201,8 +192,8 @@ def _of_palette(path: Path, image: Any) -> Any:
     if image.ndim == 3 and bool(np.all(image[..., :3] == image[..., :1])):
         return np.ascontiguousarray(image[..., 0])
     raise CaptureError(
-        f"{path}: its colours are numbers in a palette, of 256 at most: false colours, or reduced from what the camera "
-        "stored; take the camera's own file (one that was only packed can be saved as RGB without a palette)"
+        f"{path}: its colours are indices into a palette of at most 256, so they are not the camera's values. Use the "
+        "camera's own file; a picture that was only packed can be saved as RGB without a palette"
     )
 
 

@@ -43,54 +43,21 @@ _DIAL_DENOMINATORS: Final = (
     400, 500, 640, 800, 1000, 1250, 1600, 2000, 2500, 3200, 4000, 5000, 6400, 8000, 10000, 12800, 16000, 32000,
 )  # fmt: skip
 _DIAL_TIMES: Final = (
-    0.3,
-    0.4,
-    0.5,
-    0.6,
-    0.7,
-    0.8,
-    1,
-    1.3,
-    1.5,
-    1.6,
-    2,
-    2.5,
-    3,
-    3.2,
-    4,
-    5,
-    6,
-    8,
-    10,
-    13,
-    15,
-    20,
-    25,
-    30,
-    60,
-)
+    0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 1, 1.3, 1.5, 1.6, 2, 2.5, 3, 3.2, 4, 5, 6, 8, 10, 13, 15, 20, 25, 30, 60,
+)  # fmt: skip
 LONGEST_OF_DIAL_S: Final = 60.0  # longer ones are by hand (bulb)
 
 
 @dataclass(frozen=True, slots=True)
 class PhotographSettings:
-    """What is known of one photograph.
+    """What is known of one photograph."""
 
-    Attributes:
-        exposure_s: Exposure time in s, exact where a printed dial value was given.
-        nominal_exposure_s: The time as printed.
-        f_number: Exact f-number; None where unknown.
-        iso: ISO speed as stated; None where unknown.
-        gain_db: Gain in addition to the ISO speed in dB of amplitude.
-        iso_doubt: Why no speed is known though a tag states one; "" where that is not so.
-    """
-
-    exposure_s: float
-    nominal_exposure_s: float
-    f_number: float | None = None
-    iso: float | None = None
-    gain_db: float = 0.0
-    iso_doubt: str = ""
+    exposure_s: float  # exposure time in s, exact where a printed dial value was given
+    nominal_exposure_s: float  # the time as printed
+    f_number: float | None = None  # exact f-number; None where unknown
+    iso: float | None = None  # ISO speed as stated; None where unknown
+    gain_db: float = 0.0  # gain in addition to the ISO speed in dB of amplitude
+    iso_doubt: str = ""  # why no speed is known though a tag states one; "" where that is not so
 
     def as_printed(self) -> PhotographSettings:
         """Return the settings with the time as it is printed, no stop behind it."""

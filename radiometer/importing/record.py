@@ -9,28 +9,19 @@ from typing import Any
 from radiometer.data import CaptureHeader, CaptureSet
 from radiometer.importing.found import FoundFrame
 
-_NAMED_FILES = 3
+_NAMED_FILES = 3  # names that a line shows
 
 
 @dataclass(frozen=True, slots=True)
 class ImportRecord:
-    """The record of an import.
+    """The record of an import."""
 
-    Attributes:
-        taken: Where each fact came from, such as "exposure_s from EXPTIME (32 frames)".
-        missing: What no file states and analyses would use.
-        doubts: What contradicts itself, with the files.
-        left_out: Files that could not be used, each with its reason.
-        not_used: Units, directories, pages and columns of the files that nothing was read from.
-        mapped: Where the user stated that facts stand, in the words of `--map`.
-    """
-
-    taken: tuple[str, ...] = ()
-    missing: tuple[str, ...] = ()
-    doubts: tuple[str, ...] = ()
-    left_out: tuple[str, ...] = ()
-    not_used: tuple[str, ...] = ()
-    mapped: tuple[str, ...] = ()
+    taken: tuple[str, ...] = ()  # where each fact came from, such as "exposure_s from EXPTIME (32 frames)"
+    missing: tuple[str, ...] = ()  # what no file states and analyses would use
+    doubts: tuple[str, ...] = ()  # what contradicts itself, with the files
+    left_out: tuple[str, ...] = ()  # files that could not be used, each with its reason
+    not_used: tuple[str, ...] = ()  # units, directories, pages and columns of the files that nothing was read from
+    mapped: tuple[str, ...] = ()  # where the user stated that facts stand, in the words of `--map`
 
     def to_mapping(self) -> dict[str, list[str]]:
         """Return the mapping that stands under `imported` in the capture set."""

@@ -45,15 +45,10 @@ _WILDCARDS: Final = "*?["
 
 @dataclass(slots=True)
 class FileStore:
-    """Frames that are read from the files they were found in.
+    """Frames that are read from the files they were found in."""
 
-    Attributes:
-        frames: The frame behind each name of the header.
-        options: How they are taken.
-    """
-
-    frames: dict[str, FoundFrame]
-    options: ImportOptions = field(default_factory=ImportOptions)
+    frames: dict[str, FoundFrame]  # the frame behind each name of the header
+    options: ImportOptions = field(default_factory=ImportOptions)  # how they are taken
 
     def read(self, file: str) -> DigitalNumbers:
         """Return the digital numbers of a frame by its name in the header."""
@@ -114,7 +109,6 @@ def open_capture(path: Path, options: ImportOptions | None = None) -> CaptureSet
 
     Args:
         path: Capture set, FITS or TIFF file, folder of them, pattern, or EMVA 1288 descriptor.
-        options: How the frames of files are taken.
 
     Raises:
         CaptureError: If there is nothing to read, a named file is unreadable, or several cameras are mixed.
@@ -145,7 +139,6 @@ def statistics_of(path: Path, mapped: StatementMap | None = None) -> CaptureHead
     """Return the statistics that a table or a capture set without pictures holds; None where a path is neither.
 
     Args:
-        path: Table or capture set.
         mapped: Where the user states that facts stand.
 
     Raises:
@@ -161,17 +154,13 @@ def statistics_of(path: Path, mapped: StatementMap | None = None) -> CaptureHead
 
 
 def import_sources(
-    paths: Sequence[Path],
-    options: ImportOptions | None = None,
-    report: Callable[[int, int], None] | None = None,
+    paths: Sequence[Path], options: ImportOptions | None = None, report: Callable[[int, int], None] | None = None
 ) -> list[Assembled]:
     """Return what files, folders and patterns hold, one entry per camera or band.
 
     A file of a folder that cannot be read is left out and named in the record; one that is named itself is an error.
 
     Args:
-        paths: What the user names.
-        options: How frames are taken.
         report: Called with (files read, files in all).
 
     Raises:
@@ -181,7 +170,7 @@ def import_sources(
     descriptors = [d for path in paths if path.exists() and (d := find_descriptor(path))]
     if descriptors:
         if len(paths) > 1:
-            raise CaptureError("an EMVA 1288 descriptor is a source of its own; name it alone")
+            raise CaptureError("an EMVA 1288 descriptor is a complete source; name it alone")
         return [_of_descriptor(descriptors[0], taking)]
     files = [(file, path == file) for path in paths for file in _listed(path)]
     if not files:
@@ -224,9 +213,7 @@ def import_into(
     A damaged file among others is left out and named in the record.
 
     Args:
-        sources: What the user names.
         output: Folder to write; one folder within it per camera where there are several.
-        options: How frames are taken.
         report: Called with (files read, files in all).
 
     Raises:
@@ -429,9 +416,7 @@ def _of_descriptor(path: Path, options: ImportOptions) -> Assembled:
     unsteady = _light_off_exposure(lit)
     doubts = [unsteady] if unsteady else []
     if any(s == 0 for s in stated):
-        doubts.append(
-            f"images with light state an exposure of 0: {shortest:g} s stands in; the photons are what counts"
-        )
+        doubts.append(f"images with light state an exposure of 0: {shortest:g} s is assumed; only the photons are used")
     frames[0] = frames[0].doubting(*doubts)
     return assemble("camera", frames, path.parent, options, read_found, bit_depth=listing.bit_depth)
 
@@ -454,15 +439,6 @@ def _light_off_exposure(lit: Sequence[tuple[float, float]]) -> str | None:
 
 
 __all__ = [
-    "FileStore",
-    "ImportRecord",
-    "as_capture",
-    "copy_into",
-    "import_into",
-    "import_sources",
-    "is_foreign",
-    "open_capture",
-    "read_found",
-    "statistics_of",
-    "write_statistics",
-]
+    "FileStore", "ImportRecord", "as_capture", "copy_into", "import_into", "import_sources", "is_foreign",
+    "open_capture", "read_found", "statistics_of", "write_statistics",
+]  # fmt: skip

@@ -19,7 +19,7 @@ from radiometer.importing.record import ImportRecord
 from radiometer.units import heading_parts
 
 TABLE_SUFFIXES: Final = (".csv", ".tsv", ".jsonl", ".ndjson", ".json")
-_ASSUMED_PIXELS: Final = 10_000
+_ASSUMED_PIXELS: Final = 10_000  # a region of 100 × 100
 # Names of columns without their unit (`heading_parts`), the best first.
 _EXPOSURE: Final = (
     "exposure", "exposure_time", "exptime", "exp", "t_exp", "texp", "integration_time", "integration", "t_int",

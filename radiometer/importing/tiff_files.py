@@ -39,7 +39,7 @@ from radiometer.importing.micro_manager import completed, planes_of
 from radiometer.importing.xmp import numbers, read_xmp
 from radiometer.units import BASE_ISO
 
-_XMP, _MAKE, _MODEL, _DATE_TIME = 700, 271, 272, 306
+_XMP, _MAKE, _MODEL, _DATE_TIME = 700, 271, 272, 306  # TIFF 6.0 and XMP part 3
 _WHITE_LEVEL, _SERIAL = 50717, 50735  # DNG 1.7, chapter 4
 # DNG 1.7, chapter 4: BlackLevel is rows × columns × samples of the repeating pattern; the deltas add to it by column
 # and row.
@@ -55,7 +55,6 @@ def read_tiff_headers(path: Path, mapped: StatementMap = StatementMap()) -> list
     reported as not used.
 
     Args:
-        path: The file.
         mapped: Where the user states that facts stand.
 
     Raises:
@@ -80,11 +79,7 @@ def read_tiff_headers(path: Path, mapped: StatementMap = StatementMap()) -> list
 
 @bounded_reader()
 def read_tiff_pixels(path: Path, part: int) -> NDArray[Any]:
-    """Return the stored values of one page.
-
-    Raises:
-        CaptureError: If the file is damaged or truncated.
-    """
+    """Return the stored values of one page. Raises CaptureError if the file is damaged or truncated."""
     with _opened(path) as tiff:
         pages = [page for page, _ in _full_size(tiff)[0]]
         stacked = _pictures_without_directory(tiff, pages)
@@ -176,19 +171,12 @@ def _refuse_cut_short(path: Path, page: Any, size: int) -> None:
 
 @dataclass(frozen=True, slots=True)
 class _Facts:
-    """What a directory states.
+    """What a directory states."""
 
-    Attributes:
-        tags: Its tags by number.
-        header: Its tags and EXIF by name.
-        further: What else is stated of it (XMP, acquisition programs), where a user may point to.
-        xmp: Its XMP packet.
-    """
-
-    tags: Mapping[int, Any]
-    header: Mapping[str, Statement]
-    further: Mapping[str, Statement]
-    xmp: Mapping[str, tuple[str, ...]]
+    tags: Mapping[int, Any]  # its tags by number
+    header: Mapping[str, Statement]  # its tags and EXIF by name
+    further: Mapping[str, Statement]  # what else is stated of it (XMP, acquisition programs), where a user may point to
+    xmp: Mapping[str, tuple[str, ...]]  # its XMP packet
 
     def by_user(self, fact: str, mapped: StatementMap, doubts: list[str], where: str) -> tuple[str, float] | None:
         """Return what the user's place of a fact states; None where there is none."""
@@ -309,7 +297,7 @@ def _masked_rows(facts: _Facts, black: float | None, extra: dict[str, Any]) -> l
         return []
     return [
         f"the black level tag says {black:g}, the masked rows read {min(rows):g} to {max(rows):g} "
-        f"({masked - black:+.0f} DN): the tag is kept as what is believed"
+        f"({masked - black:+.0f} DN): the tag is used"
     ]
 
 

@@ -232,7 +232,7 @@ def _from_list(folder: Path, listed: Path) -> dict[str, PhotographSettings]:
     settings = read_list(listed)
     outside = [name for name in settings if Path(name).name != name]
     if outside:
-        raise CaptureError(f"{listed}: {outside[0]!r} lies outside the folder; name files that lie beside the list")
+        raise CaptureError(f"{listed}: {outside[0]!r} is outside the folder; name files in the folder of the list")
     here = set(names_in(folder).values())
     absent = [name for name in settings if name not in here]
     if absent:
@@ -270,7 +270,7 @@ def _absent(listed: Path, absent: list[str], here: set[str]) -> str:
     named = ", ".join(map(repr, absent[:_NAMED])) + (" …" if len(absent) > _NAMED else "")
     which = "which is" if len(absent) == 1 else f"{len(absent)} files that are"
     other = name_of_other_case(absent[0], here)
-    way_out = f"the file is called {other!r}" if other else "mend the name, or take the line out"
+    way_out = f"the file is called {other!r}" if other else "correct the name, or remove the line"
     return f"{listed}: names {named}, {which} not in the folder; {way_out}"
 
 
@@ -290,8 +290,8 @@ def _from_exif(folder: Path) -> dict[str, PhotographSettings]:
         if known is None:
             read_photograph(folder / name)  # a damaged file has no EXIF either: say that first
             raise CaptureError(
-                f"{folder / name}: has no exposure time (no EXIF); write a file {LIST_NAMES[0]} beside the "
-                "photographs with one line per file: `name seconds`"
+                f"{folder / name}: has no exposure time (no EXIF); write a file {LIST_NAMES[0]} into "
+                "this folder with one line per file: `name seconds`"
             )
         settings[name] = known
     return settings if _from_a_dial(settings.values()) else {n: one.as_printed() for n, one in settings.items()}

@@ -27,11 +27,11 @@ _BEYOND_THE_CONVERTER = 1.1
 # 0.41 to 0.69, the linear Flea3 0.96 to 1.00.
 _NOT_LINEAR = 0.1
 _JPEG_SUFFIXES = frozenset({".jpg", ".jpeg"})
-_UNDISPLACED = "frames lie in one place to parts of a pixel: too few pixels show in two of them to tell"
+_UNDISPLACED = "frames are assumed to be aligned: too few pixels are usable in two of them to measure a displacement"
 
 
 def recovered_curves(
-    brackets: Sequence[Bracket], beside: Path | None, say: Callable[[str], None]
+    brackets: Sequence[Bracket], map_path: Path | None, say: Callable[[str], None]
 ) -> tuple[dict[str, ResponseCurve], list[Path]]:
     """Return the response of every bracket by channel, kept next to a map, and the files it is kept in.
 
@@ -40,7 +40,7 @@ def recovered_curves(
 
     Args:
         brackets: One per channel.
-        beside: The map; a curve's file is named after it and its channel. None keeps no files.
+        map_path: The map; a curve's file is named after it and its channel. None keeps no files.
         say: Takes what a user should know.
 
     Raises:
@@ -51,9 +51,9 @@ def recovered_curves(
 
     thin = {_channel(bracket): bracket.thinned(ENOUGH_PIXELS) for bracket in brackets}
     key = _fingerprint(thin)
-    if beside is None:
+    if map_path is None:
         return _recovered(thin, key, say), []
-    files = {channel: beside.with_name(f"{beside.stem}-response-{channel}.yaml") for channel in thin}
+    files = {channel: map_path.with_name(f"{map_path.stem}-response-{channel}.yaml") for channel in thin}
     kept = {channel: _kept(file, key) for channel, file in files.items()}
     curves = {channel: curve for channel, curve in kept.items() if curve is not None and _is_of_this_version(curve)}
     if len(curves) < len(files):
@@ -93,18 +93,19 @@ def linear_doubt(bracket: Bracket) -> str | None:
     Args:
         bracket: The photographs.
     """
-    from radiometer.analysis.response.proportion import growth_power
+    from radiometer.analysis.response.limits import growth_power
 
     power = growth_power(bracket, bracket.light[0].settings.black_level_dn or 0.0)
     if power is not None and abs(power - 1.0) > _NOT_LINEAR:
         return (
-            f"said to be linear, yet twice the exposure makes numbers {2.0**power:.2f} times as large: a curve as of "
-            "most pictures, a black level that is not stated, or wrong times; without --linear a curve is recovered"
+            f"--linear was given, but twice the exposure makes numbers {2.0**power:.2f} times as large. Causes "
+            "are a response "
+            "curve, an unstated black level or wrong times; without --linear a curve is recovered"
         )
     if power is None and all(
         Path(str(f.extra.get("file", ""))).suffix.lower() in _JPEG_SUFFIXES for f in bracket.light
     ):
-        return "said to be linear, yet cameras write JPEG through a curve, and no two of these show the same pixels"
+        return "--linear was given, but cameras write JPEG through a curve, and no two of these show the same pixels"
     return None
 
 
@@ -189,11 +190,11 @@ def with_offset_of_response(
     if offset is None:
         return bracket, None, False
     shortest_s = min(frame.settings.exposure_s for frame in bracket.light)
-    not_taken = f"the shutter's offset of the response (exposures {offset.told()} than their labels) is not taken"
+    not_taken = f"the shutter's offset of the response (exposures {offset.told()} than their labels) is not used"
     if listed is not None:
         return bracket, f"{not_taken}: {listed} gives the exposures", False
     if not is_possible(offset.seconds, shortest_s):
-        return bracket, f"{not_taken}: it is too large beside {1e6 * shortest_s:.3g} µs", False
+        return bracket, f"{not_taken}: it is too large for an exposure of {1e6 * shortest_s:.3g} µs", False
     timed = [
         replace(f, settings=replace(f.settings, exposure_s=f.settings.exposure_s + offset.seconds))
         for f in bracket.light

@@ -31,7 +31,6 @@ from radiometer.data import (
 from radiometer.data.setup import Setup
 from radiometer.errors import UsageError
 from radiometer.photographs.alignment import in_one_place
-from radiometer.photographs.iso_record import with_iso_in_map
 from radiometer.photographs.lens_profile import lensfun_flat_field, read_lens_record
 from radiometer.photographs.response import (
     ENOUGH_PIXELS,
@@ -46,7 +45,7 @@ from radiometer.photographs.response import (
     with_found_times,
     with_offset_of_response,
 )
-from radiometer.photographs.stated import iso_speeds, with_f_number, with_gains, with_iso
+from radiometer.photographs.stated import iso_speeds, with_f_number, with_gains, with_iso, with_iso_in_map
 
 # The offset of a shutter that photographs did not show. The travel of one curtain against the other is adjusted to
 # 0.1 ms (`analysis.response.shutter_offset` names the source), taken as a rectangle: 6 % (k = 1) at 1/1000 s.
@@ -166,7 +165,7 @@ def prepared(
     iso: float | None = None,
     f_number: float | None = None,
     align: str = "auto",
-    beside: Path | None = None,
+    map_path: Path | None = None,
 ) -> Photographs:
     """Return photographs in one place with gains, response and exposure times, ready to be merged or read.
 
@@ -182,7 +181,7 @@ def prepared(
         iso: ISO speed of photographs that state none.
         f_number: f-number of photographs that state none.
         align: "auto", "on" or "off".
-        beside: Keep a recovered response next to this file; None keeps none.
+        map_path: Keep a recovered response next to this file; None keeps none.
 
     Raises:
         CalibrationError: If photographs and calibration do not go together.
@@ -208,7 +207,7 @@ def prepared(
         return with_offset(replace(taken, curves={k: v for k, v in given.items() if v is not None}), given)
     if linear or taken.are_raw:
         return _linear(taken)
-    return _recovered(taken, beside)
+    return _recovered(taken, map_path)
 
 
 def _in_their_own_depth(photographs: Photographs) -> Photographs:
@@ -223,10 +222,10 @@ def _linear(photographs: Photographs) -> Photographs:
     return replace(photographs, assumed=found).noted(*(f"{name}: {text}" for name, (text,) in found.items()))
 
 
-def _recovered(photographs: Photographs, beside: Path | None) -> Photographs:
+def _recovered(photographs: Photographs, map_path: Path | None) -> Photographs:
     """Return photographs with the response that they hold, and with the exposures that it was recovered with."""
     notes: list[str] = []
-    curves, files = recovered_curves(list(photographs.common.values()), beside, notes.append)
+    curves, files = recovered_curves(list(photographs.common.values()), map_path, notes.append)
     brackets = {name: with_found_times(one, curves[name]) for name, one in photographs.brackets.items()}
     told = {name: offset_told(curve) for name, curve in curves.items()}
     assumed = {name: (text or times_as_stated(photographs),) for name, text in told.items()}
@@ -330,7 +329,7 @@ def falloff_of(
     if vignetting is None:
         return None, None
     if calibration is not None and calibration.flat_field is not None:
-        raise UsageError("--vignetting: the calibration has a flat field of its own; leave one of them out")
+        raise UsageError("--vignetting: the calibration holds a flat field already; leave one of them out")
     bracket = next(iter(photographs.brackets.values()))
     if vignetting == "lensfun":
         record = read_lens_record(photographs.folder / str(bracket.light[0].extra["file"]), lens)

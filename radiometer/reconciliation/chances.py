@@ -9,12 +9,9 @@ from functools import lru_cache
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import chdtrc, digamma, gammaincinv, gammaln, polygamma
 
-from radiometer.reconciliation.measure.design import Array
-
-Mask = NDArray[np.bool_]
+from radiometer.typing import Array, Mask
 
 _SINE_KURTOSIS: Final = -1.5  # excess kurtosis of a sine at a random phase
 _FEW_FRAMES: Final = 1.6  # by which few frames weaken it: of cube roots, by simulation of 2 to 15 frames

@@ -18,9 +18,9 @@ from radiometer.data.white_level import white_level_notes
 from radiometer.errors import CaptureError
 from radiometer.importing import open_capture
 from radiometer.one_thread import on_one_blas_thread
-from radiometer.reconciliation.advice.limits import limits
 from radiometer.reconciliation.advice.next_capture import propose, propose_for_blind, propose_for_unnamed
 from radiometer.reconciliation.advice.separability import Separability, inseparable, separability
+from radiometer.reconciliation.advice.sizes import limits
 from radiometer.reconciliation.fit.covariance import fitted_parameters, is_misfit
 from radiometer.reconciliation.fit.descent import first_state
 from radiometer.reconciliation.fit.nuisances import dark_current_is_free
@@ -29,6 +29,7 @@ from radiometer.reconciliation.full_well import ShownWell, levels_of_brightest, 
 from radiometer.reconciliation.measure.reduce import FrameReader, frame_reader
 from radiometer.reconciliation.noise.darkness import drift_of_black, wander_of_black
 from radiometer.reconciliation.noise.repeats import repeats_of
+from radiometer.reconciliation.posterior import UNNAMED, Posterior, posterior_of
 from radiometer.reconciliation.propose.beyond import held_to_laws
 from radiometer.reconciliation.result import (
     CovariateGap,
@@ -258,16 +259,16 @@ def examine(
     notes: list[str] = []
     taken_dn = design.header.camera.black_level_dn
     if taken_dn != header.camera.black_level_dn:
-        told = "where the noise of the light would end" if taken_dn else "since the noise does not determine it either"
+        why = "where the noise of the light extrapolates to zero" if taken_dn else "as the noise does not determine it"
         notes.append(
-            "the black level is not declared, and one setting does not determine it: "
-            f"{taken_dn:.4g} DN is taken, {told}"
+            f"the black level is not declared and one setting does not determine it: {taken_dn:.4g} DN is "
+            f"assumed, {why}"
         )
     scenes = set(design.patterns).difference(frame.pattern for frame in header.frames)
     if scenes:
-        notes.append(f"the scene changes: {1 + len(scenes)} are shown, each with a separate pattern")
-    found = search(start, entries, say, is_doubted)
-    outcome = _optional_step("laws of no entry", lambda: held_to_laws(found, entries, say), notes) or found
+        notes.append(f"the scene changes: {1 + len(scenes)} scenes are shown, each with a separate pattern")
+    found = search(start, entries, say, lambda found: is_doubted(found, posterior_of(found.state, entries)))
+    outcome = _optional_step("laws outside the catalogue", lambda: held_to_laws(found, entries, say), notes) or found
     levels = levels_of_brightest(header, read)
     well = shown_well(outcome.state, levels)
     if well is None and not any(effect.saturates for effect in (*given, *outcome.state.effects)):
@@ -304,10 +305,12 @@ def _result(
     *,
     with_limits: bool,
 ) -> ReconcileResult:
-    doubts = [*outcome.remarks, *doubts_of(outcome), *faint(outcome)]
     state, other_well = outcome.state, well is not None and well.contradicts
+    found = _found(outcome, entries, again, failed)
+    weighed, alternatives = posterior_of(state, entries), {effect.name: effect.alternatives for effect in found}
+    doubts = [*outcome.remarks, *doubts_of(outcome, weighed, alternatives), *faint(outcome)]
     verdict = verdict_of(outcome, doubts, again, other_well=other_well)
-    effects = _found(outcome, entries, again, failed, provisional=verdict is Verdict.INCOMPLETE)
+    effects = tuple(_believed(effect, weighed, verdict) for effect in found)
     if well is not None and other_well:
         effects = (*effects, well.as_effect(state.gap))
     shown: Mapping[str, Limit] = {}
@@ -337,7 +340,19 @@ def _result(
         captures=len(state.design.captures),
         frames=frames,
         seconds=time.monotonic() - begun,
+        models=weighed.listed(),
         extra=_remarks(state, effects, well),
+    )
+
+
+def _believed(effect: FoundEffect, weighed: Posterior, verdict: Verdict) -> FoundEffect:
+    """Return a found effect with its probability, and its parameters averaged over the models that hold it."""
+    return replace(
+        effect,
+        provisional=verdict is Verdict.INCOMPLETE and effect.name != UNNAMED,
+        probability=weighed.probability(effect.name),
+        probability_of_any=weighed.probability(effect.name, *effect.alternatives),
+        averaged=weighed.averaged(effect.name),
     )
 
 
@@ -372,7 +387,7 @@ def _optional_step(what: str, work: Callable[[], _T], failed: list[str]) -> _T |
         at = traceback.extract_tb(error.__traceback__)[-1]
         _log.error("advice failed", what=what, error=repr(error), at=f"{Path(at.filename).name}:{at.lineno}")
         _log.debug("advice failed", trace=traceback.format_exc())
-        failed.append(f"{what} could not be worked out ({type(error).__name__}: {error}); the rest stands")
+        failed.append(f"{what} could not be computed ({type(error).__name__}: {error}); all other results are valid")
         return None
 
 
@@ -391,8 +406,6 @@ def _found(
     entries: Mapping[str, type[CatalogueEffect]],
     again: Periodic | None,
     failed: list[str],
-    *,
-    provisional: bool,
 ) -> tuple[FoundEffect, ...]:
     """Return the names in the order of finding, and the residual as one entry, where its largest part was found."""
     state, weak = outcome.state, insignificant_names(outcome)
@@ -406,7 +419,8 @@ def _found(
         elif step.name in present and step.name not in weak:
             own = present[step.name]
             alike = (
-                _optional_step(f"what acts like {step.name}", partial(inseparable, state, own, entries), failed) or ()
+                _optional_step(f"which effects act like {step.name}", partial(inseparable, state, own, entries), failed)
+                or ()
             )
             rivals = tuple({rival.name: rival for rival in (*alike, *step.rivals)}.values())
             what = f"the capture that separates {step.name} from its rivals"
@@ -418,7 +432,7 @@ def _found(
                     f"how well the size of {step.name} is known", partial(sizes_by_own_law, state, own), failed
                 )
                 told |= {name: entry for name, entry in (sizes or {}).items() if told[name].u is None}
-            effect = _effect(shown, own, told, advice, provisional=provisional)
+            effect = _effect(shown, own, told, advice)
             other = size_of_rest(state, own.block) if own in others else None
             found.append(replace(effect, other_law=other, curve=LawCurve.of(own, parameters[step.name])))
     return (*found, rest) if rest is not None and rest not in found else tuple(found)
@@ -429,8 +443,6 @@ def _effect(
     effect: CatalogueEffect,
     parameters: Mapping[str, FittedParameter],
     advice: Mapping[str, Any] | None,
-    *,
-    provisional: bool,
 ) -> FoundEffect:
     curved = effect.law_names() if isinstance(effect, FreeLaw) else ()
     return FoundEffect(
@@ -443,7 +455,6 @@ def _effect(
         advice,
         step.gain_nats,
         effect.block,
-        provisional,
     )
 
 
@@ -481,29 +492,35 @@ def _assumptions(outcome: Search, doubts: Sequence[str], well: ShownWell | None)
     if well is not None and not well.contradicts and well.remark:
         said.append(well.remark)
     if state.model.passes_well and not (well is not None and well.contradicts):
-        said.append("pixels hold more than the declared full well and show the noise of it: it limits nothing")
-    if is_misfit(state):
         said.append(
-            f"structure is left (gap {state.gap:.3g}): the uncertainties of all parameters are widened by what it does"
+            "pixels hold more than the declared full well, with the noise of that charge: the declared "
+            "value is not used as a limit"
         )
+    if is_misfit(state):
+        said.append(f"structure remains (gap {state.gap:.3g}): it widens the uncertainties of all parameters")
     if state.comparison.wander2:
         said.append(
-            f"the source wanders by {np.sqrt(state.comparison.wander2):.2g} from frame to frame: fitted, not named"
+            f"the source wanders by {np.sqrt(state.comparison.wander2):.2g} from frame to frame: fitted as a "
+            "nuisance, not named"
         )
     wander_dn = wander_of_black(state.design, state.seen)
     if wander_dn:
-        said.append(f"the black level wanders by {wander_dn:.2g} DN from frame to frame: fitted aside, not named")
+        said.append(
+            f"the black level wanders by {wander_dn:.2g} DN from frame to frame: fitted as a nuisance, not named"
+        )
     drift_dn = drift_of_black(state.design, state.seen)
     if drift_dn:
-        said.append(f"the black level moves by {drift_dn:.2g} DN while a frame is read: fitted aside, not named")
+        said.append(
+            f"the black level moves by {drift_dn:.2g} DN while a frame is read: fitted as a nuisance, not named"
+        )
     reading_k = state.design.reading_u_k
     if reading_k:
-        said.append(f"temperatures are read in steps: each is known to {reading_k:.2g} K")
+        said.append(f"temperatures are recorded in steps: each is known within {reading_k:.2g} K")
     if np.isnan(state.design.black_level_dn).any():
         said.append("the black level is not declared: it was fitted")
     if not state.design.uniform:
         said.append("no patches are given: the scene is unknown but constant, cut into a grid of tiles")
-        said.append("uneven tiles that reach the brightest level seen are left out: saturation shows in even ones only")
+        said.append("uneven tiles that reach the highest measured level are left out: only even tiles show saturation")
     if not state.design.has_timestamps:
-        said.append("times are missing: captures count in the order listed")
+        said.append("times are missing: captures are treated as taken in the order listed")
     return tuple(said)

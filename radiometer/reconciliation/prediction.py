@@ -7,7 +7,7 @@ from functools import cached_property
 
 import numpy as np
 
-from radiometer.reconciliation.measure.design import Array
+from radiometer.typing import Array
 from simulators.effects.context import Signal
 from simulators.effects.rounding import excess_kurtosis, rounding_amplitude
 from simulators.effects.tile_moments import Moments

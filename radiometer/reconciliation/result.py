@@ -13,6 +13,9 @@ from simulators.effects.free_law import FreeLaw
 
 _CLEAR_SIGMAS: Final = 5.0  # of the tiles' scatter, from which a first frame is said to differ
 _MOST_SAID: Final = 6  # frames in a sentence
+SURE: Final = 0.95  # probability from which a name is almost certain: one in twenty such names may be wrong
+_LIKELY: Final = 2.0 / 3.0  # as the word is used in assessments: Mastrandrea et al. (2010), guidance note of the IPCC
+_SHOWN: Final = 1e-3  # probabilities are printed with three decimals
 GAP_UNIT: Final = "reduced chi-square on held-out frames"
 
 
@@ -89,6 +92,13 @@ class LawCurve:
         return {"along": along, "factor": list(self.factor), "u": list(self.u)}
 
 
+def _believed(probability: float) -> str:
+    """Return a probability with three decimals, and in a word."""
+    limited = "below 0.001" if probability < _SHOWN else "above 0.999" if probability > 1.0 - _SHOWN else ""
+    word = "almost certain" if probability >= SURE else "likely" if probability >= _LIKELY else "possible"
+    return f"probability {limited or f'{probability:.3f}'}, {word}"
+
+
 @dataclass(frozen=True, slots=True)
 class FoundEffect:
     """One effect (or unnamed disagreement) that was found.
@@ -108,6 +118,9 @@ class FoundEffect:
         other_law: For a named one that the data follow by another equation than the catalogue's: how large the rest is.
         curve: That other law as a factor on the catalogue's, where it was fitted.
         elsewhere: For an unnamed one, where else structure stays: covariate and statistic.
+        probability: Posterior probability that the effect is present; None where no models were compared.
+        probability_of_any: Posterior probability that it or one of its alternatives is present.
+        averaged: Its parameters averaged over the models that hold it, the choice among them in each u.
     """
 
     name: str
@@ -124,6 +137,23 @@ class FoundEffect:
     elsewhere: tuple[tuple[str, str], ...] = ()
     other_law: Mapping[str, FittedParameter] | None = None
     curve: LawCurve | None = None
+    probability: float | None = None
+    probability_of_any: float | None = None
+    averaged: Mapping[str, FittedParameter] = field(default_factory=dict)
+
+    @property
+    def evidence(self) -> str:
+        """Return in words how certain it is: its probability, or the nats where no models were compared."""
+        return (
+            f"{self.gain_nats:.0f} nats" if self.probability is None else f"probability {_believed(self.probability)}"
+        )
+
+    @property
+    def evidence_of_any(self) -> str:
+        """Return the same of it and its alternatives together; nothing where no models were compared."""
+        return (
+            "" if self.probability_of_any is None else f"one of them: probability {_believed(self.probability_of_any)}"
+        )
 
     def to_mapping(self) -> dict[str, Any]:
         """Return the mapping of the documented JSON form."""
@@ -140,6 +170,9 @@ class FoundEffect:
             "gain_nats": self.gain_nats,
             "strength": "weak" if self.gain_nats < 10.0 else "clear",
             "provisional": self.provisional,
+            "probability": self.probability,
+            "probability_of_any": self.probability_of_any,
+            "averaged": {name: entry.to_mapping() for name, entry in self.averaged.items()},
         } | ({"closest": closest, "elsewhere": self._elsewhere()} if self.name == "unnamed" else self._law())
 
     def _law(self) -> dict[str, Any]:
@@ -252,7 +285,7 @@ class Repeats:
         """Return in words where differences between equal frames come from."""
         frames = sum(len(one.frames) for one in self.series)
         what = "black level or dark charge" if self.kind == "dark" else "light"
-        aside = f"; {self._shown(self.aside)} are treated as a wander and fitted without a name" if self.aside else ""
+        aside = f"; {self._shown(self.aside)} are treated as a wander and fitted as a nuisance" if self.aside else ""
         first = (
             f"{frames} {self.kind} frames in {len(self.series)} series of one setting: their {what} differs by "
             f"{self._shown(self.scatter.value, self.scatter.u)} (standard deviation) from frame to frame{aside}"
@@ -306,6 +339,7 @@ class ReconcileResult:
         added: The effects that the final model adds to the ideal chain.
         next_capture: Where no rivals need to be separated: the capture that would show what these data cannot.
         repeats: What frames of one setting differ by.
+        models: Sets of names with their posterior probabilities, the most probable first.
         extra: Further entries of the JSON object.
     """
 
@@ -330,6 +364,7 @@ class ReconcileResult:
     added: tuple[CatalogueEffect, ...] = ()
     next_capture: Mapping[str, Any] | None = None
     repeats: tuple[Repeats, ...] = ()
+    models: tuple[tuple[tuple[str, ...], float], ...] = ()
     extra: Mapping[str, Any] = field(default_factory=dict)
 
     def written(self, model: str | None, report: str | None) -> ReconcileResult:
@@ -357,6 +392,7 @@ class ReconcileResult:
             "repeats": {one.kind: one.to_mapping() for one in self.repeats},
             "captures": self.captures,
             "frames": self.frames,
+            "models": [{"names": list(names), "weight": weight} for names, weight in self.models],
             "next_capture": dict(self.next_capture) if self.next_capture else None,
             "assumptions": list(self.assumptions),
             "model": self.model,

@@ -15,12 +15,12 @@ from typing import Final
 
 import numpy as np
 
-from radiometer.reconciliation.chances import Mask, log_variance
-from radiometer.reconciliation.measure.design import Array, Design
-from radiometer.reconciliation.measure.layout import slope_lengths
+from radiometer.reconciliation.chances import log_variance
+from radiometer.reconciliation.measure.design import Design, slope_lengths
 from radiometer.reconciliation.measure.row_bands import RowBins
 from radiometer.reconciliation.measure.seen import COMB_PERIODS, CaptureStatistics
 from radiometer.reconciliation.prediction import Prediction
+from radiometer.typing import Array, Mask
 
 MULTIPLICATIVE: Final = "multiplicative"
 ADDITIVE: Final = "additive"

@@ -41,8 +41,10 @@ def _row(name: str, value: float, unit: str, reason: str, measured: str = _TOGET
     return value
 
 
-_NULL: Final = "sets without an effect (docs/benchmarks.md): share of false alarms and largest gap"
-_WEAK: Final = "effects at their smallest realistic size bring hundreds of nats, nearly all (docs/benchmarks.md, weak)"
+_NULL: Final = "sets without an effect (docs/benchmarks/reconcile.md): share of false alarms and largest gap"
+_WEAK: Final = (
+    "effects at their smallest realistic size bring hundreds of nats, nearly all (docs/benchmarks/reconcile.md, weak)"
+)
 _ODDS: Final = "a statement about odds, not a measurement"
 
 # ---- whether anything disagrees -------------------------------------------------------------------------------------
@@ -108,7 +110,7 @@ STATED_NATS: Final = _row(
     6.0,
     "nats",
     "an error of calibration that depends on the level: radiances are measured once, their errors are correlated",
-    "sessions of a second generator with turned charts (docs/reconcile.md)",
+    "sessions of a second generator with turned charts (docs/explanation/reconcile.md)",
 )
 STATED_SHARE: Final = _row("STATED_SHARE", 0.5, "1", "the same: share of the χ² from which they carry the evidence")
 OWN_LAW_NATS: Final = _row(

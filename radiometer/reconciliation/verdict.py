@@ -17,8 +17,8 @@ from radiometer.reconciliation.fit.covariance import fitted_parameters, is_misfi
 from radiometer.reconciliation.fit.covariates import covariates
 from radiometer.reconciliation.fit.descent import refit
 from radiometer.reconciliation.fit.state import FitState, with_effects, with_terms
-from radiometer.reconciliation.measure.design import Array
-from radiometer.reconciliation.result import FittedParameter, FoundEffect, Verdict
+from radiometer.reconciliation.posterior import Posterior
+from radiometer.reconciliation.result import SURE, FittedParameter, FoundEffect, Verdict
 from radiometer.reconciliation.search.frame_order import Periodic
 from radiometer.reconciliation.search.localise import axis_of, departing, own_place
 from radiometer.reconciliation.search.outcome import Search, Step
@@ -29,6 +29,8 @@ from radiometer.reconciliation.thresholds import (
     SMOOTH_SHARE,
     TESTED_NATS,
 )
+from radiometer.statistics.least_squares import chi_square
+from radiometer.typing import Array
 from simulators.effects.catalogue import CatalogueEffect
 from simulators.effects.free_law import FreeLaw
 
@@ -55,35 +57,44 @@ def verdict_of(
     return Verdict.UNNAMED if unnamed else Verdict.AGREES
 
 
-def is_doubted(outcome: Search) -> bool:
+def is_doubted(outcome: Search, weighed: Posterior) -> bool:
     """Return whether the names of a search are provisional though nothing structured is left."""
-    return not leaves_structure(outcome) and bool(doubts_of(outcome))
+    return not leaves_structure(outcome) and bool(doubts_of(outcome, weighed))
 
 
-def doubts_of(outcome: Search) -> list[str]:
-    """Return in words why names are provisional though nothing structured is left."""
+def doubts_of(
+    outcome: Search, weighed: Posterior, alternatives: Mapping[str, Collection[str]] | None = None
+) -> list[str]:
+    """Return in words why names are provisional though nothing structured is left.
+
+    Args:
+        outcome: The search.
+        weighed: The posterior over all models that it fitted.
+        alternatives: What these data cannot separate from each name; by default the rivals of its step.
+    """
     state, effects = outcome.state, outcome.state.effects
-    said = [f"{name} ran to the end of its range: what the data hold is not quite that" for name in _at_bound(state)]
-    said += [f"{name} alone may do what all the names do together" for name in one_for_all(outcome.steps, effects)]
+    alike = {step.name: [rival.name for rival in step.rivals] for step in outcome.steps}
+    alike = alike if alternatives is None else dict(alternatives)
+    said = [f"{name} is fitted at the end of its range: the data contain something else" for name in _at_bound(state)]
     said += [
-        f"{name} is only the likelier of two, the other predicts better"
-        for name in outperformed(outcome.steps, effects)
+        f"{name} has a probability of {probability:.2f}, its alternatives included: other models predict as well"
+        for name, probability in uncertain([effect.name for effect in effects], weighed, alike).items()
     ]
     said += [
-        f"{name} fits by its further terms alone: what makes it {name} is within three uncertainties of nothing"
+        f"{name} fits by its secondary terms alone: its essential parameter is within three uncertainties of zero"
         for name in without_essential(outcome.steps, effects, fitted_parameters(state))
     ]
-    said += [f"{told}: less than that cause ever does, something else acts so" for told in below_least(effects)]
+    said += [f"{size}: smaller than this cause ever is, so another cause acts like it" for size in below_least(effects)]
     said += [
-        f"{name} acts with these parameters as other causes would: nothing is its own"
+        f"{name} with these parameters acts like other causes: no data are specific to it"
         for name in acting_as_others(state)
     ]
     said += [
-        f"{name} brings little, and may be another entry or the rest of one"
+        f"{name} improves the prediction little; it may be another effect or the residual of one"
         for name in faint_beside_others(outcome.steps, effects)
     ]
     said += [
-        f"{name} is not quite the law that the data follow: some of it stays where it shows"
+        f"{name} is not exactly the law that the data follow: a residual remains where it acts"
         for name in departing(outcome.tests, effects)
     ]
     return said
@@ -96,7 +107,7 @@ def leaves_structure(outcome: Search) -> bool:
 
 
 def insignificant_names(outcome: Search) -> list[str]:
-    """Return names that are not worth telling where structure stays anyhow: faint ones, and those of no substance.
+    """Return names that are not significant where structure remains: faint ones, and those without essential term.
 
     Names may absorb a part of the residual of a stronger name's wrong law. They may also absorb the residual of a
     curve along one covariate for an unknown cause, where that brings most of what both bring. An entry whose
@@ -129,7 +140,11 @@ def faint(outcome: Search) -> list[str]:
     little = _fainter_than_the_rest(outcome)
     return [
         f"{name} is counted as part of the residual"
-        + (f": it brings {gains[name]:.0f} nats where structure remains that brings more" if name in little else "")
+        + (
+            f": it improves the prediction by {gains[name]:.0f} nats, the remaining structure by more"
+            if name in little
+            else ""
+        )
         for name in insignificant_names(outcome)
     ]
 
@@ -344,34 +359,27 @@ def place_of_scatter(state: FitState) -> tuple[str, str]:
 def _explained(values: Array, basis: Array) -> float:
     """Return the share of the values' variance that a basis explains, each of its terms worth one value less."""
     columns = np.column_stack([np.ones(len(values)), basis])
-    left: Array = values - columns @ np.linalg.lstsq(columns, values, rcond=None)[0]
     freedom = max(len(values) - columns.shape[1], 1)
-    return float(1.0 - np.sum(left**2) / freedom / max(float(np.var(values)), 1e-30))
+    return float(1.0 - chi_square(columns, values) / freedom / max(float(np.var(values)), 1e-30))
 
 
-def one_for_all(steps: Sequence[Step], effects: Sequence[CatalogueEffect]) -> list[str]:
-    """Return the entries that rival every one of several names: one cause may do what they all do.
+def uncertain(
+    names: Sequence[str], weighed: Posterior, alternatives: Mapping[str, Collection[str]]
+) -> dict[str, float]:
+    """Return the names that are not almost certain, with their probability.
 
-    Args:
-        steps: What was added, in order.
-        effects: The effects of the model.
-    """
-    present = {effect.name for effect in effects}
-    named = [step for step in steps if step.name in present]
-    if len(named) < 2:
-        return []
-    return sorted(set.intersection(*({rival.name for rival in step.rivals} for step in named)) - present)
-
-
-def outperformed(steps: Sequence[Step], effects: Sequence[CatalogueEffect]) -> list[str]:
-    """Return the names for which only what is usual speaks: something else predicts better.
+    Which of several alike names it is may be open. An alternative to every one of several names is no such name: it
+    alone may explain what all of them do.
 
     Args:
-        steps: What was added, in order.
-        effects: The effects of the model.
+        names: The names that are reported.
+        weighed: The posterior over all models.
+        alternatives: What these data cannot separate from each name.
     """
-    present = {effect.name for effect in effects}
-    return [step.name for step in steps if step.outperformed and step.name in present]
+    alike = {name: set(alternatives.get(name, ())) for name in names}
+    common = set.intersection(*alike.values()) if len(names) > 1 else set()
+    found = {name: weighed.probability(name, *(alike[name] - common)) for name in names}
+    return {name: probability for name, probability in found.items() if probability < SURE}
 
 
 def without_essential(

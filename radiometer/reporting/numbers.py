@@ -13,7 +13,6 @@ def rounded(value: float, expanded: float) -> tuple[str, str]:
     """Return a value and its expanded uncertainty, both to two digits of the uncertainty.
 
     Args:
-        value: The value.
         expanded: Its expanded uncertainty, same unit; where it says nothing, the value has five digits and it is "–".
     """
     if not (math.isfinite(expanded) and expanded > 0 and math.isfinite(value)):

@@ -14,36 +14,41 @@ from typing import Final
 _POLICY: Final = "default-src 'none'; img-src data:; style-src 'unsafe-inline'"
 # Every colour of text has a contrast of 4.5 or more on what is behind it (WCAG 2.1, 1.4.3).
 _MANY_COLUMNS: Final = 5  # a table of so many scrolls on a phone rather than that its words break
-STYLE: Final = """
-:root{color-scheme:light}*{box-sizing:border-box}
-body{font:16px/1.55 system-ui,-apple-system,"Segoe UI",Roboto,"Noto Sans",sans-serif;max-width:62rem;margin:1.6rem auto;
-padding:0 1rem;color:#1a1a1a;background:#fff;overflow-wrap:break-word}
-h1{font-size:1.05rem;font-weight:500;color:#555;margin:0}h2{margin:2.2rem 0 .4rem;font-size:1.25rem;line-height:1.3}
-p,ul{margin:.5rem 0}ul{padding-left:1.2rem}li{margin:.3rem 0}
-.outcome{font-size:clamp(1.3rem,1rem + 1.6vw,1.8rem);font-weight:650;line-height:1.28;margin:.25rem 0 .6rem;
-text-wrap:balance}
-.outcome+p{color:#404040}
-figure{margin:1rem 0}img{max-width:100%;height:auto;display:block;margin:0 auto}
-figcaption,.small{color:#555;font-size:.9rem}
-.what{font-size:1.08rem}
-.do{border-left:4px solid #1f618d;background:#eef4f8;padding:.55rem .9rem;margin:.8rem 0}
-.flag{border-left:4px solid #9a6700;background:#fff6dd;padding:.45rem .9rem;margin:.5rem 0}
-.tag{font-size:.8rem;font-weight:600;white-space:nowrap;border-radius:.6rem;padding:.1rem .6rem;background:#fbe9d0;
-color:#6b3d00;margin-left:.5rem}
-.wide{overflow-x:auto}table{border-collapse:collapse;margin:.6rem 0;font-variant-numeric:tabular-nums}
-td,th{padding:.25rem .9rem .25rem 0;text-align:right;border-bottom:1px solid #ddd;vertical-align:baseline}
-td:first-child,th:first-child,td.words,th.words{text-align:left}th{font-weight:600;color:#444}
-td:not(:first-child,.words){white-space:nowrap}td:last-child,th:last-child{padding-right:.2rem}
-details{margin:.7rem 0;border-top:1px solid #ddd;padding-top:.5rem}
-summary{cursor:pointer;font-weight:600;min-height:2.75rem;display:list-item;padding:.5rem 0}
-summary:focus-visible{outline:2px solid #1f618d;outline-offset:2px}
-footer{color:#555;font-size:.85rem;margin:2.5rem 0 1rem;border-top:1px solid #ddd;padding-top:.6rem}
-.side{display:grid;gap:0 1.2rem;grid-template-columns:repeat(auto-fit,minmax(min(100%,26rem),1fr))}
-@media (max-width:640px){table{font-size:.88rem}.many{min-width:34rem}td,th{padding-right:.6rem}}
-@media print{@page{margin:14mm}body{font-size:11pt;margin:0;max-width:none;padding:0}h2{break-after:avoid}
-figure,.do,.flag,tr{break-inside:avoid}.do,.flag{background:none}.wide{overflow:visible}summary{min-height:0}
-details::details-content{content-visibility:visible;height:auto}}
-"""
+STYLE: Final = "\n".join(
+    (
+        ":root{color-scheme:light}*{box-sizing:border-box}",
+        'body{font:16px/1.55 system-ui,-apple-system,"Segoe UI",Roboto,"Noto Sans",sans-serif;',
+        "max-width:62rem;margin:1.6rem auto;padding:0 1rem;color:#1a1a1a;background:#fff;overflow-wrap:break-word}",
+        "h1{font-size:1.05rem;font-weight:500;color:#555;margin:0}h2{margin:2.2rem 0 .4rem;font-size:1.25rem;",
+        "line-height:1.3}",
+        "p,ul{margin:.5rem 0}ul{padding-left:1.2rem}li{margin:.3rem 0}",
+        ".outcome{font-size:clamp(1.3rem,1rem + 1.6vw,1.8rem);font-weight:650;line-height:1.28;margin:.25rem 0 .6rem;",
+        "text-wrap:balance}",
+        ".outcome+p{color:#404040}",
+        "figure{margin:1rem 0}img{max-width:100%;height:auto;display:block;margin:0 auto}",
+        "figcaption,.small{color:#555;font-size:.9rem}",
+        ".what{font-size:1.08rem}",
+        ".do{border-left:4px solid #1f618d;background:#eef4f8;padding:.55rem .9rem;margin:.8rem 0}",
+        ".flag{border-left:4px solid #9a6700;background:#fff6dd;padding:.45rem .9rem;margin:.5rem 0}",
+        ".tag{font-size:.8rem;font-weight:600;white-space:nowrap;border-radius:.6rem;padding:.1rem .6rem;",
+        "background:#fbe9d0;",
+        "color:#6b3d00;margin-left:.5rem}",
+        ".wide{overflow-x:auto}table{border-collapse:collapse;margin:.6rem 0;font-variant-numeric:tabular-nums}",
+        "td,th{padding:.25rem .9rem .25rem 0;text-align:right;border-bottom:1px solid #ddd;vertical-align:baseline}",
+        "td:first-child,th:first-child,td.words,th.words{text-align:left}th{font-weight:600;color:#444}",
+        "td:not(:first-child,.words){white-space:nowrap}td:last-child,th:last-child{padding-right:.2rem}",
+        "details{margin:.7rem 0;border-top:1px solid #ddd;padding-top:.5rem}",
+        "summary{cursor:pointer;font-weight:600;min-height:2.75rem;display:list-item;padding:.5rem 0}",
+        "summary:focus-visible{outline:2px solid #1f618d;outline-offset:2px}",
+        "footer{color:#555;font-size:.85rem;margin:2.5rem 0 1rem;border-top:1px solid #ddd;padding-top:.6rem}",
+        ".side{display:grid;gap:0 1.2rem;grid-template-columns:repeat(auto-fit,minmax(min(100%,26rem),1fr))}",
+        "@media (max-width:640px){table{font-size:.88rem}.many{min-width:34rem}td,th{padding-right:.6rem}}",
+        "@media print{@page{margin:14mm}body{font-size:11pt;margin:0;max-width:none;padding:0}h2{break-after:avoid}",
+        "figure,.do,.flag,tr{break-inside:avoid}.do,.flag{background:none}.wide{overflow:visible}",
+        "summary{min-height:0}",
+        "details::details-content{content-visibility:visible;height:auto}}",
+    )
+)
 
 
 def page(subject: str, outcome: str, parts: Iterable[str], *, kind: str, made: str = "") -> str:
@@ -51,9 +56,7 @@ def page(subject: str, outcome: str, parts: Iterable[str], *, kind: str, made: s
 
     Args:
         subject: What the report is about, such as the camera's name.
-        outcome: The outcome in one sentence.
         parts: HTML from the functions of this module, in order; empty ones are passed by.
-        kind: What kind of report it is, for the title of the window.
         made: How and from what it was made, for the foot of the page.
     """
     head = (
@@ -109,7 +112,6 @@ def table(head: Sequence[str], rows: Iterable[Sequence[str]], *, words: Sequence
     Args:
         head: What stands over the columns; empty for none.
         rows: Texts; the first column is of words, the others of numbers.
-        words: Numbers of further columns of words.
     """
 
     def line(cells: Sequence[str], name: str) -> str:

@@ -25,8 +25,8 @@ MARK: Final = "#9a5b00"  # what is pointed out
 DIMMED: Final = "#8a8a8a"  # what is not claimed
 RULE: Final = "#555555"  # lines that something is compared with
 _FEW_DECADES: Final = 1.0 / 3.0  # below, labels of a logarithmic axis run into each other and show no ratio
-_NARROW_PX: Final = 640
-_SMALLEST_PT: Final = 9.0
+_NARROW_PX: Final = 640  # telephones held upright
+_SMALLEST_PT: Final = 9.0  # what can be read in print
 
 Place = Literal["best", "upper left", "upper right", "lower left", "lower right"]
 Draw = Callable[["Figure", bool], None]
@@ -37,7 +37,6 @@ def picture(draw: Draw, caption: str, wide: tuple[float, float], narrow: tuple[f
 
     Args:
         draw: Draws into an empty figure; its argument is whether it is the narrow one.
-        caption: What is to be seen, for all readers.
         wide: Width and height in inches on a screen; 10 inches fill the page.
         narrow: The same on a phone; 4 inches fill it.
     """
@@ -89,7 +88,6 @@ def mark(
         text: The words; hyphens before digits become minus signs.
         place: What they belong to, in the coordinates of the data or as `xycoords` says.
         offset: Where they stand from there, in points.
-        colour: Their colour.
         form: More of what matplotlib's annotations take.
     """
     from matplotlib.patheffects import withStroke

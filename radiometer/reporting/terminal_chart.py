@@ -7,7 +7,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from typing import Final
 
-_BLANK: Final = 0x2800
+_BLANK: Final = 0x2800  # Unicode: Braille pattern without dots
 # Bits of the dots in a character: rows from above, left and right column.
 _DOTS: Final = ((0x01, 0x08), (0x02, 0x10), (0x04, 0x20), (0x40, 0x80))
 
@@ -16,19 +16,12 @@ Point = tuple[float, float]
 
 @dataclass(slots=True)
 class TerminalChart:
-    """An empty chart of a size in characters, over a range of both axes.
+    """An empty chart of a size in characters, over a range of both axes."""
 
-    Attributes:
-        columns: Width in characters, without the labels.
-        rows: Height in characters, without the labels.
-        x_range: Lowest and highest value of the horizontal axis.
-        y_range: Lowest and highest value of the vertical axis.
-    """
-
-    columns: int
-    rows: int
-    x_range: tuple[float, float]
-    y_range: tuple[float, float]
+    columns: int  # width in characters, without the labels
+    rows: int  # height in characters, without the labels
+    x_range: tuple[float, float]  # lowest and highest value of the horizontal axis
+    y_range: tuple[float, float]  # lowest and highest value of the vertical axis
     _cells: dict[tuple[int, int], int] = field(default_factory=dict)
 
     def dots(self, points: Iterable[Point]) -> None:

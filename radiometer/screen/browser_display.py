@@ -2,44 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Final
 
 from radiometer.devices import DisplayPatch
 from radiometer.errors import SettingOutOfRange
 from radiometer.screen.browser_page import BrowserPage, require_shown
-from radiometer.screen.loopback import Darken, nothing_to_darken
-from radiometer.screen.page_server import PageServer
 
 _LEVELS: Final = 255  # a canvas holds 8 bits per channel
 
 
 class BrowserDisplay(BrowserPage):
-    """Shows patches through the page; every patch is acknowledged after it was painted, and read back.
+    """Shows patches through the page; every patch is acknowledged after it was painted, and read back."""
 
-    Args:
-        port: Port on 127.0.0.1; 0 for any free one.
-        announce: Called with the address once it is served; opens a browser or prints it.
-        page_timeout_s: How long to wait for a browser to open it.
-        start_timeout_s: How long to wait for somebody to press Start; None where nothing is to be waited for.
-        darken: Darkens the light box, whoever holds it, for the page's key O; returns what it did in words.
-        show_timeout_s: How long a patch may take to appear.
-    """
-
-    def __init__(
-        self,
-        port: int = 0,
-        *,
-        announce: Callable[[str], None] = lambda url: None,
-        page_timeout_s: float = 120.0,
-        start_timeout_s: float | None = None,
-        darken: Darken = nothing_to_darken,
-        show_timeout_s: float = 5.0,
-    ) -> None:
-        super().__init__(
-            PageServer(port, darken=darken), "the screen's page", announce, page_timeout_s, start_timeout_s
-        )
-        self._show_timeout_s = show_timeout_s
+    _page, _what = "display.html", "the screen's page"
 
     def show(self, patch: DisplayPatch) -> None:
         """Show a patch and return once the browser has painted it.
@@ -58,7 +33,7 @@ class BrowserDisplay(BrowserPage):
             "width": _fraction("width", patch.width_fraction),
             "height": _fraction("height", patch.height_fraction),
         }
-        require_shown(self._ask(order, self._show_timeout_s).get("rgb"), wanted)
+        require_shown(self._ask(order).get("rgb"), wanted)
 
 
 def _codes(rgb: tuple[float, float, float]) -> list[int]:

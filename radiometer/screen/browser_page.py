@@ -4,34 +4,42 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Callable, Mapping
-from types import TracebackType
-from typing import Any, Self
+from typing import Any, ClassVar
 
+from radiometer.devices.opening import Opened
 from radiometer.errors import DeviceError
+from radiometer.screen.loopback import Darken, nothing_to_darken
 from radiometer.screen.page_server import PageServer
 
 
-class BrowserPage:
+class BrowserPage(Opened):
     """Serves a page between `open()` and `close()`.
 
     Args:
-        server: Serves the page; not started yet.
-        what: What the page is, for messages.
+        port: Port on 127.0.0.1; 0 for any free one.
         announce: Called with the address once it is served; opens a browser or prints it.
         page_timeout_s: How long to wait for a browser to open it.
         start_timeout_s: How long to wait for somebody to press Start; None where nothing is to be waited for.
+        show_timeout_s: How long an answer may take, beyond the time that the page was asked to wait.
+        darken: Darkens the light box, whoever holds it, for the page's key O; returns what it did in words.
     """
+
+    _page: ClassVar[str]  # its file
+    _what: ClassVar[str]  # what it is, for messages
 
     def __init__(
         self,
-        server: PageServer,
-        what: str,
-        announce: Callable[[str], None],
-        page_timeout_s: float,
-        start_timeout_s: float | None,
+        port: int = 0,
+        *,
+        announce: Callable[[str], None] = lambda url: None,
+        page_timeout_s: float = 120.0,
+        start_timeout_s: float | None = None,
+        show_timeout_s: float = 5.0,
+        darken: Darken = nothing_to_darken,
     ) -> None:
-        self._server, self._what, self._announce = server, what, announce
+        self._server, self._announce = PageServer(port, self._page, darken), announce
         self._page_timeout_s, self._start_timeout_s = page_timeout_s, start_timeout_s
+        self._show_timeout_s = show_timeout_s
         self._numbers = itertools.count(1)
         self._open = False
 
@@ -70,18 +78,9 @@ class BrowserPage:
         """Return what on the page's side may falsify what is shown."""
         return page_warnings(self._server.conditions)
 
-    def __enter__(self) -> Self:
-        self.open()
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
-
-    def _ask(self, order: Mapping[str, Any], timeout_s: float) -> dict[str, Any]:
-        """Return the page's answer to an order. Raises DeviceTimeout, DeviceLost, DeviceError."""
-        return self._server.ask({**order, "sequence": next(self._numbers)}, timeout_s)
+    def _ask(self, order: Mapping[str, Any], lasting_s: float = 0.0) -> dict[str, Any]:
+        """Return the page's answer to an order that lasts some time. Raises DeviceTimeout, DeviceLost, DeviceError."""
+        return self._server.ask({**order, "sequence": next(self._numbers)}, lasting_s + self._show_timeout_s)
 
 
 def page_warnings(seen: Mapping[str, Any]) -> list[str]:

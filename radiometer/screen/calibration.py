@@ -8,10 +8,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
-from typing import Any, Final
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from radiometer.data import Provenance, Quantity
 from radiometer.data.provenance import utc_now
@@ -19,40 +18,27 @@ from radiometer.data.storage import read_yaml, write_yaml_atomic
 from radiometer.errors import CalibrationError, SettingOutOfRange
 from radiometer.screen.interpolation import LevelTable, rising
 from radiometer.screen.transfer_models import MODELS, TransferFit, fit_transfer
+from radiometer.statistics.scale import robust_sigma
+from radiometer.typing import Array
 
 FORMAT = "radiometer-screen/1"
 RADIANCE, LUMINANCE, SCOTOPIC = "W sr-1 m-2", "cd m-2", "scotopic cd m-2"
-Array = NDArray[np.float64]
-MEDIAN_TO_SIGMA: Final = 1.4826  # of the sizes of normal deviates
 
 
 @dataclass(frozen=True)
 class ChannelCurve:
-    """Radiance over the level of one channel ("grey", "red", "green" or "blue").
+    """Radiance over the level of one channel ("grey", "red", "green" or "blue")."""
 
-    Attributes:
-        name: The channel.
-        levels: Measured levels as integers 0 to 2^bits − 1, ascending, shape (n,).
-        radiance: Radiance in W·sr⁻¹·m⁻² at each, drift taken out.
-        u_independent: Standard uncertainty in W·sr⁻¹·m⁻² of each level by itself.
-        u_common_rel: Relative standard uncertainty shared by all levels.
-        photopic_lm_per_w: Luminous efficacy of the channel's light.
-        scotopic_lm_per_w: Scotopic luminous efficacy of the channel's light.
-        spectrum: Name of the spectrum that the efficacies assume.
-        detection_limit: Radiance in W·sr⁻¹·m⁻² below which a level could not be distinguished from no light.
-        bits: Bits per level.
-    """
-
-    name: str
-    levels: tuple[int, ...]
-    radiance: tuple[float, ...]
-    u_independent: tuple[float, ...]
-    u_common_rel: float
-    photopic_lm_per_w: float
-    scotopic_lm_per_w: float
-    spectrum: str
-    detection_limit: float = 0.0
-    bits: int = 8
+    name: str  # the channel
+    levels: tuple[int, ...]  # measured levels as integers 0 to 2^bits − 1, ascending, shape (n,)
+    radiance: tuple[float, ...]  # radiance in W·sr⁻¹·m⁻² at each, drift taken out
+    u_independent: tuple[float, ...]  # standard uncertainty in W·sr⁻¹·m⁻² of each level by itself
+    u_common_rel: float  # relative standard uncertainty shared by all levels
+    photopic_lm_per_w: float  # luminous efficacy of the channel's light
+    scotopic_lm_per_w: float  # scotopic luminous efficacy of the channel's light
+    spectrum: str  # name of the spectrum that the efficacies assume
+    detection_limit: float = 0.0  # radiance in W·sr⁻¹·m⁻² below which a level could not be distinguished from no light
+    bits: int = 8  # bits per level
 
     def __post_init__(self) -> None:
         counts = {len(self.levels), len(self.radiance), len(self.u_independent)}
@@ -86,7 +72,7 @@ class ChannelCurve:
         nearest = np.max([padded[:-3], padded[1:-2], padded[2:-1], padded[3:]], axis=0)
         shares = errors / np.maximum(np.gradient(values), 1e-12 * max(float(values[-1]), 1e-300))
         around = [shares[max(0, gap - 7) : gap + 9] for gap in range(values.size - 1)]
-        typical = MEDIAN_TO_SIGMA * np.array([float(np.median(near)) for near in around])
+        typical = np.array([robust_sigma(near, 0.0) for near in around])
         return np.asarray(np.maximum(nearest, typical * np.diff(values)))
 
     def radiance_at(self, level: float) -> Quantity:
@@ -211,25 +197,16 @@ class ChannelCurve:
 
 @dataclass(frozen=True)
 class ScreenCalibration:
-    """A calibrated screen.
+    """A calibrated screen."""
 
-    Attributes:
-        name: What the screen is called.
-        channels: Curves by channel name; "grey" always.
-        instrument: Serial number of the camera.
-        created: ISO 8601 time in UTC.
-        checks: Findings in addition to the curves: drift, flicker, uniformity, additivity.
-        pixel_mm: Distance of two pixels in mm, where somebody has measured it.
-        provenance: Method, inputs and assumptions.
-    """
-
-    name: str
-    channels: dict[str, ChannelCurve]
-    instrument: str = ""
-    created: str = field(default_factory=utc_now)
+    name: str  # what the screen is called
+    channels: dict[str, ChannelCurve]  # curves by channel name; "grey" always
+    instrument: str = ""  # serial number of the camera
+    created: str = field(default_factory=utc_now)  # ISO 8601 time in UTC
+    # Findings in addition to the curves: drift, flicker, uniformity, additivity
     checks: dict[str, Any] = field(default_factory=dict)
-    provenance: Provenance = field(default_factory=lambda: Provenance("unknown"))
-    pixel_mm: float | None = None
+    provenance: Provenance = field(default_factory=lambda: Provenance("unknown"))  # method, inputs and assumptions
+    pixel_mm: float | None = None  # distance of two pixels in mm, where somebody has measured it
 
     def channel(self, name: str = "grey") -> ChannelCurve:
         """Return a channel. Raises CalibrationError where it was not measured."""

@@ -18,9 +18,9 @@ from radiometer.screen.plan import make_plan
 from radiometer.screen.run import Light, Measured, Progress, curves_of, measure_steps
 
 _WHITE: Final = DisplayPatch((1.0, 1.0, 1.0))
-_PILOTS: Final = 8
-_WANTED_SCATTER_REL: Final = 0.004
-_MOST_REPEATS: Final = 64
+_PILOTS: Final = 8  # a scatter from eight is known to a quarter
+_WANTED_SCATTER_REL: Final = 0.004  # of the mean: well below the 1 % of a calibration
+_MOST_REPEATS: Final = 64  # bounds the time that one patch takes
 
 
 class Instrumented(Protocol):
@@ -29,49 +29,33 @@ class Instrumented(Protocol):
     @property
     def display(self) -> Display:
         """Return the open display."""
-        ...
 
     @property
     def sleep(self) -> Callable[[float], None]:
         """Return what waits for a number of seconds."""
-        ...
 
     def read(self) -> ScreenReading:
         """Return a reading of the middle. Raises DeviceError, MeasurementError."""
-        ...
 
     def check_flicker(self) -> Flicker:
         """Return whether the light changes quickly. Raises DeviceError."""
-        ...
 
     def check_uniformity(self) -> Uniformity:
         """Return white over the screen. Raises DeviceError, MeasurementError."""
-        ...
 
 
 @dataclass(frozen=True, slots=True)
 class Options:
-    """What is to be measured.
+    """What is to be measured."""
 
-    Attributes:
-        name: What the screen is called.
-        levels: Ascending levels.
-        channels: Channels, "grey" among them.
-        repeats: Readings of every patch; more where the light flickers, until their mean is good to 0.4 %.
-        patch_size: Patch as a share of the screen's width and height.
-        warm_up_limit_s: Longest wait for the screen to settle in s.
-        seed: Seed of the random order.
-        pixel_mm: Distance of two pixels in mm; None where it was not measured.
-    """
-
-    name: str
-    levels: tuple[int, ...]
-    channels: tuple[str, ...] = ("grey",)
-    repeats: int = 1
-    patch_size: float = 1.0
-    warm_up_limit_s: float = 900.0
-    seed: int = 1
-    pixel_mm: float | None = None
+    name: str  # what the screen is called
+    levels: tuple[int, ...]  # ascending levels
+    channels: tuple[str, ...] = ("grey",)  # channels, "grey" among them
+    repeats: int = 1  # readings of every patch; more where the light flickers, until their mean is good to 0.4 %
+    patch_size: float = 1.0  # patch as a share of the screen's width and height
+    warm_up_limit_s: float = 900.0  # longest wait for the screen to settle in s
+    seed: int = 1  # seed of the random order
+    pixel_mm: float | None = None  # distance of two pixels in mm; None where it was not measured
 
 
 def calibrate_screen(
@@ -81,7 +65,6 @@ def calibrate_screen(
 
     Args:
         bench: An open display and what looks at it.
-        options: What is to be measured.
         lights: Light of every channel.
         progress: Called after every patch.
 

@@ -12,22 +12,16 @@ import numpy as np
 from radiometer.screen.meter import Meter, ScreenReading
 
 STEADY_REL: Final = 0.002  # change over the window that counts as warmed up: the size of white's repeatability
-_WINDOW: Final = 5
+_WINDOW: Final = 5  # readings: a drift of 0.2 % is seen over five
 
 
 @dataclass(frozen=True, slots=True)
 class WarmUp:
-    """What was seen while the display warmed up.
+    """What was seen while the display warmed up."""
 
-    Attributes:
-        waited_s: How long white was shown.
-        drift_rel: Relative change over the last readings.
-        steady: Whether that was below the limit before the time was up.
-    """
-
-    waited_s: float
-    drift_rel: float
-    steady: bool
+    waited_s: float  # how long white was shown
+    drift_rel: float  # relative change over the last readings
+    steady: bool  # whether that was below the limit before the time was up
 
 
 def wait_until_steady(
@@ -36,7 +30,6 @@ def wait_until_steady(
     """Read white until five readings in a row agree within 0.2 % (or their noise), or the time is up.
 
     Args:
-        meter: Reads white.
         sleep: Waits for a number of seconds.
         limit_s: Longest time to wait in s; 0 takes a single set of readings.
         interval_s: Pause between readings in s.
@@ -60,19 +53,12 @@ def _drift_of(readings: Sequence[ScreenReading]) -> tuple[float, float]:
 
 @dataclass(frozen=True, slots=True)
 class Flicker:
-    """Whether the display's light changes within fractions of a second (PWM dimming, scanning).
+    """Whether the display's light changes within fractions of a second (PWM dimming, scanning)."""
 
-    Attributes:
-        exposure_s: Exposure of the test frames in s.
-        scatter_rel: Relative scatter from frame to frame.
-        noise_rel: What noise alone would give.
-        found: Whether the scatter exceeds noise beyond doubt (five sigmas of its estimate).
-    """
-
-    exposure_s: float
-    scatter_rel: float
-    noise_rel: float
-    found: bool
+    exposure_s: float  # exposure of the test frames in s
+    scatter_rel: float  # relative scatter from frame to frame
+    noise_rel: float  # what noise alone would give
+    found: bool  # whether the scatter exceeds noise beyond doubt (five sigmas of its estimate)
 
 
 def judge_flicker(values: Sequence[float], noise_rel: float, exposure_s: float) -> Flicker:
@@ -91,17 +77,11 @@ def judge_flicker(values: Sequence[float], noise_rel: float, exposure_s: float) 
 
 @dataclass(frozen=True, slots=True)
 class Uniformity:
-    """White over a grid of places relative to the middle.
+    """White over a grid of places relative to the middle."""
 
-    Attributes:
-        grid: Rows of values relative to the middle.
-        lowest: The lowest of them.
-        highest: The highest of them.
-    """
-
-    grid: tuple[tuple[float, ...], ...]
-    lowest: float
-    highest: float
+    grid: tuple[tuple[float, ...], ...]  # rows of values relative to the middle
+    lowest: float  # the lowest of them
+    highest: float  # the highest of them
 
     @classmethod
     def of(cls, values: Sequence[Sequence[float]]) -> Uniformity:

@@ -13,17 +13,11 @@ from radiometer.screen.meter import ScreenReading
 
 @dataclass(frozen=True)
 class Drift:
-    """Output of the display over time, relative to its mean.
+    """Output of the display over time, relative to its mean."""
 
-    Attributes:
-        times_s: Times of the references in s.
-        factors: White relative to the mean white at these times.
-        u_rel: Relative standard uncertainty of a value between two references.
-    """
-
-    times_s: NDArray[np.float64]
-    factors: NDArray[np.float64]
-    u_rel: float
+    times_s: NDArray[np.float64]  # times of the references in s
+    factors: NDArray[np.float64]  # white relative to the mean white at these times
+    u_rel: float  # relative standard uncertainty of a value between two references
 
     @classmethod
     def of(cls, whites: Sequence[ScreenReading]) -> Drift:

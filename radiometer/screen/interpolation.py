@@ -5,11 +5,11 @@ from __future__ import annotations
 from typing import Final
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.interpolate import PchipInterpolator
 from scipy.optimize import isotonic_regression
 
-Array = NDArray[np.float64]
+from radiometer.typing import Array
 
 # Displays follow a power law of about this exponent, so its root is nearly a straight line of the level.
 _STRAIGHTENING: Final = 1 / 2.2

@@ -20,7 +20,7 @@ _HEADERS: Final = {
     "connect-src 'self'; img-src data:; frame-ancestors 'none'",
     "X-Content-Type-Options": "nosniff",
 }
-_TIMEOUT_S: Final = 10.0
+_TIMEOUT_S: Final = 10.0  # loopback takes ms; a machine that swaps takes seconds
 
 Message = dict[str, Any]
 Darken = Callable[[], str]
@@ -45,25 +45,19 @@ class Host(Protocol):
 
     async def joined(self, socket: web.WebSocketResponse) -> None:
         """Take a browser that has just connected."""
-        ...
 
     def received(self, message: Message) -> None:
         """Take a message of a browser."""
-        ...
 
     def left(self, socket: web.WebSocketResponse) -> None:
         """Forget a browser that has gone."""
-        ...
 
 
 class LoopbackServer:
     """An HTTP server in a separate thread, on 127.0.0.1.
 
     Args:
-        page: Text of the page.
-        host: Who talks with it.
         port: Port; 0 for any free one.
-        what: What is served, for messages.
     """
 
     def __init__(self, page: str, host: Host, port: int = 0, *, what: str = "page") -> None:

@@ -14,7 +14,6 @@ from pathlib import Path
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from radiometer.data import Provenance
 from radiometer.data.reader_limits import bounded_reader
@@ -23,38 +22,29 @@ from radiometer.data.text_table import TextTable, finite, read_export, read_tabl
 from radiometer.errors import InputError, UnsettledError
 from radiometer.screen.calibration import ChannelCurve, ScreenCalibration
 from radiometer.screen.run import Light
+from radiometer.typing import Array
 from radiometer.units import heading_parts
 
-Array = NDArray[np.float64]
 # Colorimeters of the i1Display and SpyderX kind are specified to some 4 % on displays they were not matched to.
 METER_U_REL: Final = 0.04
 REPEAT_U_REL: Final = 0.001  # of a reading; the SpyderX's white repeats within 0.1 to 0.3 %
 SHARED_SHAPE_U_REL: Final = 0.05  # of a primary whose curve is taken from grey's
 CAL_SHAPE_U_REL: Final = 0.03  # of a response inferred from a calibration curve and its target
-FULL: Final = 255
+FULL: Final = 255  # 8 bits
 
 
 @dataclass(frozen=True, slots=True)
 class ScreenReadings:
-    """Readings of one screen.
+    """Readings of one screen."""
 
-    Attributes:
-        name: What the file calls it, or the file's name.
-        grey: Luminance in cd·m⁻² by 8-bit level; a level may have several readings.
-        primaries: The same of "red", "green" and "blue", where they were measured.
-        resolution_cd_m2: Last digit of the file's luminances.
-        taken: What was made of the file, in words.
-        shape_u_rel: Relative standard uncertainty of each level beyond repeatability.
-        doubts: What the file leaves open and how it was read, in words.
-    """
-
-    name: str
-    grey: Mapping[int, Sequence[float]]
+    name: str  # what the file calls it, or the file's name
+    grey: Mapping[int, Sequence[float]]  # luminance in cd·m⁻² by 8-bit level; a level may have several readings
+    # The same of "red", "green" and "blue", where they were measured
     primaries: Mapping[str, Mapping[int, Sequence[float]]] = field(default_factory=dict)
-    resolution_cd_m2: float = 0.0
-    taken: tuple[str, ...] = ()
-    shape_u_rel: float = 0.0
-    doubts: tuple[str, ...] = ()
+    resolution_cd_m2: float = 0.0  # last digit of the file's luminances
+    taken: tuple[str, ...] = ()  # what was made of the file, in words
+    shape_u_rel: float = 0.0  # relative standard uncertainty of each level beyond repeatability
+    doubts: tuple[str, ...] = ()  # what the file leaves open and how it was read, in words
 
 
 @bounded_reader(error=InputError)
@@ -90,10 +80,7 @@ def imported(
     """Return a calibration by readings made elsewhere.
 
     Args:
-        readings: The readings.
-        lights: Light of grey and, for primaries, of red, green and blue.
         meter_u_rel: Relative standard uncertainty of the meter's scale, shared by all levels.
-        source: Name of the file, for the provenance.
 
     Raises:
         InputError: If there are fewer than three levels of grey.
@@ -112,9 +99,7 @@ def imported(
     assumptions += [f"meter's scale: {100 * meter_u_rel:g} % (k = 1)"]
     assumptions += [f"{', '.join(shared)}: curve as grey's, to {100 * SHARED_SHAPE_U_REL:g} %"] if shared else []
     return ScreenCalibration(
-        readings.name,
-        channels,
-        provenance=Provenance(f"imported from {source}", assumptions=tuple(assumptions)),
+        readings.name, channels, provenance=Provenance(f"imported from {source}", assumptions=tuple(assumptions))
     )
 
 

@@ -8,21 +8,13 @@ from typing import Protocol
 
 @dataclass(frozen=True, slots=True)
 class ScreenReading:
-    """One reading of a patch on the screen.
+    """One reading of a patch on the screen."""
 
-    Attributes:
-        radiance: Radiance in W·sr⁻¹·m⁻².
-        u_independent: Standard uncertainty in W·sr⁻¹·m⁻² of what differs from reading to reading (noise, dark).
-        u_common_rel: Relative standard uncertainty of what all readings share (scale, lens).
-        time_s: When it was taken, in s on the meter's steady clock.
-        flags: What must be known of it, as in a Reading.
-    """
-
-    radiance: float
-    u_independent: float
-    u_common_rel: float
-    time_s: float
-    flags: tuple[str, ...] = ()
+    radiance: float  # radiance in W·sr⁻¹·m⁻²
+    u_independent: float  # standard uncertainty in W·sr⁻¹·m⁻² of what differs from reading to reading (noise, dark)
+    u_common_rel: float  # relative standard uncertainty of what all readings share (scale, lens)
+    time_s: float  # when it was taken, in s on the meter's steady clock
+    flags: tuple[str, ...] = ()  # what must be known of it, as in a Reading
 
 
 class Meter(Protocol):
@@ -30,4 +22,3 @@ class Meter(Protocol):
 
     def read(self) -> ScreenReading:
         """Return one reading. Raises DeviceError, MeasurementError."""
-        ...

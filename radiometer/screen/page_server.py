@@ -12,7 +12,7 @@ from typing import Final
 from aiohttp import web
 
 from radiometer.errors import DeviceLost, DeviceTimeout
-from radiometer.screen.loopback import Darken, LoopbackServer, Message, darkened, nothing_to_darken
+from radiometer.screen.loopback import Darken, LoopbackServer, Message, darkened
 
 _COMMON: Final = "/* common.js */"
 
@@ -29,11 +29,10 @@ class PageServer:
 
     Args:
         port: Port on 127.0.0.1; 0 for any free one.
-        page: File of the page.
         darken: Darkens the light box, whoever holds it, and returns what it did in words; called on its own thread.
     """
 
-    def __init__(self, port: int = 0, page: str = "display.html", darken: Darken = nothing_to_darken) -> None:
+    def __init__(self, port: int, page: str, darken: Darken) -> None:
         self._server = LoopbackServer(page_text(page), self, port, what="screen's page")
         self._socket: web.WebSocketResponse | None = None
         self._connected, self._begun = threading.Event(), threading.Event()
@@ -58,13 +57,13 @@ class PageServer:
         """Return once a page is connected. Raises DeviceTimeout."""
         if not self._connected.wait(timeout_s):
             raise DeviceTimeout(
-                f"no browser opened {self.url} within {timeout_s:g} s; open it on the screen that is meant"
+                f"no browser opened {self.url} within {timeout_s:g} s; open it on the screen to be measured"
             )
 
     def wait_for_start(self, timeout_s: float) -> None:
         """Return once somebody has pressed Start, or the page fills the screen already. Raises DeviceTimeout."""
         if not self._begun.wait(timeout_s):
-            raise DeviceTimeout(f"nobody pressed Start on {self.url} within {timeout_s:g} s; do so and repeat")
+            raise DeviceTimeout(f"Start was not pressed on {self.url} within {timeout_s:g} s; press it and repeat")
 
     def ask(self, message: Message, timeout_s: float) -> Message:
         """Send a message that carries a "sequence" and return the page's answer to it.

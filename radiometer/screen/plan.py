@@ -17,25 +17,19 @@ _PRIMARIES: Final[dict[str, tuple[float, float, float]]] = {
     "green": (0.0, 1.0, 0.0),
     "blue": (0.0, 0.0, 1.0),
 }
-QUICK_LEVELS: Final = (0, 32, 64, 96, 128, 192, 255)
-REFERENCE_EVERY: Final = 10
+QUICK_LEVELS: Final = (0, 32, 64, 96, 128, 192, 255)  # dense where a screen's curve bends, dark
+REFERENCE_EVERY: Final = 10  # a drift over ten readings is a straight line
 
 Purpose = Literal["level", "white", "black"]
 
 
 @dataclass(frozen=True, slots=True)
 class ScreenStep:
-    """One patch to be shown and read.
+    """One patch to be shown and read."""
 
-    Attributes:
-        channel: One of `CHANNELS`.
-        level: Level 0 to 2^bits − 1.
-        purpose: "level" for the curve, "white" and "black" for drift references.
-    """
-
-    channel: str
-    level: int
-    purpose: Purpose = "level"
+    channel: str  # one of `CHANNELS`
+    level: int  # level 0 to 2^bits − 1
+    purpose: Purpose = "level"  # "level" for the curve, "white" and "black" for drift references
 
     def patch(self, bits: int = 8, size: float = 1.0) -> DisplayPatch:
         """Return what the display is asked to show, `size` of the screen's width and height."""
@@ -47,10 +41,7 @@ class ScreenStep:
 def parse_levels(text: str, bits: int = 8) -> tuple[int, ...]:
     """Return ascending levels behind "all", "quick", a count such as "33", or a list such as "0,16,255".
 
-    Black and white are always among them.
-
-    Raises:
-        UsageError: If the text is none of these.
+    Black and white are always among them. Raises UsageError if the text is none of these.
     """
     top = 2**bits - 1
     if text == "all":

@@ -68,11 +68,9 @@ def measure_steps(
 
     Args:
         display: An open display.
-        meter: Looks at the middle of it.
         plan: Steps in order.
         repeats: Readings of each.
         patch_size: Size of the patch as a fraction of the screen's.
-        bits: Bits per level.
         progress: Called after every step with (done, total, step).
 
     Raises:
@@ -113,9 +111,7 @@ def curves_of(
     """Return the channels' curves with the display's drift taken out, and the drift.
 
     Args:
-        measured: Levels and references.
         lights: Light of every channel.
-        bits: Bits per level.
         unsettled_rel: Relative change of white while it was waited for; with the drift it bounds how far the
             display was from settled, and goes into what all levels share.
 

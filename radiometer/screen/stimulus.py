@@ -14,21 +14,13 @@ BLACK: Code = (0, 0, 0)
 
 @dataclass(frozen=True, slots=True)
 class Shape:
-    """A uniform ellipse.
+    """A uniform ellipse."""
 
-    Attributes:
-        x: Its middle right of the screen's middle in pixels.
-        y: Its middle below the screen's middle in pixels.
-        width: Its width in pixels.
-        height: Its height in pixels.
-        rgb: Codes 0 to 255 of red, green and blue.
-    """
-
-    x: float
-    y: float
-    width: float
-    height: float
-    rgb: Code
+    x: float  # its middle right of the screen's middle in pixels
+    y: float  # its middle below the screen's middle in pixels
+    width: float  # its width in pixels
+    height: float  # its height in pixels
+    rgb: Code  # codes 0 to 255 of red, green and blue
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,21 +41,13 @@ class Hold:
 
 @dataclass(frozen=True, slots=True)
 class Blink:
-    """How a blink went, on the screen's own clock.
+    """How a blink went, on the screen's own clock."""
 
-    Attributes:
-        presses_s: Presses in s from the onset of the light.
-        hold: The longest press, begun before or during it.
-        on_s: How long the light was on.
-        frame_s: Time between two frames.
-        longest_frame_s: Longest time between two frames; twice `frame_s` and more means that frames were dropped.
-    """
-
-    presses_s: tuple[float, ...]
-    hold: Hold
-    on_s: float
-    frame_s: float
-    longest_frame_s: float
+    presses_s: tuple[float, ...]  # presses in s from the onset of the light
+    hold: Hold  # the longest press, begun before or during it
+    on_s: float  # how long the light was on
+    frame_s: float  # time between two frames
+    longest_frame_s: float  # longest time between two frames; twice `frame_s` and more means that frames were dropped
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,37 +63,27 @@ class StimulusScreen(Protocol):
 
     def show(self, picture: ScreenPicture) -> None:
         """Show a picture and return once it is on screen. Raises DeviceError."""
-        ...
 
     def blink(self, lit: ScreenPicture, rest: ScreenPicture, on_s: float, cycle_s: float) -> Blink:
         """Show `lit` for a time, then `rest` until the cycle is over; return what was pressed. Raises DeviceError."""
-        ...
 
     def rest(self, seconds: float) -> Rest:
         """Let time pass and return what was pressed. Raises DeviceError."""
-        ...
 
     @property
     def size(self) -> tuple[int, int]:
         """Return width and height of the screen in pixels."""
-        ...
 
     def warnings(self) -> list[str]:
         """Return what on the screen's side may falsify a test."""
-        ...
 
 
 @dataclass(frozen=True, slots=True)
 class Viewing:
-    """An eye before the middle of a flat screen, the mark and the spot on either side of it.
+    """An eye before the middle of a flat screen, the mark and the spot on either side of it."""
 
-    Attributes:
-        distance_mm: Distance of the eye from the screen in mm.
-        pixel_mm: Distance of two pixels in mm.
-    """
-
-    distance_mm: float
-    pixel_mm: float
+    distance_mm: float  # distance of the eye from the screen in mm
+    pixel_mm: float  # distance of two pixels in mm
 
     def ellipse(self, at_deg: float, size_deg: float, rgb: Code, below_deg: float = 0.0) -> Shape:
         """Return what covers a circle of visual angle around a direction in, or not far from, the horizontal.
@@ -117,7 +91,6 @@ class Viewing:
         Args:
             at_deg: Direction from the screen's middle, right of it positive.
             size_deg: Diameter in degrees.
-            rgb: Its codes.
             below_deg: How far below the horizontal; a few degrees, for the shape is that in the horizontal.
         """
         scale = self.distance_mm / self.pixel_mm

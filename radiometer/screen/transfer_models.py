@@ -7,49 +7,34 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.optimize import least_squares
 
-Array = NDArray[np.float64]
+from radiometer.typing import Array
+
 Curve = Callable[[Array, Array], Array]
 
 
 @dataclass(frozen=True, slots=True)
 class TransferModel:
-    """A named curve L(v; parameters) of the drive v = 0..1.
+    """A named curve L(v; parameters) of the drive v = 0..1."""
 
-    Attributes:
-        name: Name in files.
-        source: Where the equation comes from.
-        parameters: Names of its parameters.
-        curve: Function (parameters, v) giving values in the unit of the measured ones.
-        start: Function (v, values) giving parameters to start from.
-    """
-
-    name: str
-    source: str
-    parameters: tuple[str, ...]
-    curve: Curve
-    start: Callable[[Array, Array], list[float]]
+    name: str  # name in files
+    source: str  # where the equation comes from
+    parameters: tuple[str, ...]  # names of its parameters
+    curve: Curve  # function (parameters, v) giving values in the unit of the measured ones
+    start: Callable[[Array, Array], list[float]]  # function (v, values) giving parameters to start from
 
 
 @dataclass(frozen=True, slots=True)
 class TransferFit:
-    """A fitted model and its errors.
+    """A fitted model and its errors."""
 
-    Attributes:
-        model: Name of the model.
-        parameters: Fitted value of each parameter; α, L0 and peak in the unit of the values.
-        rms_rel: Root mean square of the relative error over all measured levels above the black.
-        max_rel: Largest relative error over those levels.
-        max_of_peak: Largest error in units of the highest value.
-    """
-
-    model: str
-    parameters: dict[str, float]
-    rms_rel: float
-    max_rel: float
-    max_of_peak: float
+    model: str  # name of the model
+    parameters: dict[str, float]  # fitted value of each parameter; α, L0 and peak in the unit of the values
+    rms_rel: float  # root mean square of the relative error over all measured levels above the black
+    max_rel: float  # largest relative error over those levels
+    max_of_peak: float  # largest error in units of the highest value
 
     def predict(self, level: ArrayLike) -> Array:
         """Return the model's values at levels 0..1."""

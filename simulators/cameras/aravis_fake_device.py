@@ -81,7 +81,6 @@ class FakeGigeDevice:
     Args:
         address: Address of a network interface of this computer to listen on, such as 127.0.0.1.
         serial: Serial number, at most 15 letters.
-        description: File of its GenICam XML.
 
     Raises:
         MissingLibrary: If Aravis is not installed.

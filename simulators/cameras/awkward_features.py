@@ -31,7 +31,7 @@ _CHUNK_FORMULAS: Final = {
     "Gain": ("RAW*6.020599913/(2**14)", "dB"),
     "BlackLevel": ("RAW/(2**24)*100", "%"),
 }
-GIGABIT_BYTES_S: Final = 125_000_000
+GIGABIT_BYTES_S: Final = 125_000_000  # 1 Gbit/s in bytes
 
 
 def awkward_features(limits: CameraCapabilities, native_bit_depth: int, temperature_c: float) -> list[Feature]:
@@ -65,34 +65,15 @@ def _further() -> list[Feature]:
         Feature("UserSetSelector", "UserSetControl", "enumeration", USER_SET_SELECTOR, entries=sets, initial=0),
         Feature("UserSetLoad", "UserSetControl", "command", USER_SET_LOAD),
         Feature("AdcBitDepth", "ImageFormatControl", "enumeration", ADC_BITS, entries=bits, initial=1),
-        Feature(
-            "TestPatternGeneratorSelector",
-            "ImageFormatControl",
-            "enumeration",
-            TEST_PATTERN_SELECTOR,
-            entries={"Sensor": 0, "PipelineStart": 1},
-            initial=0,
-        ),
-        Feature(
-            "TestPattern",
-            "ImageFormatControl",
-            "enumeration",
-            TEST_PATTERN,
-            entries=patterns,
-            selected_by="TestPatternGeneratorSelectorRegister",
-        ),
+        Feature("TestPatternGeneratorSelector", "ImageFormatControl", "enumeration", TEST_PATTERN_SELECTOR,
+                entries={"Sensor": 0, "PipelineStart": 1}, initial=0),
+        Feature("TestPattern", "ImageFormatControl", "enumeration", TEST_PATTERN, entries=patterns,
+                selected_by="TestPatternGeneratorSelectorRegister"),
         Feature("PipelinePattern", "", "integer", TEST_PATTERN + 4, initial=1),
         Feature("DeviceLinkSpeed", "DeviceControl", "integer", LINK_SPEED, access="RO", initial=GIGABIT_BYTES_S),
-        Feature(
-            "DeviceLinkThroughputLimit",
-            "DeviceControl",
-            "integer",
-            THROUGHPUT_LIMIT,
-            minimum=1_000_000,
-            maximum=GIGABIT_BYTES_S,
-            initial=GIGABIT_BYTES_S,
-        ),
-    ]
+        Feature("DeviceLinkThroughputLimit", "DeviceControl", "integer", THROUGHPUT_LIMIT, minimum=1_000_000,
+                maximum=GIGABIT_BYTES_S, initial=GIGABIT_BYTES_S),
+    ]  # fmt: skip
 
 
 def _chunks() -> list[Feature]:
@@ -107,14 +88,8 @@ def _chunks() -> list[Feature]:
         Feature("ChunkModeActiveWord", "", "integer", CHUNK_MODE),
         Feature("ChunkSelector", category, "enumeration", CHUNK_SELECTOR, entries=CHUNK_ENTRIES, initial=0),
         Feature("ChunkEnableLocked", "", "formula", 0, formula="SEL < 2 ? 1 : 0", variables=locks),
-        Feature(
-            "ChunkEnable",
-            category,
-            "boolean",
-            CHUNK_ENABLE,
-            selected_by="ChunkSelectorRegister",
-            locked_by="ChunkEnableLocked",
-        ),
+        Feature("ChunkEnable", category, "boolean", CHUNK_ENABLE, selected_by="ChunkSelectorRegister",
+                locked_by="ChunkEnableLocked"),
         *words,
         *(
             Feature(
@@ -128,4 +103,4 @@ def _chunks() -> list[Feature]:
             )
             for name, number in CHUNK_IDS.items()
         ),
-    ]
+    ]  # fmt: skip

@@ -33,19 +33,17 @@ from simulators.cameras.pixel_packing import WIRE_FORMATS, pack_pixels
 
 SERIAL: Final = "0138C343"  # as USB reports 20497219
 MODEL: Final = "Blackfly S BFS-PGE-19S4M"
-PIPELINE_FRAMES: Final = 2
-_ADC_BITS: Final = 12
+PIPELINE_FRAMES: Final = 2  # one exposed, one read out, when a setting changes
+_ADC_BITS: Final = 12  # Sony IMX sensors of the series convert to 12
 _MADE_UNDER: Final = ("exposure_s", "gain_db", "black_level_dn")
-_LOOK_S: Final = 0.002
+_LOOK_S: Final = 0.002  # short against the shortest frame
 
 
 class AwkwardBlackfly(BlackflyGige):
     """Serves the awkward camera until it is closed.
 
     Args:
-        source: Makes the pictures.
         limits: What the camera can do; pixel formats are its own.
-        serial: Serial number.
         first_frame_id: Number of the first frame; the numbers start again at 1 behind 65535.
         link_bytes_s: What its link carries; above that every frame loses a packet.
         **options: As of `BlackflyGige`.

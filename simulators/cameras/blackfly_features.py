@@ -41,7 +41,6 @@ def blackfly_features(limits: CameraCapabilities, native_bit_depth: int, tempera
     Args:
         limits: Bounds of exposure, gain and black level (in DN of the native bit depth), formats, sensor size.
         native_bit_depth: Bits of the sensor's digital numbers.
-        temperature_c: Sensor temperature in °C at power-on.
     """
     return [
         *_device_control(temperature_c),
@@ -111,42 +110,25 @@ def _acquisition_control(limits: CameraCapabilities) -> list[Feature]:
     category = "AcquisitionControl"
     shortest_us, longest_us = (value * 1e6 for value in limits.exposure_s)
     return [
-        Feature(
-            "AcquisitionMode", category, "enumeration", ACQUISITION_MODE, entries={"Continuous": 1, "SingleFrame": 2}
-        ),
+        Feature("AcquisitionMode", category, "enumeration", ACQUISITION_MODE,
+                entries={"Continuous": 1, "SingleFrame": 2}),
         Feature("AcquisitionStart", category, "command", ACQUISITION, access="WO"),
         Feature("AcquisitionStop", category, "command", ACQUISITION, access="WO", maximum=0),
         Feature("ExposureMode", category, "enumeration", EXPOSURE_MODE, entries={"Timed": 1}, initial=1),
         Feature("ExposureAuto", category, "enumeration", EXPOSURE_AUTO, entries=AUTO, initial=AUTO["Continuous"]),
-        Feature(
-            "ExposureTime",
-            category,
-            "float",
-            EXPOSURE_US,
-            unit="us",
-            minimum=shortest_us,
-            maximum=longest_us,
-            initial=min(max(10_000.0, shortest_us), longest_us),
-        ),
+        Feature("ExposureTime", category, "float", EXPOSURE_US, unit="us", minimum=shortest_us, maximum=longest_us,
+                initial=min(max(10_000.0, shortest_us), longest_us)),
         Feature("AcquisitionFrameRateEnable", category, "boolean", FRAME_RATE_ENABLE, initial=0),
-        Feature(
-            "AcquisitionFrameRate",
-            category,
-            "float",
-            FRAME_RATE_HZ,
-            unit="Hz",
-            minimum=1.0,
-            maximum=131.0,
-            initial=30.0,
-        ),
+        Feature("AcquisitionFrameRate", category, "float", FRAME_RATE_HZ, unit="Hz", minimum=1.0, maximum=131.0,
+                initial=30.0),
         Feature("TriggerSelector", category, "enumeration", TRIGGER_SELECTOR, entries={"FrameStart": 0}, initial=0),
         Feature("TriggerMode", category, "enumeration", TRIGGER_MODE, entries={"Off": 0, "On": 1}, initial=0),
-        Feature(
-            "TriggerSource", category, "enumeration", TRIGGER_SOURCE, entries={"Line0": 0, "Software": 1}, initial=0
-        ),
-        Feature("TriggerActivation", category, "enumeration", TRIGGER_ACTIVATION, entries={"RisingEdge": 0}, initial=0),
+        Feature("TriggerSource", category, "enumeration", TRIGGER_SOURCE, entries={"Line0": 0, "Software": 1},
+                initial=0),
+        Feature("TriggerActivation", category, "enumeration", TRIGGER_ACTIVATION, entries={"RisingEdge": 0},
+                initial=0),
         Feature("TriggerSoftware", category, "command", TRIGGER_SOFTWARE, access="WO"),
-    ]
+    ]  # fmt: skip
 
 
 def _analog_control(limits: CameraCapabilities, native_bit_depth: int) -> list[Feature]:
@@ -192,38 +174,14 @@ def _transport_control() -> list[Feature]:
 def _simulator_control() -> list[Feature]:
     category = "SimulatorControl"
     return [
-        Feature(
-            "SimSourceLevel",
-            category,
-            "float",
-            SOURCE_LEVEL,
-            "Relative drive of the light source",
-            minimum=0.0,
-            maximum=1.0,
-            initial=1.0,
-        ),
+        Feature("SimSourceLevel", category, "float", SOURCE_LEVEL, "Relative drive of the light source", minimum=0.0,
+                maximum=1.0, initial=1.0),
         Feature("SimShutterClosed", category, "boolean", SHUTTER_CLOSED, "Cap on the lens", initial=0),
-        Feature(
-            "SimPacketLossPerMille",
-            category,
-            "integer",
-            LOSS_PER_MILLE,
-            "Packets lost of a thousand",
-            minimum=0,
-            maximum=1000,
-            initial=0,
-        ),
+        Feature("SimPacketLossPerMille", category, "integer", LOSS_PER_MILLE, "Packets lost of a thousand", minimum=0,
+                maximum=1000, initial=0),
         Feature("SimStall", category, "boolean", STALL, "Answers, but sends no pictures", initial=0),
-        Feature(
-            "SimAnswerDelay",
-            category,
-            "float",
-            ANSWER_DELAY_MS,
-            "Holds every frame, and what is asked meanwhile, back",
-            unit="ms",
-            minimum=0.0,
-            maximum=10_000.0,
-            initial=0.0,
-        ),
+        Feature("SimAnswerDelay", category, "float", ANSWER_DELAY_MS,
+                "Holds every frame, and what is asked meanwhile, back", unit="ms", minimum=0.0, maximum=10_000.0,
+                initial=0.0),
         Feature("SimDisconnect", category, "boolean", DISCONNECT, "Falls silent for good", initial=0),
-    ]
+    ]  # fmt: skip

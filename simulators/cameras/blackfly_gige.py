@@ -15,12 +15,12 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from types import TracebackType
-from typing import Final, Self
+from typing import Final
 
 import structlog
 
 from radiometer.devices import CameraCapabilities
+from radiometer.devices.opening import Opened
 from radiometer.errors import RadiometerError
 from simulators.cameras import blackfly_features as registers
 from simulators.cameras.aravis_fake_device import FakeGigeDevice
@@ -33,7 +33,7 @@ _LOG = structlog.get_logger(__name__)
 
 READOUT_S: Final = 1 / 131  # 131 frames per second at full size: BFS-U3-19S4M specification page
 _TRIGGER_LOOKS_HZ: Final = 400.0  # the device waits in whole ms and spins for the rest
-_LOOK_S: Final = 0.002
+_LOOK_S: Final = 0.002  # short against the shortest frame
 INFO_TEXT: Final = "simulated by radiometer"  # DeviceManufacturerInfo, by which the quirk file knows it
 
 
@@ -47,18 +47,13 @@ class SentPicture:
     made_under: PictureRequest
 
 
-class BlackflyGige:
+class BlackflyGige(Opened):
     """Serves a simulated camera until it is closed.
 
     Args:
-        source: Makes the pictures.
         limits: What the camera can do; the black level in DN of the native bit depth.
-        vendor: DeviceVendorName.
-        model: DeviceModelName.
         serial: Serial number, at most 15 letters.
-        address: Address of a network interface of this computer.
         native_bit_depth: Bits of the sensor's digital numbers.
-        temperature_c: Sensor temperature in °C.
         real_time: Frames come as their exposure allows; else as fast as they can be made.
         sleep: Waits so many seconds.
     """
@@ -142,17 +137,6 @@ class BlackflyGige:
         self._write_word(registers.DISCONNECT, 1)
         while self.is_served:
             self._sleep(_LOOK_S)
-
-    def __enter__(self) -> Self:
-        """Serve the camera."""
-        self.open()
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        """Leave the network."""
-        self.close()
 
     def _features(self) -> list[Feature]:
         return registers.blackfly_features(self._limits, self._native_bits, self._temperature_c)

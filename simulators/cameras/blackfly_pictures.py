@@ -12,46 +12,27 @@ from simulators.chain.virtual_sensor import VirtualSensor
 
 @dataclass(frozen=True, slots=True)
 class PictureRequest:
-    """The registers that a picture is made under.
+    """The registers that a picture is made under."""
 
-    Attributes:
-        exposure_s: Exposure time in s.
-        gain_db: Analogue gain in dB.
-        black_level_dn: Black level in DN of the given bit depth.
-        bit_depth: Bits of a digital number.
-        temperature_c: Sensor temperature in °C.
-        source_level: Relative drive of the source.
-        is_shutter_closed: Cap on the lens.
-        binning: Pixels averaged in each direction.
-        x: Left edge of the region in pixels after binning.
-        y: Top edge of the region.
-        width: Width of the region.
-        height: Height of the region.
-    """
-
-    exposure_s: float
-    gain_db: float
-    black_level_dn: float
-    bit_depth: int
-    temperature_c: float
-    source_level: float
-    is_shutter_closed: bool
-    binning: int
-    x: int
-    y: int
-    width: int
-    height: int
+    exposure_s: float  # exposure time in s
+    gain_db: float  # analogue gain in dB
+    black_level_dn: float  # black level in DN of the given bit depth
+    bit_depth: int  # bits of a digital number
+    temperature_c: float  # sensor temperature in °C
+    source_level: float  # relative drive of the source
+    is_shutter_closed: bool  # cap on the lens
+    binning: int  # pixels averaged in each direction
+    x: int  # left edge of the region in pixels after binning
+    y: int  # top edge of the region
+    width: int  # width of the region
+    height: int  # height of the region
 
 
 PictureSource = Callable[[PictureRequest], DigitalNumbers]
 
 
 class ForwardModelSource:
-    """Exposes the virtual sensor anew for every picture.
-
-    Args:
-        sensor: The camera model in front of its scene.
-    """
+    """Exposes the virtual sensor anew for every picture."""
 
     def __init__(self, sensor: VirtualSensor) -> None:
         self._sensor = sensor
@@ -77,10 +58,7 @@ class ForwardModelSource:
         self._since_change = self._since_change + 1 if settings == self._last else 0
         self._last = settings
         dn = self._sensor.expose(
-            settings,
-            output_bit_depth=request.bit_depth,
-            binning=request.binning,
-            frame_index=self._since_change,
+            settings, output_bit_depth=request.bit_depth, binning=request.binning, frame_index=self._since_change
         )
         return dn[request.y : request.y + request.height, request.x : request.x + request.width]
 
@@ -89,7 +67,6 @@ class PooledSource:
     """Draws a few frames under each setting and serves them in turn: for measuring the link, not the light.
 
     Args:
-        source: Makes the frames.
         size: Frames drawn under each setting, at least 1.
     """
 

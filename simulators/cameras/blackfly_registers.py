@@ -56,7 +56,6 @@ def steer_exposure(
     """Set the exposure time that automatic exposure takes after a picture.
 
     Args:
-        device: The camera.
         request: What the picture was made under.
         mean_dn: Its mean in DN.
         limits_s: Shortest and longest exposure time in s.

@@ -10,56 +10,34 @@ from xml.etree import ElementTree
 Kind = Literal["float", "integer", "boolean", "enumeration", "command", "string", "formula", "chunk"]
 Bound = float | int | str  # a string is the name of another node
 
-_STRING_LENGTH: Final = 32
+_STRING_LENGTH: Final = 32  # bytes of a text register, as GigE Vision's bootstrap has them
 _NAMESPACE: Final = "http://www.genicam.org/GenApi/Version_1_0"
 
 
 @dataclass(frozen=True, slots=True)
 class Feature:
-    """A feature of a camera.
+    """A feature of a camera."""
 
-    Attributes:
-        name: SFNC name.
-        category: Category that it is listed in; "" for a helper that is not listed.
-        kind: Type of its node.
-        address: Address of its register; 0 for a formula.
-        description: What it is, for tooltips.
-        access: "RW", "RO" or "WO".
-        unit: Unit of a number.
-        minimum: Lowest value, or the node that holds it.
-        maximum: Highest value, or the node that holds it.
-        increment: Step of an integer.
-        entries: Names and values of an enumeration.
-        length: Bytes of a string; 0 for the kind's own.
-        formula: Expression over `variables` of a formula.
-        variables: Names in the formula and the nodes behind them.
-        whole: A float kept in a 32-bit register of whole numbers.
-        absent: Entries of an enumeration that this model of the family does not have.
-        locked_by: Node that is not 0 where the feature cannot be written; "" for one that always can.
-        selected_by: Node whose value times 4 is added to the address; "" for a single register.
-        chunk_id: Identifier of a chunk, in hexadecimal; its `formula` turns the raw 32-bit number RAW into the value.
-        initial: Value at power-on; None where the device itself sets it.
-    """
-
-    name: str
-    category: str
-    kind: Kind
-    address: int
-    description: str = ""
-    access: str = "RW"
-    unit: str = ""
-    minimum: Bound | None = None
-    maximum: Bound | None = None
-    increment: int = 0
-    entries: Mapping[str, int] = field(default_factory=dict)
-    length: int = 0
-    formula: str = ""
-    variables: Mapping[str, str] = field(default_factory=dict)
-    initial: float | int | str | None = None
-    whole: bool = False
-    absent: frozenset[str] = frozenset()
-    locked_by: str = ""
-    selected_by: str = ""
+    name: str  # SFNC name
+    category: str  # category that it is listed in; "" for a helper that is not listed
+    kind: Kind  # type of its node
+    address: int  # address of its register; 0 for a formula
+    description: str = ""  # what it is, for tooltips
+    access: str = "RW"  # "RW", "RO" or "WO"
+    unit: str = ""  # unit of a number
+    minimum: Bound | None = None  # lowest value, or the node that holds it
+    maximum: Bound | None = None  # highest value, or the node that holds it
+    increment: int = 0  # step of an integer
+    entries: Mapping[str, int] = field(default_factory=dict)  # names and values of an enumeration
+    length: int = 0  # bytes of a string; 0 for the kind's own
+    formula: str = ""  # expression over `variables` of a formula
+    variables: Mapping[str, str] = field(default_factory=dict)  # names in the formula and the nodes behind them
+    initial: float | int | str | None = None  # value at power-on; None where the device itself sets it
+    whole: bool = False  # a float kept in a 32-bit register of whole numbers
+    absent: frozenset[str] = frozenset()  # entries of an enumeration that this model of the family does not have
+    locked_by: str = ""  # node that is not 0 where the feature cannot be written; "" for one that always can
+    selected_by: str = ""  # node whose value times 4 is added to the address; "" for a single register
+    # Identifier of a chunk, in hexadecimal; its `formula` turns the raw 32-bit number RAW into the value
     chunk_id: str = ""
 
 
@@ -70,7 +48,6 @@ def genicam_xml(features: Sequence[Feature], vendor: str, model: str) -> bytes:
     """Return the description of a camera as a GenICam XML document.
 
     Args:
-        features: Every feature and helper node.
         vendor: Maker, for the document's head.
         model: Model, for the document's head.
     """

@@ -10,37 +10,27 @@ import struct
 from dataclasses import dataclass
 from typing import Final
 
-_LEADER, _TRAILER, _PAYLOAD = 1, 2, 3
-_IMAGE: Final = 0x0001
-_WITH_CHUNKS: Final = 0x4000
+_LEADER, _TRAILER, _PAYLOAD = 1, 2, 3  # GVSP packet formats
+_IMAGE: Final = 0x0001  # GVSP payload type
+_WITH_CHUNKS: Final = 0x4000  # bit of the payload type: chunks follow
 _PROTOCOL_BYTES: Final = 20 + 8 + 8  # IP, UDP and GVSP headers: what a packet size counts beside the picture
-_LAST_FRAME_ID: Final = 65535
-IMAGE_CHUNK: Final = 0x05040001
+_LAST_FRAME_ID: Final = 65535  # 16 bits; 0 is reserved
+IMAGE_CHUNK: Final = 0x05040001  # identifier of the chunk that holds the picture
 
 
 @dataclass(frozen=True, slots=True)
 class WirePicture:
-    """A picture as it is sent.
+    """A picture as it is sent."""
 
-    Attributes:
-        format_code: PFNC value.
-        width: Width in pixels.
-        height: Height in pixels.
-        x: Left edge of the region.
-        y: Top edge of the region.
-        image: Bytes of the pixels.
-        chunks: Raw values by chunk identifier, sent behind the pixels as signed 32-bit numbers; None for no chunks.
-        timestamp_ns: Time of the camera's clock in ns.
-    """
-
-    format_code: int
-    width: int
-    height: int
-    x: int
-    y: int
-    image: bytes
+    format_code: int  # PFNC value
+    width: int  # width in pixels
+    height: int  # height in pixels
+    x: int  # left edge of the region
+    y: int  # top edge of the region
+    image: bytes  # bytes of the pixels
+    # Raw values by chunk identifier, sent behind the pixels as signed 32-bit numbers; None for no chunks
     chunks: dict[int, int] | None
-    timestamp_ns: int
+    timestamp_ns: int  # time of the camera's clock in ns
 
 
 def payload_of(picture: WirePicture) -> bytes:
@@ -56,7 +46,6 @@ class GvspSender:
     """The stream channel of a simulated camera.
 
     Args:
-        address: Address of a network interface of this computer.
         first_frame_id: Number of the first frame, 1 to 65535; numbers start again at 1 behind the last.
     """
 
@@ -69,9 +58,6 @@ class GvspSender:
         """Send one picture.
 
         Args:
-            picture: What to send.
-            to: Address and port of the receiver.
-            packet_bytes: Size of a packet, headers included.
             lose_last: Keep the last packet of pixels back, as a switch does whose memory is full.
         """
         kind = _IMAGE | (_WITH_CHUNKS if picture.chunks is not None else 0)

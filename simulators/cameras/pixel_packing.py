@@ -38,7 +38,6 @@ def pack_pixels(dn: DigitalNumbers, format_name: str) -> bytes:
 
     Args:
         dn: Digital numbers, any shape, not above the format's full scale.
-        format_name: One of WIRE_FORMATS.
 
     Raises:
         ConfigurationError: If the format is unknown or a number is above its full scale.

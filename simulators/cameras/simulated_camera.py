@@ -15,8 +15,7 @@ from __future__ import annotations
 import zlib
 from collections.abc import Generator
 from dataclasses import replace
-from types import TracebackType
-from typing import Final, Self
+from typing import Final
 
 from radiometer.data import CameraDescription, Frame, FrameSettings, LensDescription
 from radiometer.devices import (
@@ -25,9 +24,10 @@ from radiometer.devices import (
     CameraIdentity,
     CameraPreset,
     CameraSettings,
-    Roi,
     refuse_out_of_range,
+    refuse_roi_outside,
 )
+from radiometer.devices.opening import Opened
 from radiometer.errors import ConfigurationError, DeviceError, DeviceInUse, SettingOutOfRange
 from simulators.chain.camera_model import CameraModel
 from simulators.chain.virtual_sensor import VirtualSensor
@@ -35,22 +35,19 @@ from simulators.clock import SimulatedClock
 from simulators.scenes.base import Scene
 
 _BITS: Final = {"Mono8": 8, "Mono10": 10, "Mono10p": 10, "Mono12": 12, "Mono12p": 12, "Mono16": 16}
-_LARGEST_BINNING: Final = 4
+_LARGEST_BINNING: Final = 4  # as machine cameras offer
 _READOUT_S: Final = 1 / 131  # 131 frames per second at full size: BFS-U3-19S4M specification page
 
 
-class SimulatedCamera:
+class SimulatedCamera(Opened):
     """A Camera made of a camera model that looks at a scene.
 
     Args:
-        model: The camera, its lens and their effects.
         scene: What it looks at; may be changed with `set_scene`.
         seed: Makes the noise; the same seed gives the same frames in the same order.
         serial: Serial number; the fixed patterns of the effects follow from it.
         device_id: Id that it is opened by.
         limits: What it can do; by default the BFS-U3-19S4M of the shipped preset, with a shutter.
-        clock: Simulated time.
-        temperature_c: Sensor temperature in °C.
     """
 
     def __init__(
@@ -206,15 +203,6 @@ class SimulatedCamera:
             raise SettingOutOfRange(self._name, "f-number", f_number, 0.5, 64.0, "")
         self._f_number = f_number
 
-    def __enter__(self) -> Self:
-        self.open()
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
-
     @property
     def _name(self) -> str:
         return f"camera {self._identity.device_id}"
@@ -247,16 +235,8 @@ class SimulatedCamera:
         if settings.binning not in range(1, _LARGEST_BINNING + 1):
             raise SettingOutOfRange(self._name, "binning", settings.binning, 1, _LARGEST_BINNING, "px")
         if settings.roi is not None:
-            self._refuse_roi(settings.roi, settings.binning)
-
-    def _refuse_roi(self, roi: Roi, binning: int) -> None:
-        width, height = self._limits.width // binning, self._limits.height // binning
-        for name, start, size, limit in (("x", roi.x, roi.width, width), ("y", roi.y, roi.height, height)):
-            if not 0 <= start < limit:
-                raise SettingOutOfRange(self._name, f"roi {name}", start, 0, limit - 1, "px")
-            if not 1 <= size <= limit - start:
-                side = "width" if name == "x" else "height"
-                raise SettingOutOfRange(self._name, f"roi {side}", size, 1, limit - start, "px")
+            width, height = self._limits.width // settings.binning, self._limits.height // settings.binning
+            refuse_roi_outside(self._name, settings.roi, width, height)
 
     def _expose(self) -> Frame:
         settings = FrameSettings(

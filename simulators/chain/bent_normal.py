@@ -42,7 +42,6 @@ def bent_normal(
         sigma: (n,) standard deviations.
         black: (n,) where the curve begins.
         room: (n,) how far it reaches.
-        power: Power of the curve.
         toe: Where its straight beginning ends; 0 for none.
         lift: Steepness of that beginning.
 

@@ -2,6 +2,7 @@
 
 model = CameraModel.ideal(camera, lens)                  # what the datasheets believe
 model = model.with_effect(make_effect("exposure_time_offset", {"offset_s": 2e-5}))
+
 context = model.context(settings, FrameGeometry.of_image(640, 480))
 expected = model.moments(radiance, context)              # mean and variances in DN, no randomness
 exposed = model.sample(radiance, context, seed=(7, 0))   # one frame
@@ -31,7 +32,7 @@ from simulators.effects.context import ExposureContext, FrameGeometry, Signal
 from simulators.effects.registry import EffectEntry
 
 FORMAT: Final = "radiometer-model/1"
-DEFAULT_WAVELENGTH_NM: Final = 550.0
+DEFAULT_WAVELENGTH_NM: Final = 550.0  # the middle of the visible, near the peak of V(λ)
 
 _ResultT = TypeVar("_ResultT")
 
@@ -46,32 +47,20 @@ class _ModelFile(ConfigSection):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Exposed:
-    """One simulated frame.
+    """One simulated frame."""
 
-    Attributes:
-        dn: Digital numbers, uint8 up to 8 bits and uint16 above.
-        electrons: What the pixels held at the end of the well stage; the next frame's `previous_e`.
-    """
-
-    dn: DigitalNumbers
-    electrons: Signal
+    dn: DigitalNumbers  # digital numbers, uint8 up to 8 bits and uint16 above
+    electrons: Signal  # what the pixels held at the end of the well stage; the next frame's `previous_e`
 
 
 @dataclass(frozen=True, slots=True)
 class CameraModel:
-    """A chain of effects whose units fit from one to the next.
+    """A chain of effects whose units fit from one to the next."""
 
-    Attributes:
-        camera: What the camera is called and believed to be, in its native bit depth.
-        entries: Effects in the order of the chain, also those that are switched off.
-        lens: The lens in front of it.
-        wavelength_nm: Effective wavelength of the light.
-    """
-
-    camera: CameraDescription
-    entries: tuple[EffectEntry, ...]
-    lens: LensDescription = field(default_factory=LensDescription)
-    wavelength_nm: float = DEFAULT_WAVELENGTH_NM
+    camera: CameraDescription  # what the camera is called and believed to be, in its native bit depth
+    entries: tuple[EffectEntry, ...]  # effects in the order of the chain, also those that are switched off
+    lens: LensDescription = field(default_factory=LensDescription)  # the lens in front of it
+    wavelength_nm: float = DEFAULT_WAVELENGTH_NM  # effective wavelength of the light
 
     def __post_init__(self) -> None:
         """Put the entries in stage order and check units. Raises ConfigurationError naming the effect that fails."""

@@ -15,7 +15,6 @@ def place_for(
     """Return the position in a chain at which an effect acts: in front of `effect.before`, else late in its stage.
 
     Args:
-        effect: The effect to be added, or its kind.
         chain: The effects in order, or their kinds.
         enabled: Which of them are switched on; all by default.
 

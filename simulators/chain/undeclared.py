@@ -31,22 +31,14 @@ _MARGIN_BITS: Final = 4.0  # stands for a full well that nobody declared: far ab
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Undeclared:
-    """How far a camera is off its description, and what the description leaves out.
+    """How far a camera is off its description, and what the description leaves out."""
 
-    Attributes:
-        log_responsivity: Natural logarithm of the responsivity over the declared one.
-        log_gain: The same of the conversion gain K.
-        log_read: The same of the read noise's variance.
-        black_dn: Black level in DN over the declared one.
-        dark_e_per_s: Dark current over the declared one.
-        texture: Relative variance of the scene's radiance within each tile, (patterns, tiles).
-    """
-
-    log_responsivity: float = 0.0
-    log_gain: float = 0.0
-    log_read: float = 0.0
-    black_dn: float = 0.0
-    dark_e_per_s: float = 0.0
+    log_responsivity: float = 0.0  # natural logarithm of the responsivity over the declared one
+    log_gain: float = 0.0  # the same of the conversion gain K
+    log_read: float = 0.0  # the same of the read noise's variance
+    black_dn: float = 0.0  # black level in DN over the declared one
+    dark_e_per_s: float = 0.0  # Dark current over the declared one
+    # Relative variance of the scene's radiance within each tile, (patterns, tiles)
     texture: Signal = field(default_factory=lambda: np.zeros((1, 1)))
 
 
@@ -61,11 +53,7 @@ def completed(camera: CameraDescription, off: Undeclared | None = None) -> Camer
     e_per_dn = e_per_dn if camera.conversion_gain_e_per_dn else _allowed(ConversionGain, e_per_dn)
     read = read if camera.read_noise_e is not None else _allowed(ReadNoise, read)
     most_e = _allowed(FullWellSaturation, _MARGIN_BITS * camera.full_scale_dn * e_per_dn)
-    figures |= {
-        "conversion_gain_e_per_dn": e_per_dn,
-        "read_noise_e": read,
-        "full_well_e": camera.full_well_e or most_e,
-    }
+    figures |= {"conversion_gain_e_per_dn": e_per_dn, "read_noise_e": read, "full_well_e": camera.full_well_e or most_e}
     return camera.model_copy(update=figures)
 
 
@@ -81,11 +69,8 @@ def undeclared_chain(
     """Return the chain from radiance to codes, without the ends of the converter's range: what clips is not compared.
 
     Args:
-        camera: What is declared of the camera.
-        lens: The lens.
         off: What is not, or not rightly.
         pattern: Position of each capture's pattern, (captures,).
-        ends_in_well: Whether the full well limits anything.
     """
     figures = completed(camera, off)
     links = [

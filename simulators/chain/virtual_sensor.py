@@ -20,8 +20,6 @@ class VirtualSensor:
     what they are.
 
     Args:
-        model: The camera, its lens and their effects.
-        scene: What it looks at.
         width: Sensor width in pixels.
         height: Sensor height in pixels.
         seed: Makes the noise; the same seed gives the same frames in the same order.
@@ -50,7 +48,6 @@ class VirtualSensor:
             settings: Settings of the frame; the black level in DN of the output.
             output_bit_depth: Bits per pixel; None for the model's own.
             binning: Pixels summed in each direction.
-            frame_index: Number of the frame since the settings changed.
 
         Raises:
             ConfigurationError: If the scene has no such pattern or the model lacks a figure.

@@ -4,52 +4,36 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from types import TracebackType
-from typing import Self
 
 import numpy as np
 
 from radiometer.devices import DisplayPatch
+from radiometer.devices.opening import Opened
 from radiometer.errors import DeviceError, SettingOutOfRange
 from simulators.clock import SimulatedClock
 
 
 @dataclass(frozen=True, slots=True)
 class DisplayModel:
-    """The truth about a display.
+    """The truth about a display."""
 
-    Attributes:
-        name: Its name.
-        transfer: Relative light 0..1 of a drive 0..1, before black and warm-up.
-        white_radiance: Radiance of white in W·sr⁻¹·m⁻² when warm.
-        black_radiance: Radiance of black in W·sr⁻¹·m⁻² when warm: leaks in proportion to the backlight.
-        primary_shares: Share of red, green and blue in white's radiance.
-        bits: Bits per channel that it resolves.
-        warm_up_rel: Relative excess of the cold backlight, gone with `warm_up_s`.
-        warm_up_s: Time constant of warming up in s.
-        pwm_hz: Frequency of its dimming in Hz; 0 for none.
-        pwm_duty: Share of the period in which it is lit.
-        edge_falloff: Relative loss of light in the corners.
-    """
-
-    name: str
-    transfer: Callable[[float], float]
-    white_radiance: float
-    black_radiance: float
-    primary_shares: tuple[float, float, float] = (0.25, 0.45, 0.30)
-    bits: int = 8
-    warm_up_rel: float = 0.0
-    warm_up_s: float = 600.0
-    pwm_hz: float = 0.0
-    pwm_duty: float = 1.0
-    edge_falloff: float = 0.0
+    name: str  # its name
+    transfer: Callable[[float], float]  # relative light 0..1 of a drive 0..1, before black and warm-up
+    white_radiance: float  # radiance of white in W·sr⁻¹·m⁻² when warm
+    black_radiance: float  # radiance of black in W·sr⁻¹·m⁻² when warm: leaks in proportion to the backlight
+    primary_shares: tuple[float, float, float] = (0.25, 0.45, 0.30)  # share of red, green and blue in white's radiance
+    bits: int = 8  # bits per channel that it resolves
+    warm_up_rel: float = 0.0  # relative excess of the cold backlight, gone with `warm_up_s`
+    warm_up_s: float = 600.0  # time constant of warming up in s
+    pwm_hz: float = 0.0  # frequency of its dimming in Hz; 0 for none
+    pwm_duty: float = 1.0  # share of the period in which it is lit
+    edge_falloff: float = 0.0  # relative loss of light in the corners
 
 
-class SimulatedDisplay:
+class SimulatedDisplay(Opened):
     """A Display whose radiance is known.
 
     Args:
-        model: The truth about it.
         clock: Simulated time; switching on counts from when it is opened.
         settling_s: Time until a new patch is on screen.
     """
@@ -100,15 +84,6 @@ class SimulatedDisplay:
             return 1.0
         first, last = start_s * hz, (start_s + duration_s) * hz
         return float((_lit_periods(last, duty) - _lit_periods(first, duty)) / (last - first) / duty)
-
-    def __enter__(self) -> Self:
-        self.open()
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
 
 
 def _lit_periods(phase: float, duty: float) -> float:

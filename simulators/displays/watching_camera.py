@@ -56,10 +56,7 @@ class WatchingCamera(SimulatedCamera):
     """A SimulatedCamera in front of a SimulatedDisplay, on the display's clock.
 
     Args:
-        model: The camera, its lens and their effects.
-        display: What it looks at.
         wavelength_nm: Wavelength that represents the display's light in nm.
-        options: As of SimulatedCamera.
     """
 
     def __init__(

@@ -12,7 +12,7 @@ from simulators.effects.catalogue import CatalogueEffect
 from simulators.effects.clipping import censored_above, censored_below, limited, unevenly_limited
 from simulators.effects.context import ExposureContext, Signal
 
-_SPREAD: Final = 0.005
+_SPREAD: Final = 0.005  # of the highest code, from which a fit of the scatter begins
 
 
 @dataclass(frozen=True)
@@ -27,8 +27,7 @@ class AdcSaturation(CatalogueEffect):
 
     name = "adc_saturation"
     stage = Stage.DIGITAL
-    unit_in = DIGITAL_NUMBER
-    unit_out = DIGITAL_NUMBER
+    unit_in = unit_out = DIGITAL_NUMBER
 
     where = "signal"
     block = "mean"
@@ -44,11 +43,9 @@ class AdcSaturation(CatalogueEffect):
     )
 
     def mean(self, signal: Signal, context: ExposureContext) -> Signal:
-        """Return DN within the converter's range."""
         return np.clip(signal, 0.0, self._highest(context))
 
     def slope(self, signal: Signal, context: ExposureContext) -> Signal:
-        """Return 1 inside the range and 0 outside."""
         return ((signal > 0) & (signal < self._highest(context))).astype(signal.dtype)
 
     def sample(self, signal: Signal, context: ExposureContext, rng: np.random.Generator) -> Signal:
@@ -87,7 +84,6 @@ class AdcSaturation(CatalogueEffect):
         return () if self.spread_dn or not self.clip_dn else (replace(self, spread_dn=_SPREAD * self.clip_dn),)
 
     def free(self) -> tuple[str, ...]:
-        """Return the parameters to fit: the spread only where there is one."""
         return ("clip_dn", "spread_dn") if self.spread_dn else ("clip_dn",)
 
     def _highest(self, context: ExposureContext) -> float:

@@ -25,12 +25,12 @@ class AmbientLightLeak(Offset):
 
     name = "ambient_light_leak"
     stage = Stage.OPTICS
-    unit_in = IRRADIANCE
-    unit_out = IRRADIANCE
+    unit_in = unit_out = IRRADIANCE
     where = "source_level"
     block = "mean"
     trials = ({"irradiance_w_m2": 1e-06, "through_lens": 0.0},)
     fitted = ("irradiance_w_m2",)
+    further = ({"tilt_x": 0.05, "tilt_y": 0.05},)
     settles = "frames with the lamp off and with the cap on"
     irradiance_w_m2: float = parameter(
         0.0, "W m-2", -1000.0, 1000000.0, source="engineering prior; refined on a real rig"
@@ -40,7 +40,6 @@ class AmbientLightLeak(Offset):
     tilt_y: float = parameter(0.0, "1", -1.0, 1.0, source="the same from top to bottom")
 
     def offset(self, context: ExposureContext) -> Any:
-        """Return the further irradiance in W·m⁻²."""
         known: Any = 4.0 if context.f_number is None else context.f_number
         through = (4.0 / np.asarray(known)) ** 2
         x, y = context.geometry.sensor_xy()
@@ -52,11 +51,3 @@ class AmbientLightLeak(Offset):
         """Return starts at shares of the brightest patch's irradiance, past and through the lens."""
         peak = math.pi * context.peak_radiance / 64.0
         return tuple(cls(share * peak, through) for through in (0.0, 1.0) for share in (1e-6, 1e-4, 1e-2))
-
-    def loosened(self, context: ExposureContext) -> tuple[Self, ...]:
-        """Return the leak with one side brighter than the other."""
-        return () if self.tilt_x or self.tilt_y else (self.with_parameters(tilt_x=0.05, tilt_y=0.05),)
-
-    def free(self) -> tuple[str, ...]:
-        """Return the parameters to fit: the tilts only where there are any."""
-        return ("irradiance_w_m2", "tilt_x", "tilt_y") if self.tilt_x or self.tilt_y else ("irradiance_w_m2",)

@@ -8,7 +8,7 @@ from typing import Any, Self
 import numpy as np
 
 from simulators.effects.base import IRRADIANCE, Stage, parameter
-from simulators.effects.catalogue import Scaling, f_number_varies
+from simulators.effects.catalogue import Scaling
 from simulators.effects.context import ExposureContext
 
 
@@ -23,18 +23,15 @@ class AngleDependence(Scaling):
 
     name = "angle_dependence"
     stage = Stage.OPTICS
-    unit_in = IRRADIANCE
-    unit_out = IRRADIANCE
+    unit_in = unit_out = IRRADIANCE
     where = "f_number"
     block = "slope"
     law_along = ("field_radius", "f_number")
     log_prior_odds = -2.0
     prior_reason = "bends like the fall-off of any lens"
-    trials = (
-        {"strength": 0.05},
-        {"strength": -0.05},
-    )
+    trials = ({"strength": 0.05}, {"strength": -0.05})
     fitted = ("strength",)
+    varies = "f_number"
     settles = "an even field with the camera tilted"
     stands_for = ("natural_vignetting", "fnumber_tstop_error")
     # A fall-off that no stop changes is the lens, a loss at wide stops that is the same all over is its transmission.
@@ -48,16 +45,10 @@ class AngleDependence(Scaling):
     cone: float = parameter(0.0, "1", -1.0, 1.0, source="pixel vignetting at f/1.4 takes up to a third")
 
     def factor(self, context: ExposureContext) -> Any:
-        """Return the factor."""
         stopped: Any = 8.0 if context.f_number is None else context.f_number
         loss = self.strength * context.geometry.field_radius() ** self.radius_power
         slant = 1.0 - loss * np.asarray(stopped) ** -self.stop_power
         return np.maximum(slant * (1.0 - self.cone * np.asarray(stopped) ** -2.0), 0.01)
-
-    @classmethod
-    def usable(cls, context: ExposureContext) -> bool:
-        """Tell whether the f-number varies."""
-        return f_number_varies(context)
 
     @classmethod
     def covers(cls, context: ExposureContext) -> tuple[Self, ...]:

@@ -1,6 +1,6 @@
 """What an effect of the forward model is: a pure function with a name, a stage, units and bounded parameters.
 
-A new effect is one file with a frozen dataclass derived from `Effect` and one line in `registry.py`:
+A new effect is one file in this folder with a frozen dataclass derived from `Effect`:
 
     @dataclass(frozen=True)
     class ExposureTimeOffset(Effect):
@@ -43,7 +43,7 @@ ELECTRONS: Final = "e-"
 DIGITAL_NUMBER: Final = "DN"
 
 KINDS_KEPT: Final = 2048  # classes of which facts are kept: several times the catalogue; laws make classes without end
-_RELATIVE_STEP: Final = 1e-4
+_RELATIVE_STEP: Final = 1e-4  # of a central difference: neither rounding nor bending matters
 _LARGEST_FULL_SCALE_DN: Final = 2.0**32  # of any converter that may ever stand in a model file
 
 
@@ -63,24 +63,15 @@ class Stage(IntEnum):
 
 @dataclass(frozen=True, slots=True)
 class Parameter:
-    """What is known of one parameter of an effect.
+    """What is known of one parameter of an effect."""
 
-    Attributes:
-        name: Its name, with the unit as suffix.
-        unit: Its unit; "1" for a pure number.
-        low: Lowest allowed value.
-        high: Highest allowed value.
-        source: Where its default and bounds come from.
-        default: Its default.
-        of_full_scale: Whether the range scales with the converter's; `low` and `high` are then those of the widest one.
-    """
-
-    name: str
-    unit: str
-    low: float
-    high: float
-    source: str
-    default: Any
+    name: str  # its name, with the unit as suffix
+    unit: str  # its unit; "1" for a pure number
+    low: float  # lowest allowed value
+    high: float  # highest allowed value
+    source: str  # where its default and bounds come from
+    default: Any  # its default
+    # Whether the range scales with the converter's; `low` and `high` are then those of the widest one
     of_full_scale: bool = False
 
     def bounds(self, full_scale_dn: float) -> tuple[float, float]:
@@ -95,8 +86,6 @@ def parameter(default: Any, unit: str, low: float, high: float, *, source: str, 
     Args:
         default: Default: a float, or a tuple of floats for a table (bounds then hold for each entry).
         unit: Its unit; "1" for a pure number.
-        low: Lowest allowed value.
-        high: Highest allowed value.
         source: Where default and bounds come from.
         of_full_scale: Whether the bounds are shares of the camera's highest digital number, whatever its bit depth.
     """
@@ -199,6 +188,22 @@ class Effect(ABC):
     def tile(self, after: TileMoments, before: TileMoments, context: ExposureContext) -> TileMoments:
         """Return the moments with what the effect does to the other statistics of a tile; nothing by default."""
         return after
+
+
+class UnitSlope(Effect):
+    """An effect whose output grows by as much as its input."""
+
+    def slope(self, signal: Signal, context: ExposureContext) -> float:
+        """Return 1."""
+        return 1.0
+
+
+class KeepsMean(UnitSlope):
+    """An effect that scatters the signal about an unchanged mean: noise, or a pattern that averages out."""
+
+    def mean(self, signal: Signal, context: ExposureContext) -> Signal:
+        """Return the signal unchanged."""
+        return signal
 
 
 @lru_cache(maxsize=KINDS_KEPT)

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, Self
+from typing import Any
 
 from simulators.effects.base import DIGITAL_NUMBER, Stage, parameter
-from simulators.effects.catalogue import Offset, temperature_varies, warmer_k
+from simulators.effects.catalogue import Offset, warmer_k
 from simulators.effects.context import ExposureContext
 
 
@@ -19,8 +19,7 @@ class BlackLevelDrift(Offset):
 
     name = "black_level_drift"
     stage = Stage.READOUT
-    unit_in = DIGITAL_NUMBER
-    unit_out = DIGITAL_NUMBER
+    unit_in = unit_out = DIGITAL_NUMBER
     where = "temperature_C"
     block = "mean"
     trials = (
@@ -29,10 +28,9 @@ class BlackLevelDrift(Offset):
         {"drift_dn_per_K": 0.1, "reference_C": 35.0},
         {"drift_dn_per_K": -0.1, "reference_C": 35.0},
     )
-    fitted = (
-        "drift_dn_per_K",
-        "reference_C",
-    )
+    fitted = ("drift_dn_per_K", "reference_C")
+    varies = "temperature_C"
+    further = ({"bend_dn_per_K2": 0.001},)
     settles = "dark frames at the shortest exposure at three temperatures"
     drift_dn_per_K: float = parameter(  # noqa: N815
         0.0, "DN/K", -0.0125, 0.0125, source="engineering prior; refined on a real rig", of_full_scale=True
@@ -44,19 +42,5 @@ class BlackLevelDrift(Offset):
     )
 
     def offset(self, context: ExposureContext) -> Any:
-        """Return the offset in DN."""
         warmer = warmer_k(context, self.reference_C)
         return self.drift_dn_per_K * warmer + self.bend_dn_per_K2 * warmer**2
-
-    @classmethod
-    def usable(cls, context: ExposureContext) -> bool:
-        """Tell whether temperatures are known and differ by more than 2 K."""
-        return temperature_varies(context)
-
-    def loosened(self, context: ExposureContext) -> tuple[Self, ...]:
-        """Return the drift with a bend."""
-        return () if self.bend_dn_per_K2 else (self.with_parameters(bend_dn_per_K2=0.001),)
-
-    def free(self) -> tuple[str, ...]:
-        """Return the parameters to fit: the bend only where there is one."""
-        return (*self.fitted, "bend_dn_per_K2") if self.bend_dn_per_K2 else self.fitted

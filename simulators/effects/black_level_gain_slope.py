@@ -11,8 +11,8 @@ from simulators.effects.base import DIGITAL_NUMBER, Stage, parameter
 from simulators.effects.catalogue import Offset, gain_of
 from simulators.effects.context import ExposureContext
 
-_MOST_GAINS: Final = 16
-_BEND: Final = 0.01
+_MOST_GAINS: Final = 16  # more are a sweep: a start at each would only cost time
+_BEND: Final = 0.01  # from which a fit begins
 
 
 @dataclass(frozen=True)
@@ -27,16 +27,12 @@ class BlackLevelGainSlope(Offset):
 
     name = "black_level_gain_slope"
     stage = Stage.READOUT
-    unit_in = DIGITAL_NUMBER
-    unit_out = DIGITAL_NUMBER
+    unit_in = unit_out = DIGITAL_NUMBER
     where = "gain_db"
     block = "mean"
-    trials = (
-        {"slope_dn": 0.5},
-        {"slope_dn": -0.5},
-        {"slope_dn": 5.0},
-    )
+    trials = ({"slope_dn": 0.5}, {"slope_dn": -0.5}, {"slope_dn": 5.0})
     fitted = ("slope_dn",)
+    varies = "gain_db"
     settles = "dark frames at the shortest exposure over all gains"
     slope_dn: float = parameter(
         0.0, "DN", -0.25, 0.25, source="engineering prior; refined on a real rig", of_full_scale=True
@@ -47,12 +43,10 @@ class BlackLevelGainSlope(Offset):
     bend: float = parameter(0.0, "1", -1.0, 1.0, source="an amplifier's offset moves with its feedback")
 
     def offset(self, context: ExposureContext) -> Any:
-        """Return the offset in DN."""
         more = np.maximum(gain_of(context) / 10.0 ** (self.from_db / 20.0), 1.0) - 1.0
         return self.slope_dn * (more + self.bend * np.square(more))
 
     def free(self) -> tuple[str, ...]:
-        """Return the parameters to fit: the bend only where there is one."""
         return ("slope_dn", "bend") if self.bend else ("slope_dn",)
 
     @classmethod
@@ -67,8 +61,3 @@ class BlackLevelGainSlope(Offset):
             return ()
         later = (form.with_parameters(slope_dn=self.slope_dn) for form in self.covers(context))
         return (*later, self.with_parameters(bend=_BEND))
-
-    @classmethod
-    def usable(cls, context: ExposureContext) -> bool:
-        """Tell whether the gain varies."""
-        return bool(np.ptp(np.asarray(context.settings.gain_db)) > 0)

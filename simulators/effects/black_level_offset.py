@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, Self
+from typing import Any
 
 from simulators.effects.base import DIGITAL_NUMBER, Stage, parameter
 from simulators.effects.catalogue import Offset
@@ -21,16 +21,12 @@ class BlackLevelOffset(Offset):
 
     name = "black_level_offset"
     stage = Stage.READOUT
-    unit_in = DIGITAL_NUMBER
-    unit_out = DIGITAL_NUMBER
+    unit_in = unit_out = DIGITAL_NUMBER
     where = "signal"
     block = "mean"
-    trials = (
-        {"offset_dn": 1.0},
-        {"offset_dn": -1.0},
-        {"offset_dn": 10.0},
-    )
+    trials = ({"offset_dn": 1.0}, {"offset_dn": -1.0}, {"offset_dn": 10.0})
     fitted = ("offset_dn",)
+    further = ({"tilt_x_dn": 0.02, "tilt_y_dn": 0.02},)
     settles = "dark frames at the shortest exposure at three gains"
     offset_dn: float = parameter(
         0.0, "DN", -1.0, 1.0, source="engineering prior; refined on a real rig", of_full_scale=True
@@ -40,16 +36,7 @@ class BlackLevelOffset(Offset):
     tilt_y_dn: float = parameter(0.0, "DN", -0.025, 0.025, source="references sag along a frame", of_full_scale=True)
 
     def offset(self, context: ExposureContext) -> Any:
-        """Return the offset in DN."""
         if not (self.tilt_x_dn or self.tilt_y_dn):
             return self.offset_dn
         x, y = context.geometry.sensor_xy()
         return self.offset_dn + self.tilt_x_dn * x + self.tilt_y_dn * y
-
-    def loosened(self, context: ExposureContext) -> tuple[Self, ...]:
-        """Return the offset that depends on the place."""
-        return () if self.tilt_x_dn or self.tilt_y_dn else (self.with_parameters(tilt_x_dn=0.02, tilt_y_dn=0.02),)
-
-    def free(self) -> tuple[str, ...]:
-        """Return the parameters to fit: those of the flexible form only where they are set."""
-        return (*self.fitted, "tilt_x_dn", "tilt_y_dn") if self.tilt_x_dn or self.tilt_y_dn else self.fitted

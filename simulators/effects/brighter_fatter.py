@@ -9,13 +9,13 @@ from typing import Final, NamedTuple, Self, cast
 import cv2
 import numpy as np
 
-from simulators.effects.base import ELECTRONS, Stage, parameter
+from simulators.effects.base import ELECTRONS, KeepsMean, Stage, parameter
 from simulators.effects.catalogue import CatalogueEffect, well_e
 from simulators.effects.context import ExposureContext, Signal
 from simulators.effects.tile_moments import TileMoments
 
 _FAR_PX: Final = 8.0  # farther than a push is seen: covariances of flats end in their noise at lags of 5
-_STARTING_PX: Final = 0.5
+_STARTING_PX: Final = 0.5  # the mean of the two CCDs below
 _KERNELS: Final = 64  # that are kept: those of the last steps of a fit
 _FULLEST: Final = 1.2  # of the full well, beyond which a pixel pushes no more
 _LARGEST: Final = 0.1 * _FULLEST  # share that moves at most
@@ -25,7 +25,7 @@ _AGAIN: Final = (1.0, 5.0 / 6.0, 0.5)  # of √((e⁴ˣ − 1)/4x) in powers of 
 
 
 @dataclass(frozen=True)
-class BrighterFatter(CatalogueEffect):
+class BrighterFatter(KeepsMean, CatalogueEffect):
     """Moves the borders of pixels away from charge: what crosses one is b·z·S·F, z = S/S_FW the fill next to it.
 
     Charge in the middle of a pixel pushes a border at (x, y) from it by x/(r² + h²)², with a height h for borders
@@ -40,15 +40,11 @@ class BrighterFatter(CatalogueEffect):
 
     name = "brighter_fatter"
     stage = Stage.WELL
-    unit_in = ELECTRONS
-    unit_out = ELECTRONS
+    unit_in = unit_out = ELECTRONS
     where = "signal"
     block = "neighbour"
     also = ("variance",)
-    trials = (
-        {"share": 0.005},
-        {"share": 0.02},
-    )
+    trials = ({"share": 0.005}, {"share": 0.02})
     fitted = ("share", "edge_fill")
     settles = "neighbour correlation over a photon-transfer series"
     share: float = parameter(0.0, "1", 0.0, 0.1, source="at full well; below 1 % for small CMOS pixels")
@@ -57,14 +53,6 @@ class BrighterFatter(CatalogueEffect):
     reach_px: float = parameter(1.0, "px", 1.0, 16.0, source="1 for the nearest borders alone; CCDs show lags of 4")
     height_x_px: float = parameter(_STARTING_PX, "px", 0.05, 3.0, source="two CCDs of 10 µm: 0.54 and 0.57")
     height_y_px: float = parameter(_STARTING_PX, "px", 0.05, 3.0, source="the same two: 0.44 and 0.47")
-
-    def mean(self, signal: Signal, context: ExposureContext) -> Signal:
-        """Return the signal of an even field: what leaves a pixel comes back."""
-        return signal
-
-    def slope(self, signal: Signal, context: ExposureContext) -> float:
-        """Return 1."""
-        return 1.0
 
     def sample(self, signal: Signal, context: ExposureContext, rng: np.random.Generator) -> Signal:
         """Return the electrons after the exchange: what leaves one pixel is in the next."""
@@ -89,7 +77,7 @@ class BrighterFatter(CatalogueEffect):
         return after.changed(
             variance=after.variance * kept,
             spatial_variance=after.spatial_variance * kept,
-            neighbour_x=after.neighbour_x + share * _powers(push.beside, share) * after.variance,
+            neighbour_x=after.neighbour_x + share * _powers(push.right, share) * after.variance,
             neighbour_y=after.neighbour_y + share * _powers(push.below, share) * after.variance,
             beyond_x=after.beyond_x + share * _powers(push.beyond_x, share) * after.variance,
             beyond_y=after.beyond_y + share * _powers(push.beyond_y, share) * after.variance,
@@ -123,29 +111,17 @@ class BrighterFatter(CatalogueEffect):
 
 
 class Push(NamedTuple):
-    """What the charge of a pixel moves, for a share of 1.
+    """What the charge of a pixel moves, for a share of 1."""
 
-    Attributes:
-        across: Through borders between columns, rightwards, (rows, borders), the pixel in the middle.
-        down: Through borders between rows, downwards, (borders, columns).
-        own: What the noise of a flat gains in variance, over the share, by powers of the share over the largest.
-        beside: What it has as covariance with the right neighbour, likewise.
-        below: The same of the pixel below.
-        beyond_x: The same of all that are farther right in the row, summed.
-        beyond_y: The same of all that are farther down in the column.
-        beyond_rows: The same of all in the rows below, but for the pixel below.
-        last_line: What the last line of pixels inside a straight border of a patch loses of the step there.
-    """
-
-    across: Signal
-    down: Signal
-    own: Signal
-    beside: Signal
-    below: Signal
-    beyond_x: Signal
-    beyond_y: Signal
-    beyond_rows: Signal
-    last_line: float
+    across: Signal  # through borders between columns, rightwards, (rows, borders), the pixel in the middle
+    down: Signal  # through borders between rows, downwards, (borders, columns)
+    own: Signal  # what the noise of a flat gains in variance, over the share, by powers of the share over the largest
+    right: Signal  # what it has as covariance with the right neighbour, likewise
+    below: Signal  # the same of the pixel below
+    beyond_x: Signal  # the same of all that are farther right in the row, summed
+    beyond_y: Signal  # the same of all that are farther down in the column
+    beyond_rows: Signal  # the same of all in the rows below, but for the pixel below
+    last_line: float  # what the last line of pixels inside a straight border of a patch loses of the step there
 
     @property
     def kernel(self) -> Signal:
@@ -193,13 +169,13 @@ def _of_gathered_noise(kernel: Signal) -> dict[str, Signal]:
     y = 4.0 * shares[:, None, None] * waves
     y = np.where(np.abs(y) < _SMALL, _SMALL, y)
     gained = (np.expm1(y) / y - 1.0) / shares[:, None, None]
-    own, beside, below = (np.mean(gained * by, axis=(1, 2)) for by in (1.0, turned, turned[:, None]))
+    own, right, below = (np.mean(gained * by, axis=(1, 2)) for by in (1.0, turned, turned[:, None]))
     row, column, everything = gained[:, :, 0].mean(axis=1), gained[:, 0].mean(axis=1), gained[:, 0, 0]
     sums = {
         "own": own,
-        "beside": beside,
+        "right": right,
         "below": below,
-        "beyond_x": 0.5 * (row - own) - beside,
+        "beyond_x": 0.5 * (row - own) - right,
         "beyond_y": 0.5 * (column - own) - below,
         "beyond_rows": 0.5 * (everything - row) - below,
     }

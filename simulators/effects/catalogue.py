@@ -17,15 +17,16 @@ import numpy as np
 from scipy.special import ndtri
 
 from radiometer.data import CameraDescription
-from simulators.effects.base import KINDS_KEPT, Effect
+from simulators.effects.base import ELECTRONS, KINDS_KEPT, Effect, KeepsMean, Stage, UnitSlope, parameter
 from simulators.effects.context import ExposureContext, Signal
 from simulators.effects.tile_moments import TileMoments
 
 # Where the description of the dark current says neither, as in the ideal chain.
 _DARK_REFERENCE_C: Final = 25.0
-_DARK_DOUBLING_K: Final = 7.0
+_DARK_DOUBLING_K: Final = 7.0  # silicon: 6 to 8 K
 _TOLD_RATIO: Final = 2.0  # of the longest dark exposure to the shortest
 _COMPARABLE_K: Final = 10.0  # one doubling to two of a dark current in silicon
+_WANDER_K: Final = 2.0  # engineering prior: what an uncooled sensor wanders by within a session
 _PIXELS: Final = ndtri((np.arange(64) + 0.5) / 64.0)
 _NORMAL: Final = _PIXELS / _PIXELS.std()  # what pixels scatter by, in standard deviations
 
@@ -41,6 +42,9 @@ class CatalogueEffect(Effect):
         also: Further statistics that count as its evidence.
         trials: Sets of parameters from which the search starts, the likeliest first.
         fitted: Parameters that are fitted; the others keep their trial's value.
+        further: Sets of further parameters, with the values from which a more flexible form starts; all of them are
+            fitted where any differs from its default.
+        varies: Setting that must differ between captures: `f_number`, `gain_db` or `temperature_C`.
         settles: The capture that separates the effect from its likenesses, as advice to the user.
         essential: Parameters without which it is not this effect, however well the others fit.
         stands_for: Other entries that may together be equivalent to this one.
@@ -70,6 +74,8 @@ class CatalogueEffect(Effect):
     also: ClassVar[tuple[str, ...]] = ()
     trials: ClassVar[tuple[Mapping[str, float], ...]]
     fitted: ClassVar[tuple[str, ...]]
+    further: ClassVar[tuple[Mapping[str, float], ...]] = ()
+    varies: ClassVar[str] = ""
     settles: ClassVar[str] = ""
     essential: ClassVar[tuple[str, ...]] = ()
     stands_for: ClassVar[tuple[str, ...]] = ()
@@ -138,7 +144,6 @@ class CatalogueEffect(Effect):
         """Return what a finding says against a figure that the camera's description states; nothing by default.
 
         Args:
-            camera: The description.
             u: Standard uncertainty of each parameter that was fitted.
         """
         return ""
@@ -151,7 +156,6 @@ class CatalogueEffect(Effect):
         """Return starts in finer steps about this one, tried where the statistic that it shows in resolves them.
 
         Args:
-            rows: Rows of a frame.
             turn: Parameters may be refined in turns; 0 or 1.
         """
         return ()
@@ -172,16 +176,26 @@ class CatalogueEffect(Effect):
     def loosened(self, context: ExposureContext) -> tuple[Self, ...]:
         """Return more flexible forms that start from this one; tried where structure stays.
 
-        By default the covers that have more free parameters, with this one's values where they share them: a
-        parameter that was fitted and is then fixed would cost nothing.
+        By default those of `further`, or else the covers that have more free parameters, with this one's values where
+        they share them: a parameter that was fitted and is then fixed would cost nothing.
         """
+        if self.further:
+            return () if self.has_further else tuple(self.with_parameters(**form) for form in self.further)
         more = (cover for cover in self.covers(context) if len(cover.free()) > len(self.free()))
         shared = ((cover, (name for name in self.free() if "[" not in name and name in cover.free())) for cover in more)
         return tuple(cover.with_parameters(**{name: getattr(self, name) for name in names}) for cover, names in shared)
 
     def free(self) -> tuple[str, ...]:
         """Return the parameters to fit; `name[2]` is the third entry of a table."""
-        return self.fitted
+        return (*self.fitted, *self.further[0]) if self.has_further else self.fitted
+
+    @property
+    def has_further(self) -> bool:
+        """Tell whether any of its further parameters differs from its default."""
+        if not self.further:
+            return False
+        started = self.further[0]
+        return any(known.name in started and getattr(self, known.name) != known.default for known in self.parameters())
 
     def joined(self, other: CatalogueEffect) -> CatalogueEffect:
         """Return one effect that does what this and another of its kind do.
@@ -236,8 +250,8 @@ class CatalogueEffect(Effect):
 
     @classmethod
     def usable(cls, context: ExposureContext) -> bool:
-        """Tell whether the data hold what the effect needs at all (a temperature, an f-number …)."""
-        return True
+        """Tell whether the data hold what the effect needs at all; by default the setting that must vary."""
+        return not cls.varies or setting_varies(context, cls.varies)
 
 
 @lru_cache(maxsize=KINDS_KEPT)
@@ -261,7 +275,7 @@ class Scaling(CatalogueEffect):
         return self.factor(context)
 
 
-class Offset(CatalogueEffect):
+class Offset(UnitSlope, CatalogueEffect):
     """An effect that adds something that does not depend on the signal."""
 
     @abstractmethod
@@ -272,9 +286,38 @@ class Offset(CatalogueEffect):
         """Return the signal plus the offset."""
         return cast(Signal, (signal + self.offset(context)).astype(signal.dtype))
 
-    def slope(self, signal: Signal, context: ExposureContext) -> float:
-        """Return 1."""
-        return 1.0
+
+@dataclass(frozen=True)
+class FixedOffsets(KeepsMean, CatalogueEffect):
+    """An effect that adds fixed offsets, normal with standard deviation s, to pixels, or to whole rows or columns."""
+
+    stage = Stage.READOUT
+    unit_in = unit_out = ELECTRONS
+    acts_by_square = True
+    trials = ({"sigma_e": 0.3}, {"sigma_e": 1.0})
+    fitted = ("sigma_e",)
+    settles = "an average of many dark frames"
+    lines: ClassVar[Literal["", "row", "column"]] = ""
+    sigma_e: float = parameter(0.0, "e-", 0.0, 1000.0, source="engineering prior; refined on a real rig")
+
+    def sample(self, signal: Signal, context: ExposureContext, rng: np.random.Generator) -> Signal:
+        """Return the signal with this camera's offsets."""
+        rows, columns = signal.shape
+        shape = {"": (rows, columns), "row": (rows, 1), "column": (1, columns)}[self.lines]
+        pattern = context.fixed_rng(self.name).standard_normal(shape, dtype=np.float32)
+        return cast(Signal, signal + self.sigma_e * pattern)
+
+    def spatial_variance(self, signal: Signal, context: ExposureContext) -> float:
+        """Return s² in e-² for a lone pixel."""
+        return self.sigma_e**2
+
+    def tile(self, after: TileMoments, before: TileMoments, context: ExposureContext) -> TileMoments:
+        """Return the moments with a pattern of lines booked as one."""
+        if not self.lines:
+            return after
+        name = f"fixed_{self.lines}_variance"
+        more = {name: getattr(before, name) + self.sigma_e**2}
+        return after.changed(spatial_variance=before.spatial_variance, **more)
 
 
 def warmer_k(context: ExposureContext, reference_c: float) -> Any:
@@ -343,17 +386,11 @@ def over_frames(law: Callable[[ExposureContext], Any], context: ExposureContext)
     return (law(context.first_frame) + others * law(context.later_frames)) / (others + 1.0)
 
 
-def temperature_varies(context: ExposureContext) -> bool:
-    """Tell whether temperatures are known and differ by more than 2 K."""
-    known: Any = context.settings.temperature_c
-    if known is None:
-        return False
-    return bool(np.isfinite(known).all() and np.ptp(np.asarray(known)) > 2.0)
-
-
-def f_number_varies(context: ExposureContext) -> bool:
-    """Tell whether the f-number is known and varies."""
-    return context.f_number is not None and bool(np.ptp(np.asarray(context.f_number)) > 0)
+def setting_varies(context: ExposureContext, name: str) -> bool:
+    """Tell whether a setting is known of all captures and differs; temperatures by more than a sensor's own wander."""
+    known: Any = context.f_number if name == "f_number" else getattr(context.settings, name.lower())
+    least = _WANDER_K if name == "temperature_C" else 0.0
+    return known is not None and bool(np.isfinite(known).all() and np.ptp(np.asarray(known)) > least)
 
 
 def gain_of(context: ExposureContext) -> Any:

@@ -31,7 +31,6 @@ def censored_above(before: Moments, ceiling: float | NDArray[np.floating[Any]]) 
     Source: Tobin (1958), moments of a censored normal variable.
 
     Args:
-        before: Moments of X.
         ceiling: Highest value, same unit.
     """
     sigma = np.sqrt(np.maximum(before.variance, 1e-24))
@@ -66,7 +65,6 @@ def limited(before: Moments, limit: Callable[[Moments], Moments]) -> Moments:
 
     Args:
         before: Moments before it.
-        limit: Gives mean, variances and fixed-pattern variance behind it.
     """
     after = limit(before) if not isinstance(before, TileMoments) else _limited_tile(before, limit)
     return after if before.unrounded is None else after.changed(unrounded=limited(before.unrounded, limit))

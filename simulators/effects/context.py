@@ -28,30 +28,19 @@ class FrameGeometry:
 
     All coordinates broadcast against the signal: shapes (1, width) and (height, 1) for an image, (n,) each for n
     tiles. They count unbinned pixels of the whole sensor, so that a region of interest keeps its field angles.
-
-    Attributes:
-        x_px: Column coordinate of each pixel centre on the sensor.
-        y_px: Row coordinate.
-        sensor_width: Sensor width in pixels.
-        sensor_height: Sensor height in pixels.
-        principal_point_px: Where the optical axis meets the sensor; None for its middle.
-        pixel_spacing_um: Distance between neighbouring sensor pixels in µm.
-        binning: Pixels summed in each direction.
-        screen_rotation_rad: Rotation of the screen as the camera sees it.
-        screen_shift_px: Shift of the screen's middle on the sensor in pixels.
-        weights: Share of the frame that each tile represents; None where all weigh alike.
     """
 
-    x_px: Signal
-    y_px: Signal
-    sensor_width: int
-    sensor_height: int
+    x_px: Signal  # column coordinate of each pixel centre on the sensor
+    y_px: Signal  # row coordinate
+    sensor_width: int  # sensor width in pixels
+    sensor_height: int  # sensor height in pixels
+    # Where the optical axis meets the sensor; None for its middle
     principal_point_px: tuple[float, float] | None = None
-    pixel_spacing_um: float = 4.5
-    binning: int = 1
-    screen_rotation_rad: float = 0.0
-    screen_shift_px: tuple[float, float] = (0.0, 0.0)
-    weights: Signal | None = None
+    pixel_spacing_um: float = 4.5  # distance between neighbouring sensor pixels in µm
+    binning: int = 1  # pixels summed in each direction
+    screen_rotation_rad: float = 0.0  # rotation of the screen as the camera sees it
+    screen_shift_px: tuple[float, float] = (0.0, 0.0)  # shift of the screen's middle on the sensor in pixels
+    weights: Signal | None = None  # share of the frame that each tile represents; None where all weigh alike
 
     @classmethod
     def of_image(
@@ -69,14 +58,9 @@ class FrameGeometry:
         """Return the geometry of an image of `width` × `height` stored pixels whose corner is at sensor (x, y).
 
         Args:
-            width: Stored columns.
-            height: Stored rows.
-            x: Leftmost sensor column.
-            y: Topmost sensor row.
             binning: Sensor pixels per stored pixel in each direction.
             sensor_width: Sensor width in pixels; by default what the image covers.
             sensor_height: Sensor height in pixels.
-            more: Further attributes.
         """
         middle = (binning - 1) / 2
         return cls(
@@ -143,56 +127,42 @@ class Past(Protocol):
 
     def faded(self, tau_s: float) -> Signal:
         """Return the sum of what all earlier frames held in electrons, each times exp(−age/τ)."""
-        ...
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ExposureContext:
-    """One frame as the effects see it.
+    """One frame as the effects see it."""
 
-    Attributes:
-        settings: What the camera says that it did (exposure, gain, f-number, temperature, time, level, shutter).
-        geometry: Positions of the pixels.
-        camera: What the model's camera is, in its native bit depth; effects take full well, gain and pitch from here.
-        lens: The lens in front of it.
-        wavelength_nm: Effective wavelength of the light.
-        code: Display drive 0 to 1 of what each pixel looks at; None where the scene is no display.
-        peak_radiance: Radiance at drive 1 and source level 1 in W·sr⁻¹·m⁻².
-        previous_e: Electrons that the previous frame held at the end of the well stage; None for the first frame.
-        past: What all earlier frames held, and when; None where the times of frames are not known.
-        since_light_s: Time in s from the last frame with light to this one; None where none came before or is known.
-        since_frame_s: Time in s from the frame before, with light or without, to this one; infinite for the first of
-            all, None where it is not known.
-        frame_index: Running number of the frame in its capture; 0 for the first after a change of settings.
-        frame_numbers: Running numbers in the session, from 0, of the frames that are meant, along the last axis: one of
-            a single frame; NaN where a series has fewer than others.
-        device_seed: Identity of this particular camera: its fixed patterns follow from it.
-        output_bit_depth: Bits per pixel that leave the camera; None for the native depth. Until `quantisation`
-            all DN (black level too) are native ones; after it they are those of the output.
-        extra: Further covariates that an effect may look up by name.
-        first_frame: For the moments of a series of frames: the circumstances of its first frame; None where they do not
-            differ from those of the others.
-        later_frames: Those of the others on average.
-    """
-
+    # What the camera says that it did (exposure, gain, f-number, temperature, time, level, shutter)
     settings: FrameSettings
-    geometry: FrameGeometry
+    geometry: FrameGeometry  # positions of the pixels
+    # What the model's camera is, in its native bit depth; effects take full well, gain and pitch from here
     camera: CameraDescription
-    lens: LensDescription = field(default_factory=LensDescription)
-    wavelength_nm: float = 550.0
-    code: Signal | None = None
-    peak_radiance: float = 1.0
+    lens: LensDescription = field(default_factory=LensDescription)  # the lens in front of it
+    wavelength_nm: float = 550.0  # effective wavelength of the light
+    code: Signal | None = None  # display drive 0 to 1 of what each pixel looks at; None where the scene is no display
+    peak_radiance: float = 1.0  # radiance at drive 1 and source level 1 in W·sr⁻¹·m⁻²
+    # Electrons that the previous frame held at the end of the well stage; None for the first frame
     previous_e: Signal | None = None
-    past: Past | None = None
+    past: Past | None = None  # what all earlier frames held, and when; None where the times of frames are not known
+    # Time in s from the last frame with light to this one; None where none came before or is known
     since_light_s: Any = None
+    # Time in s from the frame before, with light or without, to this one; infinite for the first of all, None where it
+    # is not known
     since_frame_s: Any = None
-    frame_index: int = 0
+    frame_index: int = 0  # running number of the frame in its capture; 0 for the first after a change of settings
+    # Running numbers in the session, from 0, of the frames that are meant, along the last axis: one of a single frame;
+    # NaN where a series has fewer than others
     frame_numbers: Any = (0,)
-    device_seed: int = 0
+    device_seed: int = 0  # identity of this particular camera: its fixed patterns follow from it
+    # Bits per pixel that leave the camera; None for the native depth. Until `quantisation` all DN (black level too) are
+    # native ones; after it they are those of the output.
     output_bit_depth: int | None = None
-    extra: dict[str, float] = field(default_factory=dict)
+    extra: dict[str, float] = field(default_factory=dict)  # further covariates that an effect may look up by name
+    # For the moments of a series of frames: the circumstances of its first frame; None where they do not differ from
+    # those of the others
     first_frame: ExposureContext | None = None
-    later_frames: ExposureContext | None = None
+    later_frames: ExposureContext | None = None  # those of the others on average
 
     @property
     def full_scale_dn(self) -> int:
@@ -221,9 +191,6 @@ class ExposureContext:
         """Return a change of the signal at each entry, and the variance that it has within one.
 
         Of pixels there is none; tiles overrule this.
-
-        Args:
-            change: Gives the change for a context.
         """
         return change(self), 0.0
 

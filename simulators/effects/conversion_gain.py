@@ -23,9 +23,7 @@ class ConversionGain(Effect):
     conversion_gain_e_per_dn: float = parameter(2.6, "e- DN-1", 1e-4, 1e4, source="datasheet, at 0 dB")
 
     def mean(self, signal: Signal, context: ExposureContext) -> Signal:
-        """Return DN above black."""
         return signal * self.slope(signal, context)
 
     def slope(self, signal: Signal, context: ExposureContext) -> float:
-        """Return K in DN per electron."""
         return gain_factor(context.settings.gain_db) / self.conversion_gain_e_per_dn

@@ -25,8 +25,7 @@ class ConversionGainError(CatalogueEffect):
 
     name = "conversion_gain_error"
     stage = Stage.READOUT
-    unit_in = ELECTRONS
-    unit_out = ELECTRONS
+    unit_in = unit_out = ELECTRONS
     where = "signal"
     block = "variance"
     trials = (
@@ -44,7 +43,6 @@ class ConversionGainError(CatalogueEffect):
     )
 
     def mean(self, signal: Signal, context: ExposureContext) -> Signal:
-        """Return the electrons as the converter counts them."""
         return cast(Signal, (signal * (1.0 + self.error_rel)).astype(signal.dtype))
 
     def responsivity_taken(self) -> float:
@@ -52,7 +50,6 @@ class ConversionGainError(CatalogueEffect):
         return 1.0 + self.error_rel
 
     def slope(self, signal: Signal, context: ExposureContext) -> float:
-        """Return 1 + e."""
         return 1.0 + self.error_rel
 
     def tile(self, after: TileMoments, before: TileMoments, context: ExposureContext) -> TileMoments:

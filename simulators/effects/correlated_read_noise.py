@@ -8,14 +8,14 @@ from typing import cast
 
 import numpy as np
 
-from simulators.effects.base import ELECTRONS, Stage, parameter
+from simulators.effects.base import ELECTRONS, KeepsMean, Stage, parameter
 from simulators.effects.catalogue import CatalogueEffect
 from simulators.effects.context import ExposureContext, Signal
 from simulators.effects.tile_moments import TileMoments
 
 
 @dataclass(frozen=True)
-class CorrelatedReadNoise(CatalogueEffect):
+class CorrelatedReadNoise(KeepsMean, CatalogueEffect):
     """Adds noise of which each sample enters two successive pixels: e_k = s·(n_k ± n_{k−1})/√2, n white.
 
     Pixels gain the variance s², and neighbours along a line the covariance ±s²/2, at every signal alike. It is below
@@ -27,8 +27,7 @@ class CorrelatedReadNoise(CatalogueEffect):
 
     name = "correlated_read_noise"
     stage = Stage.READOUT
-    unit_in = ELECTRONS
-    unit_out = ELECTRONS
+    unit_in = unit_out = ELECTRONS
     where = "signal"
     block = "neighbour"
     acts_by_square = True
@@ -40,21 +39,12 @@ class CorrelatedReadNoise(CatalogueEffect):
     sigma_e: float = parameter(0.0, "e-", 0.0, 1000.0, source="a third to a half of the read noise")
     sign: float = parameter(-1.0, "1", -1.0, 1.0, source="−1 or 1: whether successive pixels share it reversed")
 
-    def mean(self, signal: Signal, context: ExposureContext) -> Signal:
-        """Return the signal unchanged."""
-        return signal
-
-    def slope(self, signal: Signal, context: ExposureContext) -> float:
-        """Return 1."""
-        return 1.0
-
     def sample(self, signal: Signal, context: ExposureContext, rng: np.random.Generator) -> Signal:
         """Return the signal with the noise on it; a line begins with an independent sample."""
         drawn = rng.standard_normal((signal.shape[0], signal.shape[1] + 1), dtype=np.float32)
         return cast(Signal, signal + self.sigma_e / math.sqrt(2.0) * (drawn[:, 1:] + self.sign * drawn[:, :-1]))
 
     def variance(self, signal: Signal, context: ExposureContext) -> float:
-        """Return s² in e-²."""
         return 0.5 * self.sigma_e**2 * (1.0 + self.sign**2)
 
     def tile(self, after: TileMoments, before: TileMoments, context: ExposureContext) -> TileMoments:

@@ -7,7 +7,7 @@ from typing import Self
 
 import numpy as np
 
-from simulators.effects.base import ELECTRONS, Stage, parameter
+from simulators.effects.base import ELECTRONS, KeepsMean, Stage, parameter
 from simulators.effects.catalogue import CatalogueEffect
 from simulators.effects.context import ExposureContext, Signal
 from simulators.effects.pixel_mixing import exchange_between_neighbours, exchange_moments
@@ -15,7 +15,7 @@ from simulators.effects.tile_moments import TileMoments
 
 
 @dataclass(frozen=True)
-class Crosstalk(CatalogueEffect):
+class Crosstalk(KeepsMean, CatalogueEffect):
     """Moves a share of the charge to each of the four neighbours: S' = S − x·Σ(S − S_j).
 
     In an even field the variance falls by 8·x and neighbours correlate by 2·x at every signal. Neighbours in the column
@@ -26,27 +26,15 @@ class Crosstalk(CatalogueEffect):
 
     name = "crosstalk"
     stage = Stage.WELL
-    unit_in = ELECTRONS
-    unit_out = ELECTRONS
+    unit_in = unit_out = ELECTRONS
     where = "image_x"
     block = "neighbour"
-    trials = (
-        {"share": 0.005},
-        {"share": 0.02},
-    )
+    trials = ({"share": 0.005}, {"share": 0.02})
     fitted = ("share",)
     settles = "neighbour correlation at low and at high signal"
     share: float = parameter(0.0, "1", 0.0, 0.2, source="engineering prior; refined on a real rig")
 
     further_down: float = parameter(0.0, "1", -0.1, 0.1, source="pixels and their wiring are not square")
-
-    def mean(self, signal: Signal, context: ExposureContext) -> Signal:
-        """Return the signal of an even field: what leaves a pixel comes back."""
-        return signal
-
-    def slope(self, signal: Signal, context: ExposureContext) -> float:
-        """Return 1."""
-        return 1.0
 
     def sample(self, signal: Signal, context: ExposureContext, rng: np.random.Generator) -> Signal:
         """Return the electrons after diffusion."""

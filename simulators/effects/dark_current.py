@@ -22,8 +22,7 @@ class DarkCurrent(Offset):
 
     name = "dark_current"
     stage = Stage.ELECTRONS
-    unit_in = ELECTRONS
-    unit_out = ELECTRONS
+    unit_in = unit_out = ELECTRONS
     before = "shot_noise"
     where = "exposure_s"
     law_along = ("temperature_C",)  # what does not grow in proportion to the exposure is no current

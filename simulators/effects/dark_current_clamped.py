@@ -3,17 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, Self, cast
+from typing import Any, cast
 
 import numpy as np
 
-from simulators.effects.base import ELECTRONS, Stage, parameter
+from simulators.effects.base import ELECTRONS, Stage, UnitSlope, parameter
 from simulators.effects.catalogue import CatalogueEffect, warmer_k
 from simulators.effects.context import ExposureContext, Signal
 
 
 @dataclass(frozen=True)
-class DarkCurrentClamped(CatalogueEffect):
+class DarkCurrentClamped(UnitSlope, CatalogueEffect):
     """Adds the noise of thermal electrons but not their mean: optical-black rows take it away.
 
     A share f of the mean stays (below 0 where the masked rows are warmer than the others); 0 for a perfect clamp.
@@ -23,20 +23,14 @@ class DarkCurrentClamped(CatalogueEffect):
 
     name = "dark_current_clamped"
     stage = Stage.ELECTRONS
-    unit_in = ELECTRONS
-    unit_out = ELECTRONS
+    unit_in = unit_out = ELECTRONS
     where = "exposure_s"
     block = "variance"
     log_prior_odds = -1.0
     prior_reason = "rarer than a plain dark current, most of which it can imitate"
-    trials = (
-        {"rate_e_per_s": 3.0},
-        {"rate_e_per_s": 30.0},
-    )
-    fitted = (
-        "rate_e_per_s",
-        "doubling_K",
-    )
+    trials = ({"rate_e_per_s": 3.0}, {"rate_e_per_s": 30.0})
+    fitted = ("rate_e_per_s", "doubling_K")
+    further = ({"left_share": 0.01},)
     heated = "rate_e_per_s"
     settles = "dark frames from the shortest to the longest exposure"
     rate_e_per_s: float = parameter(0.0, "e- s-1", 0.0, 1000000.0, source="engineering prior; refined on a real rig")
@@ -46,14 +40,9 @@ class DarkCurrentClamped(CatalogueEffect):
     left_share: float = parameter(0.0, "1", -0.5, 0.9, source="masked rows are not quite as warm as the others")
 
     def mean(self, signal: Signal, context: ExposureContext) -> Signal:
-        """Return the signal with the share of the mean that stays."""
         if not self.left_share:
             return signal
         return cast(Signal, (signal + self.left_share * self.electrons(context)).astype(signal.dtype))
-
-    def slope(self, signal: Signal, context: ExposureContext) -> float:
-        """Return 1."""
-        return 1.0
 
     def sample(self, signal: Signal, context: ExposureContext, rng: np.random.Generator) -> Signal:
         """Return the signal with the thermal electrons' scatter about their mean."""
@@ -69,11 +58,3 @@ class DarkCurrentClamped(CatalogueEffect):
         """Return the thermal electrons that the sensor subtracts again."""
         warmer = 2.0 ** (warmer_k(context, self.reference_C) / self.doubling_K)
         return self.rate_e_per_s * warmer * context.settings.exposure_s
-
-    def loosened(self, context: ExposureContext) -> tuple[Self, ...]:
-        """Return the clamp that leaves a share."""
-        return () if self.left_share else (self.with_parameters(left_share=0.01),)
-
-    def free(self) -> tuple[str, ...]:
-        """Return the parameters to fit: those of the flexible form only where they are set."""
-        return (*self.fitted, "left_share") if self.left_share else self.fitted

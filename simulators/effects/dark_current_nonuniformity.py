@@ -9,12 +9,12 @@ from typing import Any, Final, Self, cast
 import numpy as np
 from scipy.special import ndtr
 
-from simulators.effects.base import ELECTRONS, Stage, parameter
+from simulators.effects.base import ELECTRONS, Stage, UnitSlope, parameter
 from simulators.effects.catalogue import CatalogueEffect, dark_exposures_vary, dark_temperatures_c, warmer_k
 from simulators.effects.context import ExposureContext, Signal
 from simulators.effects.tile_moments import TileMoments
 
-_USUAL_DOUBLING_K: Final = 7.0
+_USUAL_DOUBLING_K: Final = 7.0  # silicon: 6 to 8 K
 _TOLD_K: Final = 2.0  # by which darks must differ to tell a law
 _LEAST_E: Final = 1e-12  # a pattern that is none
 _SURELY: Final = 9.0  # sigmas of the leak's logarithm below which less than 1e-18 of the pixels lie
@@ -23,7 +23,7 @@ _THIRD: Final = 1.0 / 3.0  # mean of x² from −1 to 1
 
 
 @dataclass(frozen=True)
-class DarkCurrentNonuniformity(CatalogueEffect):
+class DarkCurrentNonuniformity(UnitSlope, CatalogueEffect):
     """Adds to each pixel a fixed share of thermal electrons: S grows by p·t·2^((T − T₀)/T_d), p varies by s.
 
     p may rise and bend over the sensor, too: by s·(a·x + b·y + c·(x² − ⅓) + d·(y² − ⅓)), x and y from −1 to 1 over
@@ -42,17 +42,13 @@ class DarkCurrentNonuniformity(CatalogueEffect):
 
     name = "dark_current_nonuniformity"
     stage = Stage.ELECTRONS
-    unit_in = ELECTRONS
-    unit_out = ELECTRONS
+    unit_in = unit_out = ELECTRONS
     before = "shot_noise"
     last_in_place = True  # a pixel is not empty where other leaks fill it
     where = "exposure_s"
     block = "spatial"
     acts_by_square = True
-    trials = (
-        {"sigma_e_per_s": 1.0},
-        {"sigma_e_per_s": 10.0},
-    )
+    trials = ({"sigma_e_per_s": 1.0}, {"sigma_e_per_s": 10.0})
     fitted = ("sigma_e_per_s", "shape")
     heated = "sigma_e_per_s"
     settles = "dark frames at two long exposures"
@@ -99,10 +95,6 @@ class DarkCurrentNonuniformity(CatalogueEffect):
         if getattr(context, "frames", None) is not None:
             found = found - self._left_out(signal, context) * pattern
         return cast(Signal, found.astype(signal.dtype))
-
-    def slope(self, signal: Signal, context: ExposureContext) -> float:
-        """Return 1."""
-        return 1.0
 
     def sample(self, signal: Signal, context: ExposureContext, rng: np.random.Generator) -> Signal:
         """Return the signal with this camera's pattern of leaks; never below zero."""

@@ -40,17 +40,13 @@ class DarkFrameSubtracted(CatalogueEffect):
 
     name = "dark_frame_subtracted"
     stage = Stage.DIGITAL
-    unit_in = DIGITAL_NUMBER
-    unit_out = DIGITAL_NUMBER
+    unit_in = unit_out = DIGITAL_NUMBER
     where = "exposure_s"
     block = "mean"
     also = ("spatial",)
     is_stepwise = True
     essential = ("share",)  # without noise of its own it is a black level taken off
-    trials = (
-        {"share": 1.0, "pedestal_dn": 0.0},
-        {"share": 0.1, "pedestal_dn": 0.0},
-    )
+    trials = ({"share": 1.0, "pedestal_dn": 0.0}, {"share": 0.1, "pedestal_dn": 0.0})
     fitted = ("share", "pedestal_dn")
     settles = "dark frames at the shortest and the longest exposure: black level and pattern of both"
     share: float = parameter(1.0, "1", 0.0, 2.0, source="one over the number of darks: 1 (in the camera) to 0.01")

@@ -3,19 +3,19 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, Self, cast
+from typing import Any, cast
 
 import numpy as np
 
-from simulators.effects.base import IRRADIANCE, Stage, parameter
-from simulators.effects.catalogue import CatalogueEffect, f_number_varies
+from simulators.effects.base import IRRADIANCE, Stage, UnitSlope, parameter
+from simulators.effects.catalogue import CatalogueEffect
 from simulators.effects.context import ExposureContext, Signal
 from simulators.effects.pixel_mixing import blur_edge_share, blur_image, disc_edge_share, spread_over_disc
 from simulators.effects.tile_moments import TileMoments
 
 
 @dataclass(frozen=True)
-class Defocus(CatalogueEffect):
+class Defocus(UnitSlope, CatalogueEffect):
     """Blurs the picture with a Gaussian of standard deviation c/N, or in part (e) with an even disc of the same spread.
 
     The disc's radius is 2·c/N: a point out of focus, were there no aberration and no diffraction.
@@ -25,20 +25,16 @@ class Defocus(CatalogueEffect):
 
     name = "defocus"
     stage = Stage.OPTICS
-    unit_in = IRRADIANCE
-    unit_out = IRRADIANCE
+    unit_in = unit_out = IRRADIANCE
     where = "f_number"
     block = "edge"
     trials = (
-        {"sigma_f1_px": 1.0},
-        {"sigma_f1_px": 0.6},
-        {"sigma_f1_px": 0.8},
-        {"sigma_f1_px": 1.4},
-        {"sigma_f1_px": 2.0},
-        {"sigma_f1_px": 3.0},
-        {"sigma_f1_px": 6.0},
-    )
+        {"sigma_f1_px": 1.0}, {"sigma_f1_px": 0.6}, {"sigma_f1_px": 0.8}, {"sigma_f1_px": 1.4}, {"sigma_f1_px": 2.0},
+        {"sigma_f1_px": 3.0}, {"sigma_f1_px": 6.0},
+    )  # fmt: skip
     fitted = ("sigma_f1_px",)
+    varies = "f_number"
+    further = ({"evenness": 0.5},)
     settles = "an edge at several f-numbers"
     sigma_f1_px: float = parameter(0.0, "px", 0.0, 200.0, source="standard deviation that f/1 would have")
 
@@ -52,28 +48,11 @@ class Defocus(CatalogueEffect):
         disc = spread_over_disc(signal, 2.0 * self._sigma(context), context)
         return cast(Signal, ((1.0 - self.evenness) * soft + self.evenness * disc).astype(signal.dtype))
 
-    def slope(self, signal: Signal, context: ExposureContext) -> float:
-        """Return 1."""
-        return 1.0
-
     def tile(self, after: TileMoments, before: TileMoments, context: ExposureContext) -> TileMoments:
         """Return the moments with what blurs across an edge."""
         sigma = self._sigma(context)
         share = (1.0 - self.evenness) * blur_edge_share(sigma) + self.evenness * disc_edge_share(2.0 * sigma)
         return after.changed(edge_share=before.edge_share + share)
-
-    def loosened(self, context: ExposureContext) -> tuple[Self, ...]:
-        """Return the blur that is a disc in part."""
-        return () if self.evenness else (self.with_parameters(evenness=0.5),)
-
-    def free(self) -> tuple[str, ...]:
-        """Return the parameters to fit: the disc's share only where there is one."""
-        return ("sigma_f1_px", "evenness") if self.evenness else ("sigma_f1_px",)
-
-    @classmethod
-    def usable(cls, context: ExposureContext) -> bool:
-        """Tell whether the f-number varies."""
-        return f_number_varies(context)
 
     def _sigma(self, context: ExposureContext) -> Any:
         known: Any = 4.0 if context.f_number is None else context.f_number

@@ -19,14 +19,10 @@ class DisplayBlackLeak(Offset):
 
     name = "display_black_leak"
     stage = Stage.SCENE
-    unit_in = RADIANCE
-    unit_out = RADIANCE
+    unit_in = unit_out = RADIANCE
     where = "patch_level"
     block = "mean"
-    trials = (
-        {"share": 0.001},
-        {"share": 0.01},
-    )
+    trials = ({"share": 0.001}, {"share": 0.01})
     fitted = ("share",)
     settles = "the same patches with a bright and with a dark surround, and the lamp off"
     share: float = parameter(0.0, "1", -0.05, 0.5, source="of white")

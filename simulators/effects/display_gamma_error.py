@@ -25,15 +25,10 @@ class DisplayGammaError(Scaling):
 
     name = "display_gamma_error"
     stage = Stage.SCENE
-    unit_in = RADIANCE
-    unit_out = RADIANCE
+    unit_in = unit_out = RADIANCE
     where = "patch_level"
     block = "mean"
-    trials = (
-        {"exponent": 0.01},
-        {"exponent": -0.01},
-        {"exponent": 0.1},
-    )
+    trials = ({"exponent": 0.01}, {"exponent": -0.01}, {"exponent": 0.1})
     fitted = ("exponent",)
     settles = "the same patches at another exposure"
     essential = ("exponent",)  # a bend alone is no power
@@ -53,5 +48,4 @@ class DisplayGammaError(Scaling):
         return (cls(0.01, 0.001),)
 
     def free(self) -> tuple[str, ...]:
-        """Return the parameters to fit: the bend only where there is one."""
         return ("exponent", "bend") if self.bend else ("exponent",)

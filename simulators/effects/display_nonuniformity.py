@@ -24,24 +24,11 @@ class DisplayNonuniformity(Scaling):
 
     name = "display_nonuniformity"
     stage = Stage.SOURCE
-    unit_in = RADIANCE
-    unit_out = RADIANCE
+    unit_in = unit_out = RADIANCE
     where = "screen_x"
     block = "slope"
-    trials = (
-        {"a": 0.02},
-        {"b": 0.02},
-        {"c": 0.02},
-        {"d": 0.02},
-        {"e": 0.02},
-    )
-    fitted = (
-        "a",
-        "b",
-        "c",
-        "d",
-        "e",
-    )
+    trials = ({"a": 0.02}, {"b": 0.02}, {"c": 0.02}, {"d": 0.02}, {"e": 0.02})
+    fitted = ("a", "b", "c", "d", "e")
     settles = "the screen turned or shifted against the camera"
     a: float = parameter(0.0, "1", -2.0, 2.0, source="engineering prior; refined on a real rig")
     b: float = parameter(0.0, "1", -2.0, 2.0, source="engineering prior; refined on a real rig")

@@ -11,7 +11,7 @@ from simulators.effects.base import DIGITAL_NUMBER, Stage, parameter
 from simulators.effects.catalogue import Offset, elapsed_s, over_frames
 from simulators.effects.context import ExposureContext
 
-_TRIED_DN = 1.0
+_TRIED_DN = 1.0  # a fit is linear in it: any size begins
 _FEWEST = 3  # captures on either side of an event: fewer may be single frames that went wrong
 _RESTS = (3.0, 20.0)  # mean intervals between captures within which it relaxes
 _SLOWEST_S = 600.0  # what takes longer is warmth: another temperature of the camera, not a zeroing
@@ -31,8 +31,7 @@ class EventOffset(Offset):
 
     name = "event_offset"
     stage = Stage.READOUT
-    unit_in = DIGITAL_NUMBER
-    unit_out = DIGITAL_NUMBER
+    unit_in = unit_out = DIGITAL_NUMBER
     where = "timestamp_s"
     block = "mean"
     also = ("first",)

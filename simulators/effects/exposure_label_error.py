@@ -11,8 +11,8 @@ from simulators.effects.base import EXPOSURE, Stage, parameter
 from simulators.effects.catalogue import CatalogueEffect, Scaling, elapsed_s
 from simulators.effects.context import ExposureContext
 
-_ALWAYS_S: Final = 1e12
-_FEW_EXPOSURES: Final = 3
+_ALWAYS_S: Final = 1e12  # beyond any time stamp
+_FEW_EXPOSURES: Final = 3  # with up to three labels, one wrong one looks like a bent response
 
 
 @dataclass(frozen=True)
@@ -26,8 +26,7 @@ class ExposureLabelError(Scaling):
 
     name = "exposure_label_error"
     stage = Stage.SHUTTER
-    unit_in = EXPOSURE
-    unit_out = EXPOSURE
+    unit_in = unit_out = EXPOSURE
     where = "exposure_s"
     block = "mean"
     log_prior_odds = -6.0
@@ -48,7 +47,6 @@ class ExposureLabelError(Scaling):
     further_to_s: tuple[float, ...] = parameter((), "s", -_ALWAYS_S, _ALWAYS_S, source="to when; empty for always")
 
     def factor(self, context: ExposureContext) -> Any:
-        """Return real over stated exposure time."""
         stated, now = np.asarray(context.settings.exposure_s), np.asarray(elapsed_s(context))
         found: Any = 1.0
         for label, ratio, start, end in self._labels():

@@ -25,8 +25,7 @@ class ExposureQuantisation(Scaling):
 
     name = "exposure_quantisation"
     stage = Stage.SHUTTER
-    unit_in = EXPOSURE
-    unit_out = EXPOSURE
+    unit_in = unit_out = EXPOSURE
     where = "exposure_s"
     block = "mean"
     is_stepwise = True

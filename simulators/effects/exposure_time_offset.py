@@ -11,7 +11,7 @@ from simulators.effects.base import EXPOSURE, Stage, parameter
 from simulators.effects.catalogue import Scaling
 from simulators.effects.context import ExposureContext
 
-_MOST_GAINS: Final = 16
+_MOST_GAINS: Final = 16  # more are a sweep: a start at each would only cost time
 
 
 @dataclass(frozen=True)
@@ -25,8 +25,7 @@ class ExposureTimeOffset(Scaling):
 
     name = "exposure_time_offset"
     stage = Stage.SHUTTER
-    unit_in = EXPOSURE
-    unit_out = EXPOSURE
+    unit_in = unit_out = EXPOSURE
     where = "exposure_s"
     block = "mean"
     trials = (

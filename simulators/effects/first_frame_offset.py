@@ -7,14 +7,14 @@ from typing import Any, cast
 
 import numpy as np
 
-from simulators.effects.base import DIGITAL_NUMBER, Stage, parameter
+from simulators.effects.base import DIGITAL_NUMBER, Stage, UnitSlope, parameter
 from simulators.effects.catalogue import CatalogueEffect
 from simulators.effects.context import ExposureContext, Signal
 from simulators.effects.tile_moments import TileMoments
 
 
 @dataclass(frozen=True)
-class FirstFrameOffset(CatalogueEffect):
+class FirstFrameOffset(UnitSlope, CatalogueEffect):
     """Adds a constant to the first frame after a change of settings: y' = y + b in frame 0, y' = y in the others.
 
     Source: reset and reference levels that have not settled; the first bias frame of a CCD's series is off by 4 DN
@@ -23,8 +23,7 @@ class FirstFrameOffset(CatalogueEffect):
 
     name = "first_frame_offset"
     stage = Stage.READOUT
-    unit_in = DIGITAL_NUMBER
-    unit_out = DIGITAL_NUMBER
+    unit_in = unit_out = DIGITAL_NUMBER
     where = "previous_frame"
     block = "first"
     trials = ({"offset_dn": 0.5}, {"offset_dn": -0.5})
@@ -38,15 +37,10 @@ class FirstFrameOffset(CatalogueEffect):
         share = float(context.frame_index == 0) if frames is None else 1.0 / np.asarray(frames)
         return cast(Signal, (signal + self.offset_dn * share).astype(signal.dtype))
 
-    def slope(self, signal: Signal, context: ExposureContext) -> float:
-        """Return 1."""
-        return 1.0
-
     def tile(self, after: TileMoments, before: TileMoments, context: ExposureContext) -> TileMoments:
         """Return the moments with the first frame's difference from the others."""
         return after.changed(first_excess=before.first_excess + self.offset_dn)
 
     @classmethod
     def usable(cls, context: ExposureContext) -> bool:
-        """Tell whether any setting has several frames."""
         return bool(np.max(np.asarray(getattr(context, "frames", 2.0))) > 1)

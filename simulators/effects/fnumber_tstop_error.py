@@ -9,7 +9,7 @@ from typing import Any, Self
 import numpy as np
 
 from simulators.effects.base import IRRADIANCE, Stage, parameter
-from simulators.effects.catalogue import Scaling, f_number_varies
+from simulators.effects.catalogue import Scaling
 from simulators.effects.context import ExposureContext
 
 
@@ -24,16 +24,12 @@ class FnumberTstopError(Scaling):
 
     name = "fnumber_tstop_error"
     stage = Stage.OPTICS
-    unit_in = IRRADIANCE
-    unit_out = IRRADIANCE
+    unit_in = unit_out = IRRADIANCE
     where = "f_number"
     block = "mean"
-    trials = (
-        {"error_per_stop": 0.01},
-        {"error_per_stop": -0.01},
-        {"error_per_stop": 0.05},
-    )
+    trials = ({"error_per_stop": 0.01}, {"error_per_stop": -0.01}, {"error_per_stop": 0.05})
     fitted = ("error_per_stop",)
+    varies = "f_number"
     settles = "pairs of f-numbers at one exposure"
     error_per_stop: float = parameter(0.0, "1", -0.5, 0.5, source="engineering prior; refined on a real rig")
     curvature: float = parameter(0.0, "1", -0.2, 0.2, source="change of the error from stop to stop")
@@ -48,11 +44,6 @@ class FnumberTstopError(Scaling):
         if not self.f_numbers:
             return law
         return law * (1.0 + np.interp(np.log(known), np.log(self.f_numbers), self.errors_rel))
-
-    @classmethod
-    def usable(cls, context: ExposureContext) -> bool:
-        """Tell whether the f-number varies."""
-        return f_number_varies(context)
 
     @classmethod
     def covers(cls, context: ExposureContext) -> tuple[Self, ...]:

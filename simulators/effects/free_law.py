@@ -28,17 +28,12 @@ _WHOLE: Final = ("edge_share", "outliers")  # what a capture has one figure of
 
 @dataclass(frozen=True)
 class _Axis:
-    """A covariate along which a law may be free.
+    """A covariate along which a law may be free."""
 
-    Attributes:
-        unit: Unit of its values.
-        value: Gives it for a signal in front of the effect and a context; broadcasts against the signal.
-        scale: Takes values to a scale with even knots.
-    """
-
-    unit: str
+    unit: str  # unit of its values
+    # Gives it for a signal in front of the effect and a context; broadcasts against the signal
     value: Callable[[Signal, ExposureContext], Any]
-    scale: Callable[[Any], Any] = np.asarray
+    scale: Callable[[Any], Any] = np.asarray  # takes values to a scale with even knots
 
 
 def _log(values: Any) -> Any:
@@ -220,7 +215,6 @@ def freed(plain: type[CatalogueEffect], axes: tuple[str, ...]) -> type[FreeLaw]:
 
     Args:
         plain: The effect's own kind.
-        axes: The covariates.
     """
     tables = {"law": parameter((1.0,), "1", 0.0, LARGEST, source="a curve fitted to data; 1 is the effect's own law")}
     tables |= {_PREFIX + axis: _knots_of(axis) for axis in axes}

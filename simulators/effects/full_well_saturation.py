@@ -12,7 +12,7 @@ from simulators.effects.catalogue import CatalogueEffect, well_e
 from simulators.effects.clipping import censored_above, is_reached, limited, unevenly_limited
 from simulators.effects.context import ExposureContext, Signal
 
-_SPREAD: Final = 0.01
+_SPREAD: Final = 0.01  # from which a fit of the scatter begins
 
 
 @dataclass(frozen=True)
@@ -26,13 +26,13 @@ class FullWellSaturation(CatalogueEffect):
 
     name = "full_well_saturation"
     stage = Stage.WELL
-    unit_in = ELECTRONS
-    unit_out = ELECTRONS
+    unit_in = unit_out = ELECTRONS
     where = "signal"
     block = "mean"
     saturates = "sharply"
     trials = ()
     fitted = ("full_well_e",)
+    further = ({"spread_rel": _SPREAD},)
     settles = "a ladder of exposures to 120 % of the full well at 0 dB"
     full_well_e: float = parameter(10_000.0, "e-", 10.0, 1e7, source="datasheet")
     spread_rel: float = parameter(0.0, "1", 0.0, 0.2, source="scatter of the wells from pixel to pixel")
@@ -42,7 +42,6 @@ class FullWellSaturation(CatalogueEffect):
         return np.minimum(signal, self._capacity_e(context))
 
     def slope(self, signal: Signal, context: ExposureContext) -> Signal:
-        """Return 1 below the full well and 0 on it."""
         return (signal < self._capacity_e(context)).astype(signal.dtype)
 
     def moments(self, before: Moments, context: ExposureContext) -> Moments:
@@ -75,14 +74,6 @@ class FullWellSaturation(CatalogueEffect):
     def covers(cls, context: ExposureContext) -> tuple[Self, ...]:
         """Return wells that differ by one percent."""
         return tuple(replace(start, spread_rel=_SPREAD) for start in cls.starts(context))
-
-    def loosened(self, context: ExposureContext) -> tuple[Self, ...]:
-        """Return the same with wells that differ."""
-        return () if self.spread_rel else (replace(self, spread_rel=_SPREAD),)
-
-    def free(self) -> tuple[str, ...]:
-        """Return the parameters to fit: the spread only where there is one."""
-        return ("full_well_e", "spread_rel") if self.spread_rel else ("full_well_e",)
 
     def _capacity_e(self, context: ExposureContext) -> float:
         return self.full_well_e * context.geometry.binning**2

@@ -23,16 +23,13 @@ class GainStepError(Scaling):
 
     name = "gain_step_error"
     stage = Stage.READOUT
-    unit_in = DIGITAL_NUMBER
-    unit_out = DIGITAL_NUMBER
+    unit_in = unit_out = DIGITAL_NUMBER
     before = "black_level"
     where = "gain_db"
     block = "mean"
-    trials = (
-        {"error_rel": 0.01},
-        {"error_rel": -0.01},
-    )
+    trials = ({"error_rel": 0.01}, {"error_rel": -0.01})
     fitted = ("error_rel",)
+    varies = "gain_db"
     settles = "every gain step at two light levels, twice each"
     error_rel: float = parameter(0.0, "1", -0.5, 0.5, source="engineering prior; refined on a real rig")
     gains_db: tuple[float, ...] = parameter((), "dB", -20.0, 100.0, source="gains at which the table holds an error")
@@ -43,11 +40,6 @@ class GainStepError(Scaling):
         gain_db = np.asarray(context.settings.gain_db)
         law = 10.0 ** (gain_db * self.error_rel / 20.0)
         return law * (1.0 + np.interp(gain_db, self.gains_db, self.errors_rel)) if self.gains_db else law
-
-    @classmethod
-    def usable(cls, context: ExposureContext) -> bool:
-        """Tell whether the gain varies."""
-        return bool(np.ptp(np.asarray(context.settings.gain_db)) > 0)
 
     @classmethod
     def covers(cls, context: ExposureContext) -> tuple[Self, ...]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from types import MappingProxyType
-from typing import Any, Final, Self, cast
+from typing import Any, Final, cast
 
 import numpy as np
 
@@ -13,7 +13,7 @@ from simulators.effects.base import DIGITAL_NUMBER, Moments, Stage, parameter
 from simulators.effects.catalogue import CatalogueEffect
 from simulators.effects.context import ExposureContext, Signal
 
-_LEAST_DN2: Final = 1e-6
+_LEAST_DN2: Final = 1e-6  # a step of a fit may try less than no noise
 
 
 @dataclass(frozen=True)
@@ -29,25 +29,18 @@ class GammaEnabled(CatalogueEffect):
 
     name = "gamma_enabled"
     stage = Stage.DIGITAL
-    unit_in = DIGITAL_NUMBER
-    unit_out = DIGITAL_NUMBER
+    unit_in = unit_out = DIGITAL_NUMBER
     before = "quantisation"
     where = "signal"
     block = "mean"
     neutral_at_one = ("gamma",)
     trials = (
-        {"gamma": 1.02},
-        {"gamma": 0.98},
-        {"gamma": 1.1},
-        {"gamma": 0.9},
-        {"gamma": 1.5},
-        {"gamma": 2.2},
-        {"gamma": 0.45},
-        {"gamma": 1.1, "above_black": 1.0},
-        {"gamma": 1.4, "above_black": 1.0},
+        {"gamma": 1.02}, {"gamma": 0.98}, {"gamma": 1.1}, {"gamma": 0.9}, {"gamma": 1.5}, {"gamma": 2.2},
+        {"gamma": 0.45}, {"gamma": 1.1, "above_black": 1.0}, {"gamma": 1.4, "above_black": 1.0},
         {"gamma": 0.9, "above_black": 1.0},
-    )
+    )  # fmt: skip
     fitted = ("gamma",)
+    further = tuple({"toe": toe} for toe in (0.03, 0.08, 0.2))
     least = MappingProxyType({"gamma": 0.005})  # a setting, in steps of a hundredth where cameras tell them
     settles = "the same digital number reached at two gains"
     gamma: float = parameter(1.0, "1", 0.2, 5.0, source="engineering prior; refined on a real rig")
@@ -57,7 +50,6 @@ class GammaEnabled(CatalogueEffect):
     above_black: float = parameter(0.0, "1", 0.0, 1.0, source="1 where the black level is added after the curve")
 
     def mean(self, signal: Signal, context: ExposureContext) -> Signal:
-        """Return the bent value."""
         black, room = self._range(context)
         return cast(Signal, self._bent(signal, black, room).astype(signal.dtype))
 
@@ -70,7 +62,6 @@ class GammaEnabled(CatalogueEffect):
         return black + room * (np.copysign(bent, off) if self.above_black else bent)
 
     def slope(self, signal: Signal, context: ExposureContext) -> Any:
-        """Return d(mean)/d(signal)."""
         black, room = self._range(context)
         share = np.maximum(np.abs(signal - black) / room, 1e-6)
         return np.where(share > self.toe, share ** (1.0 / self.gamma - 1.0) / self.gamma, self._lift())
@@ -98,14 +89,6 @@ class GammaEnabled(CatalogueEffect):
         found = bent_normal(middle, width, begin, reach, 1.0 / self.gamma, float(self.toe), self._lift())
         after, square, slope = (values.reshape(given[0].shape) for values in found)
         return after, square, slope
-
-    def loosened(self, context: ExposureContext) -> tuple[Self, ...]:
-        """Return curves with a toe at a few levels."""
-        return () if self.toe else tuple(self.with_parameters(toe=toe) for toe in (0.03, 0.08, 0.2))
-
-    def free(self) -> tuple[str, ...]:
-        """Return the parameters to fit: the toe only where there is one."""
-        return ("gamma", "toe") if self.toe else ("gamma",)
 
     def _range(self, context: ExposureContext) -> tuple[Any, Any]:
         """Return where the curve begins, and how far it reaches from there."""

@@ -7,14 +7,14 @@ from typing import Any, cast
 
 import numpy as np
 
-from simulators.effects.base import ELECTRONS, Stage, parameter
+from simulators.effects.base import ELECTRONS, KeepsMean, Stage, parameter
 from simulators.effects.catalogue import CatalogueEffect, warmer_k
 from simulators.effects.context import ExposureContext, Signal
 from simulators.effects.tile_moments import TileMoments
 
 
 @dataclass(frozen=True)
-class HotPixels(CatalogueEffect):
+class HotPixels(KeepsMean, CatalogueEffect):
     """Adds thermal electrons to a share of the pixels, exponentially distributed about a mean rate.
 
     Source: CMOS datasheets; the share doubles every few kelvin with the dark current.
@@ -22,8 +22,7 @@ class HotPixels(CatalogueEffect):
 
     name = "hot_pixels"
     stage = Stage.ELECTRONS
-    unit_in = ELECTRONS
-    unit_out = ELECTRONS
+    unit_in = unit_out = ELECTRONS
     before = "shot_noise"
     where = "exposure_s"
     block = "outliers"
@@ -32,10 +31,7 @@ class HotPixels(CatalogueEffect):
         {"share": 0.001, "rate_e_per_s": 1000.0},
         {"share": 0.01, "rate_e_per_s": 300.0},
     )
-    fitted = (
-        "share",
-        "rate_e_per_s",
-    )
+    fitted = ("share", "rate_e_per_s")
     heated = "rate_e_per_s"
     settles = "dark frames at the longest exposure, warm"
     share: float = parameter(0.0, "1", 0.0, 0.2, source="engineering prior; refined on a real rig")
@@ -43,16 +39,7 @@ class HotPixels(CatalogueEffect):
     reference_C: float = parameter(25.0, "°C", -100.0, 150.0, source="temperature that the rate holds at")  # noqa: N815
     doubling_K: float = parameter(7.0, "K", 2.0, 30.0, source="silicon: 6 to 8 K")  # noqa: N815
 
-    def mean(self, signal: Signal, context: ExposureContext) -> Signal:
-        """Return the signal unchanged: outlying pixels are left out of every mean."""
-        return signal
-
-    def slope(self, signal: Signal, context: ExposureContext) -> float:
-        """Return 1."""
-        return 1.0
-
     def sample(self, signal: Signal, context: ExposureContext, rng: np.random.Generator) -> Signal:
-        """Return the signal with this camera's hot pixels."""
         fixed = context.fixed_rng(self.name)
         hot = fixed.random(signal.shape) < self.share
         rate = fixed.exponential(1.0, signal.shape)

@@ -7,7 +7,7 @@ from typing import Any, Final, Self, cast
 
 import numpy as np
 
-from simulators.effects.base import ELECTRONS, Stage, parameter
+from simulators.effects.base import ELECTRONS, Stage, UnitSlope, parameter
 from simulators.effects.catalogue import CatalogueEffect
 from simulators.effects.context import ExposureContext, Signal
 from simulators.effects.tile_moments import TileMoments
@@ -17,7 +17,7 @@ _LEAST_E: Final = 1.0  # a power below 1 is endless at nothing
 
 
 @dataclass(frozen=True)
-class ImageLag(CatalogueEffect):
+class ImageLag(UnitSlope, CatalogueEffect):
     """Adds a share of what the pixel held in the frame before: S' = S + l·S_prev, or less where traps fill up.
 
     Traps that hold at most 1/c electrons release (1 − exp(−c·l·S_prev))/c; c = 0 is the plain share. Slow traps
@@ -34,15 +34,11 @@ class ImageLag(CatalogueEffect):
 
     name = "image_lag"
     stage = Stage.ELECTRONS
-    unit_in = ELECTRONS
-    unit_out = ELECTRONS
+    unit_in = unit_out = ELECTRONS
     before = "full_well_saturation"
     where = "previous_frame"
     block = "mean"
-    trials = (
-        {"share": 0.002},
-        {"share": 0.01},
-    )
+    trials = ({"share": 0.002}, {"share": 0.01})
     fitted = ("share",)
     looks_back = True
     settles = "a bright capture followed at once by dark frames"
@@ -84,12 +80,7 @@ class ImageLag(CatalogueEffect):
         return cast(Signal, (self.mean(signal, context) + scatter).astype(signal.dtype))
 
     def variance(self, signal: Signal, context: ExposureContext) -> Signal:
-        """Return the variance of what stays behind."""
         return np.asarray(self.noise * np.maximum(self._left(signal, context), 0.0))
-
-    def slope(self, signal: Signal, context: ExposureContext) -> float:
-        """Return 1, for the share of the own signal is far below it."""
-        return 1.0
 
     def tile(self, after: TileMoments, before: TileMoments, context: ExposureContext) -> TileMoments:
         """Return the moments with the first frame's difference from the others, and with what noise hands on.

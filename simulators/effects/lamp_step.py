@@ -11,7 +11,7 @@ from simulators.effects.base import RADIANCE, Stage, parameter
 from simulators.effects.catalogue import Scaling, elapsed_s
 from simulators.effects.context import ExposureContext
 
-_TRIED_REL = 0.01
+_TRIED_REL = 0.01  # a fit is linear in it: any size begins
 _FEWEST = 4  # captures on either side of a jump: fewer may be single frames that went wrong
 
 
@@ -26,8 +26,7 @@ class LampStep(Scaling):
 
     name = "lamp_step"
     stage = Stage.SOURCE
-    unit_in = RADIANCE
-    unit_out = RADIANCE
+    unit_in = unit_out = RADIANCE
     where = "timestamp_s"
     block = "mean"
     log_prior_odds = -2.0

@@ -11,7 +11,7 @@ from simulators.effects.base import RADIANCE, Stage, parameter
 from simulators.effects.catalogue import Scaling
 from simulators.effects.context import ExposureContext
 
-_MOST_LEVELS: Final = 16
+_MOST_LEVELS: Final = 16  # a free entry for each of more would fit anything
 
 
 @dataclass(frozen=True)
@@ -25,14 +25,10 @@ class LedThermalDroop(Scaling):
 
     name = "led_thermal_droop"
     stage = Stage.SOURCE
-    unit_in = RADIANCE
-    unit_out = RADIANCE
+    unit_in = unit_out = RADIANCE
     where = "source_level"
     block = "mean"
-    trials = (
-        {"droop_rel": 0.02, "curvature_rel": 0.0},
-        {"droop_rel": -0.02, "curvature_rel": 0.0},
-    )
+    trials = ({"droop_rel": 0.02, "curvature_rel": 0.0}, {"droop_rel": -0.02, "curvature_rel": 0.0})
     fitted = ("droop_rel",)
     settles = "several source levels at one exposure"
     droop_rel: float = parameter(0.0, "1", -0.9, 0.9, source="engineering prior; refined on a real rig")
@@ -43,7 +39,6 @@ class LedThermalDroop(Scaling):
     errors_rel: tuple[float, ...] = parameter((), "1", -0.9, 3.0, source="relative error at these drives")
 
     def factor(self, context: ExposureContext) -> Any:
-        """Return light over drive."""
         level = np.asarray(context.settings.source_level)
         law = np.maximum(1.0 - self.droop_rel * level - self.curvature_rel * level**2 - self.bend_rel * level**3, 0.01)
         if not self.levels:

@@ -16,9 +16,9 @@ from simulators.effects.tile_moments import TileMoments
 _STRIPS: Final = 64  # of a tile, for the law may fall within few pixels
 _PLACES: Final = (2.0 * np.arange(_STRIPS) + 1.0) / _STRIPS - 1.0  # their middles, −1 to 1
 _SURFACE, _ = np.linalg.qr(np.vander(_PLACES, 3, increasing=True))  # what a quadratic surface may be along a tile
-_GAUSS: Final = 1.0 / math.sqrt(3.0)
+_GAUSS: Final = 1.0 / math.sqrt(3.0)  # points of a Gauss-Legendre rule of two
 _SLOW_PART: Final = 0.1  # of the quick part, from which a fit of the slow one begins
-_LONGER: Final = 8.0
+_LONGER: Final = 8.0  # times the quick decay, from which a fit of the slow one begins
 
 
 @dataclass(frozen=True)
@@ -35,8 +35,7 @@ class LineStartOffset(Offset):
 
     name = "line_start_offset"
     stage = Stage.READOUT
-    unit_in = DIGITAL_NUMBER
-    unit_out = DIGITAL_NUMBER
+    unit_in = unit_out = DIGITAL_NUMBER
     where = "image_x"
     block = "mean"
     also = ("slope",)

@@ -9,7 +9,7 @@ from typing import Any, Self
 import numpy as np
 
 from simulators.effects.base import IRRADIANCE, Stage, parameter
-from simulators.effects.catalogue import Scaling, f_number_varies
+from simulators.effects.catalogue import Scaling
 from simulators.effects.context import ExposureContext
 
 
@@ -29,8 +29,7 @@ class MechanicalVignetting(Scaling):
 
     name = "mechanical_vignetting"
     stage = Stage.OPTICS
-    unit_in = IRRADIANCE
-    unit_out = IRRADIANCE
+    unit_in = unit_out = IRRADIANCE
     where = "f_number"
     block = "slope"
     law_along = ("field_radius", "f_number")
@@ -40,10 +39,8 @@ class MechanicalVignetting(Scaling):
         {"strength": 0.2, "exponent": 2.0},
         {"strength": 0.05, "exponent": 2.0, "radius_power": 2.0},
     )
-    fitted = (
-        "strength",
-        "exponent",
-    )
+    fitted = ("strength", "exponent")
+    varies = "f_number"
     settles = "an even field at several f-numbers"
     strength: float = parameter(0.0, "1", -1.0, 1.0, source="at f/2 in the corner")
     exponent: float = parameter(2.0, "1", 1.5, 8.0, source="how fast it vanishes when stopping down")
@@ -53,7 +50,6 @@ class MechanicalVignetting(Scaling):
     wander: float = parameter(0.0, "1", -5.0, 5.0, source="how far the displacement scales with the pupil's size")
 
     def factor(self, context: ExposureContext) -> Any:
-        """Return the fall-off."""
         stopped: Any = 8.0 if context.f_number is None else context.f_number
         pupil, rho = 2.0 / np.asarray(stopped), context.geometry.field_radius()
         law = np.maximum(1.0 - self.strength * rho**self.radius_power * pupil**self.exponent, 0.01)
@@ -79,18 +75,11 @@ class MechanicalVignetting(Scaling):
         """Return the parameters to fit: the barrel's where there is one."""
         return ("barrel", "shift", "wander") if self.barrel else self.fitted
 
-    @classmethod
-    def usable(cls, context: ExposureContext) -> bool:
-        """Tell whether the f-number varies."""
-        return f_number_varies(context)
-
 
 def common_area(first: Any, second: Any, distance: Any) -> Any:
     """Return the area that two circles have in common.
 
     Args:
-        first: Radius of one.
-        second: Radius of the other.
         distance: Distance of their centres, in the same unit.
 
     Source: circular segments of half-angle α, r²·(α − sin α·cos α), on either side of the common chord.

@@ -71,8 +71,7 @@ class MissingCodes(CatalogueEffect):
 
     name = "missing_codes"
     stage = Stage.DIGITAL
-    unit_in = DIGITAL_NUMBER
-    unit_out = DIGITAL_NUMBER
+    unit_in = unit_out = DIGITAL_NUMBER
     where = "signal"
     block = "comb"
     is_stepwise = True

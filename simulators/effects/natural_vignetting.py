@@ -12,7 +12,7 @@ from simulators.effects.catalogue import Scaling
 from simulators.effects.context import ExposureContext
 
 _BENT: Final = 0.01  # k₄ from which a fit begins
-_RINGS: Final = 101
+_RINGS: Final = 101  # a turning point is found to 1 % of the radius
 _BACK: Final = 0.1  # of what was lost, by which k₄ may err
 
 
@@ -28,19 +28,11 @@ class NaturalVignetting(Scaling):
 
     name = "natural_vignetting"
     stage = Stage.OPTICS
-    unit_in = IRRADIANCE
-    unit_out = IRRADIANCE
+    unit_in = unit_out = IRRADIANCE
     where = "field_radius"
     block = "slope"
-    trials = (
-        {"strength": 0.02, "k4": 0.0},
-        {"strength": 0.1, "k4": 0.0},
-        {"strength": 0.0, "k4": 0.03},
-    )
-    fitted = (
-        "strength",
-        "k4",
-    )
+    trials = ({"strength": 0.02, "k4": 0.0}, {"strength": 0.1, "k4": 0.0}, {"strength": 0.0, "k4": 0.03})
+    fitted = ("strength", "k4")
     settles = "the screen turned or shifted against the camera"
     stands_for = ("angle_dependence",)  # where no stop changes it
     essential = ("strength",)  # every lens has it; a fall-off towards the corners alone is cut off, not oblique
@@ -51,14 +43,12 @@ class NaturalVignetting(Scaling):
     axis_y: float = parameter(0.0, "1", -0.5, 0.5, source="the same downwards")
 
     def factor(self, context: ExposureContext) -> Any:
-        """Return the fall-off."""
         x, y = context.geometry.field_xy()
         rho2 = np.square(x - self.axis_x) + np.square(y - self.axis_y)
         return (1.0 + self.strength * rho2) ** -2.0 * (1.0 - self.k4 * rho2**2)
 
     @classmethod
     def in_place_of_others(cls) -> Self:
-        """Return the plain law."""
         return cls(0.03)
 
     @classmethod

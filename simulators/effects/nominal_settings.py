@@ -13,7 +13,7 @@ from simulators.effects.base import EXPOSURE, Stage, parameter
 from simulators.effects.catalogue import Scaling
 from simulators.effects.context import ExposureContext
 
-_NEAR: Final = 0.07
+_NEAR: Final = 0.07  # 1/60 s is really 1/64 s: 6.7 %
 
 
 def _each(exact: Callable[[float], float], printed: Any) -> Any:
@@ -33,8 +33,7 @@ class NominalSettings(Scaling):
 
     name = "nominal_settings"
     stage = Stage.SHUTTER
-    unit_in = EXPOSURE
-    unit_out = EXPOSURE
+    unit_in = unit_out = EXPOSURE
     where = "exposure_s"
     block = "mean"
     is_stepwise = True

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, Self
+from typing import Any
 
 import numpy as np
 
@@ -24,16 +24,12 @@ class ParasiticLightSensitivity(Scaling):
 
     name = "parasitic_light_sensitivity"
     stage = Stage.SHUTTER
-    unit_in = EXPOSURE
-    unit_out = EXPOSURE
+    unit_in = unit_out = EXPOSURE
     where = "image_y"
     block = "mean"
-    trials = (
-        {"leak_s": 2e-06},
-        {"leak_s": 1e-05},
-        {"leak_s": 0.0001},
-    )
+    trials = ({"leak_s": 2e-06}, {"leak_s": 1e-05}, {"leak_s": 0.0001})
     fitted = ("leak_s",)
+    further = ({"row_power": 1.05},)
     settles = "the gradient along image_y at the shortest exposure"
     leak_s: float = parameter(0.0, "s", 0.0, 0.01, source="1/PLS × readout time: 1/10000 × 10 ms = 1 µs")
 
@@ -43,11 +39,3 @@ class ParasiticLightSensitivity(Scaling):
         """Return the factor of exposure, larger for rows that are read later."""
         waited = np.maximum(context.geometry.row_fraction(), 1e-6) ** self.row_power
         return 1.0 + self.leak_s * waited / context.settings.exposure_s
-
-    def loosened(self, context: ExposureContext) -> tuple[Self, ...]:
-        """Return the leak that is not even from row to row."""
-        return () if self.row_power != 1.0 else (self.with_parameters(row_power=1.05),)
-
-    def free(self) -> tuple[str, ...]:
-        """Return the parameters to fit: those of the flexible form only where they are set."""
-        return (*self.fitted, "row_power") if self.row_power != 1.0 else self.fitted

@@ -65,7 +65,6 @@ def exchange_between_neighbours(signal: Signal, share: Signal | float, further_d
         signal: Image, (height, width).
         share: Share that goes to each neighbour: one number, or one per pixel (its own and its neighbour's average
             counts, so that no charge is lost).
-        further_down: What goes to neighbours in the column beyond that.
     """
     own = np.broadcast_to(np.asarray(share, dtype=signal.dtype), signal.shape)
     result = np.array(signal)

@@ -21,24 +21,16 @@ class Polarisation(Scaling):
 
     name = "polarisation"
     stage = Stage.OPTICS
-    unit_in = IRRADIANCE
-    unit_out = IRRADIANCE
+    unit_in = unit_out = IRRADIANCE
     where = "screen_x"
     block = "mean"
-    trials = (
-        {"strength": 0.02, "axis_rad": 0.0},
-        {"strength": 0.02, "axis_rad": 0.8},
-    )
-    fitted = (
-        "strength",
-        "axis_rad",
-    )
+    trials = ({"strength": 0.02, "axis_rad": 0.0}, {"strength": 0.02, "axis_rad": 0.8})
+    fitted = ("strength", "axis_rad")
     settles = "the camera turned by 45 and by 90 degrees"
     strength: float = parameter(0.0, "1", -0.5, 0.5, source="engineering prior; refined on a real rig")
     axis_rad: float = parameter(0.0, "rad", -3.2, 3.2, source="angle of the largest response")
 
     def factor(self, context: ExposureContext) -> Any:
-        """Return the factor."""
         return 1.0 + self.strength * np.cos(2.0 * (context.geometry.screen_rotation_rad - self.axis_rad))
 
     @classmethod

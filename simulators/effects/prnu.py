@@ -7,13 +7,13 @@ from typing import ClassVar, cast
 
 import numpy as np
 
-from simulators.effects.base import ELECTRONS, Stage, parameter
+from simulators.effects.base import ELECTRONS, KeepsMean, Stage, parameter
 from simulators.effects.catalogue import CatalogueEffect
 from simulators.effects.context import ExposureContext, Signal
 
 
 @dataclass(frozen=True)
-class Prnu(CatalogueEffect):
+class Prnu(KeepsMean, CatalogueEffect):
     """Scales each pixel by a fixed factor, normal about 1 with standard deviation p.
 
     Source: EMVA Standard 1288, release 4.0, PRNU1288; typical 0.3 to 1 %.
@@ -21,35 +21,21 @@ class Prnu(CatalogueEffect):
 
     name = "prnu"
     stage = Stage.ELECTRONS
-    unit_in = ELECTRONS
-    unit_out = ELECTRONS
+    unit_in = unit_out = ELECTRONS
     before = "dark_current"
     where = "signal"
     block = "spatial"
     acts_by_square = True
-    trials = (
-        {"sigma_rel": 0.005},
-        {"sigma_rel": 0.02},
-    )
+    trials = ({"sigma_rel": 0.005}, {"sigma_rel": 0.02})
     fitted = ("sigma_rel",)
     settles = "an average of many bright frames of an even field"
     sigma_rel: float = parameter(0.0, "1", 0.0, 0.5, source="engineering prior; refined on a real rig")
 
     proportional: ClassVar[bool] = True  # the pattern grows with the light
 
-    def mean(self, signal: Signal, context: ExposureContext) -> Signal:
-        """Return the signal unchanged: the pattern averages to one."""
-        return signal
-
-    def slope(self, signal: Signal, context: ExposureContext) -> float:
-        """Return 1."""
-        return 1.0
-
     def sample(self, signal: Signal, context: ExposureContext, rng: np.random.Generator) -> Signal:
-        """Return the signal with this camera's pattern of sensitivities."""
         pattern = context.fixed_rng(self.name).standard_normal(signal.shape, dtype=np.float32)
         return cast(Signal, signal * np.maximum(1.0 + self.sigma_rel * pattern, 0.0))
 
     def spatial_variance(self, signal: Signal, context: ExposureContext) -> Signal:
-        """Return (p·S)² in e-²."""
         return cast(Signal, np.square(self.sigma_rel * signal))

@@ -3,22 +3,21 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, Final, Self
+from typing import Final, Self
 
 import numpy as np
 
-from simulators.effects.base import RADIANCE, Stage, parameter
-from simulators.effects.catalogue import CatalogueEffect
-from simulators.effects.context import ExposureContext, Signal
-from simulators.effects.flicker import flicker_sample, flicker_variance
+from simulators.effects.base import parameter
+from simulators.effects.context import ExposureContext
+from simulators.effects.flicker import Flicker
 
 _FREQUENCIES_HZ: Final = np.geomspace(60.0, 4000.0, 36)
-_DUTIES: Final = (0.1, 0.25, 0.4, 0.5, 0.6, 0.75, 0.9)
+_DUTIES: Final = (0.1, 0.25, 0.4, 0.5, 0.6, 0.75, 0.9)  # the usual dimming steps
 _COMB: Final = np.geomspace(0.94, 1.06, 9)  # from halfway to one neighbour to halfway to the other
 
 
 @dataclass(frozen=True)
-class PwmFlicker(CatalogueEffect):
+class PwmFlicker(Flicker):
     """Modulates light: L' = L·(1 + m·flicker(f·t + φ)), φ new in every frame.
 
     A duty of 0 is a sine; otherwise a square wave of that duty. Over an exposure t sinc(f·t) of it is left.
@@ -27,19 +26,10 @@ class PwmFlicker(CatalogueEffect):
     """
 
     name = "pwm_flicker"
-    stage = Stage.SOURCE
-    unit_in = RADIANCE
-    unit_out = RADIANCE
-    where = "exposure_s"
-    block = "common"
-    acts_by_square = True
     trials = tuple(
         {"modulation": 0.02, "frequency_hz": float(f), "duty": d} for d in (0.0, 0.5, 0.25) for f in _FREQUENCIES_HZ
     )
-    fitted = (
-        "modulation",
-        "frequency_hz",
-    )
+    fitted = ("modulation", "frequency_hz")
     settles = "many frames at the shortest exposures"
     modulation: float = parameter(0.0, "1", 0.0, 3.0, source="engineering prior; refined on a real rig")
     frequency_hz: float = parameter(200.0, "Hz", 20.0, 100000.0, source="engineering prior; refined on a real rig")
@@ -53,22 +43,4 @@ class PwmFlicker(CatalogueEffect):
         return tuple(self.with_parameters(frequency_hz=float(self.frequency_hz * factor)) for factor in _COMB)
 
     def loosened(self, context: ExposureContext) -> tuple[Self, ...]:
-        """Return waves of other duties."""
         return tuple(self.with_parameters(duty=duty) for duty in _DUTIES if duty != self.duty)
-
-    def mean(self, signal: Signal, context: ExposureContext) -> Signal:
-        """Return the light averaged over the phase: unchanged."""
-        return signal
-
-    def slope(self, signal: Signal, context: ExposureContext) -> float:
-        """Return 1."""
-        return 1.0
-
-    def sample(self, signal: Signal, context: ExposureContext, rng: np.random.Generator) -> Signal:
-        """Return the light of one frame at a random phase."""
-        return flicker_sample(signal, context, rng, self.modulation, self.frequency_hz, self.duty)
-
-    def common_variance(self, signal: Signal, context: ExposureContext) -> Any:
-        """Return the variance that all pixels of a frame share."""
-        left = flicker_variance(context.settings.exposure_s, self.frequency_hz, self.duty)
-        return np.square(self.modulation * signal) * left

@@ -24,8 +24,7 @@ class Quantisation(Effect):
 
     name = "quantisation"
     stage = Stage.DIGITAL
-    unit_in = DIGITAL_NUMBER
-    unit_out = DIGITAL_NUMBER
+    unit_in = unit_out = DIGITAL_NUMBER
 
     def mean(self, signal: Signal, context: ExposureContext) -> Signal:
         """Return output DN, not rounded."""
@@ -37,7 +36,6 @@ class Quantisation(Effect):
         return codes
 
     def variance(self, signal: Signal, context: ExposureContext) -> float:
-        """Return 1/12 DN²."""
         return 1.0 / 12.0
 
     def moments(self, before: Moments, context: ExposureContext) -> Moments:
@@ -45,5 +43,4 @@ class Quantisation(Effect):
         return rounded(before.passed(self.mean(before.mean, context), self.slope(before.mean, context)))
 
     def slope(self, signal: Signal, context: ExposureContext) -> float:
-        """Return output DN per native DN."""
         return context.output_scale

@@ -24,9 +24,7 @@ class QuantumEfficiency(Effect):
     quantum_efficiency: float = parameter(0.6, "1", 0.001, 1.0, source="datasheet, at the effective wavelength")
 
     def mean(self, signal: Signal, context: ExposureContext) -> Signal:
-        """Return the expected photoelectrons."""
         return signal * self.quantum_efficiency
 
     def slope(self, signal: Signal, context: ExposureContext) -> float:
-        """Return η."""
         return self.quantum_efficiency

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, Self
+from typing import Any
 
 from simulators.effects.base import PHOTONS, Stage, parameter
-from simulators.effects.catalogue import Scaling, temperature_varies, warmer_k
+from simulators.effects.catalogue import Scaling, warmer_k
 from simulators.effects.context import ExposureContext
 
 
@@ -19,35 +19,19 @@ class QuantumEfficiencyTemperature(Scaling):
 
     name = "quantum_efficiency_temperature"
     stage = Stage.PHOTONS
-    unit_in = PHOTONS
-    unit_out = PHOTONS
+    unit_in = unit_out = PHOTONS
     before = "quantum_efficiency"
     where = "temperature_C"
     block = "mean"
-    trials = (
-        {"coefficient_per_K": 0.001},
-        {"coefficient_per_K": -0.001},
-    )
+    trials = ({"coefficient_per_K": 0.001}, {"coefficient_per_K": -0.001})
     fitted = ("coefficient_per_K",)
+    varies = "temperature_C"
+    further = ({"bend_per_K2": 1e-5},)
     settles = "lit captures at three temperatures in random order"
     coefficient_per_K: float = parameter(0.0, "1/K", -0.02, 0.02, source="engineering prior; refined on a real rig")  # noqa: N815
 
     bend_per_K2: float = parameter(0.0, "1/K²", -1e-3, 1e-3, source="the band edge moves with temperature")  # noqa: N815
 
     def factor(self, context: ExposureContext) -> Any:
-        """Return the factor of the response."""
         warmer = warmer_k(context, 25.0)
         return 1.0 + self.coefficient_per_K * warmer + self.bend_per_K2 * warmer**2
-
-    @classmethod
-    def usable(cls, context: ExposureContext) -> bool:
-        """Tell whether temperatures are known and differ by more than 2 K."""
-        return temperature_varies(context)
-
-    def loosened(self, context: ExposureContext) -> tuple[Self, ...]:
-        """Return the response with a bend."""
-        return () if self.bend_per_K2 else (self.with_parameters(bend_per_K2=1e-5),)
-
-    def free(self) -> tuple[str, ...]:
-        """Return the parameters to fit: those of the flexible form only where they are set."""
-        return (*self.fitted, "bend_per_K2") if self.bend_per_K2 else self.fitted

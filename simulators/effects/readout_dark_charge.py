@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, Self
+from typing import Any
 
 from simulators.effects.base import ELECTRONS, Stage, parameter
 from simulators.effects.catalogue import Offset, warmer_k
@@ -23,8 +23,7 @@ class ReadoutDarkCharge(Offset):
 
     name = "readout_dark_charge"
     stage = Stage.ELECTRONS
-    unit_in = ELECTRONS
-    unit_out = ELECTRONS
+    unit_in = unit_out = ELECTRONS
     before = "shot_noise"
     where = "image_y"
     block = "mean"
@@ -36,6 +35,7 @@ class ReadoutDarkCharge(Offset):
         {"charge_e": 30.0, "from_below": 1.0},
     )
     fitted = ("charge_e", "doubling_K")
+    further = ({"wait_share": 0.5},)
     heated = "charge_e"
     settles = "dark frames of the shortest exposure at two temperatures"
     charge_e: float = parameter(0.0, "e-", 0.0, 1e6, source="dark current times the seconds that reading takes")
@@ -53,14 +53,6 @@ class ReadoutDarkCharge(Offset):
         return (
             self.charge_e * 2.0 ** (warmer_k(context, self.reference_C) / self.doubling_K) * (waited + self.wait_share)
         )
-
-    def loosened(self, context: ExposureContext) -> tuple[Self, ...]:
-        """Return the charge that gathers before the first row is read, too."""
-        return () if self.wait_share else (self.with_parameters(wait_share=0.5),)
-
-    def free(self) -> tuple[str, ...]:
-        """Return the parameters to fit: the wait only where it is set."""
-        return (*self.fitted, "wait_share") if self.wait_share else self.fitted
 
     @property
     def drifts(self) -> bool:

@@ -11,8 +11,8 @@ from simulators.effects.base import EXPOSURE, Stage, parameter
 from simulators.effects.catalogue import Scaling
 from simulators.effects.context import ExposureContext
 
-_NO_THRESHOLD_S: Final = 1e5
-_FEWEST_EXPOSURES: Final = 6
+_NO_THRESHOLD_S: Final = 1e5  # above any exposure
+_FEWEST_EXPOSURES: Final = 6  # a power with a threshold bends through fewer by chance
 
 
 @dataclass(frozen=True)
@@ -24,23 +24,18 @@ class ReciprocityFailure(Scaling):
 
     name = "reciprocity_failure"
     stage = Stage.SHUTTER
-    unit_in = EXPOSURE
-    unit_out = EXPOSURE
+    unit_in = unit_out = EXPOSURE
     where = "exposure_s"
     block = "mean"
     log_prior_odds = -5.0
     prior_reason = "silicon counts photons: nothing of the kind is expected of it"
-    trials = (
-        {"exponent": 0.005},
-        {"exponent": -0.005},
-    )
+    trials = ({"exponent": 0.005}, {"exponent": -0.005})
     fitted = ("exponent",)
     settles = "one signal reached by exposure and by source level"
     exponent: float = parameter(0.0, "1", -0.5, 0.5, source="engineering prior; refined on a real rig")
     threshold_s: float = parameter(_NO_THRESHOLD_S, "s", 1e-6, _NO_THRESHOLD_S, source="none by default")
 
     def factor(self, context: ExposureContext) -> Any:
-        """Return the factor of exposure."""
         return (np.minimum(np.asarray(context.settings.exposure_s), self.threshold_s) / 1e-3) ** self.exponent
 
     @classmethod

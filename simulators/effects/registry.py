@@ -1,4 +1,4 @@
-"""The table of effects: a new effect is one file and one line here, or comes from outside.
+"""The table of effects: a new effect is one file in this folder, or comes from outside.
 
 What a laboratory keeps for itself is found by the entry points of installed packages (group `radiometer.effects`, the
 effect's name and its class), or is read from a file.
@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import importlib.util
 import inspect
+import pkgutil
 import sys
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -19,161 +20,12 @@ from typing import Any, Final
 
 from pydantic import Field
 
+import simulators.effects
 from radiometer.data.validation import ConfigSection, validate
 from radiometer.errors import ConfigurationError
-from simulators.effects.adc_saturation import AdcSaturation
-from simulators.effects.ambient_light_leak import AmbientLightLeak
-from simulators.effects.angle_dependence import AngleDependence
 from simulators.effects.base import Effect
-from simulators.effects.black_level import BlackLevel
-from simulators.effects.black_level_drift import BlackLevelDrift
-from simulators.effects.black_level_gain_slope import BlackLevelGainSlope
-from simulators.effects.black_level_offset import BlackLevelOffset
-from simulators.effects.brighter_fatter import BrighterFatter
 from simulators.effects.catalogue import CatalogueEffect
-from simulators.effects.column_pattern import ColumnPattern
-from simulators.effects.conversion_gain import ConversionGain
-from simulators.effects.conversion_gain_error import ConversionGainError
-from simulators.effects.correlated_read_noise import CorrelatedReadNoise
-from simulators.effects.crosstalk import Crosstalk
-from simulators.effects.dark_current import DarkCurrent
-from simulators.effects.dark_current_clamped import DarkCurrentClamped
-from simulators.effects.dark_current_nonuniformity import DarkCurrentNonuniformity
-from simulators.effects.dark_frame_subtracted import DarkFrameSubtracted
-from simulators.effects.defocus import Defocus
-from simulators.effects.display_black_leak import DisplayBlackLeak
-from simulators.effects.display_gamma_error import DisplayGammaError
-from simulators.effects.display_nonuniformity import DisplayNonuniformity
-from simulators.effects.dsnu import Dsnu
-from simulators.effects.event_offset import EventOffset
-from simulators.effects.excess_read_noise import ExcessReadNoise
-from simulators.effects.exposure_label_error import ExposureLabelError
-from simulators.effects.exposure_quantisation import ExposureQuantisation
-from simulators.effects.exposure_time_offset import ExposureTimeOffset
-from simulators.effects.first_frame_offset import FirstFrameOffset
-from simulators.effects.fnumber_tstop_error import FnumberTstopError
 from simulators.effects.free_law import kind_for
-from simulators.effects.full_well_saturation import FullWellSaturation
-from simulators.effects.gain_step_error import GainStepError
-from simulators.effects.gamma_enabled import GammaEnabled
-from simulators.effects.ghost import Ghost
-from simulators.effects.hot_pixels import HotPixels
-from simulators.effects.image_lag import ImageLag
-from simulators.effects.lamp_step import LampStep
-from simulators.effects.led_thermal_droop import LedThermalDroop
-from simulators.effects.lens import Lens
-from simulators.effects.line_start_offset import LineStartOffset
-from simulators.effects.mains_ripple import MainsRipple
-from simulators.effects.mechanical_vignetting import MechanicalVignetting
-from simulators.effects.missing_codes import MissingCodes
-from simulators.effects.natural_vignetting import NaturalVignetting
-from simulators.effects.nominal_settings import NominalSettings
-from simulators.effects.parasitic_light_sensitivity import ParasiticLightSensitivity
-from simulators.effects.photon_conversion import PhotonConversion
-from simulators.effects.polarisation import Polarisation
-from simulators.effects.prnu import Prnu
-from simulators.effects.psf_blur import PsfBlur
-from simulators.effects.pwm_flicker import PwmFlicker
-from simulators.effects.quantisation import Quantisation
-from simulators.effects.quantum_efficiency import QuantumEfficiency
-from simulators.effects.quantum_efficiency_temperature import QuantumEfficiencyTemperature
-from simulators.effects.read_noise import ReadNoise
-from simulators.effects.readout_dark_charge import ReadoutDarkCharge
-from simulators.effects.reciprocity_failure import ReciprocityFailure
-from simulators.effects.residual_charge import ResidualCharge
-from simulators.effects.response_nonlinearity import ResponseNonlinearity
-from simulators.effects.rolling_shutter_banding import RollingShutterBanding
-from simulators.effects.row_dependent_exposure import RowDependentExposure
-from simulators.effects.row_pattern import RowPattern
-from simulators.effects.row_temporal_noise import RowTemporalNoise
-from simulators.effects.series_settling import SeriesSettling
-from simulators.effects.shot_noise import ShotNoise
-from simulators.effects.shutter import Shutter
-from simulators.effects.shutter_dead_time import ShutterDeadTime
-from simulators.effects.soft_saturation import SoftSaturation
-from simulators.effects.source_level import SourceLevel
-from simulators.effects.source_not_proportional_to_exposure import SourceNotProportionalToExposure
-from simulators.effects.source_warmup_drift import SourceWarmupDrift
-from simulators.effects.spectral_mismatch import SpectralMismatch
-from simulators.effects.stray_light_kernel import StrayLightKernel
-from simulators.effects.veiling_glare import VeilingGlare
-
-EFFECTS: Final[dict[str, type[Effect]]] = {
-    "adc_saturation": AdcSaturation,
-    "ambient_light_leak": AmbientLightLeak,
-    "angle_dependence": AngleDependence,
-    "black_level": BlackLevel,
-    "black_level_drift": BlackLevelDrift,
-    "black_level_gain_slope": BlackLevelGainSlope,
-    "black_level_offset": BlackLevelOffset,
-    "brighter_fatter": BrighterFatter,
-    "column_pattern": ColumnPattern,
-    "conversion_gain": ConversionGain,
-    "conversion_gain_error": ConversionGainError,
-    "correlated_read_noise": CorrelatedReadNoise,
-    "crosstalk": Crosstalk,
-    "dark_current": DarkCurrent,
-    "dark_current_clamped": DarkCurrentClamped,
-    "dark_current_nonuniformity": DarkCurrentNonuniformity,
-    "dark_frame_subtracted": DarkFrameSubtracted,
-    "defocus": Defocus,
-    "display_black_leak": DisplayBlackLeak,
-    "display_gamma_error": DisplayGammaError,
-    "display_nonuniformity": DisplayNonuniformity,
-    "dsnu": Dsnu,
-    "event_offset": EventOffset,
-    "excess_read_noise": ExcessReadNoise,
-    "exposure_label_error": ExposureLabelError,
-    "exposure_quantisation": ExposureQuantisation,
-    "exposure_time_offset": ExposureTimeOffset,
-    "first_frame_offset": FirstFrameOffset,
-    "fnumber_tstop_error": FnumberTstopError,
-    "full_well_saturation": FullWellSaturation,
-    "gain_step_error": GainStepError,
-    "gamma_enabled": GammaEnabled,
-    "ghost": Ghost,
-    "hot_pixels": HotPixels,
-    "image_lag": ImageLag,
-    "lamp_step": LampStep,
-    "led_thermal_droop": LedThermalDroop,
-    "lens": Lens,
-    "line_start_offset": LineStartOffset,
-    "mains_ripple": MainsRipple,
-    "mechanical_vignetting": MechanicalVignetting,
-    "missing_codes": MissingCodes,
-    "natural_vignetting": NaturalVignetting,
-    "nominal_settings": NominalSettings,
-    "parasitic_light_sensitivity": ParasiticLightSensitivity,
-    "photon_conversion": PhotonConversion,
-    "polarisation": Polarisation,
-    "prnu": Prnu,
-    "psf_blur": PsfBlur,
-    "pwm_flicker": PwmFlicker,
-    "quantisation": Quantisation,
-    "quantum_efficiency": QuantumEfficiency,
-    "quantum_efficiency_temperature": QuantumEfficiencyTemperature,
-    "read_noise": ReadNoise,
-    "readout_dark_charge": ReadoutDarkCharge,
-    "reciprocity_failure": ReciprocityFailure,
-    "residual_charge": ResidualCharge,
-    "response_nonlinearity": ResponseNonlinearity,
-    "rolling_shutter_banding": RollingShutterBanding,
-    "row_dependent_exposure": RowDependentExposure,
-    "row_pattern": RowPattern,
-    "row_temporal_noise": RowTemporalNoise,
-    "series_settling": SeriesSettling,
-    "shot_noise": ShotNoise,
-    "shutter": Shutter,
-    "shutter_dead_time": ShutterDeadTime,
-    "soft_saturation": SoftSaturation,
-    "source_level": SourceLevel,
-    "source_not_proportional_to_exposure": SourceNotProportionalToExposure,
-    "source_warmup_drift": SourceWarmupDrift,
-    "spectral_mismatch": SpectralMismatch,
-    "stray_light_kernel": StrayLightKernel,
-    "veiling_glare": VeilingGlare,
-}
-
 
 ENTRY_POINTS: Final = "radiometer.effects"
 
@@ -212,18 +64,32 @@ def register_file(path: Path) -> tuple[str, ...]:
     Raises:
         ConfigurationError: If it cannot be run, defines no effect, or one whose name is taken.
     """
-    module = _module_of(path)
-    kinds = [
+    kinds = _kinds_in(_module_of(path))
+    if not kinds:
+        raise ConfigurationError(f"{path}: defines no effect; see docs/how-to/add-an-effect.md for what one is")
+    for kind in kinds:
+        _register(kind, str(path))
+    return tuple(kind.name for kind in kinds)
+
+
+def _kinds_in(module: ModuleType) -> list[type[Effect]]:
+    """Return the effects that a module defines itself: those with a name, for families have none."""
+    return [
         kind
         for kind in vars(module).values()
         if inspect.isclass(kind) and kind.__module__ == module.__name__ and issubclass(kind, Effect)
         if not inspect.isabstract(kind) and isinstance(getattr(kind, "name", None), str)
     ]
-    if not kinds:
-        raise ConfigurationError(f"{path}: defines no effect; see docs/add-an-effect.md for what one is")
-    for kind in kinds:
-        _register(kind, str(path))
-    return tuple(kind.name for kind in kinds)
+
+
+def _of_this_package() -> dict[str, type[Effect]]:
+    """Return the effects of this folder by name, in alphabetical order of their files."""
+    found = sorted(entry.name for entry in pkgutil.iter_modules(simulators.effects.__path__))
+    modules = (importlib.import_module(f"simulators.effects.{name}") for name in found if name != "registry")
+    return {kind.name: kind for module in modules for kind in _kinds_in(module)}
+
+
+EFFECTS: Final[dict[str, type[Effect]]] = _of_this_package()
 
 
 def _module_of(path: Path) -> ModuleType:
@@ -253,7 +119,7 @@ def _register(kind: Any, where: str) -> None:
     lacking += [key for key in _SEARCHED if issubclass(kind, CatalogueEffect) and not hasattr(kind, key)]
     if lacking:
         raise ConfigurationError(
-            f"{where}: the effect does not say its {', '.join(lacking)}; see docs/add-an-effect.md"
+            f"{where}: the effect does not say its {', '.join(lacking)}; see docs/how-to/add-an-effect.md"
         )
     known = EFFECTS.get(kind.name)
     if known is not None and (known.__module__, known.__qualname__) != (kind.__module__, kind.__qualname__):
@@ -274,16 +140,11 @@ class _EntryFile(ConfigSection):
 
 @dataclass(frozen=True, slots=True)
 class EffectEntry:
-    """An effect as a camera model holds it: with a switch, and notes on where it comes from.
+    """An effect as a camera model holds it: with a switch, and notes on where it comes from."""
 
-    Attributes:
-        effect: The effect with its parameters.
-        enabled: False takes it out of the chain but keeps it in the file.
-        notes: Anything worth keeping with it (covariance, evidence, capture hashes).
-    """
-
-    effect: Effect
-    enabled: bool = True
+    effect: Effect  # the effect with its parameters
+    enabled: bool = True  # False takes it out of the chain but keeps it in the file
+    # Anything worth keeping with it (covariance, evidence, capture hashes)
     notes: Mapping[str, Any] = field(default_factory=dict)
 
     def to_mapping(self) -> dict[str, Any]:
@@ -298,7 +159,6 @@ class EffectEntry:
 
         Args:
             mapping: {name, enabled, parameters, notes}; all but the name may be missing.
-            where: File and position, for messages.
 
         Raises:
             ConfigurationError: If the effect or a parameter is unknown, or a value is out of its bounds.

@@ -7,7 +7,7 @@ from typing import Any, Final, Self, cast
 
 import numpy as np
 
-from simulators.effects.base import ELECTRONS, Stage, parameter
+from simulators.effects.base import ELECTRONS, Stage, UnitSlope, parameter
 from simulators.effects.catalogue import CatalogueEffect
 from simulators.effects.context import ExposureContext, Signal
 
@@ -15,7 +15,7 @@ _RESTS: Final = (2.0, 15.0, 100.0)  # intervals between frames within which trap
 
 
 @dataclass(frozen=True)
-class ResidualCharge(CatalogueEffect):
+class ResidualCharge(UnitSlope, CatalogueEffect):
     """Adds what is let go in an exposure t: S' = S + (1 − exp(−t/τ))·q·Σ S_j·exp(−Δt_j/τ) over all frames before.
 
     Each frame leaves a share q of its charge in traps, which empty within τ whatever the camera does; what comes free
@@ -27,8 +27,7 @@ class ResidualCharge(CatalogueEffect):
 
     name = "residual_charge"
     stage = Stage.ELECTRONS
-    unit_in = ELECTRONS
-    unit_out = ELECTRONS
+    unit_in = unit_out = ELECTRONS
     before = "full_well_saturation"
     where = "previous_frame"
     block = "mean"
@@ -55,7 +54,6 @@ class ResidualCharge(CatalogueEffect):
         return context.past is not None
 
     def mean(self, signal: Signal, context: ExposureContext) -> Signal:
-        """Return the electrons with what was let go."""
         return cast(Signal, (signal + self._let_go(context)).astype(signal.dtype))
 
     def sample(self, signal: Signal, context: ExposureContext, rng: np.random.Generator) -> Signal:
@@ -64,12 +62,7 @@ class ResidualCharge(CatalogueEffect):
         return cast(Signal, (signal + rng.poisson(let_go)).astype(signal.dtype))
 
     def variance(self, signal: Signal, context: ExposureContext) -> Signal | float:
-        """Return the variance of what was let go."""
         return cast(Signal | float, self._let_go(context))
-
-    def slope(self, signal: Signal, context: ExposureContext) -> float:
-        """Return 1."""
-        return 1.0
 
     @property
     def drifts(self) -> bool:

@@ -26,20 +26,11 @@ class ResponseNonlinearity(CatalogueEffect):
 
     name = "response_nonlinearity"
     stage = Stage.WELL
-    unit_in = ELECTRONS
-    unit_out = ELECTRONS
+    unit_in = unit_out = ELECTRONS
     where = "signal"
     block = "mean"
-    trials = (
-        {"a2": 0.01, "a3": 0.0},
-        {"a2": -0.01, "a3": 0.0},
-        {"a2": 0.0, "a3": 0.01},
-        {"a2": 0.0, "a3": -0.01},
-    )
-    fitted = (
-        "a2",
-        "a3",
-    )
+    trials = ({"a2": 0.01, "a3": 0.0}, {"a2": -0.01, "a3": 0.0}, {"a2": 0.0, "a3": 0.01}, {"a2": 0.0, "a3": -0.01})
+    fitted = ("a2", "a3")
     settles = "one signal reached by different pairs of exposure and source level"
     a2: float = parameter(0.0, "1", -0.5, 0.5, source="engineering prior; refined on a real rig")
     a3: float = parameter(0.0, "1", -0.5, 0.5, source="engineering prior; refined on a real rig")
@@ -53,7 +44,6 @@ class ResponseNonlinearity(CatalogueEffect):
         return cast(Signal, (well * (curve + self._rise(bent) * (z - bent))).astype(signal.dtype))
 
     def slope(self, signal: Signal, context: ExposureContext) -> Any:
-        """Return 1 − 2·a₂·z − 3·a₃·z²."""
         return self._rise(np.clip(signal / well_e(context), 0.0, self._end()))
 
     def _rise(self, z: Any) -> Any:

@@ -7,22 +7,22 @@ from typing import Final, Self, cast
 
 import numpy as np
 
-from simulators.effects.base import RADIANCE, Stage, parameter
+from simulators.effects.base import RADIANCE, KeepsMean, Stage, parameter
 from simulators.effects.catalogue import CatalogueEffect
 from simulators.effects.context import ExposureContext, Signal
 from simulators.effects.tile_moments import TileMoments
 
-_START: Final = 0.02
+_START: Final = 0.02  # a fit is linear in its square: any size begins
 _FREQUENCIES_HZ: Final = np.geomspace(100.0, 4000.0, 12)
-_MOST_PERIODS: Final = 48.0
-_ROWS_PER_PERIOD: Final = 8.0
-_ROW_TIMES_S: Final = (1e-6, 3e-4)
+_MOST_PERIODS: Final = 48.0  # per frame, of waves that tiles still resolve
+_ROWS_PER_PERIOD: Final = 8.0  # a wave of fewer rows cannot be separated from noise of rows
+_ROW_TIMES_S: Final = (1e-6, 3e-4)  # of CMOS sensors: 1 µs to 0.3 ms
 _SHIFTS: Final = np.linspace(-0.5, 0.5, 21)  # periods per frame
 _NEARBY_HZ: Final = np.arange(60.0, 4500.0, 20.0)  # no lobe over the exposures slips through
 
 
 @dataclass(frozen=True)
-class RollingShutterBanding(CatalogueEffect):
+class RollingShutterBanding(KeepsMean, CatalogueEffect):
     """Modulates light from row to row: L' = L·(1 + m·sinc(f·t)·cos(2π·f·t_row·row + φ)), φ new in every frame.
 
     Source: mains or dimming flicker under a rolling shutter; only with row-by-row exposure.
@@ -30,8 +30,7 @@ class RollingShutterBanding(CatalogueEffect):
 
     name = "rolling_shutter_banding"
     stage = Stage.SOURCE
-    unit_in = RADIANCE
-    unit_out = RADIANCE
+    unit_in = unit_out = RADIANCE
     where = "image_y"
     block = "bands"
     also = ("row_temporal",)
@@ -39,24 +38,12 @@ class RollingShutterBanding(CatalogueEffect):
     log_prior_odds = -3.0
     prior_reason = "one of hundreds of waves fits by chance"
     trials = ()
-    fitted = (
-        "modulation",
-        "frequency_hz",
-        "row_time_s",
-    )
+    fitted = ("modulation", "frequency_hz", "row_time_s")
     settles = "frames at the shortest exposure in rolling mode"
     essential = ("row_time_s",)  # without it whole frames flicker, whatever shakes them
     modulation: float = parameter(0.0, "1", 0.0, 3.0, source="engineering prior; refined on a real rig")
     frequency_hz: float = parameter(100.0, "Hz", 20.0, 100000.0, source="engineering prior; refined on a real rig")
     row_time_s: float = parameter(2e-05, "s", 1e-07, 0.01, source="time from one row to the next")
-
-    def mean(self, signal: Signal, context: ExposureContext) -> Signal:
-        """Return the light averaged over the phase: unchanged."""
-        return signal
-
-    def slope(self, signal: Signal, context: ExposureContext) -> float:
-        """Return 1."""
-        return 1.0
 
     def sample(self, signal: Signal, context: ExposureContext, rng: np.random.Generator) -> Signal:
         """Return the light of one frame at a random phase."""

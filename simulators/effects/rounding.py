@@ -12,9 +12,9 @@ from simulators.effects.context import Signal
 
 _FINE: Final = 0.6**2  # from this variance on, in DN², rounding moves a mean by less than 3e-4 DN
 _REACH_SIGMAS: Final = 9.0  # borders farther away are crossed by 1e-19 of the values
-_LEAST_SIGMA_DN: Final = 1e-3
+_LEAST_SIGMA_DN: Final = 1e-3  # below it the code is certain
 _CODES: Final = 6  # on either side of the nearest: ten sigmas of what counts as coarse
-_MOST_KURTOSIS: Final = 100.0
+_MOST_KURTOSIS: Final = 100.0  # above it moments say no more
 _ONE_CODE: Final = 1e-6  # variance in DN² of values of which all but one in a million show one code
 _SPLIT_FROM: Final = 0.3**2  # below, noise and pattern share the variance in proportion: nothing there is normal
 _QUANTILES: Final = ndtri((np.arange(15) + 0.5) / 15)  # pixels of a normal pattern, all equally likely

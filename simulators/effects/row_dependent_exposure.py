@@ -27,17 +27,11 @@ class RowDependentExposure(Scaling):
 
     name = "row_dependent_exposure"
     stage = Stage.SHUTTER
-    unit_in = EXPOSURE
-    unit_out = EXPOSURE
+    unit_in = unit_out = EXPOSURE
     where = "image_y"
     block = "mean"
     also = ("slope",)
-    trials = (
-        {"added_s": -1e-05},
-        {"added_s": 1e-05},
-        {"added_s": -1e-04},
-        {"added_s": 1e-04},
-    )
+    trials = ({"added_s": -1e-05}, {"added_s": 1e-05}, {"added_s": -1e-04}, {"added_s": 1e-04})
     fitted = ("added_s", "lost_share")
     settles = "the gradient along image_y of an even field at several exposures, with the camera turned once"
     added_s: float = parameter(0.0, "s", -0.1, 0.1, source="at the last row: 60 to 110 µs in RedEdge's sensors")

@@ -7,14 +7,14 @@ from typing import cast
 
 import numpy as np
 
-from simulators.effects.base import ELECTRONS, Stage, parameter
+from simulators.effects.base import ELECTRONS, KeepsMean, Stage, parameter
 from simulators.effects.catalogue import CatalogueEffect
 from simulators.effects.context import ExposureContext, Signal
 from simulators.effects.tile_moments import TileMoments
 
 
 @dataclass(frozen=True)
-class RowTemporalNoise(CatalogueEffect):
+class RowTemporalNoise(KeepsMean, CatalogueEffect):
     """Adds a new random offset to each row of each frame, normal with standard deviation s.
 
     Source: a ramp or reference common to a row of a CMOS sensor; typical 0.1 to 1 e-.
@@ -22,36 +22,21 @@ class RowTemporalNoise(CatalogueEffect):
 
     name = "row_temporal_noise"
     stage = Stage.READOUT
-    unit_in = ELECTRONS
-    unit_out = ELECTRONS
+    unit_in = unit_out = ELECTRONS
     where = "image_y"
     block = "row_temporal"
     acts_by_square = True
-    trials = (
-        {"sigma_e": 0.3},
-        {"sigma_e": 1.0},
-    )
+    trials = ({"sigma_e": 0.3}, {"sigma_e": 1.0})
     fitted = ("sigma_e",)
     settles = "many dark frames at the highest gain"
     sigma_e: float = parameter(0.0, "e-", 0.0, 1000.0, source="engineering prior; refined on a real rig")
 
-    def mean(self, signal: Signal, context: ExposureContext) -> Signal:
-        """Return the signal unchanged."""
-        return signal
-
-    def slope(self, signal: Signal, context: ExposureContext) -> float:
-        """Return 1."""
-        return 1.0
-
     def sample(self, signal: Signal, context: ExposureContext, rng: np.random.Generator) -> Signal:
-        """Return the signal with an offset on each row."""
         rows = rng.standard_normal((signal.shape[0], 1), dtype=np.float32)
         return cast(Signal, signal + self.sigma_e * rows)
 
     def variance(self, signal: Signal, context: ExposureContext) -> float:
-        """Return s² in e-² for a lone pixel."""
         return self.sigma_e**2
 
     def tile(self, after: TileMoments, before: TileMoments, context: ExposureContext) -> TileMoments:
-        """Return the moments with the noise booked as one of rows."""
         return after.changed(variance=before.variance, row_variance=before.row_variance + self.sigma_e**2)

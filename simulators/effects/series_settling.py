@@ -24,8 +24,7 @@ class SeriesSettling(Scaling):
 
     name = "series_settling"
     stage = Stage.SOURCE
-    unit_in = RADIANCE
-    unit_out = RADIANCE
+    unit_in = unit_out = RADIANCE
     where = "previous_frame"
     block = "first"
     also = ("common",)
@@ -70,5 +69,4 @@ class SeriesSettling(Scaling):
 
     @classmethod
     def usable(cls, context: ExposureContext) -> bool:
-        """Tell whether any setting has several frames."""
         return bool(np.max(np.asarray(getattr(context, "frames", 2.0))) > 1)

@@ -6,12 +6,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from simulators.effects.base import ELECTRONS, Effect, Stage
+from simulators.effects.base import ELECTRONS, KeepsMean, Stage
 from simulators.effects.context import ExposureContext, Signal
 
 
 @dataclass(frozen=True)
-class ShotNoise(Effect):
+class ShotNoise(KeepsMean):
     """Draws the number of electrons from a Poisson distribution of the expected number; exact, not approximated.
 
     Source: EMVA Standard 1288, release 4.0, equation (9).
@@ -19,21 +19,11 @@ class ShotNoise(Effect):
 
     name = "shot_noise"
     stage = Stage.ELECTRONS
-    unit_in = ELECTRONS
-    unit_out = ELECTRONS
-
-    def mean(self, signal: Signal, context: ExposureContext) -> Signal:
-        """Return the expected number unchanged."""
-        return signal
+    unit_in = unit_out = ELECTRONS
 
     def sample(self, signal: Signal, context: ExposureContext, rng: np.random.Generator) -> Signal:
-        """Return Poisson counts."""
         return rng.poisson(signal).astype(signal.dtype)
 
     def variance(self, signal: Signal, context: ExposureContext) -> Signal:
         """Return the expected number: a Poisson count's variance is its mean."""
         return np.maximum(signal, 0.0)
-
-    def slope(self, signal: Signal, context: ExposureContext) -> float:
-        """Return 1."""
-        return 1.0

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, Self, cast
+from typing import Any, cast
 
 import numpy as np
 
@@ -24,19 +24,14 @@ class ShutterDeadTime(CatalogueEffect):
 
     name = "shutter_dead_time"
     stage = Stage.SHUTTER
-    unit_in = EXPOSURE
-    unit_out = EXPOSURE
+    unit_in = unit_out = EXPOSURE
     where = "exposure_s"
     block = "first"
     log_prior_odds = -2.0
     prior_reason = "a constant added to the exposure is the usual error of timing"
-    trials = (
-        {"dead_time_s": 2e-06},
-        {"dead_time_s": 1e-05},
-        {"dead_time_s": 0.0001},
-        {"dead_time_s": -1e-05},
-    )
+    trials = ({"dead_time_s": 2e-06}, {"dead_time_s": 1e-05}, {"dead_time_s": 0.0001}, {"dead_time_s": -1e-05})
     fitted = ("dead_time_s",)
+    further = ({"growth": 0.05},)
     settles = "single triggered frames and runs of frames at the shortest exposure"
     dead_time_s: float = parameter(0.0, "s", -0.01, 0.01, source="engineering prior; refined on a real rig")
 
@@ -63,14 +58,6 @@ class ShutterDeadTime(CatalogueEffect):
         later: Any = getattr(context, "frames", 1.0) - 1.0
         step = self.growth * self.dead_time_s / context.settings.exposure_s
         return np.square(signal * step) * later * (later + 1.0) / 12.0 if self.growth else 0.0
-
-    def loosened(self, context: ExposureContext) -> tuple[Self, ...]:
-        """Return the dead time that grows along a run."""
-        return () if self.growth else (self.with_parameters(growth=0.05),)
-
-    def free(self) -> tuple[str, ...]:
-        """Return the parameters to fit: the growth only where there is one."""
-        return ("dead_time_s", "growth") if self.growth else ("dead_time_s",)
 
     def _usual(self, frames: Any) -> Any:
         """Return the mean dead time of the frames after the first over that of the second."""

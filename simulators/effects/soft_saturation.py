@@ -26,8 +26,7 @@ class SoftSaturation(CatalogueEffect):
 
     name = "soft_saturation"
     stage = Stage.WELL
-    unit_in = ELECTRONS
-    unit_out = ELECTRONS
+    unit_in = unit_out = ELECTRONS
     where = "signal"
     block = "mean"
     saturates = "softly"
@@ -49,10 +48,7 @@ class SoftSaturation(CatalogueEffect):
         {"knee": 0.6, "ceiling": 1.2, "charging": 1.0},
         {"knee": 0.6, "ceiling": 2.0, "charging": 1.0},
     )
-    fitted = (
-        "knee",
-        "ceiling",
-    )
+    fitted = ("knee", "ceiling")
     settles = "a ladder of exposures to 120 % of the full well"
     knee: float = parameter(0.8, "1", 0.05, 1.5, source="share of the full well at which it begins")
     ceiling: float = parameter(1.0, "1", 0.1, 20.0, source="share of the full well that is never passed")
@@ -72,7 +68,6 @@ class SoftSaturation(CatalogueEffect):
         return (free, charging) if self.hardness in _PLAIN else (charging,)
 
     def mean(self, signal: Signal, context: ExposureContext) -> Signal:
-        """Return the electrons that stay."""
         z = signal / well_e(context)
         width = max(self.ceiling - self.knee, _NARROWEST)
         y = np.maximum(z - self.knee, 0.0) / width

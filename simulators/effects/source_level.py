@@ -14,13 +14,11 @@ class SourceLevel(Effect):
 
     name = "source_level"
     stage = Stage.SOURCE
-    unit_in = RADIANCE
-    unit_out = RADIANCE
+    unit_in = unit_out = RADIANCE
 
     def mean(self, signal: Signal, context: ExposureContext) -> Signal:
         """Return radiance at the frame's source level."""
         return signal * context.settings.source_level
 
     def slope(self, signal: Signal, context: ExposureContext) -> float:
-        """Return the level."""
         return context.settings.source_level

@@ -29,8 +29,7 @@ class SourceNotProportionalToExposure(Scaling):
 
     name = "source_not_proportional_to_exposure"
     stage = Stage.SHUTTER
-    unit_in = EXPOSURE
-    unit_out = EXPOSURE
+    unit_in = unit_out = EXPOSURE
     where = "exposure_s"
     block = "mean"
     log_prior_odds = -3.0
@@ -45,10 +44,8 @@ class SourceNotProportionalToExposure(Scaling):
         {"droop_rel": -0.02, "tau_s": 0.01},
         {"droop_rel": -0.02, "tau_s": 0.1},
     )
-    fitted = (
-        "droop_rel",
-        "tau_s",
-    )
+    fitted = ("droop_rel", "tau_s")
+    further = ({"stretch": _STRAIGHT}, {"stretch": _SLOW})
     settles = "one exposure at several source levels, or a photodiode on the source"
     droop_rel: float = parameter(0.0, "1", -5.0, 0.95, source="engineering prior; refined on a real rig")
     tau_s: float = parameter(0.01, "s", 1e-06, 100.0, source="time constant of the droop")
@@ -71,14 +68,6 @@ class SourceNotProportionalToExposure(Scaling):
             for tau_s in (0.0003, 0.001, 0.01)
             for stretch in (_STRAIGHT, _SLOW)
         )
-
-    def loosened(self, context: ExposureContext) -> tuple[Self, ...]:
-        """Return the same with a separate stretch, to either side of an exponential."""
-        return () if self.stretch != 1.0 else tuple(self.with_parameters(stretch=at) for at in (_STRAIGHT, _SLOW))
-
-    def free(self) -> tuple[str, ...]:
-        """Return the parameters to fit: the stretch only where it is no exponential."""
-        return self.fitted if self.stretch == 1.0 else (*self.fitted, "stretch")
 
     def unlike_itself(self, context: ExposureContext) -> bool:
         """Tell whether the source settles within the shortest exposure: a wrong exposure time looks the same."""

@@ -21,8 +21,7 @@ class SourceWarmupDrift(Scaling):
 
     name = "source_warmup_drift"
     stage = Stage.SOURCE
-    unit_in = RADIANCE
-    unit_out = RADIANCE
+    unit_in = unit_out = RADIANCE
     where = "timestamp_s"
     block = "mean"
     trials = (
@@ -33,10 +32,7 @@ class SourceWarmupDrift(Scaling):
         {"amplitude_rel": -0.01, "tau_s": 300.0},
         {"amplitude_rel": -0.01, "tau_s": 900.0},
     )
-    fitted = (
-        "amplitude_rel",
-        "tau_s",
-    )
+    fitted = ("amplitude_rel", "tau_s")
     settles = "one setting repeated over an hour in between the others"
     amplitude_rel: float = parameter(0.0, "1", -0.9, 5.0, source="engineering prior; refined on a real rig")
     tau_s: float = parameter(300.0, "s", 1.0, 100000.0, source="2 to 20 min")

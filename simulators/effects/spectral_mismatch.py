@@ -25,8 +25,7 @@ class SpectralMismatch(Scaling):
 
     name = "spectral_mismatch"
     stage = Stage.SOURCE
-    unit_in = RADIANCE
-    unit_out = RADIANCE
+    unit_in = unit_out = RADIANCE
     where = "pattern"
     block = "mean"
     trials = (

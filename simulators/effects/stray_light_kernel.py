@@ -32,8 +32,7 @@ class StrayLightKernel(CatalogueEffect):
 
     name = "stray_light_kernel"
     stage = Stage.OPTICS
-    unit_in = IRRADIANCE
-    unit_out = IRRADIANCE
+    unit_in = unit_out = IRRADIANCE
     where = "image_x"
     block = "mean"
     trials = (
@@ -56,14 +55,12 @@ class StrayLightKernel(CatalogueEffect):
     beyond: float = parameter(1.0, "1", 0.0, 2.0, source="light beyond the border over that at the border")
 
     def mean(self, signal: Signal, context: ExposureContext) -> Signal:
-        """Return irradiance with the scattered light."""
         around, spread = surroundings_of(context), signal * (1.0 - self._lost)
         for share, radius in self._kernels():
             spread = spread + share * around.spread(signal, radius, self.beyond)
         return cast(Signal, spread.astype(signal.dtype))
 
     def slope(self, signal: Signal, context: ExposureContext) -> float:
-        """Return 1 − v."""
         return 1.0 - self._lost
 
     def loosened(self, context: ExposureContext) -> tuple[Self, ...]:

@@ -17,22 +17,18 @@ class Surroundings(Protocol):
 
     def frame_mean(self, signal: Signal) -> Signal | float:
         """Return the mean over the whole frame."""
-        ...
 
     def column_mean(self, signal: Signal) -> Signal:
         """Return the mean over the whole column of each entry."""
-        ...
 
     def spread(self, signal: Signal, radius_fraction: float, beyond: float = 1.0) -> Signal:
         """Return the signal spread by a Gaussian whose sigma is a fraction of the frame's longer side.
 
         Beyond the border the picture goes on at a share of what it is at the border.
         """
-        ...
 
     def reflected(self, signal: Signal, radius_fraction: float = 0.0) -> Signal:
         """Return the signal at the point reflected about the optical axis, spread like `spread` where asked for."""
-        ...
 
 
 class ImageSurroundings:

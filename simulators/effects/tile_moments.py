@@ -12,24 +12,17 @@ from simulators.effects.context import Signal
 
 @dataclass(frozen=True)
 class Moments:
-    """Expected value and variances of a signal, all of one shape.
-
-    Attributes:
-        mean: Expected value.
-        variance: Temporal variance of one pixel about it.
-        spatial_variance: Variance from pixel to pixel that stays from frame to frame (fixed pattern).
-        common_variance: Temporal variance that all pixels of one frame share (flicker).
-        unrounded: The moments in front of the rounding to whole codes; None where nothing was rounded.
-    """
+    """Expected value and variances of a signal, all of one shape."""
 
     squared: ClassVar[tuple[str, ...]] = ("variance", "spatial_variance", "common_variance")
     linear: ClassVar[tuple[str, ...]] = ()
     figures: ClassVar[tuple[str, ...]] = ()  # numbers of the whole frame, which no array holds
 
-    mean: Signal
-    variance: Signal
-    spatial_variance: Signal
-    common_variance: Signal
+    mean: Signal  # expected value
+    variance: Signal  # temporal variance of one pixel about it
+    spatial_variance: Signal  # variance from pixel to pixel that stays from frame to frame (fixed pattern)
+    common_variance: Signal  # temporal variance that all pixels of one frame share (flicker)
+    # The moments in front of the rounding to whole codes; None where nothing was rounded
     unrounded: Moments | None = field(default=None, kw_only=True)
 
     @property
@@ -53,7 +46,6 @@ class Moments:
         """Return the moments behind a link of the chain, without what the link itself adds.
 
         Args:
-            mean: Expected signal behind it.
             slope: d(mean)/d(signal).
         """
         if isinstance(slope, float) and slope == 1.0:
@@ -72,62 +64,34 @@ def carried(values: Signal | float, factor: Signal | float) -> Signal:
 
 @dataclass(frozen=True)
 class TileMoments(Moments):
-    """Expected statistics of tiles; every field broadcasts against `mean`.
-
-    Attributes:
-        row_variance: Temporal variance that the pixels of one row share within a frame.
-        band_variance: Temporal variance of light that goes as a wave along the rows, at a new phase in each frame.
-        fixed_column_variance: Fixed-pattern variance that the pixels of one column share.
-        fixed_row_variance: Fixed-pattern variance that the pixels of one row share.
-        neighbour_x: Covariance of the fluctuations of horizontal neighbours.
-        neighbour_y: The same of vertical neighbours.
-        first_excess: Mean of a capture's first frame minus that of its other frames.
-        edge_share: Share of a step at a patch's edge that is in the last line inside it.
-        outliers: Expected number of outlying pixels in the frame.
-        comb_step: Spacing of the codes in use; 1 for all.
-        comb_kept: How many codes of each spacing occur.
-        limit_variance: Part of the fixed-pattern variance that limits which differ from pixel to pixel leave.
-        renewed_variance: Part of it whose pattern differs between settings.
-        beyond_x: Sum of the covariances with the pixels of a row from the second neighbour on, to one side.
-        beyond_y: The same of a column.
-        beyond_rows: The same with all pixels of the rows below, but for the vertical neighbour.
-        band_frequency: Periods of that wave per row.
-    """
+    """Expected statistics of tiles; every field broadcasts against `mean`."""
 
     squared: ClassVar[tuple[str, ...]] = (
-        *Moments.squared,
-        "row_variance",
-        "band_variance",
-        "fixed_column_variance",
-        "fixed_row_variance",
-        "neighbour_x",
-        "neighbour_y",
-        "limit_variance",
-        "renewed_variance",
-        "beyond_x",
-        "beyond_y",
-        "beyond_rows",
-    )
+        *Moments.squared, "row_variance", "band_variance", "fixed_column_variance", "fixed_row_variance",
+        "neighbour_x", "neighbour_y", "limit_variance", "renewed_variance", "beyond_x", "beyond_y", "beyond_rows",
+    )  # fmt: skip
     linear: ClassVar[tuple[str, ...]] = ("first_excess",)
     figures: ClassVar[tuple[str, ...]] = ("comb_step", "comb_kept", "band_frequency")
 
-    row_variance: Signal
-    band_variance: Signal
-    fixed_column_variance: Signal
-    fixed_row_variance: Signal
-    neighbour_x: Signal
-    neighbour_y: Signal
-    first_excess: Signal
-    edge_share: Signal
-    outliers: Signal
-    comb_step: float = 1.0
-    band_frequency: float = 0.0
+    row_variance: Signal  # temporal variance that the pixels of one row share within a frame
+    band_variance: Signal  # temporal variance of light that goes as a wave along the rows, at a new phase in each frame
+    fixed_column_variance: Signal  # fixed-pattern variance that the pixels of one column share
+    fixed_row_variance: Signal  # fixed-pattern variance that the pixels of one row share
+    neighbour_x: Signal  # covariance of the fluctuations of horizontal neighbours
+    neighbour_y: Signal  # the same of vertical neighbours
+    first_excess: Signal  # mean of a capture's first frame minus that of its other frames
+    edge_share: Signal  # share of a step at a patch's edge that is in the last line inside it
+    outliers: Signal  # expected number of outlying pixels in the frame
+    comb_step: float = 1.0  # spacing of the codes in use; 1 for all
+    band_frequency: float = 0.0  # periods of that wave per row
+    # Part of the fixed-pattern variance that limits which differ from pixel to pixel leave
     limit_variance: Signal | float = 0.0
-    renewed_variance: Signal | float = 0.0
+    renewed_variance: Signal | float = 0.0  # part of it whose pattern differs between settings
+    # Sum of the covariances with the pixels of a row from the second neighbour on, to one side
     beyond_x: Signal | float = 0.0
-    beyond_y: Signal | float = 0.0
-    beyond_rows: Signal | float = 0.0
-    comb_kept: float = 1.0
+    beyond_y: Signal | float = 0.0  # the same of a column
+    beyond_rows: Signal | float = 0.0  # the same with all pixels of the rows below, but for the vertical neighbour
+    comb_kept: float = 1.0  # how many codes of each spacing occur
 
     @property
     def variance_of_lines(self) -> tuple[Any, Any]:
@@ -139,17 +103,7 @@ class TileMoments(Moments):
         """Return the moments of a signal that is known exactly."""
         nothing = np.zeros((1,) * mean.ndim)
         return cls(
-            mean,
-            variance=nothing,
-            spatial_variance=nothing,
-            common_variance=nothing,
-            row_variance=nothing,
-            band_variance=nothing,
-            fixed_column_variance=nothing,
-            fixed_row_variance=nothing,
-            neighbour_x=nothing,
-            neighbour_y=nothing,
-            first_excess=nothing,
-            edge_share=nothing,
-            outliers=nothing,
-        )
+            mean, variance=nothing, spatial_variance=nothing, common_variance=nothing, row_variance=nothing,
+            band_variance=nothing, fixed_column_variance=nothing, fixed_row_variance=nothing, neighbour_x=nothing,
+            neighbour_y=nothing, first_excess=nothing, edge_share=nothing, outliers=nothing,
+        )  # fmt: skip

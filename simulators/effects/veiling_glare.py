@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, Self, cast
+from typing import Any, cast
 
 import numpy as np
 
@@ -24,16 +24,13 @@ class VeilingGlare(CatalogueEffect):
 
     name = "veiling_glare"
     stage = Stage.OPTICS
-    unit_in = IRRADIANCE
-    unit_out = IRRADIANCE
+    unit_in = unit_out = IRRADIANCE
     where = "patch_level"
     block = "mean"
     weight_unseen = 6.0  # every lens has some
-    trials = (
-        {"share": 0.005},
-        {"share": 0.02},
-    )
+    trials = ({"share": 0.005}, {"share": 0.02})
     fitted = ("share",)
+    further = ({"tilt_x": 0.01, "tilt_y": 0.01, "bowl": 0.01},)
     settles = "the same patches with a bright and with a dark surround"
     share: float = parameter(0.0, "1", -0.05, 0.5, source="engineering prior; refined on a real rig")
     tilt_x: float = parameter(0.0, "1", -1.0, 1.0, source="reflections in the barrel are brighter on one side")
@@ -41,21 +38,11 @@ class VeilingGlare(CatalogueEffect):
     bowl: float = parameter(0.0, "1", -1.0, 1.0, source="change from middle to corner; ISO 9358 asks for it")
 
     def mean(self, signal: Signal, context: ExposureContext) -> Signal:
-        """Return irradiance with the veil."""
         veil = self.share * surroundings_of(context).frame_mean(signal) * self._field(context)
         return cast(Signal, (signal * (1.0 - self.share) + veil).astype(signal.dtype))
 
     def slope(self, signal: Signal, context: ExposureContext) -> float:
-        """Return 1 − v."""
         return 1.0 - self.share
-
-    def loosened(self, context: ExposureContext) -> tuple[Self, ...]:
-        """Return the veil that differs from place to place."""
-        return () if self._is_uneven else (self.with_parameters(tilt_x=0.01, tilt_y=0.01, bowl=0.01),)
-
-    def free(self) -> tuple[str, ...]:
-        """Return the parameters to fit: the differences from place to place only where there are any."""
-        return ("share", "tilt_x", "tilt_y", "bowl") if self._is_uneven else ("share",)
 
     @property
     def _is_uneven(self) -> bool:

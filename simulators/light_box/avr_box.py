@@ -21,14 +21,14 @@ RANGE_PINS: Final = {
 }
 SELECT_PINS: Final = {"spot_green": ("C", 2), "field": ("C", 3)}  # high: the shared output drives this LED
 SHARED: Final = {"spot_green": "spot_red", "field": "bleach"}
-TRIGGER: Final = ("B", 0)
-BUTTON: Final = ("D", 2)
+TRIGGER: Final = ("B", 0)  # PB0, as wired in the firmware
+BUTTON: Final = ("D", 2)  # PD2, as wired in the firmware
 BYTE_CYCLES: Final = 1360  # 10 bits at 117 647 Bd, what the firmware's divider gives
-LAG_S: Final = 0.1
+LAG_S: Final = 0.1  # a machine that is later than this cannot keep up
 
 
 def rested_eeprom(serial: str) -> bytes:
-    """Return the beginning of the EEPROM of a box whose buckets are full (docs/light-box-protocol.md, memory)."""
+    """Return the beginning of the EEPROM of a box whose buckets are full (docs/reference/light-box-protocol.md)."""
     record = bytes([1, *[64] * 6, 8])
     return serial.encode("ascii")[:8].ljust(16, b"\xff") + record + (crc32(record) & 0xFFFF).to_bytes(2, "little")
 
@@ -71,7 +71,6 @@ class AvrBox:
 
     Args:
         hex_file: Firmware as `make -C drivers/firmware/light_box` builds it.
-        serial: Eight characters for the EEPROM.
         lag_s: Longest step of box time; what the machine cannot keep up with beyond it is given up.
         memory: Content of the EEPROM; that of a box that has rested where None.
     """

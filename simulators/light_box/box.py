@@ -1,6 +1,6 @@
 """The light box's simulated twin: its protocol, its timers and its LEDs as a state machine in true time.
 
-Written from docs/light-box-protocol.md; shares no code with the driver or the firmware.
+Written from docs/reference/light-box-protocol.md; shares no code with the driver or the firmware.
 """
 
 from __future__ import annotations
@@ -18,10 +18,10 @@ from simulators.light_box.commands import Commands, checked
 from simulators.light_box.flash import Flash
 from simulators.light_box.led_physics import AMBIENT_C, REFERENCE_LEDS, Emission, LedParameters, LedState
 
-DEADMAN_MS: Final = 1000
-HELD_OFF_MS: Final = 3000
-LINE_SIZE: Final = 64
-TICK_MS: Final = 0.004
+DEADMAN_MS: Final = 1000  # as the firmware
+HELD_OFF_MS: Final = 3000  # as the firmware: a button held for 3 s darkens the box
+LINE_SIZE: Final = 64  # as the firmware
+TICK_MS: Final = 0.004  # timer 1 at 16 MHz / 64
 BOOT_MS: Final = 0.008  # the clock starts two ticks before the main program
 
 
@@ -34,39 +34,23 @@ class Emitted(NamedTuple):
 
 @dataclass(slots=True)
 class TwinSettings:
-    """How this box differs from another.
+    """How this box differs from another."""
 
-    Attributes:
-        serial: Eight characters.
-        clock_ppm: Rate of its clock above true time in parts per million.
-        supply_v: LED supply in V.
-        ambient_celsius: Temperature in °C.
-        channels: Channels and their limits.
-        newest_version: Newest version of the protocol that it speaks.
-        leds: LED of each channel.
-    """
-
-    serial: str = "TWIN0001"
-    clock_ppm: float = 0.0
-    supply_v: float = 12.0
-    ambient_celsius: float = AMBIENT_C
-    channels: tuple[ChannelLimits, ...] = REFERENCE_CHANNELS
-    newest_version: int = 2
-    leds: dict[str, LedParameters] = field(default_factory=lambda: dict(REFERENCE_LEDS))
+    serial: str = "TWIN0001"  # eight characters
+    clock_ppm: float = 0.0  # rate of its clock above true time in parts per million
+    supply_v: float = 12.0  # LED supply in V
+    ambient_celsius: float = AMBIENT_C  # temperature in °C
+    channels: tuple[ChannelLimits, ...] = REFERENCE_CHANNELS  # channels and their limits
+    newest_version: int = 2  # newest version of the protocol that it speaks
+    leds: dict[str, LedParameters] = field(default_factory=lambda: dict(REFERENCE_LEDS))  # LED of each channel
 
 
 @dataclass(slots=True)
 class LightBoxTwin:
-    """A light box in true time; `advance` lets time pass, `receive` hands it bytes.
+    """A light box in true time; `advance` lets time pass, `receive` hands it bytes."""
 
-    Attributes:
-        settings: What box it is.
-        emitted: Lines that left it, oldest first; whoever carries the line takes them off.
-        flash: The photographic flash behind its trigger.
-        watch: Called whenever what reaches the LEDs may have changed, such as to keep a record of it.
-    """
-
-    settings: TwinSettings = field(default_factory=TwinSettings)
+    settings: TwinSettings = field(default_factory=TwinSettings)  # what box it is
+    # Lines that left it, oldest first; whoever carries the line takes them off
     emitted: deque[Emitted] = field(default_factory=deque)
     channels: list[Channel] = field(default_factory=list)
     leds: list[LedState] = field(default_factory=list)
@@ -79,9 +63,10 @@ class LightBoxTwin:
     line_ms: float = 0.0
     events: dict[int, str] = field(default_factory=dict)
     latest_event: int = 0
+    # Called whenever what reaches the LEDs may have changed, such as to keep a record of it
     watch: Callable[[], None] | None = None
     spoken: int = 2
-    flash: Flash = field(default_factory=Flash)
+    flash: Flash = field(default_factory=Flash)  # the photographic flash behind its trigger
     _held_since_ms: int | None = None
     _booted_s: float = 0.0
     _ms: int = 0

@@ -14,20 +14,15 @@ from simulators.clock import SimulatedClock
 from simulators.light_box.box import LightBoxTwin
 from simulators.scenes.uniform import UniformScene
 
-WHITE_EFFECTIVE_NM: Final = 555.0
+WHITE_EFFECTIVE_NM: Final = 555.0  # peak of V(λ)
 
 
 @dataclass(slots=True)
 class BoxView:
-    """What of a box the camera sees: all lit channels on one diffuser.
+    """What of a box the camera sees: all lit channels on one diffuser."""
 
-    Attributes:
-        twin: The box.
-        ambient_w_sr_m2: Radiance of the room on it, in W·sr⁻¹·m⁻².
-    """
-
-    twin: LightBoxTwin
-    ambient_w_sr_m2: float = 0.0
+    twin: LightBoxTwin  # the box
+    ambient_w_sr_m2: float = 0.0  # radiance of the room on it, in W·sr⁻¹·m⁻²
 
     def look(self, time_s: float) -> tuple[float, float]:
         """Return radiance in W·sr⁻¹·m⁻² and effective wavelength in nm at a time."""
@@ -43,12 +38,7 @@ class LightBoxCamera(SimulatedCamera):
     """A simulated camera in front of a simulated light box.
 
     Args:
-        model: The camera, its lens and their effects.
-        view: What it sees of the box.
-        limits: What the camera can do.
         clock: Time that the box shares.
-        seed: Makes the noise.
-        serial: Serial number.
     """
 
     def __init__(

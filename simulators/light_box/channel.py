@@ -30,29 +30,22 @@ CHANNELS_OF_VERSION = {1: 4, 2: 6}
 PARTNERS = {"bleach": "field", "field": "bleach", "spot_red": "spot_green", "spot_green": "spot_red"}
 
 
-PARTS = 64
-SOON_MS, AHEAD_MS = 256, 512
-PARTS_BEFORE_RAISING = 4
+PARTS = 64  # as the firmware
+SOON_MS, AHEAD_MS = 256, 512  # as the firmware
+PARTS_BEFORE_RAISING = 4  # as the firmware: EEPROM cells wear out
 
 
 @dataclass(slots=True)
 class Channel:
-    """State of one channel; `mode` is O, S, R, P or B as on the wire.
+    """State of one channel; `mode` is O, S, R, P or B as on the wire."""
 
-    Attributes:
-        limits: What is built in.
-        bucket: Energy units left.
-        level: Level driven now.
-        high: Whether at the high current.
-        kept: 64ths of the full bucket that the box's memory holds: a reset leaves these. 64 in a box that has rested.
-    """
-
-    limits: ChannelLimits
-    bucket: int
+    limits: ChannelLimits  # what is built in
+    bucket: int  # energy units left
+    # 64ths of the full bucket that the box's memory holds: a reset leaves these. 64 in a box that has rested
     kept: int = PARTS
     mode: str = "O"
-    high: bool = False
-    level: int = 0
+    high: bool = False  # whether at the high current
+    level: int = 0  # level driven now
     bright: bool = False
     left_ms: int = 0
     on_ms: int = 0
@@ -142,7 +135,7 @@ class Channel:
         return self.limits.bucket * self.kept // PARTS + SOON_MS * each
 
     def _lower(self, units: int, each: int) -> bool:
-        """Lower the memory where a bucket of `units` is due for it, and was reached; tell whether it was."""
+        """Lower the memory where a bucket of `units` is due for it, and was reached; return whether it was."""
         if not self.kept or not self.bucket <= units < self._soon(each):
             return False
         self.kept = self._parts(max(units - AHEAD_MS * each, 0))

@@ -14,8 +14,8 @@ if TYPE_CHECKING:
 
 
 _NUMBER: Final = re.compile(r"[0-9]{1,10}")
-LONGEST_MS: Final = 600_000
-LONGEST_BLINK_MS: Final = 60_000
+LONGEST_MS: Final = 600_000  # as the firmware
+LONGEST_BLINK_MS: Final = 60_000  # as the firmware
 
 
 class Refused(Exception):

@@ -5,22 +5,17 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import Final
 
-GAP_MS: Final = 5000
-IN_A_ROW: Final = 8
-REFILL_MS: Final = 75_000
+GAP_MS: Final = 5000  # as the firmware
+IN_A_ROW: Final = 8  # as the firmware
+REFILL_MS: Final = 75_000  # as the firmware
 
 
 @dataclass(slots=True)
 class Flash:
-    """A flash behind a diffuser, fired by the box's trigger.
+    """A flash behind a diffuser, fired by the box's trigger."""
 
-    Attributes:
-        exposure_j_sr_m2: Radiant exposure of one flash at the eye, in J·sr⁻¹·m⁻².
-        fired_ms: Box times of the flashes since the start.
-    """
-
-    exposure_j_sr_m2: float = 100.0
-    fired_ms: list[int] = field(default_factory=list)
+    exposure_j_sr_m2: float = 100.0  # radiant exposure of one flash at the eye, in J·sr⁻¹·m⁻²
+    fired_ms: list[int] = field(default_factory=list)  # box times of the flashes since the start
     _left: int = IN_A_ROW
     _refilled_ms: int = 0
     _gap_ms: int = 0  # after a restart

@@ -12,43 +12,28 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-AMBIENT_C: Final = 25.0
+AMBIENT_C: Final = 25.0  # at which datasheets state LEDs
 
 
 @dataclass(frozen=True, slots=True)
 class LedParameters:
-    """One LED channel.
+    """One LED channel."""
 
-    Attributes:
-        peak_nm: Peak wavelength at 25 °C in nm; None for white.
-        fwhm_nm: Full width of the line at half maximum in nm.
-        full_radiance_w_sr_m2: Radiance at full duty and high current, cold.
-        low_current_ratio: Low current over high current.
-        low_efficacy_gain: Efficiency at the low current over that at the high one; InGaN LEDs are more efficient at low
-            current density (efficiency droop).
-        heating_kelvin: Rise of the junction above ambient at full duty and high current, settled.
-        heating_tau_s: Time constant of that rise.
-        efficiency_per_kelvin: Relative change of the efficiency per kelvin.
-        peak_shift_nm_per_kelvin: Shift of the peak per kelvin.
-        turn_on_s: Time constant with which the light rises in each PWM pulse.
-        pwm_period_s: Period of the timer behind the channel.
-        duty_steps: Duty steps.
-        dither_periods: Timer periods over which a duty is dithered.
-    """
-
-    peak_nm: float | None
-    fwhm_nm: float
-    full_radiance_w_sr_m2: float
-    low_current_ratio: float = 1 / 256
+    peak_nm: float | None  # peak wavelength at 25 °C in nm; None for white
+    fwhm_nm: float  # full width of the line at half maximum in nm
+    full_radiance_w_sr_m2: float  # radiance at full duty and high current, cold
+    low_current_ratio: float = 1 / 256  # low current over high current
+    # Efficiency at the low current over that at the high one; InGaN LEDs are more efficient at low current density
+    # (efficiency droop)
     low_efficacy_gain: float = 1.15
-    heating_kelvin: float = 30.0
-    heating_tau_s: float = 45.0
-    efficiency_per_kelvin: float = -0.002
-    peak_shift_nm_per_kelvin: float = 0.04
-    turn_on_s: float = 20e-9
-    pwm_period_s: float = 64e-6
-    duty_steps: int = 8192
-    dither_periods: int = 8
+    heating_kelvin: float = 30.0  # rise of the junction above ambient at full duty and high current, settled
+    heating_tau_s: float = 45.0  # time constant of that rise
+    efficiency_per_kelvin: float = -0.002  # relative change of the efficiency per kelvin
+    peak_shift_nm_per_kelvin: float = 0.04  # shift of the peak per kelvin
+    turn_on_s: float = 20e-9  # time constant with which the light rises in each PWM pulse
+    pwm_period_s: float = 64e-6  # period of the timer behind the channel
+    duty_steps: int = 8192  # duty steps
+    dither_periods: int = 8  # timer periods over which a duty is dithered
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,13 +62,9 @@ REFERENCE_LEDS: Final = {
 
 @dataclass(slots=True)
 class LedState:
-    """One LED with its temperature; time only runs forwards.
+    """One LED with its temperature; time only runs forwards."""
 
-    Attributes:
-        parameters: What LED it is.
-    """
-
-    parameters: LedParameters
+    parameters: LedParameters  # what LED it is
     _duty: float = 0.0
     _high: bool = False
     _rise_kelvin: float = 0.0

@@ -9,21 +9,13 @@ import numpy as np
 
 @dataclass(slots=True)
 class LineFaults:
-    """Corrupts, drops and invents bytes.
+    """Corrupts, drops and invents bytes."""
 
-    Attributes:
-        corrupt: Probability that a byte becomes another one.
-        drop: Probability that a byte is lost.
-        insert: Probability that a byte is followed by an invented one.
-        rng: Source of chance.
-        touched: How many bytes were corrupted, dropped or invented.
-    """
-
-    corrupt: float = 0.0
-    drop: float = 0.0
-    insert: float = 0.0
-    rng: np.random.Generator = field(default_factory=lambda: np.random.default_rng(0))
-    touched: int = 0
+    corrupt: float = 0.0  # probability that a byte becomes another one
+    drop: float = 0.0  # probability that a byte is lost
+    insert: float = 0.0  # probability that a byte is followed by an invented one
+    rng: np.random.Generator = field(default_factory=lambda: np.random.default_rng(0))  # source of chance
+    touched: int = 0  # how many bytes were corrupted, dropped or invented
 
     def apply(self, sent: bytes) -> bytes:
         """Return what arrives of `sent`."""

@@ -11,13 +11,12 @@ import tty
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
-from types import TracebackType
 from typing import Final, Protocol, Self
 
 from simulators.light_box.box import LightBoxTwin
 from simulators.light_box.line_faults import LineFaults
 
-IDLE_S: Final = 0.002
+IDLE_S: Final = 0.002  # short against the 5 ms of a line at 115 200 baud
 LAG_S: Final = 0.5  # half of the box's dead-man time
 
 
@@ -26,7 +25,6 @@ class SerialDevice(Protocol):
 
     def exchange(self, received: bytes, time_s: float) -> bytes:
         """Take bytes that the host sent, let time pass up to `time_s`, return the bytes sent meanwhile."""
-        ...
 
 
 @dataclass(slots=True)
@@ -35,20 +33,14 @@ class PtyServer:
 
     A real device runs while this program waits for a processor, and hears its host meanwhile. This one stands still
     then, beyond `LAG_S`: else it would go dark for a silence that was none.
-
-    Attributes:
-        device: What sits behind it.
-        link: Symbolic link kept on the pseudo-terminal, so that its name stays when it is plugged in again.
-        faults_in: What happens to the bytes from the host.
-        faults_out: What happens to the bytes to the host.
-        clock: Real time in s.
     """
 
-    device: SerialDevice
+    device: SerialDevice  # what sits behind it
+    # Symbolic link kept on the pseudo-terminal, so that its name stays when it is plugged in again
     link: Path | None = None
-    faults_in: LineFaults = field(default_factory=LineFaults)
-    faults_out: LineFaults = field(default_factory=LineFaults)
-    clock: Callable[[], float] = time.monotonic
+    faults_in: LineFaults = field(default_factory=LineFaults)  # what happens to the bytes from the host
+    faults_out: LineFaults = field(default_factory=LineFaults)  # what happens to the bytes to the host
+    clock: Callable[[], float] = time.monotonic  # real time in s
     lock: threading.Lock = field(default_factory=threading.Lock)
     _started_s: float = 0.0
     _given_up_s: float = 0.0
@@ -118,9 +110,7 @@ class PtyServer:
         self.start()
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.stop()
 
     def _serve(self) -> None:
@@ -150,15 +140,10 @@ class PtyServer:
 
 @dataclass(slots=True)
 class WiredTwin:
-    """A light-box twin on a wire of limited speed, as PtyServer serves it.
+    """A light-box twin on a wire of limited speed, as PtyServer serves it."""
 
-    Attributes:
-        twin: The box.
-        byte_time_s: Time that a byte takes on the wire, both ways.
-    """
-
-    twin: LightBoxTwin
-    byte_time_s: float = 10 / 115200
+    twin: LightBoxTwin  # the box
+    byte_time_s: float = 10 / 115200  # time that a byte takes on the wire, both ways
     _arriving: list[tuple[float, bytes]] = field(default_factory=list)
     _leaving: list[tuple[float, bytes]] = field(default_factory=list)
 

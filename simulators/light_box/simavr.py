@@ -18,7 +18,7 @@ from radiometer.errors import InputError, MissingLibrary
 # struct avr_t of sim_avr.h, libsimavr 1.6 and 1.7 on 64-bit machines
 _STATE, _FREQUENCY, _VCC, _AVCC, _AREF, _CYCLE, _RUN_LIMIT, _RUN, _SLEEP = 60, 64, 68, 72, 76, 80, 96, 160, 168
 _CRASHED: Final = 7  # cpu_Crashed
-_UART_INPUT, _UART_OUTPUT = 0, 1
+_UART_INPUT, _UART_OUTPUT = 0, 1  # numbers of simavr's interrupts, avr_uart.h
 _Notify = ctypes.CFUNCTYPE(None, ctypes.c_void_p, ctypes.c_uint32, ctypes.c_void_p)
 _Sleep = ctypes.CFUNCTYPE(None, ctypes.c_void_p, ctypes.c_uint64)
 
@@ -27,7 +27,6 @@ class SimulatedAvr:
     """An ATmega328P with a program in its flash.
 
     Args:
-        hex_file: Intel HEX file of the program.
         frequency_hz: Clock frequency in Hz.
         eeprom: First bytes of the EEPROM.
 

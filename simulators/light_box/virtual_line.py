@@ -21,22 +21,14 @@ class Arrived(NamedTuple):
 
 @dataclass(slots=True)
 class VirtualLine:
-    """Carries bytes between a host and a twin; `now` is true time and only moves while the host waits.
+    """Carries bytes between a host and a twin; `now` is true time and only moves while the host waits."""
 
-    Attributes:
-        twin: The box at the other end.
-        faults: What happens to the bytes, both ways.
-        byte_time_s: Time that a byte takes on the wire.
-        latency_s: Mean of the exponential delay that each message has besides, each way, in s.
-        rng: Source of the delays.
-    """
-
-    twin: LightBoxTwin
-    faults: LineFaults = field(default_factory=LineFaults)
-    byte_time_s: float = 10 / 115200
-    latency_s: float = 0.0
+    twin: LightBoxTwin  # the box at the other end
+    faults: LineFaults = field(default_factory=LineFaults)  # what happens to the bytes, both ways
+    byte_time_s: float = 10 / 115200  # time that a byte takes on the wire
+    latency_s: float = 0.0  # mean of the exponential delay that each message has besides, each way, in s
     least_latency_s: float = 0.0
-    rng: np.random.Generator = field(default_factory=lambda: np.random.default_rng(0))
+    rng: np.random.Generator = field(default_factory=lambda: np.random.default_rng(0))  # source of the delays
     name: str = "simulated line"
     _time_s: float = 0.0
     _outward: deque[tuple[float, bytes]] = field(default_factory=deque)

@@ -28,31 +28,19 @@ S3_ONSET_LOG10: Final = 1.0  # S3 takes over where the rods are so far above the
 
 @dataclass(frozen=True, slots=True)
 class Eye:
-    """The threshold of one eye over time after a bleach.
+    """The threshold of one eye over time after a bleach."""
 
-    Attributes:
-        cone_plateau_log10: log10 of the cones' settled threshold in photopic cd·m⁻².
-        cone_amplitude: What the cones start above it, log10 units.
-        cone_tau_min: Time constant of the cones in min.
-        rod_final_log10: log10 of the rods' final threshold in scotopic cd·m⁻².
-        s2_slope_per_min: Slope of S2 in log10 units per min, below 0.
-        s2_zero_min: When the S2 line reaches the final threshold, in min after the bleach.
-        s3_slope_per_min: Slope of S3, between that of S2 and 0.
-        rods_blind_min: How long the rods are saturated after the bleach, in min.
-        pupil_mm: Diameter of the pupil in mm.
-        full_bleach_min: When its S2 line would reach the final threshold after a full bleach, in min; None for what
-            rate-limited regeneration says of a rested eye.
-    """
-
-    cone_plateau_log10: float = -2.45
-    cone_amplitude: float = 2.5
-    cone_tau_min: float = 1.6
-    rod_final_log10: float = -3.9
-    s2_slope_per_min: float = -0.24
-    s2_zero_min: float = 23.0
-    s3_slope_per_min: float = -0.06
-    rods_blind_min: float = 4.0
-    pupil_mm: float = 6.0
+    cone_plateau_log10: float = -2.45  # log10 of the cones' settled threshold in photopic cd·m⁻²
+    cone_amplitude: float = 2.5  # what the cones start above it, log10 units
+    cone_tau_min: float = 1.6  # time constant of the cones in min
+    rod_final_log10: float = -3.9  # log10 of the rods' final threshold in scotopic cd·m⁻²
+    s2_slope_per_min: float = -0.24  # slope of S2 in log10 units per min, below 0
+    s2_zero_min: float = 23.0  # when the S2 line reaches the final threshold, in min after the bleach
+    s3_slope_per_min: float = -0.06  # slope of S3, between that of S2 and 0
+    rods_blind_min: float = 4.0  # how long the rods are saturated after the bleach, in min
+    pupil_mm: float = 6.0  # diameter of the pupil in mm
+    # When its S2 line would reach the final threshold after a full bleach, in min; None for what rate-limited
+    # regeneration says of a rested eye
     full_bleach_min: float | None = None
 
     def cone_log10(self, time_min: float, wavelength_nm: float) -> float:
@@ -133,7 +121,6 @@ def pigments_after_flash(rods: float, cones: float, since_s: float, photopic_td_
 
     Args:
         rods: Fraction of the rods' pigment that was bleached.
-        cones: That of the cones'.
         since_s: Time in s since then, in which it regenerated.
         photopic_td_s: Retinal exposure of the flash; scotopic is twice that, as of white LEDs.
     """
@@ -177,24 +164,6 @@ def scotopic_lm_per_w(wavelength_nm: float) -> float:
     return 1700.0 * 0.992 * math.exp(-321.0 * (wavelength_nm / 1000.0 - 0.503) ** 2)
 
 
-def drawn_eye(rng: np.random.Generator, break_range_min: tuple[float, float] = (6.0, 12.0)) -> Eye:
-    """Return an eye drawn around published figures: S2 −0.24 ± 0.02 log10 per min, break 6 to 12 min at 453 nm.
-
-    Source: Lamb and Pugh 2004; Jackson, Owsley and McGwin 1999 (Vision Res 39:3975).
-    """
-    eye = Eye(
-        cone_plateau_log10=float(rng.normal(-2.3, 0.15)),
-        cone_amplitude=float(rng.normal(2.2, 0.2)),
-        cone_tau_min=float(rng.uniform(1.2, 1.9)),
-        rod_final_log10=float(rng.normal(-4.3, 0.15)),
-        s2_slope_per_min=float(rng.normal(-0.24, 0.02)),
-        s3_slope_per_min=float(rng.uniform(-0.05, -0.03)),
-    )
-    wanted_min = float(rng.uniform(*break_range_min))
-    elevation = eye.cone_log10(wanted_min, 453.0) - eye.rod_final_log10
-    return replace(eye, s2_zero_min=wanted_min - elevation / eye.s2_slope_per_min)
-
-
 # Published rod intercepts at 5·10⁻³ scotopic cd·m⁻² and 5°: 22 young healthy eyes 4.6 ± 0.7 min (abstract of the
 # University of Ulster), limit 6.5 min (Jackson et al. 2014); AMD 12 min and more, often beyond 20 min.
 INTERCEPT_LOG10: Final = math.log10(5e-3)
@@ -228,20 +197,3 @@ def _eye_of_intercept(rng: np.random.Generator, wanted_min: float, slope: float)
     )
     zero_min = wanted_min + (INTERCEPT_LOG10 - eye.rod_final_log10) / -slope
     return replace(eye, full_bleach_min=zero_min + recovery_min(1.0, -slope) - recovery_min(CLINICAL_BLEACH, -slope))
-
-
-def drawn_full_bleach_eye(rng: np.random.Generator) -> Eye:
-    """Return a healthy eye with S2 −0.24 ± 0.02 log10 per min, its break at 505 nm 7 to 12 min after a full bleach.
-
-    Source: Hecht, Haig and Chase 1937; Lamb and Pugh 2004.
-    """
-    eye = Eye(
-        cone_plateau_log10=float(rng.normal(-2.3, 0.15)),
-        cone_tau_min=float(rng.uniform(1.2, 1.9)),
-        rod_final_log10=float(rng.normal(-4.3, 0.15)),
-        s2_slope_per_min=float(rng.normal(-0.24, 0.02)),
-        s3_slope_per_min=float(rng.uniform(-0.05, -0.03)),
-    )
-    wanted_min = float(rng.uniform(7.0, 12.0))
-    elevation = eye.cone_plateau_log10 + math.log10(scotopic_per_photopic(505.0)) - eye.rod_final_log10
-    return replace(eye, full_bleach_min=wanted_min - elevation / eye.s2_slope_per_min)

@@ -13,46 +13,31 @@ from simulators.observers.eye_kinetics import Eye, eye_after_bleach, in_blind_sp
 
 # Wavelengths in nm that stand for a simulated display's primaries, and lm per W of its white (displays/lcd.py).
 PRIMARY_NM: Final = (610.0, 545.0, 450.0)
-WHITE_LM_PER_W: Final = 340.0
+WHITE_LM_PER_W: Final = 340.0  # luminous efficacy of radiation of a white LED
 
 
 @dataclass(frozen=True, slots=True)
 class Habits:
-    """How a subject answers.
+    """How a subject answers."""
 
-    Attributes:
-        slope: Exponent β of the Weibull psychometric function 1 − exp(−(L/α)^β), L the luminance; 3.5 is usual for
-            detection (Watson and Pelli 1983).
-        lapses: Probability of not answering what was seen.
-        false_alarms: Probability of answering what was not seen.
-        reaction_s: Median reaction time in s.
-        reaction_spread: Standard deviation of its natural logarithm.
-        fixation_losses: Probability of looking elsewhere when a light comes on.
-    """
-
+    # Exponent β of the Weibull psychometric function 1 − exp(−(L/α)^β), L the luminance; 3.5 is usual for detection
+    # (Watson and Pelli 1983)
     slope: float = 3.5
-    lapses: float = 0.01
-    false_alarms: float = 0.01
-    reaction_s: float = 0.35
-    reaction_spread: float = 0.2
-    fixation_losses: float = 0.03
+    lapses: float = 0.01  # probability of not answering what was seen
+    false_alarms: float = 0.01  # probability of answering what was not seen
+    reaction_s: float = 0.35  # median reaction time in s
+    reaction_spread: float = 0.2  # standard deviation of its natural logarithm
+    fixation_losses: float = 0.03  # probability of looking elsewhere when a light comes on
 
 
 @dataclass(slots=True)
 class Observer:
-    """A subject in the dark since `dark_since_s`.
+    """A subject in the dark since `dark_since_s`."""
 
-    Attributes:
-        eye: Its eye, as the bleach left it.
-        habits: How it answers.
-        rng: Source of chance.
-        dark_since_s: When the bleach ended, in s.
-    """
-
-    eye: Eye
-    habits: Habits = field(default_factory=Habits)
-    rng: np.random.Generator = field(default_factory=lambda: np.random.default_rng(0))
-    dark_since_s: float = 0.0
+    eye: Eye  # its eye, as the bleach left it
+    habits: Habits = field(default_factory=Habits)  # how it answers
+    rng: np.random.Generator = field(default_factory=lambda: np.random.default_rng(0))  # source of chance
+    dark_since_s: float = 0.0  # when the bleach ended, in s
 
     def seen_probability(self, log10_level: float, time_s: float, wavelength_nm: float) -> float:
         """Return the probability of an answer to a blink of log10 scotopic cd·m⁻² at a time in s."""
@@ -87,9 +72,6 @@ class Observer:
         """Return the reaction time in s to a blink (None: a catch without light), or None for no press.
 
         Args:
-            log10_level: Level of the light.
-            time_s: When.
-            wavelength_nm: Its wavelength.
             place_deg: Where it is, in degrees temporal of and above the mark; None for the test spot's place.
         """
         if place_deg is not None and self.falls_on_blind_spot(place_deg):
@@ -105,19 +87,12 @@ class Observer:
 
 @dataclass(slots=True)
 class ObserverAtScreen:
-    """A subject in front of a simulated display, with its hand on a key.
+    """A subject in front of a simulated display, with its hand on a key."""
 
-    Attributes:
-        observer: The subject.
-        display: An open display.
-        leaves_after_s: Time after the bleach from which it does not press any more.
-        filter_density: Optical density of a filter that it puts before its eye after the bleach.
-    """
-
-    observer: Observer
-    display: SimulatedDisplay
-    leaves_after_s: float = math.inf
-    filter_density: float = 0.0
+    observer: Observer  # the subject
+    display: SimulatedDisplay  # an open display
+    leaves_after_s: float = math.inf  # time after the bleach from which it does not press any more
+    filter_density: float = 0.0  # optical density of a filter that it puts before its eye after the bleach
 
     def stare(self, rgb: tuple[float, float, float], duration_s: float) -> None:
         """Look at a field of a drive 0..1 for a time that ends now: what it bleaches has to recover."""
@@ -129,7 +104,6 @@ class ObserverAtScreen:
         """Return the reaction time in s to a spot of a drive 0..1 on black, or None for no press.
 
         Args:
-            rgb: Its drive.
             place_deg: Where it is, in degrees temporal of and above the mark; None for the test spot's place.
 
         What the spot adds to the black is what is seen; that a shining black itself raises the threshold is left out.

@@ -24,7 +24,7 @@ HOLD_S: Final = 0.15  # how long the button is held
 BLEACHES: Final = ("bleach", "field")
 WHITE_LM_PER_W: Final = 320.0  # of a white LED's light: 450 nm pump, phosphor at 560 nm
 TAPPING_S: Final = 0.7  # how often a subject presses who always does
-LONGEST_S: Final = 3 * 3600.0
+LONGEST_S: Final = 3 * 3600.0  # longer than any protocol
 
 
 @dataclass(slots=True)
@@ -34,27 +34,18 @@ class ObserverAtBox:
     What the box's bleaching lights do to the eye follows from their luminance and time; before any bleach the eye is as
     `observer` has it. False alarms come at random times, once in 1/`false_alarms` s on average, for the subject does
     not know when a blink without light (a catch) is due.
-
-    Attributes:
-        observer: The subject.
-        twin: The box.
-        channels: The channels that it watches for.
-        filter_density: Optical density of the filter before the test spot.
-        places: Positions of channels that have a separate opening, without the filter, in degrees temporal of and
-            above the mark; the others are the test spot.
-        leaves_after_min: Time in the dark after which it presses no more.
-        taps: Press again and again, whatever is seen.
-        answered: How often it has pressed for a light.
     """
 
-    observer: Observer
-    twin: LightBoxTwin
-    channels: tuple[str, ...] = ("spot", "spot_red", "spot_green")
-    filter_density: float = 0.0
+    observer: Observer  # the subject
+    twin: LightBoxTwin  # the box
+    channels: tuple[str, ...] = ("spot", "spot_red", "spot_green")  # the channels that it watches for
+    filter_density: float = 0.0  # optical density of the filter before the test spot
+    # Positions of channels that have a separate opening, without the filter, in degrees temporal of and above the mark;
+    # the others are the test spot
     places: dict[str, tuple[float, float]] = field(default_factory=dict)
-    leaves_after_min: float = math.inf
-    taps: bool = False
-    answered: int = 0
+    leaves_after_min: float = math.inf  # time in the dark after which it presses no more
+    taps: bool = False  # press again and again, whatever is seen
+    answered: int = 0  # how often it has pressed for a light
     _lit: dict[str, bool] = field(default_factory=dict)
     _rested: Eye = field(init=False)
     _bleach: tuple[str, float, float, float, bool] | None = None

@@ -10,27 +10,16 @@ import numpy as np
 
 @dataclass(frozen=True, slots=True)
 class SubjectCurve:
-    """Threshold after a bleach, log10 scotopic cd·m⁻² over minutes in the dark: cones, then rods along S2 and S3.
+    """Threshold after a bleach, log10 scotopic cd·m⁻² over minutes in the dark: cones, then rods along S2 and S3."""
 
-    Attributes:
-        cone_plateau: Final threshold of the cones.
-        cone_rise: How far above it the cones begin.
-        cone_tau_min: Time constant of the cones in min.
-        break_min: Time of the rod–cone break in min.
-        s2_per_min: Slope of the rods' second component in log10 units per min, below 0.
-        s3_from: Level below the cone plateau at which the third component takes over, log10 units.
-        s3_per_min: Its slope.
-        final: Final threshold.
-    """
-
-    cone_plateau: float = -1.0
-    cone_rise: float = 2.0
-    cone_tau_min: float = 1.6
-    break_min: float = 9.0
-    s2_per_min: float = -0.24
-    s3_from: float = 2.0
-    s3_per_min: float = -0.05
-    final: float = -4.2
+    cone_plateau: float = -1.0  # final threshold of the cones
+    cone_rise: float = 2.0  # how far above it the cones begin
+    cone_tau_min: float = 1.6  # time constant of the cones in min
+    break_min: float = 9.0  # time of the rod–cone break in min
+    s2_per_min: float = -0.24  # slope of the rods' second component in log10 units per min, below 0
+    s3_from: float = 2.0  # level below the cone plateau at which the third component takes over, log10 units
+    s3_per_min: float = -0.05  # its slope
+    final: float = -4.2  # final threshold
 
     def threshold(self, minutes: float) -> float:
         """Return the threshold at a time in the dark: the lower of the two branches."""
@@ -43,27 +32,16 @@ class SubjectCurve:
 
 @dataclass(frozen=True, slots=True)
 class SimulatedSubject:
-    """Presses when the spot is seen.
+    """Presses when the spot is seen."""
 
-    Attributes:
-        curve: Threshold over time: the level seen in half of the blinks.
-        spread_log10: Standard deviation of the psychometric function, log10 units.
-        lapse: Share of blinks missed whatever their level.
-        false_alarm: Chance of a press in a blink without a spot.
-        reaction_s: Median reaction time in s; single ones scatter by a fifth.
-        seed: Makes the answers; they follow from seed, trial and blink alone.
-        leaves_after_min: Time after which the button is not pressed any more.
-        fixation_losses: Chance of looking elsewhere than at the mark when a light comes on.
-    """
-
-    curve: SubjectCurve = SubjectCurve()
-    spread_log10: float = 0.08
-    lapse: float = 0.02
-    false_alarm: float = 0.01
-    reaction_s: float = 0.35
-    seed: int = 0
-    leaves_after_min: float = math.inf
-    fixation_losses: float = 0.03
+    curve: SubjectCurve = SubjectCurve()  # threshold over time: the level seen in half of the blinks
+    spread_log10: float = 0.08  # standard deviation of the psychometric function, log10 units
+    lapse: float = 0.02  # share of blinks missed whatever their level
+    false_alarm: float = 0.01  # chance of a press in a blink without a spot
+    reaction_s: float = 0.35  # median reaction time in s; single ones scatter by a fifth
+    seed: int = 0  # makes the answers; they follow from seed, trial and blink alone
+    leaves_after_min: float = math.inf  # time after which the button is not pressed any more
+    fixation_losses: float = 0.03  # chance of looking elsewhere than at the mark when a light comes on
 
     def presses(self, log10_level: float | None, minutes: float, trial: int, blink: int) -> list[float]:
         """Return the presses during a blink in s from its onset.
@@ -71,8 +49,6 @@ class SimulatedSubject:
         Args:
             log10_level: Level of the spot; None for no spot.
             minutes: Time in the dark in min.
-            trial: Number of the trial.
-            blink: Number of the blink in it.
         """
         rng = np.random.default_rng([self.seed, trial, blink])
         chance = self.false_alarm
@@ -89,8 +65,6 @@ class SimulatedSubject:
 
         Args:
             minutes: Time in the dark in min.
-            trial: Number of the trial.
-            blink: Number of the blink in it.
         """
         elsewhere = np.random.default_rng([self.seed, trial, blink, 1]).random() < self.fixation_losses
         return self.presses(math.inf if elsewhere else None, minutes, trial, blink)

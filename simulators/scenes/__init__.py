@@ -9,15 +9,6 @@ from simulators.scenes.step_chart import StepChartScene, Steps
 from simulators.scenes.uniform import UniformScene
 
 __all__ = [
-    "SCENES",
-    "ImageScene",
-    "LedScene",
-    "Scene",
-    "SceneImage",
-    "ScreenPatch",
-    "ScreenScene",
-    "StepChartScene",
-    "Steps",
-    "UniformScene",
-    "scene_from_mapping",
-]
+    "SCENES", "ImageScene", "LedScene", "Scene", "SceneImage", "ScreenPatch", "ScreenScene", "StepChartScene", "Steps",
+    "UniformScene", "scene_from_mapping",
+]  # fmt: skip

@@ -31,7 +31,6 @@ def scene_from_mapping(mapping: Mapping[str, Any], where: str = "scene", folder:
 
     Args:
         mapping: `kind` and the keys of that kind.
-        where: File name for messages.
         folder: Folder that a relative `file` is found in.
 
     Raises:

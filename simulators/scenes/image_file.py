@@ -11,17 +11,16 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from radiometer.data import PatchDescription, SourceDescription
+from radiometer.data import PatchDescription
 from radiometer.data.decoding import decoded
 from radiometer.data.guards import refuse_large_picture, refuse_size
 from radiometer.data.reader_limits import bounded_reader
-from radiometer.data.validation import ConfigSection
 from radiometer.errors import CaptureError, ConfigurationError, MissingLibrary
 from simulators.scenes.base import SceneImage
-from simulators.scenes.layout import refuse_unknown_pattern
+from simulators.scenes.layout import LitScene, refuse_unknown_pattern
 
 
-class ImageScene(ConfigSection):
+class ImageScene(LitScene):
     """An image file whose values are radiance: L = L_peak·v^γ, v the value over full scale (over 1 for float images).
 
     Any image that OpenCV reads (PNG, TIFF, JPEG, Radiance HDR), an OpenEXR `.exr` or a NumPy `.npy`; colours become
@@ -32,17 +31,6 @@ class ImageScene(ConfigSection):
     file: Path
     peak_radiance_W_per_sr_m2: float = Field(1.0, gt=0)  # noqa: N815 (the file's key)
     gamma: float = Field(1.0, gt=0, le=5)
-    wavelength_nm: float = Field(550.0, gt=0)
-
-    @property
-    def source(self) -> SourceDescription:
-        """Return a scene."""
-        return SourceDescription(kind="scene", wavelength_nm=self.wavelength_nm)
-
-    @property
-    def patterns(self) -> tuple[str, ...]:
-        """Return the one pattern."""
-        return ("default",)
 
     def render(self, width: int, height: int, pattern: str = "default") -> SceneImage:
         """Return the picture's radiance. Raises ConfigurationError if the file is no usable image."""

@@ -2,8 +2,36 @@
 
 from __future__ import annotations
 
-from radiometer.data import Patch
+from typing import ClassVar, Literal
+
+from pydantic import Field
+
+from radiometer.data import Patch, PatchDescription, SourceDescription
+from radiometer.data.validation import ConfigSection
 from radiometer.errors import ConfigurationError
+
+
+class LitScene(ConfigSection):
+    """What scenes of one light share: its wavelength, its kind, and the one pattern that they show."""
+
+    source_kind: ClassVar[Literal["sphere", "screen", "led", "scene"]] = "scene"
+    wavelength_nm: float = Field(550.0, gt=0)
+
+    @property
+    def source(self) -> SourceDescription:
+        """Return kind and wavelength of the light."""
+        return SourceDescription(kind=self.source_kind, wavelength_nm=self.wavelength_nm)
+
+    @property
+    def patterns(self) -> tuple[str, ...]:
+        """Return the one pattern."""
+        return ("default",)
+
+
+def described(name: str, patch: Patch, radiance: float | dict[str, float]) -> PatchDescription:
+    """Return a patch with its true radiance in W·sr⁻¹·m⁻²."""
+    x, y, width, height = patch.x, patch.y, patch.width, patch.height
+    return PatchDescription(name=name, x=x, y=y, width=width, height=height, radiance_W_per_sr_m2=radiance, u_rel=0.0)
 
 
 def refuse_outside(name: str, patch: Patch, width: int, height: int) -> None:

@@ -10,15 +10,14 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from radiometer.data import PatchDescription, SourceDescription
-from radiometer.data.validation import ConfigSection
+from radiometer.data import Patch, PatchDescription
 from simulators.scenes.base import SceneImage
-from simulators.scenes.layout import refuse_unknown_pattern
+from simulators.scenes.layout import LitScene, described, refuse_unknown_pattern
 
-_OVERSAMPLING = 5
+_OVERSAMPLING = 5  # per pixel and axis: an edge is placed to a fifth of a pixel
 
 
-class LedScene(ConfigSection):
+class LedScene(LitScene):
     """A round emitting area of known flux, with a glow around it where it is out of focus.
 
     The diode emits as L(θ) = L₀·cosᵐ⁻¹θ (intensity ∝ cosᵐθ) with cosᵐ(half angle) = 1/2, so its flux Φ and its axial
@@ -41,17 +40,8 @@ class LedScene(ConfigSection):
     blur_px: float = Field(0.0, ge=0)
     center_px: tuple[float, float] | None = None
     background_W_per_sr_m2: float = Field(0.0, ge=0)  # noqa: N815
+    source_kind = "led"
     wavelength_nm: float = Field(590.0, gt=0)
-
-    @property
-    def source(self) -> SourceDescription:
-        """Return a light-emitting diode."""
-        return SourceDescription(kind="led", wavelength_nm=self.wavelength_nm)
-
-    @property
-    def patterns(self) -> tuple[str, ...]:
-        """Return the one pattern."""
-        return ("default",)
 
     @property
     def intensity_exponent(self) -> float:
@@ -94,9 +84,7 @@ class LedScene(ConfigSection):
         if side < 1 or min(x, y) < 0 or x + side > width or y + side > height:
             return ()
         radiance = self.seen_radiance + self.background_W_per_sr_m2
-        return (
-            PatchDescription(name="led", x=x, y=y, width=side, height=side, radiance_W_per_sr_m2=radiance, u_rel=0.0),
-        )
+        return (described("led", Patch(x, y, side, side), radiance),)
 
     def _center(self, width: int, height: int) -> tuple[float, float]:
         return self.center_px or ((width - 1) / 2, (height - 1) / 2)

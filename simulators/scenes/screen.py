@@ -7,10 +7,10 @@ from typing import Literal, Self
 import numpy as np
 from pydantic import Field, model_validator
 
-from radiometer.data import Patch, PatchDescription, SourceDescription
+from radiometer.data import Patch, PatchDescription
 from radiometer.data.validation import ConfigSection
 from simulators.scenes.base import SceneImage
-from simulators.scenes.layout import per_pattern, refuse_outside, refuse_unknown_pattern
+from simulators.scenes.layout import LitScene, described, per_pattern, refuse_outside, refuse_unknown_pattern
 
 # Drive of the surround in patterns that every screen can show: the patches of its first pattern stay as they are.
 SURROUNDS = {"bright_surround": 1.0, "dark_surround": 0.0}
@@ -45,7 +45,7 @@ class ScreenPatch(ConfigSection):
         return Patch(self.x, self.y, self.width, self.height)
 
 
-class ScreenScene(ConfigSection):
+class ScreenScene(LitScene):
     """A display with L(d) = L_peak·d^γ: patches on a uniform surround.
 
     `background` is the surround's drive, one number or one per pattern; pattern names come from the patches and
@@ -57,12 +57,7 @@ class ScreenScene(ConfigSection):
     gamma: float = Field(2.2, gt=0, le=5)
     background: float | dict[str, float] = 0.0
     patches_px: tuple[ScreenPatch, ...] = Field((), alias="patches")
-    wavelength_nm: float = Field(550.0, gt=0)
-
-    @property
-    def source(self) -> SourceDescription:
-        """Return a screen."""
-        return SourceDescription(kind="screen", wavelength_nm=self.wavelength_nm)
+    source_kind = "screen"
 
     @property
     def patterns(self) -> tuple[str, ...]:
@@ -103,15 +98,7 @@ class ScreenScene(ConfigSection):
             pattern: self.peak_radiance_W_per_sr_m2 * self._drive_of(patch, self._shown(pattern)) ** self.gamma
             for pattern in self.patterns
         }
-        return PatchDescription(
-            name=patch.name,
-            x=patch.x,
-            y=patch.y,
-            width=patch.width,
-            height=patch.height,
-            radiance_W_per_sr_m2=per_pattern(radiance),
-            u_rel=0.0,
-        )
+        return described(patch.name, patch.patch, per_pattern(radiance))
 
     def _shown(self, pattern: str) -> str:
         """Return the pattern whose patches are shown: its own, or the first one's in another surround."""

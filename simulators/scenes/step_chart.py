@@ -9,11 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
-from radiometer.data import Patch, PatchDescription, SourceDescription
+from radiometer.data import Patch, PatchDescription
 from radiometer.data.validation import ConfigSection
 from radiometer.errors import ConfigurationError
 from simulators.scenes.base import SceneImage
-from simulators.scenes.layout import per_pattern, refuse_unknown_pattern
+from simulators.scenes.layout import LitScene, described, per_pattern, refuse_unknown_pattern
 
 
 class Steps(ConfigSection):
@@ -24,7 +24,7 @@ class Steps(ConfigSection):
     highest: float = Field(gt=0)
 
 
-class StepChartScene(ConfigSection):
+class StepChartScene(LitScene):
     """Patches in a grid on a surround, from the darkest to the lightest row by row, or scrambled.
 
     Give `radiances_W_per_sr_m2` or `steps`. The share `margin` of each cell's side stays surround; `scramble_seed`
@@ -40,7 +40,6 @@ class StepChartScene(ConfigSection):
     margin: float = Field(0.3, ge=0, lt=1)
     scramble_seed: int | None = None
     inverted: bool = False
-    wavelength_nm: float = Field(550.0, gt=0)
 
     @model_validator(mode="after")
     def _one_of_both(self) -> Self:
@@ -51,11 +50,6 @@ class StepChartScene(ConfigSection):
         ):
             raise ValueError("radiances_W_per_sr_m2 needs at least one value, each 0 or more")
         return self
-
-    @property
-    def source(self) -> SourceDescription:
-        """Return a scene of stated radiances."""
-        return SourceDescription(kind="scene", wavelength_nm=self.wavelength_nm)
 
     @property
     def patterns(self) -> tuple[str, ...]:
@@ -85,15 +79,7 @@ class StepChartScene(ConfigSection):
         """Return the patches p00, p01, … with the radiance of each pattern."""
         by_pattern = {pattern: self.radiances(pattern) for pattern in self.patterns}
         return tuple(
-            PatchDescription(
-                name=f"p{index:02d}",
-                x=patch.x,
-                y=patch.y,
-                width=patch.width,
-                height=patch.height,
-                radiance_W_per_sr_m2=per_pattern({name: float(table[index]) for name, table in by_pattern.items()}),
-                u_rel=0.0,
-            )
+            described(f"p{index:02d}", patch, per_pattern({name: float(t[index]) for name, t in by_pattern.items()}))
             for index, patch in enumerate(self._layout(width, height))
         )
 

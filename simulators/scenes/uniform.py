@@ -7,28 +7,17 @@ from typing import Literal
 import numpy as np
 from pydantic import Field
 
-from radiometer.data import PatchDescription, SourceDescription
-from radiometer.data.validation import ConfigSection
+from radiometer.data import Patch, PatchDescription
 from simulators.scenes.base import SceneImage
-from simulators.scenes.layout import refuse_unknown_pattern
+from simulators.scenes.layout import LitScene, described, refuse_unknown_pattern
 
 
-class UniformScene(ConfigSection):
+class UniformScene(LitScene):
     """Uniform radiance over the whole field; the scene for characterising a camera."""
 
     kind: Literal["uniform"] = "uniform"
     radiance_W_per_sr_m2: float = Field(1.0, ge=0)  # noqa: N815 (the file's key)
-    wavelength_nm: float = Field(550.0, gt=0)
-
-    @property
-    def source(self) -> SourceDescription:
-        """Return an integrating sphere."""
-        return SourceDescription(kind="sphere", wavelength_nm=self.wavelength_nm)
-
-    @property
-    def patterns(self) -> tuple[str, ...]:
-        """Return the one pattern."""
-        return ("default",)
+    source_kind = "sphere"
 
     def render(self, width: int, height: int, pattern: str = "default") -> SceneImage:
         """Return the same radiance at every pixel."""
@@ -38,14 +27,4 @@ class UniformScene(ConfigSection):
 
     def patches(self, width: int, height: int) -> tuple[PatchDescription, ...]:
         """Return the whole field as one patch."""
-        return (
-            PatchDescription(
-                name="field",
-                x=0,
-                y=0,
-                width=width,
-                height=height,
-                radiance_W_per_sr_m2=self.radiance_W_per_sr_m2,
-                u_rel=0.0,
-            ),
-        )
+        return (described("field", Patch(0, 0, width, height), self.radiance_W_per_sr_m2),)

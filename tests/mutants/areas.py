@@ -4,10 +4,7 @@ from __future__ import annotations
 
 AREAS: dict[str, tuple[str, ...]] = {
     "merge": ("radiometer/analysis/merge/*.py",),
-    "patch_and_budget": (
-        "radiometer/analysis/reading/*.py",
-        "radiometer/analysis/uncertainty/*.py",
-    ),
+    "patch_and_budget": ("radiometer/analysis/reading/*.py", "radiometer/statistics/*.py"),
     "response": (
         "radiometer/analysis/response/*.py",
         "radiometer/data/response_curve.py",
@@ -65,4 +62,38 @@ AREAS: dict[str, tuple[str, ...]] = {
         "radiometer/reconciliation/search/*.py",
     ),
     "sensor_effects": ("simulators/effects/*.py",),
+    "files": ("radiometer/data/*.py", "radiometer/importing/*.py"),
+    "photographs_and_screen": (
+        "radiometer/photographs/*.py",
+        "radiometer/screen/*.py",
+        "radiometer/screen/exports/*.py",
+    ),
+    "archive_and_bench": ("radiometer/archive/*.py", "radiometer/bench/*.py", "radiometer/devices/*.py"),
+    "reconcile_rooms": (
+        "radiometer/reconciliation/*.py",
+        *(f"radiometer/reconciliation/{room}/*.py" for room in ("advice", "inputs", "logs", "measure", "model")),
+        *(f"radiometer/reconciliation/{room}/*.py" for room in ("propose", "report")),
+    ),
+    "alarms_and_networks": (
+        "radiometer/adapters/*.py",
+        *(
+            f"radiometer/daemon/{name}*.py"
+            for name in ("alarm", "descr", "epics", "hub", "lateness", "light", "log", "mqtt")
+        ),
+        *(
+            f"radiometer/daemon/{name}*.py"
+            for name in ("bench", "instr", "mem", "metrics", "patch_book", "places", "s")
+        ),
+    ),
+    "faces": ("radiometer/*.py", "radiometer/api/*.py", "radiometer/cli/*.py", "radiometer/cli/*/*.py"),
+    "cameras_and_worlds": (
+        "drivers/cameras/*.py",
+        "simulators/*.py",
+        *(f"simulators/{room}/*.py" for room in ("cameras", "chain", "displays", "observers", "scenes")),
+    ),
+    "quality_and_exports": (
+        "radiometer/analysis/quality/*.py",
+        "radiometer/analysis/exports/*.py",
+        "radiometer/reporting/*.py",
+    ),
 }

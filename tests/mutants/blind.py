@@ -215,13 +215,15 @@ def shown(one: Drawn) -> str:
 
 
 def table(outcomes: list[Drawn]) -> str:
-    """Return the score of each area and the survivors."""
-    lines = ["| area | drawn | noticed |", "|---|---|---|"]
-    for area in dict.fromkeys(one.area for one in outcomes):
-        own = [one for one in outcomes if one.area == area]
-        lines.append(f"| {area} | {len(own)} | {sum(one.fate == 'noticed' for one in own)} |")
-    lines.append(f"| all | {len(outcomes)} | {sum(one.fate == 'noticed' for one in outcomes)} |")
-    return "\n".join([*lines, "", *(shown(one) for one in outcomes if one.fate != "noticed")])
+    """Return the score of each area and of each kind of mistake, and the survivors."""
+    lines = []
+    for title, of in (("area", lambda one: one.area), ("kind", lambda one: one.mistake.kind)):
+        lines += [f"| {title} | drawn | noticed |", "|---|---|---|"]
+        groups = {name: [one for one in outcomes if of(one) == name] for name in map(of, outcomes)} | {"all": outcomes}
+        for name, own in groups.items():
+            lines.append(f"| {name} | {len(own)} | {sum(one.fate == 'noticed' for one in own)} |")
+        lines.append("")
+    return "\n".join([*lines, *(shown(one) for one in outcomes if one.fate != "noticed")])
 
 
 def run(seed: int, areas: list[str], each: int, report: Path | None) -> int:

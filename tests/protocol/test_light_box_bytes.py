@@ -1,4 +1,4 @@
-"""Every command and error of docs/light-box-protocol.md, byte for byte, on the twin and on the firmware."""
+"""Every command and error of docs/reference/light-box-protocol.md, byte for byte, on the twin and on the firmware."""
 
 from __future__ import annotations
 

@@ -9,8 +9,7 @@ from radiometer.reconciliation.fit.covariance import fitted_parameters
 from radiometer.reconciliation.fit.descent import converged_fit, first_state, refit
 from radiometer.reconciliation.fit.full_fit import accepted
 from radiometer.reconciliation.fit.state import FitState
-from radiometer.reconciliation.measure.design import Design, rough_share
-from radiometer.reconciliation.measure.layout import tile_groups
+from radiometer.reconciliation.measure.design import Design, rough_share, tile_groups
 from radiometer.reconciliation.measure.reduce import frame_reader, reduce_frames
 from simulators.effects.row_temporal_noise import RowTemporalNoise
 from testing.generator.session import make_session

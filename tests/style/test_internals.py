@@ -13,12 +13,6 @@ from tests.style.test_source import faulty, name_of, parsed
 ROOT = Path(__file__).resolve().parents[2]
 TESTS = sorted(path for folder in ("tests", "testing") for path in (ROOT / folder).rglob("*.py"))
 PACKAGES = {"radiometer", "drivers", "simulators"}
-# Files that still do, each for what it tests of time, of losses or of a power cut; the list only shrinks.
-ALLOWED = {
-    line
-    for line in (Path(__file__).with_name("internals_allowed.txt")).read_text(encoding="utf-8").splitlines()
-    if line and not line.startswith("#")
-}
 # Stand-ins in these folders are of foreign libraries (Aravis, video4linux), which are no objects of ours.
 FOREIGN = ("tests/unit/drivers/", "tests/unit/simulators/cameras/")
 SETTERS = {"setattr", "delattr", "getattr"}
@@ -61,9 +55,7 @@ def reaches(tree: ast.AST, *, foreign: bool = False) -> list[str]:
 
 def test_tests_use_what_users_use():
     """Whatever is renamed or rewritten inside a module breaks no test of what it does."""
-    found = faulty(TESTS, reaches_inside)
-    assert {name: what for name, what in found.items() if name not in ALLOWED} == {}
-    assert ALLOWED - found.keys() == set(), "these use nothing private any more: take them off internals_allowed.txt"
+    assert faulty(TESTS, reaches_inside) == {}
 
 
 @pytest.mark.parametrize(

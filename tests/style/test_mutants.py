@@ -11,7 +11,7 @@ import pytest
 
 from tests.mutants import harness
 from tests.mutants.areas import AREAS
-from tests.mutants.blind import Record, draw, sources_of
+from tests.mutants.blind import PACKAGES, Record, draw, sources_of
 from tests.mutants.harness import ROOT
 from tests.mutants.mistakes import places, places_in_c
 
@@ -77,9 +77,11 @@ def test_a_seed_draws_the_same_of_an_area_whatever_else_is_drawn():
         draw(1, ["fluxes"], 1)
 
 
-def test_every_pattern_of_an_area_finds_sources():
-    """No area's sources have moved away from it."""
+def test_every_pattern_of_an_area_finds_sources_and_every_source_has_an_area():
+    """No area's sources have moved away from it, and mistakes are drawn of the whole product."""
     assert [(area, one) for area, patterns in AREAS.items() for one in patterns if not sources_of([one])] == []
+    product = sources_of([f"{package}/**/*.py" for package in PACKAGES])
+    assert product.keys() - {name for patterns in AREAS.values() for name in sources_of(patterns)} == set()
 
 
 def test_the_nearest_tests_of_a_line_come_first():

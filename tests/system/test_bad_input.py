@@ -54,74 +54,43 @@ def edited_calibration(tmp_path, **camera):
     return path
 
 
-def test_an_empty_folder(said, tmp_path):
-    """There is nothing to recover a response from."""
-    (tmp_path / "empty").mkdir()
-    code, line = said("response", tmp_path / "empty", "-o", tmp_path / "c.csv")
-    assert code == 1
-    assert "empty" in line
-    assert not (tmp_path / "c.csv").exists()
-
-
-def test_one_exposure_only(said, tmp_path):
-    """One exposure says nothing about the response."""
-    code, line = said("response", write_photographs(tmp_path / "p", [200], [0.1]), "-o", tmp_path / "c.csv")
-    assert code == 1
-    assert "exposure" in line
-
-
-def test_all_frames_saturated(said, tmp_path):
-    """Clipped pixels hold no information."""
-    folder = write_photographs(tmp_path / "p", [90000, 180000, 360000], [0.1, 0.2, 0.4])
+def saturate(folder):
     for file in folder.glob("*.png"):
         cv2.imwrite(str(file), np.full((48, 64), 255, np.uint8))
+
+
+LEVELS, TIMES = [60, 120, 240], [0.1, 0.2, 0.4]
+FOLDERS = {
+    "an empty folder": ([], [], lambda folder: (folder / "exposures.txt").unlink(), "empty"),
+    "one exposure": ([200], [0.1], lambda folder: None, "exposure"),
+    "saturated frames": (LEVELS, TIMES, saturate, "clip"),
+    "two sizes": (
+        LEVELS,
+        TIMES,
+        lambda folder: cv2.imwrite(str(folder / "1.png"), np.zeros((40, 64), np.uint8)),
+        "64 × 40",
+    ),
+    "two depths": (
+        LEVELS,
+        TIMES,
+        lambda folder: cv2.imwrite(str(folder / "1.png"), np.full((48, 64), 999, np.uint16)),
+        "bit",
+    ),
+    "half a picture": (LEVELS, TIMES, lambda folder: os.truncate(folder / "1.png", 60), "1.png"),
+    "no times": (LEVELS, TIMES, lambda folder: (folder / "exposures.txt").unlink(), "exposures.txt"),
+    "a label that lies": ([30, *LEVELS], [0.1, 0.2, 0.05, 0.8], lambda folder: None, ".png"),
+}
+
+
+@pytest.mark.parametrize("name", FOLDERS)
+def test_photographs_that_hold_no_response(said, tmp_path, name):
+    """The message names the file, or what is missing or contradicts, and no response is written."""
+    levels, times, harm, named = FOLDERS[name]
+    harm(folder := write_photographs(tmp_path / "p", levels, times))
     code, line = said("response", folder, "-o", tmp_path / "c.csv")
     assert code == 1
-    assert "clip" in line or "saturated" in line
-
-
-def test_mixed_sizes(said, tmp_path):
-    """Frames of two sizes are no bracket; the message gives both."""
-    folder = write_photographs(tmp_path / "p", [60, 120, 240], [0.1, 0.2, 0.4])
-    cv2.imwrite(str(folder / "1.png"), np.zeros((40, 64), np.uint8))
-    code, line = said("response", folder, "-o", tmp_path / "c.csv")
-    assert code == 1
-    assert "64 × 40" in line
-
-
-def test_mixed_bit_depths(said, tmp_path):
-    """Frames of 8 and 16 bits are no bracket."""
-    folder = write_photographs(tmp_path / "p", [60, 120, 240], [0.1, 0.2, 0.4])
-    cv2.imwrite(str(folder / "1.png"), np.full((48, 64), 999, np.uint16))
-    code, line = said("response", folder, "-o", tmp_path / "c.csv")
-    assert code == 1
-    assert "bit" in line
-
-
-def test_a_truncated_png(said, tmp_path):
-    """Half a picture is named."""
-    folder = write_photographs(tmp_path / "p", [60, 120, 240], [0.1, 0.2, 0.4])
-    os.truncate(folder / "1.png", (folder / "1.png").stat().st_size // 2)
-    code, line = said("response", folder, "-o", tmp_path / "c.csv")
-    assert code == 1
-    assert "1.png" in line
-
-
-def test_missing_times(said, tmp_path):
-    """Without times there is no response; the message says where they may stand."""
-    folder = write_photographs(tmp_path / "p", [60, 120, 240], [0.1, 0.2, 0.4])
-    (folder / "exposures.txt").unlink()
-    code, line = said("response", folder, "-o", tmp_path / "c.csv")
-    assert code == 1
-    assert "exposures.txt" in line
-
-
-def test_a_label_that_lies(said, tmp_path):
-    """A time that contradicts the brightness names its file."""
-    folder = write_photographs(tmp_path / "p", [30, 60, 120, 240], [0.1, 0.2, 0.05, 0.8])
-    code, line = said("response", folder, "-o", tmp_path / "c.csv")
-    assert code == 1
-    assert ".png" in line
+    assert named in line
+    assert not (tmp_path / "c.csv").exists()
 
 
 def test_a_bench_with_an_unknown_key(said, tmp_path):

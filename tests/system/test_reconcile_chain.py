@@ -65,7 +65,7 @@ def test_plan_of_the_first_answer_settles_it(bench: Path, tmp_path: Path, capsys
     assert run(["reconcile", first, "--plan", plan]) == 0
     said = capsys.readouterr().out
     assert "more than one name" in said
-    assert "holds only if it is this one" in said
+    assert "conditional on this effect" in said
     assert all(name in said for name in STRAY)
 
     assert run(["bracket", again, "--bench", str(bench), "--plan", plan]) == 0

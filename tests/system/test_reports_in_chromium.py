@@ -16,10 +16,10 @@ from radiometer.analysis.characterise.report import datasheet
 from radiometer.archive.trend import MONTH_S, fit_trend
 from radiometer.archive.trend_report import trend_report
 from radiometer.data import CameraDescription, FrameSettings, LensDescription
-from simulators.cameras.simulated_capture import simulate_capture
 from simulators.chain.camera_model import CameraModel
 from simulators.scenes import UniformScene
 from testing.report_checks import HOSTILE, assert_reports_hold
+from testing.simulated_capture import simulate_capture
 
 
 def _trends() -> str:

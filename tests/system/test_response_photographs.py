@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 import pytest
 
-from radiometer.bench.sources import open_brackets
+from radiometer.bench.sources import open_source
 from radiometer.cli.main import run
 from radiometer.data import ResponseCurve
 
@@ -33,7 +33,7 @@ def test_memorial_radiance_follows_the_published_map(memorial, tmp_path, channel
     assert run(["response", str(folder), "-o", str(target), "--channel", channel]) == 0
     g = ResponseCurve.read(target).log_exposure
     total, weights = np.zeros(inside.shape), np.zeros(inside.shape)
-    for frame in open_brackets(folder, channel)[0].light:
+    for frame in open_source(folder, channel).brackets[0].light:
         weight = np.interp(frame.dn, [20, 128, 250], [0.0, 1.0, 0.0])
         total += weight * (g[frame.dn] - np.log(frame.settings.exposure_s))
         weights += weight

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from radiometer.acquire.bracketing import BracketRequest, plan_for_scene, take_plan
-from radiometer.analysis.calibration.absolute import scale_from_radiance
+from radiometer.analysis.calibration.calibrate import scale_from_radiance
 from radiometer.analysis.reading.reading import read_patch
 from radiometer.data import (
     BlackLevel,

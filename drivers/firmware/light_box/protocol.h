@@ -1,4 +1,4 @@
-/* Lines in, lines out: see docs/light-box-protocol.md. */
+/* Lines in, lines out: see docs/reference/light-box-protocol.md. */
 #ifndef PROTOCOL_H
 #define PROTOCOL_H
 

@@ -1,16 +1,16 @@
-"""Makes a calibration: camera, lens and curve given, the scale from a known source or from a light meter."""
+"""Makes a calibration: the scale from a source of known radiance, or from a light meter's constant."""
 
 from __future__ import annotations
 
 import datetime as dt
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import Final, Literal
 
-from radiometer.analysis.calibration.absolute import MeterSettings, scale_from_meter, scale_from_radiance
 from radiometer.analysis.calibration.shared import settle
-from radiometer.analysis.photometry.spectra import spectrum
-from radiometer.analysis.reading.contributions import budget_terms
+from radiometer.analysis.photometry.photometry import Spectrum, luminous_efficacy_lm_per_w, spectrum
+from radiometer.analysis.reading.budget import budget_terms
 from radiometer.analysis.reading.reading import patch_situation, read_patch
 from radiometer.analysis.response.curves import black_of_curve
 from radiometer.analysis.signal.lens import lens_factor_sr
@@ -33,7 +33,205 @@ from radiometer.data import (
     SourceDescription,
 )
 from radiometer.data.setup import Setup
-from radiometer.errors import MeasurementError, UsageError
+from radiometer.errors import InputError, MeasurementError, UsageError
+from radiometer.units import exact_exposure_s, exact_f_number
+
+# ISO 2720 allows K from 10.6 to 13.4 cd·m⁻²·s: ±11.7 %, taken as a rectangle, where the camera's K was not determined.
+K_UNKNOWN_U_REL: Final = (13.4 - 10.6) / (13.4 + 10.6) / math.sqrt(3.0)
+# A meter that shows thirds of a stop is right to ±1/6 stop: a rectangle of half-width ln(2)/6 in ln L_v.
+METER_U_REL: Final = math.log(2.0) / 6.0 / math.sqrt(3.0)
+
+
+@dataclass(frozen=True, slots=True)
+class MeterSettings:
+    """What a camera showed when its light meter called a scene well exposed.
+
+    Attributes:
+        exposure_s: Exposure time in s.
+        f_number: f-number.
+        iso: ISO speed as really measured, not as printed on the dial.
+    """
+
+    exposure_s: float
+    f_number: float
+    iso: float
+
+    def exact(self) -> MeterSettings:
+        """Return the exact stops behind printed ones (1/60 s is 2⁻⁶ s, f/5.6 is 2^(5/2))."""
+        return MeterSettings(exact_exposure_s(self.exposure_s), exact_f_number(self.f_number), self.iso)
+
+
+def meter_constant(luminance_cd_m2: float, settings: MeterSettings) -> float:
+    """Return the calibration constant K of a reflected-light meter in cd·m⁻²·s: K = L_v·t·S/N².
+
+    Args:
+        luminance_cd_m2: Luminance of the metered surface in cd·m⁻², above 0.
+        settings: What the meter asked for.
+
+    Source: ISO 2720:1974; thesis equation (2.6).
+    """
+    return luminance_cd_m2 * settings.exposure_s * settings.iso / settings.f_number**2
+
+
+def metered_luminance_cd_m2(meter_k: float, settings: MeterSettings) -> float:
+    """Return the luminance in cd·m⁻² that a meter saw: L_v = N²·K/(t·S).
+
+    Source: ISO 2720:1974; thesis equation (2.6).
+    """
+    return settings.f_number**2 * meter_k / (settings.exposure_s * settings.iso)
+
+
+def metered_u_rel(k_u_rel: float | None) -> float:
+    """Return the relative standard uncertainty of a metered luminance: the meter's resolution and its constant.
+
+    Args:
+        k_u_rel: Of K; None takes what ISO 2720 leaves open.
+    """
+    return math.hypot(METER_U_REL, K_UNKNOWN_U_REL if k_u_rel is None else k_u_rel)
+
+
+def metered_radiance_u_rel(k_u_rel: float | None, efficacy_u_rel: float) -> float:
+    """Return the relative standard uncertainty of a radiance from a metered luminance.
+
+    Args:
+        k_u_rel: Of K; None takes what ISO 2720 leaves open.
+        efficacy_u_rel: Of the luminous efficacy of the light, between luminance and radiance.
+    """
+    return math.hypot(metered_u_rel(k_u_rel), efficacy_u_rel)
+
+
+def sensor_irradiance_w_m2(
+    radiance_w_sr_m2: float, diameter_m: float, focal_length_m: float, angle_rad: float = 0.0
+) -> float:
+    """Return the irradiance on the sensor in W·m⁻²: E = L·(π/4)·(d/f)²·cos⁴α.
+
+    Args:
+        radiance_w_sr_m2: Radiance in W·sr⁻¹·m⁻².
+        diameter_m: Diameter of the entrance pupil in m.
+        focal_length_m: Focal length in m.
+        angle_rad: Field angle α in rad.
+
+    Source: thesis equation (2.11).
+    """
+    return radiance_w_sr_m2 * math.pi / 4.0 * (diameter_m / focal_length_m) ** 2 * math.cos(angle_rad) ** 4
+
+
+def radiance_of_exposure_w_sr_m2(
+    exposure_j_m2: float, exposure_s: float, diameter_m: float, focal_length_m: float, angle_rad: float = 0.0
+) -> float:
+    """Return the radiance in W·sr⁻¹·m⁻² behind an exposure H in J·m⁻²: L = (H/t)/((π/4)·(d/f)²·cos⁴α).
+
+    Source: thesis equations (2.11) and (2.12), solved for L.
+    """
+    return exposure_j_m2 / exposure_s / sensor_irradiance_w_m2(1.0, diameter_m, focal_length_m, angle_rad)
+
+
+def reference_exposure_j_m2(
+    radiance_w_sr_m2: float, settings: MeterSettings, lens_factor_sr: float | None = None
+) -> float:
+    """Return the exposure of the reference pixel value in J·m⁻²: H = L·(π/4)/N²·t.
+
+    Args:
+        radiance_w_sr_m2: Radiance of the metered surface in W·sr⁻¹·m⁻².
+        settings: Exposure time and f-number of the reference photograph.
+        lens_factor_sr: Irradiance per radiance in sr where more than the f-number is known.
+
+    Source: thesis equations (2.11) and (2.12).
+    """
+    factor = math.pi / (4.0 * settings.f_number**2) if lens_factor_sr is None else lens_factor_sr
+    return radiance_w_sr_m2 * factor * settings.exposure_s
+
+
+def scale_from_meter(
+    meter_k: float,
+    settings: MeterSettings,
+    reference_signal: float,
+    spectrum: Spectrum,
+    lens_factor_sr: float,
+    *,
+    k_u_rel: float | None = None,
+    signal_u_rel: float = 0.0,
+) -> Scale:
+    """Return the scale that a light meter's constant gives: the curve shifted so that f(M_ref) = H_ref.
+
+    Args:
+        meter_k: K in cd·m⁻²·s.
+        settings: Exact settings of the reference photograph.
+        reference_signal: Linear signal x of the reference pixel value, above 0.
+        spectrum: Spectrum of the metered surface.
+        lens_factor_sr: Irradiance on the sensor per radiance in sr.
+        k_u_rel: Relative standard uncertainty of K beyond the resolution of the meter; None takes what ISO 2720 leaves
+            open.
+        signal_u_rel: Relative standard uncertainty of the curve at the reference pixel value.
+
+    Raises:
+        InputError: If K, the settings or the reference signal are not above 0.
+    """
+    _refuse_not_positive(
+        ("meter constant K", meter_k, "cd m-2 s"),
+        ("exposure time", settings.exposure_s, "s"),
+        ("f-number", settings.f_number, ""),
+        ("ISO speed", settings.iso, ""),
+        ("signal of the reference pixel value", reference_signal, "above black"),
+    )
+    luminance = metered_luminance_cd_m2(meter_k, settings)
+    radiance = luminance / luminous_efficacy_lm_per_w(spectrum)
+    exposure = reference_exposure_j_m2(radiance, settings, lens_factor_sr)
+    u_of_k = K_UNKNOWN_U_REL if k_u_rel is None else k_u_rel
+    budget = {"meter's resolution": METER_U_REL, "constant K": u_of_k, "response curve": signal_u_rel}
+    return Scale(
+        value=exposure / reference_signal,
+        u_rel=math.hypot(*budget.values()),
+        budget=budget,
+        method="light_meter_k",
+        quantity="luminance",
+        f_number=settings.f_number,
+        reference=f"K = {meter_k:g}, f/{settings.f_number:.4g}, {settings.exposure_s:.6g} s, ISO {settings.iso:g}: "
+        f"{luminance:.6g} cd/m²",
+    )
+
+
+def scale_from_radiance(
+    radiance_w_sr_m2: float,
+    u_rel: float,
+    relative_rate: float,
+    rate_u_rel: float,
+    f_number: float | None,
+    degrees_of_freedom: float | None = None,
+    reading_budget: Mapping[str, float] | None = None,
+) -> Scale:
+    """Return the scale that a source of known radiance gives.
+
+    Args:
+        radiance_w_sr_m2: Known radiance in W·sr⁻¹·m⁻², above 0.
+        u_rel: Its relative standard uncertainty.
+        relative_rate: What the camera reads there at scale 1: linear signal per s and sr of the lens.
+        rate_u_rel: Relative standard uncertainty of that reading.
+        f_number: f-number it was read at; None where unknown.
+        degrees_of_freedom: Of the combined uncertainty; None for infinitely many.
+        reading_budget: What `rate_u_rel` is made up from, by name; for the record.
+
+    Raises:
+        InputError: If radiance or reading are not above 0.
+    """
+    _refuse_not_positive(
+        ("known radiance", radiance_w_sr_m2, "W sr-1 m-2"), ("reading of the known source", relative_rate, "")
+    )
+    return Scale(
+        value=radiance_w_sr_m2 / relative_rate,
+        u_rel=math.hypot(u_rel, rate_u_rel),
+        budget={"reference source": u_rel, **(reading_budget or {"reading": rate_u_rel})},
+        method="known_radiance",
+        degrees_of_freedom=degrees_of_freedom,
+        f_number=f_number,
+        reference=f"{radiance_w_sr_m2:g} W sr-1 m-2 known to {100 * u_rel:.3g} %",
+    )
+
+
+def _refuse_not_positive(*quantities: tuple[str, float, str]) -> None:
+    for name, value, unit in quantities:
+        if not (math.isfinite(value) and value > 0.0):
+            raise InputError(f"{name} is {value:g} {unit}".rstrip() + "; it must be above 0")
 
 
 @dataclass(frozen=True, slots=True)

@@ -11,11 +11,14 @@ from scipy import optimize
 
 from radiometer.data import CameraDescription, FlatField, LensDescription, PixelMask, RadianceMap
 from radiometer.errors import MeasurementError
+from radiometer.statistics.least_squares import solve
+from radiometer.statistics.model_choice import aicc
+from radiometer.statistics.scale import robust_sigma
+from radiometer.typing import Array
 
-Array = NDArray[np.float64]
-_TILES_ACROSS = 32
-_FEWEST_TILES = 24
-_OUTLIER_SIGMA = 5.0
+_TILES_ACROSS = 32  # over the shorter side: a fall-off has no finer structure, and dust fills few of them
+_FEWEST_TILES = 24  # at least four values for each of at most six parameters
+_OUTLIER_SIGMA = 5.0  # of some thousand tiles of normal scatter none is so far off
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -120,7 +123,7 @@ def _solve(tiles: _Tiles, centre: Array, radius: float, focal: float | None, ord
     basis = _basis(tiles, centre, radius, focal, order)
     # Tiles differ by dust and unevenness more than by their noise, so that all count alike.
     level = float(np.median(tiles.value))
-    coefficients = np.asarray(np.linalg.lstsq(basis / level, tiles.value / level, rcond=None)[0], dtype=np.float64)
+    coefficients = solve(basis / level, tiles.value / level)
     return coefficients, np.asarray((tiles.value - basis @ coefficients) / level)
 
 
@@ -144,7 +147,7 @@ def _fit(
     coefficients, residual = _solve(tiles, centre, radius, focal, order)
     count = residual.size
     mean_square = float(residual @ residual) / max(count - free, 1)
-    criterion = count * math.log(float(residual @ residual) / count) + 2 * free * count / max(count - free - 1, 1)
+    criterion = aicc(float(residual @ residual), count, free)
     noise = float(np.mean((tiles.u / tiles.value) ** 2))
     beyond_noise = max(0.0, mean_square - noise)
     return criterion, centre, coefficients, math.sqrt(beyond_noise + mean_square * free / count)
@@ -154,7 +157,7 @@ def _without_outliers(tiles: _Tiles, centre: Array, radius: float, focal: float 
     """Return the tiles without those that dust or reflections set apart from a smooth falloff."""
     for _ in range(3):
         _, residual = _solve(tiles, centre, radius, focal, 3)
-        spread = 1.4826 * float(np.median(np.abs(residual - np.median(residual))))
+        spread = robust_sigma(residual)
         kept = np.abs(residual) <= _OUTLIER_SIGMA * max(spread, 1e-9)
         if kept.all() or kept.sum() < _FEWEST_TILES:
             break

@@ -5,10 +5,15 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-from radiometer.analysis.characterise.dark_figures import gain_from_darks, typical_dark_current
-from radiometer.analysis.characterise.dark_signal import DarkSignal, by_temperature, dark_signal, hidden_noise
+from radiometer.analysis.characterise.dark_signal import (
+    DarkSignal,
+    by_temperature,
+    dark_signal,
+    gain_from_darks,
+    hidden_noise,
+    typical_dark_current,
+)
 from radiometer.analysis.characterise.group_statistics import GroupStatistics
-from radiometer.analysis.characterise.inconsistent import contradicting_darks, contradicting_steps
 from radiometer.analysis.characterise.linearity import linearity
 from radiometer.analysis.characterise.nonuniformity import best_stack, dsnu, nonuniformity_by_part, prnu
 from radiometer.analysis.characterise.partial import (
@@ -22,15 +27,19 @@ from radiometer.analysis.characterise.photon_transfer import (
     PhotonTransfer,
     photon_transfer,
 )
-from radiometer.analysis.characterise.result import Characterisation
-from radiometer.analysis.characterise.saturation import Saturation, find_saturation
-from radiometer.analysis.characterise.sensitivity import propagated, responsivity, sensitivity_figures
-from radiometer.analysis.characterise.steps import SignalStep, make_steps
+from radiometer.analysis.characterise.result import PLAUSIBLE_ETA_PERCENT, Characterisation
+from radiometer.analysis.characterise.sensitivity import (
+    Saturation,
+    find_saturation,
+    propagated,
+    responsivity,
+    sensitivity_figures,
+)
+from radiometer.analysis.characterise.steps import SignalStep, contradicting_darks, contradicting_steps, make_steps
 from radiometer.analysis.characterise.subject import Subject
 from radiometer.data import Provenance, Quantity
 from radiometer.errors import MeasurementError
 
-_PLAUSIBLE_ETA_PERCENT = (5.0, 100.0)
 _FEWEST_LEVELS = 3
 
 
@@ -211,7 +220,7 @@ class _Work:
             R = responsivity(self.at.steps, self.at.saturation, self.subject.photons_u_rel)
             eta = propagated(lambda r, k: 100 * r / k, "%", R, K)
             figures |= {"R": R, "eta": eta}
-            low, high = _PLAUSIBLE_ETA_PERCENT
+            low, high = PLAUSIBLE_ETA_PERCENT
             if not low <= eta.value <= high:
                 notes.append(
                     f"the quantum efficiency of {eta.value:.3g} % is not plausible: check radiance, f-number, "

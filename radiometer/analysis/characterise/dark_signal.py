@@ -1,19 +1,30 @@
-"""Dark frames: black level, temporal dark noise, dark current and how it doubles with temperature."""
+"""Figures from dark frames: temperature, the typical pixel's dark current, its doubling, the gain from its noise."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 
-from radiometer.analysis.characterise.group_statistics import GroupStatistics
+from radiometer.analysis.characterise.group_statistics import SAME_TEMPERATURE_K, GroupStatistics, typical_pixels
 from radiometer.analysis.characterise.line_fit import Line, fit_line
 from radiometer.analysis.characterise.rounding import PLAIN_FROM
+from radiometer.analysis.characterise.subject import Subject
 from radiometer.data import Quantity
+from radiometer.statistics.scale import robust_sigma
 
-_SAME_TEMPERATURE_K = 1.5
+_FEWEST_FRAMES: Final = 5  # fewer tell no scatter about a line of two parameters
+_HIGHEST_LEVERAGE: Final = 0.9  # a frame above it decides its own fit, and shows no residual
+_CLIP_SIGMAS: Final = 6.0  # one false alarm in 5·10⁸ normal values
+_LARGEST_U_REL: Final = 0.2  # above it the dark current is too weak to tell the gain
+_MOST_PIXELS: Final = 250_000  # a variance is then known to 0.3 %; more cost time alone
+_MOST_FRAMES: Final = 64  # bounds the memory: 64 frames of 250,000 pixels are 128 MB
+_LEAST_SPAN_DN: Final = 2.0  # of the typical dark signal: less shows no shot noise
+_FINEST_TEMPERATURE_K: Final = 0.05  # rounding to a tenth: the finest that cameras state
 
 
 @dataclass(frozen=True, slots=True)
@@ -105,7 +116,7 @@ def by_temperature(dark: Sequence[GroupStatistics]) -> list[list[GroupStatistics
     for group in ordered:
         here = group.settings.temperature_c
         before = plateaus[-1][-1].settings.temperature_c if plateaus else None
-        if plateaus and (here is None or before is None or here - before <= _SAME_TEMPERATURE_K):
+        if plateaus and (here is None or before is None or here - before <= SAME_TEMPERATURE_K):
             plateaus[-1].append(group)
         else:
             plateaus.append([group])
@@ -150,3 +161,198 @@ def doubling_temperature(
     if line.slope <= 0:
         return None
     return Quantity(math.log(2) / line.slope, math.log(2) / line.slope**2 * line.u_slope, "K")
+
+
+@dataclass(frozen=True, slots=True)
+class DarkTransfer:
+    """K from dark frames, with the line and its points (mean and variance of each frame in DN and DN²)."""
+
+    K: Quantity
+    line: Line
+    mean_dn: tuple[float, ...]
+    variance_dn2: tuple[float, ...]
+
+
+def dark_transfer(frames: Iterable[NDArray[np.float64]]) -> DarkTransfer | None:
+    """Return K in DN/e- from dark frames of one temperature and several exposures, one frame at each being enough.
+
+    Every pixel's signal is linear in the mean of all of them, d_ip = a_p + b_p·x_i, so that its fixed pattern falls out
+    with a straight line per pixel. The squared residuals, averaged over pixels, are the frames' noise variances
+    mixed by the line: E[r_i²] = Σ_j (I − H)_ij²·σ_j², which is solved for σ_j². Their slope over x is K, whatever the
+    read noise is.
+
+    Args:
+        frames: Digital numbers of at least five frames of one region, each of the same shape.
+
+    Returns:
+        None where there are too few frames or the dark current is too weak (u of K above 20 %).
+
+    Source: EMVA Standard 1288, release 4.0, section 7 (K from σ_y² = σ_0² + K·μ_d); the fixed pattern is removed by
+    lines instead of by pairs.
+    """
+    flat = [np.ravel(frame) for frame in frames]
+    if len(flat) < _FEWEST_FRAMES:
+        return None
+    values = np.stack(flat)
+    values = values[:, typical_pixels(values.mean(axis=0))]
+    x = values.mean(axis=1)
+    design = np.column_stack([np.ones_like(x), x - x.mean()])
+    if np.ptp(x) <= 0:
+        return None
+    hat = design @ np.linalg.inv(design.T @ design) @ design.T
+    told = np.diag(hat) < _HIGHEST_LEVERAGE
+    mixing = (np.eye(len(x)) - hat) ** 2
+    residual = (np.eye(len(x)) - hat) @ values
+    squares = np.array([_clipped_variance(row) for row in residual])
+    variances, u = _unmixed(mixing, squares, values.shape[1])
+    if told.sum() < _FEWEST_FRAMES or np.unique(x[told]).size < 3 or np.any(u[told] <= 0):
+        return None
+    line = fit_line(x[told], variances[told], u[told])
+    # Scatter beyond chance widens the line's u; a bend is a misfit along the signal that repetition does not average.
+    u_slope = math.hypot(line.u_slope, _halves_u(x[told], variances[told], u[told]))
+    if line.slope <= 0 or u_slope > _LARGEST_U_REL * line.slope:
+        return None
+    return DarkTransfer(Quantity(line.slope, u_slope, "DN/e-"), line, tuple(x[told]), tuple(variances[told]))
+
+
+def _halves_u(x: NDArray[np.float64], variance: NDArray[np.float64], u: NDArray[np.float64]) -> float:
+    """Return what the difference of the slopes below and above the middle leaves uncertain; 0 where one has no slope.
+
+    Source: JCGM 100:2008, 4.3.7: a gain between the two, a rectangular distribution.
+    """
+    middle = (float(x.min()) + float(x.max())) / 2
+    slopes = []
+    for part in (x <= middle, x > middle):
+        if np.unique(x[part]).size < 3:
+            return 0.0
+        slopes.append(fit_line(x[part], variance[part], u[part]).slope)
+    return abs(slopes[1] - slopes[0]) / math.sqrt(12.0)
+
+
+def _clipped_variance(residual: NDArray[np.float64]) -> float:
+    """Return the variance without what particles and telegraph noise throw beyond six standard deviations."""
+    distance = np.abs(residual - np.median(residual))
+    sigma = max(robust_sigma(residual), 1e-9)
+    return float(np.var(residual[distance <= _CLIP_SIGMAS * sigma]))
+
+
+def _unmixed(
+    mixing: NDArray[np.float64], squares: NDArray[np.float64], pixels: int
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return the frames' variances and their standard uncertainties."""
+    inverse = np.linalg.pinv(mixing)
+    variances = inverse @ squares
+    u_squares = squares * math.sqrt(2.0 / max(pixels - 1, 1))
+    return variances, np.sqrt((inverse**2) @ u_squares**2)
+
+
+def typical_rates(dark: Sequence[GroupStatistics]) -> list[tuple[float | None, float, Quantity]]:
+    """Return (temperature in °C, its standard uncertainty in K, dark current in DN/s) of each plateau of temperature.
+
+    The typical pixel's mean is used: a few hot pixels with another doubling hold much of the mean of all. The
+    temperature is known to a step of its readings.
+
+    Args:
+        dark: Dark groups of one gain and region.
+    """
+    found = []
+    for plateau in by_temperature(dark):
+        times = np.array([d.settings.exposure_s for d in plateau])
+        if np.unique(times).size < 2:
+            continue
+        means = np.array([d.mean_dn if d.typical_dn is None else d.typical_dn for d in plateau])
+        common = pooled_frame_sd(plateau)
+        u = np.array([max(d.u_mean_dn, common / math.sqrt(d.frames)) for d in plateau])
+        line = fit_line(times, means, u)
+        known = [d.settings.temperature_c for d in plateau if d.settings.temperature_c is not None]
+        # Two exposures leave no degree of freedom to see scatter by.
+        rate = Quantity(line.slope, line.u_slope, "DN/s")
+        # The rate is that of the long exposures, and so is its temperature.
+        centre = float(np.average(known, weights=times)) if len(known) == len(times) else None
+        found.append((centre, _temperature_u(known), rate))
+    return found
+
+
+def typical_dark_current(
+    dark: Sequence[GroupStatistics], temperature_c: float | None, K: Quantity | None
+) -> dict[str, Quantity]:
+    """Return the typical pixel's dark current nearest a temperature, in e-/s or (without K) DN/s, and its doubling.
+
+    Args:
+        dark: Dark groups of one gain and region.
+        temperature_c: Temperature of the bright frames in °C; None for the warmest.
+        K: Overall system gain in DN/e-.
+    """
+    rates = typical_rates(dark)
+    if not rates:
+        return {}
+    wanted = math.inf if temperature_c is None else temperature_c
+    rate = min(rates, key=lambda r: abs((r[0] if r[0] is not None else 0.0) - min(wanted, 1e3)))[2]
+    figures = {"mu_I_dn": rate}
+    if K is not None:
+        u = math.hypot(rate.u, rate.value * K.u_rel) / K.value
+        figures = {"mu_I_typical": Quantity(rate.value / K.value, u, "e-/s")}
+    doubling = doubling_of(rates)
+    return figures | ({"T_d": doubling} if doubling else {})
+
+
+def _temperature_u(known: Sequence[float]) -> float:
+    """Return the standard uncertainty of a plateau's temperature: the step of its readings, taken as rectangular."""
+    steps = np.diff(np.unique(np.round(known, 3)))
+    return max(float(steps.max()) if steps.size else 0.0, _FINEST_TEMPERATURE_K) / math.sqrt(12.0)
+
+
+def doubling_of(rates: Sequence[tuple[float | None, float, Quantity]]) -> Quantity | None:
+    """Return the doubling temperature in K of dark currents at two plateaus or more; None where they do not determine
+    it."""
+    known = [(t, u, q) for t, u, q in rates if t is not None]
+    return doubling_temperature([(t, q) for t, _, q in known], [u for _, u, _ in known])
+
+
+def gain_from_darks(
+    subject: Subject, dark: Sequence[GroupStatistics]
+) -> tuple[Quantity, tuple[DarkTransfer, ...]] | None:
+    """Return K in DN/e- from the dark frames of every plateau of temperature, with the transfers; None where too weak.
+
+    What bends them is the same sensor at every temperature, so that the mean of several is known no better than the
+    best of them.
+
+    Args:
+        subject: The frames.
+        dark: Statistics of their dark groups at one gain, in the region that is looked at.
+    """
+    transfers = []
+    if subject.given:
+        return None  # statistics without pictures
+    for plateau in by_temperature(dark):
+        typical = [d.mean_dn if d.typical_dn is None else d.typical_dn for d in plateau]
+        if len(plateau) < 3 or max(typical) - min(typical) < _LEAST_SPAN_DN:
+            continue
+        found = dark_transfer(_frames(subject, plateau))
+        if found is not None:
+            transfers.append(found)
+    if not transfers:
+        return None
+    values, u = np.array([(t.K.value, t.K.u) for t in transfers]).T
+    weights = u**-2 / np.sum(u**-2)
+    mean = float(weights @ values)
+    scatter = math.sqrt(float(weights @ (values - mean) ** 2))
+    return Quantity(mean, math.hypot(float(u.min()), scatter if len(transfers) > 1 else 0.0), "DN/e-"), tuple(transfers)
+
+
+def _frames(subject: Subject, plateau: Sequence[GroupStatistics]) -> list[np.ndarray]:
+    """Return the frames of a plateau in its region, every n-th pixel of large ones."""
+    wanted = {(d.settings.exposure_s, d.settings.temperature_c, d.settings.gain_db) for d in plateau}
+    region = subject.regions[plateau[0].region]
+    frames = []
+    for group in subject.groups:
+        key = (group.settings.exposure_s, group.settings.temperature_c, group.settings.gain_db)
+        if not group.settings.is_dark or key not in wanted:
+            continue
+        for dn in group.read(subject.camera.full_scale_dn):
+            part = dn if region is None else dn[region.slices]
+            step = max(1, math.ceil(math.sqrt(part.size / _MOST_PIXELS)))
+            frames.append(part[::step, ::step].astype(np.float64))
+            if len(frames) >= _MOST_FRAMES:
+                return frames
+    return frames

@@ -9,16 +9,12 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from radiometer.analysis.characterise.frame_groups import FrameGroup
-from radiometer.analysis.characterise.photon_flux import PhotonFlux
-from radiometer.analysis.characterise.result import Characterisation
-from radiometer.analysis.characterise.subject import Subject
+from radiometer.analysis.characterise.result import PLAUSIBLE_ETA_PERCENT, Characterisation
+from radiometer.analysis.characterise.subject import FrameGroup, PhotonFlux, Subject
 from radiometer.data import Patch
 from radiometer.data.capture_set import read_digital_numbers
 from radiometer.data.storage import write_bytes_atomic, write_text_atomic
 from radiometer.errors import InputError, OutputError
-
-_LOWEST_ETA_PERCENT, _HIGHEST_ETA_PERCENT = 5.0, 100.0
 
 
 def export_descriptor(subject: Subject, result: Characterisation, path: Path) -> list[str]:
@@ -108,10 +104,11 @@ def _refuse_unlikely(subject: Subject, result: Characterisation) -> None:
             f"{subject.origin}: photons per pixel are unknown; give the radiance of the patch (--radiance), and "
             "wavelength, f-number and pixel pitch in the capture"
         )
-    if not _LOWEST_ETA_PERCENT <= eta.value <= _HIGHEST_ETA_PERCENT:
+    low, high = PLAUSIBLE_ETA_PERCENT
+    if not low <= eta.value <= high:
         raise InputError(
             f"{subject.origin}: a quantum efficiency of {eta.value:.3g} % would follow, outside "
-            f"{_LOWEST_ETA_PERCENT:g} to {_HIGHEST_ETA_PERCENT:g} %; check the radiance, the f-number, the lens "
+            f"{low:g} to {high:g} %; check the radiance, the f-number, the lens "
             "transmittance, the wavelength and the pixel pitch: E = π·τ·L/(4·N²), photons = E·t·A·λ/(h·c)"
         )
 

@@ -8,7 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-_SEEN_SIGMAS = 3.0  # a bend below is chance
+from radiometer.statistics.least_squares import chi_square
+from radiometer.statistics.model_choice import THREE_SIGMA, is_supported
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,11 +92,7 @@ def is_bent(x: ArrayLike, y: ArrayLike, u_y: ArrayLike, *, through_origin: bool 
     design = np.column_stack(columns) / [np.abs(column).max() or 1.0 for column in columns] / u[:, np.newaxis]
     if np.linalg.matrix_rank(design) < len(columns):
         return False
-    straight, curved = (_chi2(design[:, :count], ys / u) for count in (len(columns) - 1, len(columns)))
+    straight, curved = (chi_square(design[:, :count], ys / u) for count in (len(columns) - 1, len(columns)))
     freedom = xs.size - len(columns) + 1
-    return straight - curved > max(_SEEN_SIGMAS**2, (straight - freedom) / 2.0)
-
-
-def _chi2(design: NDArray[np.float64], values: NDArray[np.float64]) -> float:
-    residual = values - design @ np.linalg.lstsq(design, values, rcond=None)[0]
-    return float(residual @ residual)
+    gain = straight - curved
+    return is_supported(gain, THREE_SIGMA) and gain > (straight - freedom) / 2.0

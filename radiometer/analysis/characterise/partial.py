@@ -7,8 +7,13 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from radiometer.analysis.characterise.dark_figures import gain_from_darks, typical_dark_current
-from radiometer.analysis.characterise.dark_signal import by_temperature, dark_signal, hidden_noise
+from radiometer.analysis.characterise.dark_signal import (
+    by_temperature,
+    dark_signal,
+    gain_from_darks,
+    hidden_noise,
+    typical_dark_current,
+)
 from radiometer.analysis.characterise.group_statistics import GroupStatistics
 from radiometer.analysis.characterise.nonuniformity import best_stack, dsnu, nonuniformity_by_part, prnu
 from radiometer.analysis.characterise.photon_transfer import (
@@ -25,7 +30,7 @@ from radiometer.data import Provenance, Quantity
 from radiometer.errors import MeasurementError
 from radiometer.units import gain_factor
 
-_DOUBTFUL_SIGMAS = 2.0
+_DOUBTFUL_SIGMAS = 2.0  # 95 %: two figures of one thing rarely differ by more
 
 
 def partial_characterisation(

@@ -1,22 +1,204 @@
-"""What is to be characterised: frames by setting, what is believed of the camera, and the light that is known."""
+"""The frames of a characterisation by setting, what is known of the camera, and the light in photons."""
 
 from __future__ import annotations
 
+import math
 from collections import Counter
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from radiometer.analysis.characterise.emva_descriptor import EmvaDescriptor
-from radiometer.analysis.characterise.frame_groups import FrameGroup, groups_of_capture
-from radiometer.analysis.characterise.group_statistics import GroupStatistics, statistics_of_group
-from radiometer.analysis.characterise.photon_flux import PhotonFlux, photon_flux
-from radiometer.data import CameraDescription, CaptureHeader, CaptureSet, LensDescription, Patch, PatchDescription
+import numpy as np
+
+from radiometer.analysis.characterise.group_statistics import SAME_TEMPERATURE_K, GroupStatistics, statistics_of_group
+from radiometer.analysis.signal.lens import falloff_known, lens_factor_sr, relative_sensitivity
+from radiometer.data import (
+    CameraDescription,
+    CaptureHeader,
+    CaptureSet,
+    FrameSettings,
+    LensDescription,
+    Patch,
+    PatchDescription,
+    SourceDescription,
+)
+from radiometer.data.capture_set import read_digital_numbers
+from radiometer.data.frame import DigitalNumbers
 from radiometer.data.pile_up import white_levels_of
 from radiometer.data.white_level import WhiteLevel, white_level_notes
-from radiometer.errors import MeasurementError, UsageError
+from radiometer.errors import CaptureError, MeasurementError, UsageError
 from radiometer.importing import imported_of, is_foreign, open_capture, statistics_of
-from radiometer.importing.emva_listing import find_descriptor
+from radiometer.importing.emva_listing import DESCRIPTOR_NAME, EmvaListing, find_descriptor
 from radiometer.importing.record import record_in
+from radiometer.units import photon_energy_j
+
+
+@dataclass(frozen=True, slots=True)
+class FrameGroup:
+    """Frames of one setting, still on disk.
+
+    Attributes:
+        settings: The setting; temperature and time are those of the first frame.
+        files: Their files.
+        photons: Mean photons per pixel where a descriptor states them; None elsewhere.
+        reader: Returns the digital numbers of a file.
+    """
+
+    settings: FrameSettings
+    files: tuple[Path, ...]
+    photons: float | None = None
+    reader: Callable[[Path], DigitalNumbers] = read_digital_numbers
+
+    def read(self, full_scale_dn: int) -> Iterator[DigitalNumbers]:
+        """Yield the frames' digital numbers.
+
+        Raises:
+            CaptureError: If a file is unreadable, of another size than the first, or above full scale.
+        """
+        shape: tuple[int, ...] | None = None
+        for file in self.files:
+            dn = self.reader(file)
+            if shape not in (None, dn.shape):
+                raise CaptureError(f"{file}: differs in size from the other frames of its setting")
+            if int(dn.max(initial=0)) > full_scale_dn:
+                raise CaptureError(f"{file}: holds the value {int(dn.max())}, above full scale {full_scale_dn}")
+            shape = dn.shape
+            yield dn
+
+
+def groups_of_capture(capture: CaptureSet) -> list[FrameGroup]:
+    """Return the frames of a capture set by setting, in the order the settings first appear.
+
+    Temperatures within 1.5 K count as one; level and pattern of dark frames do not matter.
+    """
+    found: dict[tuple[object, ...], list[int]] = {}
+    settings = [entry.settings for entry in capture.header.frames]
+    plateaus = _temperature_plateaus([one.temperature_c for one in settings])
+    for index, one in enumerate(settings):
+        photons = capture.header.frames[index].photons
+        light = () if one.is_dark else (one.source_level, one.pattern, one.f_number, photons)
+        key = (one.exposure_s, one.gain_db, one.black_level_dn, one.shutter, plateaus[index], *light)
+        found.setdefault(key, []).append(index)
+    return [_group(capture, settings, members) for members in found.values()]
+
+
+def _group(capture: CaptureSet, settings: list[FrameSettings], members: list[int]) -> FrameGroup:
+    temperatures = [t for i in members if (t := settings[i].temperature_c) is not None]
+    mean = float(np.mean(temperatures)) if temperatures else None
+    entries = [capture.header.frames[i] for i in members]
+    first = replace(settings[members[0]], temperature_c=mean)
+    if capture.store is None:
+        return FrameGroup(first, tuple(capture.path / entry.file for entry in entries), entries[0].photons)
+    names = {Path(entry.file): entry.file for entry in entries}
+    return FrameGroup(first, tuple(names), entries[0].photons, lambda file: capture.read_numbers(names[file]))
+
+
+def _temperature_plateaus(temperatures: list[float | None]) -> list[int]:
+    """Return the number of the plateau that each temperature belongs to (gaps above 1.5 K part them)."""
+    known = np.unique([t for t in temperatures if t is not None])
+    edges = known[1:][np.diff(known) > SAME_TEMPERATURE_K]
+    return [-1 if t is None else int(np.searchsorted(edges, t, side="right")) for t in temperatures]
+
+
+@dataclass(frozen=True, slots=True)
+class PhotonFlux:
+    """Photons per pixel and second of exposure at source level 1.
+
+    Attributes:
+        per_s: Photons per pixel per second.
+        u_rel: Relative standard uncertainty (radiance and transmittance).
+    """
+
+    per_s: float
+    u_rel: float
+
+    def photons(self, settings: FrameSettings) -> float:
+        """Return the mean photons per pixel of a frame; none with the shutter closed."""
+        return 0.0 if settings.is_dark else self.per_s * settings.exposure_s * settings.source_level
+
+
+def photon_flux(
+    patch: PatchDescription,
+    pattern: str,
+    camera: CameraDescription,
+    lens: LensDescription,
+    source: SourceDescription,
+    f_number: float | None,
+    shape: tuple[int, int],
+) -> PhotonFlux | None:
+    """Return the photon flux on the pixels of a patch of known radiance: μ̇_p = L·(E/L)·A·λ/(h·c).
+
+    Args:
+        patch: The patch with its radiance.
+        pattern: Displayed pattern.
+        camera: Gives the pixel pitch.
+        lens: Gives transmittance, magnification and fall-off.
+        source: Gives the wavelength.
+        f_number: Of the frames.
+        shape: (height, width) of the frames.
+
+    Returns:
+        None where radiance, f-number, pixel pitch or wavelength is unknown.
+
+    Source: EMVA Standard 1288, release 4.0, equations (3) and (4).
+    """
+    known = patch.radiance_W_per_sr_m2
+    radiance = known.get(pattern) if isinstance(known, dict) else known
+    number = f_number if f_number is not None else lens.f_number
+    if radiance is None or number is None or camera.pixel_pitch_um is None or source.wavelength_nm is None:
+        return None
+    irradiance = radiance * lens_factor_sr(lens, number) * _mean_sensitivity(patch.patch, camera, lens, shape)
+    area_m2 = (camera.pixel_pitch_um * 1e-6) ** 2
+    u_rel = math.hypot(patch.u_rel or 0.0, lens.transmittance_u_rel or 0.0, source.reproducibility_u_rel or 0.0)
+    return PhotonFlux(irradiance * area_m2 / photon_energy_j(source.wavelength_nm), u_rel)
+
+
+def _mean_sensitivity(patch: Patch, camera: CameraDescription, lens: LensDescription, shape: tuple[int, int]) -> float:
+    x = np.arange(patch.x, patch.x + patch.width)[np.newaxis, :]
+    y = np.arange(patch.y, patch.y + patch.height)[:, np.newaxis]
+    if falloff_known(camera, lens) != "cos4":
+        return 1.0
+    return float(np.mean(relative_sensitivity(camera, lens, None, shape, x, y)))
+
+
+@dataclass(frozen=True, slots=True)
+class EmvaDescriptor:
+    """What a descriptor file says.
+
+    Attributes:
+        path: The file.
+        bit_depth: Bits per pixel.
+        width: Pixels per row.
+        height: Rows.
+        groups: Images of each setting; photons 0 for dark ones.
+    """
+
+    path: Path
+    bit_depth: int
+    width: int
+    height: int
+    groups: tuple[FrameGroup, ...]
+
+    @classmethod
+    def read(cls, path: Path) -> EmvaDescriptor:
+        """Return a descriptor file; exposures may be 0, and the photons need not follow them.
+
+        Raises:
+            InputError: If a line is not understood, there is no image, or one is missing; the message gives the line.
+        """
+        listing = EmvaListing.read(path)
+        groups = tuple(
+            FrameGroup(
+                FrameSettings(exposure_s=entry.exposure_s, shutter="closed" if entry.photons == 0 else "open"),
+                entry.files,
+                entry.photons,
+            )
+            for entry in listing.entries
+        )
+        return cls(path, listing.bit_depth, listing.width, listing.height, groups)
+
+
+__all__ = ["DESCRIPTOR_NAME", "EmvaDescriptor"]
 
 
 @dataclass(frozen=True, slots=True)

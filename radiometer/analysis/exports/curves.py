@@ -1,8 +1,9 @@
-"""Response curves in the forms of other programs: pfstools (.m) and hdrgen or Photosphere (.rsp)."""
+"""Response curves written and read in the formats of other programs, and drawn."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import io
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from math import comb
 from pathlib import Path
@@ -12,17 +13,20 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import optimize
 
+from radiometer.analysis.response.estimate import ResponseEstimate
 from radiometer.data import Provenance, ResponseCurve
 from radiometer.data.reader_limits import bounded_reader
-from radiometer.data.storage import write_text_atomic
+from radiometer.data.storage import write_bytes_atomic, write_text_atomic
 from radiometer.errors import InputError, UsageError
 
 CURVE_SUFFIXES: Final = (".m", ".rsp")
 _CHANNELS: Final = {"red": "IR", "green": "IG", "blue": "IB"}
 FILE_METHOD: Final = "file"
 ASSUMED_U_LOG: Final = 0.03  # what curves of other programs are off by on real cameras, in ln H
-_HIGHEST_ORDER: Final = 12
+_HIGHEST_ORDER: Final = 12  # of the polynomial: above it the sums lose digits of double precision
 _GOOD_ENOUGH: Final = 5e-4  # rms of the polynomial about the curve, of full scale
+PLOT_SUFFIXES: Final = (".png", ".pdf", ".svg")
+_COLOURS: Final = {"red": "#c0392b", "green": "#27843f", "blue": "#2a5db0"}
 
 
 def write_curves(path: Path, curves: Mapping[str, ResponseCurve]) -> None:
@@ -206,3 +210,47 @@ def _hdrgen(curve: ResponseCurve) -> str:
     """Return one line: the order, then the coefficients from the highest power down."""
     coefficients = polynomial(curve)
     return " ".join([str(coefficients.size - 1), *(f"{c:.12g}" for c in coefficients)]) + "\n"
+
+
+def check_plot_name(path: Path) -> None:
+    """Refuse a name whose ending is no picture form.
+
+    Raises:
+        UsageError: If the ending is not one of .png, .pdf, .svg.
+    """
+    if path.suffix.lower() not in PLOT_SUFFIXES:
+        raise UsageError(f"cannot draw {path}: its ending must be one of {', '.join(PLOT_SUFFIXES)}")
+
+
+def draw_responses(estimates: Sequence[ResponseEstimate], path: Path) -> None:
+    """Draw ln H over the digital number with its k = 2 band, and below it the standard uncertainty.
+
+    Raises:
+        OutputError: If the file cannot be written.
+        UsageError: If its ending is no picture form.
+    """
+    from matplotlib.figure import Figure  # half a second, and few responses are drawn
+
+    check_plot_name(path)
+    figure = Figure(figsize=(7.2, 6.4), layout="constrained")
+    upper, lower = figure.subplots(2, 1, sharex=True, height_ratios=(3, 1))
+    for estimate in estimates:
+        curve = estimate.curve
+        low, high = curve.valid_dn or (0, curve.log_exposure.size - 1)
+        dn = np.arange(low, high + 1)
+        g, u = curve.log_exposure[low : high + 1], curve.u_log_exposure[low : high + 1]
+        label = f"{estimate.method}, {curve.channel}"
+        colour = _COLOURS.get(curve.channel) if len({e.method for e in estimates}) == 1 else None
+        (line,) = upper.plot(dn, g, label=label, color=colour, linewidth=1.2)
+        upper.fill_between(dn, g - 2 * u, g + 2 * u, color=line.get_color(), alpha=0.2, linewidth=0)
+        lower.semilogy(dn[u > 0], u[u > 0], color=line.get_color(), linewidth=1.0)
+    absolute = any(estimate.curve.absolute for estimate in estimates)
+    upper.set_ylabel("ln H  (J m⁻²)" if absolute else "ln H, relative to the middle value")
+    upper.legend(frameon=False)
+    lower.set_ylabel("u(ln H), k = 1")
+    lower.set_xlabel("digital number M (DN)")
+    for axes in (upper, lower):
+        axes.grid(True, alpha=0.3)
+    content = io.BytesIO()
+    figure.savefig(content, format=path.suffix.lower()[1:], dpi=150)
+    write_bytes_atomic(path, content.getvalue())

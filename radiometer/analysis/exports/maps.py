@@ -1,17 +1,226 @@
-"""Radiance maps written in the forms that the field reads: .hdr, .exr, .tiff, and a false-colour .png."""
+"""Maps of radiance written as OpenEXR, Radiance HDR, TIFF, and PNG in false colours."""
 
 from __future__ import annotations
 
+import io
+import tempfile
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
-from radiometer.analysis.photometry.photometry import luminous_efficacy_lm_per_w
-from radiometer.analysis.photometry.spectra import Spectrum
-from radiometer.data import RadianceMap
+import numpy as np
+import tifffile
+from numpy.typing import NDArray
+
+import radiometer
+from radiometer.analysis.photometry.photometry import Spectrum, luminous_efficacy_lm_per_w
+from radiometer.data import PixelMask, RadianceMap
+from radiometer.data.json_text import json_text
 from radiometer.data.reading import LUMINANCE_UNIT, RADIANCE_UNIT
-from radiometer.errors import UsageError
+from radiometer.data.storage import write_bytes_atomic
+from radiometer.errors import MeasurementError, MissingLibrary, OutputError, UsageError
+
+_LABELS: Final = {RADIANCE_UNIT: "radiance / W·sr⁻¹·m⁻²", LUMINANCE_UNIT: "luminance / cd·m⁻²"}
+_CLIPPED_COLOUR: Final = "#ff40ff"
+_MOST_DECADES: Final = 6.0  # more than an eye can tell apart in one picture
+
+
+def write_exr(path: Path, picture: MapPicture) -> None:
+    """Write a picture as OpenEXR.
+
+    Channels are Y (or R, G, B) for the values, Y.u (R.u, …) for their standard uncertainty, both 32-bit floating
+    point, and Y.mask (R.mask, …) for the PixelMask bits. The header names the unit, what all pixels share
+    (`u_rel_common`), and what is in no uncertainty (`not_in_u`).
+
+    Args:
+        path: File to write.
+        picture: One or three maps.
+
+    Raises:
+        MissingLibrary: If the OpenEXR package is not installed.
+        OutputError: If the file cannot be written.
+    """
+    try:
+        import OpenEXR
+    except ImportError as error:
+        raise MissingLibrary("writing .exr needs the package OpenEXR (pip install OpenEXR); or use .tiff") from error
+    header = {
+        "compression": OpenEXR.ZIP_COMPRESSION,
+        "type": OpenEXR.scanlineimage,
+        "unit": picture.unit,
+        "u_rel_common": float(picture.first.u_rel_common),
+        "not_in_u": "; ".join(picture.first.not_in_u),
+        "software": f"radiometer {radiometer.__version__}",
+    }
+    file = OpenEXR.File(header, _channels(picture))
+    with tempfile.TemporaryDirectory() as scratch:  # the library writes to a name only
+        temporary = Path(scratch) / "map.exr"
+        try:
+            file.write(str(temporary))
+        except (OSError, RuntimeError) as error:
+            raise OutputError(f"cannot write {path}: {error}") from error
+        write_bytes_atomic(path, temporary.read_bytes())
+
+
+def _channels(picture: MapPicture) -> dict[str, Any]:
+    names = {"red": "R", "green": "G", "blue": "B"} if picture.is_colour else {next(iter(picture.maps)): "Y"}
+    channels: dict[str, Any] = {}
+    for name, letter in names.items():
+        found = picture.maps[name]
+        channels[letter] = np.ascontiguousarray(found.radiance)
+        channels[f"{letter}.u"] = np.ascontiguousarray(found.u_radiance)
+        channels[f"{letter}.mask"] = found.mask.astype(np.uint32)
+    return channels
+
+
+def write_hdr(path: Path, picture: MapPicture) -> None:
+    """Write a picture as .hdr; values in its unit, EXPOSURE 1, negative values as 0.
+
+    The form keeps no uncertainty and resolves 0.4 %; it holds no path and no user name.
+
+    Args:
+        path: File to write.
+        picture: One or three maps.
+
+    Raises:
+        OutputError: If the file cannot be written.
+
+    Source: Ward 1991, "Real pixels", Graphics Gems II; Radiance, picture format.
+    """
+    grey = picture.first.radiance
+    planes = [picture.maps[name].radiance for name in ("red", "green", "blue")] if picture.is_colour else [grey] * 3
+    height, width = grey.shape
+    header = (
+        "#?RADIANCE\n"
+        f"SOFTWARE=radiometer {radiometer.__version__}\n"
+        f"UNIT={picture.unit}\n"
+        "EXPOSURE=1\n"
+        "FORMAT=32-bit_rle_rgbe\n\n"
+        f"-Y {height} +X {width}\n"
+    )
+    write_bytes_atomic(path, header.encode("ascii") + rgbe(np.stack(planes, axis=-1)).tobytes())
+
+
+def rgbe(values: NDArray[np.float32]) -> NDArray[np.uint8]:
+    """Return RGBE quadruples of non-negative values, rounded to the nearest.
+
+    Args:
+        values: Shape (height, width, 3); negative or not finite values count as 0.
+
+    Returns:
+        Shape (height, width, 4), uint8: mantissas of red, green and blue, and the exponent + 128.
+    """
+    clean = np.where(np.isfinite(values), np.maximum(values, 0.0), 0.0).astype(np.float64)
+    largest = clean.max(axis=-1)
+    _, exponent = np.frexp(largest)
+    # A mantissa that rounds up to 256 moves to the next exponent.
+    exponent = exponent + (np.rint(largest / np.exp2(exponent - 8.0)) >= 256.0)
+    mantissa = np.rint(clean / np.exp2(exponent - 8.0)[..., None])
+    shown = (largest > 1e-38) & (exponent > -128)
+    out = np.zeros((*values.shape[:2], 4), np.uint8)
+    out[..., :3] = np.where(shown[..., None], np.minimum(mantissa, 255.0), 0.0)
+    out[..., 3] = np.where(shown, np.clip(exponent + 128, 0, 255), 0)
+    return out
+
+
+def write_tiff(path: Path, picture: MapPicture) -> None:
+    """Write a picture as TIFF of three pages: values and standard uncertainty as float32, mask bits as uint8.
+
+    Each page's description is JSON with the quantity and the unit.
+
+    Args:
+        path: File to write.
+        picture: One or three maps.
+
+    Raises:
+        OutputError: If the file cannot be written.
+    """
+    names = ("red", "green", "blue") if picture.is_colour else tuple(picture.maps)
+    found = [picture.maps[name] for name in names]
+    pages: dict[str, NDArray[Any]] = {
+        "value": np.stack([one.radiance for one in found], axis=-1),
+        "standard uncertainty": np.stack([one.u_radiance for one in found], axis=-1),
+        "mask": np.stack([one.mask for one in found], axis=-1),
+    }
+    stream = io.BytesIO()
+    with tifffile.TiffWriter(stream) as tiff:
+        for quantity, values in pages.items():
+            unit = "PixelMask bits" if quantity == "mask" else picture.unit
+            facts = {"quantity": quantity, "unit": unit, "u_rel_common": picture.first.u_rel_common}
+            tiff.write(
+                values if picture.is_colour else values[..., 0],
+                photometric="rgb" if picture.is_colour else "minisblack",
+                description=json_text(facts, ascii_only=True),
+                software=f"radiometer {radiometer.__version__}",
+                metadata=None,
+            )
+    write_bytes_atomic(path, stream.getvalue())
+
+
+def write_false_colour(path: Path, picture: MapPicture) -> None:
+    """Write a map as PNG in false colours on a logarithmic scale, with a scale bar.
+
+    What clips everywhere is magenta, what never rises above the noise is black. Of a colour picture the green
+    channel is shown.
+
+    Args:
+        path: File to write.
+        picture: The map, with the bounds of the scale where they are requested.
+
+    Raises:
+        UsageError: If the bounds are not 0 < low < high.
+        MeasurementError: If no pixel has a value above 0.
+        OutputError: If the file cannot be written.
+    """
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.colors import LogNorm
+    from matplotlib.figure import Figure
+    from matplotlib.patches import Patch as Swatch
+
+    found = picture.first
+    low, high = _bounds(picture)
+    height, width = found.shape
+    inches = 6.4 * min(2.0, max(0.4, height / width))
+    figure = Figure(figsize=(8.6, inches + 0.6), dpi=max(100.0, min(300.0, width / 6.4)), layout="constrained")
+    axes = figure.add_subplot()
+    shown = np.ma.masked_less_equal(found.radiance, 0.0)
+    image = axes.imshow(shown, norm=LogNorm(low, high), cmap="inferno", interpolation="nearest")
+    axes.set_facecolor("black")
+    axes.set_xticks([])
+    axes.set_yticks([])
+    figure.colorbar(image, ax=axes, label=_LABELS.get(found.unit, "relative radiance"), extend="both", fraction=0.05)
+    clipped = found.mask & PixelMask.SATURATED > 0
+    if clipped.any():
+        axes.imshow(_overlay(clipped), interpolation="nearest")
+        axes.legend(handles=[Swatch(color=_CLIPPED_COLOUR, label="clipped in every frame")], loc="lower right")
+    stream = io.BytesIO()
+    FigureCanvasAgg(figure)
+    figure.savefig(stream, format="png", metadata={"Software": f"radiometer {radiometer.__version__}"})
+    write_bytes_atomic(path, stream.getvalue())
+
+
+def _bounds(picture: MapPicture) -> tuple[float, float]:
+    if picture.bounds is not None:
+        low, high = picture.bounds
+        if not 0.0 < low < high:
+            raise UsageError(f"the scale runs from {low:g} to {high:g}; it needs 0 < low < high")
+        return low, high
+    found = picture.first
+    sound = found.radiance[(found.radiance > 0) & (found.mask & (PixelMask.BELOW_NOISE | PixelMask.SATURATED) == 0)]
+    values = sound if sound.size else found.radiance[found.radiance > 0]
+    if not values.size:
+        raise MeasurementError("no pixel shows light, so there is nothing to colour")
+    low, high = (float(v) for v in np.percentile(values, (0.1, 99.9)))
+    low = max(low, high * 10.0**-_MOST_DECADES)
+    return (low, high) if low < high else (low / 2.0, high * 2.0)
+
+
+def _overlay(clipped: NDArray[np.bool_]) -> NDArray[np.uint8]:
+    colour = tuple(int(_CLIPPED_COLOUR[i : i + 2], 16) for i in (1, 3, 5))
+    overlay = np.zeros((*clipped.shape, 4), np.uint8)
+    overlay[clipped] = (*colour, 255)
+    return overlay
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -72,28 +281,10 @@ def writer_for(path: Path) -> Writer:
     return writer
 
 
-def _hdr(path: Path, picture: MapPicture) -> None:
-    from radiometer.analysis.exports.hdr import write_hdr
-
-    write_hdr(path, picture)
-
-
-def _exr(path: Path, picture: MapPicture) -> None:
-    from radiometer.analysis.exports.exr import write_exr
-
-    write_exr(path, picture)
-
-
-def _tiff(path: Path, picture: MapPicture) -> None:
-    from radiometer.analysis.exports.tiff import write_tiff
-
-    write_tiff(path, picture)
-
-
-def _png(path: Path, picture: MapPicture) -> None:
-    from radiometer.analysis.exports.false_colour import write_false_colour
-
-    write_false_colour(path, picture)
-
-
-WRITERS: Final[dict[str, Writer]] = {".exr": _exr, ".hdr": _hdr, ".tiff": _tiff, ".tif": _tiff, ".png": _png}
+WRITERS: Final[dict[str, Writer]] = {
+    ".exr": write_exr,
+    ".hdr": write_hdr,
+    ".tiff": write_tiff,
+    ".tif": write_tiff,
+    ".png": write_false_colour,
+}

@@ -4,19 +4,24 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Iterable, Sequence
+import os
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from radiometer.analysis.merge.defects import repair_defects
-from radiometer.analysis.merge.displaced import MeanDisplacement, excess_scatter, relative_shift, with_shift
+from radiometer.analysis.merge.displaced import (
+    MeanDisplacement,
+    excess_scatter,
+    find_strays,
+    relative_shift,
+    with_shift,
+)
 from radiometer.analysis.merge.finish import finish
 from radiometer.analysis.merge.frames import FrameTerms, frame_terms
-from radiometer.analysis.merge.ghosts import find_strays
-from radiometer.analysis.merge.parts import BLOCK_PIXELS, block_size, blocks, on_all_cores
 from radiometer.analysis.merge.sums import (
     FRAMES_PER_PLANE,
     Images,
@@ -26,11 +31,11 @@ from radiometer.analysis.merge.sums import (
     merge_passes,
 )
 from radiometer.analysis.merge.tables import merge_tables
-from radiometer.analysis.photometry.unstated_light import KINDS
-from radiometer.analysis.reading.outside import frame_u_rel
-from radiometer.analysis.signal.found_effects import corrected_settings, temperature_factor
+from radiometer.analysis.photometry.photometry import KINDS
+from radiometer.analysis.reading.budget import common_u_rel, frame_u_rel, unstated_u_rel
 from radiometer.analysis.signal.lens import falloff_known, known_f_number, lens_factor_sr, relative_sensitivity
-from radiometer.analysis.signal.situation import common_u_rel, flat_field_for, situation_of, unstated_u_rel
+from radiometer.analysis.signal.model import corrected_settings, temperature_factor
+from radiometer.analysis.signal.situation import flat_field_for, situation_of
 from radiometer.data import (
     Bracket,
     FoundEffects,
@@ -44,8 +49,72 @@ from radiometer.data.setup import Setup
 from radiometer.data.white_level import white_level_notes
 from radiometer.errors import MeasurementError
 
-MOST_FRAMES = 64
+BLOCK_PIXELS: Final = 1 << 15  # a block's sums stay in a core's second-level cache
+_PARTS_PER_CORE: Final = (
+    4  # few, because each costs the interpreter's lock; several, because cores are not equally fast
+)
+MOST_FRAMES = 64  # the bits of the largest integer that marks the frames of a pixel
 _TOLD_REL = 0.001  # an offset of exposures that does less to the brightest pixels is not reported
+
+
+def on_all_cores(shape: tuple[int, int], work: Callable[[int, int], None]) -> None:
+    """Call work(start, stop) for parts of whole rows that make up the picture, on all cores.
+
+    Args:
+        shape: Height and width in pixels.
+        work: Takes the first pixel of a part and the one after its last; must hold no lock to gain by it.
+    """
+    height, width = shape
+    cores = os.cpu_count() or 1
+    rows = -(-height // (cores * _PARTS_PER_CORE)) * width
+    parts = [(start, min(start + rows, height * width)) for start in range(0, height * width, rows)]
+    with ThreadPoolExecutor(max_workers=cores) as pool:
+        list(pool.map(lambda part: work(*part), parts))
+
+
+def block_size(width: int) -> int:
+    """Return the largest number of pixels that a block has: whole rows, as many as the cache holds, one at least."""
+    return max(1, BLOCK_PIXELS // width) * width
+
+
+def blocks(start: int, stop: int, width: int) -> Iterator[tuple[int, int]]:
+    """Yield the bounds of blocks of whole rows."""
+    step = block_size(width)
+    for begin in range(start, stop, step):
+        yield begin, min(begin + step, stop)
+
+
+def repair_defects(
+    radiance: NDArray[np.float32],
+    u_radiance: NDArray[np.float32],
+    mask: NDArray[np.uint8],
+    defects: Sequence[tuple[int, int]],
+) -> None:
+    """Fill defective pixels in place with the mean of their sound neighbours, and mark them DEFECTIVE.
+
+    The uncertainty is that of the mean together with the scatter of the neighbours: what stood there is not known.
+    A pixel without sound neighbours keeps its value with an uncertainty as large.
+
+    Args:
+        radiance: Radiance, shape (height, width), still owned by the merge.
+        u_radiance: Its standard uncertainty.
+        mask: PixelMask bits.
+        defects: Positions (x, y); those outside the picture are left out.
+    """
+    height, width = radiance.shape
+    inside = [(x, y) for x, y in defects if 0 <= x < width and 0 <= y < height]
+    for x, y in inside:
+        mask[y, x] |= PixelMask.DEFECTIVE
+    for x, y in inside:
+        window = slice(max(y - 1, 0), y + 2), slice(max(x - 1, 0), x + 2)
+        sound = mask[window] & (PixelMask.DEFECTIVE | PixelMask.SATURATED) == 0
+        values = radiance[window][sound].astype(np.float64)
+        if values.size < 2:
+            u_radiance[y, x] = abs(radiance[y, x])
+            continue
+        noise = float(np.mean(u_radiance[window][sound].astype(np.float64) ** 2)) / values.size
+        radiance[y, x] = values.mean()
+        u_radiance[y, x] = np.sqrt(noise + values.var(ddof=1))
 
 
 def merge(
@@ -370,7 +439,7 @@ class StreamingMerge:
         self._shape = self._shape or frame.shape
         if frame.shape != self._shape:
             raise MeasurementError(
-                f"frames differ in size ({frame.shape[1]} × {frame.shape[0]} beside "
+                f"frames differ in size ({frame.shape[1]} × {frame.shape[0]} and "
                 f"{self._shape[1]} × {self._shape[0]} pixels)"
             )
         if frame.full_scale_dn != self._situation.model.full_scale_dn:
@@ -387,7 +456,7 @@ class StreamingMerge:
     def _known_sums(self) -> MergeSums:
         """Return the sums, made when they are needed first, with room for all frames so far."""
         if self._finished:
-            raise MeasurementError("the result was handed out already; start a new merge")
+            raise MeasurementError("the result was returned already; start a new merge")
         height, width = self._known_shape()
         self._sums = self._sums or MergeSums.zeros(height * width)
         self._sums.make_room(len(self._terms))

@@ -1,4 +1,10 @@
-"""Compiled last step of the merge: sums into radiance, standard uncertainty and mask."""
+"""Compiled last step of the merge: sums into radiance, standard uncertainty and mask.
+
+Near clipping it enters with its censored likelihood, or the choice of frames by their own noisy values would bias the
+result (Tobin 1958, Econometrica 26, 24).
+
+
+"""
 
 from __future__ import annotations
 
@@ -7,46 +13,52 @@ from typing import Any
 
 import numpy as np
 
-from radiometer.analysis.merge.censored import hear_nearest, near_clipping
-from radiometer.analysis.merge.moments import (
-    FIRST_LEVEL,
-    SHARE,
-    SQUARES,
-    TOTAL,
-    VARIANCE,
-    at_rate,
-    fill_levels,
-    from_root_table,
-)
-from radiometer.analysis.merge.records import (
+from radiometer.analysis.merge.tables import (
     A0,
     A1,
     AGREEMENT_SIGMA,
     C1,
     CC,
+    CENSORED_SIGMA,
+    CONTRADICTION_SIGMA,
     D1,
     D2,
+    FIRST_LEVEL,
     INV1,
     INV2,
     LONGEST,
     NEAR,
+    NEAREST,
     NEXT,
     P0,
     P1,
     PLENTY,
+    PLENTY0,
+    PLENTY1,
     R0,
     R1,
     ROOT,
     S2,
+    SHARE,
+    SQUARES,
+    TOTAL,
     V0,
     V1,
+    VARIANCE,
+    at_rate,
+    fill_levels,
     fill_record,
+    from_root_table,
     scatter_limit,
 )
-from radiometer.analysis.merge.straight import ONLY_NEAR_CLIPPING, marks, straight, straight_curved
-from radiometer.compiled import compiled, compiled_apart
+from radiometer.compiled import compiled, compiled_apart, compiled_within
 from radiometer.data.radiance_map import PixelMask
 
+# The hazard is read off straight lines, right to 1e-6, which is quicker than exp and erfc for every such pixel.
+_TABLE_END, _TABLE_STEPS = 8.0, 4096
+_PER_SIGMA = _TABLE_STEPS / (_TABLE_END + CENSORED_SIGMA)
+NOISE_FLOOR_SIGMA = 2.0
+ONLY_NEAR_CLIPPING = np.uint8(2)  # frames that clip may say something; nothing else is doubtful
 SATURATED = np.uint8(PixelMask.SATURATED)
 BELOW_NOISE = np.uint8(PixelMask.BELOW_NOISE)
 EXTRAPOLATED = np.uint8(PixelMask.EXTRAPOLATED)
@@ -54,6 +66,266 @@ INCONSISTENT = np.uint8(PixelMask.INCONSISTENT)
 _RUN = 1024  # pixels whose square roots are taken together: only a loop without branches is vectorised
 _PROBES = 8
 _HASH = np.uint64(0x9E3779B97F4A7C15)  # 2^64 over the golden ratio (Knuth, vol. 3, 6.4)
+
+
+def _hazard(z: float) -> float:
+    """Return φ(z)/(1 − Φ(z)), the hazard of the normal distribution."""
+    return math.sqrt(2.0 / math.pi) * math.exp(-0.5 * z * z) / math.erfc(z / math.sqrt(2.0))
+
+
+_HAZARD = np.array([_hazard(step / _PER_SIGMA - CENSORED_SIGMA) for step in range(_TABLE_STEPS + 1)])
+
+
+@compiled_within
+def hazard(z: float) -> float:  # pragma: no cover (compiled)
+    """Return φ(z)/(1 − Φ(z)) to 1e-6 for z at or above −CENSORED_SIGMA; below, some number."""
+    place = (z + CENSORED_SIGMA) * _PER_SIGMA
+    low = np.uint64(min(max(place, 0.0), _TABLE_STEPS - 1.0))
+    rise = _HAZARD[low] + (place - low) * (_HAZARD[low + np.uint64(1)] - _HAZARD[low])
+    # Beyond the table its asymptotic series, right to 3e-4 and better.
+    return float(rise if place < _TABLE_STEPS else z + 1.0 / z - 2.0 / z**3)
+
+
+@compiled_within
+def heard(
+    estimate: float, rate: float, variance: float, t: float, c: float, clips_at: float, kappa: float
+) -> tuple[float, float, bool]:  # pragma: no cover (compiled)
+    """Return what a frame that clipped adds to the score and to the information, and whether it contradicts the others.
+
+    Args:
+        estimate: Rate at which it is asked.
+        rate: Estimate from the frames that did not clip.
+        variance: Its variance.
+        t: Relative exposure of the frame.
+        c: Variance of its x at clipping but for shot noise.
+        clips_at: Its x at clipping.
+        kappa: Shot noise variance per unit of x.
+    """
+    expected = max(estimate, 0.0) * t
+    noise, below = c + kappa * expected, clips_at - expected
+    had_to_clip = (below < 0.0) & (below * below >= CENSORED_SIGMA**2 * noise)
+    gap = clips_at - rate * t
+    # Far below clipping: it was cut off at the black end, or the scene has changed.
+    far = (gap > 0.0) & (gap * gap > CONTRADICTION_SIGMA**2 * (noise + t * t * variance))
+    per_sigma = 1.0 / math.sqrt(noise)
+    z = below * per_sigma
+    silent = had_to_clip | far
+    rise = hazard(z)
+    score = 0.0 if silent else t * rise * per_sigma
+    information = 0.0 if silent else t * t * rise * (rise - z) * (per_sigma * per_sigma)
+    return score, information, far & (not had_to_clip) & (expected > 0.1 * clips_at)
+
+
+@compiled
+def with_censored(
+    rate: float, variance: float, pattern: Any, frames: Any, begin: int, end: int, kappa: float
+) -> tuple[float, float, bool]:  # pragma: no cover (compiled)
+    """Return (rate, variance, contradiction) after frames that clipped are heard.
+
+    Args:
+        rate: Estimate from the frames that did not clip.
+        variance: Its variance.
+        pattern: Bits of those frames.
+        frames: As in `records.fill_record`.
+        begin: First of the frames that may have something to say.
+        end: The one after the last of them.
+        kappa: Shot noise variance per unit of x.
+    """
+    from_others = 1.0 / variance
+    estimate, information, contradiction = rate, from_others, False
+    for _ in range(2):
+        score, total = (rate - estimate) * from_others, from_others
+        for i in range(begin, end):
+            if (pattern >> np.uint64(i)) & np.uint64(1):
+                continue
+            t, c, clips_at = frames[i, 0], frames[i, 5], frames[i, 2]
+            rise, sharper, contradicts = heard(estimate, rate, variance, t, c, clips_at, kappa)
+            score, total, contradiction = score + rise, total + sharper, contradiction | contradicts
+        estimate += score / total
+        information = total
+    return estimate, 1.0 / information, contradiction
+
+
+@compiled_apart
+def hear_nearest(
+    rates: Any, variances: Any, slots: Any, records: Any, frames: Any, kappa: float, contradictions: Any
+) -> None:  # pragma: no cover (compiled)
+    """Do as `with_censored` does for a run of pixels that one frame only has something to say of: many at a time.
+
+    Args:
+        rates: Estimates from the frames that did not clip; overwritten.
+        variances: Their variances; overwritten.
+        slots: Places of the records, unsigned.
+        records: As of `records.fill_record`; the frame is their NEAREST.
+        frames: Likewise.
+        kappa: Shot noise variance per unit of x.
+        contradictions: Whether the frame contradicts the others, written.
+    """
+    for j in range(slots.size):
+        frame = np.uint64(records[slots[j], NEAREST])
+        t, c, clips_at = frames[frame, 0], frames[frame, 5], frames[frame, 2]
+        rate, variance = rates[j], variances[j]
+        from_others = 1.0 / variance
+        rise, sharper, before = heard(rate, rate, variance, t, c, clips_at, kappa)
+        estimate = rate + rise / (from_others + sharper)
+        rise, sharper, after = heard(estimate, rate, variance, t, c, clips_at, kappa)
+        information = from_others + sharper
+        rates[j] = estimate + ((rate - estimate) * from_others + rise) / information
+        variances[j] = 1.0 / information
+        contradictions[j] = np.uint8(before | after)
+
+
+@compiled
+def near_clipping(
+    rate: float, variance: float, pattern: Any, slot: int, records: Any, frames: Any, kappa: float
+) -> tuple[float, float, bool]:  # pragma: no cover (compiled)
+    """Return (rate, variance, contradiction) after those frames were heard that need not have clipped at a rate.
+
+    Args:
+        rate: Estimate from the frames that did not clip.
+        variance: Its variance.
+        pattern: Bits of those frames.
+        slot: Place of their record.
+        records: As of `records.fill_record`.
+        frames: Likewise.
+        kappa: Shot noise variance per unit of x.
+    """
+    begin, end = 0, frames.shape[0]
+    if rate >= records[slot, NEXT]:  # the others had to clip: only one frame has something to say
+        begin = int(records[slot, NEAREST])
+        end = begin + 1
+    return with_censored(rate, variance, pattern, frames, begin, end, kappa)
+
+
+@compiled
+def marks(rate: float, variance: float) -> Any:  # pragma: no cover (compiled)
+    """Return the mask of a pixel that is below the noise, or of one that is not."""
+    below = (rate < 0.0) | (rate * rate < NOISE_FLOOR_SIGMA**2 * variance)
+    return BELOW_NOISE if below else np.uint8(0)
+
+
+@compiled_apart
+def straight(
+    first: Any,
+    second: Any,
+    squares: Any,
+    bits: Any,
+    slots: Any,
+    records: Any,
+    dark: bool,
+    rates: Any,
+    variances: Any,
+    mask: Any,
+    doubtful: Any,
+) -> None:  # pragma: no cover (compiled)
+    """Write rate, variance and mask of a run of pixels, and of which of them `finish` has more to say.
+
+    Args:
+        first: Σt^0.35·x, float32.
+        second: Σt·x, float32.
+        squares: Σx², float32.
+        bits: Frames used in each pixel.
+        slots: Place of their record, unsigned.
+        records: As of `fill_record`, shape (sets, RECORD_SIZE).
+        dark: Whether the frames have a common uncertainty of the dark level.
+        rates: Written.
+        variances: Written.
+        mask: PixelMask bits, written where there is no more to say.
+        doubtful: Whether there is (`ONLY_NEAR_CLIPPING` where that is all), written.
+    """
+    # Frames that clip are heard before what is common to all.
+    near = np.uint8(ONLY_NEAR_CLIPPING | 1) if dark else ONLY_NEAR_CLIPPING
+    for i in range(bits.size):
+        k = slots[i]
+        sum_b = np.float64(second[i])
+        rate_b = sum_b * records[k, INV2]
+        apart = np.float64(first[i]) * records[k, INV1] - rate_b
+        seen = max(rate_b, 0.0)
+        share = (records[k, P0] + records[k, P1] * seen) / (records[k, R0] + records[k, R1] * seen)
+        seen = max(rate_b + share * apart, 0.0)
+        of_b, of_both = records[k, P0] + records[k, P1] * seen, records[k, R0] + records[k, R1] * seen
+        inverse, gap = 1.0 / of_both, of_both - of_b
+        share = of_b * inverse
+        rate = rate_b + share * apart
+        variance = records[k, A0] + records[k, A1] * seen - gap * gap * inverse
+        if dark:
+            common = records[k, D2] + share * (records[k, D1] - records[k, D2])
+            variance += common * common
+        scatter = np.float64(squares[i]) - rate * (2.0 * sum_b - rate * records[k, S2])
+        plenty = records[k, PLENTY0] + records[k, PLENTY1] * seen
+        rates[i], variances[i] = rate, variance
+        more = np.uint8((scatter > plenty) | (bits[i] == 0))
+        doubtful[i] = more | near if rate < records[k, NEAR] else more
+    for i in range(bits.size):
+        mask[i] = mask[i] if doubtful[i] else marks(rates[i], variances[i])
+
+
+@compiled
+def straight_curved(
+    first: Any,
+    second: Any,
+    squares: Any,
+    bits: Any,
+    slots: Any,
+    records: Any,
+    levels: Any,
+    frames: Any,
+    kappa: float,
+    gains: Any,
+    quantisation: Any,
+    curve: Any,
+    top: float,
+    valid: Any,
+    rates: Any,
+    variances: Any,
+    mask: Any,
+    doubtful: Any,
+) -> None:  # pragma: no cover (compiled)
+    """Do as `straight` does behind a response curve; its further arguments are those of `finish.finish`."""
+    steps, last = levels.shape[1] - 1, np.uint64(0)
+    for i in range(bits.size):
+        pattern, slot = np.uint64(bits[i]), slots[i]
+        doubtful[i] = 1
+        if pattern == 0:
+            continue
+        if pattern != last:
+            last, longest = pattern, int(records[slot, LONGEST])
+            of_longest, per_root = frames[longest, 0] * gains[longest], records[slot, ROOT] * steps
+            inv1, inv2, s2, near = records[slot, INV1], records[slot, INV2], records[slot, S2], records[slot, NEAR]
+            plenty, d1, d2 = records[slot, PLENTY], records[slot, D1], records[slot, D2]
+        sum_b = np.float64(second[i])
+        rate_b = sum_b * inv2
+        apart = np.float64(first[i]) * inv1 - rate_b
+        place = math.sqrt(max(rate_b, 0.0)) * per_root
+        if not FIRST_LEVEL <= place < steps:
+            continue
+        k = int(place)
+        if levels[slot, k, VARIANCE] == 0.0 or levels[slot, k + 1, VARIANCE] == 0.0:
+            fill_levels(k, pattern, records[slot], levels[slot], frames, gains, kappa, quantisation, top)
+        share = levels[slot, k, SHARE] + (place - k) * (levels[slot, k + 1, SHARE] - levels[slot, k, SHARE])
+        place = math.sqrt(max(rate_b + share * apart, 0.0)) * per_root
+        if not FIRST_LEVEL <= place < steps:
+            continue
+        k = int(place)
+        above = place - k
+        if levels[slot, k, VARIANCE] == 0.0 or levels[slot, k + 1, VARIANCE] == 0.0:
+            fill_levels(k, pattern, records[slot], levels[slot], frames, gains, kappa, quantisation, top)
+        share = levels[slot, k, SHARE] + above * (levels[slot, k + 1, SHARE] - levels[slot, k, SHARE])
+        variance = levels[slot, k, VARIANCE] + above * (levels[slot, k + 1, VARIANCE] - levels[slot, k, VARIANCE])
+        total = levels[slot, k, TOTAL] + above * (levels[slot, k + 1, TOTAL] - levels[slot, k, TOTAL])
+        rate = rate_b + share * apart
+        scatter = np.float64(squares[i]) - rate * (2.0 * sum_b - rate * s2)
+        if scatter > plenty * total:
+            continue
+        level = max(rate, 0.0) * of_longest
+        level_u = from_root_table(level, curve, top)
+        found = EXTRAPOLATED if (level < valid[0]) | (level > valid[1]) else np.uint8(0)
+        if rate < near:
+            rate, variance, contradiction = near_clipping(rate, variance, pattern, slot, records, frames, kappa)
+            found |= INCONSISTENT if contradiction else np.uint8(0)
+        variance += (d2 + share * (d1 - d2)) ** 2
+        rates[i], variances[i], mask[i] = rate, variance + (level_u * rate) ** 2, marks(rate, variance) | found
+        doubtful[i] = 0
 
 
 @compiled

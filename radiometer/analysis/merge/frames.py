@@ -9,9 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from radiometer.analysis.signal.dark import dark_levels, matching_darks
 from radiometer.analysis.signal.lens import lens_factor_sr
-from radiometer.analysis.signal.model import SignalModel
+from radiometer.analysis.signal.model import SignalModel, dark_levels, matching_darks
 from radiometer.analysis.signal.situation import Situation
 from radiometer.data import Frame, FrameSettings
 from radiometer.units import gain_factor

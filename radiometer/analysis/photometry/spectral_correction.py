@@ -9,13 +9,13 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from radiometer.analysis.photometry.spectra import Spectrum, spectral_columns, spectrum
+from radiometer.analysis.photometry.photometry import Spectrum, spectral_columns, spectrum
 from radiometer.errors import InputError
 
 # Quantum efficiencies of silicon sensors vary by about a fifth between 450 and 650 nm (EMVA 1288 data sheets).
 FLAT_QUANTUM_EFFICIENCY_U_REL: Final = 0.1
 _DIM_REL: Final = 0.01  # of its peak: what an LED sends beyond counts less than the flat efficiency is known
-_GRID_NM: Final = np.arange(380.0, 781.0, 1.0)
+_GRID_NM: Final = np.arange(380.0, 781.0, 1.0)  # steps of the tables of CIE 018:2019
 
 
 def spectral_factor(calibrated: str, peak_nm: float | None, fwhm_nm: float, responsivity: Path | None = None) -> float:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Final
 
 from radiometer.analysis.quality.indices import Figure
 from radiometer.analysis.quality.session import Datasheet, Index
-from radiometer.analysis.uncertainty.budget import coverage_factor
+from radiometer.analysis.reading.budget import coverage_factor
 from radiometer.data.storage import write_text_atomic
 from radiometer.reporting.page import folded, heading, listed, page, paragraph, section, table
 from radiometer.reporting.pictures import MODEL, dress, label, picture

@@ -11,20 +11,19 @@ from typing import Any, Final
 
 from radiometer.analysis.merge.bracket import merge
 from radiometer.analysis.quality import indices, spatial
-from radiometer.analysis.quality.indices import Figure
+from radiometer.analysis.quality.indices import Figure, v_lambda_mismatch
 from radiometer.analysis.quality.procedures import PROCEDURES, Procedure, gain_of_step
 from radiometer.analysis.quality.signals import StepSignal, step_signal
-from radiometer.analysis.quality.spectral import v_lambda_mismatch
-from radiometer.analysis.uncertainty.budget import coverage_factor
+from radiometer.analysis.reading.budget import coverage_factor
 from radiometer.data import Calibration, CaptureSet, Frame, Patch
-from radiometer.data.calibration_sections import SpectralResponse, StatedUncertainties
+from radiometer.data.calibration import SpectralResponse, StatedUncertainties
 from radiometer.data.capture_header import CameraDescription
 from radiometer.data.capture_set import HEADER_NAME
 from radiometer.data.setup import Setup
 from radiometer.errors import InputError, MeasurementError, RadiometerError
 
 FORMAT: Final = "radiometer-quality/1"
-SOURCE_U_REL: Final = 0.001
+SOURCE_U_REL: Final = 0.001  # assumed where nothing is stated: a warm, regulated lamp
 _SAME_GAIN_DB: Final = 0.06  # cameras set gains in steps of up to 0.1 dB
 _MIDDLE_SHARE: Final = 10  # the patch is a tenth of the picture where nobody says
 

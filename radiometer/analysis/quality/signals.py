@@ -8,15 +8,16 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from radiometer.analysis.reading.contributions import PatchSituation, budget_terms
-from radiometer.analysis.reading.reading import patch_situation
-from radiometer.analysis.signal.lens import lens_factor_sr
-from radiometer.analysis.uncertainty.budget import (
+from radiometer.analysis.reading.budget import (
+    PatchSituation,
     Term,
+    budget_terms,
     combined_u,
     coverage_factor,
     effective_degrees_of_freedom,
 )
+from radiometer.analysis.reading.reading import patch_situation
+from radiometer.analysis.signal.lens import lens_factor_sr
 from radiometer.data import Calibration, CaptureSet, Frame, Patch
 from radiometer.data.setup import Setup
 from radiometer.errors import MeasurementError

@@ -13,9 +13,11 @@ from radiometer.analysis.quality.signals import Deviation
 from radiometer.data import Patch
 from radiometer.data.radiance_map import PixelMask, RadianceMap
 from radiometer.errors import MeasurementError
+from radiometer.statistics.jackknife import jackknife_u
+from radiometer.statistics.scale import robust_sigma
 
 _TILES: Final = 10
-_BIN_PX: Final = 0.25
+_BIN_PX: Final = 0.25  # ISO 12233: four bins a pixel
 _BLOCKS: Final = 8
 _PLATEAU_SHARE: Final = 0.2  # of the distance to the farthest pixel at either side
 _SOURCE_HEIGHT: Final = 0.1  # of the picture: what smear is stated for
@@ -88,15 +90,18 @@ def edge_width(radiance: RadianceMap, patch: Patch) -> Figure:
     distance, along = _from_edge(across)
     whole = _rise(distance, across)
     blocks = np.array_split(np.arange(across.shape[0]), _BLOCKS)
-    left_out = [
-        _rise(np.delete(distance, block, axis=0), np.delete(across, block, axis=0)) for block in blocks if block.size
+    widths = [
+        _rise(np.delete(distance, block, axis=0), np.delete(across, block, axis=0))[0] for block in blocks if block.size
     ]
-    count = len(left_out)
-    widths = np.array([one[0] for one in left_out])
-    u = math.sqrt((count - 1) / count * float(np.sum((widths - widths.mean()) ** 2)))
+    u = float(jackknife_u(widths))
     rest = Deviation("px from the edge to within 1 % of the step", whole[1], _BIN_PX)
     return Figure(
-        whole[0], u, count - 1, "px", (rest,), (f"edge slanted by {math.degrees(math.atan(along)):.1f}° to the pixels",)
+        whole[0],
+        u,
+        len(widths) - 1,
+        "px",
+        (rest,),
+        (f"edge slanted by {math.degrees(math.atan(along)):.1f}° to the pixels",),
     )
 
 
@@ -110,7 +115,7 @@ def _from_edge(across: NDArray[np.float64]) -> tuple[NDArray[np.float64], float]
     rising = 1.0 if gradient.sum() >= 0 else -1.0
     weight = np.square(np.maximum(rising * gradient, 0.0))
     step = abs(float(np.median(across[:, -3:]) - np.median(across[:, :3])))
-    scatter = float(np.median(np.abs(gradient))) * 1.4826
+    scatter = robust_sigma(gradient, 0.0)
     if step <= 5.0 * scatter or weight.sum() <= 0.0:
         raise MeasurementError("there is no clear edge in the patch; it must hold one between dark and bright")
     place = np.arange(weight.shape[1]) + 0.5

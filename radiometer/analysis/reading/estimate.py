@@ -8,14 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from radiometer.analysis.reading.frames import PatchFrame
-from radiometer.analysis.signal.dark import DarkLevel
-from radiometer.analysis.signal.model import SignalModel
+from radiometer.analysis.signal.model import DarkLevel, PatchFrame, SignalModel
+from radiometer.statistics.model_choice import AKAIKE, FIVE_SIGMA, is_supported
+from radiometer.statistics.restricted_likelihood import common_deviance
 
-# Twice the gain in log-likelihood that a fluctuation must bring: five sigma for one parameter.
-_FLICKER_EVIDENCE = 25.0
-# Less than this (Akaike's criterion for one parameter) is chance and takes no part.
-_FLUCTUATION_EVIDENCE = 2.0
 # Frames of a steady source through a good calibration agree to this; only more is called flicker.
 _FLICKER_FLOOR_REL = 1e-3
 _FLUCTUATION_GRID = np.concatenate([[0.0], np.geomspace(1e-5, 1.0, 101)])
@@ -55,7 +51,7 @@ class PatchEstimate:
     @property
     def flickers(self) -> bool:
         """Return whether frames differ more than their noise and the calibration explain."""
-        return self.fluctuation_rel >= _FLICKER_FLOOR_REL and self.evidence >= _FLICKER_EVIDENCE
+        return self.fluctuation_rel >= _FLICKER_FLOOR_REL and is_supported(self.evidence, FIVE_SIGMA)
 
 
 def estimate_patch(
@@ -116,18 +112,9 @@ def _variances(
     """Return per frame the expected signal and the variances of one pixel, of the curve and of the dark level."""
     expected = rate * exposures
     single = np.array([float(model.variance(x, f.settings)) for x, f in zip(expected, frames, strict=True)])
-    curve = np.array([curve_u_rel(model, f, x) for x, f in zip(expected, frames, strict=True)])
+    curve = np.array([model.curve_u_rel(x, f.settings) for x, f in zip(expected, frames, strict=True)])
     dark_u = np.array([np.hypot(d.u_independent, d.u_common) for d in dark])
     return expected, single, (curve * expected) ** 2, dark_u**2
-
-
-def curve_u_rel(model: SignalModel, frame: PatchFrame, expected: float) -> float:
-    """Return the response curve's relative standard uncertainty at an expected signal of a frame."""
-    return float(
-        model.at_dn(
-            model.u_rel, model.dn_of(expected, frame.settings) - model.black_of(frame.settings) + model.black_dn
-        )
-    )
 
 
 def _fluctuation(
@@ -135,18 +122,11 @@ def _fluctuation(
 ) -> tuple[float, float]:
     """Return the relative standard deviation between frames beyond their variance, and twice its log-likelihood gain.
 
-    By restricted maximum likelihood: matching χ² to its expectation instead would let the noise of dim frames
-    pass for a fluctuation that the bright frames contradict.
-
-    Source: Patterson and Thompson 1971, Biometrika 58, 545.
+    By restricted maximum likelihood. One that chance may have made takes no part.
     """
     if means.size < 2:
         return 0.0, 0.0
-    total = variance + np.outer(_FLUCTUATION_GRID, rate * exposures) ** 2
-    weights = exposures**2 / total
-    rates = means / exposures
-    centre = (weights @ rates / weights.sum(1))[:, None]
-    deviance = np.log(total).sum(1) + np.log(weights.sum(1)) + (weights * (rates - centre) ** 2).sum(1)
+    deviance = common_deviance(means, exposures, variance, np.outer(_FLUCTUATION_GRID, rate * exposures))
     best = int(np.argmin(deviance))
     evidence = float(deviance[0] - deviance[best])
-    return (float(_FLUCTUATION_GRID[best]), evidence) if evidence >= _FLUCTUATION_EVIDENCE else (0.0, evidence)
+    return (float(_FLUCTUATION_GRID[best]), evidence) if is_supported(evidence, AKAIKE) else (0.0, evidence)

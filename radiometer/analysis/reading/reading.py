@@ -11,18 +11,33 @@ import numpy as np
 from numpy.typing import NDArray
 
 from radiometer.analysis.photometry.photometry import holds_visible_light, luminous_efficacy_lm_per_w
-from radiometer.analysis.photometry.spectra import spectrum as spectrum_of
-from radiometer.analysis.reading.contributions import PatchSituation, Shown, budget_terms
+from radiometer.analysis.photometry.photometry import spectrum as spectrum_of
+from radiometer.analysis.reading.budget import (
+    Falloff,
+    PatchSituation,
+    Shown,
+    Surround,
+    budget_terms,
+    combined_u,
+    conditions_of,
+    coverage_factor,
+    effective_degrees_of_freedom,
+    reading_flags,
+    unstated_u_rel,
+)
 from radiometer.analysis.reading.estimate import PatchEstimate, estimate_patch
-from radiometer.analysis.reading.flags import reading_flags
-from radiometer.analysis.reading.frames import PatchFrame, crop_frames
-from radiometer.analysis.reading.outside import Falloff, Surround, conditions_of
-from radiometer.analysis.signal.dark import dark_levels
-from radiometer.analysis.signal.found_effects import corrected_frames, straightened, temperature_factor, without_glare
 from radiometer.analysis.signal.lens import falloff_known, known_f_number, lens_factor_sr, relative_sensitivity
-from radiometer.analysis.signal.model import SignalModel
-from radiometer.analysis.signal.situation import Situation, flat_field_for, situation_of, unstated_u_rel
-from radiometer.analysis.uncertainty.budget import combined_u, coverage_factor, effective_degrees_of_freedom
+from radiometer.analysis.signal.model import (
+    PatchFrame,
+    SignalModel,
+    corrected_frames,
+    crop_frames,
+    dark_levels,
+    straightened,
+    temperature_factor,
+    without_glare,
+)
+from radiometer.analysis.signal.situation import Situation, flat_field_for, situation_of
 from radiometer.data import (
     Bracket,
     Calibration,

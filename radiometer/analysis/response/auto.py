@@ -2,37 +2,157 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
-from radiometer.analysis.response.basis import ValueBasis
+from radiometer.analysis.response.basis import ValueBasis, unseen_factor
 from radiometer.analysis.response.curves import finished_curve, supported_range
 from radiometer.analysis.response.debevec1997 import curve_debevec1997
 from radiometer.analysis.response.estimate import Agreement, ResponseEstimate, inner_range, spread_rms
 from radiometer.analysis.response.fit import ResponseFit
-from radiometer.analysis.response.jackknife import jackknife_u
 from radiometer.analysis.response.left_out import dial_step_dn, error_dn, follow_no_curve, prediction_error_dn
-from radiometer.analysis.response.noise_shift import ASSUMPTION
+from radiometer.analysis.response.noise import ASSUMPTION
 from radiometer.analysis.response.planes import Plane
-from radiometer.analysis.response.predicting import MANY_AS_ONE, Judged, judge_by_prediction, without_frames
 from radiometer.analysis.response.samples import ResponseSamples, gather_samples
-from radiometer.analysis.response.settle import FittedResponse, error_of_quadrants, refit, settle
+from radiometer.analysis.response.settle import Choices, FittedResponse, error_of_quadrants, fit_with, refit, settle
 from radiometer.analysis.response.shutter_offset import Exposures, find_exposures, with_offset
-from radiometer.analysis.response.unseen import unseen_factor
-from radiometer.analysis.response.wrong_labels import WrongLabel
+from radiometer.analysis.response.wrong_labels import WrongLabel, thinned
 from radiometer.data.bracket import Bracket
 from radiometer.data.response_curve import ResponseCurve
+from radiometer.errors import MeasurementError
 from radiometer.one_thread import on_one_blas_thread
+from radiometer.statistics.jackknife import jackknife_u
+from radiometer.typing import Array
 
-Array = NDArray[np.float64]
-
+# Frames are left out one by one up to this many, then every so many together.
+FRAME_FOLDS: Final = 8
+# λ is tried at these multiples of the one of the restricted likelihood.
+_FACTORS: Final = (1.0, 1e-2, 1e2)
+# Another λ must lower the error of prediction to this part; what predicts within the second factor of the best counts
+# as predicting as well.
+_LEAST_GAIN: Final = 0.97
+_AS_WELL: Final = 1.1
+# Up to so many neighbouring groups that count as one, the restricted likelihood needs no judge.
+MANY_AS_ONE: Final = 3.0
+# Unless the rows, less one for each group, are hardly more than the coefficients: a curve through all of them (two
+# frames) leaves no noise, and λ may be too small by orders of magnitude.
+_FEW_ROWS: Final = 2.0
+_FACTORS_OF_FEW: Final = (*_FACTORS, 1e4, 1e6)
 METHOD = "auto"
 _AS_STATED = "exposure times as stated"
 # Times are freed only where the error of predicting left-out quadrants falls to this part.
 _LEAST_GAIN_OF_TIMES = 0.9
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Judged:
+    """A fit and its rivals.
+
+    Attributes:
+        best: The fit that predicts best.
+        other_smoothness: Fits with another λ that predict as well.
+        other_labels: Fits with another label freed that predict as well.
+    """
+
+    best: FittedResponse
+    other_smoothness: tuple[FittedResponse, ...] = ()
+    other_labels: tuple[FittedResponse, ...] = ()
+
+    def u_among(self, rivals: tuple[FittedResponse, ...]) -> Array:
+        """Return the rms distance of g − g(M_mid) of the best and its rivals from the best: any of them may be true."""
+        apart = np.array([one.relative - self.best.relative for one in (self.best, *rivals)])
+        return np.asarray(np.sqrt(np.mean(apart**2, axis=0)))
+
+
+def judge_by_prediction(
+    samples: ResponseSamples, start: Array, found: FittedResponse, labels: tuple[WrongLabel, ...] = ()
+) -> Judged:
+    """Return the fit whose λ predicts left-out quadrants and frames best, and what predicts them as well.
+
+    Args:
+        samples: The rows, with their quadrants.
+        start: A first estimate of g at every digital number.
+        found: The fit with the λ of the restricted likelihood.
+        labels: Wrong labels that it has freed; frames that may be wrong in their place make rivals too.
+    """
+    rivals = tuple(_with_other_labels(samples, start, labels))
+    few = found.fit.normal.freedom < _FEW_ROWS * found.fit.basis_size
+    doubtful = few or found.choices.inflation > MANY_AS_ONE
+    if not doubtful or not samples.without_quadrant or found.choices.smoothing is None:
+        return Judged(found, other_labels=rivals)
+    thin = thinned(samples)
+    errors: dict[float, float] = {}
+    for factor in _FACTORS_OF_FEW if few else _FACTORS:
+        try:
+            errors[factor] = _error(thin, fit_with(thin, found.log_exposure, _smoother(found, factor)))
+        except MeasurementError:
+            continue
+    if 1.0 not in errors:
+        return Judged(found, other_labels=rivals)
+    best = min(errors, key=lambda factor: errors[factor])
+    best = best if errors[best] <= _LEAST_GAIN * errors[1.0] else 1.0
+    fits = {
+        factor: found if factor == 1.0 else fit_with(samples, found.log_exposure, _smoother(found, factor))
+        for factor in errors
+        if errors[factor] <= _AS_WELL * errors[best]
+    }
+    chosen = fits.pop(best)
+    return Judged(chosen, tuple(fits.values()), rivals)
+
+
+def without_frames(samples: ResponseSamples, found: FittedResponse) -> Iterator[tuple[int, FittedResponse]]:
+    """Yield every n-th frame's fold and the fit without it, for each n-th.
+
+    Args:
+        samples: The rows.
+        found: The fit to all of them.
+    """
+    folds = frame_folds(samples)
+    for fold in range(folds if samples.frame_log_time.size > 2 else 0):
+        keep = samples.frame % folds != fold
+        if np.unique(samples.frame[keep]).size < 2:
+            continue
+        try:
+            part = refit(samples.kept(keep), found)
+        except MeasurementError:
+            continue
+        if part is not None:
+            yield fold, part
+
+
+def frame_folds(samples: ResponseSamples) -> int:
+    """Return into how many folds the frames fall."""
+    return min(samples.frame_log_time.size, FRAME_FOLDS)
+
+
+def _error(samples: ResponseSamples, fitted: FittedResponse) -> float:
+    """Return the mean size of the prediction error in DN, of left-out quadrants and of left-out frames."""
+    of_frames = []
+    for fold, part in without_frames(samples, fitted):
+        errors = prediction_error_dn(samples, part.log_exposure, fitted.fit.log_time_errors)
+        own = errors[samples.frame % frame_folds(samples) == fold]
+        of_frames += [error_dn(own)] if np.any(np.isfinite(own)) else []
+    of_quadrants = error_of_quadrants(samples, fitted)
+    return float(np.nanmean(of_quadrants)) + (float(np.mean(of_frames)) if of_frames else 0.0)
+
+
+def _smoother(found: FittedResponse, factor: float) -> Choices:
+    return replace(found.choices, smoothing=factor * (found.choices.smoothing or 1.0))
+
+
+def _with_other_labels(
+    samples: ResponseSamples, start: Array, labels: tuple[WrongLabel, ...]
+) -> Iterator[FittedResponse]:
+    """Yield the fit with each rival freed in the place of its label."""
+    for label in labels:
+        for frame, _ in label.rivals:
+            try:
+                yield settle(samples, start, tuple(frame if one is label else one.frame for one in labels))
+            except MeasurementError:
+                continue
 
 
 def recover_response_auto(brackets: Bracket | Sequence[Bracket]) -> ResponseEstimate:
@@ -229,7 +349,7 @@ def _with_offset_told(curve: ResponseCurve, exposures: Exposures, errors: Array,
     whole = errors + exposures.offset.log_ratios(stated_s)
     origin = curve.provenance
     told = {"log_time_errors": [float(error) for error in whole], **_offset_parameters(exposures)}
-    text = f"all exposures {exposures.offset.told()} than stated, the shutter's offset as these frames tell it"
+    text = f"all exposures {exposures.offset.told()} than stated, the shutter's offset found from these frames"
     assumed = (*(other for other in origin.assumptions if other != _AS_STATED), text)
     parameters = {**origin.parameters, **told}
     return replace(curve, provenance=replace(origin, parameters=parameters, assumptions=assumed))
@@ -242,7 +362,7 @@ def _offset_note(exposures: Exposures, printed: ResponseSamples) -> tuple[str, .
     shortest = int(np.argmin(printed.exposures_s))
     return (
         f"all exposures are {offset.told()} than their labels (the shutter's offset; {_label(printed, shortest)} has "
-        f"{1.0 + offset.seconds / printed.exposures_s[shortest]:.3f} of that); they were taken as found",
+        f"{1.0 + offset.seconds / printed.exposures_s[shortest]:.3f} of that); the exposures found were used",
     )
 
 
@@ -291,8 +411,7 @@ def _notes(
     fit = result.fit
     notes = [
         f"the exposure labelled {_label(samples, label.frame)} is "
-        f"{label.ratio:.3f} ± {label.u_ratio:.3f} of that; it was taken as found, not as labelled"
-        + _rivals(label, samples)
+        f"{label.ratio:.3f} ± {label.u_ratio:.3f} of that; the exposure found was used" + _rivals(label, samples)
         for label in wrong
     ]
     if fit.time_spread:
@@ -309,8 +428,8 @@ def _notes(
         )
     if _at_whole_stops(samples):
         notes.append(
-            "all exposures are whole stops apart: a wave of one stop's period in ln H cannot be seen in these data and "
-            "is kept as small as the curve's smoothness allows; one frame a third of a stop off would show it"
+            "all exposures are whole stops apart: these data cannot show a wave of one stop's period in ln H. It is "
+            "kept as small as the curve's smoothness allows; one frame a third of a stop off would show it"
         )
     if (doubt := _no_curve(result)) is not None:
         notes.append(doubt)
@@ -326,15 +445,16 @@ def _no_curve(result: FittedResponse) -> str | None:
     if not follow_no_curve(error, rows, g):
         return None
     return (
-        f"these frames follow no single curve with their exposures: one is predicted from the others to {error:.2g} DN "
+        "these frames follow no single curve with their exposures: a frame is predicted from the others to "
+        f"{error:.2g} DN "
         f"only, where a third of a stop is {dial_step_dn(rows, g):.2g} DN (another scene or light in some of them, "
-        "movement, wrong exposures); the curve is not to be relied on, whatever its uncertainty says"
+        "movement, wrong exposures); do not rely on the curve, even within its uncertainty"
     )
 
 
 def _rivals(label: WrongLabel, samples: ResponseSamples) -> str:
     others = ", ".join(f"{_label(samples, frame)} to {ratio:.3f}" for frame, ratio in label.rivals)
-    return f"; changing instead {others} predicts nearly as well, and u holds the difference" if others else ""
+    return f"; changing instead {others} predicts nearly as well, and u includes the difference" if others else ""
 
 
 def _label(samples: ResponseSamples, frame: int) -> str:
@@ -351,7 +471,7 @@ def _note_on_disagreement(result: FittedResponse, parts: _Parts) -> str:
     return (
         f"the frames differ by more than their noise ({what}): curves without one quadrant of the picture differ by "
         f"{100 * found.quadrants_rms_log:.2g} %, without some of the frames by {100 * found.frames_rms_log:.2g} % "
-        "(rms); u_log_exposure holds both"
+        "(rms); u_log_exposure includes both"
     )
 
 

@@ -1,22 +1,29 @@
-"""The basis of a response curve over the digital numbers: a spline, the same for 8 to 16 bits."""
+"""The response's basis over digital numbers, and the values that no frame shows."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import Final
 
 import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 from scipy.interpolate import BSpline
 
+from radiometer.analysis.response.estimate import inner_range
 from radiometer.analysis.response.limits import ValueLimits
+from radiometer.typing import Array
 
 # Twice as many as real responses have bends: a wave of one stop's period must fit into the basis itself, or data that
 # cannot see it seem to rule it out.
 _SPLINE_PIECES = 112
 _ORDER = 3
 _ROUGHNESS_ORDER = 3
+# Frames at whole stops do not show a wave of one stop's period, and real responses hold more of it than their
+# smoothness elsewhere predicts. With this factor the mean squared error in units of u over the DoRF curves is about 1
+# (benchmarks/response_accuracy.py states it).
+_UNSEEN_WAVE: Final = 2.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -121,3 +128,24 @@ def hat_weight(dn: NDArray[np.float64], limits: ValueLimits) -> NDArray[np.float
     half = 0.5 * (limits.saturated_dn - limits.black_dn)
     distance = np.minimum(dn - limits.black_dn, limits.saturated_dn - dn)
     return np.asarray(np.clip(distance / half, 0.0, 1.0))
+
+
+def unseen_factor(coefficients: Array, covariance: Array, basis: ValueBasis, valid_dn: tuple[int, int]) -> float:
+    """Return the factor on the standard uncertainty that smoothness decides, at least 2.
+
+    One λ represents the whole curve. Where a few kinks hold most of the roughness, the mean understates what may
+    have been smoothed away there: the squared third differences of the coefficients are weighted by themselves.
+
+    Args:
+        coefficients: Of the curve, shape (basis.size,).
+        covariance: Their posterior covariance, shape (basis.size, basis.size).
+        basis: The basis.
+        valid_dn: Lowest and highest digital number that data supported.
+    """
+    inner = inner_range(valid_dn)
+    first, last = np.argmax(basis.design(np.array([inner.start, inner.stop - 1.0])).toarray(), axis=1)
+    bent = np.diff(np.eye(basis.size), basis.roughness_order, axis=0)[first:last]
+    if not bent.size:
+        return _UNSEEN_WAVE
+    square = (bent @ coefficients) ** 2 + np.einsum("ij,ij->i", bent @ covariance, bent)
+    return float(_UNSEEN_WAVE * np.sqrt(np.mean(square**2)) / np.mean(square))

@@ -5,14 +5,13 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import isotonic_regression
 
 from radiometer.analysis.response.samples import ResponseSamples
 from radiometer.data.provenance import Provenance
 from radiometer.data.response_curve import ResponseCurve
+from radiometer.typing import Array
 
-Array = NDArray[np.float64]
 # An end of a curve that is less certain than this, in ln H, is called extrapolated.
 _UNDETERMINED_U = 0.05
 # The gauge makes u vanish at the middle: levelling takes no value for better known than this part of the median.

@@ -7,13 +7,12 @@ from dataclasses import replace
 
 import numpy as np
 
-from radiometer.analysis.response.basis import ValueBasis, hat_weight
+from radiometer.analysis.response.basis import ValueBasis, hat_weight, unseen_factor
 from radiometer.analysis.response.curves import finished_curve, supported_range
 from radiometer.analysis.response.estimate import ResponseEstimate, compare_thirds
-from radiometer.analysis.response.noise_shift import ASSUMPTION, mean_exposure_dn
-from radiometer.analysis.response.normal import NormalEquations, PenalisedSolution, eliminate_groups, solve_penalised
+from radiometer.analysis.response.fit import NormalEquations, PenalisedSolution, eliminate_groups, solve_penalised
+from radiometer.analysis.response.noise import ASSUMPTION, mean_exposure_dn
 from radiometer.analysis.response.samples import ResponseSamples, gather_samples
-from radiometer.analysis.response.unseen import unseen_factor
 from radiometer.data.bracket import Bracket
 from radiometer.data.response_curve import ResponseCurve
 from radiometer.errors import MeasurementError

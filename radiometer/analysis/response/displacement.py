@@ -20,8 +20,7 @@ from radiometer.analysis.response.pixel_noise import SinglePixels, finite, fit_t
 from radiometer.data.bracket import Bracket
 from radiometer.data.frame import Frame
 from radiometer.data.response_curve import ResponseCurve
-
-Array = NDArray[np.float64]
+from radiometer.typing import Array
 
 # δ² within so many of its standard uncertainties is none: all is noise then.
 _SIGMA: Final = 2.0

@@ -183,7 +183,7 @@ def telling(estimate: ResponseEstimate, where: str) -> ResponseEstimate:
     if stops >= _FEWEST_STOPS and not u > _LARGEST_U_LOG:
         return estimate
     raise MeasurementError(
-        f"{where or 'the frames'}: no response can be told from these frames: between {low} and {high} DN "
-        f"they give {stops:.3g} stops of exposure, ln H known to {u:.2g} (k = 1); look whether the pictures differ as "
-        "their exposure times say, or take more of them, a stop apart"
+        f"{where or 'the frames'}: no response follows from these frames: between {low} and {high} DN "
+        f"they give {stops:.3g} stops of exposure, ln H known to {u:.2g} (k = 1); check that the pictures differ as "
+        "their exposure times state, or take more of them, a stop apart"
     )

@@ -5,13 +5,11 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
 from radiometer.analysis.response.basis import hat_weight
+from radiometer.analysis.response.noise import dn_at, slope_at, value_at
 from radiometer.analysis.response.samples import ResponseSamples
-from radiometer.analysis.response.weights import dn_at, slope_at, value_at
-
-Array = NDArray[np.float64]
+from radiometer.typing import Array
 
 # ln of the least step of a camera's dial, a third of a stop. Photographs agree with their labels where one is predicted
 # from the others to less than half of what that step does: 21 clean real scenes have 0.03 to 0.3 of it.

@@ -6,23 +6,21 @@ from collections.abc import Sequence
 
 import numpy as np
 import scipy.sparse as sp
-from numpy.typing import NDArray
 from scipy.interpolate import BSpline
 from scipy.optimize import minimize_scalar
 
 from radiometer.analysis.response.curves import finished_curve, supported_range
 from radiometer.analysis.response.debevec1997 import curve_debevec1997
 from radiometer.analysis.response.estimate import ResponseEstimate, compare_thirds, inner_range
-from radiometer.analysis.response.normal import NormalEquations, PenalisedSolution, eliminate_groups, solve_penalised
+from radiometer.analysis.response.fit import NormalEquations, PenalisedSolution, eliminate_groups, solve_penalised
 from radiometer.analysis.response.samples import ResponseSamples, gather_samples
 from radiometer.data.bracket import Bracket
 from radiometer.data.response_curve import ResponseCurve
 from radiometer.one_thread import on_one_blas_thread
-
-Array = NDArray[np.float64]
+from radiometer.typing import Array
 
 METHOD = "linear_spline"
-_PIECES = 20
+_PIECES = 20  # each a twentieth of full scale: finer than real curves bend
 # Misfit is averaged over this part of the range.
 _MISFIT_WINDOWS = 8
 # Misfit, in ln H, above which a sensor is not nearly linear.
@@ -105,7 +103,8 @@ def _notes(misfit: float) -> tuple[str, ...]:
     if misfit <= _NEARLY_LINEAR:
         return ()
     return (
-        f"this response is not nearly linear: a line with a coarse spline misses it by {100 * misfit:.1f} % (rms), "
+        f"this response is not nearly linear: a line with a coarse spline deviates from it by {100 * misfit:.1f} "
+        "% (rms), "
         "which u_log_exposure holds; use auto",
     )
 

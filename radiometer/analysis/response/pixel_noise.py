@@ -11,19 +11,17 @@ from scipy.optimize import nnls
 
 from radiometer.analysis.response.basis import hat_weight
 from radiometer.analysis.response.limits import ValueLimits
-from radiometer.analysis.response.noise import LogNoise
+from radiometer.analysis.response.noise import LogNoise, group_residual, slope_at, value_at
 from radiometer.analysis.response.samples import ResponseSamples
-from radiometer.analysis.response.weights import group_residual, slope_at, value_at
 from radiometer.data.bracket import Bracket
 from radiometer.data.response_curve import ResponseCurve
 from radiometer.data.sensor_noise import SensorNoise
 from radiometer.errors import MeasurementError
+from radiometer.typing import Array
 
-Array = NDArray[np.float64]
-
-_PIXELS: Final = 6000
-_FEWEST_ROWS: Final = 50
-_ROUNDS: Final = 6
+_PIXELS: Final = 6000  # noise parameters are then known to some per cent
+_FEWEST_ROWS: Final = 50  # fewer do not separate shot from read noise
+_ROUNDS: Final = 6  # of the weights, which follow the fitted noise
 # Rounding alone, in DN²: no stack is quieter.
 _ROUNDING_DN2: Final = 1.0 / 12.0
 # Electrons of a sensor whose shot noise a stack does not show: many enough to weigh nothing.
@@ -171,7 +169,7 @@ def _least_squares_above_zero(columns: Array, wanted: Array) -> Array:
 
     Args:
         columns: A, shape (rows, k).
-        wanted: y, shape (rows,).
+        target: y, shape (rows,).
     """
     gram, right = columns.T @ columns, columns.T @ wanted
     scale = np.sqrt(np.where(np.diag(gram) > 0.0, np.diag(gram), 1.0))
@@ -227,7 +225,7 @@ def _samples(bracket: Bracket, curve: ResponseCurve, dn: Array) -> tuple[Respons
     inside &= (inside.sum(axis=1) >= 2)[:, None]
     pixel, frame = np.nonzero(inside)
     if pixel.size < _FEWEST_ROWS:
-        raise MeasurementError("hardly a pixel is unclipped in two frames: the noise of the stack cannot be told")
+        raise MeasurementError("hardly a pixel is unclipped in two frames: the noise of the stack cannot be measured")
     log_time = np.log(bracket.effective_exposures_s)
     seen, group = np.unique(pixel, return_inverse=True)
     samples = ResponseSamples(

@@ -7,14 +7,12 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from radiometer.analysis.response.fit import information
 from radiometer.analysis.response.left_out import prediction_error_dn
 from radiometer.analysis.response.samples import ResponseSamples
 from radiometer.analysis.response.settle import Choices, FittedResponse, fit_with, given_labels, refit, settle
-
-Array = NDArray[np.float64]
+from radiometer.typing import Array
 
 # Fewer rows than these are strays (one of a flea3 plane was off by a stop and a third).
 _FEWEST_ROWS: Final = 4

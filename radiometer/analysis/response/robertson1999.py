@@ -5,18 +5,15 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from radiometer.analysis.response.curves import finished_curve, supported_range
 from radiometer.analysis.response.debevec1997 import curve_debevec1997, without_noise_shift
 from radiometer.analysis.response.estimate import ResponseEstimate, compare_thirds
-from radiometer.analysis.response.jackknife import jackknife
-from radiometer.analysis.response.samples import ResponseSamples, gather_samples
+from radiometer.analysis.response.samples import ResponseSamples, gather_samples, u_by_groups
 from radiometer.data.bracket import Bracket
 from radiometer.data.response_curve import ResponseCurve
 from radiometer.one_thread import on_one_blas_thread
-
-Array = NDArray[np.float64]
+from radiometer.typing import Array
 
 METHOD = "robertson1999"
 # Nodes of I(M): one per digital number at 8 bits, then straight lines in between.
@@ -63,7 +60,7 @@ def solve_robertson1999(samples: ResponseSamples) -> ResponseEstimate:
     def values(part: ResponseSamples) -> Array:
         return _log_curve(samples, _iterate(part, guess, rounds)[0])
 
-    u = jackknife(samples, values)
+    u = u_by_groups(samples, values)
     thirds = [_curve(part, values(part), u * 3**0.5) for part in (samples.third(k) for k in range(3))]
     times = samples.frame_log_time
     curve = _curve(samples, _log_curve(samples, exposure), np.hypot(u, first.u_log_exposure))

@@ -13,12 +13,15 @@ from radiometer.analysis.response.labels import exposure_labels
 from radiometer.analysis.response.limits import ValueLimits, find_limits
 from radiometer.data.bracket import Bracket
 from radiometer.errors import InputError, MeasurementError
+from radiometer.statistics.jackknife import jackknife_u
+from radiometer.typing import Array
 
 # A group is left out of a frame where more than this part of its pixels clips there: the mean of the others would be
 # biased towards the unclipped side.
 _CLIPPED_PART = 0.002
 # So near to black the rounding to whole numbers is a large part of the exposure and is not averaged away.
 _LEAST_ABOVE_BLACK_DN = 4.0
+_JACKKNIFE_PARTS = 10
 _GROUPS = 384
 _QUADRANTS = 4
 # A share is every fourth cell of a grid so fine: all four see most of what even the shortest exposure shows.
@@ -178,6 +181,18 @@ def gather_samples(brackets: Bracket | Sequence[Bracket]) -> ResponseSamples:
     return replace(
         whole, without_quadrant=without_quadrant, quadrants=quadrants, without_share=without_share, shares=shares
     )
+
+
+def u_by_groups(samples: ResponseSamples, solve: Callable[[ResponseSamples], Array]) -> Array:
+    """Return the standard uncertainty of what a solver without covariance returns, by leaving out groups of pixels.
+
+    Args:
+        samples: All rows; every tenth group is left out in turn.
+        solve: Returns any array of values that depend on the rows.
+    """
+    parts = min(_JACKKNIFE_PARTS, samples.group_count)
+    left = [solve(samples.kept(samples.group % parts != part)) for part in range(parts)]
+    return jackknife_u(left, few_parts=True)
 
 
 def _check(brackets: Sequence[Bracket]) -> None:

@@ -27,8 +27,7 @@ from radiometer.analysis.response.wrong_labels import (
     thinned,
 )
 from radiometer.errors import MeasurementError
-
-Array = NDArray[np.float64]
+from radiometer.typing import Array
 
 # The travel of curtains (5 to 7 ms over 20 to 24 mm) is adjusted to ± 0.3 ms. That of the first is adjusted against
 # that of the second to 0.05 to 0.1 ms. Their delays cannot differ by more. It is the prior of the constant, and its

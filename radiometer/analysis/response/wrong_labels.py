@@ -15,8 +15,7 @@ from radiometer.analysis.response.planes import JointFit, LeftOut, Plane, fit_pl
 from radiometer.analysis.response.samples import ResponseSamples
 from radiometer.analysis.response.settle import Choices, FittedResponse, fit_with, settle
 from radiometer.errors import MeasurementError
-
-Array = NDArray[np.float64]
+from radiometer.typing import Array
 
 # What is found must lower the error of predicting left-out quadrants to this part of what it was.
 LEAST_GAIN: Final = 0.9

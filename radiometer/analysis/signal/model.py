@@ -1,18 +1,51 @@
-"""Digital numbers to a signal that is proportional to light, and the noise of that signal."""
+"""Digital numbers to a signal proportional to light: noise, dark level, found effects, and the patch in each frame."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import math
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from radiometer.data import CameraDescription, FrameSettings, ResponseCurve, SensorNoise
-from radiometer.errors import CalibrationError
+from radiometer.data import (
+    BlackLevel,
+    Bracket,
+    Calibration,
+    CameraDescription,
+    FoundEffects,
+    Frame,
+    FrameSettings,
+    Patch,
+    ResponseCurve,
+    SensorNoise,
+)
+from radiometer.data.frame import DigitalNumbers
+from radiometer.errors import CalibrationError, MeasurementError
+from radiometer.statistics.scale import TWENTIETH_TO_SIGMA, neighbour_sigma
 from radiometer.units import gain_factor
 
 # A full well is where charge stops; linearity and the datasheet's figure end a little before.
 USABLE_FULL_WELL = 0.97
+_SAME_EXPOSURE_REL = 0.01
+_OTHER_EXPOSURE_REL = 0.05  # dark frames that differ by less say nothing of the dark current
+_AS_WARM_K = 3.0  # a third more dark current, or a third less
+_U_DOUBLING_K = 1.0  # dark currents in silicon double within 6 to 8 K
+_OTHER = "dark frames of other exposures"
+# Dark current of machine-vision sensors near 40 °C where a data sheet says nothing: 0 to some 20 e⁻/s.
+UNKNOWN_DARK_E_PER_S = 10.0
+# Masked pixels against those next to them: half a digital number (a rectangle), and a tenth of the modelled dark
+# signal.
+_MASKED_U_DN = 0.29
+_MASKED_U_REL = 0.1
+_ROUNDS = 12  # each leaves a part a₂ of the error, some per cent
+# A patch counts as unclipped where its mean stays this many standard deviations of its pixels below clipping.
+_CLEAR_OF_CLIPPING_SIGMA = 4.0
+# More clipped pixels than this are part of the scene, fewer are defects.
+_DEFECT_FRACTION = 0.01
+# So many pixels of the whole picture give its mean.
+_PIXELS_OF_THE_WHOLE = 4096
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -87,6 +120,10 @@ class SignalModel:
         effective = np.asarray(signal, dtype=np.float64) * gain_factor(settings.gain_db)
         shift = self.black_of(settings) - self.black_dn
         return np.interp(effective, self.signal, np.arange(self.signal.size)) + shift
+
+    def curve_u_rel(self, signal: float, settings: FrameSettings) -> float:
+        """Return the response curve's relative standard uncertainty at an expected signal x at 0 dB of a frame."""
+        return float(self.at_dn(self.u_rel, self.dn_of(signal, settings) - self.black_of(settings) + self.black_dn))
 
     def variance(self, signal: ArrayLike, settings: FrameSettings) -> NDArray[np.float64]:
         """Return the expected variance of one sample of x: shot, read, dark current and quantisation noise.
@@ -186,3 +223,404 @@ def _through_black(
     u = np.where(np.isfinite(u), u, 1.0)
     u[:low] = u[low]
     return signal, u, (low, high)
+
+
+@dataclass(frozen=True, slots=True)
+class DarkLevel:
+    """Dark signal of one light frame in the unit of x at 0 dB.
+
+    Attributes:
+        signal: Expected dark signal.
+        u_independent: Standard uncertainty that this frame's dark level has for itself.
+        u_common: Standard uncertainty shared with all other frames.
+        source: "dark frames", "masked pixels" or "black level".
+    """
+
+    signal: float
+    u_independent: float
+    u_common: float
+    source: str
+
+
+def dark_levels(
+    settings: Sequence[FrameSettings],
+    dark_frames: Sequence[Frame],
+    model: SignalModel,
+    black: BlackLevel,
+    patch: Patch | None = None,
+    masked_dn: Sequence[float | None] = (),
+) -> list[DarkLevel]:
+    """Return the dark level of every light frame.
+
+    A dark frame of the same exposure and gain is used as it is; so are masked pixels of the frame itself. Dark
+    frames of other exposures correct the black level, with the modelled dark current taken off theirs. Without any,
+    black level and model stand alone.
+
+    Args:
+        settings: Of the light frames.
+        dark_frames: Frames with the shutter closed.
+        model: Signal model of the camera.
+        black: Black level of the calibration, with its uncertainty.
+        patch: Part of the picture to take the mean over; None for all of it.
+        masked_dn: What masked pixels read in every light frame in DN, where known.
+    """
+    masked = masked_dn or (None,) * len(settings)
+    return [_level(one, dark_frames, model, black, patch, dn) for one, dn in zip(settings, masked, strict=True)]
+
+
+def _level(
+    settings: FrameSettings,
+    dark_frames: Sequence[Frame],
+    model: SignalModel,
+    black: BlackLevel,
+    patch: Patch | None,
+    masked_dn: float | None,
+) -> DarkLevel:
+    if matching := matching_darks(settings, dark_frames):
+        return _from_frames(settings, matching, model, patch)
+    if masked_dn is not None:
+        return _from_masked(settings, masked_dn, model)
+    if same_gain := [frame for frame in dark_frames if frame.settings.gain_db == settings.gain_db]:
+        return _from_other_exposures(settings, same_gain, model, black, patch)
+    return _from_model(settings, model, black)
+
+
+def matching_darks(settings: FrameSettings, dark_frames: Sequence[Frame]) -> list[Frame]:
+    """Return the dark frames of the same exposure, gain and, where both are known, temperature."""
+    return [
+        frame
+        for frame in dark_frames
+        if abs(frame.settings.exposure_s / settings.exposure_s - 1.0) <= _SAME_EXPOSURE_REL
+        and frame.settings.gain_db == settings.gain_db
+        and _as_warm(frame.settings.temperature_c, settings.temperature_c)
+    ]
+
+
+def _as_warm(one_c: float | None, other_c: float | None) -> bool:
+    return one_c is None or other_c is None or abs(one_c - other_c) <= _AS_WARM_K
+
+
+def _from_frames(settings: FrameSettings, frames: list[Frame], model: SignalModel, patch: Patch | None) -> DarkLevel:
+    table = model.table(settings)
+    means, count = [], 0
+    for frame in frames:
+        region = frame.dn if patch is None else frame.dn[patch.slices]
+        means.append(float(table[region].mean()))
+        count += region.size
+    sigma = float(np.sqrt(model.variance(0.0, settings) / count))
+    return DarkLevel(float(np.mean(means)), sigma, 0.0, "dark frames")
+
+
+def _from_masked(settings: FrameSettings, masked_dn: float, model: SignalModel) -> DarkLevel:
+    """Return the dark signal that masked pixels show; they are not the pixels that see light, and differ a little."""
+    signal = float(model.at_dn(model.table(settings), masked_dn))
+    step = float(model.at_dn(model.slope, model.black_dn)) / gain_factor(settings.gain_db)
+    u = math.hypot(_MASKED_U_DN * step, _MASKED_U_REL * model.modelled_dark(settings))
+    return DarkLevel(signal, 0.0, u, "masked pixels")
+
+
+def _from_other_exposures(
+    settings: FrameSettings, frames: list[Frame], model: SignalModel, black: BlackLevel, patch: Patch | None
+) -> DarkLevel:
+    """Return the dark signal that dark frames of other exposures or temperatures show.
+
+    Two exposures or more determine black level and dark current. One corrects the black level, and the dark current
+    is the modelled one.
+    """
+    measured = [_from_frames(frame.settings, [frame], model, patch) for frame in frames]
+    times = np.array([_seconds_at_reference(frame.settings, model) for frame in frames])
+    signals = np.array([level.signal for level in measured])
+    here = _seconds_at_reference(settings, model)
+    noise = float(np.sqrt(np.sum([level.u_independent**2 for level in measured]))) / len(frames)
+    if np.ptp(times) > _OTHER_EXPOSURE_REL * times.max():
+        middle, spread = float(times.mean()), float(np.sum((times - times.mean()) ** 2))
+        rate = float(np.sum((times - middle) * signals)) / spread
+        level = float(signals.mean()) + rate * (here - middle)
+        lacking = signals - signals.mean() - rate * (times - middle)
+        scatter = max(noise * math.sqrt(len(frames)), float(np.sqrt(np.sum(lacking**2) / max(len(frames) - 2, 1))))
+        u = scatter * math.sqrt(1.0 / len(frames) + (here - middle) ** 2 / spread)
+        return DarkLevel(level, 0.0, math.hypot(u, rate * _u_seconds(settings, frames, model)), _OTHER)
+    modelled = [model.modelled_dark(frame.settings) for frame in frames]
+    offset = float(np.mean(signals - np.array(modelled)))
+    dark = model.modelled_dark(settings)
+    u_rate = black.dark_u_rel * abs(dark - float(np.mean(modelled)))
+    if "dark_current_e_per_s" in model.noise.assumed:
+        u_rate = UNKNOWN_DARK_E_PER_S * abs(here - float(times.mean())) / model.electrons_per_unit
+    return DarkLevel(dark + offset, 0.0, float(np.hypot(noise, u_rate)), _OTHER)
+
+
+def _seconds_at_reference(settings: FrameSettings, model: SignalModel) -> float:
+    """Return the exposure in s that has the same dark signal at the temperature of the stated dark current."""
+    return settings.exposure_s * model.noise.warmer_factor(settings.temperature_c)
+
+
+def _u_seconds(settings: FrameSettings, frames: Sequence[Frame], model: SignalModel) -> float:
+    """Return the standard uncertainty of that exposure due to the doubling temperature, where temperatures differ."""
+    known = [frame.settings.temperature_c for frame in frames if frame.settings.temperature_c is not None]
+    if settings.temperature_c is None or not known:
+        return 0.0
+    doublings = abs(settings.temperature_c - float(np.mean(known))) / model.noise.dark_doubling_k
+    relative = math.log(2.0) * doublings * _U_DOUBLING_K / model.noise.dark_doubling_k
+    return relative * _seconds_at_reference(settings, model)
+
+
+def _from_model(settings: FrameSettings, model: SignalModel, black: BlackLevel) -> DarkLevel:
+    dark = model.modelled_dark(settings)
+    slope = float(model.at_dn(model.slope, model.black_dn))
+    u_common = float(np.hypot(black.u_dn * slope, dark_u(settings, model, black)))
+    return DarkLevel(dark, 0.0, u_common, "black level")
+
+
+def black_from_darks(dark_frames: Sequence[Frame], calibration: Calibration) -> BlackLevel | None:
+    """Return the black level that dark frames show; None without any.
+
+    The dark signal of several exposure times is a straight line over time: its start is the black level. Of one time
+    alone the modelled dark current is taken off.
+
+    Args:
+        dark_frames: Frames with the shutter closed; those of the lowest gain are used.
+        calibration: Its noise model and the uncertainty of its black level.
+    """
+    if not dark_frames:
+        return None
+    lowest_db = min(frame.settings.gain_db for frame in dark_frames)
+    used = [frame for frame in dark_frames if frame.settings.gain_db == lowest_db]
+    times = np.array([frame.settings.exposure_s for frame in used])
+    means = np.array([float(frame.dn.mean()) for frame in used])
+    own, noise = calibration.black_level, calibration.noise
+    gain = noise.gain_dn_per_e(lowest_db)
+    if np.unique(times).size > 1:
+        start = float(np.polynomial.polynomial.polyfit(times, means, 1)[0])
+        return own.model_copy(update={"dn": max(start, 0.0)})
+    modelled = gain * np.array([noise.dark_e(f.settings.exposure_s, f.settings.temperature_c) for f in used])
+    unknown_e = UNKNOWN_DARK_E_PER_S if "dark_current_e_per_s" in noise.assumed else 0.0
+    u_dark = math.hypot(gain * unknown_e * float(times[0]), own.dark_u_rel * float(modelled[0]))
+    start = float(np.mean(means - modelled))
+    return own.model_copy(update={"dn": max(start, 0.0), "u_dn": math.hypot(own.u_dn, u_dark)})
+
+
+def dark_u(settings: FrameSettings, model: SignalModel, black: BlackLevel) -> float:
+    """Return the standard uncertainty of a modelled dark signal; an unstated dark current may be some e⁻/s."""
+    if "dark_current_e_per_s" in model.noise.assumed:
+        return UNKNOWN_DARK_E_PER_S * settings.exposure_s / model.electrons_per_unit
+    return black.dark_u_rel * model.modelled_dark(settings)
+
+
+def corrected_settings(settings: FrameSettings, found: FoundEffects, black_dn: float) -> FrameSettings:
+    """Return the settings that a frame was really taken with.
+
+    Args:
+        settings: As stated.
+        found: What was found of the camera.
+        black_dn: Black level in DN of a frame that does not state its own.
+    """
+    black = black_dn if settings.black_level_dn is None else settings.black_level_dn
+    further_s = found.exposure_further_s if settings.gain_db > found.exposure_above_db else 0.0
+    return replace(
+        settings,
+        exposure_s=max(settings.exposure_s + found.exposure_offset_s + further_s, 1e-9),
+        gain_db=_real_gain_db(settings.gain_db, found),
+        black_level_dn=black + found.black_offset_dn + _amplified_dn(settings.gain_db, found),
+    )
+
+
+def _real_gain_db(gain_db: float, found: FoundEffects) -> float:
+    table = float(np.interp(gain_db, found.gains_db, found.gain_errors_rel)) if found.gains_db else 0.0
+    return gain_db * (1.0 + found.gain_error_rel) + 20.0 * math.log10(1.0 + table)
+
+
+def _amplified_dn(gain_db: float, found: FoundEffects) -> float:
+    """Return what the gain adds to the black level in DN."""
+    more = max(gain_factor(gain_db - found.black_from_db), 1.0) - 1.0
+    return found.black_slope_dn * (more + found.black_bend * more**2)
+
+
+def straightened(signal: ArrayLike, found: FoundEffects, electrons_per_unit: float) -> NDArray[np.float64]:
+    """Return a linear sensor's signal without the bend that was found, of any shape.
+
+    Args:
+        signal: x above black at 0 dB, as it came through the bend.
+        found: What was found of the camera.
+        electrons_per_unit: Electrons per unit of x.
+    """
+    seen = np.asarray(signal, dtype=np.float64)
+    straight = seen
+    if found.well_a2 == 0.0 and found.well_a3 == 0.0:
+        return straight
+    for _ in range(_ROUNDS):
+        z = np.clip(straight * electrons_per_unit / found.well_e, 0.0, 1.2)
+        straight = seen / (1.0 - found.well_a2 * z - found.well_a3 * z**2)
+    return straight
+
+
+def corrected_frames(
+    frames: Bracket | Iterable[Frame], found: FoundEffects, black_dn: float
+) -> Bracket | Iterable[Frame]:
+    """Return frames with the settings they were really taken with; the same frames where nothing was found.
+
+    Args:
+        frames: As stated; a bracket stays one.
+        found: What was found of the camera.
+        black_dn: Black level in DN of frames that do not state their own.
+    """
+    if found == FoundEffects():
+        return frames
+    if isinstance(frames, Bracket):
+        return Bracket.from_frames(_each(frames.every_frame, found, black_dn), frames.origin)
+    return _each(frames, found, black_dn)
+
+
+def _each(frames: Iterable[Frame], found: FoundEffects, black_dn: float) -> Iterator[Frame]:
+    for frame in frames:
+        yield replace(frame, settings=corrected_settings(frame.settings, found, black_dn))
+
+
+def temperature_factor(found: FoundEffects, here_c: float | None, there_c: float | None) -> float:
+    """Return what a reading is multiplied by for the warmth of the sensor: responsivity at calibration over now.
+
+    Args:
+        found: What was found of the camera.
+        here_c: Temperature at the reading in °C; None where unknown.
+        there_c: At calibration.
+    """
+    if here_c is None or there_c is None:
+        return 1.0
+    here, there = (
+        1.0 + found.temperature_slope_per_k * warmer + found.temperature_bend_per_k2 * warmer**2
+        for warmer in (here_c - 25.0, there_c - 25.0)
+    )
+    return there / here
+
+
+def without_glare(glare: float, surround_at_calibration: float) -> tuple[float, float]:
+    """Return (a, b) of L = a·r − b·M: the reading r and the picture's mean M, both as a scale with glare gives them.
+
+    A picture with glare is m = (1 − g)·L + g·M; its mean stays M. The scale was got on a source that was seen as m₀
+    before a mean of S₀·m₀, so that r = m·(1 − g·S₀)/(1 − g), and L = (m − g·M)/(1 − g) follows.
+
+    Args:
+        glare: g, the part of the picture's mean that is spread over it.
+        surround_at_calibration: S₀.
+    """
+    gain = 1.0 / (1.0 - glare * surround_at_calibration)
+    return gain, gain * glare
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PatchFrame:
+    """The patch in one frame.
+
+    Attributes:
+        settings: Of the frame.
+        dn: Digital numbers, shape of the patch.
+        signal: Linear signal x at 0 dB, same shape, dark level not yet taken off.
+        usable: Whether no part of the patch clips or leaves the data of the response curve at the bright end.
+        unclipped: Whether no part of the patch clips.
+        clipped: Pixels at or above clipping, same shape.
+        whole: Mean signal x of the whole picture, dark level not yet taken off.
+        whole_clipped: Part of the whole picture that clips; the mean is too low then.
+        masked_dn: What the sensor's masked pixels read, in DN; None where it is not stated.
+    """
+
+    settings: FrameSettings
+    dn: DigitalNumbers
+    signal: NDArray[np.float64]
+    usable: bool
+    unclipped: bool
+    clipped: NDArray[np.bool_]
+    whole: float
+    whole_clipped: float
+    masked_dn: float | None = None
+
+
+def crop_frames(
+    frames: Bracket | Iterable[Frame], patch: Patch, model: SignalModel
+) -> tuple[list[PatchFrame], list[Frame], tuple[int, int]]:
+    """Return the patch in every light frame, the dark frames cut to the patch, and the frames' (height, width).
+
+    Args:
+        frames: Frames in any order; each is released after its patch is cut out.
+        patch: Where to read.
+        model: Signal model of the camera.
+
+    Raises:
+        MeasurementError: If there is no light frame, the patch is outside the frame, or the frames do not belong
+            together.
+    """
+    light: list[PatchFrame] = []
+    dark: list[Frame] = []
+    shape: tuple[int, int] | None = None
+    for frame in frames.every_frame if isinstance(frames, Bracket) else frames:
+        shape = shape or frame.shape
+        _refuse_misfit(frame, patch, shape, model)
+        if frame.settings.is_dark:
+            dark.append(replace(frame, dn=frame.dn[patch.slices].copy()))
+        else:
+            light.append(_crop(frame, patch, model))
+    if not light or shape is None:
+        raise MeasurementError("there is no frame with the shutter open; capture at least one")
+    levels = {one.settings.source_level for one in light}
+    if len(levels) > 1:
+        raise MeasurementError(
+            f"the frames were taken at {len(levels)} different source levels; read those of one level at a time"
+        )
+    return sorted(light, key=lambda one: one.settings.effective_exposure_s), dark, shape
+
+
+def _refuse_misfit(frame: Frame, patch: Patch, shape: tuple[int, int], model: SignalModel) -> None:
+    if not patch.fits(frame.shape):
+        raise MeasurementError(
+            f"the patch {patch.x},{patch.y},{patch.width},{patch.height} is not inside the frame of "
+            f"{frame.shape[1]} × {frame.shape[0]} pixels; give X,Y,W,H within it"
+        )
+    if frame.shape != shape:
+        raise MeasurementError(
+            f"frames differ in size ({frame.shape[1]} × {frame.shape[0]} and {shape[1]} × {shape[0]} pixels)"
+        )
+    if frame.full_scale_dn != model.full_scale_dn:
+        raise MeasurementError(
+            f"a frame has {frame.bit_depth} bits per pixel, the camera's description says full scale "
+            f"{model.full_scale_dn}; use the description of this pixel format"
+        )
+
+
+def _crop(frame: Frame, patch: Patch, model: SignalModel) -> PatchFrame:
+    dn = frame.dn[patch.slices].copy()
+    limit = model.saturation_dn(frame.settings)
+    end = model.saturation_dn(frame.settings, within_data=False)
+    clipped = dn >= limit
+    few = clipped.sum() <= _DEFECT_FRACTION * dn.size
+    brightest = _brightest_part(dn) if few else float(dn.max())
+    expected = model.table(frame.settings)
+    signal = expected[dn]
+    sigma = max(_neighbour_noise(dn), _noise_dn(model, frame.settings, brightest))
+    usable = bool(few and brightest + _CLEAR_OF_CLIPPING_SIGMA * sigma < limit)
+    unclipped = usable or bool(dn.max() < end and brightest + _CLEAR_OF_CLIPPING_SIGMA * sigma < end)
+    step = max(1, math.isqrt(frame.dn.size // _PIXELS_OF_THE_WHOLE))
+    few_of_all = frame.dn[::step, ::step]
+    whole, whole_clipped = float(expected[few_of_all].mean()), float(np.mean(few_of_all >= end))
+    return PatchFrame(frame.settings, dn, signal, usable, unclipped, clipped, whole, whole_clipped, frame.masked_dn)
+
+
+def _brightest_part(dn: DigitalNumbers) -> float:
+    """Return the level of the brightest part of a patch that is more than a defect, its noise taken off.
+
+    A patch may cross an edge: then it is the bright half that must not clip. In an even patch the 95th percentile is
+    1.645 standard deviations of the noise above the level.
+    """
+    high = float(np.percentile(dn, 95.0))
+    return max(float(np.median(dn)), high - TWENTIETH_TO_SIGMA * _neighbour_noise(dn))
+
+
+def _neighbour_noise(dn: DigitalNumbers) -> float:
+    """Return the noise in DN from the middle of the differences between neighbours, which edges do not move."""
+    values = dn.astype(np.float64)
+    differences = np.concatenate([np.diff(values, axis=axis).ravel() for axis in (0, 1)])
+    return neighbour_sigma(differences) if differences.size else 0.0
+
+
+def _noise_dn(model: SignalModel, settings: FrameSettings, dn: float) -> float:
+    gain_slope = float(model.at_dn(model.slope, dn)) / gain_factor(settings.gain_db)
+    signal = float(model.at_dn(model.table(settings), dn))
+    sigma = float(np.sqrt(model.variance(signal, settings)))
+    return sigma / max(gain_slope, 1e-300)

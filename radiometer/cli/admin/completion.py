@@ -12,9 +12,7 @@ from radiometer.errors import UsageError
 _SHELLS: Final = ("bash", "zsh", "fish")
 
 
-def command(
-    shell: Annotated[str, typer.Argument(help="bash, zsh or fish.")],
-) -> None:
+def command(shell: Annotated[str, typer.Argument(help="bash, zsh or fish.")]) -> None:
     """Print what makes a shell complete commands and options.
 
     bash: `radiometer completion bash > ~/.local/share/bash-completion/completions/radiometer`; zsh: `radiometer

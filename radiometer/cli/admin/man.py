@@ -8,62 +8,86 @@ from typing import Final
 import radiometer
 from radiometer.cli.tree import CommandHelp, command_tree
 
-_OPENING: Final = """\
+_OPENING: Final = (
+    """\
 .TH RADIOMETER 1 "" "radiometer {version}" "User Commands"
+""",
+    """\
 .SH NAME
 radiometer \\- turn a digital camera into an absolute radiance meter
+""",
+    """\
 .SH SYNOPSIS
 .B radiometer
 .RB [ \\-v ]
 .I COMMAND
 .RI [ ARGUMENTS ]
+""",
+    """\
 .SH DESCRIPTION
 Brackets exposures, recovers the response of a camera, gives it an absolute scale, and reads radiance in
 W sr\\-1 m\\-2 with an uncertainty off any patch of the picture.
-Simulated devices stand in for hardware: without a bench file the simulated bench is read.
+Simulated devices can replace hardware: without a bench file the simulated bench is read.
+""",
+    """\
 .SH OPTIONS
 .TP
 .BR \\-v ", " \\-\\-verbose
 Log what happens to standard error; twice for more.
+""",
+    """\
 .TP
 .B \\-\\-version
 Show the version and leave.
 .TP
 .BR \\-h ", " \\-\\-help
 Show the commands and leave; after a command, what it does.
+""",
+    """\
 .SH COMMANDS
-"""
+""",
+)
 
-_CLOSING: Final = """\
+_CLOSING: Final = (
+    """\
 .SH EXIT STATUS
 .TP
 .B 0
 Done.
 .TP
 .B 1
-Failed; one line on standard error says what, where, and the way out.
+Failed; one line on standard error states what failed, where, and what to do.
 .TP
 .B 2
 Misused.
+""",
+    """\
 .SH ENVIRONMENT
 .TP
 .B NO_COLOR
 Write no colours.
+""",
+    """\
 .SH EXAMPLES
 .TP
 Read a patch of the simulated screen:
 .EX
 radiometer measure \\-\\-budget
 .EE
+""",
+    """\
 .TP
 Take a bracket, recover the response, calibrate by a known source:
+""",
+    """\
 .EX
 radiometer bracket out/sphere \\-\\-camera 22500001
 radiometer response out/sphere \\-o response.yaml
 radiometer calibrate out/sphere \\-\\-response response.yaml \\-\\-patch 700,520,200,200 \\e
     \\-\\-radiance 1.0 \\-\\-u\\-rel 0.005 \\-o calibration.yaml
 .EE
-"""
+""",
+)
 
 
 def command() -> None:
@@ -76,7 +100,11 @@ def command() -> None:
 
 def manual_page() -> str:
     """Return the manual page in the language of man(7)."""
-    return _OPENING.format(version=radiometer.__version__) + "".join(map(_section, command_tree())) + _CLOSING
+    return (
+        "".join(_OPENING).format(version=radiometer.__version__)
+        + "".join(map(_section, command_tree()))
+        + "".join(_CLOSING)
+    )
 
 
 def _section(one: CommandHelp) -> str:

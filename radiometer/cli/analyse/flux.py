@@ -46,21 +46,11 @@ def command(
     emitted flux: clipped pixels, background, lens losses, and light that missed the lens.
     """
     found = rm.flux(
-        capture,
-        calibration=calibration,
-        camera_file=camera_file,
-        patch=parse_patch(patch) if patch else None,
-        half_angle=half_angle,
-        half_angle_u=half_angle_u,
-        diameter=diameter,
-        diameter_u=diameter_u,
-        distance=distance,
-        distance_u=distance_u,
-        f_number_u_rel=f_number_u_rel,
-        datasheet_mw=datasheet_mw,
-        channel=channel,
+        capture, calibration=calibration, camera_file=camera_file, patch=parse_patch(patch) if patch else None,
+        half_angle=half_angle, half_angle_u=half_angle_u, diameter=diameter, diameter_u=diameter_u, distance=distance,
+        distance_u=distance_u, f_number_u_rel=f_number_u_rel, datasheet_mw=datasheet_mw, channel=channel,
         measured_iso=parse_measured_iso(measured_iso),
-    )
+    )  # fmt: skip
     for text in found.notes:
         note(text)
     print(found.to_json()) if json else _show(found.report)

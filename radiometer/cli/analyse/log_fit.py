@@ -16,7 +16,7 @@ def command(
     table: Annotated[
         Path, typer.Argument(help="CSV: the camera's value and exposure, a reference; gain, temperature, time, colour.")
     ],
-    beside: Annotated[
+    reference_file: Annotated[
         Path | None, typer.Option(help="File of the reference meter with separate times, where it is not a column.")
     ] = None,
     value: Annotated[str | None, typer.Option(help="Column of the camera's value in DN.")] = None,
@@ -34,12 +34,12 @@ def command(
 ) -> None:
     """Name the term that a log of a camera under automatic exposure lacks against a reference meter.
 
-    A constant black, a gain whose steps are not what they say, a passband that is not the reference's, temperature,
-    dark current, a late shutter, a bent response: whichever predicts nights better from the other nights is named, with
-    its size. The same search over values that lack nothing is the negative control.
+    Candidates are a constant black, wrong gain steps, another passband than the reference's, temperature, dark current,
+    a late shutter and a nonlinear response. The candidate that predicts each night best from the other nights is named,
+    with its size. The same search over values that lack nothing is the negative control.
     """
     found = rm.log_fit(
-        table, beside, value=value, reference=reference, exposure=exposure, gain=gain, temperature=temperature,
+        table, reference_file, value=value, reference=reference, exposure=exposure, gain=gain, temperature=temperature,
         colour=colour, gain_unit=gain_unit, black=black, control=not no_control,
     )  # fmt: skip
     if json:
@@ -56,5 +56,5 @@ def command(
         f"{100 * found.fit.error_before:.2f} % → {100 * found.fit.error_after:.2f} %"
     )
     if control := found.fit.control:
-        silent = "silent" if control == "agrees" else f"not silent ({control}): trust nothing of this"
-        out.print(f"negative control (the same readings made to lack nothing): {silent}")
+        silent = "silent" if control == "agrees" else f"not silent ({control}): do not trust this result"
+        out.print(f"negative control (the same search over readings without any missing term): {silent}")

@@ -67,26 +67,12 @@ def command(
         raise UsageError("-o FILE is missing: name a file that ends in .exr, .hdr, .tiff or .png")
     with progress() as shown:
         found = rm.merge(
-            path,
-            response or None,
-            calibration=calibration,
-            channel=channel,
-            pattern=pattern,
-            measured_iso=parse_measured_iso(measured_iso),
-            iso=iso,
-            f_number=f_number,
-            linear=linear,
-            demosaic=demosaic,
-            align=align,
-            keep_ghosts=keep_ghosts,
-            vignetting=vignetting,
-            lens=lens,
-            luminance=luminance,
-            spectrum=spectrum,
-            scale=parse_bounds(scale, "--scale") if scale else None,
-            out=out,
+            path, response or None, calibration=calibration, channel=channel, pattern=pattern,
+            measured_iso=parse_measured_iso(measured_iso), iso=iso, f_number=f_number, linear=linear,
+            demosaic=demosaic, align=align, keep_ghosts=keep_ghosts, vignetting=vignetting, lens=lens,
+            luminance=luminance, spectrum=spectrum, scale=parse_bounds(scale, "--scale") if scale else None, out=out,
             progress=shown,
-        )
+        )  # fmt: skip
     for text in found.notes:
         note(text)
     print(found.to_json()) if json else show_map_report(found.to_mapping())

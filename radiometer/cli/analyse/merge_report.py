@@ -10,16 +10,16 @@ from radiometer.cli.console import console
 
 
 def displacement_told(px: float, u_px: float) -> str:
-    """Return how far the frames lie apart, in words.
+    """Return in words how far the frames are displaced against each other.
 
     Args:
         px: Standard deviation of a frame's displacement in pixels; 0 where none shows.
         u_px: Its standard uncertainty, or what would have shown.
     """
     if not px and not u_px:  # none of the pixels asked says anything of it
-        return "no displacement is visible, nor would any be: these frames cannot show it"
+        return "displacement is unknown: these frames cannot show one"
     if not px:
-        return f"no displacement shows; less than some {u_px:.1g} pixels would not have shown, and is not in u"
+        return f"no displacement found; one below about {u_px:.1g} pixels cannot be detected and is not in u"
     decimals = max(0, 1 - math.floor(math.log10(u_px)))  # two digits of the uncertainty
     return f"displaced by {px:.{decimals}f} ± {u_px:.{decimals}f} pixels (k = 1), in u where the picture changes"
 

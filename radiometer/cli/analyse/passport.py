@@ -23,8 +23,8 @@ def command(
 ) -> None:
     """Compare the sessions of each camera in an archive.
 
-    Looks for one law of the dark current over all of them, holds the stated gain against what light and darks say,
-    tells which figures changed, and keeps apart what the light did: a lamp that jumped is not a camera that changed.
+    Fits one law of the dark current to all sessions, compares the stated gain with the gain from light and from darks,
+    and lists the figures that changed. Changes of the light are listed separately from changes of the camera.
     """
     with progress(shown=not json) as shown:
         found = rm.passport(archive, progress=shown)
@@ -48,7 +48,8 @@ def _show(passport: Passport) -> None:
         out.print(
             f"dark current doubles per ({law.doubling_k.value:.2f} ± {2 * law.doubling_k.u:.2f}) K (k = 2) from "
             f"{law.between_c[0]:.0f} to {law.between_c[1]:.0f} °C, {law.rate_at_0.value:.3g} DN/s at 0 °C; "
-            f"points scatter {law.birge_ratio:.1f} times their u: {'one law' if law.is_one else 'no one law'}"
+            f"points scatter {law.birge_ratio:.1f} times their u: "
+            f"{'one law fits all' if law.is_one else 'no single law fits'}"
         )
         share = law.generation_share
         if share is not None:
@@ -62,7 +63,7 @@ def _show(passport: Passport) -> None:
                 f"by the law {one.expected_k:.2f} K there"
             )
         if law.doublings_apart_u is not None:
-            out.print(f"  these differ as the law says, to {law.doublings_apart_u:.1f} u")
+            out.print(f"  these differ as the law predicts, within {law.doublings_apart_u:.1f} u")
         for name, temperature_c, rate, distance in law.points:
             out.print(f"  {temperature_c:6.1f} °C  {rate:9.4g} DN/s  {distance:+.1f} u  {name}")
     for line in passport.gain:

@@ -20,12 +20,12 @@ Written = TypeVar("Written")
 
 _VERDICTS = {
     "agrees": "Nothing is missing: simulation and measurement agree.",
-    "effects_found": "Found what was missing; with it simulation and measurement agree.",
-    "unnamed_effect": "They disagree, and no known effect explains it.",
-    "incomplete": "Something was named, but structure stays: the names are provisional.",
+    "effects_found": "The missing effect was found; with it simulation and measurement agree.",
+    "unnamed_effect": "Simulation and measurement disagree, and no known effect explains it.",
+    "incomplete": "Effects were named, but structure remains: the names are provisional.",
 }
 
-_OPEN = "Something is missing that has more than one name; with any of them simulation and measurement agree."
+_OPEN = "An effect is missing that has more than one name; with any of them simulation and measurement agree."
 
 
 @writes("output", "report", "plan", folder="propose")
@@ -34,21 +34,22 @@ def command(
         Path,
         typer.Argument(
             help="Capture set, photograph folder, FITS or raw TIFF files, EMVA 1288 descriptor (.txt) or light-meter "
-            "table (.csv).",
+            "table (.csv)."
         ),
     ],
     model: Annotated[Path | None, typer.Option(help="Model to start from; the ideal camera by default.")] = None,
     output: Annotated[Path | None, typer.Option("--output", "-o", help="Where the new model is written.")] = None,
     report: Annotated[Path | None, typer.Option(help="Where the HTML report is written.")] = None,
     plan: Annotated[Path | None, typer.Option(help="Write the next capture as a plan for `bracket`.")] = None,
-    without: Annotated[list[str] | None, typer.Option(help="Leave an entry out of the catalogue.")] = None,
+    without: Annotated[list[str] | None, typer.Option(help="Leave an effect out of the catalogue.")] = None,
     effects: Annotated[
         list[Path] | None, typer.Option(help="Python file with further effects; it is run, so name only one you trust.")
     ] = None,
     propose: Annotated[
         Path | None,
         typer.Option(
-            help="Folder for the law of what no entry explains: effect file, its test, a plan that would refute it."
+            help="Folder for a law of the residual that no effect explains: effect file, its test, a plan that "
+            "could refute it."
         ),
     ] = None,
     provisional: Annotated[bool, typer.Option("--provisional", help="Switch provisional effects on in -o.")] = False,
@@ -59,9 +60,9 @@ def command(
 ) -> None:
     """Find where simulation and measurement disagree, name the missing effect, add it, show the gap shrink.
 
-    Simulates the capture from the current model, compares means, noise and patterns along every setting, tries each
-    physical effect of the catalogue, and keeps what predicts held-out settings better. `-o` writes the model with
-    what was found; the simulator loads it.
+    Simulates the capture from the current model and compares means, noise and patterns along every setting. Tries each
+    physical effect of the catalogue and keeps those that predict held-out settings better. `-o` writes the model with
+    the effects found; the simulator loads it.
     """
     if plan_only:
         _show_plan(capture, model, tuple(without or ()), effects or [], json=json)
@@ -90,12 +91,12 @@ def command(
         if path:
             note(f"wrote {path}")
     if planned is False:
-        note(f"no {plan}: no further capture of this kind would show more")
+        note(f"no {plan} written: no further capture of this kind would add information")
     files.raise_first()
 
 
 class _Files:
-    """Writes what goes with an answer; what cannot be written is told after the answer, which is not lost by it."""
+    """Writes the files of an answer; an error of writing is reported after the answer, which is not lost."""
 
     def __init__(self) -> None:
         self.failed: list[Exception] = []
@@ -104,12 +105,12 @@ class _Files:
         """Return what writing a file gives; None where it fails."""
         try:
             return file()
-        except Exception as error:  # noqa: BLE001 - told by `raise_first`, once the answer is out
+        except Exception as error:  # noqa: BLE001 - reported by `raise_first`, once the answer is printed
             self.failed.append(error)
             return None
 
     def raise_first(self) -> None:
-        """Tell of the first file that could not be written.
+        """Raise the error of the first file that could not be written.
 
         Raises:
             Exception: What writing it raised.
@@ -121,7 +122,7 @@ class _Files:
 def _show_proposal(found: Proposal | None, folder: Path) -> None:
     out = console()
     if found is None:
-        out.print("\nno law is proposed: nothing without a name is left that one would explain beyond chance")
+        out.print("\nno law is proposed: no unnamed residual exceeds chance")
         return
     alike = f" (or {', '.join(found.stages_alike)}: these data cannot separate them)" if found.stages_alike else ""
     out.print(f"\nproposed: [bold]{found.name}[/bold], stage {found.stage}{alike}: {found.sentence()}")
@@ -136,7 +137,7 @@ def _show_proposal(found: Proposal | None, folder: Path) -> None:
 
 
 def _show_plan(capture: Path, model: Path | None, without: tuple[str, ...], effects: list[Path], *, json: bool) -> None:
-    """Tell what the captures of a set can separate."""
+    """Print which effects the captures of a set can separate."""
     with progress(shown=not json) as shown:
         plan = rm.reconcile_plan(capture, model=model, without=without, effects=effects, progress=shown, notice=note)
     if json:
@@ -149,9 +150,9 @@ def _show_plan(capture: Path, model: Path | None, without: tuple[str, ...], effe
         if entry.capture:
             out.print(f"   {entry.capture['description']}")
     if not found.together:
-        out.print("these captures separate all entries that they show")
+        out.print("these captures separate all effects that they can detect")
     if found.blind:
-        out.print(f"blind to: {', '.join(found.blind)}")
+        out.print(f"cannot detect: {', '.join(found.blind)}")
 
 
 def show_result(result: ReconcileResult) -> None:
@@ -186,7 +187,7 @@ def _show_effect(number: int, effect: FoundEffect) -> None:
     tentative = " (provisional)" if effect.provisional else ""
     out.print(
         f"\n{number}. [bold]{effect.name}[/bold]{tentative} along {effect.where}, seen in {effect.block}: "
-        f"gap {effect.gap_before:.3f} → {effect.gap_after:.3f} ({effect.gain_nats:.0f} nats{weak})"
+        f"gap {effect.gap_before:.3f} → {effect.gap_after:.3f} ({effect.evidence}{weak})"
     )
     for name, entry in effect.parameters.items():
         shown = f"{entry.value:.6g}" if entry.u is None else f"{significant(entry.value, entry.u)} ± {entry.u:.2g}"
@@ -194,18 +195,19 @@ def _show_effect(number: int, effect: FoundEffect) -> None:
     if effect.curve is not None:
         low, high = min(effect.curve.factor), max(effect.curve.factor)
         where = " and ".join(effect.curve.along)
-        out.print(f"   by another law than the catalogue's: {low:.3g} to {high:.3g} times it along {where}")
+        out.print(f"   with another functional form: {low:.3g} to {high:.3g} times the catalogue's along {where}")
     elif effect.other_law is not None:
         left = ", ".join(f"{name} {entry.value:.2g}" for name, entry in effect.other_law.items())
-        out.print(f"   by another law than the catalogue's{f'; it leaves {left}' if left else ''}")
+        out.print(f"   with another functional form than the catalogue's{f'; residual {left}' if left else ''}")
     if effect.elsewhere:
-        out.print(f"   structure stays along {', '.join(dict.fromkeys(w for w, _ in effect.elsewhere))} too")
+        out.print(f"   structure remains along {', '.join(dict.fromkeys(w for w, _ in effect.elsewhere))}, too")
     if effect.closest:
-        out.print(f"   closest entry: {effect.closest[0]}, which explains {100 * effect.closest[1]:.0f} % of it")
+        out.print(f"   closest effect: {effect.closest[0]}, which explains {100 * effect.closest[1]:.0f} % of it")
     if effect.alternatives:
-        out.print(f"   these data cannot separate it from: {', '.join(effect.alternatives)}")
+        together = f" ({effect.evidence_of_any})" if effect.evidence_of_any else ""
+        out.print(f"   these data cannot separate it from: {', '.join(effect.alternatives)}{together}")
         if any(entry.u is not None for entry in effect.parameters.values()):
-            out.print("   each ± holds only if it is this one: it knows nothing of the choice among them")
+            out.print("   each ± is conditional on this effect being the right one")
     if effect.next_capture:
         out.print(f"   next capture: {effect.next_capture.get('description', '')}")
 
@@ -229,7 +231,7 @@ def _show_limits(result: ReconcileResult) -> None:
         return
     from rich.table import Table
 
-    table = Table(title="what these data would have shown at 5 sigma", title_justify="left", box=None)
+    table = Table(title="what these data would have detected at 5 sigma", title_justify="left", box=None)
     for heading in ("effect", "from", "parameter"):
         table.add_column(heading, justify="right" if heading == "from" else "left")
     for name, limit in result.limits.items():
@@ -242,4 +244,4 @@ def _show_limits(result: ReconcileResult) -> None:
         console().print(table)
     blind = [name for name, limit in result.limits.items() if limit.amplitude is None]
     if blind:
-        console().print(f"blind to: {', '.join(blind)}")
+        console().print(f"cannot detect: {', '.join(blind)}")

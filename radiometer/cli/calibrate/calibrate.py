@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 import radiometer as rm
-from radiometer.cli.arguments import ISO_HELP, parse_measured_iso, parse_patch, parse_seconds
+from radiometer.cli.arguments import ISO_HELP, parse_measured_iso, parse_patch, parse_radiance, parse_seconds
 from radiometer.cli.calibrate.report import show_report
 from radiometer.cli.console import note, progress
 from radiometer.cli.outputs import writes
@@ -26,15 +26,16 @@ def command(
     patch: Annotated[
         str | None, typer.Option(help="The known source: X,Y,W,H, or a patch name of the capture.")
     ] = None,
-    radiance: Annotated[float | None, typer.Option(help="Its radiance in W·sr⁻¹·m⁻².")] = None,
+    radiance: Annotated[
+        str | None, typer.Option(help="Its radiance in W·sr⁻¹·m⁻², or its calibration certificate (DCC, .xml).")
+    ] = None,
     luminance: Annotated[float | None, typer.Option(help="Its luminance in cd·m⁻², instead of the radiance.")] = None,
     u_rel: Annotated[float | None, typer.Option(min=0.0, help="Its relative standard uncertainty (k = 1).")] = None,
     meter_k: Annotated[
         float | None, typer.Option("--luminance-meter-k", help="Constant K of the camera's light meter (ISO 2720).")
     ] = None,
     k_u_rel: Annotated[
-        float | None,
-        typer.Option(min=0.0, help="Relative u of K beyond the meter's ±1/6 stop; 6.7 % (ISO 2720)."),
+        float | None, typer.Option(min=0.0, help="Relative u of K beyond the meter's ±1/6 stop; 6.7 % (ISO 2720).")
     ] = None,
     f_number: Annotated[
         float | None, typer.Option(help="f-number of the reference photograph, or of frames that do not state theirs.")
@@ -76,8 +77,7 @@ def command(
         Path | None, typer.Option(help="Camera file of `radiometer characterise`: gain, noise, saturation as measured.")
     ] = None,
     model: Annotated[
-        Path | None,
-        typer.Option(help="Model of `radiometer reconcile`: readings are corrected for its effects."),
+        Path | None, typer.Option(help="Model of `radiometer reconcile`: readings are corrected for its effects.")
     ] = None,
     stated: Annotated[
         list[str] | None,
@@ -87,45 +87,23 @@ def command(
 ) -> None:
     """Give a response curve its absolute scale.
 
-    By a source of known radiance or luminance (a capture set, or --camera), by the constant K of a light meter and
-    the settings it asked for, or by both: then their ratio is printed and the less uncertain scale is used.
+    The scale comes from a source of known radiance or luminance (a capture set, or --camera), or from the constant K of
+    a light meter and the settings it asked for. With both, their ratio is printed and the less uncertain is used.
     """
     if out is None:
-        raise UsageError("-o FILE is missing: say where to write the calibration")
+        raise UsageError("-o FILE is missing: name the file to write the calibration to")
     with progress(shown=not json) as shown:
         found = rm.calibrate(
-            capture,
-            out=out,
-            response=response,
-            patch=_patch(patch),
-            radiance=radiance,
+            capture, out=out, response=response, patch=_patch(patch), radiance=parse_radiance(radiance),
             luminance=luminance,
-            u_rel=u_rel,
-            luminance_meter_k=meter_k,
-            k_u_rel=k_u_rel,
-            f_number=f_number,
-            exposure_s=parse_seconds(exposure, "--exposure") if exposure else None,
-            iso=iso,
-            measured_iso=parse_measured_iso(measured_iso),
-            channel=channel,
-            pattern=pattern,
-            align=align,
-            reference_dn=reference_dn,
-            dynamic_range=[_region(word) for word in dynamic_range or ()],
-            as_printed=as_printed,
-            spectrum=spectrum,
-            black_level=black_level,
-            validity_days=validity_days,
-            spectral_response=spectral_response,
-            flat=flat,
-            flat_u_rel=flat_u_rel,
-            camera=camera,
-            bench=bench,
-            camera_file=camera_file,
-            model=model,
-            stated=dict(_stated(word) for word in stated or ()),
-            progress=shown,
-        )
+            u_rel=u_rel, luminance_meter_k=meter_k, k_u_rel=k_u_rel, f_number=f_number,
+            exposure_s=parse_seconds(exposure, "--exposure") if exposure else None, iso=iso,
+            measured_iso=parse_measured_iso(measured_iso), channel=channel, pattern=pattern, align=align,
+            reference_dn=reference_dn, dynamic_range=[_region(word) for word in dynamic_range or ()],
+            as_printed=as_printed, spectrum=spectrum, black_level=black_level, validity_days=validity_days,
+            spectral_response=spectral_response, flat=flat, flat_u_rel=flat_u_rel, camera=camera, bench=bench,
+            camera_file=camera_file, model=model, stated=dict(_stated(word) for word in stated or ()), progress=shown,
+        )  # fmt: skip
     for text in found.notes:
         note(text)
     print(found.to_json()) if json else show_report(found.to_mapping())

@@ -60,17 +60,10 @@ def command(
     started = time.monotonic()
     with progress() as shown:
         found = rm.recover_response(
-            paths,
-            method,
-            channel=channel,
-            known_ratio=parse_known_ratios(known_ratio),
-            measured_iso=parse_measured_iso(measured_iso),
-            align=align,
-            output=output,
-            plot=_plot_path(plot, output),
-            force=force,
-            progress=shown,
-        )
+            paths, method, channel=channel, known_ratio=parse_known_ratios(known_ratio),
+            measured_iso=parse_measured_iso(measured_iso), align=align, output=output, plot=_plot_path(plot, output),
+            force=force, progress=shown,
+        )  # fmt: skip
     for text in found.notes:
         note(text)
     if as_json:
@@ -84,7 +77,6 @@ def app(arguments: Sequence[str], **how: Any) -> Any:
 
     Args:
         arguments: Words after `radiometer response`.
-        how: Passed on to Typer.
     """
     inner = typer.Typer(add_completion=False, rich_markup_mode=None, pretty_exceptions_enable=False)
     inner.command(name="response", context_settings={"help_option_names": ["-h", "--help"]})(command)

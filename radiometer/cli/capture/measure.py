@@ -18,10 +18,10 @@ if TYPE_CHECKING:
 
 _FLAG_MEANING = {
     "saturated": "pixels clip even in the shortest exposure: the value is a lower bound",
-    "below_noise": "the signal does not rise above the noise: take the value as an upper limit",
+    "below_noise": "the signal does not exceed the noise: treat the value as an upper limit",
     "extrapolated": "uses digital numbers for which the response curve had no data",
     "flicker": "exposures disagree beyond their noise: the light flickers or moves",
-    "stale_calibration": "the calibration is older than it says it is valid for",
+    "stale_calibration": "the calibration is older than its stated validity: calibrate again",
     "uncalibrated": "no calibration: the value is relative, not a radiance",
     "nonuniform": "the patch is not uniform: its spread exceeds the noise",
     "few_frames": "fewer than three frames (five short ones): they cannot show whether the light is steady",
@@ -31,14 +31,15 @@ _FLAG_MEANING = {
     "falloff_assumed": "no flat field: the natural fall-off of the lens was assumed; calibrate with --flat",
     "spectrum_assumed": "the light's spectrum is not stated, or it dominates the uncertainty: state it (--spectrum)",
     "small_patch": "the patch is so small that pixels' differences dominate the uncertainty: read a larger one",
-    "temperature": "the distance from the calibration's temperature dominates the uncertainty",
-    "gain": "the gain is another than at calibration, and dominates the uncertainty",
+    "temperature": "the difference from the calibration's temperature dominates the uncertainty",
+    "gain": "the gain differs from that at calibration and dominates the uncertainty",
     "drift": "the calibration's age dominates the uncertainty: calibrate again",
-    "lens_changed": "what was done to the lens since calibration dominates the uncertainty",
+    "lens_changed": "changes of the lens since calibration dominate the uncertainty",
     "polarisation": "the light's polarisation dominates the uncertainty",
-    "exposure_unconfirmed": "the camera states another exposure time than it was given: the value may be off as much",
+    "exposure_unconfirmed": "the camera states another exposure time than was set: the value may be wrong by "
+    "their ratio",
     "repeated_frame": "the camera delivered the same frame again: the value may be an old one",
-    "linearity": "the signal is far from the calibration's level, and the sensor was taken as linear",
+    "linearity": "the signal is far from the calibration's level, and the sensor was assumed to be linear",
 }
 
 
@@ -78,8 +79,8 @@ def command(
 ) -> None:
     """Read the radiance of a patch, with its uncertainty.
 
-    Meters the patch, takes the exposures it needs, merges them and prints the radiance in W·sr⁻¹·m⁻² with its
-    expanded uncertainty (95.45 %, k by Student's t), the luminance, and what must be known of the reading.
+    Meters the patch, takes the necessary exposures and merges them. Prints the radiance in W·sr⁻¹·m⁻² with its expanded
+    uncertainty (95.45 %, k by Student's t), the luminance, and the flags of the reading.
     """
     if calibration and uncalibrated:
         raise UsageError("--calibration and --uncalibrated exclude each other")
@@ -87,7 +88,7 @@ def command(
     if photographs is not None or measured_iso or linear or iso is not None or pattern is not None:
         if photographs is None or camera or bench:
             raise UsageError(
-                "--photographs takes the place of --camera and --bench; --measured-iso, --iso, --pattern and --linear "
+                "--photographs replaces --camera and --bench; --measured-iso, --iso, --pattern and --linear "
                 "belong to it"
             )
         with progress(shown=not json) as shown:

@@ -149,8 +149,8 @@ def calibrate(
 ) -> None:
     """Measure each channel's radiance over its levels with the camera, on both current ranges.
 
-    Levels come in random order, each after it has settled; the dark reading is taken off, a reference level measured
-    in between tells the drift. What is written makes `radiometer light set spot --radiance 0.01` work.
+    Levels come in random order, each after it has settled. The dark reading is subtracted; a reference level measured
+    in between determines the drift. With the file written, `radiometer light set spot --radiance 0.01` works.
     """
     with progress(shown=not json) as shown:
         found = rm.light_calibrate(

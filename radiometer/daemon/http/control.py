@@ -15,10 +15,10 @@ from radiometer.daemon.metrics import CONTENT_TYPE
 from radiometer.daemon.station import Station
 from radiometer.errors import UsageError
 
-_MEASURING_DEADLINE_S: Final = 120.0
+_MEASURING_DEADLINE_S: Final = 120.0  # twice the time limit of a bracket
 _NUMBERS: Final = itertools.count(1)
-_CURVE_POINTS: Final = 512
-_FULL_SCALE_DN: Final = 4095
+_CURVE_POINTS: Final = 512  # about the pixels of the page's plot
+_FULL_SCALE_DN: Final = 4095  # 12 bits; the line is the same at any depth
 
 
 async def measure(request: web.Request) -> web.Response:
@@ -114,7 +114,8 @@ ROUTES: Final = (
     Route("POST", "/light", set_light, "Set the level of a light channel.", body=LightBody, schema="Light"),
     Route("POST", "/light/off", switch_off, "Switch every light channel off.", schema="Light"),
     Route("GET", "/status", show_status, "State of devices, settings, calibration and alarms.", schema="Status"),
-    Route("GET", "/response", show_response, "Response curve in use, at most 512 points; `linear` tells that none is.",
+    Route("GET", "/response", show_response, "Response curve in use, at most 512 points; `linear` is true where "
+    "none is.",
           schema="Response"),
     Route("GET", "/healthz", show_health, "200 while nothing is wrong, 503 while an alarm is up.", schema="Health",
           public=True),

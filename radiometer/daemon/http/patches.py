@@ -18,22 +18,20 @@ from radiometer.daemon.timestamps import now_us, parse_moment
 from radiometer.data import Patch
 from radiometer.errors import UsageError
 
-_QUERY_DEADLINE_S: Final = 10.0
-_MOST_POINTS: Final = 5000
-_MOST_EVENTS: Final = 5000
-_COVERAGE_FACTOR: Final = 2.0
+_QUERY_DEADLINE_S: Final = 10.0  # what takes longer hinders the writer
+_MOST_POINTS: Final = 5000  # more than a screen has columns
+_MOST_EVENTS: Final = 5000  # more than a page can show
+_COVERAGE_FACTOR: Final = 2.0  # 95 %
 _TREND_QUERY: Final = (
     QueryParameter("stream", "string", "main (the default) or patch NAME."),
-    QueryParameter(
-        "since", "string", "From this time on: ISO 8601, or an age such as 1h, 7d; 1h unless told otherwise."
-    ),
-    QueryParameter("until", "string", "Before this time; now unless told otherwise."),
-    QueryParameter("points", "integer", "About so many points at most, 10 to 5000; 1000 unless told otherwise."),
+    QueryParameter("since", "string", "From this time on: ISO 8601, or an age such as 1h, 7d; 1h by default."),
+    QueryParameter("until", "string", "Before this time; now by default."),
+    QueryParameter("points", "integer", "About so many points at most, 10 to 5000; 1000 by default."),
 )
 _EVENT_QUERY: Final = (
     QueryParameter("since", "string", "From this time on: ISO 8601, or an age such as 1h, 7d."),
     QueryParameter("until", "string", "Before this time."),
-    QueryParameter("limit", "integer", "At most this many, the newest; 200 unless told otherwise."),
+    QueryParameter("limit", "integer", "At most this many, the newest; 200 by default."),
 )
 
 
@@ -88,7 +86,7 @@ async def show_trend(request: web.Request) -> web.Response:
     until_us = parse_moment(query["until"]) if "until" in query else now_us()
     since_us = parse_moment(query.get("since", "1h"))
     if since_us >= until_us:
-        raise UsageError("since must lie before until")
+        raise UsageError("since must be a time before until")
     stream = stream_asked(query.get("stream", "main"))
     if stream is None:
         raise UsageError("a trend is of one patch: stream must be main or patch NAME")
@@ -104,7 +102,6 @@ def trend_columns(points: list[TrendPoint], every_s: float | None) -> dict[str, 
     """Return points in columns, in s since 1970, of the newest unit; where readings are missing stands a row of nulls.
 
     Args:
-        points: The points, oldest first.
         every_s: Period of continuous measurement in s; None where there is none.
     """
     unit = points[-1].unit if points else ""

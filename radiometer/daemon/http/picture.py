@@ -20,33 +20,26 @@ from radiometer.data import Frame, ResponseCurve
 from radiometer.errors import UsageError
 
 _QUERY: Final = (
-    QueryParameter("width", "integer", "Width of the picture in pixels, 64 to 2048; 808 unless told otherwise."),
+    QueryParameter("width", "integer", "Width of the picture in pixels, 64 to 2048; 808 by default."),
     QueryParameter("scale", "string", "log, linear, or auto (log where the scene spans more than a factor of 20)."),
     QueryParameter("map", "string", "inferno, grey, or red (for a dark room)."),
-    QueryParameter("bar", "boolean", "Draw the scale bar; on unless told otherwise."),
+    QueryParameter("bar", "boolean", "Draw the scale bar; on by default."),
 )
 _MAPS: Final = ("inferno", "grey", "red")
-_BAR_WIDTH: Final = 132
-_CLIPPED_RGB: Final = (64, 224, 255)
-_HATCH_PX: Final = 4
-_PERCENTILES: Final = (0.5, 99.8)
+_BAR_WIDTH: Final = 132  # pixels: the bar and its longest number
+_CLIPPED_RGB: Final = (64, 224, 255)  # cyan, which inferno and grey do not hold
+_HATCH_PX: Final = 4  # wide enough to be seen, in the red view, on a page at half size
+_PERCENTILES: Final = (0.5, 99.8)  # a few hot pixels or glints do not set the scale
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ServedPicture:
-    """Radiance of every pixel as far as the frames tell.
+    """Radiance of every pixel as far as the frames determine it."""
 
-    Attributes:
-        radiance: Radiance, shape (height, width), above 0 where defined.
-        clipped: Pixels that clip even in the shortest frame.
-        unit: Unit of the radiance.
-        sequence: Sequence number of the reading it belongs to.
-    """
-
-    radiance: NDArray[np.float32]
-    clipped: NDArray[np.bool_]
-    unit: str
-    sequence: int
+    radiance: NDArray[np.float32]  # radiance, shape (height, width), above 0 where defined
+    clipped: NDArray[np.bool_]  # pixels that clip even in the shortest frame
+    unit: str  # unit of the radiance
+    sequence: int  # sequence number of the reading it belongs to
 
 
 def composite(measurement: Measurement, response: ResponseCurve | None, sequence: int) -> ServedPicture:
@@ -82,11 +75,8 @@ def render(picture: ServedPicture, *, width: int, scale: str, colours: str, bar:
     """Return the PNG and headers that state its scale.
 
     Args:
-        picture: What to show.
         width: Width of the picture without its bar in pixels.
         scale: "log", "linear" or "auto".
-        colours: One of inferno, grey, red.
-        bar: Whether to draw the scale bar.
     """
     rows, columns = picture.radiance.shape
     height = max(1, round(rows * width / columns))

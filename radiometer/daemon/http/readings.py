@@ -22,11 +22,11 @@ from radiometer.daemon.timestamps import parse_moment
 from radiometer.errors import InputError, UsageError
 
 _log = structlog.get_logger(__name__)
-DEFAULT_ROWS: Final = 1000
-_QUERY_DEADLINE_S: Final = 10.0
-_HEARTBEAT_S: Final = 15.0
-_WRITE_DEADLINE_S: Final = 10.0
-_REPLAY_ROWS: Final = 1000
+DEFAULT_ROWS: Final = 1000  # some 1.6 MB of JSON
+_QUERY_DEADLINE_S: Final = 10.0  # what takes longer hinders the writer
+_HEARTBEAT_S: Final = 15.0  # proxies end a connection that is silent for 30 to 60 s
+_WRITE_DEADLINE_S: Final = 10.0  # who takes nothing for so long is gone
+_REPLAY_ROWS: Final = 1000  # some 1.6 MB held at a time
 _PIECE: Final = 262_144  # bytes
 _UNSENT_BYTES: Final = 65_536  # some 40 readings; Linux would let it grow to 4 MB, which is an hour of readings
 _FORMATS: Final = {"json": "application/json", "jsonl": "application/x-ndjson", "csv": "text/csv"}
@@ -269,7 +269,7 @@ ROUTES: Final = (
         "/readings/stream",
         stream_readings,
         "Readings as they come, each once it is in the journal. `id` is the sequence number, so a client that"
-        " reconnects misses nothing. An event named `status` tells a change of state.",
+        " reconnects misses nothing. An event named `status` reports a change of state.",
         reply="text/event-stream",
         query=_STREAM_QUERY,
     ),

@@ -16,7 +16,7 @@ from radiometer.daemon.patches import DEFAULT_HYSTERESIS_REL
 from radiometer.data import Patch
 from radiometer.errors import UsageError
 
-_BODY_DEADLINE_S: Final = 5.0
+_BODY_DEADLINE_S: Final = 5.0  # 16 kB, the most that is taken, come in it at 26 kbit/s
 _Model = TypeVar("_Model", bound=BaseModel)
 
 
@@ -42,7 +42,7 @@ class LimitsBody(BaseModel):
 
 
 class MeasureBody(BaseModel):
-    """Settings of one measurement; what is left out stays as it is."""
+    """Settings of one measurement; omitted settings stay unchanged."""
 
     model_config = ConfigDict(extra="forbid", allow_inf_nan=False)
     patch: PatchBody | None = Field(None, description="Where to read; null is the middle of the picture.")
@@ -62,7 +62,7 @@ class MeasureBody(BaseModel):
 
 
 class SettingsBody(MeasureBody):
-    """Settings for all later measurements; what is left out stays as it is."""
+    """Settings for all later measurements; omitted settings stay unchanged."""
 
     every_s: float | None = Field(
         None, description="Period of continuous measurement in s; 0 is as fast as it goes, null stops it."
@@ -114,7 +114,7 @@ def _refuse_repeated_keys(content: bytes) -> None:
         names = [name for name, _ in pairs]
         for name in names:
             if names.count(name) > 1:
-                raise UsageError(f"the key {name[:40]!r} stands twice; leave one out")
+                raise UsageError(f"the key {name[:40]!r} occurs twice; leave one out")
         return dict(pairs)
 
     with suppress(ValueError, RecursionError):  # what is no JSON is named by the model

@@ -32,29 +32,17 @@ class QueryParameter:
 
 @dataclass(frozen=True, slots=True)
 class Route:
-    """One line of the route table.
+    """One line of the route table."""
 
-    Attributes:
-        method: "GET" or "POST".
-        path: Path, fixed.
-        handler: What serves it.
-        summary: What it does.
-        reply: Content type of the reply.
-        query: Parameters in the query string; others are refused.
-        body: Model of the JSON body; None where there is none.
-        schema: Name of the reply's schema in the OpenAPI description; "" where it is not JSON.
-        public: Whether it is served without the token; such a route gives away no measurement.
-    """
-
-    method: str
-    path: str
-    handler: Handler
-    summary: str
-    reply: str = "application/json"
-    query: tuple[QueryParameter, ...] = ()
-    body: type[BaseModel] | None = None
-    schema: str = ""
-    public: bool = False
+    method: str  # "GET" or "POST"
+    path: str  # path, fixed
+    handler: Handler  # what serves it
+    summary: str  # what it does
+    reply: str = "application/json"  # content type of the reply
+    query: tuple[QueryParameter, ...] = ()  # parameters in the query string; others are refused
+    body: type[BaseModel] | None = None  # model of the JSON body; None where there is none
+    schema: str = ""  # name of the reply's schema in the OpenAPI description; "" where it is not JSON
+    public: bool = False  # whether it is served without the token; such a route gives away no measurement
 
 
 def json_reply(content: Any, status: int = 200) -> web.Response:

@@ -22,7 +22,7 @@ from radiometer.errors import DeviceError, InputError, RadiometerError, SettingO
 _log = structlog.get_logger(__name__)
 Handler = Callable[[web.Request], Awaitable[web.StreamResponse]]
 LOOPBACK_HOSTS: Final = frozenset({"localhost", "127.0.0.1", "::1"})
-_BUCKETS: Final = 512
+_BUCKETS: Final = 512  # addresses counted at a time; those that have rested are forgotten first
 _TURNS: Final = 50  # at most so often a newcomer tries to get its turn
 _HEADERS: Final = {
     "Content-Security-Policy": "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' blob: data:;"
@@ -74,10 +74,7 @@ async def report_errors(request: web.Request, handler: Handler) -> web.StreamRes
 
 
 def guard(
-    routes: Sequence[Route],
-    token: str | None,
-    requests_per_s: float,
-    places: Places[web.RequestHandler],
+    routes: Sequence[Route], token: str | None, requests_per_s: float, places: Places[web.RequestHandler]
 ) -> Middleware:
     """Return the middleware that limits rates, refuses foreign origins, and asks for the token where one is set.
 
@@ -86,7 +83,6 @@ def guard(
         token: The token; None where only this machine can connect.
         requests_per_s: Sustained rate that one address may have; on loopback, where all clients have one address, one
             connection, and all new connections together: those wait their turn.
-        places: Whose connection is known by now.
     """
     public = {route.path for route in routes if route.public}
     rates = _Rates(requests_per_s, places)
@@ -120,12 +116,7 @@ def guard(
 
 
 class _Rates:
-    """Who may make how many requests.
-
-    Args:
-        per_s: Sustained rate.
-        places: Whose connection is known by now.
-    """
+    """Who may make how many requests."""
 
     def __init__(self, per_s: float, places: Places[web.RequestHandler]) -> None:
         self._per_s, self._places = per_s, places

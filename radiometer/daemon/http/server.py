@@ -23,7 +23,7 @@ from radiometer.daemon.station import Station
 from radiometer.errors import OutputError, UsageError
 
 _log = structlog.get_logger(__name__)
-_KEEP_ALIVE_S: Final = 30.0
+_KEEP_ALIVE_S: Final = 30.0  # twice the heartbeat of a stream
 _PAGE: Final = {
     "/": ("index.html", "text/html"),
     "/page.css": ("page.css", "text/css"),
@@ -61,7 +61,6 @@ class HttpServer:
     """Serves one station over HTTP.
 
     Args:
-        station: The instrument.
         limits: What clients may use.
         token: What clients must send, 16 characters or more; None where only loopback is listened on.
 

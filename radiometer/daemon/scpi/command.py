@@ -22,17 +22,11 @@ _NODE: Final = re.compile(r"(\[?):?([A-Za-z*]+)(<n>)?(\]?)")
 
 @dataclass(frozen=True, slots=True)
 class Call:
-    """One call of a command.
+    """One call of a command."""
 
-    Attributes:
-        session: Whose.
-        values: Values of the arguments that were given.
-        channel: Numeric suffix of the header; 1 where none was written.
-    """
-
-    session: Session
-    values: tuple[Any, ...]
-    channel: int = 1
+    session: Session  # whose
+    values: tuple[Any, ...]  # values of the arguments that were given
+    channel: int = 1  # numeric suffix of the header; 1 where none was written
 
 
 Handler = Callable[[Call], Outcome]
@@ -40,33 +34,20 @@ Handler = Callable[[Call], Outcome]
 
 @dataclass(frozen=True, slots=True)
 class Command:
-    """One line of the command table; either form may be missing.
+    """One line of the command table; either form may be missing."""
 
-    Attributes:
-        pattern: Header with its short form in capitals, optional nodes in brackets, "<n>" for a numeric suffix.
-        summary: What it does, one or two sentences.
-        do: Handler of the command form.
-        ask: Handler of the query form.
-        parameters: Parameters of the command form.
-        required: How many of them must be given; -1 for all.
-        ask_parameters: Parameters of the query form, all optional unless `ask_required` says otherwise.
-        ask_required: How many parameters the query form must be given.
-        reply: Form of the reply, for the manual.
-        example: A message that works on any instrument; tested.
-        group: Heading in the manual.
-    """
-
-    pattern: str
-    summary: str
-    do: Handler | None = None
-    ask: Handler | None = None
-    parameters: tuple[Parameter, ...] = ()
-    required: int = -1
+    pattern: str  # header with its short form in capitals, optional nodes in brackets, "<n>" for a numeric suffix
+    summary: str  # what it does, one or two sentences
+    do: Handler | None = None  # handler of the command form
+    ask: Handler | None = None  # handler of the query form
+    parameters: tuple[Parameter, ...] = ()  # parameters of the command form
+    required: int = -1  # how many of them must be given; -1 for all
+    # Parameters of the query form, all optional unless `ask_required` says otherwise
     ask_parameters: tuple[Parameter, ...] = ()
-    ask_required: int = 0
-    reply: str = ""
-    example: str = ""
-    group: str = ""
+    ask_required: int = 0  # how many parameters the query form must be given
+    reply: str = ""  # form of the reply, for the manual
+    example: str = ""  # a message that works on any instrument; tested
+    group: str = ""  # heading in the manual
 
     def spellings(self) -> list[str]:
         """Return every accepted header in capitals; "<n>" means a numeric suffix, written or not."""
@@ -103,7 +84,7 @@ class CommandTable:
             for spelling in command.spellings():
                 if spelling in self._by_spelling:
                     raise ValueError(
-                        f"{spelling} stands for both {self._by_spelling[spelling].pattern} and {command.pattern}"
+                        f"{spelling} is a spelling of both {self._by_spelling[spelling].pattern} and {command.pattern}"
                     )
                 self._by_spelling[spelling] = command
 
@@ -111,7 +92,6 @@ class CommandTable:
         """Return the command of a header, its numeric suffix, and the path for the next unit of the message.
 
         Args:
-            header: As written.
             path: Path left by the unit before; "" at the start of a message.
 
         Raises:

@@ -1,4 +1,4 @@
-"""Writes the manual docs/scpi.md from the command table."""
+"""Writes the manual docs/reference/scpi.md from the command table."""
 
 from __future__ import annotations
 
@@ -14,29 +14,39 @@ _INTRODUCTION = """\
 
 `radiometer serve` listens on TCP port 5025 (raw socket) and, where asked for, on a Unix socket. This page is made from
 the command table by `python -m radiometer.daemon.scpi.document`; a test keeps it up to date and runs every example.
+"""
 
-* One message per line, ended by a line feed (a carriage return before it is ignored). Replies end the same way.
-* Headers in short or long form (`SENS:EXP`, `SENSe:EXPosure`), in capitals or not; nodes in brackets may be left out.
-* Several commands in one message are separated by `;`. After one, the next begins where its last node stood:
-  `SENS:EXP 4 MS;GAIN 0`. A leading `:` begins at the root. Replies of one message are joined by `;`.
-* Numbers may carry a unit: `SENS:EXP 4 MS` is `SENS:EXP 0.004`. `MIN`, `MAX` and `DEF` stand for the limits;
-  `SENS:EXP? MAX` asks for one. What is out of range is refused (−222), never clipped.
-* A query that fails has no reply; `SYST:ERR?` tells why. After a command error (−1xx) the rest of the message is
-  ignored.
-* Each connection has status, error queue, patch and formats of its own; the settings of the camera, continuous
-  measurement and the light box are shared by all.
-* Every value can be had with its standard uncertainty (k=1) beside it: `MEAS:RAD?` replies `value,u`.
-  9.91E+37 stands for "not a number", 9.9E+37 for infinity.
-* Blocks (`#` + number of digits + length + bytes) may hold any byte.
-* **SCPI has no authentication.** The daemon listens on the loopback address; on another one only with a list of those
-  who may connect (`--scpi-allow`). A client that speaks HTTP or TLS, as a web page can make a browser do, is hung up on
-  before anything that it sends is executed; for that, a message with `SOURce` in the first 0.1 s of a connection waits
-  for the end of that time.
-* Limits: 256 connections, 4096 bytes per message, 1000 messages per second and client (more are delayed). A client that
-  does not take its replies or does not finish a message within 30 s is dropped; so is one that sends nothing for 4 h
-  (an entry of the error queue warns 24 min before). The replies of one message may have 4 MB without the largest of
-  them, and those replies above 1 MB that all clients have not taken yet 256 MB: beyond, a query fails with −225. Where
-  all connections are taken, the longest idle one makes room after a minute.
+_RULES = (
+    "One message per line, ended by a line feed (a carriage return before it is ignored). Replies end the same way.",
+    "Headers in short or long form (`SENS:EXP`, `SENSe:EXPosure`), in capitals or not. Nodes in brackets may be "
+    "left out.",
+    "Several commands in one message are separated by `;`. After one, the next begins where its last node stood: "
+    "`SENS:EXP 4 MS;GAIN 0`. A leading `:` begins at the root. Replies of one message are joined by `;`.",
+    "Numbers may carry a unit: `SENS:EXP 4 MS` is `SENS:EXP 0.004`. `MIN`, `MAX` and `DEF` mean the limits and the "
+    "default; `SENS:EXP? MAX` asks for one. A value out of range is refused (−222), never clipped.",
+    "A query that fails has no reply; `SYST:ERR?` reports why. After a command error (−1xx) the rest of the message is "
+    "ignored.",
+    "Each connection has its own status, error queue, patch and formats. All connections share the settings of the "
+    "camera, continuous measurement and the light box.",
+    "Every value can be read with its standard uncertainty (k=1): `MEAS:RAD?` replies `value,u`. The number 9.91E+37 "
+    'means "not a number", 9.9E+37 means infinity.',
+    "Blocks (`#` + number of digits + length + bytes) may hold any byte.",
+    "**SCPI has no authentication.** The daemon listens on the loopback address; on another one only with a list of "
+    "those who may connect (`--scpi-allow`).",
+    "A web page can make a browser speak HTTP or TLS to this port. Such a client is disconnected before anything "
+    "that it "
+    "sends is executed. For that, a message with `SOURce` in the first 0.1 s of a connection waits until the 0.1 "
+    "s end.",
+    "Limits: 256 connections, 4096 bytes per message, 1000 messages per second and client (more are delayed). "
+    "Where all "
+    "connections are in use, the longest idle one is closed after a minute to make room.",
+    "A client is dropped after 30 s if it does not take its replies or does not finish a message. It is also dropped "
+    "after 4 h without a message; an entry of the error queue warns 24 min before.",
+    "The replies of one message may have 4 MB without the largest of them. Replies above 1 MB that clients have not "
+    "taken yet may have 256 MB in total. Beyond either limit a query fails with −225.",
+)
+
+_EXAMPLE = """\
 
 ```python
 import pyvisa
@@ -54,7 +64,7 @@ radiance, u = map(float, instrument.query("MEAS:RAD? 400,300,64,64").split(","))
 def manual(table: CommandTable | None = None) -> str:
     """Return the text of the manual."""
     commands = sorted((table or command_table()).commands, key=lambda command: _ORDER.index(command.group))
-    parts = [_INTRODUCTION]
+    parts = [_INTRODUCTION, "\n", *(f"* {rule}\n" for rule in _RULES), _EXAMPLE]
     for group, members in groupby(commands, key=lambda command: command.group):
         parts.append(f"\n## {group}\n")
         parts += [_entry(command) for command in members]

@@ -59,7 +59,6 @@ class ScpiError(Exception):
     """An entry of the error queue.
 
     Args:
-        number: A key of MESSAGES.
         detail: What exactly; follows the standard text after a semicolon.
     """
 

@@ -41,7 +41,6 @@ def reading_elements(reading: Reading, function: str, elements: Iterable[str]) -
     """Return the chosen elements of a reading.
 
     Args:
-        reading: The reading.
         function: "RADiance" or "LUMinance".
         elements: Out of READing, UNCertainty, EXPanded, COVerage, TIME, SEQuence, FLAGs.
     """

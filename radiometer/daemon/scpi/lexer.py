@@ -30,32 +30,20 @@ class Kind(Enum):
 
 @dataclass(frozen=True, slots=True)
 class Argument:
-    """One argument.
+    """One argument."""
 
-    Attributes:
-        kind: What it is.
-        text: Number without its suffix, word, string without its quotes, or the block's bytes as Latin-1.
-        suffix: Unit of a number as written, such as "ms"; "" if none.
-    """
-
-    kind: Kind
-    text: str
-    suffix: str = ""
+    kind: Kind  # what it is
+    text: str  # number without its suffix, word, string without its quotes, or the block's bytes as Latin-1
+    suffix: str = ""  # unit of a number as written, such as "ms"; "" if none
 
 
 @dataclass(frozen=True, slots=True)
 class Unit:
-    """One program message unit.
+    """One program message unit."""
 
-    Attributes:
-        header: As written, without the question mark.
-        is_query: Whether a question mark followed.
-        arguments: What followed the header.
-    """
-
-    header: str
-    is_query: bool
-    arguments: tuple[Argument, ...]
+    header: str  # as written, without the question mark
+    is_query: bool  # whether a question mark followed
+    arguments: tuple[Argument, ...]  # what followed the header
 
 
 def split_message(message: str) -> tuple[tuple[Unit, ...], ScpiError | None]:

@@ -17,7 +17,7 @@ from radiometer.daemon.station import Station
 from radiometer.data import Patch, Reading
 
 GROUP: Final = "Measuring"
-_DEFAULT_PERIOD_S: Final = 1.0
+_DEFAULT_PERIOD_S: Final = 1.0  # as of `radiometer serve`
 ELEMENTS: Final = ("READing", "UNCertainty", "EXPanded", "COVerage", "TIME", "SEQuence", "FLAGs")
 
 
@@ -42,7 +42,7 @@ PATCH_PARAMETERS: Final = (
 
 
 def patch_from(call: Call) -> Patch | None:
-    """Return the patch that four values (or none, or CENTer) stand for. Raises ScpiError or RadiometerError."""
+    """Return the patch that four values (or none, or CENTer) describe. Raises ScpiError or RadiometerError."""
     if not call.values or call.values == ("CENTer",):
         return None
     if len(call.values) != 4 or "CENTer" in call.values:
@@ -136,10 +136,10 @@ def _ask_period(call: Call) -> str:
 
 def _measuring(quantity: str, unit: str) -> tuple[Command, ...]:
     function, uncertainty = quantity, ("UNCertainty",)
-    patch_note = "of a patch (x,y,width,height in pixels, or CENTer; without it that of SENSe:PATCh)"
+    patch_note = "Without a patch (x,y,width,height in pixels, or CENTer) that of SENSe:PATCh is measured."
     return (
-        Command(f"MEASure:{quantity}", f"Measures the {quantity.lower()} {patch_note} in {unit} and replies value and"
-                " standard uncertainty (k=1), or what FORMat:ELEMents says. Waits for the measurement.",
+        Command(f"MEASure:{quantity}", f"Measures the {quantity.lower()} of a patch in {unit}. Replies value and"
+                f" standard uncertainty (k=1), or what FORMat:ELEMents chose. {patch_note}",
                 ask=_measure(function), ask_parameters=PATCH_PARAMETERS, reply="value,u",
                 example=f"MEAS:{quantity[:3].upper()}?", group=GROUP),
         Command(f"MEASure:{quantity}:UNCertainty", f"Measures the {quantity.lower()} and replies its standard"
@@ -149,9 +149,10 @@ def _measuring(quantity: str, unit: str) -> tuple[Command, ...]:
                 " session.", do=_configure(function), parameters=PATCH_PARAMETERS, required=0,
                 example=f"CONF:{quantity[:3].upper()}", group=GROUP),
         Command(f"FETCh:{quantity}", f"Replies {quantity.lower()} and standard uncertainty of the newest reading of"
-                " this session's patch: where MEASure? or CONFigure gave one, of readings that this session made; else"
-                " of SENSe:PATCh (its own while nothing measures continuously). −230 where there is none yet, as after"
-                " the patch was moved. One message sees one reading.",
+                " this session's patch. If MEASure? or CONFigure gave the patch, only readings of this session count."
+                " Otherwise it is the patch of SENSe:PATCh. While nothing measures continuously, only readings of this"
+                " session count there, too. −230 means that there is none yet, as after the patch was moved. All"
+                " queries of one message refer to one reading.",
                 ask=_fetch(function), reply="value,u", example=f"READ?;:FETC:{quantity[:3].upper()}?", group=GROUP),
         Command(f"FETCh:{quantity}:UNCertainty", "Replies its standard uncertainty (k=1) alone.",
                 ask=_fetch(function, uncertainty), reply="u", example=f"READ?;:FETC:{quantity[:3].upper()}:UNC?",
@@ -185,13 +186,15 @@ COMMANDS: Final = (
     Command("INITiate:CONTinuous", "Switches continuous measurement on or off, for all clients.", do=_set_continuous,
             ask=lambda call: str(int(call.session.station.acquisition.every_s is not None)), parameters=(Boolean(),),
             reply="0 or 1", example="INIT:CONT ON;CONT?", group=GROUP),
-    Command("TRIGger:TIMer", "Sets the period of continuous measurement and switches it on; 0 is as fast as it goes.",
+    Command("TRIGger:TIMer", "Sets the period of continuous measurement and switches it on; 0 measures as fast as "
+    "possible.",
             do=lambda call: call.session.station.set_every(call.values[0]), ask=_ask_period,
             parameters=(Number("period", "S", _period),), reply="seconds", example="TRIG:TIM 500 MS;TIM?", group=GROUP),
-    Command("ABORt", "Gives up a measurement that this session began.", do=_abort, example="ABOR", group=GROUP),
+    Command("ABORt", "Aborts a measurement that this session began.", do=_abort, example="ABOR", group=GROUP),
     Command("FORMat:ELEMents",
-            "Chooses what MEASure?, READ? and FETCh? reply, in that order: the reading, its standard uncertainty (k=1),"
-            " its expanded uncertainty (95.45 %), the coverage factor k between the two, time, number, flags.",
+            "Chooses what MEASure?, READ? and FETCh? reply, in the order given. READing is the value, UNCertainty its"
+            " standard uncertainty (k=1), EXPanded its expanded uncertainty (95.45 %). COVerage is the factor k between"
+            " the two uncertainties. TIME, SEQuence and FLAGs describe the reading.",
             do=_set_elements, ask=lambda call: ",".join(call.session.elements),
             parameters=(Choice("element", ELEMENTS),) * len(ELEMENTS), required=1,
             reply="elements", example="FORM:ELEM READ,UNC,EXP,COV,TIME,SEQ,FLAG;ELEM?", group=GROUP),

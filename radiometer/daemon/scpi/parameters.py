@@ -26,16 +26,13 @@ class Parameter(Protocol):
     @property
     def name(self) -> str:
         """Return the name for messages and the manual."""
-        ...
 
     @property
     def form(self) -> str:
         """Return what is accepted, for the manual."""
-        ...
 
     def read(self, argument: Argument, station: Station) -> Any:
         """Return the value of an argument. Raises ScpiError."""
-        ...
 
 
 def short_form(word: str) -> str:
@@ -54,21 +51,13 @@ class ParameterLimits:
 
 @dataclass(frozen=True, slots=True)
 class Number:
-    """A number with a unit; MINimum, MAXimum and DEFault mean the limits.
+    """A number with a unit; MINimum, MAXimum and DEFault mean the limits."""
 
-    Attributes:
-        name: Name for messages.
-        unit: Key of the table of suffixes: "S", "DB", "NM", "PCT" or "".
-        limits: Returns the limits in force.
-        integer: Whether it is rounded to a whole number.
-        also: Words that are accepted instead of a number.
-    """
-
-    name: str
-    unit: str
-    limits: Callable[[Station], ParameterLimits]
-    integer: bool = False
-    also: tuple[str, ...] = ()
+    name: str  # name for messages
+    unit: str  # key of the table of suffixes: "S", "DB", "NM", "PCT" or ""
+    limits: Callable[[Station], ParameterLimits]  # returns the limits in force
+    integer: bool = False  # whether it is rounded to a whole number
+    also: tuple[str, ...] = ()  # words that are accepted instead of a number
 
     @property
     def form(self) -> str:

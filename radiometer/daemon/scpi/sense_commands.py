@@ -199,18 +199,18 @@ COMMANDS: Final = (
             ask=_ask_patch,
             parameters=PATCH_PARAMETERS, required=1, reply="x,y,width,height or CENT", example="SENS:PATC CENT;PATC?",
             group=SENSE),
-    Command("SENSe:PATCh:DEFine", "Gives a patch a name; while measuring is continuous it is measured beside the one"
-            " for all, in every period. One of that name is moved. At most 12; they are kept over a restart.",
+    Command("SENSe:PATCh:DEFine", "Defines a patch with a name, or moves it. During continuous measurement it is"
+            " measured in every period, in addition to the shared patch. There are at most 12; a restart keeps them.",
             do=_define_patch, parameters=(Text("name"), *PATCH_PARAMETERS), example='SENS:PATC:DEF "lamp",1,2,3,4;CAT?',
             group=SENSE),
-    Command("SENSe:PATCh:DELete", "Measures a patch with a name no longer; its readings stay.",
+    Command("SENSe:PATCh:DELete", "Stops measuring a patch with a name; its readings stay.",
             do=lambda call: call.session.station.patches.delete(call.values[0]), parameters=(Text("name"),),
             example='SENS:PATC:DEF "gone",1,2,3,4;DEL "gone"', group=SENSE),
-    Command("SENSe:PATCh:CATalog", 'Names the patches; "main" is the one for all.', ask=_patch_names, reply='"name",…',
+    Command("SENSe:PATCh:CATalog", 'Names the patches; "main" is the shared one.', ask=_patch_names, reply='"name",…',
             example="SENS:PATC:CAT?", group=SENSE),
-    Command("SENSe:PATCh:LIMits", "Sets between which radiances a patch should stay, NONE for no bound. Two readings"
-            " in a row beyond a limit put the alarm `limit NAME` up, two that are back inside by the hysteresis (a part"
-            " of the limit, 0.01 unless told otherwise) take it down.", do=_set_limits, ask=_ask_limits,
+    Command("SENSe:PATCh:LIMits", "Sets the lowest and highest allowed radiance of a patch; NONE is no bound. Two"
+            " readings in a row beyond a limit raise the alarm `limit NAME`. Two in a row inside by the hysteresis end"
+            " it. The hysteresis is a fraction of the limit, 0.01 by default.", do=_set_limits, ask=_ask_limits,
             parameters=(Text("name"), Number("low", "", _bound, also=("NONE",)),
                         Number("high", "", _bound, also=("NONE",)), Number("hysteresis", "PCT", _hysteresis)),
             required=3, ask_parameters=(Text("name"),), ask_required=1, reply="low,high,hysteresis",
@@ -218,14 +218,15 @@ COMMANDS: Final = (
     Command("FETCh:PATCh", "Replies the newest reading of a patch with a name; −230 where there is none yet.",
             ask=_fetch_patch, ask_parameters=(Text("name"),), ask_required=1, reply="value,u",
             example='READ?;:FETC:PATC? "main"', group=MEASURING),
-    Command("SENSe:CORRection:WAVelength", "Takes the source for a line of this wavelength (nm unless a suffix says UM"
-            " or M); NONE returns to the configured spectrum.", do=_set_wavelength,
+    Command("SENSe:CORRection:WAVelength", "Treats the source as a line of this wavelength, in nm unless a suffix "
+    "states UM"
+            " or M. NONE returns to the configured spectrum.", do=_set_wavelength,
             ask=_asked(_wavelength, _ask_wavelength),
             parameters=(Number("wavelength", "NM", _wavelength, also=("NONE",)),), ask_parameters=(_ANY_LIMIT,),
             reply="nm or NONE", example="SENS:CORR:WAV 550;WAV?;WAV NONE", group=SENSE),
     Command("CALibration:SOURce", "Names the calibration in use; empty where there is none.", ask=_summary("source"),
             reply='"name"', example="CAL:SOUR?", group=CALIBRATION),
-    Command("CALibration:DATE", "Tells when it was made.", ask=_summary("created"), reply='"ISO 8601"',
+    Command("CALibration:DATE", "Replies when the calibration was made.", ask=_summary("created"), reply='"ISO 8601"',
             example="CAL:DATE?", group=CALIBRATION),
     Command("CALibration:ASSumptions", "Lists what was assumed rather than measured.", ask=_summary("assumptions"),
             reply='"assumption",…', example="CAL:ASS?", group=CALIBRATION),
@@ -235,15 +236,15 @@ COMMANDS: Final = (
     Command("CALibration:RELoad", "Reads the calibration file named at start again, as SIGHUP does.", do=_reload,
             example="CAL:REL", group=CALIBRATION),
     Command("SOURce:LED<n>:LEVel", "Sets the level of a channel of the light box, 0 (off) to 1. The query replies"
-            " the level that the box itself told last (twice a second); −230 while it does not answer. A light that the"
-            " box ended by itself (energy budget, its button) is 0 and an alarm.",
+            " the level that the box last reported; it reports twice a second. −230 means that the box does not answer."
+            " If the box ended the light itself (energy budget, its button), the level is 0 and an alarm is raised.",
             do=_set_level, ask=_ask_level, parameters=(Number("level", "PCT", _level),),
             reply="level",
             example="SOUR:LED1:LEV 0.25;LEV?", group=SOURCE),
     Command("SOURce:LED:CATalog", "Names the channels, from 1 on.", ask=_catalogue, reply='"name",…',
             example="SOUR:LED:CAT?", group=SOURCE),
-    Command("OUTPut:ALL", "OFF switches every channel off, at once also as the first message of a connection; ON is"
-            " refused (−221). The query replies 1 while any channel is lit, as the box itself tells.",
+    Command("OUTPut:ALL", "OFF switches every channel off at once, even as the first message of a connection. ON is"
+            " refused (−221). The query replies 1 while the box reports any channel lit.",
             do=_set_output, ask=_ask_output, parameters=(Boolean(),), reply="0 or 1", example="OUTP:ALL OFF;ALL?",
             group=SOURCE),
     Command("SOURce:LED:OFF", "Switches every channel off.", do=_lights_off, example="SOUR:LED:OFF", group=SOURCE),

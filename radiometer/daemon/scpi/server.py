@@ -30,7 +30,7 @@ _log = structlog.get_logger(__name__)
 INTERFACE: Final = "scpi"
 _IDLE_S: Final = 60.0  # a session idle for so long makes room where all places are held
 _DISCARD_LIMIT: Final = 16  # times the line limit that may be thrown away before the client is dropped
-_MESSAGES_AT_ONCE: Final = 32
+_MESSAGES_AT_ONCE: Final = 32  # of one client, then the others have their turn
 _PIECE: Final = 262_144  # characters of a reply, of one byte each, handed to the system at a time
 _LIGHTS: Final = re.compile(rb"sour", re.IGNORECASE)  # no message that lights does without this root
 
@@ -318,7 +318,6 @@ class ScpiServer:
     """Listens for SCPI clients.
 
     Args:
-        station: The instrument.
         limits: What clients may use.
         allow: Networks that may connect in addition to loopback.
     """

@@ -25,7 +25,7 @@ from radiometer.data import Flag, Patch, Reading
 from radiometer.errors import RadiometerError
 
 _log = structlog.get_logger(__name__)
-MEASURING_DEADLINE_S: Final = 120.0
+MEASURING_DEADLINE_S: Final = 120.0  # twice the time limit of a bracket
 _REPLY_BYTES: Final = Limits().reply_bytes
 _DEFAULT_ELEMENTS: Final = ("READing", "UNCertainty")
 _CALIBRATION_FLAGS: Final = {Flag.UNCALIBRATED, Flag.STALE_CALIBRATION}
@@ -37,8 +37,6 @@ class Session:
     """One client.
 
     Args:
-        station: The instrument, shared by all sessions.
-        table: The command table.
         reply_bytes: Bytes that the replies of one message may have together, without the largest of them.
     """
 
@@ -127,10 +125,7 @@ class Session:
         """Return the reading that FETCh? means; one message always sees one reading.
 
         A session with a separate patch sees its own readings only. Any other sees the newest of the patch that is
-        measured for all: its own while nothing measures continuously.
-
-        Raises:
-            ScpiError: If there is none yet.
+        measured for all: its own while nothing measures continuously. Raises ScpiError if there is none yet.
         """
         if self._held is None:
             own = self._own_if_current()

@@ -7,7 +7,7 @@ from typing import Final
 
 from radiometer.daemon.scpi.errors import OPERATION_COMPLETE, POWER_ON, ScpiError
 
-QUEUE_LENGTH: Final = 32
+QUEUE_LENGTH: Final = 32  # errors kept; of a full queue the last becomes −350 (SCPI-99)
 
 # Status byte
 ERROR_AVAILABLE: Final = 1 << 2

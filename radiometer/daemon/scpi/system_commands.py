@@ -89,7 +89,7 @@ def _frame(call: Call) -> Frame:
     measurement = call.session.measurement()
     frame = measurement.frame if measurement else None
     if frame is None:
-        raise ScpiError(-230, "no picture of this reading is held; READ? makes one")
+        raise ScpiError(-230, "there is no picture of this reading; READ? makes one")
     return frame
 
 
@@ -148,16 +148,17 @@ COMMANDS: Final = (
     *_registers("QUEStionable"),
     Command("STATus:PRESet", "Clears the enable registers of both.", do=lambda call: call.session.status.preset(),
             example="STAT:PRES", group=STATUS),
-    Command("SYSTem:ERRor[:NEXT]", "Takes the oldest entry out of the session's error queue (32 entries). A"
-            " lost camera,"
-            " a lost light box and a journal that cannot be written are entered here as they happen.",
+    Command("SYSTem:ERRor[:NEXT]", "Removes the oldest entry from the session's error queue (32 entries) and "
+    "replies it."
+            " A lost camera, a lost light box and a journal that cannot be written are entered when they happen.",
             ask=lambda call: call.session.status.next_error(), reply='number,"text"', example="SYST:ERR?",
             group=SYSTEM),
-    Command("SYSTem:ERRor:ALL", "Takes all entries.", ask=_all_errors, reply='number,"text",…', example="SYST:ERR:ALL?",
+    Command("SYSTem:ERRor:ALL", "Removes all entries and replies "
+    "them.", ask=_all_errors, reply='number,"text",…', example="SYST:ERR:ALL?",
             group=SYSTEM),
     Command("SYSTem:ERRor:COUNt", "Counts the entries.", ask=lambda call: str(call.session.status.error_count),
             reply="integer", example="SYST:ERR:COUN?", group=SYSTEM),
-    Command("SYSTem:VERSion", "Tells the version of SCPI.", ask=lambda call: "1999.0", reply="1999.0",
+    Command("SYSTem:VERSion", "Replies the version of SCPI.", ask=lambda call: "1999.0", reply="1999.0",
             example="SYST:VERS?", group=SYSTEM),
     Command("SYSTem:ALARm", "Lists the alarms that are up.", ask=_alarms, reply='"alarm",…', example="SYST:ALAR?",
             group=SYSTEM),
@@ -167,11 +168,10 @@ COMMANDS: Final = (
             reply="block", example="SYST:STAT?", group=SYSTEM),
     Command("SYSTem:HELP:HEADers", "Lists every header in a block, one per line.", ask=_headers, reply="block",
             example="SYST:HELP:HEAD?", group=SYSTEM),
-    Command("TRACe[:DATA]", "Replies a block: IMAGe is the latest frame (16-bit digital numbers, row by row),"
-            " RESPonse the"
-            " response curve (pairs ln H, u of 64-bit floats, one per digital number), HISTory[,count] the"
-            " newest readings of the patch measured for all"
-            " (triples sequence, radiance, u of 64-bit floats, oldest first).", ask=_trace,
+    Command("TRACe[:DATA]", "Replies a block of binary numbers. IMAGe is the latest frame: 16-bit digital numbers, row"
+            " by row. RESPonse is the response curve: pairs ln H, u of 64-bit floats, one per digital number."
+            " HISTory[,count] holds the newest readings of the shared patch, oldest first: triples sequence, radiance,"
+            " u of 64-bit floats.", ask=_trace,
             ask_parameters=(Choice("trace", ("IMAGe", "RESPonse", "HISTory")), Number("count", "", _history, True)),
             ask_required=1, reply="block", example="READ?;:TRAC:DATA? HIST,10", group=TRACE),
     Command("TRACe:SIZE", "Replies width, height and bit depth of IMAGe.", ask=_size, reply="width,height,bits",

@@ -9,10 +9,5 @@ from radiometer.daemon.scpi.command import CommandTable
 def command_table() -> CommandTable:
     """Return the table of all commands."""
     return CommandTable(
-        (
-            *common_commands.COMMANDS,
-            *measure_commands.COMMANDS,
-            *sense_commands.COMMANDS,
-            *system_commands.COMMANDS,
-        )
+        (*common_commands.COMMANDS, *measure_commands.COMMANDS, *sense_commands.COMMANDS, *system_commands.COMMANDS)
     )

@@ -24,11 +24,12 @@ from radiometer.reconciliation.advice.sizes import SHOWN, Asked, mildest
 from radiometer.reconciliation.fit.candidate_fit import Candidate, fit_candidate
 from radiometer.reconciliation.fit.comparison import Comparison
 from radiometer.reconciliation.fit.descent import refit
+from radiometer.reconciliation.fit.models import ModelFit, ModelList
 from radiometer.reconciliation.fit.state import FitState, with_effects
-from radiometer.reconciliation.measure.design import Array
 from radiometer.reconciliation.prediction import Prediction
 from radiometer.reconciliation.search.screening import AT_ONCE, changes_where_possible, directions_of_each
 from radiometer.reconciliation.thresholds import PARAMETER_NATS, RIVAL_NATS
+from radiometer.typing import Array
 from simulators.effects.catalogue import CatalogueEffect
 
 _STARTS: Final = 6  # of an entry, spread over all that it has
@@ -189,8 +190,17 @@ def inseparable(
         return ()
     (target,) = directions.forms[chosen.name]
     alike = ConfusablePair(directions, target)
-    found = (alike.fitted(name) for name in kinds)
-    return tuple(effect for effect in found if effect is not None)
+    found = [pair for name in kinds if (pair := alike.fitted(name)) is not None]
+    for effect, left in found:
+        state.models.add(_exchanged(state, chosen, effect, left))
+    return tuple(effect for effect, _ in found)
+
+
+def _exchanged(state: FitState, chosen: CatalogueEffect, other: CatalogueEffect, left: float) -> ModelFit:
+    """Return the model with another effect in the place of one, which leaves so much χ² more on average."""
+    effects = tuple(other if effect is chosen else effect for effect in state.effects)
+    density = state.log_density - left / 2.0 / state.log_density.size
+    return ModelFit(effects, state.curves, density, state.parameters_of(effects).size + state.curves)
 
 
 @dataclass(frozen=True, eq=False)
@@ -213,7 +223,7 @@ def noiseless(state: FitState, effect: CatalogueEffect) -> FitState:
     """Return a state with the data replaced by what its model with a further effect expects."""
     known = {entry.name: getattr(state.comparison, entry.name) for entry in fields(state.comparison)}
     offset = state.comparison.residual(state.predicted_with((*state.effects, effect)))
-    return replace(state, comparison=Noiseless(**known | {"offset": offset}))
+    return replace(state, comparison=Noiseless(**known | {"offset": offset}), models=ModelList())
 
 
 def left_by_fit(exact: FitState, truth: CatalogueEffect, start: Candidate) -> tuple[float, CatalogueEffect]:
@@ -225,11 +235,11 @@ def left_by_fit(exact: FitState, truth: CatalogueEffect, start: Candidate) -> tu
         start: Where the fit begins.
     """
     fitted = fit_candidate(exact, start).effect
-    return _left(exact, truth, fitted, _refitted_cost(exact, truth)), fitted
+    return _left(exact, fitted, _refitted_cost(exact, truth)) + _paid(truth, fitted), fitted
 
 
-def _left(exact: FitState, truth: CatalogueEffect, fitted: CatalogueEffect, least: float) -> float:
-    return max(_refitted_cost(exact, fitted) - least, 0.0) + _paid(truth, fitted)
+def _left(exact: FitState, fitted: CatalogueEffect, least: float) -> float:
+    return max(_refitted_cost(exact, fitted) - least, 0.0)
 
 
 def _refitted_cost(exact: FitState, effect: CatalogueEffect) -> float:
@@ -260,8 +270,8 @@ class ConfusablePair:
         """Return the χ² that the other itself leaves: of priors, for the data are its own."""
         return _refitted_cost(self._exact, self.target.effect)
 
-    def fitted(self, name: str) -> CatalogueEffect | None:
-        """Return an entry that fits the noiseless data; None where these captures separate the two.
+    def fitted(self, name: str) -> tuple[CatalogueEffect, float] | None:
+        """Return an entry that fits the noiseless data, and the χ² that it leaves; None where captures separate them.
 
         Args:
             name: The entry.
@@ -273,9 +283,9 @@ class ConfusablePair:
             if any(abs(found.gain - known) < _SAME for known in gains):
                 continue  # it came to where another form had come to
             gains.append(found.gain)
-            left = _left(self._exact, self.target.effect, found.effect, self._least)
-            if left < 2.0 * RIVAL_NATS and not found.effect.unlike_itself(context):
-                return found.effect
+            left, paid = _left(self._exact, found.effect, self._least), _paid(self.target.effect, found.effect)
+            if left + paid < 2.0 * RIVAL_NATS and not found.effect.unlike_itself(context):
+                return found.effect, left
         return None
 
 
@@ -354,7 +364,7 @@ def _together(state: FitState, seen: Mapping[str, CatalogueEffect], *, every: bo
     directions = Directions.of(state, {n: (own, *_spread(type(own).starts(context))) for n, own in seen.items()})
     for name in seen:
         alike = ConfusablePair(directions, directions.forms[name][0])
-        others = [effect for other in seen if other != name and (effect := alike.fitted(other)) is not None]
+        others = [pair[0] for other in seen if other != name and (pair := alike.fitted(other)) is not None]
         names = frozenset({name, *(effect.name for effect in others)})
         if others and (every or names not in told):
             told.add(names)

@@ -11,8 +11,9 @@ import numpy as np
 from radiometer.reconciliation.fit.comparison import FAMILY
 from radiometer.reconciliation.fit.held_out import leave_one_group_out
 from radiometer.reconciliation.fit.linear import descended
+from radiometer.reconciliation.fit.models import ModelFit
 from radiometer.reconciliation.fit.state import FitState
-from radiometer.reconciliation.measure.design import Array
+from radiometer.typing import Array
 from simulators.effects.catalogue import CatalogueEffect
 
 _CONVERGED: Final = 0.02
@@ -231,12 +232,26 @@ def family_chi2(state: FitState, residual: Array) -> dict[str, float]:
 
 
 def judged_gain(state: FitState, fitted: FittedCandidate) -> float:
-    """Return by how many nats a fitted effect improves the prediction of held-out settings."""
-    return held_out_gain(state, fitted.residual, fitted.columns) - fitted.overrated
+    """Return by how many nats a fitted effect improves the prediction of held-out settings; its model is recorded."""
+    gains = _held_out_gains(state, fitted.residual, fitted.columns)
+    gains[: state.settings] -= fitted.overrated / state.settings  # it is known of all settings together alone
+    density = state.log_density + gains[: state.log_density.size]
+    parameters = state.parameters.size + state.curves + fitted.parameters
+    state.models.add(ModelFit((*state.effects, fitted.effect), state.curves, density, parameters))
+    return float(np.sum(gains))
 
 
-def held_out_gain(state: FitState, residual: Array, columns: Array) -> float:
-    """Return by how many nats further columns improve the prediction of held-out settings.
+def curve_gain(state: FitState, columns: Array) -> float:
+    """Return the same of the columns of a curve without a name; its model is recorded too."""
+    gains = _held_out_gains(state, state.fit.residual, columns)
+    density = state.log_density + gains[: state.log_density.size]
+    curves = state.curves + columns.shape[1]
+    state.models.add(ModelFit(state.effects, curves, density, state.parameters.size + curves))
+    return float(np.sum(gains))
+
+
+def _held_out_gains(state: FitState, residual: Array, columns: Array) -> Array:
+    """Return by how many nats further columns improve the prediction of each held-out group, (groups,).
 
     Args:
         state: The model without them.
@@ -244,4 +259,4 @@ def held_out_gain(state: FitState, residual: Array, columns: Array) -> float:
         columns: Its columns, the same.
     """
     with_it = leave_one_group_out(state.fit.extended(columns, residual), state.groups)
-    return float(np.sum(with_it.log_density - state.held_out.log_density))
+    return np.asarray(with_it.log_density - state.held_out.log_density)

@@ -15,19 +15,19 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from radiometer.reconciliation.chances import Mask, deviances, followed_scores, log_bias, sine_freedom
-from radiometer.reconciliation.measure.design import Array, Design
+from radiometer.reconciliation.chances import deviances, followed_scores, log_bias, sine_freedom
+from radiometer.reconciliation.measure.design import Design
 from radiometer.reconciliation.measure.row_bands import RowBins, wave_power
 from radiometer.reconciliation.measure.seen import COMB_PERIODS, CaptureStatistics
-from radiometer.reconciliation.noise.dark_errors import errors_of_darkness
 from radiometer.reconciliation.noise.darkness import Darkness
 from radiometer.reconciliation.noise.fixed_patterns import renewed_patterns
 from radiometer.reconciliation.noise.repeatability import steady_wander2
-from radiometer.reconciliation.noise.shared import Part, whiteners
 from radiometer.reconciliation.noise.shared_errors import (
+    Part,
     Repeatability,
     band_excess,
     common_of_rows,
+    errors_of_darkness,
     line_excess,
     mixing_of_bands,
     mixing_of_lines,
@@ -36,6 +36,7 @@ from radiometer.reconciliation.noise.shared_errors import (
     relative_flicker,
     shared_errors,
     unsteady_phases,
+    whiteners,
     with_heavy_rows,
 )
 from radiometer.reconciliation.prediction import Prediction
@@ -48,6 +49,7 @@ from radiometer.reconciliation.statistics import (
     named,
     usable_entries,
 )
+from radiometer.typing import Array, Mask
 
 TILE_BLOCKS: Final = named(given=Given.TILE)
 CAPTURE_BLOCKS: Final = named(given=Given.CAPTURE)

@@ -16,11 +16,11 @@ from scipy.linalg import solve_triangular
 
 from radiometer.reconciliation.chances import frames_counted
 from radiometer.reconciliation.fit.state import FitState
-from radiometer.reconciliation.measure.design import Array
 from radiometer.reconciliation.model.parameters import value_of
 from radiometer.reconciliation.noise.shared_errors import chances_of_rows
 from radiometer.reconciliation.result import FittedParameter
 from radiometer.reconciliation.thresholds import CLOSED_GAP, FAR_GAP, SCATTER_SIGMAS
+from radiometer.typing import Array
 
 _BLOCKS: Final = 5  # along a covariate, each left out in turn
 _ALONE: Final = 0.9  # share of a direction told by one group, beyond which the others cannot check it

@@ -9,9 +9,10 @@ import numpy as np
 from numpy.polynomial import legendre
 
 from radiometer.reconciliation.chances import ranks
-from radiometer.reconciliation.measure.design import Array, Design
+from radiometer.reconciliation.measure.design import Design
 from radiometer.reconciliation.model.tile_model import TileModel
 from radiometer.reconciliation.prediction import Prediction
+from radiometer.typing import Array
 
 DEGREE: Final = 4
 _MOST_LEVELS: Final = 8  # a covariate with fewer distinct values is treated level by level

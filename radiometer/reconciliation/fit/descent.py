@@ -12,10 +12,11 @@ from radiometer.errors import ConfigurationError
 from radiometer.reconciliation.fit.linear import descended
 from radiometer.reconciliation.fit.nuisances import NuisanceLayout, rough_log_responsivity
 from radiometer.reconciliation.fit.state import FitState, reweighted, weighted, with_effects
-from radiometer.reconciliation.measure.design import Array, Design
+from radiometer.reconciliation.measure.design import Design
 from radiometer.reconciliation.measure.pattern_images import PatternImages
 from radiometer.reconciliation.measure.seen import CaptureStatistics
 from radiometer.reconciliation.model.tile_model import TileModel
+from radiometer.typing import Array
 from simulators.effects.catalogue import CatalogueEffect
 
 _ITERATIONS: Final = 25
@@ -53,7 +54,7 @@ def first_state(
     values[0] = rough_log_responsivity(design, seen.mean, rough, unclipped)
     state = weighted(seen, model, layout, values, (), tau=1e-3, floors={}, usable=None)
     state = refit(state)
-    return refit(reweighted(state))
+    return refit(reweighted(state)).recorded()
 
 
 def _passes_well(design: Design, seen: CaptureStatistics) -> bool:
@@ -140,11 +141,11 @@ def converged_fit(state: FitState, *, early_stop: bool = False) -> FitState:
         if before.size != after.size:  # a further term fell to nothing, and the form is the plain one again
             continue
         if not after.size or float(np.max(np.abs(after - before) / state.parameters.scale)) < _SETTLED:
-            return _held_at_bounds(state)
+            return _held_at_bounds(state).recorded()
     last = refit(state, early_stop=early_stop)
     # Beside realisations that its former size allowed a pattern may have been fitted to nothing.
     own = refit(reweighted(last), early_stop=early_stop)
-    return min(last, own, key=lambda found: found.evidence)
+    return min(last, own, key=lambda found: found.evidence).recorded()
 
 
 def beside(state: FitState, effect: CatalogueEffect, iterations: int = _ITERATIONS) -> FitState:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from dataclasses import replace
 
 import numpy as np
@@ -78,6 +79,11 @@ class FullFits:
         fitted = included(self.state, effect, far=far, most=self.most, early_stop=early_stop)
         self._known.append((effect, far, fitted))
         return fitted
+
+    def try_out(self, effect: CatalogueEffect, *, far: bool) -> None:
+        """Fit the model and an effect in full, so that its posterior probability is comparable, if it can be fitted."""
+        with contextlib.suppress(UnfitError):
+            self.included(effect, far=far)
 
 
 def contenders_of(

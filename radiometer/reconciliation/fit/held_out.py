@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from scipy.linalg import cho_solve
 
 from radiometer.reconciliation.fit.linear import LinearFit, RowBlock, triangular
-from radiometer.reconciliation.measure.design import Array
+from radiometer.typing import Array
 
 _RIDGE: Final = 1e-9  # a parameter that one group alone determines leaves nothing to predict it by
 _SMALLEST: Final = 1e-12

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg.lapack import dtrtrs
 
-from radiometer.reconciliation.measure.design import Array
+from radiometer.typing import Array
 
 _ITERATIONS: Final = 25
 _RIDGE = 1e-12  # relative; keeps a Cholesky factor regular

@@ -11,10 +11,11 @@ from numpy.typing import NDArray
 
 from radiometer.reconciliation.fit.comparison import Comparison
 from radiometer.reconciliation.fit.linear import RowBlock
-from radiometer.reconciliation.measure.design import Array, Design
+from radiometer.reconciliation.measure.design import Design
 from radiometer.reconciliation.model.tile_model import Nuisance
 from radiometer.reconciliation.prediction import Prediction
 from radiometer.reconciliation.statistics import STATISTICS
+from radiometer.typing import Array
 
 _FREE_LOG: Final = 5.0  # prior standard deviation of the logarithm of what is unknown: e^±5
 _DEFAULT_U_REL: Final = 0.02  # of a radiance that is stated without an uncertainty

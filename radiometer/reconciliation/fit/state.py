@@ -12,19 +12,26 @@ import numpy as np
 from radiometer.reconciliation.fit.comparison import Comparison, compare
 from radiometer.reconciliation.fit.held_out import Groups, HeldOut, leave_one_group_out
 from radiometer.reconciliation.fit.linear import LinearFit, RowBlock
+from radiometer.reconciliation.fit.models import ModelFit, ModelList
 from radiometer.reconciliation.fit.nuisances import Change, NuisanceLayout
 from radiometer.reconciliation.fit.terms import LinearTerm, inverse, prior_residual
-from radiometer.reconciliation.measure.design import Array, Design
+from radiometer.reconciliation.measure.design import Design
 from radiometer.reconciliation.measure.seen import CaptureStatistics
 from radiometer.reconciliation.model.parameters import EffectParameters
-from radiometer.reconciliation.model.several import predict_several
-from radiometer.reconciliation.model.tile_model import Nuisance, TileModel, Trace
+from radiometer.reconciliation.model.tile_model import Nuisance, TileModel, Trace, predict_several
 from radiometer.reconciliation.noise.fixed_patterns import error_of_borders, fixed_errors
 from radiometer.reconciliation.noise.repeatability import capture_scale, estimate_tau
-from radiometer.reconciliation.noise.responses import darkness_of, form_floors, light_response
-from radiometer.reconciliation.noise.shared_errors import Repeatability, relative_bands, relative_flicker
+from radiometer.reconciliation.noise.shared_errors import (
+    Repeatability,
+    darkness_of,
+    form_floors,
+    light_response,
+    relative_bands,
+    relative_flicker,
+)
 from radiometer.reconciliation.prediction import Prediction
 from radiometer.reconciliation.statistics import usable_entries
+from radiometer.typing import Array
 from simulators.effects.catalogue import CatalogueEffect
 
 # What of a state was worked out and hangs on the model and the nuisances alone, whatever is frozen or fitted.
@@ -52,6 +59,7 @@ class FitState:
         frozen: Positions of the effect parameters that are not fitted.
         held_terms: The terms' whitened columns while a fit moves the parameters: like all weights they come from the
             model before it. None where they are to be worked out.
+        models: The models fitted to these data so far; all states of one search share the list.
     """
 
     seen: CaptureStatistics
@@ -64,6 +72,7 @@ class FitState:
     tau: float
     frozen: frozenset[int] = field(default_factory=frozenset)
     held_terms: RowBlock | None = None
+    models: ModelList = field(default_factory=ModelList)
 
     @property
     def design(self) -> Design:
@@ -246,14 +255,41 @@ class FitState:
         return leave_one_group_out(self.fit, self.groups)
 
     @property
+    def curves(self) -> int:
+        """Return the number of columns of the curves without a name."""
+        return sum(term.size for term in self.terms if term.is_smooth)
+
+    @cached_property
+    def log_density(self) -> Array:
+        """Return the held-out log density of settings and stated values with the weights' determinants, (groups,).
+
+        It is comparable between different weights.
+        """
+        comparison, setting = self.comparison, self.design.setting_id
+        found = self.held_out.log_density[: self.settings + self.layout.size].copy()
+        for name in comparison.cuts:
+            if name in comparison.whiteners:
+                root = np.log(np.diagonal(comparison.whiteners[name], axis1=1, axis2=2))
+            else:
+                usable = comparison.usable[name]
+                root = -np.where(usable, np.log(np.where(usable, comparison.deviation[name], 1.0)), 0.0)
+            found[: self.settings] += np.bincount(setting, root.reshape(len(root), -1).sum(axis=1), self.settings)
+        return found
+
+    @property
     def evidence(self) -> float:
-        """Return the held-out log density with the weights' determinants: comparable between different weights."""
-        comparison = self.comparison
-        together = comparison.whiteners.values()
-        common = sum(float(np.sum(np.log(np.diagonal(whitener, axis1=1, axis2=2)))) for whitener in together)
-        others = [n for n in comparison.cuts if n not in comparison.whiteners]
-        spread = sum(float(np.sum(np.log(comparison.deviation[n][comparison.usable[n]]))) for n in others)
-        return float(np.sum(self.held_out.log_density)) + common - spread
+        """Return the held-out log density with the weights' determinants, of all groups together."""
+        return float(np.sum(self.log_density))
+
+    def recorded(self) -> FitState:
+        """Return the state, a full fit, after it was added to the list of models."""
+        own, first = self.parameters, self.layout.size + self.weights.size
+        free = [i for i in range(own.size) if i not in self.frozen]
+        sigma = np.sqrt(np.maximum(np.diag(self.fit.covariance)[first:], 0.0)) * own.scale[free]
+        named = ((self.effects[own.owner[i]].name, own.names[i]) for i in free)
+        u = dict(zip(named, sigma.tolist(), strict=True))
+        self.models.add(ModelFit(self.effects, self.curves, self.log_density, own.size + self.curves, self.gap, u))
+        return self
 
     @property
     def settings(self) -> int:
@@ -281,7 +317,8 @@ def reweighted(state: FitState) -> FitState:
     floors = form_floors(state.model, state.trace)
     mask = state.comparison.usable
     again = weighted(state.seen, state.model, state.layout, state.values, terms, tau, floors, mask, state.trace)
-    found = replace(again, weights=np.concatenate([kept, np.zeros(sum(t.size for t in terms) - kept.size)]))
+    weights = np.concatenate([kept, np.zeros(sum(t.size for t in terms) - kept.size)])
+    found = replace(again, weights=weights, models=state.models)
     return _knowing(found, again, _OF_THE_MODEL)
 
 

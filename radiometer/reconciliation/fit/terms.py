@@ -8,9 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from radiometer.reconciliation.fit.comparison import Comparison
-from radiometer.reconciliation.measure.design import Array
 from radiometer.reconciliation.noise.fixed_patterns import FixedError
 from radiometer.reconciliation.prediction import Prediction
+from radiometer.typing import Array
 
 ColumnBuilder = Callable[[Comparison, Prediction, Array], Array]
 

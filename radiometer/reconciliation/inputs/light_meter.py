@@ -20,8 +20,8 @@ from radiometer.data.reader_limits import bounded_reader
 from radiometer.data.storage import write_text_atomic, write_yaml_atomic
 from radiometer.data.text_table import TextTable, finite, read_table
 from radiometer.errors import InputError
-from radiometer.reconciliation.measure.design import Array
 from radiometer.reconciliation.result import FittedParameter, FoundEffect, Limit, ReconcileResult, Verdict
+from radiometer.typing import Array
 from radiometer.units import exact_exposure_s, exact_f_number
 
 _GAP_UNIT: Final = "standard deviation of ln K within a source"
@@ -198,7 +198,7 @@ def _nominal(before: float, after: float) -> FoundEffect:
 def _said_of_rounding(before: float, after: float, left_out: float | None) -> str:
     where = "" if left_out is None else f" (f/{left_out:.2g} left out)"
     return (
-        f"K scatters by {100 * before:.2f} % within a source{where} because printed stops were taken at face value; "
+        f"K scatters by {100 * before:.2f} % within a source{where} because printed stops were treated as exact; "
         f"with the exact stops behind them (1/60 s is 1/64 s, f/5.6 is f/5.657) by {100 * after:.2f} %."
     )
 

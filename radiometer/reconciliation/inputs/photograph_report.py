@@ -9,17 +9,16 @@ from functools import partial
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from radiometer.reconciliation.result import ReconcileResult, Verdict
 from radiometer.reporting.numbers import with_u
 from radiometer.reporting.page import folded, heading, listed, page, paragraph, section, table
 from radiometer.reporting.pictures import BEFORE, DIMMED, MODEL, RULE, dress, label, legend, picture, shortened
+from radiometer.typing import Array
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-Array = NDArray[np.float64]
 
 OFFSET: Final = "exposure_time_offset"
 _BINS: Final = 24
@@ -80,9 +79,9 @@ def report_html(result: ReconcileResult, frames: Sequence[FrameFinding], sentenc
             paragraph(sentence),
             picture(
                 partial(_draw_ratios, frames=frames),
-                "What the other photographs say of each one's exposure, over its label, with U (k = 2): "
+                "Exposure of each photograph found from the others, over its label, with U (k = 2): "
                 + (f"those off {line} are named." if wrong else f"all are about {line}.")
-                + " Within the grey band no label is called wrong: one tone curve for all pictures is no better known.",
+                + " Within the grey band no label is called wrong: the common tone curve is not known better.",
                 (10.0, 4.2),
                 (4.0, 4.4),
             ),
@@ -92,15 +91,15 @@ def report_html(result: ReconcileResult, frames: Sequence[FrameFinding], sentenc
                 "Each photograph against its prediction",
                 picture(
                     partial(_draw_errors, frames=frames),
-                    "Digital numbers that a left-out part of the picture should show by the other photographs, less "
-                    "those found: as printed, and with the exposures found.",
+                    "Digital numbers of a left-out part of the picture, predicted by the other photographs, less "
+                    "those measured: with the printed exposures, and with those found.",
                     (10.0, 4.6),
                     (4.0, 6.4),
                 ),
             ),
             heading("Figures"),
             _frame_table(frames),
-            folded("What these photographs would have shown", _limits(result)),
+            folded("What these photographs would have detected", _limits(result)),
             folded("What was assumed", listed([f"{text}." for text in result.assumptions])),
         ],
         kind="reconcile",
@@ -131,7 +130,7 @@ def outcome(result: ReconcileResult, frames: Sequence[FrameFinding]) -> str:
     agree = (
         "the others agree"
         if wrong or all(effect.name != OFFSET for effect in result.effects)
-        else "with that all agree"
+        else "with that offset all agree"
     )
     others = f"or, as these photographs cannot decide, {' or '.join(rivals)} instead" if rivals else agree
     return f"{said[0].upper() if not wrong else said[0]}{said[1:]}; {others}."

@@ -47,9 +47,8 @@ from radiometer.errors import CaptureError, InputError, MeasurementError
 from radiometer.one_thread import on_one_blas_thread
 from radiometer.reconciliation.inputs.photograph_report import OFFSET, FrameFinding, report_html
 from radiometer.reconciliation.result import FittedParameter, FoundEffect, Limit, ReconcileResult, Verdict
+from radiometer.typing import Array
 from radiometer.units import exact_exposure_s
-
-Array = NDArray[np.float64]
 
 _GAP_UNIT: Final = "mean error in DN of predicting left-out quadrants over that of the final exposures"
 _LABEL: Final = "exposure_label_error"
@@ -391,7 +390,7 @@ def _sentence(judged: _Judged, bracket: Bracket, names: Sequence[str]) -> str:
     if not judged.labels and not judged.rounded and judged.offset is None:
         if judged.follow_no_curve:
             return _no_curve(judged, bracket, names)
-        few = "" if judged.can_tell else "; a wrong one of so few may hide in the tone curve"
+        few = "" if judged.can_tell else "; with so few, the tone curve may hide a wrong one"
         predicted = f"left-out parts of the picture are predicted to {after:.2g} DN on average"
         return f"All printed exposures agree: {predicted}{few}."
     parts = ["the printed times are rounded stops"] if judged.rounded else []

@@ -18,7 +18,7 @@ from typing import Any, Final
 import numpy as np
 
 from radiometer.errors import MeasurementError
-from radiometer.importing.log_table import Array, LogTable
+from radiometer.importing.log_table import LogTable
 from radiometer.reconciliation.chances import chi2_beyond
 from radiometer.reconciliation.logs.log_model import (
     MEASURED_TOO,
@@ -45,6 +45,7 @@ from radiometer.reconciliation.thresholds import (
     SIGNIFICANCE,
     SMOOTH_SHARE,
 )
+from radiometer.typing import Array
 
 GAP_UNIT: Final = "reduced chi-square on held-out nights"
 # Share of a reading's variance that hangs together with its neighbours', and its correlation from one to the next.

@@ -20,7 +20,8 @@ from typing import Final
 import numpy as np
 from numpy.polynomial.legendre import legvander
 
-from radiometer.importing.log_table import Array, LogTable
+from radiometer.importing.log_table import LogTable
+from radiometer.typing import Array
 
 SIGNAL: Final = "signal"
 MEASURED_TOO: Final = (SIGNAL, "reference")

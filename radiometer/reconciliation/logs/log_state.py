@@ -10,10 +10,11 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from radiometer.importing.log_table import Array, LogTable
+from radiometer.importing.log_table import LogTable
 from radiometer.reconciliation.fit.held_out import Groups, HeldOut, leave_one_group_out
 from radiometer.reconciliation.fit.linear import LinearFit, RowBlock
 from radiometer.reconciliation.logs.log_model import MEASURED_TOO, LogTerm, jacobian, predicted_log, trend
+from radiometer.typing import Array
 
 _ITERATIONS: Final = 12
 _FARTHEST: Final = 100.0  # scales of a parameter (1 % of the light each) by which one iteration may move it

@@ -14,8 +14,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from radiometer.reconciliation.measure.design import Array
-from radiometer.reconciliation.measure.layout import PatchSides
+from radiometer.reconciliation.measure.design import PatchSides
+from radiometer.typing import Array
 
 _LEAVES: Final = 0.2  # share of the largest deviation at which a line is no longer the patch
 _OUTLYING: Final = 4.0  # sigmas from the median of all sides

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from radiometer.compiled import compiled
-from radiometer.reconciliation.measure.design import Array
+from radiometer.typing import Array
 
 Corners = NDArray[np.intp]
 

@@ -9,8 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from radiometer.data import Frame
-from radiometer.reconciliation.measure.design import Array, Design
+from radiometer.reconciliation.measure.design import Design
 from radiometer.reconciliation.measure.kernels import coarse_cells
+from radiometer.typing import Array
 from radiometer.units import gain_factor
 
 _COARSE_CELLS: Final = 192  # longer side of the coarse picture; stray light is smooth on that scale

@@ -14,9 +14,8 @@ from numpy.typing import NDArray
 
 from radiometer.data import Frame
 from radiometer.errors import CaptureError
-from radiometer.reconciliation.measure.design import Design
+from radiometer.reconciliation.measure.design import Design, patch_sides, tile_groups
 from radiometer.reconciliation.measure.edges import edge_shares
-from radiometer.reconciliation.measure.layout import patch_sides, tile_groups
 from radiometer.reconciliation.measure.pattern_images import PatternImages
 from radiometer.reconciliation.measure.row_bands import RowBins
 from radiometer.reconciliation.measure.seen import CaptureStatistics

@@ -15,10 +15,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from radiometer.reconciliation.measure.design import Array, Design
-from radiometer.reconciliation.measure.layout import TileGroup
-
-Mask = NDArray[np.bool_]
+from radiometer.reconciliation.measure.design import Design, TileGroup
+from radiometer.typing import Array, Mask
 
 _MOST_BINS: Final = 240  # rows of a large frame are gathered to so many
 _MOST_ORDERS: Final = 96

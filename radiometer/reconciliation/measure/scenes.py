@@ -14,7 +14,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from radiometer.reconciliation.measure.design import Array
+from radiometer.statistics.least_squares import residual
+from radiometer.typing import Array
 
 _MOST_BLOCKS: Final = 32  # along either side of a frame
 _SMALLEST_BLOCK_PX: Final = 4
@@ -68,7 +69,7 @@ class FineStructure:
         if known.sum() - terms.shape[1] < _FEWEST_BLOCKS:
             return None
         both = np.column_stack([self.log_light[known], other.log_light[known]])
-        rest = both - terms @ np.linalg.lstsq(terms, both, rcond=None)[0]
+        rest = residual(terms, both)
         contrast2 = np.mean(np.square(rest), axis=0)
         noise2 = np.array([float(np.mean(noise2[known])) for noise2 in (self.noise2, other.noise2)])
         if (contrast2 < np.maximum(_LEAST_CONTRAST**2, _FAINTEST * noise2)).any():

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Final
 
-from radiometer.reconciliation.measure.design import Array
+from radiometer.typing import Array
 
 COMB_PERIODS: Final = (2, 3, 4, 5)  # a coarser step shows at one of its divisors
 

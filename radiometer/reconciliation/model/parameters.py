@@ -9,7 +9,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from radiometer.reconciliation.measure.design import Array
+from radiometer.typing import Array
 from simulators.effects.catalogue import CatalogueEffect
 
 _STEP: Final = 1e-3  # of the parameter's scale

@@ -9,8 +9,9 @@ from typing import Final
 import numpy as np
 
 from radiometer.reconciliation.chances import chi2_beyond
-from radiometer.reconciliation.measure.design import Array, Design
+from radiometer.reconciliation.measure.design import Design
 from radiometer.reconciliation.measure.seen import CaptureStatistics
+from radiometer.typing import Array
 
 _FEWEST_OF_A_LINE: Final = 4  # tiles
 _CLEAR_SLOPE: Final = 5.0  # standard uncertainties

@@ -14,12 +14,12 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from radiometer.reconciliation.measure.design import Array, Design
+from radiometer.reconciliation.measure.design import Design, slope_lengths
 from radiometer.reconciliation.measure.edges import SHARPEST
-from radiometer.reconciliation.measure.layout import slope_lengths
 from radiometer.reconciliation.measure.seen import CaptureStatistics
-from radiometer.reconciliation.noise.shared import Part
+from radiometer.reconciliation.noise.shared_errors import Part
 from radiometer.reconciliation.prediction import Prediction
+from radiometer.typing import Array
 from simulators.effects.catalogue import CatalogueEffect
 from simulators.effects.context import ExposureContext
 

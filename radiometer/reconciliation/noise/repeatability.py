@@ -10,7 +10,11 @@ from numpy.typing import NDArray
 from scipy.optimize import brentq
 
 from radiometer.reconciliation.chances import chi2_beyond, chi2_quantile
-from radiometer.reconciliation.measure.design import Array, Design
+from radiometer.reconciliation.measure.design import Design
+from radiometer.statistics.least_squares import solve
+from radiometer.statistics.model_choice import CLEARLY_BETTER, is_supported
+from radiometer.statistics.scale import robust_sigma
+from radiometer.typing import Array
 
 _ASSUMED_TAU: Final = 1e-3  # where neither repeats nor capture.yaml tell
 _ASSUMED_RANGE: Final = (0.3, 3.0)
@@ -24,12 +28,10 @@ _MOST_WAVES: Final = 16
 _DECLARED_WANDER: Final = 1.3  # times the stated reproducibility, which is itself known to a few parts in ten
 _PLAUSIBLE_WANDER: Final = 0.003  # of a source of which nothing is stated: what scatters more is something to name
 _EXPOSURE_GROUPS: Final = 6
-_NORMAL: Final = 1.4826  # standard deviation of normal values over their median deviation
 _STANDS_OUT: Final = 8.0  # sigmas
 _UNSTEADY: Final = 0.01
 _ZOOMED: Final = 33  # values tried at once, of which the neighbours of the best are the next range
 _ZOOMS: Final = 6
-_SHOWN_WANDER: Final = 4.0  # deviance that it must explain
 
 
 def capture_scale(
@@ -92,7 +94,7 @@ def steady_wander2(tried: Array, deviances: Array, exposure_s: Array, declared: 
     """
     allowed = tried <= (_PLAUSIBLE_WANDER if declared is None else _DECLARED_WANDER * declared) ** 2
     totals = np.where(allowed, deviances.sum(axis=1), np.inf)
-    if not exposure_s.size or deviances[0].sum() - totals.min() < _SHOWN_WANDER:
+    if not exposure_s.size or not is_supported(deviances[0].sum() - totals.min(), CLEARLY_BETTER):
         return 0.0
     order = np.argsort(exposure_s, kind="stable")
     groups = np.array_split(order, min(_EXPOSURE_GROUPS, len(np.unique(exposure_s))))
@@ -149,7 +151,7 @@ class _Repeats:
         if not all_of_them.taken.size:
             return all_of_them
         apart = np.abs(all_of_them.apart(0.0))
-        usual = _NORMAL * float(np.median(apart)) * np.sqrt(apart.size / max(all_of_them.freedom, 1))
+        usual = robust_sigma(apart, 0.0) * np.sqrt(apart.size / max(all_of_them.freedom, 1))
         limit = _STANDS_OUT * np.sqrt(usual**2 + all_of_them.variance)
         odd = np.unique(design.setting_id[all_of_them.taken][apart > limit])
         return cls._taken(design, scale, variance, lit & ~np.isin(design.setting_id, odd), waves=True)
@@ -174,9 +176,7 @@ class _Repeats:
 
     def apart(self, tau: float) -> Array:
         """Return their distance from the basis, weighted as τ and pixel noise want it, (n,)."""
-        root = 1.0 / np.sqrt(self.variance + tau**2)
-        solution = np.linalg.lstsq(self.basis * root[:, None], self.scale * root, rcond=None)[0]
-        return np.asarray(self.scale - self.basis @ solution)
+        return np.asarray(self.scale - self.basis @ solve(self.basis, self.scale, 1.0 / (self.variance + tau**2)))
 
     def tau_at(self, chi2: float) -> float:
         """Return the τ at which their weighted scatter is so large; next to nothing where it never is."""

@@ -14,11 +14,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import stdtr
 
-from radiometer.reconciliation.measure.design import Array, Design
+from radiometer.reconciliation.measure.design import Design
 from radiometer.reconciliation.result import FittedParameter, Repeats, Series
 from radiometer.reconciliation.thresholds import FRAME_SIGNIFICANCE
+from radiometer.statistics.scale import MAD_TO_SIGMA, MEDIAN_U
+from radiometer.typing import Array
 
-_OF_MEDIAN: Final = 1.2533 * 1.4826  # standard error of a median of normal values, from their median deviation
+_OF_MEDIAN: Final = MEDIAN_U * MAD_TO_SIGMA  # standard error of a median of normal values, from their median deviation
 _FEWEST_TILES: Final = 4  # whose median deviation tells their scatter within a factor of two
 _FEWEST: Final = 2  # degrees of freedom that tell a scatter
 _ROUNDS: Final = 4  # by which the weights of series settle

@@ -11,18 +11,88 @@ Source: noise as bases and weights, as pulsar timing has it (Luo et al. 2021, Ap
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
 
-from radiometer.reconciliation.chances import Mask, frames_counted, score_slope
-from radiometer.reconciliation.measure.design import SURFACE_LINES, Array, Design
+from radiometer.reconciliation.chances import frames_counted, score_slope
+from radiometer.reconciliation.measure.design import SURFACE_LINES, Design
 from radiometer.reconciliation.measure.row_bands import RowBins, TileBands
 from radiometer.reconciliation.measure.seen import CaptureStatistics
-from radiometer.reconciliation.noise.shared import Part, SharedError
+from radiometer.reconciliation.model.tile_model import TileModel, Trace
+from radiometer.reconciliation.noise.darkness import Darkness, drift_of_black, wander_of_black
 from radiometer.reconciliation.prediction import Prediction
+from radiometer.reconciliation.statistics import STATISTICS, Scale
+from radiometer.typing import Array, Mask
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Part:
+    """Change of one statistic by a shared error: amplitude · basis · z.
+
+    Attributes:
+        amplitude: (captures, entries) in the statistic's own scale; 0 where an entry does not count.
+        basis: (entries, n) or (captures, entries, n).
+    """
+
+    amplitude: Array
+    basis: Array
+
+    @property
+    def columns(self) -> Array:
+        """Return what a unit of each z does, (captures, entries, n)."""
+        return np.asarray(self.amplitude[:, :, None] * self.basis)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SharedError:
+    """One source of error whose z are drawn anew in each capture.
+
+    Attributes:
+        name: What it is.
+        parts: What it does, by statistic.
+        variance: (captures,) variance of each z, or (captures, n).
+        within: Whether the statistic's own standard uncertainty holds it already, so that it correlates entries only.
+    """
+
+    name: str
+    parts: Mapping[str, Part]
+    variance: Array
+    within: bool = False
+
+    def covariance(self, name: str) -> Array:
+        """Return the covariance of a statistic's entries in each capture, (captures, entries, entries)."""
+        part = self.parts[name]
+        left = part.basis if self.variance.ndim == 1 else part.basis * self.variance[:, None, :]
+        shape = left @ part.basis.swapaxes(-1, -2)
+        each = self.variance[:, None, None] if self.variance.ndim == 1 else 1.0
+        found = each * shape * (part.amplitude[:, :, None] * part.amplitude[:, None, :])
+        if self.within:
+            index = np.arange(found.shape[1])
+            found[:, index, index] = 0.0
+        return np.asarray(found)
+
+
+def whiteners(
+    errors: Sequence[SharedError], deviation: Mapping[str, Array], usable: Mapping[str, Mask]
+) -> dict[str, Array]:
+    """Return the inverse Cholesky factors of the captures' covariances, of every statistic that shares an error.
+
+    Args:
+        errors: The sources.
+        deviation: Standard uncertainty of each entry by itself, by statistic.
+        usable: Which entries count.
+    """
+    found = {}
+    for name in dict.fromkeys(name for error in errors for name in error.parts):
+        covariance = np.sum([error.covariance(name) for error in errors if name in error.parts], axis=0)
+        index = np.arange(usable[name].shape[1])
+        covariance[:, index, index] += np.where(usable[name], deviation[name] ** 2, 1.0)
+        found[name] = np.asarray(np.linalg.inv(np.linalg.cholesky(covariance)))
+    return found
+
 
 _LEAST_EXCESS: Final = -0.9  # of a variance ratio, so that it stays positive
 _FAIR_SHARE: Final = 0.05  # of the brightest tile's light
@@ -396,3 +466,104 @@ def common_of_rows(design: Design, seen: CaptureStatistics, light: Array) -> Arr
     information = np.sum(weight * light, axis=1)
     shaken = np.sum(np.square(weight @ design.rows_of_tiles), axis=1)
     return np.asarray(np.divide(shaken, information, out=np.zeros_like(shaken), where=information > 0))
+
+
+_SENSITIVITY_STEP: Final = 1e-3
+_WARMER_K: Final = 0.1
+_STEEPEST_DOUBLING_K: Final = 4.0  # of a dark current in silicon
+_SWELLING: Final = ("variance", "spatial")  # what leaks and their shot noise add to
+_FORM_FLOOR: Final = 0.005  # share of an accepted effect's own correction that its form is not trusted with
+
+
+def light_response(model: TileModel, here: Trace) -> tuple[Array, Array]:
+    """Return d(mean)/d(log light) in DN and |d(ln variance)/d(log light)| by a finite difference."""
+    nuisance, base = here.nuisance, here.prediction
+    more = nuisance.with_off(log_responsivity=nuisance.off.log_responsivity + _SENSITIVITY_STEP)
+    moved = model.predict(more, here)
+    mean = (moved.mean - base.mean) / _SENSITIVITY_STEP
+    variance = np.abs(np.log(moved.variance / base.variance)) / _SENSITIVITY_STEP
+    return np.asarray(mean), np.asarray(variance)
+
+
+def darkness_of(model: TileModel, here: Trace, seen: CaptureStatistics) -> Darkness | None:
+    """Return how far darkness differs from frame to frame; None where nothing shows that it does."""
+    design, base = model.design, here.prediction
+    black_dn, drift_dn, reading_k = wander_of_black(design, seen), drift_of_black(design, seen), design.reading_u_k
+    if not (black_dn or drift_dn or reading_k):
+        return None
+    warmer = model.warmed(_WARMER_K).predict(here.nuisance) if reading_k else base
+    # A law that is not found yet may rise steeply: no more than what was seen to gather can.
+    most = np.log(2.0) / _STEEPEST_DOUBLING_K * np.maximum(seen.mean - np.nanmin(seen.mean), 0.0)
+    swelling = {n: np.log(getattr(warmer, n) / getattr(base, n)) / _WARMER_K for n in _SWELLING} if reading_k else {}
+    warmth = np.clip((warmer.mean - base.mean) / _WARMER_K, -most, most)
+    return Darkness(black_dn, reading_k, warmth, swelling, drift_dn)
+
+
+def form_floors(model: TileModel, here: Trace) -> dict[str, Array]:
+    """Return by statistic the uncertainty of the accepted effects' form: a share of each one's own correction."""
+    floors: dict[str, Array] = {}
+    everything = (*model.given, *model.effects)
+    for index in range(len(everything)):
+        without = tuple(effect for i, effect in enumerate(everything) if i != index)
+        other = replace(model, given=(), effects=without).predict(here.nuisance, here)
+        for name, row in STATISTICS.items():
+            if row.holds_form:
+                there, bare = getattr(here.prediction, name), getattr(other, name)
+                change = np.log(there / bare) if row.scale is Scale.LOGARITHM else there - bare
+                floors[name] = np.hypot(floors.get(name, 0.0), _FORM_FLOOR * np.abs(change))
+    return floors
+
+
+_HALF_WAVES: Final = 12  # of a black level that moves within a frame: three to each of four tiles
+
+
+def errors_of_darkness(design: Design, usable: Mapping[str, Mask], darkness: Darkness) -> tuple[SharedError, ...]:
+    """Return what a wandering black level and a coarse thermometer do to a capture's means, first frame and variances.
+
+    Repeated frames do not average it out: they follow one another, and the black level has its way from one series to
+    the next.
+
+    Args:
+        design: Captures and tiles.
+        usable: Which entries of each statistic count.
+        darkness: How far darkness differs.
+    """
+    first = 1.0 + 1.0 / np.maximum(design.frame_count - 1.0, 1.0)
+    every, one = np.ones(len(design.captures)), np.ones((len(design.tiles), 1))
+    found = []
+    for name, amplitude, u in (
+        ("black level of a capture", np.ones_like(darkness.warmth), darkness.black_dn),
+        ("temperature of a capture", darkness.warmth, darkness.temperature_k),
+    ):
+        if u > 0:
+            found += [
+                SharedError(name, {"mean": Part(np.where(usable["mean"], amplitude, 0.0), one)}, u**2 * every),
+                SharedError(name, {"first": Part(np.where(usable["first"], amplitude, 0.0), one)}, u**2 * first),
+            ]
+    if darkness.drift_dn > 0:
+        found += _drift(design, usable, darkness.drift_dn, first)
+    for statistic, swelling in darkness.swelling.items() if darkness.temperature_k > 0 else ():
+        part = Part(np.where(usable[statistic], swelling, 0.0), one)
+        found.append(SharedError("temperature of a capture", {statistic: part}, darkness.temperature_k**2 * every))
+    return tuple(found)
+
+
+def _drift(design: Design, usable: Mapping[str, Mask], drift_dn: float, first: Array) -> list[SharedError]:
+    """Return a black level that moves while the rows are read, as a random walk does: k half waves have 1/k of one.
+
+    Its steps in one frame are independent of those in another, so that repeats average them out.
+
+    Source: the expansion of Brownian motion in cosines, K. Karhunen (1947), whose variances go as 1/k².
+    """
+    waves = np.arange(1, _HALF_WAVES + 1)
+    shapes = np.cos(np.pi * (np.arange(design.shape[0])[:, None] + 0.5) / design.shape[0] * waves)
+    variance = np.square(drift_dn / waves)
+    parts = {"mean": design.rows_of_tiles @ shapes, "slope_y": design.tilts_of_rows @ shapes}
+    of_mean = 1.0 / design.frame_count
+    bases = (("mean", parts["mean"], of_mean), ("first", parts["mean"], first), ("slope_y", parts["slope_y"], of_mean))
+    return [
+        SharedError(
+            "black level within a frame", {n: Part(usable[n].astype(np.float64), basis)}, each[:, None] * variance
+        )
+        for n, basis, each in bases
+    ]

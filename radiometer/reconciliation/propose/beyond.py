@@ -21,13 +21,14 @@ from radiometer.errors import ConfigurationError
 from radiometer.reconciliation.fit.covariance import scatter_of
 from radiometer.reconciliation.fit.full_fit import UnfitError, included
 from radiometer.reconciliation.fit.state import FitState
+from radiometer.reconciliation.posterior import posterior_of
 from radiometer.reconciliation.propose.grammar import PLACES
 from radiometer.reconciliation.propose.proposal import Proposal
 from radiometer.reconciliation.propose.search import propose_law
-from radiometer.reconciliation.search.free_forms import worth
 from radiometer.reconciliation.search.free_laws import in_a_looser_form, nowhere_near
 from radiometer.reconciliation.search.localise import localise, significant
 from radiometer.reconciliation.search.outcome import Search, Step
+from radiometer.reconciliation.search.score import worth
 from radiometer.reconciliation.thresholds import NAMED_NATS, RIVAL_NATS, SMOOTH_SHARE
 from radiometer.reconciliation.verdict import acting_as_others, doubts_of, leaves_structure
 from simulators.effects.catalogue import CatalogueEffect
@@ -49,7 +50,11 @@ def held_to_laws(
     effects = outcome.state.effects
     if not effects:
         return outcome
-    stays = len(effects) > 1 or leaves_structure(outcome) or bool(doubts_of(outcome))
+    stays = (
+        len(effects) > 1
+        or leaves_structure(outcome)
+        or bool(doubts_of(outcome, posterior_of(outcome.state, catalogue)))
+    )
     along = () if stays else own_covariates(effects[0])
     law = propose_law(outcome.start, along=along, most=nowhere_near(outcome.start, outcome.state))
     if law is None:
@@ -58,24 +63,24 @@ def held_to_laws(
         bent = [effect.name for effect in effects if is_bent(effect, outcome)]
         if not bent or not predicts_as_well(outcome, law):
             return outcome
-        said = (
+        remark = (
             f"{' and '.join(bent)} does not follow its catalogue equation, "
-            f"and {law.name}, a law of no entry, predicts as well"
+            f"and {law.name}, a law outside the catalogue, predicts as well"
         )
-        say(said)
-        return replace(outcome, remarks=(*outcome.remarks, said))
+        say(remark)
+        return replace(outcome, remarks=(*outcome.remarks, remark))
     named = " and ".join(step.name for step in outcome.steps if step.name != "unnamed")
-    said = f"{law.name}, a law that no entry holds, predicts better than {named}"
+    remark = f"{law.name}, a law outside the catalogue, predicts better than {named}"
     if brings_most(outcome, law):
-        say(said)
-        return replace(outcome, remarks=(*outcome.remarks, said))
+        say(remark)
+        return replace(outcome, remarks=(*outcome.remarks, remark))
     near = nowhere_near(outcome.start, law.after)
     form = in_a_looser_form(outcome.start, worth(law.after) - RIVAL_NATS, catalogue, near)
     if form is not None:
-        say(f"{form.effects[0].name} in a looser form does what {law.name} does, in place of {named}")
+        say(f"{form.effects[0].name} in a more flexible form explains what {law.name} explains, in place of {named}")
         return by_one_form(outcome, form, law)
-    say(said)
-    return without_names(outcome, law, f"{said} (gap {law.after.gap:.3g}), which is not named therefore")
+    say(remark)
+    return without_names(outcome, law, f"{remark} (gap {law.after.gap:.3g}), which is therefore not named")
 
 
 def by_one_form(outcome: Search, state: FitState, law: Proposal) -> Search:
@@ -89,10 +94,11 @@ def by_one_form(outcome: Search, state: FitState, law: Proposal) -> Search:
     (effect,) = state.effects
     nats, tests = state.evidence - outcome.start.evidence, localise(state)
     step = Step(effect.name, effect.where, nats, outcome.start.gap, state.gap)
-    said = (
-        f"{effect.name} goes by a looser form of its equation, and {law.name}, a law of the grammar, predicts as well"
+    remark = (
+        f"{effect.name} follows a more flexible form of its equation, and {law.name}, a law of the grammar, "
+        "predicts as well"
     )
-    return replace(outcome, state=state, steps=(step,), left=significant(tests), tests=tests, remarks=(said,))
+    return replace(outcome, state=state, steps=(step,), left=significant(tests), tests=tests, remarks=(remark,))
 
 
 def own_covariates(effect: CatalogueEffect) -> tuple[str, ...]:
@@ -175,13 +181,13 @@ def by_own_equations(outcome: Search) -> FitState:
     return plain
 
 
-def without_names(outcome: Search, law: Proposal, said: str) -> Search:
+def without_names(outcome: Search, law: Proposal, remark: str) -> Search:
     """Return the outcome in which all that disagrees is one entry without a name, placed as the law is.
 
     Args:
         outcome: What the search came to.
         law: The law that explains more.
-        said: Remarks about it.
+        remark: Remarks about it.
     """
     named = [step for step in outcome.steps if step.name != "unnamed"]
     nearest = max(named, key=lambda step: step.gain_nats)
@@ -195,4 +201,4 @@ def without_names(outcome: Search, law: Proposal, said: str) -> Search:
         block="mean",
     )
     tests = outcome.first_tests
-    return replace(outcome, state=outcome.start, steps=(step,), left=significant(tests), tests=tests, remarks=(said,))
+    return replace(outcome, state=outcome.start, steps=(step,), left=significant(tests), tests=tests, remarks=(remark,))

@@ -1,4 +1,4 @@
-"""Writes a law as an effect file after docs/add-an-effect.md, and a test of it, for the user who exports it."""
+"""Writes a law as an effect file after docs/how-to/add-an-effect.md, and a test of it, for the user who exports it."""
 
 from __future__ import annotations
 
@@ -142,7 +142,7 @@ def _uses_numpy(law: Law, *, per_frame: bool) -> bool:
 def _said_law(law: Law) -> str:
     link = LINKS[law.link]
     plain = law.formula().replace("self.", "").replace("np.", "")
-    return f"{link.said[0].upper()}{link.said[1:]}: {link.code.format(law=plain).replace('np.', '')}."
+    return f"{link.action[0].upper()}{link.action[1:]}: {link.code.format(law=plain).replace('np.', '')}."
 
 
 def _acting(law: Law, link: Link) -> list[str]:

@@ -18,13 +18,13 @@ from scipy.special import ndtr
 
 from radiometer.reconciliation.fit.linear import LinearFit
 from radiometer.reconciliation.fit.state import FitState
-from radiometer.reconciliation.measure.design import Array
 from radiometer.reconciliation.model.tile_context import from_grid, rise_of
 from radiometer.reconciliation.propose.grammar import FORMS, PER_FRAME, PLACES, Term
 from radiometer.reconciliation.propose.law import Law
 from radiometer.reconciliation.propose.law_effect import effect_of
 from radiometer.reconciliation.statistics import STATISTICS
 from radiometer.reconciliation.thresholds import PARAMETER_NATS
+from radiometer.typing import Array
 from simulators.chain.law_stages import LINKS
 from simulators.effects.surroundings import column_light, picture_mean
 

@@ -9,8 +9,7 @@ from typing import Any, ClassVar, Final, cast
 
 import numpy as np
 
-from radiometer.reconciliation.propose.formula import formula
-from radiometer.reconciliation.propose.grammar import COVARIATES, Term
+from radiometer.reconciliation.propose.grammar import COVARIATES, Term, formula
 from radiometer.reconciliation.propose.law import Law, declared, round_to, trials
 from simulators.chain.law_stages import LINKS, Link
 from simulators.effects import base, surroundings

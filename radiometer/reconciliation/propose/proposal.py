@@ -83,7 +83,7 @@ class Proposal:
         """Return in one sentence what it does and what kind of cause acts so."""
         link = LINKS[self.law.link]
         forms = [_said(term, self.before.design.shape) for term in self.law.terms]
-        return f"{', '.join([link.said, *filter(None, [' and '.join(forms)])])}: like {link.like}"
+        return f"{', '.join([link.action, *filter(None, [' and '.join(forms)])])}: like {link.like}"
 
     def source(self, origin: str) -> str:
         """Return the text of the effect file."""
@@ -125,4 +125,4 @@ def _said(term: Any, shape: tuple[int, int]) -> str:
         place = "the middle" if (row, column) == ("middle", "middle") else f"the {row} {column}"
         corner = " corner" if "middle" not in (row, column) else ""
         return f"falling off as a Gaussian from {place}{corner}"
-    return FORMS[term.form].said.format(covariate=COVARIATES[term.covariate].said)
+    return FORMS[term.form].words.format(covariate=COVARIATES[term.covariate].words)

@@ -25,7 +25,8 @@ from radiometer.reconciliation.propose.grammar import PLACES, finer, terms_of
 from radiometer.reconciliation.propose.law import Law, round_to
 from radiometer.reconciliation.propose.law_effect import effect_of
 from radiometer.reconciliation.propose.proposal import Proposal, Rival
-from radiometer.reconciliation.search.free_forms import free_forms, worth
+from radiometer.reconciliation.search.free_laws import free_forms
+from radiometer.reconciliation.search.score import worth
 from radiometer.reconciliation.search.screening import best_start
 from radiometer.reconciliation.thresholds import NAMED_NATS, PARAMETER_NATS, RIVAL_NATS
 from simulators.chain.law_stages import LINKS

@@ -53,9 +53,11 @@ def report_html(reconciled: Reconciled, title: str) -> str:
                 "Residuals along each setting, before and after",
                 pictures.residual_panels(reconciled) if result.covariates else "",
             ),
-            folded("Where they disagreed at first, found without any known effect", _places(result)),
+            folded(
+                "Where simulation and measurement disagreed at first, found without any known effect", _places(result)
+            ),
             folded("Largest trend along each covariate", _covariate_table(result)),
-            folded("What these data would have shown", _limits(result)),
+            folded("What these data would have detected", _limits(result)),
             folded("What was assumed", listed([f"{text}." for text in result.assumptions])),
         ],
         kind="reconcile",
@@ -69,11 +71,11 @@ def outcome(result: ReconcileResult) -> str:
     if result.verdict is Verdict.AGREES:
         return f"Nothing is missing: simulation and measurement agree (gap {result.gap_after:.3g}; 1 is noise alone)."
     if result.verdict is Verdict.EFFECTS_FOUND:
-        return f"Found what was missing: {names}. With {'it' if len(named) == 1 else 'them'} they agree."
+        return f"The missing effect was found: {names}. With {'it' if len(named) == 1 else 'them'} they agree."
     if result.verdict is Verdict.UNNAMED:
         where = next((along(effect.where) for effect in result.effects if effect.name == "unnamed"), "")
-        return f"They come apart {where}, and no known effect explains it.".replace("  ", " ")
-    return f"Structure stays{': provisional are ' + names if names else ', and no name is sure'}."
+        return f"Simulation and measurement differ {where}, and no known effect explains it.".replace("  ", " ")
+    return f"Structure remains{'; these names are provisional: ' + names if names else ', and no name is certain'}."
 
 
 def _size(effect: FoundEffect) -> str:
@@ -115,7 +117,7 @@ def _places(result: ReconcileResult) -> str:
 def _repeats(result: ReconcileResult) -> str:
     """Return in words what equal frames differ by."""
     said = [f"{text[0].upper()}{text[1:]}." for one in result.repeats for text in one.sentences()]
-    return section("What equal frames differ by", listed(said)) if said else ""
+    return section("How equal frames differ", listed(said)) if said else ""
 
 
 def _frames(result: ReconcileResult) -> str:
@@ -169,7 +171,8 @@ def _evidence(effect: FoundEffect) -> str:
         return said
     closed = f" With it the gap falls from {effect.gap_before:.3g} to {effect.gap_after:.3g}"
     weak = "; that is little: repeat the captures" if _is_weak(effect) else ""
-    return f"{said}{closed}, and settings left out are predicted better by {effect.gain_nats:.0f} nats{weak}."
+    known = f" Its {effect.evidence}." if effect.probability is not None else ""
+    return f"{said}{closed}, and settings left out are predicted better by {effect.gain_nats:.0f} nats{weak}.{known}"
 
 
 def _effect_picture(effect: FoundEffect, entry: CatalogueEffect | None, reconciled: Reconciled) -> str:
@@ -201,7 +204,7 @@ def _law(effect: FoundEffect) -> str:
     width = len(columns)
     rows = [(f"{at:.3g}", *shown[n * width : (n + 1) * width]) for n, at in enumerate(knots)]
     heads = ("factor",) if not second else tuple(f"{axis_label(second[0][0])[0]} {at:.3g}" for at in columns)
-    said = "It follows another law than the catalogue's: so many times what that says, ± U (k = 2)."
+    said = "It follows another functional form: the factors below multiply the catalogue's equation, ± U (k = 2)."
     return paragraph(said) + table((axis_label(first)[0], *heads), rows)
 
 
@@ -221,8 +224,9 @@ def _rivals(effect: FoundEffect) -> str:
     if not effect.alternatives:
         return closest
     others = listed([f"{name}.{_in_words(name)}" for name in effect.alternatives])
+    together = f" ({effect.evidence_of_any})" if effect.evidence_of_any else ""
     only = "Each ± is conditional on this effect being the right one."
-    return f"{closest}{paragraph('These data cannot separate it from:')}{others}{paragraph(only, 'small')}"
+    return f"{closest}{paragraph(f'These data cannot separate it from{together}:')}{others}{paragraph(only, 'small')}"
 
 
 def _in_words(name: str) -> str:
@@ -261,6 +265,6 @@ def _limits(result: ReconcileResult) -> str:
         )
         for name, v in result.limits.items()
     ]
-    note = "Sizes that would stand out by 5 sigma; “nothing is missing” holds above these only."
+    note = "Sizes that would stand out by 5 sigma; “nothing is missing” holds only for larger effects."
     shown = table(("effect", "from", "unit", "parameter"), rows, words=(2, 3))
     return f"{paragraph(note, 'small')}{shown}" if shown else ""

@@ -9,7 +9,6 @@ import numpy as np
 from radiometer.reconciliation.fit.comparison import FAMILY
 from radiometer.reconciliation.fit.covariates import covariates
 from radiometer.reconciliation.fit.state import FitState
-from radiometer.reconciliation.measure.design import Array
 from radiometer.reconciliation.prediction import Prediction
 from radiometer.reconciliation.report.words import AXES, axis_label
 from radiometer.reconciliation.result import Verdict
@@ -17,6 +16,7 @@ from radiometer.reconciliation.search.outcome import Reconciled
 from radiometer.reconciliation.statistics import STATISTICS
 from radiometer.reporting.pictures import BEFORE, RULE, SEEN, dress, label, legend, picture, shortened
 from radiometer.reporting.pictures import MODEL as AFTER
+from radiometer.typing import Array
 from simulators.effects.catalogue import CatalogueEffect
 
 if TYPE_CHECKING:
@@ -234,8 +234,8 @@ def rest_map(state: FitState) -> str:
 
     beyond = int(np.count_nonzero(np.abs(score[np.isfinite(score)]) > _CHANCE_SIGMAS))
     caption = (
-        f"Patches by what the final model leaves of them; within ±{_CHANCE_SIGMAS:g} σ is chance. {beyond} of "
-        f"{int(np.isfinite(score).sum())} lie beyond."
+        f"Patches by their residual after the final model; within ±{_CHANCE_SIGMAS:g} σ is chance. {beyond} of "
+        f"{int(np.isfinite(score).sum())} are beyond."
     )
     return picture(draw, caption, (6.8, 0.6 + 5.2 * height / width), (4.0, 1.0 + 3.2 * height / width))
 

@@ -18,12 +18,14 @@ from numpy.typing import NDArray
 from scipy.special import fdtrc
 
 from radiometer.data import Frame
-from radiometer.reconciliation.measure.design import Array, Design
+from radiometer.reconciliation.measure.design import Design
 from radiometer.reconciliation.measure.reduce import FrameReader
 from radiometer.reconciliation.measure.scenes import FineStructure
 from radiometer.reconciliation.measure.seen import CaptureStatistics
 from radiometer.reconciliation.measure.sums import light_of_frames
 from radiometer.reconciliation.thresholds import PERIOD_SIGNIFICANCE
+from radiometer.statistics.least_squares import residual
+from radiometer.typing import Array
 
 _PERIODS: Final = range(2, 13)  # frames
 _KNOWN_TO: Final = 0.01  # of a frame's light: darker frames tell nothing
@@ -148,7 +150,7 @@ def _rated(frames: list[tuple[int, ...]], apart: list[Array], weight: list[float
         places.append((place - place.mean(axis=0)) * np.sqrt(known))
         values.append((light - light.mean()) * np.sqrt(known))
     of_place, of_phase = np.concatenate(places), np.concatenate(phases)
-    columns, seen = _beside(of_place, of_phase), _beside(of_place, np.concatenate(values))
+    columns, seen = residual(of_place, of_phase, rank=_RANK), residual(of_place, np.concatenate(values), rank=_RANK)
     left, size, right = np.linalg.svd(columns, full_matrices=False)
     kept = size > _RANK * np.linalg.norm(of_phase)  # a period that is that of the series leaves nothing
     rank, freedom = int(kept.sum()), seen.size - len(frames) - (longest - 1) - int(kept.sum())
@@ -160,8 +162,3 @@ def _rated(frames: list[tuple[int, ...]], apart: list[Array], weight: list[float
     f_ratio = float(along @ along) / rank / (rest / freedom)
     usual = tuple((1.0 + level - float(np.median(level))).tolist())
     return Periodic(period, float(np.ptp(level)), float(np.std(level)), float(fdtrc(rank, freedom, f_ratio)), usual)
-
-
-def _beside(known: Array, values: Array) -> Array:
-    """Return the residual of values after known columns."""
-    return np.asarray(values - known @ np.linalg.lstsq(known, values, rcond=_RANK)[0])

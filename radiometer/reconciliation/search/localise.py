@@ -21,10 +21,10 @@ from radiometer.reconciliation.fit.covariates import Covariate, covariates
 from radiometer.reconciliation.fit.linear import LinearFit
 from radiometer.reconciliation.fit.state import FitState
 from radiometer.reconciliation.fit.terms import LinearTerm
-from radiometer.reconciliation.measure.design import Array
 from radiometer.reconciliation.prediction import Prediction
 from radiometer.reconciliation.statistics import ADDITIVE, MULTIPLICATIVE, STATISTICS
 from radiometer.reconciliation.thresholds import OWN_SIGNIFICANCE, SIGNIFICANCE
+from radiometer.typing import Array
 from simulators.effects.catalogue import CatalogueEffect
 
 _DRAWS: Final = 2000

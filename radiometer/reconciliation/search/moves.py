@@ -14,14 +14,13 @@ from typing import Final
 import numpy as np
 
 from radiometer.errors import ConfigurationError
-from radiometer.reconciliation.fit.candidate_fit import fit_candidate, judged_gain
+from radiometer.reconciliation.fit.candidate_fit import Candidate, fit_candidate, judged_gain
 from radiometer.reconciliation.fit.descent import coarse_fit, converged_fit, refit
 from radiometer.reconciliation.fit.full_fit import FullFits, UnfitError, contenders_of, included
 from radiometer.reconciliation.fit.state import FitState, reweighted, with_effects, with_terms
 from radiometer.reconciliation.fit.terms import LinearTerm
-from radiometer.reconciliation.search.score import likeliest
-from radiometer.reconciliation.search.screening import directions_of, screen
-from radiometer.reconciliation.search.starts import StartPool
+from radiometer.reconciliation.search.score import likeliest, penalised_chi2
+from radiometer.reconciliation.search.screening import StartPool, directions_of, screen
 from radiometer.reconciliation.thresholds import HUGE_NATS, KEPT_NATS, NAMED_NATS, OWN_LAW_NATS, PARAMETER_NATS
 from simulators.effects.catalogue import CatalogueEffect
 
@@ -49,7 +48,7 @@ def pruned(state: FitState, say: Callable[[str], None]) -> tuple[FitState, list[
             lost = _lost(state, smaller)
             if lost < KEPT_NATS:
                 say(f"{name} dropped again: it brings {lost:.1f} nats")
-                state, changed = refit(reweighted(refit(smaller))), True
+                state, changed = refit(reweighted(refit(smaller))).recorded(), True
                 dropped.append(name)
                 break
     return state, dropped
@@ -60,7 +59,7 @@ def _lost(state: FitState, smaller: FitState) -> float:
     nearer = refit(smaller, iterations=1).with_frozen(frozenset())
     if nearer.promised - state.cost > _FAR_OFF:  # by derivatives of its own
         return np.inf
-    return _log_density(state) - _log_density(refit(nearer, iterations=5))
+    return _log_density(state) - _log_density(refit(nearer, iterations=5).recorded())
 
 
 def _without_one(state: FitState) -> Iterator[tuple[str, float, FitState]]:
@@ -120,6 +119,30 @@ def better(
     if changed.evidence - more < state.evidence + NAMED_NATS:
         return None
     return changed, next(effect for effect in changed.effects if effect.name == fitted.name)
+
+
+def fit_swapped(state: FitState, others: Mapping[str, Sequence[CatalogueEffect]]) -> None:
+    """Fit other entries in the place of each of several names, so that their models are compared with the names'.
+
+    What was fitted at the step of a name did not know the later ones. The only name was compared at its step.
+
+    Args:
+        state: The model with all names.
+        others: What was fitted with each name, the best first.
+    """
+    present = {effect.name for effect in state.effects}
+    for effect in state.effects if len(state.effects) > 1 else ():
+        starts = [other for other in others.get(effect.name, ()) if other.name not in present]
+        if not starts:
+            continue
+        try:
+            rest = with_effects(state, [other for other in state.effects if other is not effect])
+            fitted = [fit_candidate(rest, Candidate(start, 0.0, len(start.free()) or 1)) for start in starts[:_FITTED]]
+            best = max(fitted, key=penalised_chi2)
+            judged_gain(rest, best)
+            FullFits(rest).try_out(best.effect, far=False)
+        except (np.linalg.LinAlgError, ConfigurationError):  # what cannot be fitted takes no place
+            continue
 
 
 def simpler(state: FitState, catalogue: Mapping[str, type[CatalogueEffect]]) -> tuple[FitState, CatalogueEffect] | None:

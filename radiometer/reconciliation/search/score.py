@@ -5,10 +5,13 @@ What a candidate must bring before it is a name, and which others explain the da
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from radiometer.reconciliation.chances import chi2_beyond
 from radiometer.reconciliation.fit.candidate_fit import FittedCandidate
+from radiometer.reconciliation.fit.state import FitState
 from radiometer.reconciliation.thresholds import (
     FEW_TRIES,
     FLEXIBLE_NATS,
@@ -21,8 +24,19 @@ from radiometer.reconciliation.thresholds import (
     STATED_NATS,
     STATED_SHARE,
 )
+from simulators.effects.catalogue import CatalogueEffect
 
 Judged = tuple[FittedCandidate, float]
+
+
+def worth(state: FitState) -> float:
+    """Return the score of a model: its held-out log density, each parameter and each column of a curve paid for."""
+    return state.evidence - PARAMETER_NATS * (state.parameters.size + state.curves)
+
+
+def rated(state: FitState) -> float:
+    """Return the score of a model with the prior odds of its names."""
+    return worth(state) + sum(effect.log_prior_odds for effect in state.effects)
 
 
 def penalised_chi2(fitted: FittedCandidate) -> float:
@@ -81,3 +95,27 @@ def is_shown(fitted: FittedCandidate, nats: float, limit: float, *, later: bool,
     beyond_chance = log_chance(fitted.gain, fitted.parameters) < limit
     in_its_own = fitted.evidence >= SHOWN_CHI2 or (far and nats > HUGE_NATS)
     return beyond_chance and nats >= needed + (LATER_NATS if later else 0.0) and in_its_own
+
+
+def rivals_of(chosen: Judged, judged: Sequence[Judged]) -> tuple[CatalogueEffect, ...]:
+    """Return the effects, at their best parameters, that the data cannot separate from the chosen one.
+
+    What the plan cannot separate, because a setting does not vary, is asked of the reported model (`inseparable`).
+
+    Args:
+        chosen: The chosen one with its gain in nats.
+        judged: Others that were fitted and judged in the same way, with theirs.
+    """
+    return tuple({f.name: f.effect for f, nats in judged if _is_rival(f, nats, chosen)}.values())
+
+
+def _is_rival(other: FittedCandidate, nats: float, chosen: Judged) -> bool:
+    """Return whether another entry predicts about as well; each further parameter must be paid for.
+
+    One with more parameters, one of them on its bound, imitates the chosen one in a limit: a kernel as wide as the
+    picture is a veil.
+    """
+    further = max(other.parameters - chosen[0].parameters, 0)
+    if other.name == chosen[0].name or (further and other.columns.shape[1] < other.parameters):
+        return False
+    return nats - PARAMETER_NATS * further > chosen[1] - RIVAL_NATS

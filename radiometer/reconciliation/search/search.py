@@ -11,24 +11,31 @@ import numpy as np
 from radiometer.reconciliation.fit.candidate_fit import (
     Candidate,
     FittedCandidate,
+    curve_gain,
     fit_candidate,
-    held_out_gain,
     judged_gain,
 )
 from radiometer.reconciliation.fit.covariance import is_far, is_misfit, scatter_of
 from radiometer.reconciliation.fit.descent import refit
 from radiometer.reconciliation.fit.full_fit import FullFits, UnfitError, contenders_of
 from radiometer.reconciliation.fit.state import FitState, reweighted, with_terms
-from radiometer.reconciliation.search.free_forms import worth
-from radiometer.reconciliation.search.free_laws import by_a_free_law, in_place_of_all, rated
+from radiometer.reconciliation.search.free_laws import by_a_free_law, in_place_of_all
 from radiometer.reconciliation.search.localise import Disagreement, departing, localise, significant, smooth_term
-from radiometer.reconciliation.search.moves import Loosened, LooserForms, better, pruned, simpler
+from radiometer.reconciliation.search.moves import Loosened, LooserForms, better, fit_swapped, pruned, simpler
 from radiometer.reconciliation.search.outcome import Search, Step
 from radiometer.reconciliation.search.plain_trends import TRENDS
-from radiometer.reconciliation.search.rivals import rivals_of
-from radiometer.reconciliation.search.score import by_itself, is_shown, likeliest, log_chance, penalised_chi2, score
-from radiometer.reconciliation.search.screening import Before, screen
-from radiometer.reconciliation.search.starts import StartPool
+from radiometer.reconciliation.search.score import (
+    by_itself,
+    is_shown,
+    likeliest,
+    log_chance,
+    penalised_chi2,
+    rated,
+    rivals_of,
+    score,
+    worth,
+)
+from radiometer.reconciliation.search.screening import Before, StartPool, screen
 from radiometer.reconciliation.thresholds import (
     FLEXIBLE_NATS,
     HUGE_NATS,
@@ -63,6 +70,7 @@ class _Run:
     screened: list[Candidate] = field(default_factory=list)  # beside the model before
     forms: dict[tuple[str, bool], tuple[CatalogueEffect, ...]] = field(default_factory=dict)  # as they were fitted then
     barred: str = ""  # a name that this step may not give
+    beside: dict[str, tuple[CatalogueEffect, ...]] = field(default_factory=dict)  # what was fitted with each name
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -109,9 +117,11 @@ def search(
         say(f"another way: not {turn.chosen} after {', '.join(step.name for step in turn.steps) or 'nothing'}")
         again = _Run(catalogue, say, [*turn.steps], {*turn.refused}, run.pool, run.first)
         other = _to_its_end(start, turn.state, turn.tests, again, barred=turn.chosen)
+        run.beside |= again.beside
         if rated(other.state) > rated(found.state) + NAMED_NATS:
             say(f"better by {rated(other.state) - rated(found.state):.1f} nats: gap {other.state.gap:.3f}")
             found = other
+    fit_swapped(found.state, run.beside)
     return replace(found, first_tests=first)
 
 
@@ -181,7 +191,7 @@ def _refined(start: FitState, state: FitState, tests: tuple[Disagreement, ...], 
     refined, dropped = pruned(found.state, run.say)
     run.steps = []
     for effect in sorted(refined.effects, key=lambda effect: effect.name == found.name):
-        step = Step(effect.name, effect.where, found.nats, found.beside.gap, refined.gap, found.rivals)
+        step = Step(effect.name, effect.where, found.nats, found.without.gap, refined.gap, found.rivals)
         run.steps.append(step if effect.name == found.name else old[effect.name])
     run.refused |= set(dropped)
     return refined
@@ -214,10 +224,9 @@ def _one_step(state: FitState, tests: tuple[Disagreement, ...], run: _Run) -> Fi
         if not _convinces(state, chosen, standing, plain) or _is_likelier(fits, looser, chosen):
             break
         others = judged if contenders is shown else contenders
-        outperformed = any(_is_plainer(kind, chosen[0]) and lead > 0.0 for kind, lead in plain.items())
-        outperformed |= any(_outperforms(other, chosen) for other in others)
-        following = _named(fits, chosen, others, judged, run, outperformed=outperformed)
+        following = _named(fits, chosen, others, run)
         if following is not None:
+            run.beside[chosen[0].name] = tuple(f.effect for f in fitted if f.name != chosen[0].name)
             if (lead := _lead(chosen, others)) < NEAR_SHARE:
                 run.turns.append(_Turn(state, tests, chosen[0].name, lead, steps, refused))
             return following
@@ -303,17 +312,6 @@ def _is_constant(kind: type[CatalogueEffect], fitted: FittedCandidate) -> bool:
     return not kind.where and len(kind.fitted) == 1 < fitted.parameters
 
 
-def _is_plainer(kind: type[CatalogueEffect], fitted: FittedCandidate) -> bool:
-    """Return whether a trend follows an effect's very covariate with fewer parameters than it."""
-    return kind.where == fitted.effect.where and len(kind.fitted) < fitted.parameters
-
-
-def _outperforms(other: tuple[FittedCandidate, float], chosen: tuple[FittedCandidate, float]) -> bool:
-    """Return whether another entry predicts better, each parameter paid for, its prior probability left out."""
-    mine, others = (nats - PARAMETER_NATS * fitted.parameters for fitted, nats in (chosen, other))
-    return other[0].name != chosen[0].name and others > mine + PARAMETER_NATS
-
-
 def _lead(chosen: tuple[FittedCandidate, float], others: Sequence[tuple[FittedCandidate, float]]) -> float:
     """Return by what share of its score a name is ahead of the next entry that shows in the same statistic."""
     best, (mine, _) = score(chosen), chosen
@@ -326,21 +324,18 @@ def _lead(chosen: tuple[FittedCandidate, float], others: Sequence[tuple[FittedCa
 def _smooth_gain(state: FitState, test: Disagreement) -> float:
     term = smooth_term(state, test)
     columns = state.pad(term.build(state.comparison, state.prediction, state.sensitivity))
-    return held_out_gain(state, state.fit.residual, state.fit.followed(columns))
+    return curve_gain(state, state.fit.followed(columns))
 
 
 def _named(
     fits: FullFits,
     chosen: tuple[FittedCandidate, float],
     contenders: list[tuple[FittedCandidate, float]],
-    judged: list[tuple[FittedCandidate, float]],
     run: _Run,
-    *,
-    outperformed: bool,
 ) -> FitState | None:
     """Return the model with the chosen effect; None where, all refitted, it does not predict better after all.
 
-    Contenders are judged as the chosen one is, `judged` are all those of this step before any full fit.
+    Contenders are judged as the chosen one is.
     """
     (fitted, nats), state = chosen, fits.state
     following = fits.included(fitted.effect, far=nats > HUGE_NATS)
@@ -348,13 +343,14 @@ def _named(
     if brought < KEPT_NATS or brought < NAMED_NATS * scatter_of(following):
         run.refused.add(fitted.name)
         return None
-    linear = next(entry for entry in judged if entry[0] is fitted)
-    rivals = rivals_of(state, chosen, contenders, linear, run.catalogue)
+    rivals = rivals_of(chosen, contenders)
+    for rival in rivals:
+        fits.try_out(rival, far=nats > HUGE_NATS)
     gap_before = state.gap
     again = next((i for i, step in enumerate(run.steps) if step.name == fitted.name), None)
     if again is None:
         where = fitted.effect.where
-        run.steps.append(Step(fitted.name, where, nats, gap_before, following.gap, rivals, outperformed=outperformed))
+        run.steps.append(Step(fitted.name, where, nats, gap_before, following.gap, rivals))
     else:
         old = run.steps[again]
         run.steps[again] = replace(old, gain_nats=old.gain_nats + nats, gap_after=following.gap)
@@ -414,7 +410,7 @@ def _unnamed(
 def _with_curve(state: FitState, test: Disagreement) -> FitState:
     """Return the model with a smooth term that takes up a disagreement, all fitted anew."""
     old = tuple(term for term in state.terms if term.is_smooth)
-    return refit(reweighted(refit(with_terms(state, (*old, smooth_term(state, test))))))
+    return refit(reweighted(refit(with_terms(state, (*old, smooth_term(state, test)))))).recorded()
 
 
 def _forget(run: _Run, name: str) -> None:

@@ -26,12 +26,7 @@ EXPORTS: Final[dict[str, tuple[Callable[[ScreenCalibration], str | bytes], str]]
 
 
 def write_export(calibration: ScreenCalibration, kind: str, path: Path) -> None:
-    """Write one of `EXPORTS`.
-
-    Raises:
-        UsageError: If there is no such kind.
-        OutputError: If the file cannot be written.
-    """
+    """Write one of `EXPORTS`. Raises UsageError if there is no such kind; OutputError if the file cannot be written."""
     if kind not in EXPORTS:
         raise UsageError(f"export {kind!r} is unknown; choose from {', '.join(EXPORTS)}")
     content = EXPORTS[kind][0](calibration)

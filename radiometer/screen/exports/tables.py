@@ -13,7 +13,7 @@ _HEADER: Final = (
     "scotopic_luminance_cd_m2,below_detection"
 )
 _INVERSE_HEADER: Final = "channel,target_luminance_cd_m2,level,luminance_cd_m2,u_luminance_cd_m2"
-_INVERSE_STEPS: Final = 256
+_INVERSE_STEPS: Final = 256  # one per level of 8 bits
 
 
 def to_csv(calibration: ScreenCalibration) -> str:

@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from radiometer.screen.calibration import ChannelCurve, ScreenCalibration
 
-ENTRIES: Final = 256
-TARGET_GAMMA: Final = 2.2
+ENTRIES: Final = 256  # one per level of 8 bits, as graphics cards have
+TARGET_GAMMA: Final = 2.2  # usual screens and ArgyllCMS's default
 
 
 def correction(curve: ChannelCurve, gamma: float = TARGET_GAMMA, entries: int = ENTRIES) -> NDArray[np.float64]:

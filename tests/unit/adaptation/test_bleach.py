@@ -12,7 +12,6 @@ from radiometer.adaptation.bleach import (
     bleached_fraction,
     bleached_range,
     pupil_diameter_mm,
-    retinal_exposure_for,
     retinal_illuminance_td,
 )
 from radiometer.data.bleaching_constants import CONE_HALF_BLEACH, CONE_REGENERATION, CONSTANTS
@@ -34,19 +33,6 @@ def test_dark_regenerates_with_the_time_constant() -> None:
     """400 s of darkness leave 1/e of what was bleached in rods, 120 s in cones."""
     assert bleached_fraction(0.0, 400.0, "rods", before=0.9) == pytest.approx(0.9 / math.e)
     assert bleached_fraction(0.0, 120.0, "cones", before=0.9) == pytest.approx(0.9 / math.e)
-
-
-@pytest.mark.parametrize("fraction", [0.05, 0.5, 0.98])
-def test_exposure_for_a_fraction_bleaches_that_fraction(fraction: float) -> None:
-    """The calculator's inverse leads back."""
-    exposure = retinal_exposure_for(fraction, 120.0)
-    assert bleached_fraction(exposure / 120.0, 120.0) == pytest.approx(fraction)
-
-
-def test_fractions_out_of_range_are_refused() -> None:
-    """All pigment cannot be bleached."""
-    with pytest.raises(ValueError, match="between 0 and 1"):
-        retinal_exposure_for(1.0, 1.0)
 
 
 def test_trolands_are_luminance_times_pupil_area() -> None:
@@ -79,7 +65,7 @@ def test_range_spans_the_published_constants() -> None:
 
 def test_calculator_eye_and_docs_share_one_table(project_root: Path) -> None:
     """Each value of the table stands in the docs with its spread; the simulated eye bleaches by the same ones."""
-    page = (project_root / "docs" / "adaptation-test.md").read_text(encoding="utf-8")
+    page = (project_root / "docs" / "reference" / "adaptation-test.md").read_text(encoding="utf-8")
     for constant in CONSTANTS:
         assert f"| {constant.name} | {constant.value:g} | {constant.low:g} to {constant.high:g} |" in page
         assert constant.low <= constant.value <= constant.high

@@ -173,6 +173,7 @@ def test_quantities_that_follow_from_a_fit():
     assert found["criterion_min"] == pytest.approx(9.0 + (at_break + 3.0) / 0.24)
     cones = 2.0 * 1.6 * (math.exp(-0.5 / 1.6) - math.exp(-9.0 / 1.6)) + (-1.0 - found["final_threshold"]) * 8.5
     assert found["area_log10_min"] == pytest.approx(cones + 0.24 * 21.0**2 / 2, rel=1e-3)
+    assert (found["area_from_min"], found["area_to_min"]) == (0.5, 30.0)
     rising = fitted(s2_slope_per_min=0.1)
     assert rules.derived_quantities(rising.values, rising, -3.0)["criterion_min"] == math.inf
     one = {"plateau": -4.0, "amplitude": 3.0, "tau_min": 6.0}

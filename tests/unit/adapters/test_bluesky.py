@@ -145,10 +145,10 @@ def test_unknown_channel_is_refused():
 
 
 def test_example_of_the_documentation_runs(project_root, capsys):
-    """The first example of docs/interoperability.md prints level, radiance and u of four readings, rising."""
-    page = (project_root / "docs" / "interoperability.md").read_text(encoding="utf-8")
+    """The first example of docs/reference/interoperability.md prints level, radiance and u of four readings, rising."""
+    page = (project_root / "docs" / "reference" / "interoperability.md").read_text(encoding="utf-8")
     example = page.split("```python\n", 1)[1].split("```", 1)[0]
-    exec(compile(example, "docs/interoperability.md", "exec"), {})
+    exec(compile(example, "docs/reference/interoperability.md", "exec"), {})
     rows = [[float(cell) for cell in line.split()] for line in capsys.readouterr().out.splitlines()]
     assert [row[0] for row in rows] == [500, 1667, 2833, 4000]
     assert [row[1] for row in rows] == sorted(row[1] for row in rows)

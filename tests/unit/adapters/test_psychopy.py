@@ -5,8 +5,7 @@ from __future__ import annotations
 import pytest
 
 from radiometer.adapters.psychopy import ADDRESS_VARIABLE, RadiometerPhotometer
-from radiometer.analysis.photometry.photometry import luminous_efficacy_lm_per_w
-from radiometer.analysis.photometry.spectra import spectrum
+from radiometer.analysis.photometry.photometry import luminous_efficacy_lm_per_w, spectrum
 from radiometer.data import Patch, Quantity, Reading
 from radiometer.errors import DeviceError, MeasurementError, MissingLibrary
 

@@ -80,6 +80,15 @@ def _write_tables(folder: Path) -> None:
     levels = range(0, 256, 51)
     luminances = [f"{level},{0.1 + 119.9 * (level / 255) ** 2.2:.4f}" for level in levels]
     (folder / "luminances.csv").write_text("\n".join(["level,cd/m2", *luminances]) + "\n", encoding="utf-8")
+    party = "{name: A, email: a@example.org, city: Bonn, country: DE}"
+    (folder / "laboratory.yaml").write_text(
+        f"format: radiometer-laboratory/1\nlaboratory: {party}\ncustomer: {party}\nresponsible: {{name: R. Smith}}\n"
+        'item: {name: camera, manufacturer: Maker, serial: "22500001"}\n',
+        encoding="utf-8",
+    )
+    seconds = np.arange(5000) / 20_000.0
+    light = 1.0 + 0.3 * np.sin(2.0 * np.pi * 100.0 * seconds)
+    np.savetxt(folder / "lamp.csv", np.transpose([seconds, light]), "%.6f", ",", header="time_s,light", comments="")
     times = np.arange(0.5, 30, 0.5)
     found = [f"{t},{SubjectCurve().threshold(t) + rng.normal(0, 0.05):.4f}" for t in times]
     (folder / "thresholds.csv").write_text("\n".join(["minutes,threshold", *found]) + "\n", encoding="utf-8")

@@ -17,7 +17,7 @@ from radiometer.cli.main import run
 from radiometer.cli.tree import command_tree
 
 # What differs between two runs of one thing: when and where it was written, and how long it took.
-_OF_THE_RUN = {"time", "created", "capture", "path", "file", "table", "csv", "seconds", "port", "finished"}
+_OF_THE_RUN = {"time", "created", "capture", "path", "file", "table", "csv", "seconds", "port", "finished", "page"}
 
 
 @dataclass(frozen=True)
@@ -57,6 +57,15 @@ CASES = (
     Case(
         "import statistics.csv -o {out}/imported --json",
         lambda out: rm.import_capture("statistics.csv", out / "imported"),
+    ),
+    Case(
+        "certificate calibration.yaml -o {out}/dcc.xml --laboratory laboratory.yaml --identifier 7 --json",
+        lambda out: rm.certificate("calibration.yaml", out / "dcc.xml", laboratory="laboratory.yaml", identifier="7"),
+    ),
+    Case("flicker lamp.csv --dark 0 --json", lambda out: rm.flicker("lamp.csv", dark=0.0)),
+    Case(
+        "alpha-opic 80 --u 0.8 --spectrum white_led --wavelength-u 0.5 --json",
+        lambda out: rm.alpha_opic(80.0, u=0.8, spectrum="white_led", wavelength_u_nm=0.5),
     ),
     Case("log-fit sky.csv --no-control --json", lambda out: rm.log_fit("sky.csv", control=False)),
     Case("log journal.sqlite --json", lambda out: rm.log("journal.sqlite")),

@@ -30,7 +30,14 @@ SHOWN_BY_FUNCTIONS = {
 ERRORS = {name for name, kind in vars_of_all() if isinstance(kind, type) and issubclass(kind, Exception)}
 
 
-@pytest.mark.parametrize("name", sorted(set(rm.__all__) - SERVERS - SHOWN_BY_FUNCTIONS - ERRORS))
+# Each takes as long as twenty others.
+SEARCHES = {"Separability", "reconcile_plan"}
+EXAMPLES = sorted(set(rm.__all__) - SERVERS - SHOWN_BY_FUNCTIONS - ERRORS)
+
+
+@pytest.mark.parametrize(
+    "name", [pytest.param(one, marks=pytest.mark.slow) if one in SEARCHES else one for one in EXAMPLES]
+)
 def test_the_example_of_a_public_name_runs_as_it_stands(name, desk, monkeypatch):
     """Every public name has an example, and the example prints what it says."""
     monkeypatch.chdir(desk)
@@ -45,14 +52,14 @@ def test_the_example_of_a_public_name_runs_as_it_stands(name, desk, monkeypatch)
 
 @pytest.mark.slow
 def test_the_python_page_runs_as_it_stands(desk, monkeypatch, project_root):
-    """The blocks of docs/python.md run in order where its files are; nothing in it is a sketch."""
+    """The blocks of docs/reference/python-guide.md run in order where its files are; nothing in it is a sketch."""
     monkeypatch.chdir(desk)
-    text = (project_root / "docs" / "python.md").read_text(encoding="utf-8")
+    text = (project_root / "docs" / "reference" / "python-guide.md").read_text(encoding="utf-8")
     blocks = re.findall(r"```python\n(.*?)```", text, re.DOTALL)
     assert len(blocks) >= 3
     namespace: dict[str, object] = {}
     for block in blocks:
-        exec(compile(block, "docs/python.md", "exec"), namespace)
+        exec(compile(block, "docs/reference/python-guide.md", "exec"), namespace)
     assert namespace["absolute"].unit == "W sr-1 m-2"
     assert namespace["found"].verdict == "effects_found"
 

@@ -12,10 +12,10 @@ import numpy as np
 import pytest
 
 import radiometer as rm
-from radiometer.analysis.reading import outside, reading
+from radiometer.analysis.reading import budget, reading
 from radiometer.cli.main import run
 from tests.unit.api.test_dark_frames import CAMERA, LENS, calibration
-from tests.unit.photographs.test_one_path import photographs, scene
+from tests.unit.photographs.test_one_path import TIMES_S, photographs, scene
 
 # When and where a result was made is not of the result.
 NOT_COMPARED = frozenset({"time", "created", "seconds", "files", "calibration", "responses", "model", "report"})
@@ -30,7 +30,7 @@ def desk(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("desk")
     light = scene()
     photographs(folder / "grey", light)
-    photographs(folder / "colour", light, colours=(0.7, 1.0, 0.8))
+    photographs(folder / "colour", light, colours=(0.7, 1.0, 0.8), times_s=TIMES_S[::2])
     photographs(folder / "even", np.full((40, 60), 0.5), times_s=(2.0**-8, 2.0**-7, 2.0**-6))
     rng = np.random.default_rng(2)
     with CaptureSetWriter(folder / "set", CAMERA, LENS, source=SourceDescription(wavelength_nm=550.0)) as writer:
@@ -88,13 +88,18 @@ CASES: dict[str, tuple[list[str], Callable[[], Any]]] = {
 }
 
 
-@pytest.mark.parametrize("name", CASES)
+SEARCHES = {"plan of reconcile"}  # takes as long as all others together
+
+
+@pytest.mark.parametrize(
+    "name", [pytest.param(one, marks=pytest.mark.slow) if one in SEARCHES else one for one in CASES]
+)
 def test_the_command_prints_what_the_function_returns(name, desk, monkeypatch, capsys):
     """Every key and every number; then the result prints in one line and as HTML."""
     monkeypatch.chdir(desk)
     # The age of a calibration goes on between two calls: it is taken as of one moment.
     moment = dt.datetime.now(dt.UTC)
-    monkeypatch.setattr(outside, "dt", _Stopped(moment))
+    monkeypatch.setattr(budget, "dt", _Stopped(moment))
     monkeypatch.setattr(reading, "dt", _Stopped(moment))
     words, function = CASES[name]
     capsys.readouterr()

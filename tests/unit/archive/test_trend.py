@@ -61,6 +61,14 @@ def test_an_outlier_is_named_and_does_not_bend_the_line():
     assert abs(trend.drift_per_month - without.drift_per_month) < without.u_drift_per_month
 
 
+def test_at_most_a_quarter_of_the_readings_are_outliers():
+    """Of 40 readings 15 lie far off, each eight times farther than the one before: ten leave the fit and one more."""
+    time_s, value, u = history(np.random.default_rng(6), 0.0)
+    time_s, value, u = time_s[:40], value[:40].copy(), u[:40]
+    value[1:31:2] *= 1.0 + 8.0 ** np.arange(15)
+    assert fit_trend(time_s, value, u).outlier.sum() == 11
+
+
 def test_scatter_beyond_the_stated_uncertainty_is_stated():
     """Readings that scatter 2 % with a stated 0.5 % have an excess of √(2² − 0.5²) %."""
     trend = fit_trend(*history(np.random.default_rng(4), 0.0, scatter=0.02))

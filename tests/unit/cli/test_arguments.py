@@ -4,8 +4,18 @@ from __future__ import annotations
 
 import pytest
 
-from radiometer.cli.arguments import parse_exposure, parse_f_number, parse_relative, parse_seconds
+from radiometer.cli.arguments import (
+    parse_bounds,
+    parse_exposure,
+    parse_f_number,
+    parse_known_ratios,
+    parse_measured_iso,
+    parse_patch,
+    parse_relative,
+    parse_seconds,
+)
 from radiometer.cli.main import run
+from radiometer.errors import UsageError
 
 
 @pytest.mark.parametrize(("text", "value"), [("0.05", 0.05), ("5%", 0.05), ("5 %", 0.05), ("0", 0.0), (None, None)])
@@ -25,6 +35,28 @@ def test_an_exposure_time_with_its_unit_or_a_plausible_number(text, seconds):
 def test_an_f_number_as_it_is_written(text, number):
     """The number alone, or with f/ before it."""
     assert parse_f_number(text, "--f-number") == number
+
+
+@pytest.mark.parametrize(
+    ("parse", "taken", "refused"),
+    [
+        (parse_f_number, ["0.5", "256"], ["0.49", "256.1", "0", "f/"]),
+        (parse_relative, ["0", "0.999", "99.9%"], ["-1e-9", "1", "100%", "nan", "inf%"]),
+        (parse_exposure, ["30", "30.1s", "1e-9"], ["30.1", "0", "-1ms", "8 kg"]),
+        (parse_bounds, ["1e-9,2e-9"], ["0,1", "1,1", "2,1", "1,inf", "1"]),
+        (parse_patch, ["0,0,1,1"], ["-1,0,1,1", "0,-1,1,1", "0,0,0,1", "0,0,1,0", "0,0,1"]),
+        (parse_measured_iso, [["200=1e-9", "0=1"]], [["200=0"], ["-1=5"], ["1=inf"], ["inf=1"], ["2=1", "2=3"]]),
+        (parse_known_ratios, [["0=1.001", "1=2"]], [["0=1"], ["0.5=2"], ["-1=2"], ["1=2", "1=3"], ["a=2"]]),
+    ],
+)
+def test_each_bound_is_taken_and_one_step_beyond_is_misuse(parse, taken, refused):
+    """What a lens, a share, a time, a range, a patch, a speed and a ratio can be."""
+    option = () if parse in (parse_patch, parse_measured_iso, parse_known_ratios) else ("--option",)
+    for text in taken:
+        assert parse(text, *option) is not None
+    for text in refused:
+        with pytest.raises(UsageError):
+            parse(text, *option)
 
 
 @pytest.mark.parametrize(

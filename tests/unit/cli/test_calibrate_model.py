@@ -17,7 +17,7 @@ from radiometer.analysis.calibration.calibrate import (
 )
 from radiometer.analysis.merge.bracket import merge
 from radiometer.analysis.reading.reading import read_patch
-from radiometer.api.read_back import with_found_effects
+from radiometer.api.calibration import with_found_effects
 from radiometer.data import (
     Bracket,
     Calibration,

@@ -12,9 +12,9 @@ from radiometer.cli.main import run
 from radiometer.data import CameraDescription, FrameSettings, LensDescription
 from radiometer.data.storage import write_yaml_atomic
 from radiometer.devices import CameraPreset
-from simulators.cameras.simulated_capture import simulate_capture
 from simulators.chain.camera_model import CameraModel
 from simulators.scenes import UniformScene
+from testing.simulated_capture import simulate_capture
 
 
 @pytest.fixture

@@ -11,9 +11,9 @@ import pytest
 from radiometer.cli.main import run
 from radiometer.data import CameraDescription, FrameSettings, LensDescription
 from radiometer.data.storage import write_yaml_atomic
-from simulators.cameras.simulated_capture import simulate_capture
 from simulators.chain.camera_model import CameraModel
 from simulators.scenes import LedScene
+from testing.simulated_capture import simulate_capture
 
 
 @pytest.fixture

@@ -153,7 +153,7 @@ def test_folders_of_photographs_within_a_folder_are_named(chart, tmp_path, capsy
     (tmp_path / "day" / "notes").mkdir()
     words = ["-o", str(tmp_path / "map.exr")] if command == "merge" else []
     assert run([command, str(tmp_path / "day"), *words]) == 1
-    assert "in folders of it (after, before): give one of these" in " ".join(capsys.readouterr().err.split())
+    assert "in folders below it (after, before); give one of these" in " ".join(capsys.readouterr().err.split())
 
 
 @pytest.mark.parametrize("command", ["response", "merge", "reconcile"])

@@ -174,8 +174,8 @@ def test_a_file_in_place_of_a_folder_is_said_to_be_one(tmp_path, capsys):
 @pytest.mark.parametrize(
     ("px", "u_px", "said"),
     [
-        (0.0, 0.2, "less than some 0.2 pixels"),
-        (0.0, 0.0, "these frames cannot show it"),
+        (0.0, 0.2, "below about 0.2 pixels"),
+        (0.0, 0.0, "these frames cannot show one"),
         (0.31, 0.15, "0.31 ± 0.15 pixels"),
     ],
 )

@@ -36,7 +36,7 @@ from radiometer.photographs.scene import Photographs, prepared
 OFFSET_S, U_S = 3e-5, 4e-6
 LABELS_S = tuple(2.0**-k for k in (13, 12, 11, 10))
 SAID = "all exposures 30.0 ± 4.0 µs longer than their labels, the shutter's offset that the response was recovered with"
-NOT_TAKEN = "the shutter's offset of the response (exposures 30.0 ± 4.0 µs longer than their labels) is not taken"
+NOT_TAKEN = "the shutter's offset of the response (exposures 30.0 ± 4.0 µs longer than their labels) is not used"
 
 
 def curve(**parameters: object) -> ResponseCurve:
@@ -163,7 +163,7 @@ def test_it_is_not_taken_where_it_is_half_of_the_shortest_exposure():
     short = bracket(6e-5, 1e-3)
     timed, text, taken = with_offset_of_response(short, of_offset(), None)
     assert timed is short
-    assert (text, taken) == (f"{NOT_TAKEN}: it is too large beside 60 µs", False)
+    assert (text, taken) == (f"{NOT_TAKEN}: it is too large for an exposure of 60 µs", False)
     assert with_offset_of_response(bracket(6.1e-5, 1e-3), of_offset(), None)[2]
 
 

@@ -69,6 +69,6 @@ def test_no_map_is_made_with_a_curve_that_says_nothing(tmp_path, capsys):
     by_itself = capsys.readouterr().err.splitlines()[-1]
     assert run(["merge", str(folder), "-o", str(tmp_path / "map.exr")]) == 1
     assert capsys.readouterr().err.splitlines()[-1] == by_itself
-    assert "no response can be told from these frames" in by_itself
+    assert "no response follows from these frames" in by_itself
     assert run(["measure", "--photographs", str(folder), "--uncalibrated", "--patch", "4,4,9,9"]) == 1
     assert not list(tmp_path.glob("map*"))

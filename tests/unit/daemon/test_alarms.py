@@ -13,7 +13,6 @@ from typing import Any
 import aiohttp
 import pytest
 
-from radiometer.daemon import lateness
 from radiometer.daemon.alarms import KINDS
 from radiometer.daemon.descriptors import Descriptors
 from radiometer.daemon.http.server import HttpServer
@@ -108,9 +107,9 @@ def _kind(name: str) -> str:
 
 
 def test_every_alarm_is_tested_and_documented() -> None:
-    """The table of docs/daemon.md is that of the program, line by line."""
+    """The table of docs/reference/daemon.md is that of the program, line by line."""
     assert {_kind(name) for name in CASES} | {"mqtt", "period"} == {kind.name for kind in KINDS}
-    text = (ROOT / "docs" / "daemon.md").read_text(encoding="utf-8")
+    text = (ROOT / "docs" / "reference" / "daemon.md").read_text(encoding="utf-8")
     for kind in KINDS:
         assert f"| `{kind.name}` | {kind.cause} | {kind.end} |" in text
 
@@ -122,10 +121,9 @@ async def test_an_alarm_is_up_as_long_as_its_cause(
     instrument: Any,
     box: Any,
     eventually: Eventually,
-    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """Health, state and every listener have it; then it goes, and the journal has both."""
-    monkeypatch.setattr(lateness, "_MISSING_S", 0.3)
+    station.lateness.missing_s = 0.3
     world, server = World(station, instrument, box), HttpServer(station, limits=Limits(http_requests_per_s=1e4))
     base = f"http://127.0.0.1:{await server.listen('127.0.0.1', 0)}"
     async with aiohttp.ClientSession() as session:

@@ -73,7 +73,7 @@ def test_the_ports_are_those_that_are_documented(project_root: Path) -> None:
     options = ServiceOptions()
     assert (options.scpi_port, options.http_port) == (5025, 8080)
     assert options.scpi_address == options.http_address == "127.0.0.1"
-    page = (project_root / "docs" / "daemon.md").read_text(encoding="utf-8")
+    page = (project_root / "docs" / "reference" / "daemon.md").read_text(encoding="utf-8")
     assert "5025" in page
     assert "8080" in page
 

@@ -76,6 +76,7 @@ def test_a_picture_is_in_the_unit_of_the_reading() -> None:
     clipping = measured((64 + 400, 0.01, 0.0), (4095, 0.02, 0.0))
     assert composite(clipping, None, 3).radiance[0, 0] == pytest.approx(2.0)
     assert composite(measured((4095, 0.01, 0.0)), None, 3).clipped.all()
+    assert composite(measured((64 + 50, 100.0, 0.0)), None, 3).radiance[0, 0] == pytest.approx(2.0)  # below 1 DN/s
 
 
 def test_a_picture_goes_through_the_curve_in_use() -> None:

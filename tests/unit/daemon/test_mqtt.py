@@ -12,7 +12,6 @@ from typing import Any
 
 import pytest
 
-from radiometer.daemon import mqtt
 from radiometer.daemon.mqtt import MqttPublisher, MqttTarget
 from radiometer.daemon.station import Station
 from radiometer.data import Patch
@@ -128,11 +127,10 @@ async def test_a_broker_that_acknowledges_nothing_is_an_alarm_until_it_has(
     station: Station,
     published: tuple[Broker, MqttPublisher],
     eventually: Eventually,
-    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """Connected is not enough: what waits, and what was dropped for want of room, is in the alarm."""
-    broker, _ = published
-    monkeypatch.setattr(mqtt, "_ACKNOWLEDGED_WITHIN_S", 0.3)
+    broker, publisher = published
+    publisher.acknowledged_within_s = 0.3
     await eventually(lambda: broker.retained.get("radiometer/4711/state") == b"online")
     broker.deaf = True
     await station.acquisition.measure()

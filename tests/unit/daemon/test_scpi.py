@@ -51,8 +51,8 @@ def test_every_spelling_is_understood(command: Any) -> None:
 
 
 def test_the_manual_is_up_to_date(project_root: Path) -> None:
-    """docs/scpi.md is what the command table says."""
-    assert (project_root / "docs/scpi.md").read_text(encoding="utf-8") == manual()
+    """docs/reference/scpi.md is what the command table says."""
+    assert (project_root / "docs/reference/scpi.md").read_text(encoding="utf-8") == manual()
 
 
 def test_no_default_limit_differs_from_the_manual() -> None:
@@ -232,11 +232,9 @@ async def test_settings_are_shared_and_status_is_not(connect: Any) -> None:
 
 
 @pytest.mark.slow
-async def test_a_blocked_journal_is_a_mass_storage_error(
-    client: Any, station: Station, eventually: Eventually, monkeypatch: pytest.MonkeyPatch
-) -> None:
+async def test_a_blocked_journal_is_a_mass_storage_error(client: Any, station: Station, eventually: Eventually) -> None:
     """A reading that cannot be committed is not shown: -250 in its stead."""
-    monkeypatch.setattr("radiometer.daemon.acquisition._JOURNAL_PATIENCE_S", 0.2)
+    station.acquisition.journal_patience_s = 0.2
     other = sqlite3.connect(station.journal_path, isolation_level=None)
     other.execute("BEGIN EXCLUSIVE")
     await client.send("INIT")

@@ -21,7 +21,7 @@ from radiometer.daemon.scpi.server import ScpiConnection, ScpiServer
 from radiometer.daemon.scpi.status import Status
 from radiometer.daemon.station import Station
 from testing.fake_station import FakeInstrument
-from testing.virtual_time import run
+from testing.virtual_time import in_virtual_time
 
 LIMITS = Limits(
     scpi_connections=3,
@@ -144,484 +144,406 @@ def errors(session: Scripted) -> list[str]:
     return [session.status.next_error() for _ in range(session.status.error_count)]
 
 
-def test_messages_are_cut_at_line_feeds_and_answered_in_order():
+@in_virtual_time
+async def test_messages_are_cut_at_line_feeds_and_answered_in_order():
     """A carriage return before the line feed is no part of a message; what is not ended waits; Latin-1 both ways."""
-
-    async def story() -> None:
-        of = server()
-        connection, wire, session = client(of)
-        connection.data_received(b"?a\n\xb5\r\n?b")
-        assert session.heard == ["?a", "µ"]
-        connection.data_received(b"c\xe9\n")
-        assert session.heard == ["?a", "µ", "?bcé"]
-        assert wire.sent == [b"a\n", b"bc\xe9\n"]
-        assert figure(of, 'radiometer_requests_total{interface="scpi"}') == 3
-        connection.data_received(b"?euro\n")  # its sign is not in Latin-1
-        assert wire.sent[-1] == b"?\n"
-
-    run(story())
+    of = server()
+    connection, wire, session = client(of)
+    connection.data_received(b"?a\n\xb5\r\n?b")
+    assert session.heard == ["?a", "µ"]
+    connection.data_received(b"c\xe9\n")
+    assert session.heard == ["?a", "µ", "?bcé"]
+    assert wire.sent == [b"a\n", b"bc\xe9\n"]
+    assert figure(of, 'radiometer_requests_total{interface="scpi"}') == 3
+    connection.data_received(b"?euro\n")  # its sign is not in Latin-1
+    assert wire.sent[-1] == b"?\n"
 
 
 @settings(max_examples=40, deadline=None)
 @given(lines=st.lists(st.sampled_from(["", "?a", "*RST", "?bc"]), max_size=4), cuts=st.lists(st.integers(1, 6)))
-def test_lines_are_heard_as_they_stand_however_they_come(lines, cuts):
+@in_virtual_time
+async def test_lines_are_heard_as_they_stand_however_they_come(lines, cuts):
     """Empty ones too, whole or in pieces of any size."""
-
-    async def story() -> None:
-        connection, _, session = client(server())
-        sent = "".join(f"{line}\n" for line in lines).encode()
-        for size in cuts:
-            if sent[:size]:
-                connection.data_received(sent[:size])
-            sent = sent[size:]
-        connection.data_received(sent + b"?end\n")
-        await asyncio.sleep(1.0)
-        assert session.heard == [*lines, "?end"]
-        assert errors(session) == []
-
-    run(story())
+    connection, _, session = client(server())
+    sent = "".join(f"{line}\n" for line in lines).encode()
+    for size in cuts:
+        if sent[:size]:
+            connection.data_received(sent[:size])
+        sent = sent[size:]
+    connection.data_received(sent + b"?end\n")
+    await asyncio.sleep(1.0)
+    assert session.heard == [*lines, "?end"]
+    assert errors(session) == []
 
 
-def test_a_client_that_takes_its_replies_again_in_time_is_not_held_to_what_it_had_begun_before():
+@in_virtual_time
+async def test_a_client_that_takes_its_replies_again_in_time_is_not_held_to_what_it_had_begun_before():
     """A line begun at 0 s has 30 s; replies not taken from 10 to 20 s, whatever is begun has 30 s from then on."""
-
-    async def story() -> None:
-        connection, wire, session = client(server())
-        connection.data_received(b"?be")
-        await asyncio.sleep(10.0)
-        connection.pause_writing()
-        await asyncio.sleep(10.0)
-        connection.resume_writing()
-        await asyncio.sleep(29.0)
-        assert not wire.aborted
-        connection.data_received(b"gun\n")
-        assert session.heard == ["?begun"]
-        await asyncio.sleep(40.0)
-        assert not wire.aborted
-        connection.data_received(b"?ag")
-        await asyncio.sleep(31.0)
-        assert wire.aborted
-
-    run(story())
+    connection, wire, session = client(server())
+    connection.data_received(b"?be")
+    await asyncio.sleep(10.0)
+    connection.pause_writing()
+    await asyncio.sleep(10.0)
+    connection.resume_writing()
+    await asyncio.sleep(29.0)
+    assert not wire.aborted
+    connection.data_received(b"gun\n")
+    assert session.heard == ["?begun"]
+    await asyncio.sleep(40.0)
+    assert not wire.aborted
+    connection.data_received(b"?ag")
+    await asyncio.sleep(31.0)
+    assert wire.aborted
 
 
-def test_a_line_feed_inside_a_block_is_data_however_it_comes():
+@in_virtual_time
+async def test_a_line_feed_inside_a_block_is_data_however_it_comes():
     """The message runs once the whole block and its line feed are there; then the next is cut as ever."""
-
-    async def story() -> None:
-        connection, _, session = client(server())
-        for part in (b"X #15", b"a\nb", b"\nc\n?2\n"):
-            connection.data_received(part)
-        assert session.heard == ["X #15a\nb\nc", "?2"]
-        connection.data_received(b"X #19abc\ndefgh\n'#19' \n")
-        assert session.heard[2:] == ["X #19abc\ndefgh", "'#19' "]
-
-    run(story())
+    connection, _, session = client(server())
+    for part in (b"X #15", b"a\nb", b"\nc\n?2\n"):
+        connection.data_received(part)
+    assert session.heard == ["X #15a\nb\nc", "?2"]
+    connection.data_received(b"X #19abc\ndefgh\n'#19' \n")
+    assert session.heard[2:] == ["X #19abc\ndefgh", "'#19' "]
 
 
 @pytest.mark.parametrize(("length", "taken"), [(64, True), (65, False)])
-def test_a_line_may_have_just_so_many_bytes(length, taken):
+@in_virtual_time
+async def test_a_line_may_have_just_so_many_bytes(length, taken):
     """One byte beyond the limit is an overrun (-363) that tells the limit; the next message is fine."""
-
-    async def story() -> None:
-        connection, wire, session = client(server())
-        connection.data_received(b"X" * length + b"\n?next\n")
-        assert session.heard == (["X" * length] if taken else []) + ["?next"]
-        assert errors(session) == ([] if taken else ['-363,"Input buffer overrun;a message may have 64 bytes"'])
-        assert not wire.aborted
-
-    run(story())
+    connection, wire, session = client(server())
+    connection.data_received(b"X" * length + b"\n?next\n")
+    assert session.heard == (["X" * length] if taken else []) + ["?next"]
+    assert errors(session) == ([] if taken else ['-363,"Input buffer overrun;a message may have 64 bytes"'])
+    assert not wire.aborted
 
 
-def test_a_block_beyond_the_line_s_length_is_cut_at_its_line_feeds():
+@in_virtual_time
+async def test_a_block_beyond_the_line_s_length_is_cut_at_its_line_feeds():
     """A stated length that no message may have does not make the server wait for it."""
-
-    async def story() -> None:
-        connection, _, session = client(server())
-        connection.data_received(b"X #3900abc\n?next\n")
-        assert session.heard == ["X #3900abc", "?next"]
-
-    run(story())
+    connection, _, session = client(server())
+    connection.data_received(b"X #3900abc\n?next\n")
+    assert session.heard == ["X #3900abc", "?next"]
 
 
-def test_a_line_without_end_is_one_error_and_sixteen_times_the_limit_at_most():
+@in_virtual_time
+async def test_a_line_without_end_is_one_error_and_sixteen_times_the_limit_at_most():
     """What comes after the limit is thrown away up to the line feed; beyond 16 times it the client goes."""
-
-    async def story() -> None:
-        of = server()
-        connection, wire, session = client(of)
-        for _ in range(5):
-            connection.data_received(b"Y" * 65)
-        connection.data_received(b"Y\n?next\n")
-        assert session.heard == ["?next"]
-        assert len(errors(session)) == 1
-        connection.data_received(b"Z" * 65)
-        connection.data_received(b"Z" * (16 * 64 - 65))
-        assert not wire.aborted
-        connection.data_received(b"Z" * 65)
-        assert wire.aborted
-        assert refused(of, "dropped") == 1
-        assert len(errors(session)) == 1
-        connection.data_received(b"\n?late\n")
-        assert session.heard == ["?next"]
-
-    run(story())
-
-
-def test_reading_pauses_while_too_many_messages_wait_and_goes_on_at_half():
-    """Four may wait beside the one that is served; a command that waits holds up those behind it, not their order."""
-
-    async def story() -> None:
-        of = server()
-        connection, wire, session = client(of)
-        connection.data_received(b"wait\n")
-        for number in range(4):
-            connection.data_received(b"?%d\n" % number)
-        assert not wire.paused
-        connection.data_received(b"?4\n")
-        assert wire.paused
-        assert session.heard == ["wait"]
-        session.event.set()
-        await asyncio.sleep(0)
-        await asyncio.sleep(0)
-        await asyncio.sleep(0)
-        assert of.places.is_known(connection)
-        assert wire.sent == [b"waited\n", *(b"%d\n" % n for n in range(5))]
-        assert not wire.paused
-
-    run(story())
-
-
-def test_reading_stays_paused_while_more_than_half_wait():
-    """Of five that wait behind two slow ones, three are more than half of four and two are not."""
-
-    async def story() -> None:
-        connection, wire, session = client(server())
-        connection.data_received(b"wait\n?1\nwait\nx\ny\nz\n")
-        assert wire.paused
-        session.event.set()
-        for _ in range(3):
-            await asyncio.sleep(0)
-        session.event.clear()
-        assert session.heard[:3] == ["wait", "?1", "wait"]
-        session.event.set()
-        await asyncio.sleep(0.01)
-        assert not wire.paused
-        assert session.heard[3:] == ["x", "y", "z"]
-
-    run(story())
-
-
-def test_a_fast_client_is_slowed_to_its_rate_and_loses_nothing():
-    """Eight a second: eight at once, then one every eighth of a second."""
-
-    async def story() -> None:
-        connection, _, session = client(server(Limits(messages_per_s=8.0)))
-        begun = asyncio.get_running_loop().time()
-        connection.data_received(b"x\n" * 12)
-        assert len(session.heard) == 8
-        await asyncio.sleep(10.0)
-        assert [at - begun for at in session.at] == [*[0.0] * 8, 0.125, 0.25, 0.375, 0.5]
-
-    run(story())
-
-
-def test_after_thirty_two_messages_others_have_a_turn():
-    """A client that sends a hundred at once does not hold up another's one."""
-
-    async def story() -> None:
-        of = server(Limits(vetting_s=0.0))
-        (one, _, busy), (other, _, quick) = client(of), client(of)
-        one.data_received(b"x\n" * 100)
-        assert len(busy.heard) == 32
-        other.data_received(b"y\n")
-        assert quick.heard == ["y"]
-        await asyncio.sleep(0)
-        assert len(busy.heard) == 64
-        await asyncio.sleep(0.001)
-        assert len(busy.heard) == 100
-
-    run(story())
-
-
-def test_what_lights_waits_until_lines_of_http_would_have_come():
-    """Half a second after the first bytes, not after the connection; what follows it waits behind it; then no more."""
-
-    async def story() -> None:
-        connection, _, session = client(server())
-        await asyncio.sleep(2.0)
-        begun = asyncio.get_running_loop().time()
-        connection.data_received(b"OUTP:ALL OFF\nSoUr:LED1:LEV 1\n?x\n")
-        assert session.heard == ["OUTP:ALL OFF"]
-        await asyncio.sleep(0.3)
-        connection.data_received(b"?y\n")
-        await asyncio.sleep(0.7)
-        assert session.heard[1:] == ["SoUr:LED1:LEV 1", "?x", "?y"]
-        assert [round(at - begun, 6) for at in session.at] == [0.0, 0.5, 0.5, 0.5]
-        connection.data_received(b"SOUR:LED1:LEV 0\n")
-        assert len(session.heard) == 5
-
-    run(story())
-
-
-def test_a_web_page_is_hung_up_on_before_anything_lights():
-    """Its light waits when the line of HTTP comes: neither that nor what waits is executed, and it is counted."""
-
-    async def story() -> None:
-        of = server()
-        connection, wire, session = client(of)
-        connection.data_received(b"SOUR:LED1:LEV 1\n")
-        connection.data_received(b"Host: x\n*RST\n")
-        assert wire.aborted
-        assert refused(of, "not scpi") == 1
-        await asyncio.sleep(5.0)
-        assert session.heard == []
-        connection.data_received(b"*RST\n")
-        assert session.heard == []
-
-    run(story())
-
-
-def test_a_line_that_was_begun_must_be_ended_in_time():
-    """Thirty seconds from its first byte, however many bytes follow; the next line has its own."""
-
-    async def story() -> None:
-        of = server()
-        connection, wire, _ = client(of)
-        connection.data_received(b"*I")
-        await asyncio.sleep(29.0)
-        connection.data_received(b"DN\n")
-        await asyncio.sleep(100.0)
-        assert not wire.aborted
-        connection.data_received(b"*I")
-        await asyncio.sleep(20.0)
-        connection.data_received(b"D")
-        await asyncio.sleep(9.9)
-        assert not wire.aborted
-        await asyncio.sleep(0.2)
-        assert wire.aborted
-        assert refused(of, "dropped") == 1
-
-    run(story())
-
-
-def test_a_line_that_is_thrown_away_must_end_in_time_as_well():
-    """The buffer is empty then; the line is not ended for that."""
-
-    async def story() -> None:
-        connection, wire, _ = client(server())
+    of = server()
+    connection, wire, session = client(of)
+    for _ in range(5):
         connection.data_received(b"Y" * 65)
-        await asyncio.sleep(29.9)
-        assert not wire.aborted
-        await asyncio.sleep(0.2)
-        assert wire.aborted
-
-    run(story())
-
-
-def test_who_takes_no_replies_is_served_no_more_and_dropped_in_the_end():
-    """While its replies wait nothing is executed; once they are taken all goes on, and an unended line has its time."""
-
-    async def story() -> None:
-        connection, wire, session = client(server())
-        assert wire.high == 100
-        connection.pause_writing()
-        connection.data_received(b"?a\n?b\n*I")
-        assert session.heard == []
-        await asyncio.sleep(29.0)
-        connection.resume_writing()
-        assert session.heard == ["?a", "?b"]
-        await asyncio.sleep(29.0)
-        assert not wire.aborted
-        await asyncio.sleep(1.1)
-        assert wire.aborted
-        other, cut, _ = client(server())
-        other.pause_writing()
-        await asyncio.sleep(29.9)
-        assert not cut.aborted
-        await asyncio.sleep(0.2)
-        assert cut.aborted
-
-    run(story())
+    connection.data_received(b"Y\n?next\n")
+    assert session.heard == ["?next"]
+    assert len(errors(session)) == 1
+    connection.data_received(b"Z" * 65)
+    connection.data_received(b"Z" * (16 * 64 - 65))
+    assert not wire.aborted
+    connection.data_received(b"Z" * 65)
+    assert wire.aborted
+    assert refused(of, "dropped") == 1
+    assert len(errors(session)) == 1
+    connection.data_received(b"\n?late\n")
+    assert session.heard == ["?next"]
 
 
-def test_an_idle_session_is_warned_once_and_ended():
-    """At nine tenths of the time one entry that says both times, then the end; a word in between begins it anew."""
-
-    async def story() -> None:
-        of = server()
-        connection, wire, session = client(of)
-        await asyncio.sleep(500.0)
-        connection.data_received(b"x\n")
-        await asyncio.sleep(899.0)
-        assert session.status.error_count == 0
-        await asyncio.sleep(2.0)
-        told = "this session has sent nothing for 900 s and is ended after 1000 s"
-        assert errors(session) == [f'-200,"Execution error;{told}"']
-        connection.data_received(b"x\n")
-        await asyncio.sleep(950.0)
-        assert len(errors(session)) == 1
-        assert not wire.aborted
-        await asyncio.sleep(49.0)
-        assert not wire.aborted
-        await asyncio.sleep(2.0)
-        assert wire.aborted
-        assert errors(session) == []
-        assert refused(of, "dropped") == 1
-
-    run(story())
+@in_virtual_time
+async def test_reading_pauses_while_too_many_messages_wait_and_goes_on_at_half():
+    """Four may wait beside the one that is served; a command that waits holds up those behind it, not their order."""
+    of = server()
+    connection, wire, session = client(of)
+    connection.data_received(b"wait\n")
+    for number in range(4):
+        connection.data_received(b"?%d\n" % number)
+    assert not wire.paused
+    connection.data_received(b"?4\n")
+    assert wire.paused
+    assert session.heard == ["wait"]
+    session.event.set()
+    await asyncio.sleep(0)
+    await asyncio.sleep(0)
+    await asyncio.sleep(0)
+    assert of.places.is_known(connection)
+    assert wire.sent == [b"waited\n", *(b"%d\n" % n for n in range(5))]
+    assert not wire.paused
 
 
-def test_a_session_that_waits_for_its_measurement_is_not_idle():
-    """It is warned, and ended only when it has sent nothing and waits for nothing."""
-
-    async def story() -> None:
-        connection, wire, session = client(server())
-        connection.data_received(b"wait\n")
-        await asyncio.sleep(5000.0)
-        assert not wire.aborted
-        session.event.set()
-        await asyncio.sleep(20.0)
-        assert wire.aborted
-
-    run(story())
-
-
-def test_a_client_that_is_gone_leaves_nothing():
-    """Its place, timers, task and session end; what waited is not executed."""
-
-    async def story() -> None:
-        of = server()
-        connection, wire, session = client(of)
-        connection.data_received(b"wait\n?a\n*I")
+@in_virtual_time
+async def test_reading_stays_paused_while_more_than_half_wait():
+    """Of five that wait behind two slow ones, three are more than half of four and two are not."""
+    connection, wire, session = client(server())
+    connection.data_received(b"wait\n?1\nwait\nx\ny\nz\n")
+    assert wire.paused
+    session.event.set()
+    for _ in range(3):
         await asyncio.sleep(0)
-        connection.connection_lost(None)
-        await asyncio.sleep(5000.0)
-        assert len(asyncio.all_tasks()) == 1, "only this story goes on"
-        assert session.closed == 1
-        assert (len(of.connections), len(of.places)) == (0, 0)
-        assert session.heard == ["wait"]
-        assert not wire.aborted
-        assert session.status.error_count == 0
-
-    run(story())
+    session.event.clear()
+    assert session.heard[:3] == ["wait", "?1", "wait"]
+    session.event.set()
+    await asyncio.sleep(0.01)
+    assert not wire.paused
+    assert session.heard[3:] == ["x", "y", "z"]
 
 
-def test_a_bug_in_a_command_is_that_client_s_error_alone():
+@in_virtual_time
+async def test_a_fast_client_is_slowed_to_its_rate_and_loses_nothing():
+    """Eight a second: eight at once, then one every eighth of a second."""
+    connection, _, session = client(server(Limits(messages_per_s=8.0)))
+    begun = asyncio.get_running_loop().time()
+    connection.data_received(b"x\n" * 12)
+    assert len(session.heard) == 8
+    await asyncio.sleep(10.0)
+    assert [at - begun for at in session.at] == [*[0.0] * 8, 0.125, 0.25, 0.375, 0.5]
+
+
+@in_virtual_time
+async def test_after_thirty_two_messages_others_have_a_turn():
+    """A client that sends a hundred at once does not hold up another's one."""
+    of = server(Limits(vetting_s=0.0))
+    (one, _, busy), (other, _, quick) = client(of), client(of)
+    one.data_received(b"x\n" * 100)
+    assert len(busy.heard) == 32
+    other.data_received(b"y\n")
+    assert quick.heard == ["y"]
+    await asyncio.sleep(0)
+    assert len(busy.heard) == 64
+    await asyncio.sleep(0.001)
+    assert len(busy.heard) == 100
+
+
+@in_virtual_time
+async def test_what_lights_waits_until_lines_of_http_would_have_come():
+    """Half a second after the first bytes, not after the connection; what follows it waits behind it; then no more."""
+    connection, _, session = client(server())
+    await asyncio.sleep(2.0)
+    begun = asyncio.get_running_loop().time()
+    connection.data_received(b"OUTP:ALL OFF\nSoUr:LED1:LEV 1\n?x\n")
+    assert session.heard == ["OUTP:ALL OFF"]
+    await asyncio.sleep(0.3)
+    connection.data_received(b"?y\n")
+    await asyncio.sleep(0.7)
+    assert session.heard[1:] == ["SoUr:LED1:LEV 1", "?x", "?y"]
+    assert [round(at - begun, 6) for at in session.at] == [0.0, 0.5, 0.5, 0.5]
+    connection.data_received(b"SOUR:LED1:LEV 0\n")
+    assert len(session.heard) == 5
+
+
+@in_virtual_time
+async def test_a_web_page_is_hung_up_on_before_anything_lights():
+    """Its light waits when the line of HTTP comes: neither that nor what waits is executed, and it is counted."""
+    of = server()
+    connection, wire, session = client(of)
+    connection.data_received(b"SOUR:LED1:LEV 1\n")
+    connection.data_received(b"Host: x\n*RST\n")
+    assert wire.aborted
+    assert refused(of, "not scpi") == 1
+    await asyncio.sleep(5.0)
+    assert session.heard == []
+    connection.data_received(b"*RST\n")
+    assert session.heard == []
+
+
+@in_virtual_time
+async def test_a_line_that_was_begun_must_be_ended_in_time():
+    """Thirty seconds from its first byte, however many bytes follow; the next line has its own."""
+    of = server()
+    connection, wire, _ = client(of)
+    connection.data_received(b"*I")
+    await asyncio.sleep(29.0)
+    connection.data_received(b"DN\n")
+    await asyncio.sleep(100.0)
+    assert not wire.aborted
+    connection.data_received(b"*I")
+    await asyncio.sleep(20.0)
+    connection.data_received(b"D")
+    await asyncio.sleep(9.9)
+    assert not wire.aborted
+    await asyncio.sleep(0.2)
+    assert wire.aborted
+    assert refused(of, "dropped") == 1
+
+
+@in_virtual_time
+async def test_a_line_that_is_thrown_away_must_end_in_time_as_well():
+    """The buffer is empty then; the line is not ended for that."""
+    connection, wire, _ = client(server())
+    connection.data_received(b"Y" * 65)
+    await asyncio.sleep(29.9)
+    assert not wire.aborted
+    await asyncio.sleep(0.2)
+    assert wire.aborted
+
+
+@in_virtual_time
+async def test_who_takes_no_replies_is_served_no_more_and_dropped_in_the_end():
+    """While its replies wait nothing is executed; once they are taken all goes on, and an unended line has its time."""
+    connection, wire, session = client(server())
+    assert wire.high == 100
+    connection.pause_writing()
+    connection.data_received(b"?a\n?b\n*I")
+    assert session.heard == []
+    await asyncio.sleep(29.0)
+    connection.resume_writing()
+    assert session.heard == ["?a", "?b"]
+    await asyncio.sleep(29.0)
+    assert not wire.aborted
+    await asyncio.sleep(1.1)
+    assert wire.aborted
+    other, cut, _ = client(server())
+    other.pause_writing()
+    await asyncio.sleep(29.9)
+    assert not cut.aborted
+    await asyncio.sleep(0.2)
+    assert cut.aborted
+
+
+@in_virtual_time
+async def test_an_idle_session_is_warned_once_and_ended():
+    """At nine tenths of the time one entry that says both times, then the end; a word in between begins it anew."""
+    of = server()
+    connection, wire, session = client(of)
+    await asyncio.sleep(500.0)
+    connection.data_received(b"x\n")
+    await asyncio.sleep(899.0)
+    assert session.status.error_count == 0
+    await asyncio.sleep(2.0)
+    told = "this session has sent nothing for 900 s and is ended after 1000 s"
+    assert errors(session) == [f'-200,"Execution error;{told}"']
+    connection.data_received(b"x\n")
+    await asyncio.sleep(950.0)
+    assert len(errors(session)) == 1
+    assert not wire.aborted
+    await asyncio.sleep(49.0)
+    assert not wire.aborted
+    await asyncio.sleep(2.0)
+    assert wire.aborted
+    assert errors(session) == []
+    assert refused(of, "dropped") == 1
+
+
+@in_virtual_time
+async def test_a_session_that_waits_for_its_measurement_is_not_idle():
+    """It is warned, and ended only when it has sent nothing and waits for nothing."""
+    connection, wire, session = client(server())
+    connection.data_received(b"wait\n")
+    await asyncio.sleep(5000.0)
+    assert not wire.aborted
+    session.event.set()
+    await asyncio.sleep(20.0)
+    assert wire.aborted
+
+
+@in_virtual_time
+async def test_a_client_that_is_gone_leaves_nothing():
+    """Its place, timers, task and session end; what waited is not executed."""
+    of = server()
+    connection, wire, session = client(of)
+    connection.data_received(b"wait\n?a\n*I")
+    await asyncio.sleep(0)
+    connection.connection_lost(None)
+    await asyncio.sleep(5000.0)
+    assert len(asyncio.all_tasks()) == 1, "only this story goes on"
+    assert session.closed == 1
+    assert (len(of.connections), len(of.places)) == (0, 0)
+    assert session.heard == ["wait"]
+    assert not wire.aborted
+    assert session.status.error_count == 0
+
+
+@in_virtual_time
+async def test_a_bug_in_a_command_is_that_client_s_error_alone():
     """Raised at once or later, it is entered as -310 by its kind; the next message runs."""
-
-    async def story() -> None:
-        connection, wire, session = client(server())
-        session.event.set()
-        connection.data_received(b"bug\nwait bug\n?after\n")
-        await asyncio.sleep(0.01)
-        assert errors(session) == ['-310,"System error;ValueError"', '-310,"System error;KeyError"']
-        assert wire.sent == [b"after\n"]
-
-    run(story())
+    connection, wire, session = client(server())
+    session.event.set()
+    connection.data_received(b"bug\nwait bug\n?after\n")
+    await asyncio.sleep(0.01)
+    assert errors(session) == ['-310,"System error;ValueError"', '-310,"System error;KeyError"']
+    assert wire.sent == [b"after\n"]
 
 
-def test_only_a_reply_makes_a_client_known():
+@in_virtual_time
+async def test_only_a_reply_makes_a_client_known():
     """Silence and commands without a reply do not; one that waits is busy until it is answered."""
-
-    async def story() -> None:
-        of = server()
-        connection, _, _ = client(of)
-        connection.data_received(b"x\n")
-        assert not of.places.is_known(connection)
-        connection.data_received(b"?x\n")
-        assert of.places.is_known(connection)
-
-    run(story())
+    of = server()
+    connection, _, _ = client(of)
+    connection.data_received(b"x\n")
+    assert not of.places.is_known(connection)
+    connection.data_received(b"?x\n")
+    assert of.places.is_known(connection)
 
 
-def test_who_may_not_connect_is_cut_off_and_counted():
+@in_virtual_time
+async def test_who_may_not_connect_is_cut_off_and_counted():
     """An address that is not listed; beyond the list loopback and Unix sockets are always taken."""
-
-    async def story() -> None:
-        of = server(allow=parse_networks(["10.1.0.0/16"]))
-        _, wire, session = client(of, ("10.2.0.1", 9))
-        assert wire.aborted
-        assert session is None
-        assert refused(of, "not on the allow-list") == 1
-        for peer in (("10.1.2.3", 9), ("127.0.0.1", 9)):
-            assert client(of, peer)[2] is not None
-        assert len(of.connections) == 2
-        connection, wire, _ = client(server(), "", family=socket.AF_UNIX)
-        assert connection.session is not None
-        assert wire.options == []
-        assert client(server())[1].options == [(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)]
-
-    run(story())
+    of = server(allow=parse_networks(["10.1.0.0/16"]))
+    _, wire, session = client(of, ("10.2.0.1", 9))
+    assert wire.aborted
+    assert session is None
+    assert refused(of, "not on the allow-list") == 1
+    for peer in (("10.1.2.3", 9), ("127.0.0.1", 9)):
+        assert client(of, peer)[2] is not None
+    assert len(of.connections) == 2
+    connection, wire, _ = client(server(), "", family=socket.AF_UNIX)
+    assert connection.session is not None
+    assert wire.options == []
+    assert client(server())[1].options == [(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)]
 
 
-def test_one_address_holds_no_more_than_its_part():
+@in_virtual_time
+async def test_one_address_holds_no_more_than_its_part():
     """A quarter of the places, and one at least; loopback is not counted."""
-
-    async def story() -> None:
-        of = server(allow=parse_networks(["10.0.0.0/8"]))
-        assert client(of, ("10.0.0.1", 1))[2] is not None
-        assert client(of, ("10.0.0.1", 2))[2] is None
-        assert refused(of, "too many connections of one address") == 1
-        assert client(of, ("10.0.0.2", 3))[2] is not None
-
-    run(story())
+    of = server(allow=parse_networks(["10.0.0.0/8"]))
+    assert client(of, ("10.0.0.1", 1))[2] is not None
+    assert client(of, ("10.0.0.1", 2))[2] is None
+    assert refused(of, "too many connections of one address") == 1
+    assert client(of, ("10.0.0.2", 3))[2] is not None
 
 
-def test_who_never_made_sense_makes_room():
+@in_virtual_time
+async def test_who_never_made_sense_makes_room():
     """With all places held, one that was silent for a second goes; a busy or known one stays; else none is let in."""
-
-    async def story() -> None:
-        of = server()
-        first, known, silent = client(of), client(of), client(of)
-        first[0].data_received(b"?x\n")
-        known[0].data_received(b"wait\n")
-        assert client(of)[2] is None
-        assert refused(of, "too many connections") == 1
-        await asyncio.sleep(1.5)
-        assert client(of)[2] is not None
-        assert silent[1].aborted
-        assert refused(of, "dropped") == 1
-        assert silent[0] not in of.connections
-        assert not first[1].aborted
-        assert not known[1].aborted
-
-    run(story())
+    of = server()
+    first, known, silent = client(of), client(of), client(of)
+    first[0].data_received(b"?x\n")
+    known[0].data_received(b"wait\n")
+    assert client(of)[2] is None
+    assert refused(of, "too many connections") == 1
+    await asyncio.sleep(1.5)
+    assert client(of)[2] is not None
+    assert silent[1].aborted
+    assert refused(of, "dropped") == 1
+    assert silent[0] not in of.connections
+    assert not first[1].aborted
+    assert not known[1].aborted
 
 
-def test_a_known_client_that_was_idle_for_a_minute_makes_room():
+@in_virtual_time
+async def test_a_known_client_that_was_idle_for_a_minute_makes_room():
     """Sixty seconds, not less; of several the one that is idle longest."""
-
-    async def story() -> None:
-        of = server()
-        several = [client(of) for _ in range(3)]
-        for connection, _, _ in several:
-            connection.data_received(b"?x\n")
-            await asyncio.sleep(10.0)
-        await asyncio.sleep(29.0)  # 59 s after the first
-        assert client(of)[2] is None
-        await asyncio.sleep(1.5)
-        assert client(of)[2] is not None
-        assert [wire.aborted for _, wire, _ in several] == [True, False, False]
-
-    run(story())
+    of = server()
+    several = [client(of) for _ in range(3)]
+    for connection, _, _ in several:
+        connection.data_received(b"?x\n")
+        await asyncio.sleep(10.0)
+    await asyncio.sleep(29.0)  # 59 s after the first
+    assert client(of)[2] is None
+    await asyncio.sleep(1.5)
+    assert client(of)[2] is not None
+    assert [wire.aborted for _, wire, _ in several] == [True, False, False]
 
 
-def test_every_session_hears_of_a_change():
+@in_virtual_time
+async def test_every_session_hears_of_a_change():
     """The station tells the server, the server each session; one that left hears nothing; connections are counted."""
-
-    async def story() -> None:
-        of = server()
-        (one, _, hears), (_, wire, too) = client(of), client(of)
-        assert b'radiometer_connections{interface="scpi"} 2.0' in of.station.metrics.render()
-        of.station.on_change[0]()
-        one.connection_lost(None)
-        of.station.on_change[0]()
-        assert (hears.told, too.told) == (1, 2)
-        await of.close()
-        assert wire.closed
-
-    run(story())
+    of = server()
+    (one, _, hears), (_, wire, too) = client(of), client(of)
+    assert b'radiometer_connections{interface="scpi"} 2.0' in of.station.metrics.render()
+    of.station.on_change[0]()
+    one.connection_lost(None)
+    of.station.on_change[0]()
+    assert (hears.told, too.told) == (1, 2)
+    await of.close()
+    assert wire.closed
 
 
 def test_the_queue_of_errors_has_thirty_two_places():
@@ -635,7 +557,8 @@ def test_the_queue_of_errors_has_thirty_two_places():
     assert taken[31:] == ['-350,"Queue overflow"', '0,"No error"']
 
 
-def test_a_client_that_leaves_before_its_command_begins_leaves_no_work_behind(monkeypatch):
+@in_virtual_time
+async def test_a_client_that_leaves_before_its_command_begins_leaves_no_work_behind(monkeypatch):
     """What the command would have done is closed, not forgotten unawaited."""
     begun: list[Any] = []
     execute = Scripted.execute
@@ -645,12 +568,8 @@ def test_a_client_that_leaves_before_its_command_begins_leaves_no_work_behind(mo
         return begun[-1]
 
     monkeypatch.setattr(Scripted, "execute", kept)
-
-    async def story() -> None:
-        connection, _, _ = client(server())
-        connection.data_received(b"wait\n")
-        connection.connection_lost(None)
-        await asyncio.sleep(0.1)
-
-    run(story())
+    connection, _, _ = client(server())
+    connection.data_received(b"wait\n")
+    connection.connection_lost(None)
+    await asyncio.sleep(0.1)
     assert [coroutine.cr_frame for coroutine in begun] == [None]

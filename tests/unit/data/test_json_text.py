@@ -17,7 +17,7 @@ _NUMBERS = st.floats() | st.integers() | st.floats(width=32).map(np.float32) | s
 _CONTENT = st.recursive(
     st.none() | st.booleans() | st.text() | _NUMBERS,
     lambda inner: st.lists(inner) | st.tuples(inner) | st.dictionaries(st.text(), inner),
-    max_leaves=20,
+    max_leaves=10,
 )
 
 

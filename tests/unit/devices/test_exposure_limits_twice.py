@@ -11,8 +11,7 @@ import math
 import numpy as np
 import pytest
 
-from radiometer.analysis.photometry.photometry import luminous_efficacy_lm_per_w
-from radiometer.analysis.photometry.spectra import spectrum
+from radiometer.analysis.photometry.photometry import luminous_efficacy_lm_per_w, spectrum
 from radiometer.devices.retinal_safety import ChannelOptics, blue_light_weight, hazard_fractions, thermal_weight
 
 # IEC 62471:2006, table 4.2: wavelength, B(λ), R(λ).

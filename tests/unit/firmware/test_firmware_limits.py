@@ -1,4 +1,4 @@
-"""What the firmware must not let through, in numbers of docs/light-box-protocol.md and of the circuit."""
+"""What the firmware must not let through, in numbers of docs/reference/light-box-protocol.md and of the circuit."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ TABLE = {
     5: "field 0 1024 1953 65535 60000 70500000 118",
 }
 
-LINE_BYTES = 64  # of a request without its line end, as docs/light-box-protocol.md says
+LINE_BYTES = 64  # of a request without its line end, as docs/reference/light-box-protocol.md says
 
 
 def bucket(box, channel):

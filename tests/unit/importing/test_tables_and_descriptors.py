@@ -115,7 +115,7 @@ def test_light_with_an_exposure_of_zero(descriptor):
     capture = open_capture(descriptor([("d 0", 100), ("b 0 250", 500), ("b 0 1000", 1700)]))
     assert [e.source_level for e in capture.header.frames[1:]] == [0.25, 1.0]
     assert all(e.exposure_s > 0 for e in capture.header.frames[1:])
-    assert any("stands in" in line for line in imported_of(capture).doubts)
+    assert any("is assumed" in line for line in imported_of(capture).doubts)
 
 
 def test_a_negative_exposure_is_refused(descriptor):

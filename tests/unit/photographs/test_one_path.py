@@ -18,14 +18,15 @@ from radiometer.errors import CalibrationError, InputError, UsageError
 
 # Whole stops: EXIF prints them exactly enough for the stop behind to be taken.
 TIMES_S = tuple(2.0**-k for k in (9, 8, 7, 6, 5, 4))
-SHAPE = (160, 224)
+SHAPE = (64, 96)
+HAND_HELD = (160, 224)  # enough texture to align by
 
 
-def scene() -> np.ndarray:
+def scene(shape: tuple[int, int] = SHAPE) -> np.ndarray:
     """Return smooth radiances over a factor of some 60 with texture to align by, relative."""
-    noise = np.random.default_rng(0).normal(size=SHAPE)
+    noise = np.random.default_rng(0).normal(size=shape)
     texture = sum(cv2.GaussianBlur(noise, (0, 0), sigma) * sigma for sigma in (3.0, 7.0))
-    return np.exp(np.linspace(0.0, 1.5, SHAPE[1])[None, :] + texture) / 30.0
+    return np.exp(np.linspace(0.0, 1.5, shape[1])[None, :] + texture) / 30.0
 
 
 def photographs(
@@ -153,7 +154,7 @@ def test_a_calibration_of_one_colour_reads_no_other(tmp_path, curve):
 
 def test_photographs_from_the_hand_are_aligned_in_python_too(tmp_path):
     """Moved by up to 6 pixels: the map of the stack is that of the folder, and sharp."""
-    light, shifts = scene(), (0.0, 2.5, -3.0, 5.0, 1.0, 6.0)
+    light, shifts = scene(HAND_HELD), (0.0, 2.5, -3.0, 5.0, 1.0, 6.0)
     folder = photographs(tmp_path / "p", light, shifts=shifts)
     found = rm.merge(rm.read_photographs(folder))
     assert found.alignment is not None
@@ -234,8 +235,8 @@ def test_the_frames_own_black_level_comes_before_the_cameras(tmp_path):
 
 def test_a_stack_and_its_brackets_print_no_pixels(tmp_path):
     """One line each, however many frames."""
-    stack = rm.read_photographs(photographs(tmp_path / "p", scene()))
-    for shown in (repr(stack), str(stack), repr(stack.bracket), repr(rm.merge(stack, linear=True))):
+    stack = rm.read_photographs(photographs(tmp_path / "p", scene(), times_s=TIMES_S[:3]))
+    for shown in (repr(stack), str(stack), repr(stack.bracket), repr(rm.merge(stack, linear=True, align="off"))):
         assert len(shown) < 250
         assert "\n" not in shown
         assert "array" not in shown
@@ -276,8 +277,8 @@ def test_flags_of_a_relative_reading_of_photographs(tmp_path):
     light = scene()
     folder = photographs(tmp_path / "p", light)
     one, other = (
-        rm.measure_photographs(folder, patch, uncalibrated=True) for patch in ((30, 40, 6, 6), (90, 40, 6, 6))
+        rm.measure_photographs(folder, patch, uncalibrated=True) for patch in ((12, 40, 6, 6), (80, 40, 6, 6))
     )
-    truth = light[40:46, 90:96].mean() / light[40:46, 30:36].mean()
+    truth = light[40:46, 80:86].mean() / light[40:46, 12:18].mean()
     assert other.radiance.value / one.radiance.value == pytest.approx(truth, rel=0.06)
     assert Flag.UNCALIBRATED in one.flags

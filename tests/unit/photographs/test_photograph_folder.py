@@ -180,7 +180,7 @@ def _not_an_image(folder: Path) -> None:
         (_mixed_depths, "b.png has 16 bits"),
         (_truncated, r"b\.png: the PNG is truncated"),
         (_not_an_image, r"b\.png: not a readable PNG"),
-        (_palette_of_colours, r"b\.png: its colours are numbers in a palette"),
+        (_palette_of_colours, r"b\.png: its colours are indices into a palette"),
     ],
 )
 def test_unusable_files_are_named(tmp_path, make, message):
@@ -267,7 +267,7 @@ def test_files_that_a_list_names_and_that_are_not_there_are_told(tmp_path):
     """Each is named, and one that differs in capital letters alone is told as it is called."""
     _grey(tmp_path, "IMG_1.png", 100)
     (tmp_path / "exposures.txt").write_text("IMG_1.png 1\nb.png 2\nc.png 4\n")
-    with pytest.raises(CaptureError, match=r"names 'b\.png', 'c\.png', 2 files that are not in the folder; mend"):
+    with pytest.raises(CaptureError, match=r"names 'b\.png', 'c\.png', 2 files that are not in the folder; correct"):
         read_photographs(tmp_path)
     (tmp_path / "exposures.txt").write_text("img_1.PNG 1\n")
     with pytest.raises(

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-import importlib
+import os
+import subprocess
 import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -13,8 +14,7 @@ import pytest
 
 from radiometer.errors import ConfigurationError
 from radiometer.reconciliation.engine import reconcile
-from simulators.effects import registry
-from simulators.effects.registry import EFFECTS, all_effects, make_effect, register_file
+from simulators.effects.registry import EFFECTS, all_effects, register_file
 
 EFFECTS_OF_A_LABORATORY = '''
 """What is known of the bench in the cellar."""
@@ -101,34 +101,21 @@ class DriverSteps(Scaling):
 NAMES = ("lamp_driver_noise", "display_ceiling", "driver_steps")
 
 
-@pytest.fixture(scope="module")
-def installed(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
+def install(site: Path, text: str) -> None:
     """Install a package of three effects: one that acts by its square, one that saturates, one that steps."""
-    site = tmp_path_factory.mktemp("site")
-    (site / "cellar_bench.py").write_text(EFFECTS_OF_A_LABORATORY, encoding="utf-8")
+    (site / "cellar_bench.py").write_text(text, encoding="utf-8")
     about = site / "cellar_bench-1.0.dist-info"
     about.mkdir()
     (about / "METADATA").write_text("Metadata-Version: 2.1\nName: cellar-bench\nVersion: 1.0\n", encoding="utf-8")
     classes = ("LampDriverNoise", "DisplayCeiling", "DriverSteps")
     lines = (f"{name} = cellar_bench:{kind}\n" for name, kind in zip(NAMES, classes, strict=True))
     (about / "entry_points.txt").write_text("[radiometer.effects]\n" + "".join(lines), encoding="utf-8")
-    sys.path.insert(0, str(site))
-    importlib.invalidate_caches()
-    registry._load_installed.cache_clear()
-    yield
-    sys.path.remove(str(site))
-    sys.modules.pop("cellar_bench", None)
-    for name in NAMES:
-        EFFECTS.pop(name, None)
-    registry._load_installed.cache_clear()
 
 
 @pytest.fixture
 def untouched() -> Iterator[None]:
-    """Give a table without these effects, and put it back as it was."""
+    """Put the table of effects back as it was."""
     held = dict(EFFECTS)
-    for name in NAMES:
-        EFFECTS.pop(name, None)
     yield
     EFFECTS.clear()
     EFFECTS.update(held)
@@ -151,10 +138,12 @@ HIDDEN: dict[str, tuple[dict[str, Any], str, float]] = {
 
 
 @pytest.mark.slow
-@pytest.mark.usefixtures("installed")
+@pytest.mark.usefixtures("untouched")
 @pytest.mark.parametrize("name", [*(pytest.param(one, marks=pytest.mark.long) for one in NAMES[:2]), NAMES[2]])
-def test_installed_effect_is_found_where_it_is_hidden(make_capture: Callable[..., Any], name: str) -> None:
-    """A squared, a saturating and a stepwise effect of a package are named alone, of the size that was hidden."""
+def test_own_effect_is_found_where_it_is_hidden(make_capture: Callable[..., Any], tmp_path: Path, name: str) -> None:
+    """A squared, a saturating and a stepwise effect of a file are named alone, of the size that was hidden."""
+    (tmp_path / "cellar.py").write_text(EFFECTS_OF_A_LABORATORY, encoding="utf-8")
+    register_file(tmp_path / "cellar.py")
     hooks, parameter, hidden = HIDDEN[name]
     captured = make_capture(seed=42, **hooks)
     result = reconcile(captured.header, captured.frames)
@@ -166,10 +155,24 @@ def test_installed_effect_is_found_where_it_is_hidden(make_capture: Callable[...
     assert limit < hidden if name == "lamp_driver_noise" else limit >= 0.95 * hidden
 
 
-@pytest.mark.usefixtures("installed")
-def test_model_files_hold_installed_effects() -> None:
-    """Made by name with parameters, like those of the table."""
-    assert make_effect("driver_steps", {"step": 0.1}).values() == {"step": 0.1}
+@pytest.mark.slow  # a process each: a package is installed before a program starts
+@pytest.mark.parametrize(
+    ("text", "printed"),
+    [(EFFECTS_OF_A_LABORATORY, "step=0.1"), ("import nothing_of_the_kind\n", "repair or uninstall its package")],
+)
+def test_effects_of_an_installed_package_are_known_by_name(tmp_path: Path, text: str, printed: str) -> None:
+    """They are made with parameters like those of the table; a package that cannot be loaded is refused."""
+    install(tmp_path, text)
+    program = "from simulators.effects.registry import make_effect as make; print(make('driver_steps', {'step': 0.1}))"
+    path = os.pathsep.join([str(tmp_path), os.environ.get("PYTHONPATH", ""), *sys.path])
+    done = subprocess.run(
+        [sys.executable, "-c", program],
+        env={**os.environ, "PYTHONPATH": path},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert printed in done.stdout + done.stderr
 
 
 @pytest.mark.usefixtures("untouched")

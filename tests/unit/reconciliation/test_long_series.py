@@ -11,7 +11,7 @@ import pytest
 from radiometer.data import CameraDescription, CaptureHeader, Frame, FrameEntry
 from radiometer.reconciliation import reconcile
 from radiometer.reconciliation.measure.design import Design, group_captures
-from radiometer.reconciliation.measure.series import jumps
+from radiometer.reconciliation.shown import jumps
 
 BLACK, E_PER_DN, NOISE_E = 200.0, 2.0, 3.0
 STATED = {"conversion_gain_e_per_dn": E_PER_DN, "read_noise_e": NOISE_E, "full_well_e": 3e4, "black_level_dn": BLACK}
@@ -135,4 +135,4 @@ def test_a_quiet_series_agrees(known: bool) -> None:
     """Also where nobody states the camera: its black level is taken from the noise, and that is said."""
     found = asked(header(120, known=known), series(lambda t: 900.0, 120, offset=lambda t: 0.0, seed=43))
     assert str(found.verdict) == "agrees"
-    assert any("noise of the light would end" in line for line in found.assumptions) is not known
+    assert any("noise of the light extrapolates" in line for line in found.assumptions) is not known

@@ -73,7 +73,10 @@ HIDDEN: dict[str, tuple[dict[str, float], dict[str, Any]]] = {
 }  # fmt: skip
 
 
-@pytest.mark.parametrize("name", HIDDEN)
+ALIKE = {"row_pattern", "excess_read_noise"}  # act as the column pattern and the rows' noise do
+
+
+@pytest.mark.parametrize("name", [pytest.param(one, marks=pytest.mark.slow) if one in ALIKE else one for one in HIDDEN])
 def test_statistics_scatter_as_stated_where_the_model_holds_the_effect(
     make_capture: Callable[..., Any], name: str
 ) -> None:

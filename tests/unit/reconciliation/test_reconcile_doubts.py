@@ -4,12 +4,16 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import numpy as np
 import pytest
 
+from radiometer.reconciliation.fit.models import ModelFit
+from radiometer.reconciliation.posterior import Posterior, posterior
 from radiometer.reconciliation.result import FittedParameter
 from radiometer.reconciliation.search.localise import Disagreement, departing
 from radiometer.reconciliation.search.outcome import Step
-from radiometer.reconciliation.verdict import faint_beside_others, one_for_all, outperformed, without_essential
+from radiometer.reconciliation.verdict import faint_beside_others, uncertain, without_essential
+from simulators.effects.catalogue import CatalogueEffect
 from simulators.effects.conversion_gain_error import ConversionGainError
 from simulators.effects.crosstalk import Crosstalk
 from simulators.effects.exposure_time_offset import ExposureTimeOffset
@@ -26,25 +30,26 @@ def _step(name: str, *rivals: Crosstalk, nats: float = 50.0) -> Step:
     return Step(name, "signal", nats, 1.01, 1.0, rivals)
 
 
-def test_one_rival_beside_all_names_doubts_them() -> None:
-    """Crosstalk blurs and takes noise away: where it stands beside a blur and a gain error, they may both be it."""
-    both = [_step("psf_blur", CROSSTALK), _step("conversion_gain_error", CROSSTALK)]
-    assert one_for_all(both, BLUR_AND_GAIN) == ["crosstalk"]
-    assert one_for_all([both[0], _step("conversion_gain_error")], BLUR_AND_GAIN) == []
-    assert one_for_all(both[:1], BLUR_AND_GAIN[:1]) == []
+def _weighed(*models: tuple[tuple[CatalogueEffect, ...], float]) -> Posterior:
+    """Return the posterior over models of so many nats, spread evenly over 200 settings."""
+    fits = [ModelFit(effects, 0, np.full(200, nats / 200.0), len(effects), 1.0) for effects, nats in models]
+    return posterior(fits, ("psf_blur", "conversion_gain_error", "crosstalk"))
 
 
-def test_rival_that_is_in_the_model_doubts_nothing() -> None:
-    """What was found later, and stands in the model, is no longer another explanation."""
-    steps = [_step("psf_blur", CROSSTALK), _step("crosstalk", CROSSTALK)]
-    assert one_for_all(steps, (PsfBlur(0.3), CROSSTALK)) == []
+def test_a_name_that_another_replaces_is_doubted_unless_the_plan_cannot_separate_them() -> None:
+    """Of two that predict alike neither is certain; that it is one of the two is, where both are reported."""
+    weighed = _weighed((BLUR_AND_GAIN[:1], 100.0), ((CROSSTALK,), 100.0), ((), 0.0))
+    assert uncertain(["psf_blur"], weighed, {})["psf_blur"] == pytest.approx(0.5, abs=0.01)
+    assert uncertain(["psf_blur"], weighed, {"psf_blur": ("crosstalk",)}) == {}
 
 
-def test_name_that_something_else_outdoes_is_doubted() -> None:
-    """The doubt holds as long as the name stands in the model."""
-    steps = [replace(_step("psf_blur"), outperformed=True), _step("conversion_gain_error")]
-    assert outperformed(steps, BLUR_AND_GAIN) == ["psf_blur"]
-    assert outperformed(steps, BLUR_AND_GAIN[1:]) == []
+def test_one_alternative_to_all_names_doubts_them() -> None:
+    """Crosstalk blurs and takes noise away: a blur and a gain error may both be it, unless it predicts far worse."""
+    names = [effect.name for effect in BLUR_AND_GAIN]
+    alike = dict.fromkeys(names, ("crosstalk",))
+    alone = _weighed((BLUR_AND_GAIN, 100.0), ((CROSSTALK,), 100.0))
+    assert set(uncertain(names, alone, alike)) == set(names)
+    assert uncertain(names, _weighed((BLUR_AND_GAIN, 100.0), ((CROSSTALK,), 0.0)), alike) == {}
 
 
 def test_fall_off_without_its_oblique_part_lacks_its_essential() -> None:

@@ -53,6 +53,17 @@ def test_hidden_offset_is_named_with_its_size(offset: ReconcileResult) -> None:
     assert offset.verdict is Verdict.EFFECTS_FOUND
 
 
+def test_a_name_has_the_probability_of_all_models_that_hold_it(offset: ReconcileResult) -> None:
+    """The one hidden effect is almost certain; the models are sets of names with weights; ± includes their choice."""
+    answer = json.loads(offset.to_json())
+    (effect,) = answer["effects"]
+    holding = sum(model["weight"] for model in answer["models"] if effect["name"] in model["names"])
+    assert effect["probability"] == pytest.approx(holding, abs=0.01)  # models below one in a thousand are not listed
+    assert effect["probability"] > 0.95
+    averaged = effect["averaged"]["offset_s"]
+    assert abs(averaged["value"] - 8e-6) < 3 * averaged["u"]
+
+
 def test_gap_shrinks_to_chance(offset: ReconcileResult) -> None:
     """Held-out χ² falls from well above to one."""
     assert offset.gap_before > 1.1

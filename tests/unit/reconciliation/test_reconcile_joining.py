@@ -16,7 +16,7 @@ from radiometer.reconciliation.fit.state import FitState, with_effects
 from radiometer.reconciliation.measure.design import Design
 from radiometer.reconciliation.measure.reduce import frame_reader, reduce_frames
 from radiometer.reconciliation.search.moves import better, simpler
-from radiometer.reconciliation.search.starts import StartPool
+from radiometer.reconciliation.search.screening import StartPool
 from simulators.effects.angle_dependence import AngleDependence
 from simulators.effects.catalogue import CatalogueEffect
 from simulators.effects.fnumber_tstop_error import FnumberTstopError

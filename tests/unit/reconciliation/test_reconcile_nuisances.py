@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from radiometer.data import CameraDescription, CaptureHeader, FrameEntry, PatchDescription
-from radiometer.reconciliation.advice.limits import limits
+from radiometer.reconciliation.advice.sizes import limits
 from radiometer.reconciliation.fit.descent import first_state
 from radiometer.reconciliation.fit.nuisances import NuisanceLayout, dark_current_is_free
 from radiometer.reconciliation.measure.design import Design

@@ -74,7 +74,10 @@ def test_the_outcome_names_what_was_missing_with_its_size(glaring):
     result = replace(glaring.result, verdict=Verdict.EFFECTS_FOUND)
     share = result.effects[0].parameters["share"]
     value, expanded = rounded(share.value, 2 * share.u)
-    assert outcome(result) == f"Found what was missing: veiling_glare (share {value} ± {expanded}). With it they agree."
+    assert (
+        outcome(result)
+        == f"The missing effect was found: veiling_glare (share {value} ± {expanded}). With it they agree."
+    )
 
 
 @pytest.mark.slow
@@ -88,9 +91,11 @@ def test_the_outcome_of_each_other_verdict(glaring):
     )
     unnamed = FoundEffect("unnamed", {}, "temperature_C", 2.0, 2.0, block="mean", closest=("gamma_enabled", 0.4))
     disagrees = replace(result, verdict=Verdict.UNNAMED, effects=(unnamed,))
-    assert outcome(disagrees) == ("They come apart with the sensor's temperature, and no known effect explains it.")
+    assert outcome(disagrees) == (
+        "Simulation and measurement differ with the sensor's temperature, and no known effect explains it."
+    )
     assert outcome(replace(result, verdict=Verdict.INCOMPLETE)).startswith(
-        "Structure stays: provisional are veiling_glare ("
+        "Structure remains; these names are provisional: veiling_glare ("
     )
     page = report_html(replace(glaring, result=disagrees), "session")
     part = page[page.index("<h2>Not explained by any known effect") :]

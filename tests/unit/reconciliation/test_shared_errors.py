@@ -9,8 +9,14 @@ from radiometer.data import CameraDescription, CaptureHeader, FrameEntry, FrameS
 from radiometer.reconciliation.measure.design import Design
 from radiometer.reconciliation.measure.row_bands import RowBins, TileBands
 from radiometer.reconciliation.measure.seen import CaptureStatistics
-from radiometer.reconciliation.noise.shared import Part, SharedError, whiteners
-from radiometer.reconciliation.noise.shared_errors import Repeatability, phases_of_wave, shared_errors
+from radiometer.reconciliation.noise.shared_errors import (
+    Part,
+    Repeatability,
+    SharedError,
+    phases_of_wave,
+    shared_errors,
+    whiteners,
+)
 from radiometer.reconciliation.prediction import Prediction
 from radiometer.reconciliation.statistics import STATISTICS, Given, family_of
 

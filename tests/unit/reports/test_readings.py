@@ -17,7 +17,7 @@ import tifffile
 from astropy.io import fits
 
 from radiometer.adaptation.threshold_files import read_table as read_thresholds
-from radiometer.analysis.photometry.spectra import spectrum_from_csv
+from radiometer.analysis.photometry.photometry import spectrum_from_csv
 from radiometer.errors import RadiometerError
 from radiometer.importing import import_sources, open_capture, statistics_of
 from radiometer.importing.log_table import read_log

@@ -259,7 +259,7 @@ def test_a_log_whose_value_hardly_moves_names_no_effect(seed, tmp_path, capsys):
     """A value of 30 000 DN ± 0.5 % shows neither a black level nor a bend: none is found, and none is ± inf."""
     assert run(["log-fit", str(inputs.steady_log(tmp_path / "nights.csv", seed)), "--no-control"]) == 0
     shown = capsys.readouterr().out
-    assert "Found what was missing" not in shown
+    assert "The missing effect was found" not in shown
     assert "inf" not in shown
     assert "record some readings at a half and a quarter of the exposure" in shown.replace("\n", " ")
 

@@ -20,7 +20,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from radiometer.adaptation.threshold_files import read_table as read_thresholds
-from radiometer.analysis.photometry.spectra import spectrum_from_csv
+from radiometer.analysis.photometry.photometry import spectrum_from_csv
 from radiometer.errors import RadiometerError
 from radiometer.importing import import_sources, statistics_of
 from radiometer.importing.emva_listing import EmvaListing

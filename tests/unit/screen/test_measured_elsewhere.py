@@ -68,6 +68,39 @@ def test_tables_of_two_columns(text: str, tmp_path: Path) -> None:
     assert {n: v[0] for n, v in found.grey.items()} == {0: 0.3, 128: 44.0, 255: 200.0}
 
 
+@pytest.mark.parametrize(
+    ("levels", "middle", "doubted"),
+    [
+        ((0, 128, 255), 128, False),
+        ((0, 60, 101), 60, True),  # whole steps above 100: no per cent
+        ((0, 50, 100), 128, True),
+        ((0, 30.5, 60), 78, True),
+        ((0, 0.25, 0.5), 64, True),
+        ((0, 50.5, 100.5), None, False),
+        ((0, 128, 256), None, False),
+        ((-1, 50, 100), None, False),
+    ],
+)
+def test_levels_without_a_unit_are_read_by_their_size_or_refused(tmp_path, levels, middle, doubted) -> None:
+    """0 to 255 in whole steps, per cent, or 0 to 1; a doubt says which, unless the last level is 255."""
+    file = tmp_path / "a.csv"
+    file.write_text("".join(f"{level};{light}\n" for level, light in zip(levels, (0.3, 44.0, 200.0), strict=True)))
+    if middle is None:
+        with pytest.raises(InputError, match="Name the unit"):
+            read_screen_readings(file)
+        return
+    found = read_screen_readings(file)
+    assert sorted(found.grey)[1] == middle
+    assert any("have no unit" in doubt for doubt in found.doubts) is doubted
+
+
+def test_readings_that_zigzag_by_levels_are_as_doubtful() -> None:
+    """Five levels ± 4 cd/m² about a straight line in turn: each is 8/√1.5 off the line through its neighbours."""
+    values = {64 * k: [100.0 + 30.0 * k + 4.0 * (-1) ** k] for k in range(5)}
+    curve = imported(ScreenReadings("x", values), lights(), 0.04, "x").channel("grey")
+    assert curve.u_independent[2] * curve.photopic_lm_per_w == pytest.approx(8.0 / np.sqrt(1.5), rel=0.05)
+
+
 def test_cal_needs_whites_luminance_and_is_inverted(tmp_path: Path) -> None:
     """A panel of gamma 1.8 calibrated to 2.2 has CAL(i) = i^(2.2/1.8): the response comes out as v^1.8."""
     wanted = np.linspace(0, 1, 256)

@@ -189,7 +189,7 @@ async def test_lights_off_of_a_screen_page_darkens_the_box() -> None:
         asked.set()
         return "dark: light box AAAA0001"
 
-    server = PageServer(darken=darken)
+    server = PageServer(0, "display.html", darken)
     server.start()
     try:
         address = server.url.replace("/?", "/socket?")

@@ -9,8 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from radiometer.analysis.calibration.absolute import MeterSettings
-from radiometer.analysis.calibration.calibrate import MeterReading, scale_by_meter
+from radiometer.analysis.calibration.calibrate import MeterReading, MeterSettings, scale_by_meter
 from radiometer.analysis.calibration.shared import TABLE, Handling, State
 from radiometer.analysis.reading.reading import read_patch
 from radiometer.data import (

@@ -10,24 +10,25 @@ import pytest
 from matplotlib.figure import Figure
 from scipy.stats import linregress
 
-from radiometer.analysis.characterise import characterise, report_plots
-from radiometer.analysis.characterise.dark_figures import typical_dark_current, typical_rates
-from radiometer.analysis.characterise.dark_signal import dark_signal
-from radiometer.analysis.characterise.group_statistics import GroupStatistics, statistics_of_group
-from radiometer.analysis.characterise.inconsistent import contradicting_darks, contradicting_steps
+from radiometer.analysis.characterise import characterise, report
+from radiometer.analysis.characterise.dark_signal import dark_signal, typical_dark_current, typical_rates
+from radiometer.analysis.characterise.group_statistics import (
+    GroupStatistics,
+    NoiseLeft,
+    SpatialSplit,
+    split_spatial_variance,
+    statistics_of_group,
+)
 from radiometer.analysis.characterise.line_fit import fit_line
 from radiometer.analysis.characterise.linearity import linearity
 from radiometer.analysis.characterise.nonuniformity import dsnu, prnu
 from radiometer.analysis.characterise.partial import bent, disagreeing_gains
-from radiometer.analysis.characterise.photon_flux import PhotonFlux, photon_flux
 from radiometer.analysis.characterise.photon_transfer import photon_transfer
 from radiometer.analysis.characterise.report import outcome
 from radiometer.analysis.characterise.result import Characterisation
-from radiometer.analysis.characterise.saturation import find_saturation
-from radiometer.analysis.characterise.sensitivity import responsivity, sensitivity_figures, sigma_d
-from radiometer.analysis.characterise.spatial_split import NoiseLeft, SpatialSplit, split_spatial_variance
-from radiometer.analysis.characterise.steps import make_steps
-from radiometer.analysis.characterise.subject import Subject
+from radiometer.analysis.characterise.sensitivity import find_saturation, responsivity, sensitivity_figures, sigma_d
+from radiometer.analysis.characterise.steps import contradicting_darks, contradicting_steps, make_steps
+from radiometer.analysis.characterise.subject import PhotonFlux, Subject, photon_flux
 from radiometer.data import (
     CameraDescription,
     FrameSettings,
@@ -379,8 +380,8 @@ def test_on_a_phone_the_panels_stand_one_below_the_other(monkeypatch):
             draw(figure, narrow)
         return ""
 
-    monkeypatch.setattr(report_plots, "picture", kept)
-    report_plots.story(whole(group(BLACK_DN, 40.0, dark=True)))
+    monkeypatch.setattr(report, "picture", kept)
+    report.story(whole(group(BLACK_DN, 40.0, dark=True)))
     places = [axes.get_position() for axes in drawn[True].axes]
     assert len(places) == 3
     assert len({(round(p.x0, 6), round(p.x1, 6)) for p in places}) == 1

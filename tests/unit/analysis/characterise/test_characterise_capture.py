@@ -13,17 +13,17 @@ import pytest
 from radiometer.analysis.characterise import EmvaDescriptor, characterise, read_subject, subject_of_capture
 from radiometer.analysis.characterise.emva_export import export_descriptor
 from radiometer.analysis.characterise.report import datasheet, meaning
+from radiometer.analysis.characterise.result import SYMBOLS
 from radiometer.analysis.characterise.subject import Subject
-from radiometer.analysis.characterise.symbols import SYMBOLS
 from radiometer.data import CameraDescription, CaptureSet, FrameSettings, LensDescription, Patch, Quantity
 from radiometer.data.storage import read_yaml, write_yaml_atomic
 from radiometer.devices import CameraPreset
 from radiometer.errors import InputError, MeasurementError
 from radiometer.reporting.numbers import rounded
-from simulators.cameras.simulated_capture import simulate_capture
 from simulators.chain.camera_model import CameraModel
 from simulators.scenes import StepChartScene, UniformScene
 from testing.report_checks import HOSTILE
+from testing.simulated_capture import simulate_capture
 
 CAMERA = CameraDescription(
     bit_depth=12,

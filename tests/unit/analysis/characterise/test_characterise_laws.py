@@ -9,19 +9,26 @@ import numpy as np
 import pytest
 from matplotlib.figure import Figure
 
-from radiometer.analysis.characterise import characterise, report_plots
-from radiometer.analysis.characterise.dark_figures import doubling_of, gain_from_darks, typical_rates
-from radiometer.analysis.characterise.dark_signal import doubling_temperature, pooled_frame_sd
-from radiometer.analysis.characterise.dark_transfer import dark_transfer
-from radiometer.analysis.characterise.group_statistics import GroupStatistics, statistics_of_group
-from radiometer.analysis.characterise.inconsistent import contradicting_darks, contradicting_steps
+from radiometer.analysis.characterise import characterise, report
+from radiometer.analysis.characterise.dark_signal import (
+    dark_transfer,
+    doubling_of,
+    doubling_temperature,
+    gain_from_darks,
+    pooled_frame_sd,
+    typical_rates,
+)
+from radiometer.analysis.characterise.group_statistics import (
+    GroupStatistics,
+    SpatialSplit,
+    statistics_of_group,
+    typical_mean,
+)
 from radiometer.analysis.characterise.nonuniformity import best_stack, nonuniformity_by_part
 from radiometer.analysis.characterise.partial import stated_gain_doubt
 from radiometer.analysis.characterise.photon_transfer import photon_transfer, transfer_of_few
-from radiometer.analysis.characterise.saturation import find_saturation
-from radiometer.analysis.characterise.sensitivity import propagated, responsivity
-from radiometer.analysis.characterise.spatial_split import SpatialSplit, typical_mean
-from radiometer.analysis.characterise.steps import make_steps
+from radiometer.analysis.characterise.sensitivity import find_saturation, propagated, responsivity
+from radiometer.analysis.characterise.steps import contradicting_darks, contradicting_steps, make_steps
 from radiometer.analysis.characterise.subject import Subject
 from radiometer.data import CameraDescription, FrameSettings, LensDescription, Quantity
 from radiometer.errors import MeasurementError
@@ -228,7 +235,7 @@ def test_a_dark_current_is_that_of_the_long_exposures_and_of_their_temperature()
 def test_a_gain_from_darks_needs_two_dn_of_dark_signal_at_three_exposures(span_dn, count, asked, monkeypatch):
     """Less shows no shot noise; then the frames are not even read."""
     seen = []
-    module = "radiometer.analysis.characterise.dark_figures"
+    module = "radiometer.analysis.characterise.dark_signal"
     monkeypatch.setattr(f"{module}._frames", lambda _, plateau: seen.append(len(plateau)) or [])
     darks = [group(BLACK_DN + span_dn * k / (count - 1), 40.0, 1.0 + k, dark=True) for k in range(count)]
     assert gain_from_darks(SUBJECT, darks) is None
@@ -237,7 +244,7 @@ def test_a_gain_from_darks_needs_two_dn_of_dark_signal_at_three_exposures(span_d
 
 def test_plateaus_of_darks_that_disagree_widen_their_mean(monkeypatch):
     """0.5 and 0.6 ± 0.01 DN/e⁻: 0.55 with their scatter of 0.05 beside the better u; one alone keeps its own."""
-    module = "radiometer.analysis.characterise.dark_figures"
+    module = "radiometer.analysis.characterise.dark_signal"
     gains = []
     monkeypatch.setattr(f"{module}._frames", lambda *_: [])
     monkeypatch.setattr(f"{module}.dark_transfer", lambda _: type("T", (), {"K": gains.pop(0)})())
@@ -332,11 +339,11 @@ def test_a_stated_gain_is_doubted_beyond_twice_what_is_known(stated, gain_db, to
 def test_a_desk_s_picture_has_a_panel_beside_the_first_for_each_other(straight, monkeypatch):
     """Photon transfer over the whole height on the left; linearity, where it is told, above the SNR on the right."""
     figure = Figure()
-    monkeypatch.setattr(report_plots, "picture", lambda draw, *_: draw(figure, False) or "")
+    monkeypatch.setattr(report, "picture", lambda draw, *_: draw(figure, False) or "")
     bright = [group(BLACK_DN + s, 40.0 + 0.5 * s, s / 6000.0) for s in SIGNALS]
     result = characterise(SUBJECT, [*bright, group(BLACK_DN, 40.0, dark=True)])
     result = replace(result, linearity=result.linearity if straight else None)
-    report_plots.story(result)
+    report.story(result)
     left, *right = (axes.get_position() for axes in figure.axes)
     assert len(right) == (2 if straight else 1)
     assert all(one.x0 > left.x1 for one in right)

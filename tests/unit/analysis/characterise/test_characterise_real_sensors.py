@@ -9,16 +9,18 @@ import numpy as np
 import pytest
 
 from radiometer.analysis.characterise import characterise, read_subject
-from radiometer.analysis.characterise.dark_figures import doubling_of, typical_rates
-from radiometer.analysis.characterise.dark_transfer import dark_transfer
-from radiometer.analysis.characterise.group_statistics import GroupStatistics, statistics_of_group
-from radiometer.analysis.characterise.inconsistent import contradicting_steps
+from radiometer.analysis.characterise.dark_signal import dark_transfer, doubling_of, typical_rates
+from radiometer.analysis.characterise.group_statistics import (
+    GroupStatistics,
+    NoiseLeft,
+    split_spatial_variance,
+    statistics_of_group,
+)
 from radiometer.analysis.characterise.photon_transfer import photon_transfer, transfer_of_few
+from radiometer.analysis.characterise.result import as_printed
 from radiometer.analysis.characterise.rounding import unrounded_variance
 from radiometer.analysis.characterise.sensitivity import sigma_d
-from radiometer.analysis.characterise.spatial_split import NoiseLeft, split_spatial_variance
-from radiometer.analysis.characterise.steps import make_steps
-from radiometer.analysis.characterise.symbols import as_printed
+from radiometer.analysis.characterise.steps import contradicting_steps, make_steps
 from radiometer.data import FrameSettings, Quantity
 
 K_DN_PER_E = 0.5

@@ -13,9 +13,8 @@ import pytest
 import tifffile
 from PIL import Image
 
-from radiometer.analysis.exports.hdr import rgbe
-from radiometer.analysis.exports.maps import WRITERS, MapPicture, in_luminance, writer_for
-from radiometer.analysis.photometry.spectra import spectrum
+from radiometer.analysis.exports.maps import WRITERS, MapPicture, in_luminance, rgbe, writer_for
+from radiometer.analysis.photometry.photometry import spectrum
 from radiometer.cli.main import run
 from radiometer.data import CaptureSetWriter, PixelMask, RadianceMap, ResponseCurve
 from radiometer.errors import MeasurementError, OutputError, UsageError

@@ -12,7 +12,7 @@ from radiometer.analysis.flux.estimate import led_flux
 from radiometer.analysis.flux.report import Emitter
 from radiometer.analysis.flux.sensor import SensorFlux, flux_scale, sensor_flux
 from radiometer.data import CameraDescription, Frame, FrameSettings, LensDescription, Patch, Quantity, SourceDescription
-from radiometer.data.calibration_sections import StatedUncertainties
+from radiometer.data.calibration import StatedUncertainties
 from radiometer.errors import CalibrationError
 
 # 2 electrons per DN, of 0.5 electrons per photon of 500 nm on (10 µm)²: 4 photons stand behind a DN above black.

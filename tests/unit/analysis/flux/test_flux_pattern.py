@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from radiometer.analysis.flux.pattern import (
+from radiometer.analysis.flux.estimate import (
     captured_fraction,
     flux_of_radiance,
     intensity_exponent,

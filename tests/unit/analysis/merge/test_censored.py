@@ -7,8 +7,8 @@ import pytest
 from scipy.optimize import minimize_scalar
 from scipy.stats import norm
 
-from radiometer.analysis.merge.censored import hear_nearest, with_censored
-from radiometer.analysis.merge.records import NEAREST, RECORD_SIZE
+from radiometer.analysis.merge.finish import hear_nearest, with_censored
+from radiometer.analysis.merge.tables import NEAREST, RECORD_SIZE
 
 # Exposure, noise variance and clipping level of each frame, as `fill_record` has them, with the noise at clipping last.
 FRAMES = np.array(

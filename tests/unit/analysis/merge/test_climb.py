@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 import pytest
 
-from radiometer.analysis.merge.climb import Climb
+from radiometer.analysis.merge.alignment import Climb
 from radiometer.errors import MeasurementError
 
 STILL = np.eye(2, 3)

@@ -9,7 +9,7 @@ import pytest
 
 from radiometer.analysis.merge.bracket import StreamingMerge, merge
 from radiometer.analysis.merge.frames import frame_terms
-from radiometer.analysis.merge.moments import mixture
+from radiometer.analysis.merge.tables import mixture
 from radiometer.analysis.signal.situation import situation_of
 from radiometer.data import (
     BlackLevel,
@@ -262,5 +262,5 @@ def test_a_map_is_handed_out_once():
     with pytest.raises(MeasurementError, match="8 bits per pixel"):
         running.add(Frame(np.zeros((4, 4), np.uint8), 8, FrameSettings(1.0)))
     assert running.result().radiance[0, 0] == pytest.approx(3000.0, rel=1e-3)
-    with pytest.raises(MeasurementError, match="handed out already"):
+    with pytest.raises(MeasurementError, match="returned already"):
         running.result()

@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from radiometer.analysis.merge.defects import repair_defects
+from radiometer.analysis.merge.bracket import repair_defects
 from radiometer.data import PixelMask
 
 

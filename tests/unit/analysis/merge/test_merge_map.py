@@ -12,8 +12,8 @@ import pytest
 from scipy.stats import norm
 
 from radiometer import compiled as merge_compile
-from radiometer.analysis.merge import censored as merge_censored
-from radiometer.analysis.merge import records as merge_records
+from radiometer.analysis.merge import finish as merge_finish
+from radiometer.analysis.merge import tables as merge_tables
 from radiometer.analysis.merge.bracket import StreamingMerge, merge
 from radiometer.data import (
     BlackLevel,
@@ -99,11 +99,11 @@ def test_two_sums_are_as_good_as_all_weights(step):
     kappa = 1.0
     for readout in np.geomspace(1e-4, 1e4, 33) * exposures[-1]:
         frames = np.array([[t, readout, 1e30, 1.0, 0.0] for t in exposures])
-        record = np.zeros(merge_records.RECORD_SIZE)
-        merge_records.fill_record(record, np.uint64(2**10 - 1), frames, kappa, np.ones(10), 1.0)
-        apart = record[merge_records.R0] + record[merge_records.R1]
-        inverse, gap = 1.0 / apart, apart - record[merge_records.P0] - record[merge_records.P1]
-        variance = record[merge_records.A0] + record[merge_records.A1] - gap**2 * inverse
+        record = np.zeros(merge_tables.RECORD_SIZE)
+        merge_tables.fill_record(record, np.uint64(2**10 - 1), frames, kappa, np.ones(10), 1.0)
+        apart = record[merge_tables.R0] + record[merge_tables.R1]
+        inverse, gap = 1.0 / apart, apart - record[merge_tables.P0] - record[merge_tables.P1]
+        variance = record[merge_tables.A0] + record[merge_tables.A1] - gap**2 * inverse
         best = 1.0 / np.sum(exposures**2 / (readout + kappa * exposures))
         assert 1.0 - 1e-9 < variance / best < 1.015
 
@@ -112,10 +112,10 @@ def test_the_hazard_of_the_normal_distribution_is_right():
     """To 1e-6 where it is tabulated (h²/8 of its curvature), to 3e-4 of the value in its asymptotic series."""
     inside = np.linspace(-3.5, 7.999, 5000)
     beyond = np.linspace(8.001, 30.0, 100)
-    found = np.array([merge_censored.hazard(z) for z in inside])
+    found = np.array([merge_finish.hazard(z) for z in inside])
     truth = np.exp(norm.logpdf(inside) - norm.logsf(inside))
     assert np.max(np.abs(found - truth)) < 1e-6
-    tail = np.array([merge_censored.hazard(z) for z in beyond])
+    tail = np.array([merge_finish.hazard(z) for z in beyond])
     assert np.max(np.abs(tail / np.exp(norm.logpdf(beyond) - norm.logsf(beyond)) - 1.0)) < 3e-4
 
 

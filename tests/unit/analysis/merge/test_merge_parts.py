@@ -8,7 +8,7 @@ import math
 import numpy as np
 import pytest
 
-from radiometer.analysis.merge import parts
+from radiometer.analysis.merge import bracket
 from radiometer.analysis.merge.displaced import MeanDisplacement, relative_shift
 from radiometer.analysis.merge.tables import MergeTables
 
@@ -47,9 +47,9 @@ def test_a_shift_at_the_border_is_that_of_one_step():
 @pytest.mark.parametrize(("width", "rows"), [(100, 327), (1 << 15, 1), ((1 << 15) + 1, 1), (1, 1 << 15)])
 def test_blocks_are_whole_rows_that_cover_a_part_once(width, rows):
     """As many rows as 32 768 pixels hold, one at least; the last block is what is left."""
-    assert parts.block_size(width) == rows * width
+    assert bracket.block_size(width) == rows * width
     start, stop = 3 * width, (3 + 2 * rows + 1) * width
-    found = list(parts.blocks(start, stop, width))
+    found = list(bracket.blocks(start, stop, width))
     assert [end - begin for begin, end in found] == [rows * width, rows * width, width]
     assert (found[0][0], found[-1][1]) == (start, stop)
     assert all(one[1] == two[0] for one, two in itertools.pairwise(found))
@@ -59,9 +59,9 @@ def test_blocks_are_whole_rows_that_cover_a_part_once(width, rows):
 @pytest.mark.parametrize("cores", [1, 3, None])
 def test_all_cores_together_do_every_pixel_once(shape, cores, monkeypatch):
     """In whole rows, four parts for each core, fewer where there are fewer rows."""
-    monkeypatch.setattr(parts.os, "cpu_count", lambda: cores)
+    monkeypatch.setattr(bracket.os, "cpu_count", lambda: cores)
     done = []
-    parts.on_all_cores(shape, lambda start, stop: done.append((start, stop)))
+    bracket.on_all_cores(shape, lambda start, stop: done.append((start, stop)))
     done.sort()
     pixels = [k for start, stop in done for k in range(start, stop)]
     assert pixels == list(range(shape[0] * shape[1]))

@@ -52,30 +52,30 @@ def _behind_a_curve(**more):
     return _calibration(8, curve=curve, **more)
 
 
-def _samples(calibration, numbers, bits):
-    """Return numbers of shape (frames, pixels) as samples."""
+def _samples(calibration, numbers, bits, first=0):
+    """Return numbers of shape (frames, pixels) as samples, the first of them frame number `first`."""
     situation = situation_of(Setup(calibration.camera, LENS, calibration))
     samples = []
     for k, (dn, seconds) in enumerate(zip(numbers, TIMES, strict=False)):
         settings = FrameSettings(float(seconds))
         terms = frame_terms(settings, situation, (), through_lens=False)
         table = None if calibration.response is None else situation.model.table(settings).astype(np.float32)
-        samples.append(MergeSample.of(dn.astype(np.uint8 if bits == 8 else np.uint16), terms, table, k))
+        samples.append(MergeSample.of(dn.astype(np.uint8 if bits == 8 else np.uint16), terms, table, first + k))
     return samples
 
 
 @pytest.mark.parametrize(("bits", "curved"), [(12, False), (8, False), (8, True)])
-@pytest.mark.parametrize("count", [4, 5, 7])
-def test_several_frames_at_a_time_are_the_same_sums(bits, curved, count):
-    """Numbers from black to white: sums, bits and clipping of frames in fours and pairs are those of one by one."""
+@pytest.mark.parametrize(("count", "first"), [(4, 0), (5, 0), (7, 0), (7, 13)])
+def test_several_frames_at_a_time_are_the_same_sums(bits, curved, count, first):
+    """From black to white: sums, bits and clipping in fours and pairs are those of one by one, of 16 frames or more."""
     calibration = _behind_a_curve(dark_e_per_s=20.0) if curved else _calibration(bits, dark_e_per_s=20.0)
     rng = np.random.default_rng(1)
     numbers = rng.integers(0, 1 << bits, (count, 600))
     numbers[:, :40] = rng.choice([0, 1, (1 << bits) - 2, (1 << bits) - 1], (count, 40))
-    samples = _samples(calibration, numbers, bits)
+    samples = _samples(calibration, numbers, bits, first)
     together, singly = (MergeSums.zeros(600) for _ in range(2))
     for sums in (together, singly):
-        sums.make_room(count)
+        sums.make_room(first + count)
     together.add(merge_passes(samples, 1.0), 0)
     for one in samples:
         singly.add(merge_passes([one], 1.0), 0)

@@ -9,11 +9,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from radiometer.analysis.calibration import absolute
-from radiometer.analysis.calibration.absolute import MeterSettings, scale_from_meter, scale_from_radiance
+from radiometer.analysis.calibration import calibrate
+from radiometer.analysis.calibration.calibrate import MeterSettings, scale_from_meter, scale_from_radiance
 from radiometer.analysis.photometry import photometry
-from radiometer.analysis.photometry.display_types import LINES, primary_spectrum
-from radiometer.analysis.photometry.spectra import Spectrum, spectrum
+from radiometer.analysis.photometry.photometry import LINES, Spectrum, primary_spectrum, spectrum
 from radiometer.errors import InputError
 from testing.golden import cie
 
@@ -100,14 +99,14 @@ def test_the_mismatch_factor_takes_a_reading_to_the_truth(power, blue, red):
 def test_a_meter_s_constant_and_luminance_are_inverse(luminance, exposure_s, f_number, iso):
     """K = L·t·S/N², and each power of it: twice the time, the speed or the aperture's area is half the luminance."""
     setting = MeterSettings(exposure_s, f_number, iso)
-    constant = absolute.meter_constant(luminance, setting)
-    assert absolute.metered_luminance_cd_m2(constant, setting) == pytest.approx(luminance)
+    constant = calibrate.meter_constant(luminance, setting)
+    assert calibrate.metered_luminance_cd_m2(constant, setting) == pytest.approx(luminance)
     for other, factor in (
         (MeterSettings(2 * exposure_s, f_number, iso), 0.5),
         (MeterSettings(exposure_s, f_number, 2 * iso), 0.5),
         (MeterSettings(exposure_s, 2 * f_number, iso), 4.0),
     ):
-        assert absolute.metered_luminance_cd_m2(constant, other) == pytest.approx(factor * luminance)
+        assert calibrate.metered_luminance_cd_m2(constant, other) == pytest.approx(factor * luminance)
 
 
 @given(st.floats(400.0, 700.0), st.floats(5.0, 60.0))
@@ -121,9 +120,9 @@ def test_a_band_has_its_width_at_half_maximum(peak, width):
 def test_what_iso_2720_leaves_open():
     """A rectangle from 10.6 to 13.4 about 12: 6.74 %; with the meter's sixth of a stop 9.5 %."""
     low, high = cie.ISO_2720_K
-    assert pytest.approx((high - low) / (high + low) / math.sqrt(3)) == absolute.K_UNKNOWN_U_REL
-    assert absolute.metered_u_rel(None) == pytest.approx(math.hypot(math.log(2) / 6 / math.sqrt(3), 0.06736), rel=1e-3)
-    assert absolute.metered_u_rel(0.03) == pytest.approx(math.hypot(math.log(2) / 6 / math.sqrt(3), 0.03))
+    assert pytest.approx((high - low) / (high + low) / math.sqrt(3)) == calibrate.K_UNKNOWN_U_REL
+    assert calibrate.metered_u_rel(None) == pytest.approx(math.hypot(math.log(2) / 6 / math.sqrt(3), 0.06736), rel=1e-3)
+    assert calibrate.metered_u_rel(0.03) == pytest.approx(math.hypot(math.log(2) / 6 / math.sqrt(3), 0.03))
 
 
 @given(positive, st.floats(0.001, 0.2), st.floats(0.0, 0.1), positive)
@@ -173,14 +172,14 @@ def test_a_meter_s_figures_must_be_above_nought(wrong):
 def test_irradiance_and_radiance_are_inverse(radiance, angle, exposure_s, diameter):
     """E = L·π/4·(d/f)²·cos⁴α, and back from H = E·t."""
     focal = 0.05
-    irradiance = absolute.sensor_irradiance_w_m2(radiance, diameter, focal, angle)
+    irradiance = calibrate.sensor_irradiance_w_m2(radiance, diameter, focal, angle)
     assert irradiance == pytest.approx(radiance * math.pi / 4 * (diameter / focal) ** 2 * math.cos(angle) ** 4)
-    back = absolute.radiance_of_exposure_w_sr_m2(irradiance * exposure_s, exposure_s, diameter, focal, angle)
+    back = calibrate.radiance_of_exposure_w_sr_m2(irradiance * exposure_s, exposure_s, diameter, focal, angle)
     assert back == pytest.approx(radiance)
     setting = MeterSettings(exposure_s, focal / diameter, 100.0)
-    exposure = absolute.reference_exposure_j_m2(radiance, setting)
+    exposure = calibrate.reference_exposure_j_m2(radiance, setting)
     assert exposure == pytest.approx(radiance * math.pi / 4 * (diameter / focal) ** 2 * exposure_s)
-    assert absolute.reference_exposure_j_m2(radiance, setting, 0.5) == pytest.approx(radiance * 0.5 * exposure_s)
+    assert calibrate.reference_exposure_j_m2(radiance, setting, 0.5) == pytest.approx(radiance * 0.5 * exposure_s)
 
 
 @pytest.mark.parametrize(("ours", "of_the_calibration"), [("line:600", "line:500"), ("line:500", "line:600")])

@@ -8,10 +8,10 @@ import warnings
 import numpy as np
 import pytest
 
-from radiometer.analysis.calibration import absolute
-from radiometer.analysis.calibration.absolute import MeterSettings
+from radiometer.analysis.calibration import calibrate
+from radiometer.analysis.calibration.calibrate import MeterSettings
 from radiometer.analysis.photometry import photometry
-from radiometer.analysis.photometry.spectra import Spectrum, spectrum, table
+from radiometer.analysis.photometry.photometry import Spectrum, spectrum, table
 from radiometer.errors import InputError
 from testing.golden import thesis
 
@@ -22,14 +22,14 @@ REFERENCE = MeterSettings(1 / 125, 16.0, thesis.MEASURED_ISO)
 @pytest.mark.parametrize(("luminance", "f_number", "exposure_s", "expected"), thesis.METER_CONSTANTS)
 def test_meter_constants_of_the_thesis(luminance, f_number, exposure_s, expected):
     """Printed settings taken at face value give the table's six constants."""
-    constant = absolute.meter_constant(luminance, MeterSettings(exposure_s, f_number, thesis.MEASURED_ISO))
+    constant = calibrate.meter_constant(luminance, MeterSettings(exposure_s, f_number, thesis.MEASURED_ISO))
     assert round(constant, 4) == expected
 
 
 def test_the_mean_meter_constant_of_the_thesis():
     """The six average to 16.5."""
     rows = [(level, MeterSettings(t, n, thesis.MEASURED_ISO)) for level, n, t, _ in thesis.METER_CONSTANTS]
-    constants = [absolute.meter_constant(level, setting) for level, setting in rows]
+    constants = [calibrate.meter_constant(level, setting) for level, setting in rows]
     assert round(float(np.mean(constants)), 1) == thesis.MEAN_METER_CONSTANT
 
 
@@ -37,25 +37,25 @@ def test_the_mean_meter_constant_of_the_thesis():
 def test_exact_stops_take_the_rounding_out_of_the_constants(row, expected):
     """f/16 and f/5.6 then agree to all digits; f/1.7 stays higher by one sixth of a stop."""
     luminance, f_number, exposure_s, _ = row
-    constant = absolute.meter_constant(luminance, MeterSettings(exposure_s, f_number, thesis.MEASURED_ISO).exact())
+    constant = calibrate.meter_constant(luminance, MeterSettings(exposure_s, f_number, thesis.MEASURED_ISO).exact())
     assert round(constant, 4) == expected
 
 
 def test_the_meter_is_known_to_a_sixth_of_a_stop():
     """A rectangle of half-width ln 2/6 has the standard deviation ln 2/(6√3), 6.67 %."""
     draws = np.random.default_rng(1).uniform(-math.log(2) / 6, math.log(2) / 6, 200_000)
-    assert float(draws.std()) == pytest.approx(absolute.METER_U_REL, rel=0.01)
+    assert float(draws.std()) == pytest.approx(calibrate.METER_U_REL, rel=0.01)
 
 
 def test_luminance_of_the_thesis():
     """K = 16.5, f/16, 1/125 s, ISO 136."""
-    found = absolute.metered_luminance_cd_m2(thesis.MEAN_METER_CONSTANT, REFERENCE)
+    found = calibrate.metered_luminance_cd_m2(thesis.MEAN_METER_CONSTANT, REFERENCE)
     assert round(found, 4) == thesis.REFERENCE_LUMINANCE
 
 
 def test_spectral_radiance_of_the_thesis():
     """Equation (2.10): 53.2234, per µm."""
-    luminance = absolute.metered_luminance_cd_m2(thesis.MEAN_METER_CONSTANT, REFERENCE)
+    luminance = calibrate.metered_luminance_cd_m2(thesis.MEAN_METER_CONSTANT, REFERENCE)
     value = photometry.radiance_thesis_w_sr_m2_um(luminance)
     # The printed figure is the result cut, not rounded, after the fourth decimal.
     assert math.floor(value * 1e4) / 1e4 == thesis.REFERENCE_SPECTRAL_RADIANCE
@@ -63,7 +63,7 @@ def test_spectral_radiance_of_the_thesis():
 
 def test_reference_exposure_of_the_thesis():
     """ln H = −6.6406; the thesis's 1.30624e-3 J/m² is the exponential of that rounded logarithm."""
-    exposure = absolute.reference_exposure_j_m2(thesis.REFERENCE_SPECTRAL_RADIANCE, REFERENCE)
+    exposure = calibrate.reference_exposure_j_m2(thesis.REFERENCE_SPECTRAL_RADIANCE, REFERENCE)
     assert round(math.log(exposure), 4) == thesis.REFERENCE_LOG_EXPOSURE
     assert f"{math.exp(round(math.log(exposure), 4)):.5e}" == f"{thesis.REFERENCE_EXPOSURE_J_M2:.5e}"
     assert exposure == pytest.approx(thesis.REFERENCE_EXPOSURE_J_M2, rel=1e-4)
@@ -72,12 +72,12 @@ def test_reference_exposure_of_the_thesis():
 def test_the_pixel_of_the_thesis():
     """H = 1.792e-3 J/m² in 1/250 s through f = 20 mm, d = 3.571 mm."""
     assert round(1.792e-3 * 250, 3) == 0.448
-    assert round(absolute.radiance_of_exposure_w_sr_m2(1.792e-3, 1 / 250, 3.571e-3, 20e-3), 3) == 17.892
+    assert round(calibrate.radiance_of_exposure_w_sr_m2(1.792e-3, 1 / 250, 3.571e-3, 20e-3), 3) == 17.892
 
 
 def test_irradiance_falls_with_the_fourth_power_of_the_cosine():
     """At 60° a sixteenth is left."""
-    ratio = absolute.sensor_irradiance_w_m2(1, 1, 1, math.radians(60)) / absolute.sensor_irradiance_w_m2(1, 1, 1)
+    ratio = calibrate.sensor_irradiance_w_m2(1, 1, 1, math.radians(60)) / calibrate.sensor_irradiance_w_m2(1, 1, 1)
     assert ratio == pytest.approx(1 / 16)
 
 

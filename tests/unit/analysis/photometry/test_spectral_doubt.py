@@ -8,11 +8,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from radiometer.analysis.photometry.photometry import luminous_efficacy_lm_per_w
-from radiometer.analysis.photometry.spectra import spectrum
-from radiometer.analysis.photometry.unstated_light import KINDS, unstated_light_u_rel
+from radiometer.analysis.photometry.photometry import KINDS, luminous_efficacy_lm_per_w, spectrum, unstated_light_u_rel
+from radiometer.analysis.reading.budget import spectral_u_rel, unknown_mismatch_u_rel
 from radiometer.analysis.reading.reading import read_patch
-from radiometer.analysis.signal.situation import spectral_correction, spectral_u_rel, unknown_mismatch_u_rel
+from radiometer.analysis.signal.situation import spectral_correction
 from radiometer.data import BlackLevel, Patch, SpectralResponse, StatedUncertainties
 from radiometer.data.setup import AS_CALIBRATED, Setup
 from radiometer.errors import InputError

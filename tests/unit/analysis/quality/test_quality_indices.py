@@ -8,12 +8,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from radiometer.analysis.quality.indices import Figure
+from radiometer.analysis.quality.indices import Figure, v_lambda_mismatch
 from radiometer.analysis.quality.procedures import PROCEDURES
 from radiometer.analysis.quality.session import Evaluation, Index, evaluate
-from radiometer.analysis.quality.spectral import v_lambda_mismatch
-from radiometer.analysis.uncertainty.budget import coverage_factor
-from radiometer.data.calibration_sections import SpectralResponse
+from radiometer.analysis.reading.budget import coverage_factor
+from radiometer.data.calibration import SpectralResponse
 from radiometer.errors import InputError
 from testing import quality_stations as stations
 

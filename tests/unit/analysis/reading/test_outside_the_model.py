@@ -12,10 +12,9 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from radiometer.analysis.calibration.calibrate import KnownSource, scale_by_source
-from radiometer.analysis.reading.contributions import local_scatter
-from radiometer.analysis.reading.outside import conditions_of, frame_u_rel, stray_light
+from radiometer.analysis.reading.budget import conditions_of, frame_u_rel, local_scatter, stray_light
+from radiometer.analysis.reading.monte_carlo import propagate_distributions
 from radiometer.analysis.reading.reading import patch_situation, read_patch
-from radiometer.analysis.uncertainty.monte_carlo import propagate_distributions
 from radiometer.data import (
     BlackLevel,
     Bracket,

@@ -14,9 +14,8 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from radiometer.analysis.reading.frames import crop_frames
 from radiometer.analysis.reading.reading import patch_situation, read_patch
-from radiometer.analysis.signal.model import signal_model
+from radiometer.analysis.signal.model import crop_frames, signal_model
 from radiometer.analysis.signal.situation import situation_of
 from radiometer.data import (
     BlackLevel,

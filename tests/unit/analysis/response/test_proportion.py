@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from radiometer.analysis.response.proportion import growth_power
+from radiometer.analysis.response.limits import growth_power
 from radiometer.data import Bracket, Frame, FrameSettings
 
 

@@ -13,11 +13,9 @@ from hypothesis import strategies as st
 from radiometer.analysis.response.basis import ValueBasis, hat_weight
 from radiometer.analysis.response.curves import black_of_curve, finished_curve, rising, u_with_extrapolation
 from radiometer.analysis.response.estimate import inner_range, median_uncertainty, spread_rms
+from radiometer.analysis.response.fit import eliminate_groups, solve_penalised
 from radiometer.analysis.response.limits import ValueLimits
-from radiometer.analysis.response.noise import LogNoise, fit_log_noise
-from radiometer.analysis.response.noise_shift import mean_exposure_dn
-from radiometer.analysis.response.normal import eliminate_groups, solve_penalised
-from radiometer.analysis.response.weights import dn_at
+from radiometer.analysis.response.noise import LogNoise, dn_at, fit_log_noise, mean_exposure_dn
 from radiometer.data import ResponseCurve
 from radiometer.data.provenance import Provenance
 from radiometer.errors import MeasurementError

@@ -6,14 +6,12 @@ import numpy as np
 import pytest
 
 from radiometer.analysis.response import debevec1997 as debevec
-from radiometer.analysis.response.basis import ValueBasis
-from radiometer.analysis.response.compare import compare_methods
+from radiometer.analysis.response.basis import ValueBasis, unseen_factor
 from radiometer.analysis.response.estimate import ResponseEstimate
-from radiometer.analysis.response.jackknife import jackknife
 from radiometer.analysis.response.limits import ValueLimits, find_limits
-from radiometer.analysis.response.samples import gather_samples
-from radiometer.analysis.response.unseen import unseen_factor
-from radiometer.analysis.response.weights import group_residual, slope_at, value_at
+from radiometer.analysis.response.methods import compare_methods
+from radiometer.analysis.response.noise import group_residual, slope_at, value_at
+from radiometer.analysis.response.samples import gather_samples, u_by_groups
 from radiometer.data import Bracket, Frame, FrameSettings, ResponseCurve
 
 
@@ -36,7 +34,7 @@ def test_a_grouped_jackknife_of_a_mean(samples):
         left.append(np.array([part.dn.mean()]))
         return left[-1]
 
-    found = jackknife(samples, solve)
+    found = u_by_groups(samples, solve)
     values = np.array(left)
     assert len(left) == 10
     assert found == pytest.approx(np.sqrt(0.9 * ((values - values.mean(0)) ** 2).sum(0) * 9 / 7))

@@ -9,11 +9,10 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from radiometer.analysis.response.auto import solve_auto
+from radiometer.analysis.response.auto import Judged, judge_by_prediction, solve_auto
 from radiometer.analysis.response.debevec1997 import curve_debevec1997
 from radiometer.analysis.response.estimate import ResponseEstimate
 from radiometer.analysis.response.planes import Plane
-from radiometer.analysis.response.predicting import Judged, judge_by_prediction
 from radiometer.analysis.response.samples import gather_samples
 from radiometer.analysis.response.settle import Choices, fit_with
 from radiometer.analysis.response.wrong_labels import WrongLabel, find_wrong_labels

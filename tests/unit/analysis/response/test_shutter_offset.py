@@ -186,7 +186,7 @@ def test_the_response_says_it_and_holds_it(tmp_path: Any) -> None:
     assert kept.parameters["shutter_offset_s"] == pytest.approx(seconds)
     assert kept.parameters["u_shutter_offset_s"] == pytest.approx(u)
     assert np.exp(kept.parameters["log_time_errors"]) == pytest.approx(1.0 + seconds / LABELS_S)
-    assert any("the shutter's offset as these frames tell it" in text for text in kept.assumptions)
+    assert any("the shutter's offset found from these frames" in text for text in kept.assumptions)
     dn = np.arange(20, 236)
     exposure = 0.3 / ((255.0 / dn) ** (1 / 0.6) - 1.0)
     gap = found.curve.log_exposure[dn] - np.log(exposure)

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from radiometer.analysis.signal.found_effects import (
+from radiometer.analysis.signal.model import (
     corrected_frames,
     corrected_settings,
     straightened,

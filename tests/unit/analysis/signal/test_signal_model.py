@@ -10,9 +10,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from radiometer.analysis.signal.dark import UNKNOWN_DARK_E_PER_S, dark_levels, dark_u
 from radiometer.analysis.signal.lens import known_f_number, lens_factor_sr, relative_sensitivity
-from radiometer.analysis.signal.model import signal_model
+from radiometer.analysis.signal.model import UNKNOWN_DARK_E_PER_S, dark_levels, dark_u, signal_model
 from radiometer.data import (
     BlackLevel,
     CameraDescription,

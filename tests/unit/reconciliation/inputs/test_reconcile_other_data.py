@@ -153,7 +153,7 @@ def test_three_photographs_do_not_agree_with_a_wrong_label_and_cannot_say_which(
     right = reconcile_photographs(_photographs(EXACT[3:8:2], EXACT[3:8:2])).result
     assert right.verdict is Verdict.AGREES
     assert right.limits["exposure_label_error"].amplitude is None
-    assert right.extra["remarks"][0].endswith("; a wrong one of so few may hide in the tone curve.")
+    assert right.extra["remarks"][0].endswith("; with so few, the tone curve may hide a wrong one.")
     four = reconcile_photographs(_photographs(EXACT[3:7], EXACT[3:7])).result
     assert four.extra["remarks"][0].endswith("DN on average.")
     wrong = reconcile_photographs(_photographs([EXACT[3], 1.5 * EXACT[5], EXACT[7]], EXACT[3:8:2])).result

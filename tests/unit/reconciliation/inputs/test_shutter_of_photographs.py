@@ -36,7 +36,7 @@ def test_the_offset_is_an_effect_with_its_u(done: PhotographsReconciled) -> None
     assert f"all exposures are {told}. Left-out parts" in done.result.extra["remarks"][0]
     said = outcome(done.result, done.findings)
     assert said.startswith("All exposures are 2")
-    assert said.endswith("µs (k = 2) longer than printed (the shutter's offset); with that all agree.")
+    assert said.endswith("µs (k = 2) longer than printed (the shutter's offset); with that offset all agree.")
 
 
 @pytest.mark.slow

@@ -1,6 +1,6 @@
 """Logs of an all-sky camera beside a sky meter: each planted term is named with its size, and nothing where nothing is.
 
-The offline count of false alarms stands in docs/log-fit.md.
+The offline count of false alarms stands in docs/reference/log-fit.md.
 """
 
 from __future__ import annotations
@@ -191,5 +191,5 @@ def test_misnamed_column_is_misuse(tmp_path):
         read_log(path, LogColumns({"reference": "lumen"}))
     other = tmp_path / "m.csv"
     other.write_text("utc,mpsas\n2001-01-01T00:00:00,20\n2001-01-01T00:01:00,20\n", encoding="utf-8")
-    with pytest.raises(InputError, match="are both in UTC"):
+    with pytest.raises(InputError, match="both are in UTC"):
         read_log(path, reference=other)

@@ -15,8 +15,8 @@ from radiometer.reconciliation.propose.beyond import (
     own_covariates,
 )
 from radiometer.reconciliation.result import Verdict
-from radiometer.reconciliation.search.free_forms import worth
 from radiometer.reconciliation.search.free_laws import in_place_of_all
+from radiometer.reconciliation.search.score import worth
 from simulators.effects.black_level_offset import BlackLevelOffset
 from simulators.effects.dark_current import DarkCurrent
 from simulators.effects.display_nonuniformity import DisplayNonuniformity

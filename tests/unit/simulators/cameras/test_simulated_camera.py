@@ -14,10 +14,10 @@ from radiometer.data import CaptureSet, FrameSettings, LensDescription
 from radiometer.devices import Camera, CameraCapabilities, CameraPreset, CameraSettings, Roi
 from radiometer.errors import ConfigurationError, DeviceError, DeviceInUse, SettingOutOfRange
 from simulators.cameras.simulated_camera import SimulatedCamera
-from simulators.cameras.simulated_capture import simulate_capture
 from simulators.chain.camera_model import CameraModel
 from simulators.scenes import StepChartScene, Steps, UniformScene
 from testing.patience import within
+from testing.simulated_capture import simulate_capture
 
 LENS = LensDescription(focal_length_mm=16, f_number=4.0)
 SETTINGS = CameraSettings(exposure_s=0.004, black_level_dn=64.0)
@@ -83,8 +83,8 @@ def test_frames_carry_settings_temperature_and_simulated_time(camera: SimulatedC
         ({"black_level_dn": 512.0}, r"black level 512 DN is out of range; allowed is 0 to 511 DN"),
         ({"pixel_format": "Mono8", "black_level_dn": 64.0}, r"black level 64 DN is out of range; allowed is 0 to 31"),
         ({"binning": 5}, r"binning 5 px is out of range; allowed is 1 to 4 px"),
-        ({"roi": Roi(60, 0, 8, 8)}, r"roi width 8 px is out of range; allowed is 1 to 4 px"),
-        ({"roi": Roi(0, 99, 8, 8)}, r"roi y 99 px is out of range; allowed is 0 to 47 px"),
+        ({"roi": Roi(60, 0, 8, 8)}, r"ROI width 8 pixels is out of range; allowed is 1 to 4 pixels"),
+        ({"roi": Roi(0, 99, 8, 8)}, r"ROI top 99 pixels is out of range; allowed is 0 to 47 pixels"),
     ],
 )
 def test_what_is_out_of_range_is_refused_and_nothing_changes(

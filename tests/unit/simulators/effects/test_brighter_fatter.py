@@ -37,7 +37,7 @@ def test_borders_move_by_the_field_over_them() -> None:
     beside = (border(0.5, 0, 0.6) - border(1.5, 0, 0.6) - 2 * border(0.5, 1, 0.4)) / nearest
     assert push.kernel[3, 4] == pytest.approx(beside, rel=1e-9)
     assert push.own[0] == pytest.approx(2.0 * -4.0, rel=1e-5)  # to first order in the share
-    assert push.beside[0] == pytest.approx(2.0 * beside, rel=1e-4)
+    assert push.right[0] == pytest.approx(2.0 * beside, rel=1e-4)
     assert push.below[0] == pytest.approx(2.0 * push.kernel[4, 3], rel=1e-4)
 
 

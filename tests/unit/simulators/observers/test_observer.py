@@ -12,7 +12,6 @@ from simulators.light_box.box import LightBoxTwin
 from simulators.observers.eye_kinetics import (
     Eye,
     bleached,
-    drawn_eye,
     eye_after_bleach,
     in_blind_spot,
     recovery_min,
@@ -20,6 +19,7 @@ from simulators.observers.eye_kinetics import (
 )
 from simulators.observers.observer import Habits, Observer
 from simulators.observers.observer_at_box import ObserverAtBox
+from testing.drawn_eyes import drawn_eye
 
 
 def test_bleach_settles_where_bleaching_and_regeneration_balance():

@@ -1,0 +1,308 @@
+"""Digital calibration certificates: writes results as DCC XML, and reads a value with its uncertainty from one.
+
+Source: Physikalisch-Technische Bundesanstalt, Digital Calibration Certificate, schema 3.1.2, with D-SI 2.1.0.
+"""
+
+from __future__ import annotations
+
+import xml.etree.ElementTree as ET
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final, Literal
+
+from pydantic import Field
+
+from radiometer.data import Contribution, Quantity
+from radiometer.data.reader_limits import bounded_reader
+from radiometer.data.storage import read_yaml
+from radiometer.data.validation import ConfigSection, validate
+from radiometer.errors import ConfigurationError, InputError
+
+SCHEMA_VERSION: Final = "3.1.2"
+LABORATORY_FORMAT: Final = "radiometer-laboratory/1"
+COVERAGE_PROBABILITY: Final = 0.9545  # of the coverage factors of readings
+_DCC, _SI = "https://ptb.de/dcc", "https://ptb.de/si"
+_XSI = "http://www.w3.org/2001/XMLSchema-instance"
+# Units of the product as the D-SI writes them.
+_UNITS: Final[Mapping[str, str]] = {
+    "W sr-1 m-2": r"\watt\steradian\tothe{-1}\metre\tothe{-2}",
+    "cd m-2": r"\candela\metre\tothe{-2}",
+    "J m-2": r"\joule\metre\tothe{-2}",
+    "1": r"\one",
+    "s": r"\second",
+    "°C": r"\degreecelsius",
+}
+_OF_SI: Final = {si: unit for unit, si in _UNITS.items()}
+
+
+class Party(ConfigSection):
+    """A laboratory or a customer.
+
+    Attributes:
+        name: Its name.
+        email: Its address for mail.
+        city: City.
+        country: Two capital letters (ISO 3166-1).
+        street: Street and number.
+        post_code: Post code.
+    """
+
+    name: str = Field(min_length=1)
+    email: str = Field(min_length=3)
+    city: str = Field(min_length=1)
+    country: str = Field(pattern="^[A-Z]{2}$")
+    street: str = ""
+    post_code: str = ""
+
+
+class Person(ConfigSection):
+    """Who answers for the result."""
+
+    name: str = Field(min_length=1)
+    role: str = ""
+
+
+class Item(ConfigSection):
+    """What was calibrated or measured.
+
+    Attributes:
+        name: What it is.
+        manufacturer: Who made it.
+        model: Its model.
+        serial: Its serial number.
+    """
+
+    name: str = Field(min_length=1)
+    manufacturer: str = Field(min_length=1)
+    model: str = ""
+    serial: str = Field(min_length=1)
+
+
+class Laboratory(ConfigSection):
+    """What a certificate states beyond the measurement; nothing of it has a default that would be a guess.
+
+    Attributes:
+        format: Name and version of the form.
+        language: Two small letters (ISO 639-1) of the texts.
+        place: Where it was measured.
+        laboratory: Who measured.
+        customer: For whom.
+        responsible: Who answers for it.
+        item: What was measured; of a calibration the camera, where the calibration states maker and serial number.
+    """
+
+    format: Literal["radiometer-laboratory/1"]
+    language: str = Field("en", pattern="^[a-z]{2}$")
+    place: Literal["laboratory", "customer", "laboratoryBranch", "customerBranch", "other"] = "laboratory"
+    laboratory: Party
+    customer: Party
+    responsible: Person
+    item: Item | None = None
+
+    @classmethod
+    def read(cls, path: Path) -> Laboratory:
+        """Read the file. Raises ConfigurationError naming key and line, InputError if it cannot be read."""
+        return validate(cls, read_yaml(path), str(path), ConfigurationError)
+
+
+@dataclass(frozen=True, slots=True)
+class Certified:
+    """What a certificate is made of.
+
+    Attributes:
+        identifier: Number of the certificate, unique in the laboratory.
+        title: Name of the measurement.
+        date: Day of it, ISO 8601.
+        method: How it was measured, in sentences.
+        item: What was measured.
+        equipment: Name and identification of each instrument and reference.
+        conditions: Name and text of each condition.
+        results: Name, value with standard uncertainty, and coverage factor of each result.
+        budget: Contributions to the uncertainty of the first result.
+        version: Version of the program.
+    """
+
+    identifier: str
+    title: str
+    date: str
+    method: tuple[str, ...]
+    item: Item
+    equipment: tuple[tuple[str, str], ...]
+    conditions: tuple[tuple[str, str], ...]
+    results: tuple[tuple[str, Quantity, float], ...]
+    budget: tuple[Contribution, ...]
+    version: str
+
+
+def certificate_xml(content: Certified, laboratory: Laboratory) -> str:
+    """Return the certificate as XML.
+
+    Args:
+        content: What was measured.
+        laboratory: Who measured it, for whom.
+
+    Raises:
+        InputError: If a result's unit has no form in D-SI.
+    """
+    for prefix, space in (("dcc", _DCC), ("si", _SI), ("xsi", _XSI)):
+        ET.register_namespace(prefix, space)
+    root = ET.Element(f"{{{_DCC}}}digitalCalibrationCertificate", {"schemaVersion": SCHEMA_VERSION})
+    root.set(f"{{{_XSI}}}schemaLocation", f"{_DCC} {_DCC}/v{SCHEMA_VERSION}/dcc.xsd")
+    _administrative(root, content, laboratory)
+    measured = _dcc(_dcc(root, "measurementResults"), "measurementResult")
+    _name(measured, content.title, laboratory)
+    method = _dcc(_dcc(measured, "usedMethods"), "usedMethod")
+    _name(method, "method", laboratory)
+    _texts(_dcc(method, "description"), content.method, laboratory)
+    if content.equipment:
+        equipment = _dcc(measured, "measuringEquipments")
+        for name, identification in content.equipment:
+            one = _dcc(equipment, "measuringEquipment")
+            _name(one, name, laboratory)
+            _identification(one, "calibrationLaboratory", identification)
+    if content.conditions:
+        conditions = _dcc(measured, "influenceConditions")
+        for name, text in content.conditions:
+            one = _dcc(conditions, "influenceCondition")
+            _name(one, name, laboratory)
+            _texts(_dcc(_dcc(one, "data"), "text"), (text,), laboratory)
+    results = _dcc(measured, "results")
+    for name, quantity, k in content.results:
+        result = _dcc(results, "result")
+        _name(result, name, laboratory)
+        _real(_dcc(_dcc(result, "data"), "quantity"), name, quantity, k)
+    if content.budget:
+        budget = _dcc(results, "result")
+        _name(budget, "uncertainty budget: relative standard uncertainties", laboratory)
+        lines = _dcc(_dcc(budget, "data"), "list")
+        for line in content.budget:
+            one = _dcc(lines, "quantity")
+            _name(one, f"{line.name} (type {line.kind})", laboratory)
+            _real(one, line.name, Quantity(line.u_rel, 0.0, "1"), None)
+    ET.indent(root)
+    return '<?xml version="1.0" encoding="UTF-8"?>\n' + ET.tostring(root, encoding="unicode") + "\n"
+
+
+def _administrative(root: ET.Element, content: Certified, laboratory: Laboratory) -> None:
+    data = _dcc(root, "administrativeData")
+    software = _dcc(_dcc(data, "dccSoftware"), "software")
+    _name(software, "radiometer", laboratory)
+    _dcc(software, "release", content.version)
+    core = _dcc(data, "coreData")
+    _dcc(core, "countryCodeISO3166_1", laboratory.laboratory.country)
+    _dcc(core, "usedLangCodeISO639_1", laboratory.language)
+    _dcc(core, "mandatoryLangCodeISO639_1", laboratory.language)
+    _dcc(core, "uniqueIdentifier", content.identifier)
+    _dcc(core, "beginPerformanceDate", content.date)
+    _dcc(core, "endPerformanceDate", content.date)
+    _dcc(core, "performanceLocation", laboratory.place)
+    item = _dcc(_dcc(data, "items"), "item")
+    _name(item, content.item.name, laboratory)
+    _name(_dcc(item, "manufacturer"), content.item.manufacturer, laboratory)
+    if content.item.model:
+        _dcc(item, "model", content.item.model)
+    _identification(item, "manufacturer", content.item.serial)
+    _contact(_dcc(_dcc(data, "calibrationLaboratory"), "contact"), laboratory.laboratory, laboratory)
+    person = _dcc(_dcc(data, "respPersons"), "respPerson")
+    _name(_dcc(person, "person"), laboratory.responsible.name, laboratory)
+    if laboratory.responsible.role:
+        _dcc(person, "role", laboratory.responsible.role)
+    _dcc(person, "mainSigner", "true")
+    _contact(_dcc(data, "customer"), laboratory.customer, laboratory)
+
+
+def _dcc(parent: ET.Element, tag: str, text: str | None = None) -> ET.Element:
+    element = ET.SubElement(parent, f"{{{_DCC}}}{tag}")
+    element.text = text
+    return element
+
+
+def _si(parent: ET.Element, tag: str, text: str | None = None) -> ET.Element:
+    element = ET.SubElement(parent, f"{{{_SI}}}{tag}")
+    element.text = text
+    return element
+
+
+def _name(parent: ET.Element, text: str, laboratory: Laboratory) -> None:
+    _texts(_dcc(parent, "name"), (text,), laboratory)
+
+
+def _texts(parent: ET.Element, texts: Sequence[str], laboratory: Laboratory) -> None:
+    for text in texts:
+        _dcc(parent, "content", text).set("lang", laboratory.language)
+
+
+def _identification(parent: ET.Element, issuer: str, value: str) -> None:
+    one = _dcc(_dcc(parent, "identifications"), "identification")
+    _dcc(one, "issuer", issuer)
+    _dcc(one, "value", value)
+
+
+def _contact(contact: ET.Element, party: Party, laboratory: Laboratory) -> None:
+    _name(contact, party.name, laboratory)
+    _dcc(contact, "eMail", party.email)
+    location = _dcc(contact, "location")
+    for tag, text in (("street", party.street), ("postCode", party.post_code), ("city", party.city)):
+        if text:
+            _dcc(location, tag, text)
+    _dcc(location, "countryCode", party.country)
+
+
+def _real(parent: ET.Element, label: str, quantity: Quantity, k: float | None) -> None:
+    """Add a value with its expanded uncertainty; without one where `k` is None."""
+    if quantity.unit not in _UNITS:
+        raise InputError(f"{label}: the unit {quantity.unit!r} has no form in D-SI that is known here")
+    real = _si(parent, "real")
+    _si(real, "label", label)
+    _si(real, "value", repr(float(quantity.value)))
+    _si(real, "unit", _UNITS[quantity.unit])
+    if k is not None:
+        expanded = _si(real, "expandedUnc")
+        _si(expanded, "uncertainty", repr(float(k * quantity.u)))
+        _si(expanded, "coverageFactor", repr(float(k)))
+        _si(expanded, "coverageProbability", repr(COVERAGE_PROBABILITY))
+
+
+# How releases of D-SI call uncertainty and coverage factor: 1.x and 2.1 the first, 2.2 and later the second.
+_UNCERTAINTIES: Final = (("uncertainty", "coverageFactor"), ("valueExpandedMU", "coverageFactor"))
+
+
+@bounded_reader(error=InputError)
+def read_certificate(path: Path, unit: str) -> Quantity:
+    """Return the value in a unit that a certificate states, with its standard uncertainty U/k.
+
+    Args:
+        path: DCC file of schema 2 or 3.
+        unit: "W sr-1 m-2" or "cd m-2".
+
+    Raises:
+        InputError: If it is no certificate, or does not state just one value in this unit with its uncertainty.
+    """
+    text = path.read_bytes()
+    if b"<!DOCTYPE" in text or b"<!ENTITY" in text:
+        raise InputError(f"{path}: holds a document type, which no certificate needs; it is not read")
+    try:
+        root = ET.fromstring(text)
+    except ET.ParseError as error:
+        raise InputError(f"{path}: is not XML: {error}") from error
+    if root.tag != f"{{{_DCC}}}digitalCalibrationCertificate":
+        raise InputError(f"{path}: is no digital calibration certificate; its first element is {root.tag!r}")
+    found = [one for one in root.iter(f"{{{_SI}}}real") if _OF_SI.get(_text(one, "unit").replace(" ", "")) == unit]
+    if len(found) != 1:
+        stated = ", ".join(sorted({_text(one, "unit") for one in root.iter(f"{{{_SI}}}real")})) or "none"
+        raise InputError(
+            f"{path}: states {len(found)} values in {unit}; just one is needed (units of its values: {stated})"
+        )
+    for uncertainty, factor in _UNCERTAINTIES:
+        try:
+            value, expanded = float(_text(found[0], "value")), float(_text(found[0], uncertainty))
+            return Quantity(value, expanded / float(_text(found[0], factor)), unit)
+        except (ValueError, ZeroDivisionError):
+            continue
+    raise InputError(f"{path}: the value in {unit} has no expanded uncertainty with its coverage factor")
+
+
+def _text(parent: ET.Element, tag: str) -> str:
+    found = next(parent.iter(f"{{{_SI}}}{tag}"), None)
+    return (found.text or "").strip() if found is not None else ""

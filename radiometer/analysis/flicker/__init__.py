@@ -1,0 +1,1 @@
+"""Temporal modulation of light: waveforms, and the measures of flicker and of the stroboscopic effect."""

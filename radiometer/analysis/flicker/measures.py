@@ -1,0 +1,283 @@
+"""Measures of temporal light modulation with their uncertainty: depth, index, frequency, SVM and PstLM.
+
+Source: CIE TN 012:2021 and IEEE 1789-2015 (modulation depth, flicker index), IEC TR 63158:2018 (SVM), IEC TR
+61547-1:2020 (PstLM).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from scipy.fft import irfft, rfft, rfftfreq
+from scipy.ndimage import uniform_filter1d
+from scipy.signal import bilinear, butter, lfilter, resample_poly
+from scipy.stats import chi2
+from scipy.stats import t as student_t
+
+from radiometer.analysis.flicker.waveform import Array, Period, Waveform, find_period, whole_periods
+from radiometer.data import Quantity
+from radiometer.errors import MeasurementError
+
+# SVM: exponent of the sum and band of its Fourier components (IEC TR 63158, clause 4; CIE TN 006:2016).
+_SVM_EXPONENT: Final = 3.7
+_SVM_BAND_HZ: Final = (80.0, 2000.0)
+# PstLM: block b's band, the eye's weighting of relative illuminance, block c's scale and time constant (IEC TR 61547-1,
+# annex A), and the percentiles of block d with their weights (IEC 61000-4-15, 5.7.2).
+_PST_BAND_HZ: Final = (0.05, 35.0)
+_PST_NUMERATOR: Final = (0.041661, 44.758, 2715.6, 29839.0, 0.0)
+_PST_DENOMINATOR: Final = (1.0, 196.32, 11781.0, 534820.0, 3505380.0)
+_PST_SCALE: Final = 1.101603155420234e6
+_PST_SMOOTHING_S: Final = 0.3
+_PST_PERCENTILES: Final = (
+    (0.0314, (0.1,)),
+    (0.0525, (0.7, 1.0, 1.5)),
+    (0.0657, (2.2, 3.0, 4.0)),
+    (0.28, (6.0, 8.0, 10.0, 13.0, 17.0)),
+    (0.08, (30.0, 50.0, 80.0)),
+)
+_PST_TRANSIENT_S: Final = 20.0  # that the filters need to settle; left out (IEC TR 61547-1)
+_PST_REPEATED_S: Final = 5.0  # behind the transient, of a periodic record: its sensation repeats with it
+_PST_RATE_HZ: Final = 2000.0  # the least that the filters are specified for
+_MOST_BLOCKS: Final = 16  # of whole periods, of which the scatter is taken
+_SMOOTHED_SHARE: Final = 1 / 200  # of a period: mean over it before extremes are taken
+_COVERAGE: Final = 0.9545  # of the expanded uncertainty
+
+
+@dataclass(frozen=True, slots=True)
+class Flicker:
+    """How light is modulated in time.
+
+    Attributes:
+        frequency: Dominant frequency in Hz; None where nothing repeats beyond noise.
+        modulation_depth: (max − min)/(max + min), also called percent flicker.
+        flicker_index: Area above the mean over the whole area of a period.
+        svm: Stroboscopic visibility measure; None where the record cannot give it.
+        pst_lm: Short-term flicker severity of light; None where the record cannot give it.
+        coverage_factor: k of the expanded uncertainty at 95.45 %: Student's t for the blocks whose scatter was taken.
+        periods: Whole periods that took part; 0 where there is no period.
+        assumptions: What was assumed, a sentence each.
+        warnings: What makes a figure doubtful, a sentence each.
+    """
+
+    frequency: Quantity | None
+    modulation_depth: Quantity
+    flicker_index: Quantity
+    svm: Quantity | None
+    pst_lm: Quantity | None
+    coverage_factor: float
+    periods: int
+    assumptions: tuple[str, ...]
+    warnings: tuple[str, ...]
+
+
+def measure_flicker(waveform: Waveform) -> Flicker:
+    """Return the measures of a waveform with their standard uncertainty.
+
+    The scatter between blocks of whole periods gives the statistical part, by leaving out one block at a time. The
+    value of darkness adds u_dark over the mean light, for it scales every modulation.
+
+    Args:
+        waveform: At least two periods, or any record of light without a period.
+
+    Raises:
+        MeasurementError: If the mean light is not above 0.
+    """
+    mean = float(waveform.light.mean())
+    if not mean > 0.0:
+        raise MeasurementError(
+            f"{waveform.origin}: the mean light is {mean:.4g}, not above 0; state the value of darkness by --dark"
+        )
+    period = find_period(waveform)
+    part, periods = whole_periods(waveform, period)
+    blocks = max(2, min(_MOST_BLOCKS, periods)) if periods > 1 else 0
+    assumptions, warnings = list(waveform.assumptions), list[str]()
+    if not periods or period is None:
+        warnings.append("no repetition was found beyond noise: the measures are of the whole record")
+    else:
+        assumptions.append(
+            f"modulation depth and flicker index are of the mean of {periods} periods: light that does not repeat with "
+            "them is averaged out"
+        )
+    u_dark_rel = waveform.u_dark / mean
+
+    def with_u(of: Callable[[Waveform, Period | None], float]) -> Quantity:
+        value = of(part, period)
+        scatter = _jackknife(of, part, period, blocks, periods)
+        return Quantity(value, math.hypot(scatter, abs(value) * u_dark_rel), "1")
+
+    depth = with_u(modulation_depth)
+    depth = Quantity(depth.value, math.hypot(depth.u, _extreme_bias(part, period) / math.sqrt(12.0)), "1")
+    if depth.value - 2.0 * depth.u > 1.0:
+        warnings.append("the light falls below the value of darkness: state that value by --dark")
+    svm = pst = None
+    if waveform.rate_hz < 2.0 * _SVM_BAND_HZ[1]:
+        warnings.append(
+            f"SVM is not determined: it needs {2.0 * _SVM_BAND_HZ[1]:g} samples per s, the record has "
+            f"{waveform.rate_hz:.4g}"
+        )
+    else:
+        svm = with_u(stroboscopic_visibility)
+        if waveform.duration_s < 1.0:
+            assumptions.append(f"SVM: the light goes on after {waveform.duration_s:.3g} s as it did before")
+    if waveform.rate_hz < _PST_RATE_HZ:
+        warnings.append(
+            f"PstLM is not determined: it needs {_PST_RATE_HZ:g} samples per s, the record has {waveform.rate_hz:.4g}"
+        )
+    elif waveform.duration_s < 3 * _PST_TRANSIENT_S and not periods:
+        warnings.append(f"PstLM is not determined: the record has {waveform.duration_s:.3g} s and no repetition")
+    else:
+        pst = with_u(short_term_severity)
+        if waveform.duration_s < 3 * _PST_TRANSIENT_S:
+            assumptions.append(f"PstLM: the light goes on after {waveform.duration_s:.3g} s as it did before")
+    warnings += _averaging_warnings(waveform, period)
+    frequency = None if period is None else Quantity(period.frequency_hz, period.u_hz, "Hz")
+    k = float(student_t.ppf(0.5 + _COVERAGE / 2.0, blocks - 1)) if blocks else 2.0
+    return Flicker(frequency, depth, with_u(flicker_index), svm, pst, k, periods, tuple(assumptions), tuple(warnings))
+
+
+def modulation_depth(waveform: Waveform, period: Period | None = None) -> float:
+    """Return (max − min)/(max + min) of the mean period, or of the record where there is no period.
+
+    Extremes are of means over a two-hundredth of a period. Half of what noise adds to them is taken off.
+    """
+    shape = _smooth(_periods(waveform, period)).mean(axis=0)
+    high, low = float(shape.max()), float(shape.min())
+    return (high - low) / (high + low) - _extreme_bias(waveform, period) / 2.0
+
+
+def flicker_index(waveform: Waveform, period: Period | None = None) -> float:
+    """Return the area above the mean over the whole area of the mean period, 0 to 1."""
+    shape = _periods(waveform, period).mean(axis=0)
+    return float(np.maximum(shape - shape.mean(), 0.0).sum() / shape.sum())
+
+
+def svm_threshold(frequency_hz: Array) -> Array:
+    """Return the modulation depth at which an average observer just sees the stroboscopic effect of a sinusoid.
+
+    Args:
+        frequency_hz: Frequencies, any shape.
+
+    Source: IEC TR 63158:2018; Perz et al. 2018, J. Opt. Soc. Am. A 35, 309: T = 2.865e-5·(f/Hz)^1.543 + 0.225.
+    """
+    return np.asarray(2.865e-5 * np.power(frequency_hz, 1.543) + 0.225)
+
+
+def stroboscopic_visibility(waveform: Waveform, period: Period | None = None) -> float:
+    """Return the stroboscopic visibility measure, (Σ (C_m/T_m)^3.7)^(1/3.7) over the components from 80 Hz to 2 kHz.
+
+    C_m is the amplitude of a Fourier component over the mean, T_m the threshold of a sinusoid of its frequency. An
+    average over the exposure time of each sample is corrected.
+    """
+    part = whole_periods(waveform, period)[0]
+    light = part.light
+    amplitude = 2.0 * np.abs(rfft(light)) / light.size / light.mean()
+    frequency_hz = rfftfreq(light.size, 1.0 / part.rate_hz)
+    within = (frequency_hz >= _SVM_BAND_HZ[0]) & (frequency_hz <= _SVM_BAND_HZ[1])
+    kept = np.abs(np.sinc(frequency_hz[within] * part.averaged_s))  # numpy's sinc holds the π
+    seen = amplitude[within] / np.maximum(kept, _LEAST_KEPT)
+    return float(np.sum((seen / svm_threshold(frequency_hz[within])) ** _SVM_EXPONENT) ** (1.0 / _SVM_EXPONENT))
+
+
+def short_term_severity(waveform: Waveform, period: Period | None = None) -> float:
+    """Return PstLM, the short-term flicker severity of a light waveform.
+
+    The relative light passes a band-pass of 0.05 to 35 Hz and the eye's weighting, is squared and smoothed over 0.3 s;
+    percentiles of the result give the severity. A record below a minute is repeated by whole periods.
+    """
+    light, rate_hz = _for_severity(waveform, period)
+    relative = light / light.mean() - 1.0
+    relative = lfilter(*butter(1, _PST_BAND_HZ[0], "high", fs=rate_hz), relative)
+    start = min(round(rate_hz / 10.0), relative.size)
+    relative[:start] *= np.linspace(0.0, 1.0, start)
+    relative = lfilter(*butter(6, _PST_BAND_HZ[1], "low", fs=rate_hz), relative)
+    weighted = lfilter(*bilinear(_PST_NUMERATOR, _PST_DENOMINATOR, fs=rate_hz), relative)
+    smoothing = butter(1, 1.0 / (2.0 * math.pi * _PST_SMOOTHING_S), "low", fs=rate_hz)
+    sensation = _PST_SCALE * lfilter(*smoothing, weighted**2)[round(_PST_TRANSIENT_S * rate_hz) :]
+    total = sum(
+        weight * float(np.mean(np.percentile(sensation, 100.0 - np.array(exceeded))))
+        for weight, exceeded in _PST_PERCENTILES
+    )
+    return math.sqrt(max(total, 0.0))
+
+
+_LEAST_KEPT: Final = 0.2  # of an amplitude that an exposure keeps; below, the correction would amplify noise
+
+
+def _for_severity(waveform: Waveform, period: Period | None) -> tuple[Array, float]:
+    """Return light and rate in Hz, at 2 to 4 kHz: long enough, repeated by whole periods where the record is short."""
+    if waveform.duration_s >= 3 * _PST_TRANSIENT_S:
+        down = max(1, int(waveform.rate_hz / _PST_RATE_HZ))
+        light = waveform.light if down == 1 else resample_poly(waveform.light, 1, down, padtype="mean")
+        return light, waveform.rate_hz / down
+    part = whole_periods(waveform, period)[0]
+    size = max(2, math.ceil(part.duration_s * _PST_RATE_HZ / 2.0) * 2)  # samples of one repetition
+    size = min(size, part.light.size)
+    spectrum = rfft(part.light)[: size // 2 + 1]
+    once = irfft(spectrum, size) * size / part.light.size
+    settling = math.ceil(_PST_TRANSIENT_S / part.duration_s)
+    repeats = settling + math.ceil(_PST_REPEATED_S / part.duration_s)
+    return np.tile(once, repeats), size / part.duration_s
+
+
+def _periods(waveform: Waveform, period: Period | None) -> Array:
+    """Return every whole period by itself, shape (periods, samples); the record as one where there is no period."""
+    part, count = whole_periods(waveform, period)
+    if not count:
+        return part.light[None, :]
+    samples = max(2, part.light.size // count)
+    at = np.arange(count * samples) * part.light.size / (count * samples)
+    return np.interp(at, np.arange(part.light.size), part.light).reshape(count, samples)
+
+
+def _smooth(shapes: Array) -> Array:
+    """Return means over a two-hundredth of a period, around its end."""
+    over = max(1, round(shapes.shape[1] * _SMOOTHED_SHARE))
+    return shapes if shapes.shape[0] < 2 or over < 2 else uniform_filter1d(shapes, over, axis=1, mode="wrap")
+
+
+def _extreme_bias(waveform: Waveform, period: Period | None) -> float:
+    """Return by how much noise raises the modulation depth at most: that of a flat top and a flat bottom.
+
+    The extreme of n independent values of noise is about √(2·ln n) standard deviations off. The standard deviation is
+    that of the mean period, from the scatter of the periods.
+    """
+    shapes = _periods(waveform, period)
+    if shapes.shape[0] < 2:
+        return 0.0
+    smooth = _smooth(shapes)
+    # The median over the phases, for steep edges scatter by the steps of time; χ² has its median below its mean.
+    freedom = shapes.shape[0] - 1
+    variance = float(np.median(np.var(smooth, axis=0, ddof=1))) * freedom / float(chi2.median(freedom))
+    sigma = math.sqrt(variance / shapes.shape[0])
+    return sigma / float(shapes.mean()) * math.sqrt(2.0 * math.log(1.0 / _SMOOTHED_SHARE))
+
+
+def _jackknife(
+    of: Callable[[Waveform, Period | None], float], part: Waveform, period: Period | None, blocks: int, periods: int
+) -> float:
+    """Return the standard uncertainty of a measure by leaving out one block of whole periods at a time."""
+    if blocks < 2:
+        return 0.0
+    edges = np.round(np.linspace(0, periods, blocks + 1)) * part.light.size / periods
+    values = []
+    for first, last in zip(edges[:-1].round().astype(int), edges[1:].round().astype(int), strict=True):
+        left = np.concatenate([part.light[:first], part.light[last:]])
+        values.append(of(Waveform(left, part.rate_hz, part.origin, averaged_s=part.averaged_s), period))
+    return float(np.sqrt((blocks - 1) * np.var(values)))
+
+
+def _averaging_warnings(waveform: Waveform, period: Period | None) -> list[str]:
+    """Return what averaging over the exposure of each sample hides."""
+    if period is None or waveform.averaged_s <= 0.0:
+        return []
+    kept = abs(float(np.sinc(period.frequency_hz * waveform.averaged_s)))
+    if kept > 0.99:
+        return []
+    return [
+        f"each sample averages over {1e3 * waveform.averaged_s:.3g} ms and keeps {100 * kept:.0f} % of the amplitude "
+        f"at {period.frequency_hz:.4g} Hz: modulation depth and flicker index are lower bounds; take a shorter exposure"
+    ]

@@ -1,1 +1,0 @@
-"""Uncertainty budgets after the GUM, and the propagation of distributions."""

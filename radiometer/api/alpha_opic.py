@@ -1,0 +1,181 @@
+"""α-opic quantities (CIE S 026) of a value, a reading or a level of a screen whose spectrum is known."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+from radiometer.analysis.photometry.alpha_opic import (
+    UNITS,
+    AlphaOpic,
+    SpectrumDoubt,
+    alpha_opic_quantities,
+)
+from radiometer.analysis.photometry.photometry import spectrum as spectrum_of
+from radiometer.api.files import PathLike
+from radiometer.api.result import Result
+from radiometer.data import Quantity, Reading
+from radiometer.data.drawing import new_axes, picture, write_figure
+from radiometer.data.storage import read_text
+from radiometer.errors import InputError, UsageError
+from radiometer.screen.calibration import LUMINANCE, ScreenCalibration
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+_SPELT: Final = {
+    "cd": "cd m-2", "cd/m2": "cd m-2", "cd·m⁻²": "cd m-2", "lux": "lx",
+    "W": "W sr-1 m-2", "W/sr/m2": "W sr-1 m-2", "W·sr⁻¹·m⁻²": "W sr-1 m-2", "W/m2": "W m-2", "W·m⁻²": "W m-2",
+}  # fmt: skip
+
+
+@dataclass(frozen=True, repr=False)
+class AlphaOpicQuantities(Result):
+    """The five α-opic quantities of one light.
+
+    Examples:
+        >>> import radiometer as rm
+        >>> found = rm.alpha_opic(100.0, "lx", spectrum="cie_d65")
+        >>> round(found["melanopic"].equivalent_daylight.value, 6)
+        100.0
+
+    Attributes:
+        source: The value that they were made of, with its standard uncertainty.
+        spectrum: Name of its spectrum.
+        quantities: One per receptor.
+        assumptions: What was assumed, a sentence each.
+    """
+
+    source: Quantity
+    spectrum: str
+    quantities: tuple[AlphaOpic, ...]
+    assumptions: tuple[str, ...] = ()
+
+    def __getitem__(self, receptor: str) -> AlphaOpic:
+        """Return the quantities of a receptor, such as "melanopic". Raises KeyError."""
+        return {one.receptor: one for one in self.quantities}[receptor]
+
+    def to_mapping(self) -> dict[str, Any]:
+        """Return the documented JSON form."""
+        return {
+            "source": self.source.to_mapping(),
+            "spectrum": self.spectrum,
+            "quantities": {
+                one.receptor: {
+                    "quantity": one.quantity.to_mapping(),
+                    "equivalent_daylight": one.equivalent_daylight.to_mapping(),
+                    "efficacy": one.efficacy_mw_lm.to_mapping(),
+                    "daylight_efficacy_ratio": one.daylight_ratio.to_mapping(),
+                }
+                for one in self.quantities
+            },
+            "assumptions": list(self.assumptions),
+        }
+
+    def plot(self, axes: Axes | None = None) -> Axes:
+        """Draw the α-opic daylight efficacy ratios with their expanded uncertainty (k = 2).
+
+        Args:
+            axes: Where to draw; a new figure by default.
+        """
+        where = axes if axes is not None else new_axes()
+        names = [one.receptor.replace("_", "-") for one in self.quantities]
+        ratios = [one.daylight_ratio for one in self.quantities]
+        where.barh(names, [one.value for one in ratios], xerr=[2 * one.u for one in ratios], color="tab:blue")
+        where.axvline(1.0, color="black", linewidth=0.8, linestyle=":")
+        where.invert_yaxis()
+        where.set_xlabel(f"efficacy over that of daylight D65, of {self.spectrum} (k = 2)")
+        return where
+
+    def write_plot(self, path: PathLike) -> None:
+        """Draw it into a PNG, PDF or SVG file. Raises UsageError for another ending, OutputError."""
+        write_figure(Path(path), self.plot())
+
+    def _repr_html_(self) -> str:
+        return picture(self.plot, repr(self))
+
+    def __str__(self) -> str:
+        """Return the melanopic equivalent daylight quantity in one line."""
+        edi = self["melanopic"].equivalent_daylight
+        return f"melanopic equivalent daylight {edi.value:.4g} ± {2 * edi.u:.2g} {edi.unit} (k = 2)"
+
+
+def alpha_opic(
+    value: float | Reading | None = None,
+    unit: str = "cd m-2",
+    *,
+    u: float = 0.0,
+    reading: PathLike | None = None,
+    screen: ScreenCalibration | PathLike | None = None,
+    level: float | None = None,
+    channel: str = "grey",
+    spectrum: str | None = None,
+    spectrum_u_rel: float = 0.0,
+    wavelength_u_nm: float = 0.0,
+) -> AlphaOpicQuantities:
+    """Convert a radiance, luminance, irradiance or illuminance into the five α-opic quantities of CIE S 026.
+
+    Examples:
+        >>> import radiometer as rm
+        >>> rm.alpha_opic(100.0, "cd m-2", u=1.0, spectrum="white_led")
+        <AlphaOpicQuantities melanopic equivalent daylight 63... ± 1... cd m-2 (k = 2)>
+
+    Args:
+        value: Value to convert, or a reading; one of value, reading file and screen is given.
+        unit: Unit of a value: "cd m-2", "lx", "W sr-1 m-2" or "W m-2".
+        u: Its standard uncertainty in the same unit.
+        reading: File that holds the JSON of a reading; its luminance counts, else its radiance.
+        screen: Screen calibration, or its file.
+        level: Level of the screen.
+        channel: Channel of the screen.
+        spectrum: Spectrum of the light by name, or a CSV of wavelength and relative power; a screen's own by default.
+        spectrum_u_rel: Relative standard uncertainty of each entry of the spectrum, independent of the others.
+        wavelength_u_nm: Standard uncertainty of the spectrum's wavelength scale in nm.
+
+    Raises:
+        UsageError: If not exactly one source is given, no spectrum is known, or options contradict each other.
+        InputError: If spectrum, unit or file cannot be used.
+        CalibrationError: If the screen has no such channel.
+    """
+    if sum(one is not None for one in (value, reading, screen)) != 1:
+        raise UsageError("give one of a value, --reading FILE and --screen FILE")
+    if (level is None) != (screen is None):
+        raise UsageError("--screen and --level need each other")
+    for name, doubt in (("--spectrum-u-rel", spectrum_u_rel), ("--wavelength-u", wavelength_u_nm)):
+        if doubt and spectrum is None:
+            raise UsageError(f"{name} needs --spectrum: it says how well that is known")
+    named, assumptions = spectrum, list[str]()
+    if screen is not None and level is not None:
+        known = screen if isinstance(screen, ScreenCalibration) else ScreenCalibration.read(Path(screen))
+        curve = known.channel(channel)
+        source = curve.at(level, LUMINANCE)
+        if named is None:
+            named = curve.spectrum
+            assumptions.append(f"the spectrum of {channel} is that of the screen's calibration: {named}")
+    elif isinstance(value, Reading):
+        source = value.luminance if value.luminance is not None else value.radiance
+    elif reading is not None:
+        source = _quantity_of_file(Path(reading))
+    else:
+        source = Quantity(float(value or 0.0), u, _SPELT.get(unit, unit))
+    if source.unit not in UNITS:
+        raise UsageError(f"unit {source.unit!r}: choose {', '.join(UNITS)}")
+    if named is None:
+        raise UsageError("α-opic quantities depend on the spectrum: state --spectrum NAME or FILE.csv")
+    if not spectrum_u_rel and not wavelength_u_nm:
+        assumptions.append(f"the spectrum {named} is exact; --spectrum-u-rel states how well it is known")
+    light = spectrum_of(named)
+    found = alpha_opic_quantities(source, light, SpectrumDoubt(spectrum_u_rel, wavelength_u_nm))
+    return AlphaOpicQuantities(source, light.name, found, tuple(assumptions))
+
+
+def _quantity_of_file(path: Path) -> Quantity:
+    """Return the luminance of a reading's JSON, or its radiance where it has none. Raises InputError."""
+    try:
+        content = json.loads(read_text(path))
+        stated = content["luminance"] or content["radiance"]
+        return Quantity(float(stated["value"]), float(stated["u"]), str(stated["unit"]))
+    except (ValueError, KeyError, TypeError, RecursionError) as error:
+        raise InputError(f"{path}: is not the JSON of a reading, as `radiometer measure --json` prints it") from error

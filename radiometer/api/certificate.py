@@ -1,0 +1,217 @@
+"""Digital calibration certificates of readings and calibrations."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+import radiometer
+from radiometer.analysis.exports.certificate import Certified, Item, Laboratory, certificate_xml
+from radiometer.api.files import PathLike
+from radiometer.api.result import Result
+from radiometer.data import Calibration, Contribution, Quantity, Reading
+from radiometer.data.storage import check_outputs, read_text, write_text_atomic
+from radiometer.errors import InputError, UsageError
+from radiometer.reporting.numbers import unit_text, with_u
+from radiometer.reporting.page import listed, page, section, table
+
+_RELATIVE: Final = "a relative value has no SI unit and cannot be certified; calibrate the camera first"
+_READING_METHOD: Final = (
+    "An imaging sensor reads the patch at several exposures. Its response, black level and absolute scale come from "
+    "the calibration that is named as equipment. The uncertainty follows the GUM; its budget is given.",
+)
+_K: Final = 2.0  # of a calibration's scale
+
+
+@dataclass(frozen=True, repr=False)
+class Certificate(Result):
+    """A digital calibration certificate.
+
+    Attributes:
+        content: What it states of the measurement.
+        laboratory: Who measured, for whom.
+        file: The XML file; None where it was not written.
+        page: The page for people next to it; None where it was not written.
+    """
+
+    content: Certified
+    laboratory: Laboratory
+    file: Path | None = None
+    page: Path | None = None
+
+    def to_xml(self) -> str:
+        """Return the certificate as XML. Raises InputError if a unit has no form in D-SI."""
+        return certificate_xml(self.content, self.laboratory)
+
+    def to_html(self) -> str:
+        """Return the certificate as one self-contained page."""
+        content, laboratory = self.content, self.laboratory
+        results = [
+            (name, with_u(one.value, k * one.u, unit_text(one.unit)), f"{k:.3g}") for name, one, k in content.results
+        ]
+        parties = [
+            ("certificate", content.identifier),
+            ("date", content.date),
+            ("item", " ".join(filter(None, (content.item.manufacturer, content.item.model, content.item.name)))),
+            ("serial number", content.item.serial),
+            ("laboratory", f"{laboratory.laboratory.name}, {laboratory.laboratory.city}"),
+            ("customer", f"{laboratory.customer.name}, {laboratory.customer.city}"),
+            ("responsible", " ".join(filter(None, (laboratory.responsible.name, laboratory.responsible.role)))),
+            *content.equipment,
+            *content.conditions,
+        ]
+        budget = [(line.name, line.kind, f"{100 * line.u_rel:.2g} %") for line in content.budget]
+        parts = [
+            section("Result", table(("quantity", "value", "k"), results, words=(0,))),
+            section("Certificate", table(("", ""), parties, words=(0, 1))),
+            section("Method", listed(content.method)),
+            section("Uncertainty budget", table(("contribution", "type", "u (k = 1)"), budget, words=(0,))),
+        ]
+        return page(
+            content.title, f"{content.results[0][0]}: {results[0][1]} (k = {results[0][2]})", parts, kind="certificate"
+        )
+
+    def to_mapping(self) -> dict[str, Any]:
+        """Return the documented JSON form."""
+        return {
+            "identifier": self.content.identifier,
+            "item": self.content.item.model_dump(mode="json"),
+            "date": self.content.date,
+            "results": {name: {**one.to_mapping(), "coverage_factor": k} for name, one, k in self.content.results},
+            "file": None if self.file is None else str(self.file),
+            "page": None if self.page is None else str(self.page),
+        }
+
+    def __str__(self) -> str:
+        """Return number, item and first result in one line."""
+        name, one, k = self.content.results[0]
+        value = with_u(one.value, k * one.u, unit_text(one.unit))
+        return f"{self.content.identifier}: {self.content.item.name} {self.content.item.serial}, {name} {value}"
+
+
+def certificate(
+    source: Reading | Calibration | PathLike,
+    out: PathLike | None = None,
+    *,
+    laboratory: PathLike,
+    identifier: str,
+    force: bool = False,
+) -> Certificate:
+    """Make a digital calibration certificate (DCC) of a reading or of a calibration.
+
+    Examples:
+        >>> import radiometer as rm
+        >>> made = rm.certificate("calibration.yaml", laboratory="laboratory.yaml", identifier="2026-001")
+        >>> made
+        <Certificate 2026-001: ...>
+
+    Args:
+        source: A reading, the file with its JSON, or a calibration or its file.
+        out: XML file to write; a page for people is written next to it with the ending .html.
+        laboratory: YAML file (`radiometer-laboratory/1`) with laboratory, customer, responsible person and item.
+        identifier: Number of the certificate, unique in the laboratory.
+        force: Replace files that exist.
+
+    Raises:
+        UsageError: If the item or its maker is not stated, or the value is a relative one.
+        InputError: If a file cannot be used.
+        OutputError: If a file cannot be written.
+    """
+    if not identifier.strip():
+        raise UsageError("--identifier: a certificate needs a number")
+    target = None if out is None else Path(out)
+    beside = None if target is None else target.with_suffix(".html")
+    check_outputs(*(file for file in (target, beside) if file is not None), force=force)
+    known = Laboratory.read(Path(laboratory))
+    content = _certified(source, known, identifier.strip())
+    made = Certificate(content, known, target, beside)
+    if target is not None and beside is not None:
+        write_text_atomic(target, made.to_xml())
+        write_text_atomic(beside, made.to_html())
+    return made
+
+
+def _certified(source: Reading | Calibration | PathLike, laboratory: Laboratory, identifier: str) -> Certified:
+    if isinstance(source, Calibration):
+        return _of_calibration(source, laboratory, identifier)
+    if isinstance(source, Reading):
+        return _of_reading(source.to_mapping(), source.budget, laboratory, identifier)
+    path = Path(source)
+    if path.suffix.lower() in (".yaml", ".yml"):
+        return _of_calibration(Calibration.read(path), laboratory, identifier)
+    try:
+        content = json.loads(read_text(path))
+        budget = [
+            Contribution(str(line["name"]), float(line["u_rel"]), str(line.get("kind", "B")))
+            for line in content.get("budget", [])
+        ]
+        return _of_reading(content, tuple(budget), laboratory, identifier)
+    except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
+        raise InputError(f"{path}: is neither the JSON of a reading nor the YAML of a calibration") from error
+
+
+def _of_reading(
+    content: dict[str, Any], budget: tuple[Contribution, ...], laboratory: Laboratory, identifier: str
+) -> Certified:
+    if laboratory.item is None:
+        raise UsageError(
+            "the laboratory file states no item; a certificate of a reading needs the source that was read"
+        )
+    stated = {name: content[name] for name in ("radiance", "luminance") if content.get(name)}
+    if stated["radiance"]["unit"] == "relative":
+        raise UsageError(_RELATIVE)
+    k = float(content["coverage_factor"])
+    conditions = [("exposure times", ", ".join(f"{one:.4g} s" for one in content["exposures_s"]))]
+    patch = content["patch"]
+    conditions.append(
+        ("region of the picture", f"{patch['x']},{patch['y']} {patch['width']} × {patch['height']} pixels")
+    )
+    conditions += [("flag", str(flag)) for flag in content["flags"]]
+    conditions += [("assumption", str(one)) for one in content.get("assumptions", [])]
+    return Certified(
+        identifier=identifier,
+        title="radiance of a patch",
+        date=str(content["time"])[:10],
+        method=_READING_METHOD,
+        item=laboratory.item,
+        equipment=(("camera", str(content["instrument"])),),
+        conditions=tuple(conditions),
+        results=tuple(
+            (name, Quantity(float(one["value"]), float(one["u"]), str(one["unit"])), k) for name, one in stated.items()
+        ),
+        budget=budget,
+        version=radiometer.__version__,
+    )
+
+
+def _of_calibration(calibration: Calibration, laboratory: Laboratory, identifier: str) -> Certified:
+    if not calibration.absolute:
+        raise UsageError(_RELATIVE)
+    camera, scale = calibration.camera, calibration.scale
+    item = laboratory.item
+    if item is None:
+        if not (camera.vendor and camera.serial):
+            raise UsageError(
+                "the calibration states no maker and serial number of its camera; state the item in the laboratory file"
+            )
+        item = Item(name="camera", manufacturer=camera.vendor, model=camera.model or "", serial=camera.serial)
+    conditions = [("spectrum", calibration.spectrum)]
+    if scale.f_number is not None:
+        conditions.append(("f-number", f"{scale.f_number:g}"))
+    conditions += [("assumption", one) for one in calibration.provenance.assumptions]
+    return Certified(
+        identifier=identifier,
+        title="radiometric calibration of a camera",
+        date=calibration.created[:10],
+        method=(calibration.provenance.method, f"The scale is by {scale.method.replace('_', ' ')}."),
+        item=item,
+        equipment=(("reference", scale.reference),) if scale.reference else (),
+        conditions=tuple(conditions),
+        results=(
+            ("exposure per unit of the linear signal", Quantity(scale.value, scale.value * scale.u_rel, "J m-2"), _K),
+        ),
+        budget=tuple(Contribution(name, u_rel) for name, u_rel in scale.budget.items()),
+        version=radiometer.__version__,
+    )

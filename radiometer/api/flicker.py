@@ -1,0 +1,202 @@
+"""How light is modulated in time: from a waveform, or from the rows of a rolling-shutter frame."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from radiometer.analysis.flicker.measures import Flicker, measure_flicker
+from radiometer.analysis.flicker.waveform import Waveform, find_period, read_waveform, waveform_of_rows
+from radiometer.api.files import PathLike
+from radiometer.api.meter import PatchLike, as_patch
+from radiometer.api.result import Notice, Result, unheard
+from radiometer.data import Quantity
+from radiometer.data.drawing import new_axes, picture, write_figure
+from radiometer.data.statements import StatementMap
+from radiometer.errors import InputError, UsageError
+from radiometer.importing.photograph_pixels import read_photograph
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+_TABLES = (".csv", ".txt", ".tsv", ".dat")
+_CODED = (".jpg", ".jpeg")
+_MOST_DRAWN = 4000
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class FlickerReport(Result):
+    """The modulation of a light in time.
+
+    Examples:
+        >>> import radiometer as rm
+        >>> found = rm.flicker("lamp.csv", dark=0.0)
+        >>> round(found.measures.frequency.value), found.measures.svm.unit
+        (100, '1')
+
+    Attributes:
+        waveform: What was measured.
+        measures: Frequency, modulation depth, flicker index, SVM and PstLM.
+        row_time: Time from row to row in s, of a rolling-shutter frame.
+    """
+
+    waveform: Waveform
+    measures: Flicker
+    row_time: Quantity | None = None
+
+    def to_mapping(self) -> dict[str, Any]:
+        """Return the documented JSON form."""
+        found = self.measures
+        named = {
+            "frequency": found.frequency,
+            "modulation_depth": found.modulation_depth,
+            "flicker_index": found.flicker_index,
+            "svm": found.svm,
+            "pst_lm": found.pst_lm,
+            "row_time": self.row_time,
+        }
+        return {
+            "source": self.waveform.origin,
+            "rate_Hz": self.waveform.rate_hz,
+            "duration_s": self.waveform.duration_s,
+            "periods": found.periods,
+            "coverage_factor": found.coverage_factor,
+            **{name: None if one is None else one.to_mapping() for name, one in named.items()},
+            "assumptions": list(found.assumptions),
+            "warnings": list(found.warnings),
+        }
+
+    def plot(self, axes: Axes | None = None) -> Axes:
+        """Draw some periods of the light over its mean.
+
+        Args:
+            axes: Where to draw; a new figure by default.
+        """
+        where = axes if axes is not None else new_axes()
+        frequency = self.measures.frequency
+        shown_s = self.waveform.duration_s if frequency is None else 4.0 / frequency.value
+        count = max(2, min(self.waveform.light.size, math.ceil(shown_s * self.waveform.rate_hz)))
+        step = max(1, count // _MOST_DRAWN)
+        relative = self.waveform.light[:count:step] / self.waveform.light.mean()
+        where.plot(1e3 * np.arange(count)[::step] / self.waveform.rate_hz, relative, linewidth=1.0)
+        where.set_xlabel("time in ms")
+        where.set_ylabel("light over its mean")
+        where.set_ylim(bottom=min(0.0, float(relative.min())))
+        return where
+
+    def write_plot(self, path: PathLike) -> None:
+        """Draw it into a PNG, PDF or SVG file. Raises UsageError for another ending, OutputError."""
+        write_figure(Path(path), self.plot())
+
+    def _repr_html_(self) -> str:
+        return picture(self.plot, repr(self))
+
+    def __str__(self) -> str:
+        """Return frequency, depth and SVM in one line."""
+        found, k = self.measures, self.measures.coverage_factor
+        depth = (
+            f"modulation depth {100 * found.modulation_depth.value:.3g} ± {100 * k * found.modulation_depth.u:.2g} %"
+        )
+        at = "no repetition" if found.frequency is None else f"{found.frequency.value:.5g} Hz"
+        svm = "" if found.svm is None else f", SVM {found.svm.value:.3g} ± {k * found.svm.u:.2g}"
+        return f"{at}, {depth}{svm} (k = {k:.3g})"
+
+
+def flicker(
+    source: PathLike,
+    *,
+    dark: float | None = None,
+    u_dark: float = 0.0,
+    mapped: StatementMap | Sequence[str] = (),
+    row_time: float | None = None,
+    known_frequency: float | None = None,
+    exposure: float | None = None,
+    black_level: float | None = None,
+    flat: PathLike | None = None,
+    patch: PatchLike | None = None,
+    notice: Notice = unheard,
+) -> FlickerReport:
+    """Measure flicker and the stroboscopic effect of a light.
+
+    Examples:
+        >>> import radiometer as rm
+        >>> rm.flicker("lamp.csv", dark=0.0)
+        <FlickerReport 100 Hz, modulation depth 30 ± ... %, SVM 1.15 ± ... (k = ...)>
+
+    Args:
+        source: Table of time and light, or a frame of a rolling-shutter camera in a linear form (TIFF, PNG, raw).
+        dark: Of a table: value of the light's column in darkness; 0 is assumed where it is not given.
+        u_dark: Standard uncertainty of `dark`, or of the black level.
+        mapped: Of a table: where time and light are, such as "timestamp=T:ms" and "number=CH1".
+        row_time: Of a frame: time between the starts of two rows in s.
+        known_frequency: Of a frame: frequency of the light in Hz, from which the row time is found.
+        exposure: Of a frame: exposure time in s.
+        black_level: Of a frame: black level in DN.
+        flat: Of a frame: frame of the same field under steady light, which takes the fall-off away.
+        patch: Of a frame: region of an even field, all by default.
+        notice: Gets what a user should know, a line each.
+
+    Raises:
+        UsageError: If options are missing or exclude each other.
+        InputError: If the file holds no waveform.
+        MeasurementError: If its mean light is not above 0.
+    """
+    path = Path(source)
+    of_frame = {
+        "--row-time": row_time, "--known-frequency": known_frequency, "--exposure": exposure,
+        "--black-level": black_level, "--flat": flat, "--patch": patch,
+    }  # fmt: skip
+    if path.suffix.lower() in _TABLES:
+        given = [name for name, value in of_frame.items() if value is not None]
+        if given:
+            raise UsageError(f"{', '.join(given)}: of a frame only; {path} is a table")
+        known = mapped if isinstance(mapped, StatementMap) else StatementMap.parse(mapped)
+        waveform, reported = read_waveform(path, dark, u_dark, known)
+        for line in reported:
+            notice(f"{path.name}: {line}")
+        return FlickerReport(waveform, measure_flicker(waveform))
+    if dark is not None or mapped:
+        raise UsageError(f"--dark and --map: of a table only; {path} is a frame: state --black-level")
+    if exposure is None or black_level is None or (row_time is None) == (known_frequency is None):
+        raise UsageError(
+            f"{path}: a frame needs --exposure, --black-level, and one of --row-time and --known-frequency"
+        )
+    pixels = _plane(path, patch)
+    reference = None if flat is None else _plane(Path(flat), patch)
+    rows = waveform_of_rows(pixels, row_time or 1.0, exposure, str(path), black_level, reference, u_dark)
+    found_time = None if row_time is None else Quantity(row_time, 0.0, "s")
+    if known_frequency is not None:
+        found_time = _row_time(rows, known_frequency)
+        rows = replace(rows, rate_hz=1.0 / found_time.value)
+    return FlickerReport(rows, measure_flicker(rows), found_time)
+
+
+def _plane(path: Path, patch: PatchLike | None) -> Any:
+    """Return the digital numbers of a frame within a patch; of colours, green."""
+    if path.suffix.lower() in _CODED:
+        raise InputError(f"{path}: values of a JPEG are not proportional to light; give the raw file or a linear TIFF")
+    values = read_photograph(path).values
+    plane = values if values.ndim == 2 else values[..., 1]
+    region = None if patch is None else as_patch(patch)
+    if region is None:
+        return plane.astype(np.float64)
+    if not region.fits(plane.shape):
+        raise UsageError(f"--patch: leaves the frame of {plane.shape[1]} × {plane.shape[0]} pixels")
+    return plane[region.slices].astype(np.float64)
+
+
+def _row_time(rows: Waveform, known_hz: float) -> Quantity:
+    """Return the time from row to row in s of light whose frequency is known; `rows` counts in rows."""
+    if not known_hz > 0.0:
+        raise UsageError(f"--known-frequency {known_hz:g}: must be above 0 Hz")
+    period = find_period(rows)
+    if period is None:
+        raise InputError(
+            f"{rows.origin}: the rows show no repetition, so the row time cannot be found; state --row-time"
+        )
+    return Quantity(period.frequency_hz / known_hz, period.u_hz / known_hz, "s")

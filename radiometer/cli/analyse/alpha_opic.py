@@ -1,0 +1,86 @@
+"""`radiometer alpha-opic`: light of a known spectrum as the five α-opic quantities of CIE S 026."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+import radiometer as rm
+from radiometer.cli.arguments import parse_relative
+from radiometer.cli.console import console
+from radiometer.cli.options import JsonOption
+from radiometer.cli.outputs import writes
+from radiometer.reporting.numbers import unit_text, with_u
+
+if TYPE_CHECKING:
+    from radiometer import AlphaOpicQuantities
+
+
+@writes("plot")
+def command(
+    value: Annotated[float | None, typer.Argument(min=0.0, help="Value to convert.")] = None,
+    unit: Annotated[str, typer.Option(help="Its unit: cd/m2, lx, W/sr/m2 or W/m2.")] = "cd/m2",
+    u: Annotated[float, typer.Option("--u", min=0.0, help="Its standard uncertainty in that unit.")] = 0.0,
+    reading: Annotated[Path | None, typer.Option(help="File with the JSON of a reading, instead of a value.")] = None,
+    screen: Annotated[Path | None, typer.Option(help="Screen calibration, instead of a value.")] = None,
+    level: Annotated[float | None, typer.Option(min=0.0, help="Level of the screen.")] = None,
+    channel: Annotated[str, typer.Option(help="Channel of the screen.")] = "grey",
+    spectrum: Annotated[
+        str | None, typer.Option(help="Spectrum of the light by name, or a CSV of wavelength_nm and relative power.")
+    ] = None,
+    spectrum_u_rel: Annotated[
+        float,
+        typer.Option(
+            "--spectrum-u-rel",
+            parser=lambda text: parse_relative(text, "--spectrum-u-rel"),
+            metavar="FRACTION",
+            help="Relative u (k = 1) of each entry of the spectrum, independent of the others: 0.02 or 2%.",
+        ),
+    ] = 0.0,
+    wavelength_u: Annotated[float, typer.Option(min=0.0, help="u (k = 1) of the spectrum's wavelengths in nm.")] = 0.0,
+    plot: Annotated[
+        Path | None, typer.Option(help="Draw the ratios to daylight into this PNG, PDF or SVG file.")
+    ] = None,
+    json: JsonOption = False,
+) -> None:
+    """Convert radiance, luminance, irradiance or illuminance into α-opic quantities.
+
+    Gives S-, M-, L-cone-opic, rhodopic and melanopic quantities, and the daylight (D65) that has the same.
+    """
+    found = rm.alpha_opic(
+        value,
+        unit,
+        u=u,
+        reading=reading,
+        screen=screen,
+        level=level,
+        channel=channel,
+        spectrum=spectrum,
+        spectrum_u_rel=spectrum_u_rel,
+        wavelength_u_nm=wavelength_u,
+    )
+    if plot is not None:
+        found.write_plot(plot)
+    print(found.to_json()) if json else _show(found)
+
+
+def _show(found: AlphaOpicQuantities) -> None:
+    from rich.table import Table
+
+    first, source = found.quantities[0], found.source
+    unit, daylight = unit_text(first.quantity.unit), unit_text(first.equivalent_daylight.unit)
+    title = f"{with_u(source.value, 2 * source.u, unit_text(source.unit))} of {found.spectrum}; k = 2"
+    table = Table(title=title, title_justify="left")
+    table.add_column("α-opic", no_wrap=True)
+    for name in (unit, f"D65, {daylight}", "ratio to D65"):
+        table.add_column(name, justify="right", no_wrap=True)
+    for one in found.quantities:
+        values = (one.quantity, one.equivalent_daylight, one.daylight_ratio)
+        name = one.receptor.replace("_", "-")
+        table.add_row(name, *(with_u(each.value, 2 * each.u) for each in values))
+    out = console()
+    out.print(table)
+    for assumption in found.assumptions:
+        out.print(f"assumed: {assumption}")

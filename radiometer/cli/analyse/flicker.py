@@ -1,0 +1,97 @@
+"""`radiometer flicker`: modulation depth, flicker index, SVM and PstLM of a light."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+import radiometer as rm
+from radiometer.cli.arguments import parse_exposure, parse_patch, parse_seconds
+from radiometer.cli.console import console, note
+from radiometer.cli.options import JsonOption
+from radiometer.cli.outputs import writes
+from radiometer.reporting.numbers import with_u
+
+if TYPE_CHECKING:
+    from radiometer import FlickerReport
+
+
+@writes("plot")
+def command(
+    source: Annotated[
+        Path, typer.Argument(help="Table of time and light (CSV), or a frame of a rolling-shutter camera (TIFF, raw).")
+    ],
+    dark: Annotated[float | None, typer.Option(help="Of a table: value of the light in darkness.")] = None,
+    u_dark: Annotated[float, typer.Option(min=0.0, help="Standard uncertainty of --dark or --black-level.")] = 0.0,
+    mapped: Annotated[
+        list[str] | None,
+        typer.Option("--map", help="Of a table: its columns, such as timestamp=T:ms and number=CH1."),
+    ] = None,
+    row_time: Annotated[
+        str | None, typer.Option(metavar="S", help="Of a frame: time between the starts of two rows, such as 18.9us.")
+    ] = None,
+    known_frequency: Annotated[
+        float | None, typer.Option(min=0.0, help="Of a frame: frequency of the light in Hz, to find the row time.")
+    ] = None,
+    exposure: Annotated[
+        str | None, typer.Option(metavar="S", help="Of a frame: exposure time, such as 1/5000.")
+    ] = None,
+    black_level: Annotated[float | None, typer.Option(min=0.0, help="Of a frame: black level in DN.")] = None,
+    flat: Annotated[
+        Path | None, typer.Option(help="Of a frame: frame of the same field under steady light, for the fall-off.")
+    ] = None,
+    patch: Annotated[str | None, typer.Option(help="Of a frame: region X,Y,W,H of an even field.")] = None,
+    plot: Annotated[Path | None, typer.Option(help="Draw some periods into this PNG, PDF or SVG file.")] = None,
+    json: JsonOption = False,
+) -> None:
+    """Measure flicker and the stroboscopic effect of a light, each figure with its uncertainty.
+
+    Gives the dominant frequency, modulation depth, flicker index, SVM (IEC TR 63158) and PstLM (IEC TR 61547-1).
+    """
+    found = rm.flicker(
+        source,
+        dark=dark,
+        u_dark=u_dark,
+        mapped=mapped or (),
+        row_time=parse_seconds(row_time, "--row-time"),
+        known_frequency=known_frequency,
+        exposure=parse_exposure(exposure, "--exposure"),
+        black_level=black_level,
+        flat=flat,
+        patch=parse_patch(patch),
+        notice=note,
+    )
+    if plot is not None:
+        found.write_plot(plot)
+        note(f"drawn into {plot}")
+    print(found.to_json()) if json else _show(found)
+
+
+def _show(found: FlickerReport) -> None:
+    from rich.table import Table
+
+    measures, k = found.measures, found.measures.coverage_factor
+    named = {
+        "dominant frequency": (measures.frequency, "Hz", 1.0),
+        "modulation depth": (measures.modulation_depth, "%", 100.0),
+        "flicker index": (measures.flicker_index, "", 1.0),
+        "SVM": (measures.svm, "", 1.0),
+        "PstLM": (measures.pst_lm, "", 1.0),
+        "row time": (found.row_time, "us", 1e6),
+    }
+    table = Table(title=f"{found.waveform.origin}: {1e3 * found.waveform.duration_s:.4g} ms", title_justify="left")
+    table.add_column("measure", no_wrap=True)
+    table.add_column(f"value (k = {k:.3g})", justify="right", no_wrap=True)
+    for name, (one, unit, scale) in named.items():
+        if one is not None:
+            table.add_row(name, with_u(scale * one.value, scale * k * one.u, unit))
+        elif name != "row time":
+            table.add_row(name, "not determined")
+    out = console()
+    out.print(table)
+    for warning in measures.warnings:
+        out.print(f"[yellow]warning[/yellow]: {warning}")
+    for assumption in measures.assumptions:
+        out.print(f"assumed: {assumption}")

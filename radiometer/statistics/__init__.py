@@ -1,0 +1,1 @@
+"""Statistics that several rooms use: robust scale, least squares, jackknife, restricted likelihood, model choice."""

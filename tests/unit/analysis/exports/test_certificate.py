@@ -1,0 +1,117 @@
+"""Digital calibration certificates: what they state, and that a value read back is the value written."""
+
+from __future__ import annotations
+
+import json
+import xml.etree.ElementTree as ET
+from pathlib import Path
+
+import pytest
+
+import radiometer as rm
+from radiometer.analysis.exports.certificate import read_certificate
+from radiometer.data import Contribution, Patch, Quantity, Reading
+from radiometer.errors import ConfigurationError, InputError, UsageError
+
+LABORATORY = """\
+format: radiometer-laboratory/1
+laboratory: {name: Light laboratory, email: lab@example.org, city: Bonn, country: DE}
+customer: {name: "Müller & <Co>", email: buyer@example.org, city: Graz, country: AT}
+responsible: {name: R. Smith, role: head}
+item: {name: lamp, manufacturer: Maker, model: L1, serial: "0042"}
+"""
+NAMES = {"dcc": "https://ptb.de/dcc", "si": "https://ptb.de/si"}
+
+
+@pytest.fixture
+def laboratory(tmp_path: Path) -> Path:
+    """Return a laboratory file."""
+    path = tmp_path / "laboratory.yaml"
+    path.write_text(LABORATORY, encoding="utf-8")
+    return path
+
+
+def reading(unit: str = "W sr-1 m-2") -> Reading:
+    """Return a reading of 0.3 ± 0.003 (k = 1) with a budget."""
+    return Reading(
+        Quantity(0.3, 0.003, unit),
+        Patch(4, 5, 16, 12),
+        "22500001",
+        luminance=Quantity(61.0, 1.2, "cd m-2"),
+        exposures_s=(0.001, 0.004),
+        budget=(Contribution("scale", 0.008), Contribution("repeatability", 0.006, "A")),
+        coverage_factor=2.13,
+    )
+
+
+def test_a_certificate_states_value_uncertainty_budget_item_and_conditions(tmp_path: Path, laboratory: Path) -> None:
+    made = rm.certificate(reading(), tmp_path / "c.xml", laboratory=laboratory, identifier="2026-7")
+    root = ET.parse(tmp_path / "c.xml").getroot()
+    radiance = root.find(".//si:real[si:label='radiance']", NAMES)
+    assert radiance is not None
+    assert float(radiance.findtext("si:value", "", NAMES)) == 0.3
+    assert radiance.findtext("si:unit", "", NAMES) == r"\watt\steradian\tothe{-1}\metre\tothe{-2}"
+    assert float(radiance.findtext(".//si:uncertainty", "", NAMES)) == pytest.approx(2.13 * 0.003)
+    assert float(radiance.findtext(".//si:coverageFactor", "", NAMES)) == 2.13
+    assert float(radiance.findtext(".//si:coverageProbability", "", NAMES)) == pytest.approx(0.9545)
+    assert root.findtext(".//dcc:uniqueIdentifier", "", NAMES) == "2026-7"
+    assert root.findtext(".//dcc:customer/dcc:name/dcc:content", "", NAMES) == "Müller & <Co>"
+    assert [one.text for one in root.iterfind(".//dcc:list//si:label", NAMES)] == ["scale", "repeatability"]
+    page = (tmp_path / "c.html").read_text(encoding="utf-8")
+    assert "Müller &amp; &lt;Co&gt;" in page
+    assert made.to_mapping()["results"]["radiance"]["coverage_factor"] == 2.13
+
+
+def test_a_certified_source_gives_a_calibration_its_value_and_uncertainty(tmp_path: Path, laboratory: Path) -> None:
+    rm.certificate(reading(), tmp_path / "c.xml", laboratory=laboratory, identifier="1")
+    assert read_certificate(tmp_path / "c.xml", "W sr-1 m-2") == Quantity(0.3, pytest.approx(0.003), "W sr-1 m-2")
+    assert read_certificate(tmp_path / "c.xml", "cd m-2").u == pytest.approx(1.2)
+
+
+def test_a_calibration_is_certified_as_its_camera(project_root: Path, laboratory: Path, tmp_path: Path) -> None:
+    stored = project_root / "configs" / "calibrations" / "simulated.yaml"
+    made = rm.certificate(stored, tmp_path / "c.xml", laboratory=laboratory, identifier="2")
+    name, scale, k = made.content.results[0]
+    assert (name, scale.unit, k) == ("exposure per unit of the linear signal", "J m-2", 2.0)
+    assert scale.u > 0
+
+
+def test_a_reading_in_a_file_is_certified_as_the_reading(tmp_path: Path, laboratory: Path) -> None:
+    (tmp_path / "r.json").write_text(json.dumps(reading().to_mapping()))
+    of_file = rm.certificate(tmp_path / "r.json", laboratory=laboratory, identifier="1")
+    assert of_file.content.results == rm.certificate(reading(), laboratory=laboratory, identifier="1").content.results
+
+
+def test_what_cannot_be_certified_is_refused(tmp_path: Path, laboratory: Path) -> None:
+    with pytest.raises(UsageError, match="relative"):
+        rm.certificate(reading("relative"), laboratory=laboratory, identifier="1")
+    with pytest.raises(UsageError, match="identifier"):
+        rm.certificate(reading(), laboratory=laboratory, identifier=" ")
+    (tmp_path / "no_item.yaml").write_text(LABORATORY[: LABORATORY.index("item")], encoding="utf-8")
+    with pytest.raises(UsageError, match="item"):
+        rm.certificate(reading(), laboratory=tmp_path / "no_item.yaml", identifier="1")
+    (tmp_path / "no_city.yaml").write_text(LABORATORY.replace("city: Bonn, ", ""), encoding="utf-8")
+    with pytest.raises(ConfigurationError, match="city"):
+        rm.certificate(reading(), laboratory=tmp_path / "no_city.yaml", identifier="1")
+    (tmp_path / "list.json").write_text("[1, 2]")
+    with pytest.raises(InputError, match="JSON of a reading"):
+        rm.certificate(tmp_path / "list.json", laboratory=laboratory, identifier="1")
+
+
+@pytest.mark.parametrize(
+    ("change", "why"),
+    [
+        (lambda text: text.replace("<?xml", "<!DOCTYPE x [<!ENTITY a 'b'>]><?xml"), "document type"),
+        (lambda text: text[:200], "not XML"),
+        (lambda text: text.replace("digitalCalibrationCertificate", "certificate"), "no digital calibration"),
+        (lambda text: text.replace(r"\watt", r"\kilo\watt"), "states 0 values"),
+        (lambda text: text.replace("si:coverageFactor>", "si:factor>"), "no expanded uncertainty"),
+    ],
+)
+def test_what_does_not_state_one_value_with_its_uncertainty_is_refused(
+    tmp_path: Path, laboratory: Path, change, why: str
+) -> None:
+    text = rm.certificate(reading(), laboratory=laboratory, identifier="1").to_xml()
+    (tmp_path / "c.xml").write_text(change(text), encoding="utf-8")
+    with pytest.raises(InputError, match=why):
+        read_certificate(tmp_path / "c.xml", "W sr-1 m-2")

@@ -1,0 +1,197 @@
+"""Flicker measures compared with waveforms whose values are known by hand, and with published formulas."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.signal import butter, freqs
+
+import radiometer as rm
+from radiometer.analysis.flicker.measures import measure_flicker, short_term_severity, svm_threshold
+from radiometer.analysis.flicker.waveform import Waveform, read_waveform, waveform_of_rows
+from radiometer.errors import InputError, MeasurementError, UnsettledError, UsageError
+
+RATE_HZ = 20_000.0
+
+
+def light_at(rate_hz: float, seconds: float) -> np.ndarray:
+    """Return the times of samples in s."""
+    return np.arange(round(rate_hz * seconds)) / rate_hz
+
+
+@settings(max_examples=8, deadline=None)
+@given(
+    frequency=st.floats(90.0, 900.0),
+    depth=st.floats(0.05, 0.95),
+    phase=st.floats(0.0, 6.0),
+    mean=st.floats(1e-3, 1e3),
+)
+def test_a_sinusoid_has_its_depth_its_index_over_pi_and_its_depth_over_the_threshold(
+    frequency: float, depth: float, phase: float, mean: float
+) -> None:
+    light = mean * (1.0 + depth * np.sin(2.0 * np.pi * frequency * light_at(RATE_HZ, 1.0) + phase))
+    found = measure_flicker(Waveform(light, RATE_HZ, "sine"))
+    assert found.frequency is not None
+    assert found.svm is not None
+    assert found.frequency.value == pytest.approx(frequency, rel=3e-5)
+    assert found.modulation_depth.value == pytest.approx(depth, rel=0.02)
+    assert found.flicker_index.value == pytest.approx(depth / math.pi, rel=0.01)
+    assert found.svm.value == pytest.approx(depth / (2.865e-5 * frequency**1.543 + 0.225), rel=0.005)
+
+
+@pytest.mark.parametrize("duty", [0.2, 0.5, 0.8])
+def test_a_rectangle_has_depth_1_and_the_dark_share_of_its_period_as_index(duty: float) -> None:
+    light = (light_at(100_000.0, 0.5) * 125.0 % 1.0 < duty).astype(float)
+    found = measure_flicker(Waveform(light, 100_000.0, "pwm"))
+    assert found.modulation_depth.value == pytest.approx(1.0, abs=0.01)
+    assert found.flicker_index.value == pytest.approx(1.0 - duty, abs=0.01)
+    harmonics = np.arange(1, 17)  # of 125 Hz up to 2 kHz
+    amplitudes = 2.0 * np.abs(np.sinc(harmonics * duty))
+    by_hand = np.sum((amplitudes / svm_threshold(125.0 * harmonics)) ** 3.7) ** (1.0 / 3.7)
+    assert found.svm is not None
+    assert found.svm.value == pytest.approx(by_hand, rel=0.01)
+
+
+@pytest.mark.parametrize(("frequency", "depth"), [(15.0, 0.01), (20.0, 0.02), (30.0, 0.05)])
+def test_the_severity_of_a_sinusoid_is_the_gain_of_its_filters(frequency: float, depth: float) -> None:
+    # A sensation that hardly moves exceeds all percentiles alike: Pst = √(Σ weights · P).
+    at = [2.0 * np.pi * frequency]
+    eye = freqs([0.041661, 44.758, 2715.6, 29839.0, 0.0], [1.0, 196.32, 11781.0, 534820.0, 3505380.0], at)[1][0]
+    low = freqs(*butter(6, 2.0 * np.pi * 35.0, "low", analog=True), at)[1][0]
+    sensation = 1.101603155420234e6 * abs(eye * low) ** 2 * depth**2 / 2.0
+    by_hand = math.sqrt((0.0314 + 0.0525 + 0.0657 + 0.28 + 0.08) * sensation)
+    light = 1.0 + depth * np.sin(2.0 * np.pi * frequency * light_at(4000.0, 90.0))
+    assert short_term_severity(Waveform(light, 4000.0, "sine")) == pytest.approx(by_hand, rel=0.01)
+
+
+def test_a_change_of_one_percent_each_half_second_is_just_irritating() -> None:
+    # Rectangular changes at 1 Hz: the severity is 1 at 1.0 % peak (IEC TR 61547-1, the eye without the lamp).
+    light = 1.0 + 0.01 * np.sign(np.sin(2.0 * np.pi * light_at(4000.0, 120.0) + 0.1))
+    assert short_term_severity(Waveform(light, 4000.0, "steps")) == pytest.approx(1.0, abs=0.01)
+
+
+def test_a_short_record_counts_as_repeated_and_says_so() -> None:
+    light = 1.0 + 0.02 * np.sin(2.0 * np.pi * 20.0 * light_at(10_000.0, 0.43))
+    short = measure_flicker(Waveform(light, 10_000.0, "short"))
+    long = 1.0 + 0.02 * np.sin(2.0 * np.pi * 20.0 * light_at(10_000.0, 90.0))
+    assert short.pst_lm is not None
+    assert short.pst_lm.value == pytest.approx(short_term_severity(Waveform(long, 10_000.0, "long")), rel=0.005)
+    assert [line for line in short.assumptions if line.startswith("PstLM")]
+
+
+def test_the_uncertainty_holds_for_noisy_records() -> None:
+    rng = np.random.default_rng(46_001)
+    t = light_at(RATE_HZ, 0.1)
+    inside = {"modulation_depth": 0, "flicker_index": 0, "svm": 0, "frequency": 0}
+    for _ in range(40):
+        depth, frequency = rng.uniform(0.1, 0.6), rng.uniform(95.0, 130.0)
+        light = 1.0 + depth * np.sin(2.0 * np.pi * frequency * t + rng.uniform(0, 6)) + rng.normal(0, 0.02, t.size)
+        found = measure_flicker(Waveform(light, RATE_HZ, "noisy"))
+        truth = {
+            "modulation_depth": depth,
+            "flicker_index": depth / math.pi,
+            "svm": depth / float(svm_threshold(np.array(frequency))),
+            "frequency": frequency,
+        }
+        for name, value in truth.items():
+            one = getattr(found, name)
+            k = 2.0 if name == "frequency" else found.coverage_factor
+            inside[name] += abs(one.value - value) <= k * one.u
+    assert min(inside.values()) >= 37, inside
+
+
+def test_darkness_scales_every_modulation_and_counts_in_u() -> None:
+    light = 1.0 + 0.3 * np.sin(2.0 * np.pi * 100.0 * light_at(RATE_HZ, 0.5))
+    bare = measure_flicker(Waveform(light, RATE_HZ, "lamp"))
+    lifted = measure_flicker(Waveform(light + 0.5, RATE_HZ, "lamp", u_dark=0.03))
+    assert lifted.modulation_depth.value == pytest.approx(bare.modulation_depth.value / 1.5, rel=1e-6)
+    assert lifted.modulation_depth.u == pytest.approx(lifted.modulation_depth.value * 0.03 / 1.5, rel=0.01)
+    with pytest.raises(MeasurementError, match="--dark"):
+        measure_flicker(Waveform(light - 2.0, RATE_HZ, "lamp"))
+
+
+def test_what_a_record_cannot_give_is_not_determined() -> None:
+    slow = measure_flicker(Waveform(1.0 + 0.1 * np.sin(np.arange(1000.0)), 1000.0, "slow"))
+    assert slow.svm is None
+    assert slow.pst_lm is None
+    noise = measure_flicker(Waveform(1.0 + np.random.default_rng(7).normal(0, 0.01, 9000), 9000.0, "noise"))
+    assert noise.frequency is None
+    assert noise.pst_lm is None
+    assert noise.periods == 0
+
+
+def rolling_frame(frequency: float, row_time_s: float, exposure_s: float, depth: float = 0.4) -> np.ndarray:
+    """Return digital numbers of an even field under a sinusoid, with a fall-off and noise."""
+    start_s = np.arange(900)[:, None] * row_time_s
+    kept = np.sinc(frequency * exposure_s)
+    light = 1.0 + depth * kept * np.sin(2.0 * np.pi * frequency * (start_s + exposure_s / 2.0))
+    fall_off = 1.0 - 0.2 * np.linspace(-1.0, 1.0, 900)[:, None] ** 2
+    return 64.0 + 2000.0 * fall_off * light + np.random.default_rng(3).normal(0.0, 10.0, (900, 200))
+
+
+def test_the_rows_of_a_rolling_shutter_give_the_waveform_and_its_exposure_is_corrected_in_svm() -> None:
+    frame = rolling_frame(480.0, 20e-6, 400e-6)
+    flat = rolling_frame(480.0, 20e-6, 400e-6, depth=0.0)
+    found = measure_flicker(waveform_of_rows(frame, 20e-6, 400e-6, "frame", 64.0, flat))
+    assert found.frequency is not None
+    assert found.svm is not None
+    assert abs(found.frequency.value - 480.0) < 3.0 * found.frequency.u + 0.5
+    assert found.svm.value == pytest.approx(0.4 / float(svm_threshold(np.array(480.0))), rel=0.02)
+    assert found.modulation_depth.value == pytest.approx(0.4 * float(np.sinc(480.0 * 400e-6)), rel=0.02)
+    assert any("lower bound" in line for line in found.warnings)
+
+
+def test_a_source_of_known_frequency_gives_the_row_time(tmp_path: Path) -> None:
+    cv2 = pytest.importorskip("cv2")
+    cv2.imwrite(str(tmp_path / "frame.tif"), rolling_frame(480.0, 20e-6, 200e-6).round().astype(np.uint16))
+    found = rm.flicker(tmp_path / "frame.tif", known_frequency=480.0, exposure=200e-6, black_level=64.0)
+    assert found.row_time is not None
+    assert found.row_time.value == pytest.approx(20e-6, rel=2e-3)
+    with pytest.raises(UsageError, match="--black-level"):
+        rm.flicker(tmp_path / "frame.tif", row_time=20e-6, exposure=200e-6)
+
+
+@pytest.mark.parametrize(
+    ("text", "error", "why"),
+    [
+        ("time,light\n" + "".join(f"{n},1\n" for n in range(40)), UnsettledError, "time"),
+        ("time_s,a,b\n" + "".join(f"{n},1,2\n" for n in range(40)), InputError, "--map"),
+        ("time_s,light\n" + "".join(f"{n**2},1\n" for n in range(40)), InputError, "equal steps"),
+        ("time_s,light\n" + "".join(f"{-n},1\n" for n in range(40)), InputError, "rise"),
+        ("time_s,light\n0,1\n1,1\n", InputError, "samples"),
+        ("time_s,light\n" + "0,1\n1,one\n" * 40, InputError, "no number"),
+    ],
+)
+def test_a_table_that_holds_no_waveform_is_refused(tmp_path: Path, text: str, error: type[Exception], why: str) -> None:
+    (tmp_path / "lamp.csv").write_text(text)
+    with pytest.raises(error, match=why):
+        read_waveform(tmp_path / "lamp.csv")
+
+
+@pytest.mark.parametrize(("heading", "step"), [("t/ms", 0.05), ("time (us)", 50.0), ("Zeit_s", 5e-5)])
+def test_the_unit_of_time_comes_from_the_heading(tmp_path: Path, heading: str, step: float) -> None:
+    rows = "".join(f"{n * step:.6g};{1.0 + 0.1 * math.sin(0.2 * n):.5f}\n" for n in range(400))
+    (tmp_path / "lamp.csv").write_text(f"{heading};CH1 (V)\n{rows}")
+    mapped = ("timestamp=Zeit_s:s",) if heading.startswith("Zeit") else ()
+    found = rm.flicker(tmp_path / "lamp.csv", mapped=mapped)
+    assert found.waveform.rate_hz == pytest.approx(20_000.0, rel=1e-4)
+
+
+@pytest.mark.parametrize(
+    ("lamp", "frequency", "svm"),
+    [("CFL", 120.0, 0.280), ("GE_Align_PM", 120.0, 0.347), ("Feit_60W", 120.0, 0.152), ("Sylvania_60W", 120.0, 0.183)],
+)
+def test_measured_lamps_at_twice_the_mains_frequency(
+    shared_data: Path, lamp: str, frequency: float, svm: float
+) -> None:
+    # SVM by hand: the Fourier series of three whole periods over the published threshold.
+    found = rm.flicker(shared_data / "lamps" / f"{lamp}.csv").measures
+    assert found.frequency is not None
+    assert found.svm is not None
+    assert found.frequency.value == pytest.approx(frequency, rel=2e-3)
+    assert found.svm.value == pytest.approx(svm, rel=0.01)
