@@ -187,7 +187,7 @@ def _usable(
 ) -> tuple[TextTable, dict[str, list[Any]]]:
     """Return the rows whose values are known and not saturated, and their cells.
 
-    A meter writes 0 mag/arcsec² where it has no reading, and −999 or the like stands for an unknown temperature.
+    A meter writes 0 mag/arcsec² where it has no reading, and −999 or the like where a temperature is unknown.
     """
     value = np.array(columns["value"], dtype=np.float64)
     top = float(value.max(initial=0.0))

@@ -227,7 +227,7 @@ def _frame(path: Path, page: Any, number: int, count: int, facts: _Facts, mapped
 
 
 def _meaning_of_numbers(path: Path, page: Any) -> list[str]:
-    """Return what is to be reported of how a page's numbers stand for light.
+    """Return what is to be reported of what a page's numbers mean.
 
     Raises:
         CaptureError: If they are numbers of colours.
