@@ -58,12 +58,16 @@ docs: $(VENV)/.ready-test  ## Build the documentation site into out/site; a brok
 man: $(VENV)/.ready-run  ## Write the manual page docs/radiometer.1 anew, after a command changed
 	$(BIN)/radiometer man > docs/.radiometer.1 && mv docs/.radiometer.1 docs/radiometer.1
 
-tutorial: $(VENV)/.ready-test  ## Follow the tutorial word by word in a fresh folder and environment, from a fresh wheel
+tutorial: $(VENV)/.ready-test  ## Follow the tutorial and all how-to pages word by word, in a fresh environment from a fresh wheel
 	rm -rf out/tutorial out/wheel
 	$(BIN)/python -m pip wheel -q --disable-pip-version-check --no-deps -w out/wheel .
 	sed '$$aradiometer @ file://'"$$(echo $(CURDIR)/out/wheel/radiometer-*.whl)" constraints.txt > out/wheel/constraints.txt
 	PIP_CONSTRAINT=$(CURDIR)/out/wheel/constraints.txt PIP_DISABLE_PIP_VERSION_CHECK=1 \
-	  $(BIN)/python docs/_site/follow.py docs/tutorial.md out/tutorial
+	  $(BIN)/python docs/_site/follow.py docs/tutorial.md out/tutorial/tutorial
+	for page in $$(grep -l '^```console' docs/how-to/*.md); do \
+	  PATH=$(CURDIR)/out/tutorial/tutorial/venv/bin:$$PATH out/tutorial/tutorial/venv/bin/python docs/_site/follow.py \
+	    $$page out/tutorial/$$(basename $$page .md) --skip-installing || exit 1; \
+	done
 
 mutants: $(VENV)/.ready-test out/mutants.coverage  ## Draw mistakes at random and count which the fast tests notice (BLIND=seed, AREA=planning)
 	$(BIN)/python -m tests.mutants $(AREA) --blind $(or $(BLIND),$(error give the seed, for example BLIND=41)) --report out/blind-$(BLIND).md

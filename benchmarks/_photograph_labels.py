@@ -59,7 +59,7 @@ class Labels:
         known = [(bracket, plane) for bracket in brackets for plane in _sampled(bracket)]
         exposures = find_exposures([plane for _, plane in known])
         together = exposures.wrong
-        self.offsets += [f"{name} {exposures.offset.told()}"] if exposures.offset else []
+        self.offsets += [f"{name} {exposures.offset.in_words()}"] if exposures.offset else []
         if colours[0].camera == _REALLY_WRONG:
             told = "; ".join(_told(one) for one in together) or "none"
             self.really.append(f"{name}: {told}")

@@ -25,7 +25,7 @@ from testing.generator.session import make_session
 
 Record = dict[str, Any]
 
-_KEPT = ("name", "where", "gain_nats", "alternatives", "probability", "provisional")
+_KEPT = ("name", "where", "gain_nats", "alternatives", "probability", "probability_of_any", "provisional")
 OWN = ("null", "single", "own_pair", "outsider", "removed")
 OTHERS = ("null", "single", "law", "outsider")
 

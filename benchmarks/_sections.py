@@ -17,6 +17,8 @@ _PAGES: Final = {
     "reconcile": ("reconcile", "peer"),
     "adaptation": ("adaptation",),
     "files": ("reader",),
+    "light-box": ("eye",),
+    "sensors": ("real-sensors",),
 }
 
 

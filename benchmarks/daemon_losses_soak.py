@@ -16,8 +16,8 @@ from benchmarks import daemon_loss
 from benchmarks._sections import write_section
 from benchmarks._soak_losses import Broker, Fault, FullDisk, Losses, small_disk
 from benchmarks.daemon_soak import sample, slope
-from simulators.light_box.box import LightBoxTwin
-from simulators.light_box.pty_line import PtyServer, WiredTwin
+from simulators.light_box.box import SimulatedLightBox
+from simulators.light_box.pty_line import PtyServer, WiredLightBox
 from testing import soak_clients as clients
 from testing.daemon_process import ROOT, DaemonProcess, machine_note
 from testing.soak_world import PATCHES, SERIAL, Verdict, Witness, fill_journal, judge, write_benches
@@ -85,12 +85,12 @@ def run(seconds: float, *, every_s: float = EVERY_S, warm_up_s: float, seed: int
 @contextlib.contextmanager
 def _world(
     folder: Path, disk: Path, *, own_disk: bool
-) -> Iterator[tuple[LightBoxTwin, DaemonProcess, list[Fault], Broker]]:
+) -> Iterator[tuple[SimulatedLightBox, DaemonProcess, list[Fault], Broker]]:
     """Serve camera, box and broker, and the daemon on all of them."""
     simulated, wire = write_benches(folder)
     camera = daemon_loss.WireCamera(folder, bench=simulated, serial=SERIAL)
-    broker, twin = Broker(folder), LightBoxTwin()
-    box = PtyServer(WiredTwin(twin), link=folder / "box")
+    broker, twin = Broker(folder), SimulatedLightBox()
+    box = PtyServer(WiredLightBox(twin), link=folder / "box")
     full = FullDisk(disk, own=own_disk)
     daemon = DaemonProcess(
         disk, "--every", "0.5", "--calibration", str(_CALIBRATION), "--box", str(folder / "box"),
@@ -121,7 +121,7 @@ def _world(
         box.stop()
 
 
-def _users(daemon: DaemonProcess, witness: Witness, twin: LightBoxTwin) -> list[clients.Client]:
+def _users(daemon: DaemonProcess, witness: Witness, twin: SimulatedLightBox) -> list[clients.Client]:
     works: list[tuple[str, Callable[[], None], float]] = [
         *((f"fetching {n}", clients.fetching(daemon, witness), 0.5) for n in range(8)),
         ("measuring dim", clients.measuring(daemon, witness, "dim"), 3.0),

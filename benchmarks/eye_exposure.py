@@ -19,8 +19,9 @@ FIRMWARE = ROOT / "drivers" / "firmware" / "light_box"
 FIRST_SEED = 100_000
 PART = 250
 ABOUT = (
-    "Each sequence is 30 events at a desk with two boxes and two eyes. Programs give light, are killed at any step on"
-    " the line or the disk, and take the longest pulse that is not refused. Cables are pulled, answers get lost, boxes"
+    "Each sequence is 30 events at a desk with two boxes and two eyes. Programs name an eye, state that none looks, or"
+    " name none, and then any eye may look. They give light, are killed at any step on the line or the disk, and take"
+    " the longest pulse that is not refused. Cables are pulled, answers get lost, boxes"
     " and computer restart, the clock is set wrong, the account is deleted or damaged. What an eye receives is"
     " integrated from the outputs of the boxes, for the brightest box that the preset allows. A tenth of the limit is"
     " promised."
@@ -48,7 +49,7 @@ def main() -> None:
 
 
 def report(found: dict[str, Desks]) -> None:
-    """Print the tables and write them into docs/reference/light-box.md."""
+    """Print the tables and write them into docs/benchmarks/light-box.md."""
     body = [
         "| box | sequences | largest share of the limit in any 10⁴ s | median | above 9 % | above 10 % |",
         "|---|---|---|---|---|---|",
@@ -68,7 +69,6 @@ def report(found: dict[str, Desks]) -> None:
         "How much an eye receives, whatever happens",
         "python -m benchmarks eye_exposure",
         "\n".join(body),
-        ROOT / "docs" / "reference" / "light-box.md",
     )
 
 

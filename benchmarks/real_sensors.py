@@ -29,7 +29,6 @@ from radiometer.importing.sources import as_capture
 from radiometer.reconciliation.inputs.sources import reconcile_source
 from radiometer.reconciliation.result import ReconcileResult
 
-PAGE = Path(__file__).resolve().parents[1] / "docs" / "reference" / "real-sensors.md"
 LSST_SEED = 20
 _LEADING = 3  # places of the localisation that count as first
 _READ = "read, not found"  # is counted neither way
@@ -253,7 +252,7 @@ def main() -> None:
     body += " Time is processor time, reading included."
     print(body)
     if not wanted:
-        write_section("real-sensors", "Documented effects", "python -m benchmarks real_sensors", body, PAGE)
+        write_section("real-sensors", "Documented effects", "python -m benchmarks real_sensors", body)
 
 
 def _told(rows: Iterator[Row]) -> list[Row]:

@@ -1,4 +1,4 @@
-"""Compares the rules of the verdict with the posterior over all models, on the same sessions of three generators.
+"""Compares the verdict with the posterior alone over all models, on the same sessions of three generators.
 
     nice python -m benchmarks reconcile_posterior --sets 112 --first-seed 131000 --folder ../fits
 
@@ -28,14 +28,7 @@ from radiometer.reconciliation.result import SURE
 FOLDER = Path("out") / "reconcile_posterior"
 BINS = (0.0, 0.5, 0.8, 0.95, 0.99, 1.0)
 CLOSED_GAP = 1.05
-# Doubts that compare no names: about parameters, structure in the name's own place, and laws of no entry.
-_OTHER_DOUBTS = (
-    "ran to the end", "fits by its further terms", "less than that cause", "acts with these parameters",
-    "is not quite the law", "a law of no entry", "a law that no entry holds", "goes by a looser form",
-    "counted as part of the residual",
-)  # fmt: skip
-
-
+_COUNTED = ("exact", "inseparable", "missed", "wrong", "sure_right", "sure_wrong")
 _KINDS = {
     "null": "nothing",
     "single": "one effect",
@@ -62,13 +55,13 @@ class _Named:
     log_prior_odds: float
 
 
-def by_rules(record: Record) -> Said:
-    """Return what the rules of the verdict say; they give no probability, a sure name counts 1."""
+def by_verdict(record: Record) -> Said:
+    """Return what reconcile reports: names with the probability that they or their alternatives are present."""
     answer = record["answer"]
     named = [effect for effect in answer["effects"] if effect["name"] != UNNAMED]
     alike = frozenset(name for effect in named for name in effect["alternatives"])
-    sure = answer["verdict"] == "effects_found"
-    return Said({effect["name"]: 1.0 for effect in named}, alike, sure, answer["verdict"] == "agrees")
+    names = {effect["name"]: effect["probability_of_any"] for effect in named}
+    return Said(names, alike, answer["verdict"] == "effects_found", answer["verdict"] == "agrees")
 
 
 def by_posterior(record: Record) -> Said:
@@ -80,20 +73,7 @@ def by_posterior(record: Record) -> Said:
     return Said(names, frozenset(), bool(names) and quiet and min(names.values()) >= SURE, not best.names)
 
 
-def by_both(record: Record) -> Said:
-    """Return the names by the rules, whose comparisons of names are left to the posterior.
-
-    A name is sure where no other rule speaks against it, and it or an alternative is almost certain.
-    """
-    rules, found = by_rules(record), posterior(fits_of(record), whole_catalogue(), _dispersion(record))
-    doubts = [said for said in record["answer"]["assumptions"] if any(mark in said for mark in _OTHER_DOUBTS)]
-    unnamed = any(effect["name"] == UNNAMED for effect in record["answer"]["effects"])
-    quiet = not (doubts or unnamed or record["final"]["left"]) and _dispersion(record) == 1.0
-    names = {name: found.probability(name, *rules.alternatives) for name in rules.names}
-    return Said(names, rules.alternatives, bool(names) and quiet and min(names.values()) >= SURE, rules.is_silent)
-
-
-DECIDERS: dict[str, Callable[[Record], Said]] = {"rules": by_rules, "posterior": by_posterior, "both": by_both}
+DECIDERS: dict[str, Callable[[Record], Said]] = {"verdict": by_verdict, "posterior alone": by_posterior}
 
 
 def fits_of(record: Record) -> list[ModelFit]:
@@ -120,10 +100,10 @@ def judged(record: Record, said: Said) -> dict[str, bool]:
     rival = bool(wrong) and covered_by(said, truth)
     return {
         "exact": named and not wrong and said.is_silent is not bool(truth),
-        "rival": rival,
+        "inseparable": rival,
         "missed": bool(truth) and said.is_silent,
         "wrong": bool(wrong) and not rival,
-        "sure": said.is_sure and bool(names) and not (wrong and not rival),
+        "sure_right": said.is_sure and bool(names) and not (wrong and not rival),
         "sure_wrong": said.is_sure and bool(wrong) and not rival,
     }
 
@@ -154,8 +134,7 @@ def table(records: Iterable[Record]) -> str:
     )
     lines = [f"| {' | '.join(heads)} |", "|---" * len(heads) + "|"]
     for (kind, name), entries in sorted(groups.items()):
-        keys = ("exact", "rival", "missed", "wrong", "sure", "sure_wrong")
-        counts = [sum(entry[key] for entry in entries) for key in keys]
+        counts = [sum(entry[key] for entry in entries) for key in _COUNTED]
         lines.append(f"| {kind} | {name} | {len(entries)} | {' | '.join(map(str, counts))} |")
     return "\n".join(lines)
 
@@ -200,8 +179,8 @@ def page(records: Sequence[Record]) -> str:
         f"{len(done)} sessions; processor time median {np.median(cpu):.1f} s, "
         f"95th percentile {np.percentile(cpu, 95):.1f} s, longest {max(cpu):.1f} s.",
         table(done),
-        "Names by the rules, with their posterior probability:",
-        reliability(done, by_both),
+        "Names as they are reported, by the probability that they or their alternatives are present:",
+        reliability(done, by_verdict),
         "Names of the most probable model:",
         reliability(done, by_posterior),
     ]

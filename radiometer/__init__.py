@@ -20,10 +20,11 @@ __version__ = "0.2.0"
 # in that list: the daemon builds on what this package lists, and a type checker would go round in a circle.
 _HOMES = {
     "radiometer.api.adapt": (
-        "AdaptationCurve", "AdaptationRun", "Bleach", "Protocols", "Retest", "adapt_bleach", "adapt_fit",
-        "adapt_protocols", "adapt_retest", "adapt_run",
+        "AdaptationCurve", "AdaptationRun", "Bleach", "Instructions", "Protocols", "Retest", "Visits", "adapt_bleach",
+        "adapt_fit", "adapt_instructions", "adapt_protocols", "adapt_retest", "adapt_run", "adapt_visits",
     ),
     "radiometer.api.alpha_opic": ("AlphaOpicQuantities", "alpha_opic"),
+    "radiometer.api.analyse": ("MapAnalysis", "analyse"),
     "radiometer.api.archive": ("Batch", "Passports", "Trends", "batch", "passport", "trend"),
     "radiometer.api.capture": ("BracketReport", "bracket"),
     "radiometer.api.devices": (
@@ -49,8 +50,10 @@ _HOMES = {
     "radiometer.api.led_flux": ("Flux", "flux"),
     "radiometer.api.photographs": ("measure_photographs",),
     "radiometer.api.screen": (
-        "CalibratedScreen", "ScreenLevel", "screen_calibrate", "screen_export", "screen_import", "screen_level",
+        "CalibratedScreen", "ScreenLevel", "VerifiedScreen", "screen_calibrate", "screen_export", "screen_import",
+        "screen_level", "screen_verify",
     ),
+    "radiometer.api.view": ("view",),
     "radiometer.api.sensor": ("Sensor", "characterise"),
     "radiometer.data.reading": ("Patch", "Reading"),
     "radiometer.daemon.log": ("LoggedReadings", "log", "log_budget", "log_events"),
@@ -68,15 +71,21 @@ if TYPE_CHECKING:
     from radiometer.api.adapt import AdaptationCurve as AdaptationCurve
     from radiometer.api.adapt import AdaptationRun as AdaptationRun
     from radiometer.api.adapt import Bleach as Bleach
+    from radiometer.api.adapt import Instructions as Instructions
     from radiometer.api.adapt import Protocols as Protocols
     from radiometer.api.adapt import Retest as Retest
+    from radiometer.api.adapt import Visits as Visits
     from radiometer.api.adapt import adapt_bleach as adapt_bleach
     from radiometer.api.adapt import adapt_fit as adapt_fit
+    from radiometer.api.adapt import adapt_instructions as adapt_instructions
     from radiometer.api.adapt import adapt_protocols as adapt_protocols
     from radiometer.api.adapt import adapt_retest as adapt_retest
     from radiometer.api.adapt import adapt_run as adapt_run
+    from radiometer.api.adapt import adapt_visits as adapt_visits
     from radiometer.api.alpha_opic import AlphaOpicQuantities as AlphaOpicQuantities
     from radiometer.api.alpha_opic import alpha_opic as alpha_opic
+    from radiometer.api.analyse import MapAnalysis as MapAnalysis
+    from radiometer.api.analyse import analyse as analyse
     from radiometer.api.archive import Batch as Batch
     from radiometer.api.archive import Passports as Passports
     from radiometer.api.archive import Trends as Trends
@@ -141,12 +150,15 @@ if TYPE_CHECKING:
     from radiometer.api.results import reconcile_plan as reconcile_plan
     from radiometer.api.screen import CalibratedScreen as CalibratedScreen
     from radiometer.api.screen import ScreenLevel as ScreenLevel
+    from radiometer.api.screen import VerifiedScreen as VerifiedScreen
     from radiometer.api.screen import screen_calibrate as screen_calibrate
     from radiometer.api.screen import screen_export as screen_export
     from radiometer.api.screen import screen_import as screen_import
     from radiometer.api.screen import screen_level as screen_level
+    from radiometer.api.screen import screen_verify as screen_verify
     from radiometer.api.sensor import Sensor as Sensor
     from radiometer.api.sensor import characterise as characterise
+    from radiometer.api.view import view as view
     from radiometer.data.reading import Patch as Patch
     from radiometer.data.reading import Reading as Reading
     from radiometer.errors import CalibrationError as CalibrationError

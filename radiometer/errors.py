@@ -115,6 +115,10 @@ class DeviceTimeout(DeviceError):
 class SettingOutOfRange(DeviceError, ValueError):
     """A requested value is outside the device's limits; nothing was changed."""
 
+    def __reduce__(self) -> tuple[type[SettingOutOfRange], tuple[object, ...]]:
+        """Return how it is made anew in another process."""
+        return type(self), (self.device, self.name, self.value, self.low, self.high, self.unit)
+
     def __init__(self, device: str, name: str, value: float, low: float, high: float, unit: str) -> None:
         self.device, self.name, self.value, self.low, self.high, self.unit = (
             device,

@@ -177,6 +177,7 @@ SPELLINGS: Final[Mapping[str, Mapping[str, Callable[[float], float]]]] = {
 _NUMBER: Final = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
 _WRITTEN: Final = re.compile(rf"(?P<prefix>f/)?(?P<number>{_NUMBER}(?:\s*/\s*{_NUMBER})?)\s*(?P<unit>[^\d\s].*)?")
 _COUNTED_UNIT: Final = re.compile(rf"(?P<count>{_NUMBER})\s*(?P<unit>[^\d\s.].*)")
+_LONGEST_HEADING: Final = 1_000  # characters; the search for a unit takes a time that grows with their square
 _BRACKETS: Final = re.compile(r"[\[(<{]([^\])>}]*)[\])>}]")
 
 
@@ -215,6 +216,8 @@ def heading_parts(heading: str, quantity: str) -> tuple[str, Unit | None, str]:
 
     `exposure_ms`, `Exposure (ms)`, `exposure [µs]`, `t/ms`, `t in ms` and `ms` alone are understood.
     """
+    if len(heading) > _LONGEST_HEADING:
+        return plain_name(heading), None, ""
     bracketed = _BRACKETS.search(heading)
     if bracketed and bracketed[1].strip():
         rest = heading[: bracketed.start()] + heading[bracketed.end() :]
@@ -290,6 +293,8 @@ def read_number(text: str) -> tuple[float, str]:
         ValueError: If it is no number, or a comma in it may be a decimal mark or part thousands.
     """
     cleaned = text.strip().strip("\x00").strip()
+    if len(cleaned) > _LONGEST_HEADING:
+        raise ValueError(f"{cleaned[:_LONGEST_NUMBER]!r}… is not understood")
     if re.fullmatch(r"[-+]?\d+,\d+(?:\D.*)?", cleaned):
         if re.fullmatch(r"[-+]?[1-9]\d{0,2},\d{3}(?:\D.*)?", cleaned):
             raise ValueError("its comma may be a decimal mark or part thousands")

@@ -19,8 +19,8 @@ from radiometer.daemon.station import Station
 from radiometer.devices.exposure_account import MemoryStore
 from radiometer.devices.exposure_ledger import ExposureLedger
 from radiometer.devices.retinal_safety import ChannelOptics
-from simulators.light_box.box import LightBoxTwin
-from simulators.light_box.pty_line import PtyServer, WiredTwin
+from simulators.light_box.box import SimulatedLightBox
+from simulators.light_box.pty_line import PtyServer, WiredLightBox
 from testing.daemon_process import write_small_bench
 
 OPTICS = {
@@ -36,10 +36,10 @@ OPTICS = {
 @contextlib.asynccontextmanager
 async def box_station(
     folder: Path, times: KeeperTimes | None = None
-) -> AsyncIterator[tuple[Station, PtyServer, LightBoxTwin]]:
+) -> AsyncIterator[tuple[Station, PtyServer, SimulatedLightBox]]:
     """Run a station with a small simulated camera and the twin of the light box behind a pseudo-terminal."""
-    twin = LightBoxTwin()
-    server = PtyServer(WiredTwin(twin), link=folder / "box")
+    twin = SimulatedLightBox()
+    server = PtyServer(WiredLightBox(twin), link=folder / "box")
     server.start()
 
     def open_box() -> SerialLightBox:

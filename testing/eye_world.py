@@ -25,12 +25,12 @@ from unittest import mock
 
 from drivers.light_box.box import SerialLightBox
 from drivers.light_box.link import BoxLink
-from radiometer.devices.exposure_account import FileStore, Moment
+from radiometer.devices.exposure_account import NO_EYE, FileStore, Moment
 from radiometer.devices.exposure_ledger import ExposureLedger
 from radiometer.devices.light_box import CurrentRange, DriveLevel
 from radiometer.devices.retinal_safety import ChannelOptics
 from radiometer.errors import DeviceInUse, DeviceLost, RadiometerError, UnsafeStimulus
-from simulators.light_box.box import LightBoxTwin, TwinSettings
+from simulators.light_box.box import SimulatedBoxSettings, SimulatedLightBox
 from testing.firmware_board import FirmwareBox, build, rested_memory
 
 PROMISED: Final = 0.1
@@ -44,6 +44,7 @@ SMALL_SOLID_ANGLE_SR: Final = math.pi * math.radians(SUBTENSE_DEG[SMALL]) ** 2 /
 OPTICS: Final = {
     name: ChannelOptics(437.5, 0.5, SUBTENSE_DEG[name], bound, LOW_RATIO) for name, bound in RADIANCE.items()
 }
+EYES: Final = ("s01 right", "s01 left")
 CHANNEL_NAMES: Final = ("bleach", "spot", "spot_red", "fixation", "spot_green", "field")
 REFILLED_MS: Final = 620_000
 DARK_MS: Final = 2_000
@@ -141,12 +142,12 @@ class TwinHardware:
     serial: str
     clock_ppm: float
     look: Look
-    twin: LightBoxTwin = field(init=False)
+    twin: SimulatedLightBox = field(init=False)
     _since_s: float = 0.0
     _radiances: dict[str, float] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        self.twin = LightBoxTwin(TwinSettings(serial=self.serial, clock_ppm=self.clock_ppm))
+        self.twin = SimulatedLightBox(SimulatedBoxSettings(serial=self.serial, clock_ppm=self.clock_ppm))
         self.twin.watch = self._watch
 
     def receive(self, raw: bytes, time_s: float) -> None:
@@ -287,7 +288,7 @@ class DeskLine:
             raise DeviceLost("unplugged")
         if self.box.holder is not None and self.box.holder.alive and self.box.holder is not self.program:
             raise DeviceInUse("held")
-        self.box.holder, self.box.eye = self.program, self.program.eye
+        self.box.holder, self.box.eye = self.program, self.world.looking(self.program.eye)
         self.box.hardware.advance(self.world.now_s)
         self.box.hardware.restart("E")
 
@@ -393,6 +394,10 @@ class World:
         """Return the largest share of the limit that any eye has received."""
         return max(eye.most_share for eye in [*(box.looker for box in self.boxes), *self.eyes.values()])
 
+    def looking(self, named: str | None) -> str | None:
+        """Return whose eye looks into a box: the named one, none where that is stated, else any or none."""
+        return (self.rng.choice([*EYES, None]) if named is None else named) or None
+
     def touch(self, program: Program | None) -> None:
         """Count a step of a program, and end it where its time has come."""
         if program is None:
@@ -489,7 +494,7 @@ class World:
 
     def _open(self) -> None:
         box = self.rng.choice(self.boxes)
-        eye = self.rng.choice([None, "S01 right", "S01 right", "S01 left"])
+        eye = self.rng.choice([None, NO_EYE, EYES[0], EYES[0], EYES[1]])
         self.count["programs"] += 1
         program = Program(f"program {self.count['programs']}", eye)
         ledger = ExposureLedger(OPTICS, self._store(program), PROMISED, eye)

@@ -1,6 +1,7 @@
-"""Damages files and reads them: `python reader_fuzz.py FOLDER COUNT [--random]`; fails where a reader does.
+"""Damages files and reads them: `python reader_fuzz.py FOLDER COUNT SEED`; exit code 1 where a reader does not refuse.
 
-Hypothesis chooses the damage and, where a reader fails, finds the least that makes it fail.
+Every reader gets COUNT files: files that no reader may take (bombs, nesting, loops, noise), then a good file with one
+to four damages drawn by chance. It returns, or raises one of our own errors of one line.
 """
 
 from __future__ import annotations
@@ -9,13 +10,17 @@ import bz2
 import contextlib
 import gzip
 import io
+import lzma
 import os
+import random
 import resource
 import struct
 import sys
+import time
 import warnings
 from collections.abc import Callable
-from functools import partial
+from dataclasses import dataclass, field
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -26,27 +31,30 @@ import cv2
 import numpy as np
 import tifffile
 import yaml
-from hypothesis import HealthCheck, given, settings
-from hypothesis import strategies as st
 
 from radiometer.adaptation.journal import read_events
 from radiometer.adaptation.threshold_files import read_table
 from radiometer.analysis.exports.curves import read_curves, write_curves
 from radiometer.analysis.photometry.photometry import spectrum_from_csv
 from radiometer.archive.history import read_histories
+from radiometer.bench.boxes import read_preset
 from radiometer.data import Calibration, CaptureSet, ResponseCurve
 from radiometer.data.capture_set import read_digital_numbers
+from radiometer.data.light_calibration import LightCalibration
 from radiometer.data.storage import read_yaml
 from radiometer.errors import RadiometerError
 from radiometer.importing.emva_listing import EmvaListing
 from radiometer.importing.fits_files import read_fits_headers, read_fits_pixels
+from radiometer.importing.log_table import read_log
 from radiometer.importing.photograph_pixels import read_photograph
 from radiometer.importing.photograph_times import read_exif, read_list
 from radiometer.importing.statistics_table import read_statistics_table
 from radiometer.importing.tiff_files import read_tiff_headers, read_tiff_pixels
 from radiometer.importing.xmp import read_xmp
+from radiometer.reconciliation.inputs.light_meter import read_meter_table
 from radiometer.screen.measured_elsewhere import read_screen_readings
 from simulators.scenes.image_file import ImageScene
+from testing.sky_log import sky_log
 
 _WORDS = (
     b"\xff\xff\xff\xff",
@@ -65,33 +73,20 @@ _WORDS = (
 )
 
 
-# One damage: what is done, where in the file (a share of its length), with which word, byte or length.
-DAMAGES = st.lists(
-    st.tuples(
-        st.sampled_from(["over", "into", "cut", "byte", "end", "twice", "digit"]),
-        st.floats(0.0, 1.0),
-        st.sampled_from(_WORDS),
-        st.integers(0, 255),
-    ),
-    min_size=1,
-    max_size=4,
-)
-
-
-def damaged(content: bytes, damages: list[tuple[str, float, bytes, int]]) -> bytes:
-    """Return bytes with a few places changed, cut, doubled or filled with what hurts."""
+def damaged(content: bytes, rng: random.Random) -> bytes:
+    """Return bytes with one to four places changed, cut, doubled or filled with what hurts."""
     found = bytearray(content)
-    for kind, share, word, number in damages:
-        at = min(int(share * len(found)), max(0, len(found) - 1))
-        match kind:
+    for _ in range(rng.randint(1, 4)):
+        at, word = rng.randrange(max(1, len(found))), rng.choice(_WORDS)
+        match rng.choice(["over", "into", "cut", "byte", "end", "twice", "digit"]):
             case "over":
                 found[at : at + len(word)] = word
             case "into":
                 found[at:at] = word
             case "cut":
-                del found[at : at + 1 + number % 64]
+                del found[at : at + rng.randint(1, 64)]
             case "byte":
-                found[at : at + 1] = bytes([number])
+                found[at : at + 1] = bytes([rng.randrange(256)])
             case "end":
                 del found[at:]
             case "twice":
@@ -99,8 +94,29 @@ def damaged(content: bytes, damages: list[tuple[str, float, bytes, int]]) -> byt
             case "digit":  # a number that is still one, in a head that is still understood
                 digits = [i for i in range(at, min(at + 64, len(found))) if chr(found[i]).isdigit()]
                 for i in digits[:1]:
-                    found[i : i + 1] = b"%d" % (number % 10) if number < 200 else b"9" * (number - 195)
+                    found[i : i + 1] = rng.choice([b"%d" % rng.randrange(10), b"9" * rng.randint(5, 60)])
     return bytes(found)
+
+
+@cache
+def hostile() -> tuple[bytes, ...]:
+    """Return contents that no reader may stumble over, whatever the file is called."""
+    zeros, deep = bytes(70_000_000), 100_000
+    loop = b"II*\x00" + struct.pack("<IHI", 8, 0, 8)  # a directory whose next one is itself
+    laughs = b"".join(b"a%d: &a%d [%s]\n" % (n, n, b", ".join([b"*a%d" % (n - 1)] * 10)) for n in range(1, 12))
+    entities = b"".join(b'<!ENTITY e%d "%s">' % (n, b"&e%d;" % (n - 1) * 10) for n in range(1, 12))
+    scans = b"\xff\xd8" + b"\xff\xda\x00\x08\x01\x01\x00\x00\x3f\x00" * 20_000
+    return (
+        b"", bytes(1_000_000), b"\n" * 1_000_000, b"," * 1_000_000, b"9" * 1_000_000, b"\xff" * 1_000_000,
+        b"[" * deep, b"{" * deep, b'{"a":' * deep, b"(" * deep, b"- " * deep, b"a: [" * deep,
+        gzip.compress(zeros, 1), bz2.compress(zeros, 1), lzma.compress(zeros, preset=0),
+        gzip.compress(b"SIMPLE  =                    T" + zeros, 1), bz2.compress(b"RDX3\nX\n" + zeros, 1),
+        loop, loop.replace(b"II*\x00", b"MM\x00*"), b"a0: &a0 x\n" + laughs,
+        b'<!DOCTYPE x [<!ENTITY e0 "x">' + entities + b"]><x>&e11;</x>", scans,
+        b"\x89PNG\r\n\x1a\n\x00\x00\x00\rIHDR\x7f\xff\xff\xff\x7f\xff\xff\xff\x10\x06\x00\x00\x00",
+        b"v/1\x01" + zeros[:1_000_000],
+        b"#?RADIANCE\n\n-Y 2000000000 +X 2000000000\n", b"1:2000000000", b"a,b\n" + b'"' * 1_000_000,
+    )  # fmt: skip
 
 
 def seeds(folder: Path) -> dict[str, tuple[bytes, Callable[[Path], Any]]]:
@@ -136,7 +152,64 @@ def seeds(folder: Path) -> dict[str, tuple[bytes, Callable[[Path], Any]]]:
             lambda path: read_xmp(path.read_bytes()),
         ),
     }
-    return made | _pictures(folder) | _texts(folder) | _fits(folder, dn)
+    return made | _pictures(folder) | _texts(folder) | _records(root) | _fits(folder, dn) | _apart(folder, dn)
+
+
+def _records(root: Path) -> dict[str, tuple[bytes, Callable[[Path], Any]]]:
+    """Return what the program itself keeps, and what meters write."""
+    rows = sky_log(1, nights=3, readings=20)
+    log = ",".join(rows[0]) + "\n" + "".join(",".join(str(v) for v in row.values()) + "\n" for row in rows)
+    event = b'{"sequence": %d, "kind": "trial", "time_s": 1.5, "log10": -2.5, "seen": true}\n'
+    box = read_yaml(root / "configs/calibrations/simulated-box.yaml")
+    return {
+        "box.yaml": (yaml.safe_dump(box).encode(), LightCalibration.read),
+        "preset.yaml": ((root / "configs/light_boxes/reference.yaml").read_bytes(), read_preset),
+        "run.jsonl": (b"".join(event % n for n in range(5)), read_events),
+        "meter.csv": (b"luminance,f_number,time,iso\n100,8,1/125,100\n200,8,1/250,100\n", read_meter_table),
+        "log.csv": (log.encode(), read_log),
+    }
+
+
+def _apart(folder: Path, dn: Any) -> dict[str, tuple[bytes, Callable[[Path], Any]]]:
+    """Return files whose library works in another process."""
+    made: dict[str, tuple[bytes, Callable[[Path], Any]]] = {}
+    cv2.imwrite(str(folder / "l.tif"), dn, [cv2.IMWRITE_TIFF_COMPRESSION, 5])
+    made["lzw.tif"] = ((folder / "l.tif").read_bytes(), lambda path: read_tiff_pixels(path, 0))
+    with contextlib.suppress(ImportError):
+        import rawpy  # noqa: F401
+
+        codes = (33421, "H", 2, (2, 2), True), (33422, "B", 4, (0, 1, 1, 2), True)  # CFARepeatPatternDim, CFAPattern
+        levels = (50714, "H", 1, 64, True), (50717, "I", 1, 4095, True)  # BlackLevel, WhiteLevel
+        matrix = (50721, "2i", 9, (1, 1, 0, 1, 0, 1, 0, 1, 1, 1, 0, 1, 0, 1, 0, 1, 1, 1), True)
+        neutral, lamp = (50728, "2I", 3, (1,) * 6, True), (50778, "H", 1, 21, True)
+        version, model = (50706, "B", 4, (1, 4, 0, 0), True), (50708, "s", 0, "Test Camera", True)
+        tags = [*codes, version, model, *levels, matrix, neutral, lamp]
+        tifffile.imwrite(folder / "r.dng", np.full((64, 96), 500, np.uint16), photometric=32803, extratags=tags)
+        made["raw.dng"] = ((folder / "r.dng").read_bytes(), read_photograph)
+    with contextlib.suppress(ImportError):
+        import pandas as pd
+
+        columns = {"captured": 1.7e9, "quantity": "radiance", "patch": "p", "value": 1.5, "u": 0.1, "unit": "W"}
+        frame = pd.DataFrame([{**columns, "captured": 1.7e9 + 86_400.0 * n, "status": "ok"} for n in range(12)])
+        frame.to_parquet(folder / "r.parquet")
+        made["results.parquet"] = (folder / "r.parquet").read_bytes(), lambda path: read_histories(path, "radiance")
+    with contextlib.suppress(ImportError):
+        import rdata
+
+        run = {"time": np.arange(9.0), "thrs": np.linspace(1.0, -3.0, 9)}
+        rdata.write_rda(folder / "r.rda", {"dark": run})
+        made["run.rda"] = ((folder / "r.rda").read_bytes(), read_table)
+        rdata.write_rds(folder / "r.rds", run, compression=None)
+        made["run.rds"] = ((folder / "r.rds").read_bytes(), read_table)
+    with contextlib.suppress(ImportError):
+        from astropy.io import fits
+
+        for kind in ("RICE_1", "HCOMPRESS_1"):
+            packed = fits.CompImageHDU(dn.astype(np.int16), compression_type=kind)
+            fits.HDUList([fits.PrimaryHDU(), packed]).writeto(folder / f"{kind}.fits")
+            content = (folder / f"{kind}.fits").read_bytes()
+            made[f"{kind.lower()}.fits"] = content, lambda p: (read_fits_headers(p), read_fits_pixels(p, 0))
+    return made
 
 
 def _fits(folder: Path, dn: Any) -> dict[str, tuple[bytes, Callable[[Path], Any]]]:
@@ -217,8 +290,8 @@ def bombs() -> dict[str, tuple[bytes, Callable[[Path], Any]]]:
         **_compressed_fits(),
         "nested.json": (nested, read_statistics_table),
         "nested.yaml": (nested, read_yaml),
-        "nested.jsonl": (b'{"sequence": 0, "a": ' + nested + b"\n", lambda p: list(read_events(p))),
-        "numbers.jsonl": (b'{"sequence": 0, "a": ' + b"9" * 10_000 + b"}\n" + b"[]\n", lambda p: list(read_events(p))),
+        "nested.jsonl": (b'{"sequence": 0, "a": ' + nested + b"\n", read_events),
+        "numbers.jsonl": (b'{"sequence": 0, "a": ' + b"9" * 10_000 + b"}\n" + b"[]\n", read_events),
     }
 
 
@@ -240,67 +313,93 @@ def _picture(path: Path) -> Any:
     return ImageScene(file=path).render(8, 8)
 
 
-def _read_damaged(
-    path: Path,
-    content: bytes,
-    read: Callable[[Path], Any],
-    refused: list[int],
-    damages: list[tuple[str, float, bytes, int]],
-) -> None:
-    spoilt = damaged(content, damages)
-    path.write_bytes(spoilt)
-    refused[0] += 1
-    try:
-        read(path)
-    except RadiometerError as error:
-        refused[1] += 1
-        if not str(error).strip():
-            raise
+@dataclass
+class Fuzzed:
+    """What became of the files of one reader.
+
+    Attributes:
+        count: Files read.
+        refused: Those that were refused with one of our own errors.
+        faults: What else was raised, and by which file.
+        longest_s: Longest processor time of one file in s, with that of the process that reads apart.
+    """
+
+    count: int = 0
+    refused: int = 0
+    faults: list[str] = field(default_factory=list)
+    longest_s: float = 0.0
+
+    def read(self, path: Path, content: bytes, read: Callable[[Path], Any], what: str) -> None:
+        """Write a file, read it, and see what comes of it."""
+        path.write_bytes(content)
+        begun_s = processor_s()
+        self.count += 1
+        try:
+            read(path)
+        except RadiometerError as error:
+            self.refused += 1
+            if not str(error).strip() or "\n" in str(error):
+                self.faults.append(f"{what}: {str(error)!r} is no line")
+        except Exception as error:  # noqa: BLE001 (this is what is looked for)
+            self.faults.append(f"{what}: {type(error).__name__}: {error}")
+        self.longest_s = max(self.longest_s, processor_s() - begun_s)
 
 
-def _reads(read: Callable[[list[tuple[str, float, bytes, int]]], None], count: int, *, at_random: bool) -> None:
-    """Read a file with many kinds of damage; the least that a reader fails on is what the error shows."""
+def processor_s() -> float:
+    """Return the processor time of this process and of those it started, in s."""
+    found, task = time.process_time(), Path("/proc/thread-self/children")
+    for pid in task.read_text().split() if task.exists() else ():
+        with contextlib.suppress(OSError):
+            words = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
+            found += (int(words[11]) + int(words[12])) / os.sysconf("SC_CLK_TCK")
+    return found
 
-    @settings(
-        max_examples=count, database=None, derandomize=not at_random, deadline=None,
-        suppress_health_check=list(HealthCheck),
-    )  # fmt: skip
-    @given(DAMAGES)
-    def damages_of_all_kinds(damages: list[tuple[str, float, bytes, int]]) -> None:
-        read(damages)
 
-    damages_of_all_kinds()
+def fuzz(place: Path, name: str, count: int, seed: int, seeded: tuple[bytes, Callable[[Path], Any]]) -> Fuzzed:
+    """Let one reader read so many files in a folder."""
+    (content, read), found, rng = seeded, Fuzzed(), random.Random(f"{name} {seed}")
+    for number, whole in enumerate(hostile()[:count]):
+        found.read(place / name, whole, read, f"hostile {number}")
+    while found.count < count:
+        spoilt = damaged(content, rng)
+        found.read(place / name, spoilt, read, f"file {found.count} of {name}, seed {seed}")
+    return found
 
 
 def main() -> int:
-    """Read damaged files of each kind; tell the least damage that a reader does not refuse as it should."""
-    folder, count, at_random = Path(sys.argv[1]), int(sys.argv[2]), "--random" in sys.argv
+    """Fuzz every reader; print a line for each and, on standard error, what is to be corrected."""
+    folder, count, seed = Path(sys.argv[1]), int(sys.argv[2]), int(sys.argv[3])
     warnings.simplefilter("ignore")
-    for name, (content, read) in seeds(folder).items():
+    failed = False
+    for name, seeded in seeds(folder).items():
         place = folder / f"fuzz-{name.replace('.', '-')}"
         place.mkdir()
         (place / "a.png").write_bytes((folder / "a.png").read_bytes())
-        (place / name).write_bytes(content)
-        read(place / name)  # a seed that is refused would let nothing past the head
-        refused = [0, 0]
-
-        _reads(partial(_read_damaged, place / name, content, read, refused), count, at_random=at_random)
+        (place / name).write_bytes(seeded[0])
+        seeded[1](place / name)  # a seed that is refused would let nothing past the head
+        found = fuzz(place, name, count, seed, seeded)
         peak_mb = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
-        sys.stdout.write(f"{refused[0]} files of {name}: {refused[1]} refused; peak {peak_mb:.0f} MB\n")
-        sys.stdout.flush()
+        print(
+            f"{found.count} files of {name}: {found.refused} refused; {len(found.faults)} faults; longest"
+            f" {found.longest_s:.2f} s; peak {peak_mb:.0f} MB",
+            flush=True,
+        )
+        for fault in found.faults[:5]:
+            print(f"{name}: {fault[:300]}", file=sys.stderr, flush=True)
+        failed |= bool(found.faults)
+    found = Fuzzed()
+    found.read(folder / "a.tif.gz", _large_bomb(), read_tiff_headers, "850 MB once unpacked")
+    print(f"850 MB once unpacked: {found.refused} refused; longest {found.longest_s:.2f} s", flush=True)
+    return int(failed or not found.refused)
+
+
+def _large_bomb() -> bytes:
     packed = io.BytesIO()
     with gzip.open(packed, "wb", 1) as stream:  # in pieces: this process has no room for all of it
         stream.write(b"II*\x00")
         for _ in range(85):
             stream.write(bytes(10_000_000))
-    large = {"unpacking.tif.gz": (packed.getvalue(), read_tiff_headers)}
-    for name, (content, read) in (bombs() | large).items():
-        (folder / name).write_bytes(content)
-        with contextlib.suppress(RadiometerError):
-            read(folder / name)
-            sys.stderr.write(f"{name} was read\n")
-            return 1
-    return 0
+    return packed.getvalue()
 
 
 if __name__ == "__main__":

@@ -10,7 +10,7 @@ from testing.chromium import headless
 # A name that must neither become markup, nor a formula, nor end a line.
 HOSTILE = "<script>alert(1)</script>\" onload='x' $\\frac$ \x1b[31m 灯 --> &amp;"
 
-WIDTHS = (390, 1280)
+WIDTHS = (390, 1280, 1440)
 _LOW_CONTRAST = """
 (() => {
   const parse = (c) => { const m = c.match(/[\\d.]+/g).map(Number); return m.length === 3 ? [...m, 1] : m; };

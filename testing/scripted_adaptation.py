@@ -4,11 +4,45 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from dataclasses import dataclass
 
 from radiometer.adaptation.protocol import AdaptationProtocol
 from radiometer.errors import DeviceLost
 
 Eye = Callable[[float | None, float], bool]
+
+
+@dataclass(frozen=True, slots=True)
+class SubjectCurve:
+    """Threshold after a bleach, log10 scotopic cd·m⁻² over minutes in the dark: cones, then rods along S2 and S3.
+
+    Attributes:
+        cone_plateau: Final threshold of the cones.
+        cone_rise: How far above it the cones begin.
+        cone_tau_min: Time constant of the cones in min.
+        break_min: Time of the rod–cone break in min.
+        s2_per_min: Slope of the rods' second component in log10 units per min, below 0.
+        s3_from: Level below the cone plateau at which the third component takes over, log10 units.
+        s3_per_min: Its slope.
+        final: Final threshold.
+    """
+
+    cone_plateau: float = -1.0
+    cone_rise: float = 2.0
+    cone_tau_min: float = 1.6
+    break_min: float = 9.0
+    s2_per_min: float = -0.24
+    s3_from: float = 2.0
+    s3_per_min: float = -0.05
+    final: float = -4.2
+
+    def threshold(self, minutes: float) -> float:
+        """Return the threshold at a time in the dark: the lower of the two branches."""
+        cones = self.cone_plateau + self.cone_rise * math.exp(-minutes / self.cone_tau_min)
+        fallen = -self.s2_per_min * (minutes - self.break_min)
+        if fallen > self.s3_from:
+            fallen = self.s3_from + -self.s3_per_min * (fallen - self.s3_from) / -self.s2_per_min
+        return max(min(cones, self.cone_plateau - fallen), self.final)
 
 
 class ScriptedStage:

@@ -14,7 +14,7 @@ import urllib.request
 from collections.abc import Callable
 from typing import Any
 
-from simulators.light_box.box import LightBoxTwin
+from simulators.light_box.box import SimulatedLightBox
 from testing.daemon_process import DaemonProcess
 from testing.soak_world import PATCHES, SERIAL, Witness
 
@@ -175,7 +175,7 @@ def _take_event(kind: str, content: dict[str, Any], witness: Witness, state: dic
         state["last"] = content["sequence"]
 
 
-def lighting(daemon: DaemonProcess, witness: Witness, twin: LightBoxTwin) -> Callable[[], None]:
+def lighting(daemon: DaemonProcess, witness: Witness, twin: SimulatedLightBox) -> Callable[[], None]:
     """Light the fixation mark or darken it, and hold what is shown as confirmed against what the box does."""
     state = {"doubt": 0.0, "turn": 0}
 

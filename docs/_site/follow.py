@@ -2,7 +2,7 @@
 
     python docs/_site/follow.py PAGE FOLDER [--skip-installing]
 
-* A `yaml` block with a title becomes that file.
+* A block with a title becomes that file.
 
 * A `console` block is run line by line in one shell.
 
@@ -57,7 +57,7 @@ def follow(page: Path, folder: Path, *, installing: bool) -> list[str]:
     differs: list[str] = []
     printed = ""
     for block in blocks_of(page):
-        if block.language == "yaml" and block.title:
+        if block.title:
             (folder / block.title).write_text(block.text, encoding="utf-8")
         elif block.language == "console":
             commands = [line[2:] for line in block.text.splitlines() if line.startswith("$ ")]

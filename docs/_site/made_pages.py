@@ -35,10 +35,11 @@ def on_files(files: Files, config: Any) -> Files:
     return files
 
 
-def on_page_markdown(markdown: str, **_: Any) -> str:
+def on_page_markdown(markdown: str, page: Any, **_: Any) -> str:
     """Point links to texts outside the documentation at their pages."""
-    for page, path in ELSEWHERE.items():
-        markdown = markdown.replace(f"](../{path})", f"]({page})")
+    up = "../" * page.file.src_uri.count("/")
+    for name, path in ELSEWHERE.items():
+        markdown = markdown.replace(f"]({up}../{path})", f"]({up}{name})")
     return markdown
 
 
@@ -72,7 +73,7 @@ def python_names() -> str:
 
     parts = [
         "# Python names\n\n`import radiometer as rm` offers these and loads nothing before it is used. How they go "
-        "together: [Python](../python.md). Every example runs in the tests."
+        "together: [Python](python-guide.md). Every example runs in the tests."
     ]
     for home in dict.fromkeys(radiometer.home_of(name) for name in radiometer.__all__):
         opening = (importlib.import_module(home).__doc__ or "").strip().partition("\n")[0]
@@ -88,7 +89,7 @@ def effects() -> str:
 
     parts = [
         "# Effects\n\nThe whole catalogue of the forward model, made from the effects themselves; "
-        "`radiometer reconcile` looks for those that are marked. [Add one of your own](../add-an-effect.md)."
+        "`radiometer reconcile` looks for those that are marked. [Add one of your own](../how-to/add-an-effect.md)."
     ]
     for stage in Stage:
         parts.append(f"## {stage.name.capitalize()}")
@@ -134,7 +135,7 @@ def _cell(text: str) -> str:
 
 def notebook_page(path: Path) -> tuple[str, list[bytes]]:
     """Return a notebook as Markdown, and the pictures in it."""
-    content = json.loads(path.read_text(encoding="utf-8"))
+    content = json.loads(path.read_text(encoding="utf-8"))  # noqa: TID251 (our notebooks)
     parts: list[str] = []
     pictures: list[bytes] = []
     for cell in content["cells"]:

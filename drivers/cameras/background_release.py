@@ -26,7 +26,7 @@ def drop_in_background(*objects: Any) -> None:
         *objects: Objects to let go, in the order in which they are to end. The caller drops its own references, which
             an exception on its way up may hold a while longer.
     """
-    threading.Thread(target=_drop, args=(list(objects),), name="camera farewell", daemon=True).start()
+    threading.Thread(target=_drop, args=(list(objects),), name="camera release", daemon=True).start()
 
 
 def give_up_in_background(camera: Any, library_error: type[Exception], heartbeat_s: float = HEARTBEAT_S) -> None:
@@ -40,7 +40,7 @@ def give_up_in_background(camera: Any, library_error: type[Exception], heartbeat
         heartbeat_s: How long the library may take to notice and report that the camera is gone, in s.
     """
     given = ([camera], library_error, heartbeat_s)
-    threading.Thread(target=_give_up, args=given, name="camera farewell", daemon=True).start()
+    threading.Thread(target=_give_up, args=given, name="camera release", daemon=True).start()
 
 
 def _give_up(kept: list[Any], library_error: type[Exception], heartbeat_s: float) -> None:

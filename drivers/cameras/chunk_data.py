@@ -72,7 +72,7 @@ def holds_other_settings(raw: RawFrame, settings: CameraSettings, exposure_step_
     return gain_db is not None and abs(gain_db - settings.gain_db) > _SAME_GAIN_DB
 
 
-def told_by_chunks(
+def stated_by_chunks(
     raw: RawFrame, changed: frozenset[str], settings: CameraSettings, black_level_scale: float, full_scale_dn: int
 ) -> bool:
     """Tell whether a frame's chunks confirm every setting that was changed.
@@ -88,10 +88,10 @@ def told_by_chunks(
     if "BlackLevel" not in changed:
         return True
     # Only ever a confirmation: a camera that counts this chunk in a unit of its own must not seem stale for ever.
-    return tells_black(raw, settings.black_level_dn, black_level_scale, full_scale_dn)
+    return determines_black(raw, settings.black_level_dn, black_level_scale, full_scale_dn)
 
 
-def tells_black(raw: RawFrame, black_level_dn: float, black_level_scale: float, full_scale_dn: int) -> bool:
+def determines_black(raw: RawFrame, black_level_dn: float, black_level_scale: float, full_scale_dn: int) -> bool:
     """Tell whether a frame's chunk says that it was exposed under a black level.
 
     Args:

@@ -7,7 +7,7 @@ from types import ModuleType
 from typing import Final
 
 from drivers.cameras.camera_opening import CameraSession
-from drivers.cameras.chunk_data import CHUNKS, changed_chunks, holds_other_settings, tells_black, told_by_chunks
+from drivers.cameras.chunk_data import CHUNKS, changed_chunks, determines_black, holds_other_settings, stated_by_chunks
 from drivers.cameras.frame_assembly import assemble
 from drivers.cameras.frame_stream import FrameStream, LossyLink, RawFrame, Tally
 from drivers.cameras.pixel_unpacking import pixel_format_of_code
@@ -54,7 +54,7 @@ class FreshFrames:
             raw = self._raw_frame()
             if holds_other_settings(raw, session.settings, session.capabilities.exposure_step_s):
                 self._stale = max(self._stale - 1, 0)
-            elif self._stale and not self._is_told(raw):
+            elif self._stale and not self._is_confirmed(raw):
                 self._stale -= 1
             elif self._late and self._shows_former_black(raw):
                 self._late -= 1
@@ -90,17 +90,17 @@ class FreshFrames:
         session, former_dn = self._session, self._former_black_dn
         full_scale_dn = (1 << bit_depth_of(session.settings.pixel_format, session.quirks)) - 1
         scale = session.black_level_scale
-        now = tells_black(raw, session.settings.black_level_dn, scale, full_scale_dn)
-        return not now and former_dn is not None and tells_black(raw, former_dn, scale, full_scale_dn)
+        now = determines_black(raw, session.settings.black_level_dn, scale, full_scale_dn)
+        return not now and former_dn is not None and determines_black(raw, former_dn, scale, full_scale_dn)
 
-    def _is_told(self, raw: RawFrame) -> bool:
+    def _is_confirmed(self, raw: RawFrame) -> bool:
         """Tell whether a frame's format and chunks confirm all that was changed; never where there are no chunks."""
         session = self._session
         sent = pixel_format_of_code(raw.format_code)
         if sent is None or sent.name != session.settings.pixel_format:
             return False
         full_scale_dn = (1 << bit_depth_of(session.settings.pixel_format, session.quirks)) - 1
-        return bool(raw.chunks) and told_by_chunks(
+        return bool(raw.chunks) and stated_by_chunks(
             raw, self._changed, session.settings, session.black_level_scale, full_scale_dn
         )
 

@@ -16,6 +16,7 @@ from radiometer.adaptation.intervals import Interval, bootstrap_values, percenti
 from radiometer.adaptation.rod_intercept import InterceptRule, rod_intercept
 from radiometer.adaptation.threshold_series import ThresholdSeries
 from radiometer.errors import MeasurementError
+from radiometer.progress import Progress, unseen
 from radiometer.statistics.model_choice import CLEARLY_BETTER, is_supported
 
 SHALLOWEST_S2: Final = -0.03  # log10 units per min; a flatter line after the "break" is no rod branch
@@ -80,7 +81,9 @@ class AdaptationFit:
         return "break_min" in self.chosen.values
 
 
-def fit_adaptation(series: ThresholdSeries, request: FitRequest, rng: np.random.Generator) -> AdaptationFit:
+def fit_adaptation(
+    series: ThresholdSeries, request: FitRequest, rng: np.random.Generator, progress: Progress = unseen
+) -> AdaptationFit:
     """Return the fit of the family's best member, with intervals.
 
     Raises:
@@ -90,7 +93,7 @@ def fit_adaptation(series: ThresholdSeries, request: FitRequest, rng: np.random.
     if not _has_break(chosen):
         evidence = with_power(evidence, chosen)
     criterion = _criterion(chosen, request)
-    draws = bootstrap_values(chosen, request.bootstrap_draws, rng) if request.bootstrap_draws else []
+    draws = bootstrap_values(chosen, request.bootstrap_draws, rng, progress) if request.bootstrap_draws else []
     estimates = {
         **{name: _parameter(chosen, name, draws, request) for name in chosen.model.parameters},
         **_derived_estimates(chosen, criterion, draws, request),
@@ -111,14 +114,37 @@ def intercept_verdict(fit: AdaptationFit) -> str | None:
     rule = fit.request.intercept
     if rule is None:
         return None
-    limit = "" if rule.limit_min is None else f"; its limit is {rule.limit_min:g} min ({rule.source})"
     met = fit.estimates.get("rod_intercept_min")
-    if met is None:
-        last_min = float(fit.chosen.series.time_min[-1])
+    criterion = f"{10**rule.criterion_log10:.2g} scotopic cd·m⁻²"
+    last_min = float(fit.chosen.series.time_min[-1])
+    found = (
+        f"rod intercept: {criterion} not reached within {last_min:.1f} min"
+        if met is None
+        else f"rod intercept at {criterion} after {met.value:.1f} min"
+    )
+    return f"{found}{_judged(rule, met, last_min)}"
+
+
+def _judged(rule: InterceptRule, met: Estimate | None, last_min: float) -> str:
+    """Return how an intercept compares with its published limit, or why it cannot be compared."""
+    if rule.limit_min is None:
+        return ""
+    limit = f"the limit of {rule.limit_min:g} min ({rule.source})"
+    if not rule.limit_applies:
+        lasted = "lasted for an unknown time" if rule.bleach_s is None else f"lasted for {rule.bleach_s:g} s"
         return (
-            f"rod intercept: {10**rule.criterion_log10:.2g} scotopic cd/m² not reached within {last_min:.1f} min{limit}"
+            f"; not judged: {limit} is for a flash of less than a millisecond, the bleach of this run {lasted}. "
+            "Compare it with healthy eyes that you measured by the same protocol"
         )
-    return f"rod intercept at {10**rule.criterion_log10:.2g} scotopic cd/m² after {met.value:.1f} min{limit}"
+    if met is None:
+        return (
+            f"; later than {limit}" if last_min > rule.limit_min else f"; whether it is later than {limit} is unknown"
+        )
+    interval = met.profile or met.bootstrap
+    low, high = (met.value, met.value) if interval is None else (interval.low, interval.high)
+    if low > rule.limit_min:
+        return f"; later than {limit}"
+    return f"; within {limit}" if high < rule.limit_min else f"; it cannot be distinguished from {limit}"
 
 
 def best_branches(series: ThresholdSeries) -> BranchFit:
@@ -190,7 +216,7 @@ def derived_quantities(fit_values: Mapping[str, float], fit: BranchFit, criterio
     """Return final threshold, area under the curve and, at a criterion, the time at which it is met.
 
     The area under the dark-adaptation curve (AUDAC) is that between the curve and its final threshold, from the first
-    to the last threshold, in log10·min; the times at which it begins and is cut come with it. The intercept is where
+    to the last threshold, in log10·min. The times at which it begins and is cut come with it. The intercept is where
     the S2 line, prolonged where needed, or a single branch crosses the criterion.
     """
     times = fit.series.time_min

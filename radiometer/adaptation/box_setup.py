@@ -14,7 +14,7 @@ import numpy as np
 from radiometer.adaptation.box_stage import FIXATION, BoxLights, BoxStage
 from radiometer.adaptation.checks import Check, Finding, judge_age
 from radiometer.adaptation.protocol import AdaptationProtocol, FlashBleach
-from radiometer.adaptation.request import RunRequest
+from radiometer.adaptation.request import SIMULATED_BOX, RunRequest
 from radiometer.adaptation.room import measured_room
 from radiometer.analysis.photometry.photometry import luminous_efficacy_lm_per_w, spectrum
 from radiometer.bench.boxes import OpenedBox, open_light_box
@@ -25,7 +25,6 @@ from radiometer.devices.light_box import Radiance
 from radiometer.devices.retinal_safety import HazardFractions
 from radiometer.errors import CalibrationError, MeasurementError, RadiometerError, SettingOutOfRange, UsageError
 
-SIMULATED: Final = "sim"
 SIMULATED_CALIBRATION: Final = "calibrations/simulated-box.yaml"
 PEAK_TOLERANCE_NM: Final = 10.0  # bin of LEDs: ± 5 to 10 nm; rods change by less than 10 % within it near 500 nm
 PLACE_TOLERANCE_DEG: Final = 1.0  # spots are 1.5 to 2.5° wide
@@ -44,11 +43,11 @@ def open_box_stage(request: RunRequest) -> Iterator[tuple[BoxStage, list[Check]]
     protocol = request.protocol
     if protocol.spot.device != "light_box":
         raise UsageError(f"protocol {protocol.name} shows its spot on a screen; choose one for the light box")
-    if request.simulate is not None and request.box != SIMULATED:
+    if request.simulate is not None and request.box != SIMULATED_BOX:
         raise UsageError("a simulated subject can only sit before the simulated box: --box sim")
-    own = request.box == SIMULATED and request.calibration is None
+    own = request.box == SIMULATED_BOX and request.calibration is None
     file = shipped_config(SIMULATED_CALIBRATION) if own else request.calibration
-    with open_light_box(request.box, calibration=file, preset=request.preset, eye=request.eye) as opened:
+    with open_light_box(request.box, calibration=file, preset=request.preset, eye=request.whose) as opened:
         if opened.calibration is None:
             raise CalibrationError(
                 f"light box {opened.box.identity.serial} has no calibration: make one with `radiometer light calibrate`"
@@ -212,7 +211,7 @@ def _explained(refusal: RadiometerError, opened: OpenedBox, lights: BoxLights) -
             shortest_s = bleach.duration_s * lights.bleach.radiance_w_sr_m2 / brightest
             way = f"this box needs {shortest_s:.3g} s at least for {bleach.retinal_td_s:g} td·s: bleach.duration_s"
         else:
-            way = f"it reaches {brightest * lights.bleach_photopic_lm_per_w:.0f} cd/m²: bleach.luminance_cd_m2"
+            way = f"it reaches {brightest * lights.bleach_photopic_lm_per_w:.0f} cd·m⁻²: bleach.luminance_cd_m2"
     elif protocol.fixation_check is not None and refusal.name.endswith(protocol.fixation_check.channel):
         way = "choose another fixation_check.luminance_cd_m2"
     else:
@@ -222,6 +221,6 @@ def _explained(refusal: RadiometerError, opened: OpenedBox, lights: BoxLights) -
         )
         way = (
             f"behind a filter of density {spot.filter_density:g} it reaches {low:.2f} to {high:.2f} log10 scotopic "
-            "cd/m²: spot.lowest_log10, spot.highest_log10 or spot.filter_density"
+            "cd·m⁻²: spot.lowest_log10, spot.highest_log10 or spot.filter_density"
         )
     return MeasurementError(f"protocol {protocol.name}: {refusal}; {way}")

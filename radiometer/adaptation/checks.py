@@ -9,6 +9,7 @@ from typing import Any, Final
 
 from radiometer.adaptation.protocol import AdaptationProtocol
 from radiometer.errors import CalibrationError, MeasurementError, RadiometerError
+from radiometer.numbers import with_u
 
 COVERAGE: Final = 2.0  # k for 95 %: the room must be dark enough with its uncertainty
 
@@ -65,7 +66,7 @@ def judge_room(luminance_cd_m2: float, u_cd_m2: float, protocol: AdaptationProto
     """
     limit = protocol.safety.darkest_room_cd_m2
     facts = {"luminance_cd_m2": luminance_cd_m2, "u_cd_m2": u_cd_m2, "limit_cd_m2": limit}
-    reading = f"({luminance_cd_m2:.2g} ± {COVERAGE * u_cd_m2:.1g}) cd/m² (k = 2)"
+    reading = with_u(luminance_cd_m2, COVERAGE * u_cd_m2, "cd m-2", k=COVERAGE)
     if luminance_cd_m2 + COVERAGE * u_cd_m2 <= limit:
         return Finding("room", facts)
     if luminance_cd_m2 > limit:

@@ -12,6 +12,7 @@ from scipy.optimize import brentq, minimize
 from scipy.stats import f as f_distribution
 
 from radiometer.adaptation.branch_fit import HUBER_CONSISTENCY, BranchFit, project, refine
+from radiometer.progress import Progress, unseen
 from radiometer.statistics.least_squares import solve
 from radiometer.typing import Array
 
@@ -55,7 +56,9 @@ def profile_interval(fit: BranchFit, name: str, confidence: float = 0.95) -> Int
     return Interval(_end(fit, name, best, -scale, limit), _end(fit, name, best, scale, limit))
 
 
-def bootstrap_values(fit: BranchFit, draws: int, rng: np.random.Generator) -> list[dict[str, float]]:
+def bootstrap_values(
+    fit: BranchFit, draws: int, rng: np.random.Generator, progress: Progress = unseen
+) -> list[dict[str, float]]:
     """Return the parameters of fits to the fitted curve plus redrawn residuals.
 
     Residuals are drawn with replacement, scaled to the robust standard deviation, at the fit's weights.
@@ -68,7 +71,8 @@ def bootstrap_values(fit: BranchFit, draws: int, rng: np.random.Generator) -> li
     residuals = (residuals - residuals.mean()) * np.sqrt(residuals.size / (fit.degrees_of_freedom * HUBER_CONSISTENCY))
     start = np.array([fit.values[name] for name in model.nonlinear])
     found = []
-    for _ in range(draws):
+    for done in range(draws):
+        progress("redrawing for the intervals", done, draws)
         drawn = curve + rng.choice(residuals, residuals.size) / np.sqrt(fit.weights)
         nonlinear = refine(series.time_min, drawn, model, fit.weights, start)
         _, linear = project(series.time_min, drawn, model, fit.weights, nonlinear)

@@ -2,19 +2,19 @@
 
 from __future__ import annotations
 
-import json
 import os
 from collections import deque
-from collections.abc import Iterator
 from pathlib import Path
 from typing import IO, Any, Final, Self
 
-from radiometer.data.json_text import json_text
+from radiometer.data.json_text import json_text, parsed_json
+from radiometer.data.reader_limits import bounded_reader
 from radiometer.errors import InputError, OutputError
 
 FORMAT: Final = "radiometer-adaptation/1"
 REFUSED: Final = "refused"
 CHECK: Final = "check"
+DEVICE_FACTS: Final = ("box", "firmware", "screen", "calibrated")  # of a journal's `stage`, for the table and report
 Event = dict[str, Any]
 _BEGINNING: Final = b'{"sequence": 0,'  # of every journal, even where a crash tore its first line
 
@@ -31,7 +31,7 @@ class RunJournal:
 
     def __init__(self, path: Path, *, relive: bool = False) -> None:
         self.path = path
-        known = list(read_events(path)) if path.exists() else []
+        known = read_events(path) if path.exists() else []
         tried = max((number + 1 for number, event in enumerate(known) if event["kind"] == REFUSED), default=0)
         self._past: deque[Event] = deque(known[tried:] if relive else [])
         self.events: list[Event] = known[:tried] if relive else known
@@ -78,7 +78,7 @@ class RunJournal:
         return event
 
     def _compare(self, event: Event, before: Event) -> None:
-        same = json.loads(json_text(event)) == before
+        same = parsed_json(json_text(event)) == before
         if not same and not event["kind"] == before["kind"] == CHECK:  # a calibration has grown older meanwhile
             raise InputError(
                 f"{self.path}, line {event['sequence'] + 1}: the simulated run is not the same any more "
@@ -111,8 +111,14 @@ class RunJournal:
             self._stream.truncate(whole)
 
 
-def read_events(path: Path) -> Iterator[Event]:
-    """Yield the events of a journal; a last line that was not finished is left out.
+def is_journal(beginning: bytes) -> bool:
+    """Return whether a file with these first bytes is the journal of a run."""
+    return beginning.startswith(_BEGINNING)
+
+
+@bounded_reader(error=InputError)
+def read_events(path: Path) -> list[Event]:
+    """Return the events of a journal; a last line that was not finished is left out.
 
     Raises:
         InputError: If it cannot be read, or a line other than the last is damaged or out of order.
@@ -123,11 +129,13 @@ def read_events(path: Path) -> Iterator[Event]:
         raise InputError(f"cannot read {path}: {error.strerror or error}") from error
     if not _BEGINNING.startswith(lines[0][: len(_BEGINNING)]):
         raise InputError(f"{path}: no journal of an adaptation run; name another file")
+    events = list[Event]()
     for number, line in enumerate(lines[:-1]):
         try:
-            event = json.loads(line)
+            event = parsed_json(line)
         except (ValueError, RecursionError) as error:
             raise InputError(f"{path}, line {number + 1}: not a line of a journal ({error})") from error
         if not isinstance(event, dict) or event.get("sequence") != number:
             raise InputError(f"{path}, line {number + 1}: events are missing or out of order")
-        yield event
+        events.append(event)
+    return events

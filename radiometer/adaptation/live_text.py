@@ -10,9 +10,10 @@ from typing import Final
 from radiometer.adaptation.journal import Event
 from radiometer.adaptation.live import LiveState, RunningFit, running_fit
 from radiometer.adaptation.protocol import AdaptationProtocol
+from radiometer.numbers import with_u
 from radiometer.reporting.terminal_chart import TerminalChart
 
-_ROWS: Final = 12  # of the chart: with the lines around it, it fits a terminal of 24 rows
+_ROWS: Final = 11  # of the chart: with the lines around it, it fits a terminal of 24 rows
 _PHASES: Final = {
     "starting": "getting ready",
     "bleach": "bleach: look at the bright field",
@@ -71,6 +72,7 @@ def live_lines(state: LiveState, fit: RunningFit, columns: int, waited_s: float 
         looks += "   FIXATION LOST: look at the red mark"
     return [
         f"{_clock(state, waited_s)}   {_PHASES[state.phase]}",
+        "log₁₀ threshold, scotopic cd·m⁻²",
         *_chart(state, fit, columns),
         fit.text,
         looks,
@@ -80,7 +82,9 @@ def live_lines(state: LiveState, fit: RunningFit, columns: int, waited_s: float 
 
 def _clock(state: LiveState, waited_s: float) -> str:
     if state.phase == "bleach":
-        return f"{_span(state.time_s + waited_s - state.phase_since_s)} of {_span(state.protocol.bleach.duration_s)}"
+        passed_s = state.time_s + waited_s - state.phase_since_s
+        lasts_s = state.protocol.bleach.duration_s
+        return f"{_span(max(0.0, lasts_s - passed_s))} left of {_span(lasts_s)}"
     if state.dark_since_s is None:
         return _span(state.time_s + waited_s)
     return f"{_span(state.time_s + waited_s - state.dark_since_s)} in the dark"
@@ -109,7 +113,7 @@ def event_line(event: Event) -> str | None:
         case "check":
             return f"checked: {_finding(event)}"
         case "room" if event["luminance_cd_m2"] is not None:
-            return f"dark room: ({event['luminance_cd_m2']:.2g} ± {2 * event['u_cd_m2']:.1g}) cd/m² (k = 2)"
+            return f"dark room: {with_u(event['luminance_cd_m2'], 2 * event['u_cd_m2'], 'cd m-2', k=2)}"
         case "refused":
             return "refused: nothing was shown"
         case "bleach":
@@ -136,7 +140,7 @@ def _trial_line(event: Event) -> str:
     if event["catch"]:
         return "  catch: pressed" if event["false_press"] else "  catch: rightly not pressed"
     found = event["threshold"]
-    shown = "not seen" if found is None else f"{found:6.2f} log scotopic cd/m²  {_bar(found)}"
+    shown = "not seen" if found is None else f"{found:6.2f} log₁₀ scotopic cd·m⁻²  {_bar(found)}"
     return f"{event['minutes']:6.2f} min  {'pressed too early' if event['false_press'] else shown}"
 
 

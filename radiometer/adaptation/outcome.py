@@ -24,6 +24,7 @@ class Verdict(StrEnum):
     UNRELIABLE = "unreliable"
     FIXATION_LOST = "fixation_lost"
     STOPPED = "stopped"
+    PRACTICE = "practice"
 
 
 EXPLANATIONS: Final = {
@@ -37,6 +38,8 @@ EXPLANATIONS: Final = {
     Verdict.FIXATION_LOST: "the light in the blind spot was seen too often: the subject did not look at the mark, so "
     "the place of the thresholds on the retina is unknown; nothing is fitted",
     Verdict.STOPPED: "the test was stopped before its end: its thresholds are kept, nothing is fitted",
+    Verdict.PRACTICE: "a practice run without a bleach: nothing is fitted; begin the test once catches are not pressed "
+    "and thresholds agree",
 }
 
 

@@ -15,6 +15,8 @@ from radiometer.errors import ConfigurationError, InputError
 
 SHIPPED = ("classic", "classic-blue", "rapid", "quick", "led-only", "questplus", "steady-low", "screen-only")
 BLEACH_CHANNEL = "bleach"
+PRACTICE_MIN = 3.0  # about ten thresholds and five catches: enough to see whether the task is understood
+PRACTICE_CATCHES = 0.3
 # Conditions of the published rod intercept at 5·10⁻³ scotopic cd·m⁻²: spot of about 2°, 500 to 510 nm, 5° from
 # fixation. The bleach covered three quarters to four fifths of the rods (Jackson and Edwards 2008; Jackson et al. #
 # 2014).
@@ -264,6 +266,19 @@ class AdaptationProtocol(ConfigSection):
                     "leave `intercept` out"
                 )
         return self
+
+
+def practice_of(protocol: AdaptationProtocol) -> AdaptationProtocol:
+    """Return a protocol's practice run: the same spot and method for a few minutes, with a third of catches."""
+    return protocol.model_copy(
+        update={
+            "name": f"{protocol.name}-practice",
+            "shows": "recovery",
+            "intercept": None,
+            "end": Ending(duration_min=PRACTICE_MIN),
+            "watch": protocol.watch.model_copy(update={"catch_share": PRACTICE_CATCHES, "blind_min": 0.0}),
+        }
+    )
 
 
 def read_protocol(name: str | Path) -> AdaptationProtocol:

@@ -9,7 +9,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from radiometer.data.reader_limits import unpacked
+from radiometer.data.reader_limits import bounded_reader, unpacked
 from radiometer.errors import InputError
 
 # gzip, bzip2 and xz, in which R packs; its own binary and ASCII forms, with and without the head of `save`.
@@ -27,6 +27,7 @@ def is_r_file(beginning: bytes) -> bool:
     return beginning.startswith(_BEGINNINGS)
 
 
+@bounded_reader(error=InputError, apart="rdata")
 def read_r_lists(path: Path) -> tuple[str, list[float], list[float]]:
     """Return name, times and thresholds of the one object with `time` and `thrs` in a file of R.
 

@@ -14,6 +14,7 @@ from radiometer.adaptation.adaptation_fit import AdaptationFit, intercept_verdic
 from radiometer.adaptation.reliability import MEANINGS, NAMES, Reliability
 from radiometer.adaptation.report_picture import short, story
 from radiometer.data.storage import write_text_atomic
+from radiometer.numbers import rounded, unit_text
 from radiometer.reporting.page import folded, listed, page, paragraph, section, table
 
 LABELS: Final = {
@@ -31,6 +32,7 @@ LABELS: Final = {
     "area_from_min": "AUDAC from",
     "area_to_min": "AUDAC cut at",
 }
+_COVERAGE: Final = 2.0
 _HELD_WEIGHT: Final = 0.5  # of the largest; below, a threshold hardly counts
 
 
@@ -56,6 +58,7 @@ def to_mapping(fit: AdaptationFit) -> dict[str, Any]:
         "reliability": Reliability.of_facts(fit.chosen.series.facts).to_mapping(),
         "taken": list(fit.chosen.series.taken),
         "facts": dict(fit.chosen.series.facts),
+        "level_unit": fit.chosen.series.facts.get("level_unit"),
         "stimulus_u_log10": fit.request.stimulus_u_log10,
         "confidence": fit.request.confidence,
         "estimates": {name: estimate.to_mapping() for name, estimate in fit.estimates.items()},
@@ -96,6 +99,7 @@ def report_html(fit: AdaptationFit, title: str = "Dark adaptation") -> str:
             section("What it means, and what to do", listed(meaning(fit))),
             section("Remarks", *(paragraph(text, "flag") for text in _remarks(fit))),
             section("Estimates", _estimates(fit)),
+            section("The visit", table((), _visit(fit), words=(1,))),
             section("The subject", _reliability(fit)),
             section("Models compared", _models(fit)),
             folded("What the file states", table((), sorted(fit.chosen.series.facts.items()), words=(1,))),
@@ -103,6 +107,19 @@ def report_html(fit: AdaptationFit, title: str = "Dark adaptation") -> str:
         ],
         kind="Dark adaptation",
     )
+
+
+_VISIT: Final = {
+    "subject": "subject", "eye": "eye", "visit": "date (UTC)", "age_years": "age in years", "pupil_mm": "pupil in mm",
+    "simulated": "simulated", "protocol": "protocol", "box": "light box", "firmware": "firmware", "screen": "screen",
+    "calibrated": "calibrated", "level_unit": "levels in log₁₀ of", "program": "program",
+}  # fmt: skip
+
+
+def _visit(fit: AdaptationFit) -> list[tuple[str, str]]:
+    """Return what the file states of subject, date, protocol and devices."""
+    facts = fit.chosen.series.facts
+    return [(label, facts[name]) for name, label in _VISIT.items() if name in facts]
 
 
 def outcome(fit: AdaptationFit) -> str:
@@ -198,10 +215,10 @@ def _estimates(fit: AdaptationFit) -> str:
     rows = []
     for name, estimate in fit.estimates.items():
         interval = estimate.profile or estimate.bootstrap
-        shown = f"{interval.low:.3f} to {interval.high:.3f}" if interval else ""
-        u = f"{estimate.u:.3f}" if math.isfinite(estimate.u) else "–"
-        rows.append((label_of(name, fit), f"{estimate.value:.3f}", u, shown, estimate.unit))
-    head = ("", "value", "u (k = 1)", f"{100 * fit.request.confidence:g} % interval", "unit")
+        value, expanded = rounded(estimate.value, _COVERAGE * estimate.u)
+        ends = [rounded(end, _COVERAGE * estimate.u)[0] for end in (interval.low, interval.high)] if interval else []
+        rows.append((label_of(name, fit), value, expanded, " to ".join(ends), unit_text(estimate.unit)))
+    head = ("", "value", "U (k = 2)", f"{100 * fit.request.confidence:g} % interval", "unit")
     return table(head, rows, words=(4,))
 
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from radiometer.adaptation.adaptation_fit import AdaptationFit
 from radiometer.adaptation.branch_fit import BranchFit
-from radiometer.reporting.numbers import rounded
+from radiometer.numbers import rounded
 from radiometer.reporting.pictures import BEFORE, DIMMED, MARK, MODEL, RULE, SEEN, dress, legend, mark, picture
 from radiometer.typing import Array
 
@@ -55,7 +55,7 @@ def _curve(axes: Axes, fit: AdaptationFit) -> None:
         axes.plot(grid[late], cone[late], "--", color=BEFORE, lw=1.3, label="cones alone")
         _plateau(axes, fit)
     _criterion(axes, fit)
-    dress(axes, "", "log10 threshold")
+    dress(axes, "", f"log₁₀ threshold ({series.level_name})")
     legend(axes, "upper right")
 
 

@@ -7,9 +7,10 @@ from pathlib import Path
 from typing import Final
 
 from radiometer.adaptation.protocol import AdaptationProtocol
+from radiometer.devices.exposure_account import EYES, name_of_eye
 from radiometer.errors import UsageError
 
-EYES: Final = ("right", "left")
+SIMULATED_BOX: Final = "sim"
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,12 +36,43 @@ class RunRequest:
     screen: Path | None = None  # calibration of the screen that shows the spot
     display: str = "browser"  # that screen: "browser", or a simulated one
     port: int = 0  # port of the subject's page; 0 for any free one
+    age_years: float | None = None  # age of the subject; None where it is not stated
+    pupil_mm: float | None = None  # diameter of the pupil as measured at this visit; None where it is not
+    visit: str | None = None  # when the visit began, ISO 8601 in UTC; None where it is not known
+    practice: bool = False  # a few minutes without a bleach, to learn the task; nothing of it is fitted
 
     def __post_init__(self) -> None:
         if self.eye not in EYES:
             raise UsageError(f"--eye {self.eye}: {' or '.join(EYES)}")
 
     @property
+    def simulated(self) -> str | None:
+        """Return what of the run is simulated, such as "steady, light box"; None before real devices."""
+        if self.box != SIMULATED_BOX and self.simulate is None:
+            return None
+        before = "light box" if self.box == SIMULATED_BOX else "screen" if self.screen is not None else "no device"
+        return f"{self.simulate or 'no subject'}, {before}"
+
+    def header(self) -> dict[str, str | float]:
+        """Return what the head of journal and table states of the visit; what is not known is left out."""
+        known = {
+            "subject": self.subject, "eye": self.eye, "visit": self.visit, "age_years": self.age_years,
+            "pupil_mm": self.pupil_mm, "simulated": self.simulated,
+        }  # fmt: skip
+        return {name: value for name, value in known.items() if value is not None}
+
+    def smaller_pupil(self) -> str | None:
+        """Return what a pupil below the protocol's does to its bleach; None where it makes no difference."""
+        asked = self.protocol.bleach.pupil_mm
+        if asked is None or self.pupil_mm is None or self.pupil_mm >= asked:
+            return None
+        share = (self.pupil_mm / asked) ** 2
+        return (
+            f"the pupil of {self.pupil_mm:g} mm passes {100 * share:.0f} % of the bleach that {self.protocol.name} "
+            f"gives through {asked:g} mm: break and rod intercept come earlier; dilate it, or change bleach.pupil_mm"
+        )
+
+    @property
     def whose(self) -> str | None:
-        """Return whose eye looks, such as "S07 right", for the account of its exposure; None of no known subject."""
-        return f"{self.subject} {self.eye}" if self.subject else None
+        """Return whose eye looks, such as "s07 right", for the account of its exposure; None of no known subject."""
+        return name_of_eye(self.subject, self.eye) if self.subject.strip() else None

@@ -18,6 +18,7 @@ WINDOW_MIN: Final = 3.0  # on either side: 0.7 log10 units of a healthy S2, with
 FEWEST: Final = 5
 HUBER: Final = 1.5
 ROUNDS: Final = 5
+LIMIT_FLASH_S: Final = 1e-3  # the published tests' flash lasts less (0.25 ms; Jackson and Edwards 2008)
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,6 +30,12 @@ class InterceptRule:
     bias_log10: float = 0.0  # what the method finds above the eye's own threshold, log10 units
     u_bias_log10: float = 0.0  # its standard uncertainty
     source: str = ""  # where criterion and limit come from
+    bleach_s: float | None = None  # how long the run's bleach lasted in s; None where it is not known
+
+    @property
+    def limit_applies(self) -> bool:
+        """Return whether the run's bleach is of the kind for which the limit was published: a flash."""
+        return self.limit_min is not None and self.bleach_s is not None and self.bleach_s <= LIMIT_FLASH_S
 
 
 @dataclass(frozen=True, slots=True)

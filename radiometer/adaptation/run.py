@@ -8,7 +8,7 @@ each threshold or catch). Between them `pause`, `resume`, `taken_up` (after a cr
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Final
 
@@ -21,6 +21,7 @@ from radiometer.adaptation.methods import Method, begin
 from radiometer.adaptation.outcome import Outcome, Verdict, counting_trials, outcome_of, too_many_false
 from radiometer.adaptation.protocol import AdaptationProtocol, LimitsMethod, SteadyBleach
 from radiometer.adaptation.reliability import BLANK, BLIND_SPOT, BRIGHT, kind_of_catch
+from radiometer.adaptation.run_facts import facts_of
 from radiometer.adaptation.stage import DescribedStage, FixationStage, Stage, SteppedStage
 from radiometer.errors import UsageError
 
@@ -44,6 +45,8 @@ def run_test(
     controls: Controls | None = None,
     checks: Sequence[Check] = (),
     eye: str | None = None,
+    visit: Mapping[str, str | float] | None = None,
+    bleaches: bool = True,
 ) -> Outcome:
     """Run a test from the beginning, or from where its journal ends.
 
@@ -53,6 +56,8 @@ def run_test(
         controls: Where pauses and the end are asked for; by the subject's long press alone where None.
         checks: Made before the bleach; what they find is journalled, what they refuse is raised.
         eye: "right" or "left", for the journal; None where it is not known.
+        visit: What else the journal's head states of subject and visit, by name.
+        bleaches: Whether it begins with the bleach; a practice run does not.
 
     Raises:
         UsageError: If the journal is of another subject or protocol.
@@ -60,7 +65,9 @@ def run_test(
         DeviceError: If a device fails; the run can be taken up again.
         MissingLibrary: If the protocol's method is QUEST+ and `questplus` is not installed.
     """
-    run = _Run(protocol, stage, journal, subject, seed, watch, controls or Controls(), checks, eye)
+    run = _Run(
+        protocol, stage, journal, subject, seed, watch, controls or Controls(), checks, eye, visit or {}, bleaches
+    )
     run.start()
     while (outcome := run.finished()) is None:
         run.trial()
@@ -79,7 +86,9 @@ class _Run:
     watch: Watcher
     controls: Controls
     checks: Sequence[Check]
-    eye: str | None = None
+    eye: str | None
+    visit: Mapping[str, str | float]
+    bleaches: bool
 
     def note(self, kind: str, *, lasting: bool = True, **facts: Any) -> Event:
         event = self.journal.write(kind, self.stage.now_s(), lasting=lasting, **facts)
@@ -103,7 +112,7 @@ class _Run:
         facts: dict[str, Any] = {"format": FORMAT, "subject": self.subject, "protocol": name, "seed": self.seed}
         if self.eye is not None:
             facts["eye"] = self.eye
-        self.note("start", **facts, unix_s=wall_s)
+        self.note("start", **{**facts, **self.visit}, unix_s=wall_s, facts=facts_of(self.protocol))
 
     def _check_journal(self) -> None:
         begun = self.journal.events[0]
@@ -134,8 +143,11 @@ class _Run:
                 self.note(REFUSED, reason=str(finding.refusal))
                 raise finding.refusal
         bleach = self.protocol.bleach
-        self.note("bleach", light=bleach.model_dump())
-        self.stage.bleach(self.protocol)
+        if self.bleaches:
+            self.note("bleach", light=bleach.model_dump())
+            self.stage.bleach(self.protocol)
+        else:  # a practice run: the mark alone is lit
+            self.stage.resume_at(self.stage.now_s())
         self.note("dark", steady=isinstance(bleach, SteadyBleach))
         if self.controls.stopped_by is not None:
             self.note("stop", by=self.controls.stopped_by)
@@ -370,7 +382,7 @@ class _Run:
         if criterion is not None and len(last) == self.protocol.end.beyond and max(last) <= criterion:
             return Verdict.CRITERION_REACHED
         if self._latest_s - self._dark_since_s >= 60 * self.protocol.end.duration_min:
-            return Verdict.COMPLETE
+            return Verdict.COMPLETE if self.bleaches else Verdict.PRACTICE
         return None
 
     def _fruitless(self, trial: Event) -> bool:

@@ -101,13 +101,13 @@ def within_reach(protocol: AdaptationProtocol, levels: SpotLevels) -> Adaptation
     if lowest >= highest:
         raise ConfigurationError(
             f"protocol {protocol.name}: the screen's {levels.channel} spot goes from {low:.2f} to {high:.2f} log10 "
-            f"scotopic cd/m², the protocol's from {spot.lowest_log10:g} to {spot.highest_log10:g}"
+            f"scotopic cd·m⁻², the protocol's from {spot.lowest_log10:g} to {spot.highest_log10:g}"
         )
     criterion = protocol.end.criterion_log10
     if criterion is not None and criterion <= lowest:
         raise ConfigurationError(
             f"protocol {protocol.name}: its criterion {criterion:g} is below the darkest spot of the screen, "
-            f"{low:.2f} log10 scotopic cd/m²"
+            f"{low:.2f} log10 scotopic cd·m⁻²"
         )
     narrowed = spot.model_copy(update={"lowest_log10": lowest, "highest_log10": highest})
     return protocol.model_copy(update={"spot": narrowed})
@@ -123,7 +123,7 @@ def field_code(calibration: ScreenCalibration, luminance_cd_m2: float, name: str
     brightest = grey.at(grey.levels[-1], LUMINANCE).value
     if luminance_cd_m2 > brightest:
         raise ConfigurationError(
-            f"protocol {name}: the bleach of {luminance_cd_m2:g} cd/m² is beyond screen {calibration.name}, which "
+            f"protocol {name}: the bleach of {luminance_cd_m2:g} cd·m⁻² is beyond screen {calibration.name}, which "
             f"reaches {brightest:.0f}: lower bleach.luminance_cd_m2 and lengthen bleach.duration_s"
         )
     code = grey.level_for(luminance_cd_m2, LUMINANCE)

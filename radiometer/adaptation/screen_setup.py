@@ -24,19 +24,12 @@ from radiometer.errors import ConfigurationError, UsageError
 from radiometer.screen.calibration import ScreenCalibration
 from radiometer.screen.stimulus import Blink, Code, Hold, Rest, ScreenPicture, Shape, StimulusScreen, Viewing
 from simulators.displays import DISPLAYS, SimulatedDisplay
-from simulators.observers.eye_kinetics import Eye
-from simulators.observers.observer import Habits, Observer, ObserverAtScreen
+from simulators.observers.behaviours import BEHAVIOURS, behaviour_of
+from simulators.observers.observer import Observer, ObserverAtScreen
 
 _FRAME_S: Final = 1 / 60  # usual screens show 60 frames per second
 _SIMULATED_SIZE: Final = (1920, 1080)  # Full HD
 _SIMULATED_PIXEL_MM: Final = 0.27  # Full HD at 24 inches
-_HABITS: Final[dict[str, tuple[Habits, float]]] = {
-    "steady": (Habits(), np.inf),
-    "never": (Habits(), -1.0),
-    "always": (Habits(false_alarms=1.0, lapses=0.0), np.inf),
-    "leaves": (Habits(), 600.0),
-    "wanders": (Habits(fixation_losses=0.4), np.inf),
-}
 
 
 @dataclass(slots=True)
@@ -138,7 +131,7 @@ def open_screen_stage(
             screen.show(ScreenPicture())  # nothing but black while the room is looked at
             yield ScreenStage(screen, known, reached, viewing, time.monotonic, time.time, request.eye), checks
     elif display in SIMULATED_DISPLAYS:
-        watcher = _watcher(display, subject, protocol.spot.filter_density)
+        watcher = _watcher(display, subject, request.seed, protocol.spot.filter_density)
         with watcher.display:
             viewing = _viewing(protocol, known, _SIMULATED_PIXEL_MM)
             before, now_s = ObservedScreen(watcher, viewing, request.seed, request.eye), watcher.display.clock.now_s
@@ -153,16 +146,13 @@ def _browser(port: int, announce: Callable[[str], None]) -> AbstractContextManag
     return BrowserStimulus(port, announce=announce, start_timeout_s=START_TIMEOUT_S, darken=darken_held)
 
 
-def _watcher(display: str, subject: str | None, filter_density: float) -> ObserverAtScreen:
+def _watcher(display: str, subject: str | None, seed: int, filter_density: float) -> ObserverAtScreen:
     if subject is None:
-        raise UsageError(
-            "a simulated display needs a simulated subject: --simulate steady, never, always, leaves or wanders"
-        )
-    if subject not in _HABITS:
-        raise UsageError(f"simulated subject {subject!r}: choose {', '.join(_HABITS)}")
-    habits, leaves_after_s = _HABITS[subject]
-    observer = Observer(Eye(), habits)
-    return ObserverAtScreen(observer, SimulatedDisplay(DISPLAYS[display]), leaves_after_s, filter_density)
+        raise UsageError(f"a simulated display needs a simulated subject: --simulate {', '.join(BEHAVIOURS)}")
+    chosen = behaviour_of(subject)
+    observer = Observer(chosen.eye(np.random.default_rng(seed)), chosen.habits)
+    simulated = SimulatedDisplay(DISPLAYS[display])
+    return ObserverAtScreen(observer, simulated, 60.0 * chosen.leaves_after_min, filter_density)
 
 
 def _viewing(protocol: AdaptationProtocol, calibration: ScreenCalibration, otherwise_mm: float | None) -> Viewing:

@@ -7,15 +7,15 @@ from contextlib import AbstractContextManager, ExitStack, contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from radiometer.adaptation.box_setup import SIMULATED, open_box_stage
+from radiometer.adaptation.box_setup import open_box_stage
 from radiometer.adaptation.checks import Check
 from radiometer.adaptation.controls import Controls
-from radiometer.adaptation.journal import Event, RunJournal
+from radiometer.adaptation.journal import DEVICE_FACTS, Event, RunJournal
 from radiometer.adaptation.live_page import LivePage, replayed
 from radiometer.adaptation.live_text import LiveText, event_line
 from radiometer.adaptation.outcome import Outcome
 from radiometer.adaptation.prompts import Prompter
-from radiometer.adaptation.request import RunRequest
+from radiometer.adaptation.request import SIMULATED_BOX, RunRequest
 from radiometer.adaptation.run import run_test
 from radiometer.adaptation.run_facts import facts_of
 from radiometer.adaptation.screen_setup import open_screen_stage
@@ -48,7 +48,8 @@ class Session:
         asked = self.request
         return run_test(
             self.stage.protocol, self.stage, self.journal, subject=asked.subject, seed=asked.seed, watch=watch,
-            controls=self.controls, checks=self.checks, eye=asked.eye if asked.protocol.fixation_check else None,
+            controls=self.controls, checks=self.checks, eye=asked.eye, visit=asked.header(),
+            bleaches=not asked.practice,
         )  # fmt: skip
 
     @staticmethod
@@ -100,7 +101,11 @@ class Session:
     def table(self, outcome: Outcome) -> str:
         """Return the thresholds as CSV, with the facts that belong to their fit."""
         shared = [event["u_scale_log10"] for event in self.journal.of_kind("stage") if event.get("u_scale_log10")]
-        facts = facts_of(self.request.protocol, shared[-1] if shared else None, outcome.reliability)
+        asked = self.request
+        devices: dict[str, str | float] = {}
+        for event in self.journal.of_kind("stage"):
+            devices |= {name: str(event[name]) for name in DEVICE_FACTS if event.get(name) is not None}
+        facts = facts_of(asked.protocol, shared[-1] if shared else None, outcome.reliability, asked.header() | devices)
         return outcome.to_csv(facts)
 
     def reach_sentence(self) -> str | None:
@@ -110,7 +115,7 @@ class Session:
             return None
         return (
             f"the {asked.channel} spot goes from {shown.lowest_log10:.2f} to {shown.highest_log10:.2f} log10 "
-            f"scotopic cd/m² on this screen; {self.request.protocol.name} asks for {asked.lowest_log10:g} to "
+            f"scotopic cd·m⁻² on this screen; {self.request.protocol.name} asks for {asked.lowest_log10:g} to "
             f"{asked.highest_log10:g}"
         )
 
@@ -141,7 +146,7 @@ def open_session(
         for warning in stage.screen.warnings() if isinstance(stage, ScreenStage) else ():
             notice(f"warning: {warning}")
         begun = journal.is_file() and journal.stat().st_size > 0
-        written = held.enter_context(RunJournal(journal, relive=request.box == SIMULATED))
+        written = held.enter_context(RunJournal(journal, relive=request.box == SIMULATED_BOX))
         session = Session(request, stage, checks, written, controls or Controls())
         narrowed = session.reach_sentence()
         if narrowed is not None:

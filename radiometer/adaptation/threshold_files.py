@@ -15,6 +15,7 @@ from typing import Final
 
 import numpy as np
 
+from radiometer.adaptation.journal import DEVICE_FACTS, is_journal, read_events
 from radiometer.adaptation.r_files import is_r_file, read_r_lists
 from radiometer.adaptation.trial_lists import changes_of_answer, column_of_answers, column_of_onsets
 from radiometer.data import text_table
@@ -52,14 +53,17 @@ def read_table(path: Path) -> TakenTable:
     """Return the thresholds in a file.
 
     Args:
-        path: Three kinds of files are read. CSV (comma, semicolon, tab or blanks; point or comma in numbers), with or
-            without header and # lines. Files that R writes of a `Dark` list by `write.csv`, `write.table`, `dput`,
-            `save` or `saveRDS`. A list of trials, as OPI has them: when, which level, seen or not.
+        path: Four kinds of files are read. Journals of `adapt run`. CSV (comma, semicolon, tab or blanks; point or
+            comma in numbers), with or without header and # lines. Files that R writes of a `Dark` list by
+            `write.csv`, `write.table`, `dput`, `save` or `saveRDS`. A list of trials, as OPI has them: when, which
+            level, seen or not.
 
     Raises:
         InputError: If the file cannot be read or no time and threshold are found in it.
     """
     raw = _raw(path)
+    if is_journal(raw):
+        return _of_journal(path)
     if is_r_file(raw):
         name, *numbers = read_r_lists(path)
         rows = [[str(value) for value in pair] for pair in zip(*numbers, strict=True)]
@@ -77,6 +81,29 @@ def read_table(path: Path) -> TakenTable:
     else:
         header, numbered, facts, how = _cells(path, text)
     return _taken(path, header, numbered, facts, how)
+
+
+def _of_journal(path: Path) -> TakenTable:
+    """Return the thresholds in the journal of a run, finished or not."""
+    events = list(read_events(path))
+    if not events:
+        raise InputError(f"{path} holds no thresholds")
+    start = events[0]
+    named = ("subject", "eye", "visit", "age_years", "pupil_mm", "simulated", "protocol")
+    facts = {name: str(start[name]) for name in named if start.get(name) is not None} | dict(start.get("facts") or {})
+    for event in events:
+        if event["kind"] == "stage":
+            facts |= {name: str(event[name]) for name in DEVICE_FACTS if event.get(name) is not None}
+    shared = [str(event["u_scale_log10"]) for event in events if event.get("u_scale_log10")]
+    facts |= {"u_scale_log10": shared[-1]} if shared else {}
+    void = {event["voids"] for event in events if event["kind"] == "pause"} - {None}
+    trials = [e for e in events if e["kind"] == "trial" and e["threshold"] is not None and e["sequence"] not in void]
+    if not trials:
+        raise InputError(f"{path} holds no thresholds")
+    columns = ["minutes", "threshold", *(["u_log10"] if all(e.get("u_log10") for e in trials) else [])]
+    ended = next((str(event["verdict"]) for event in events if event["kind"] == "end"), "unfinished")
+    how = (f"a journal of `adapt run`: {ended}", "thresholds in log10 scotopic cd·m⁻²")
+    return TakenTable(np.array([[float(e[name]) for name in columns] for e in trials]), facts, how)
 
 
 def _raw(path: Path) -> bytes:
@@ -115,7 +142,7 @@ def _cells(path: Path, text: str) -> tuple[list[str], list[tuple[int, list[str]]
 
 
 def _facts(comments: Sequence[str]) -> dict[str, str]:
-    pairs = (re.split(r"\s*[:=]\s*", comment, maxsplit=1) for comment in comments)
+    pairs = (re.split(r"[:=]", comment, maxsplit=1) for comment in comments)
     return {pair[0].strip().lower(): pair[1].strip() for pair in pairs if len(pair) == 2}
 
 
@@ -270,7 +297,7 @@ def _from_db(levels: np.ndarray, said: str, header: str, facts: dict[str, str]) 
         brightest = OPI_BRIGHTEST_CD_M2
     if rises or brightest is not None or "sensitivity" in said or "attenuation" in said:
         zero = 0.0 if brightest is None else math.log10(brightest)
-        of = "relative to 0 dB" if brightest is None else f"0 dB = {brightest:.5g} cd/m²"
+        of = "relative to 0 dB" if brightest is None else f"0 dB = {brightest:.5g} cd·m⁻²"
         return (
             zero - levels / DB_PER_LOG10,
             1 / DB_PER_LOG10,

@@ -43,6 +43,11 @@ class ThresholdSeries:
         if np.any(np.diff(self.time_min) < 0):
             raise InputError("the times of a threshold series must ascend")
 
+    @property
+    def level_name(self) -> str:
+        """Return what the thresholds are log₁₀ of, for an axis: as the run states it, else that it is not known."""
+        return self.facts.get("level_unit") or "unit not stated"
+
     @classmethod
     @bounded_reader(error=InputError)
     def read(cls, path: Path) -> ThresholdSeries:

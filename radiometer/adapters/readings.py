@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import urllib.error
 import urllib.request
 from collections.abc import Mapping
@@ -11,7 +10,7 @@ from typing import Any, Final, Protocol
 
 from radiometer.api.meter import Meter
 from radiometer.data import Patch, Quantity, Reading
-from radiometer.data.json_text import json_text
+from radiometer.data.json_text import json_text, parsed_json
 from radiometer.data.reading import Flag
 from radiometer.errors import DeviceError, DeviceLost
 
@@ -75,9 +74,11 @@ class DaemonSource:
         request = urllib.request.Request(f"{self.origin}/measure", json_text(asked).encode(), headers)
         try:
             with urllib.request.urlopen(request, timeout=self.timeout_s) as reply:
-                return reading_of(json.load(reply))
+                return reading_of(parsed_json(reply.read()))
         except urllib.error.HTTPError as error:
             raise DeviceError(f"{self.origin} refuses: {_said(error)}") from error
+        except (ValueError, RecursionError) as error:
+            raise DeviceError(f"what {self.origin} answers is no reading: {error}") from error
         except OSError as error:
             raise DeviceLost(
                 f"{self.origin} does not answer: {error}; start `radiometer serve`, or correct the address"
@@ -112,7 +113,7 @@ def _quantity(mapping: Mapping[str, Any]) -> Quantity:
 def _said(error: urllib.error.HTTPError) -> str:
     text = error.read().decode("utf-8", "replace").strip()
     try:
-        said = json.loads(text)
+        said = parsed_json(text)
     except ValueError:
         return text or str(error)
     return str(said.get("error", text)) if isinstance(said, dict) else text

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import datetime as dt
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager, ExitStack
@@ -14,11 +15,13 @@ import numpy as np
 from radiometer.adaptation.adaptation_fit import AdaptationFit, FitRequest, fit_adaptation, intercept_verdict
 from radiometer.adaptation.bleach import bleached_fraction, bleached_range, pupil_diameter_mm, retinal_illuminance_td
 from radiometer.adaptation.controls import Controls
+from radiometer.adaptation.instructions import instructions
 from radiometer.adaptation.journal import Event
-from radiometer.adaptation.outcome import Outcome
-from radiometer.adaptation.protocol import SHIPPED, AdaptationProtocol, read_protocol
+from radiometer.adaptation.outcome import Outcome, Verdict
+from radiometer.adaptation.protocol import SHIPPED, AdaptationProtocol, practice_of, read_protocol
 from radiometer.adaptation.reliability import NAMES, Reliability
 from radiometer.adaptation.report import LABELS, curve_csv, label_of, to_mapping, write_page
+from radiometer.adaptation.report_picture import short
 from radiometer.adaptation.request import RunRequest
 from radiometer.adaptation.retest import FEWEST_PAIRS, Compared, compare_visits
 from radiometer.adaptation.run_facts import intercept_of, number_of
@@ -26,12 +29,17 @@ from radiometer.adaptation.session import Session as Session
 from radiometer.adaptation.session import Watcher as Watcher
 from radiometer.adaptation.session import open_session
 from radiometer.adaptation.threshold_series import ThresholdSeries
+from radiometer.adaptation.visits import moment_of, visit_at, visit_in
+from radiometer.adaptation.visits_page import OVERLAID, label_of_visit, visits_html
 from radiometer.api.files import PathLike
+from radiometer.api.needed import require_other
 from radiometer.api.result import Notice, Result, unheard
 from radiometer.data.guards import safe_name
 from radiometer.data.json_text import json_text
 from radiometer.data.storage import check_outputs, write_text_atomic
 from radiometer.errors import MeasurementError, UsageError
+from radiometer.numbers import rounded, unit_text
+from radiometer.progress import Progress, unseen
 
 # Opens what watches a run for as long as it lasts, such as a live view of a terminal.
 View = Callable[[Session], AbstractContextManager[Watcher]]
@@ -52,6 +60,11 @@ class AdaptationRun(Result):
     journal: Path
     table: Path | None
     fit_options: str = ""
+
+    @property
+    def practised(self) -> bool:
+        """Return whether it was a practice run that ran its whole time."""
+        return self.outcome.verdict is Verdict.PRACTICE
 
     def to_mapping(self) -> dict[str, Any]:
         """Return the documented JSON form."""
@@ -98,9 +111,13 @@ def adapt_run(
     slow_s: float = 0.0,
     seed: int = 0,
     eye: str = "right",
+    age: float | None = None,
+    pupil: float | None = None,
+    visit: str | None = None,
+    practice: bool = False,
     preset: PathLike | None = None,
     screen: PathLike | None = None,
-    display: str = "browser",
+    display: str | None = None,
     port: int = 0,
     page: bool = False,
     page_port: int = 0,
@@ -112,7 +129,7 @@ def adapt_run(
     notice: Notice = unheard,
     announce: Callable[[str], None] = lambda url: None,
 ) -> AdaptationRun:
-    """Run a dark-adaptation test; where the journal exists, take it up where it ends.
+    """Run a dark-adaptation test; an unfinished run of the same visit is taken up where it ends.
 
     Examples:
         >>> import radiometer as rm
@@ -122,7 +139,7 @@ def adapt_run(
     Args:
         protocol: Protocol file, or the name of a shipped one.
         subject: Pseudonym of the subject.
-        out: Journal; SUBJECT-PROTOCOL.jsonl by default.
+        out: Journal; SUBJECT-PROTOCOL-EYE-DATETIME.jsonl in this folder by default.
         csv: Table of thresholds; next to the journal where they can be fitted.
         box: Light box: "sim", a serial number or a port.
         calibration: Light calibration; the box's own by default.
@@ -131,15 +148,18 @@ def adapt_run(
         bench: Bench file of that camera.
         white: Spectrum of the bleaching light.
         fixation: Radiance of the red mark in W·sr⁻¹·m⁻²; the protocol's luminance by default.
-        simulate: Simulated subject: "steady", "never", "always", "leaves", "wanders"; before the simulated box also
-            "healthy" and "amd".
+        simulate: Simulated subject: "steady", "never", "always", "leaves", "wanders", "healthy" or "amd".
         room: Luminance of the simulated box's room in cd·m⁻².
         slow_s: Real time in s per simulated trial, to watch it.
         seed: Seed of catches and of the simulated subject.
         eye: "right" or "left".
+        age: Age of the subject in years, for the head of journal and table.
+        pupil: Diameter of the pupil in mm as measured, for the same, and to warn where it is below the protocol's.
+        practice: Three minutes without a bleach, to learn the task; nothing of it is fitted.
+        visit: Date and time of the visit, ISO 8601, local where no zone is stated; now by default.
         preset: Light-box preset: bounds and places of its channels.
         screen: Calibration of the screen that shows the spot.
-        display: That screen: "browser", or a simulated one: "lcd", "pwm_lcd", "oled".
+        display: That screen: "browser" (the default), or a simulated one: "lcd", "pwm_lcd", "oled".
         port: Port of the subject's page; 0 for any free one.
         page: Serve the live curve as a page.
         page_port: Port of that page; 0 for any free one.
@@ -152,22 +172,31 @@ def adapt_run(
         announce: Called with the address of the subject's page.
 
     Raises:
-        UsageError: If arguments exclude each other, or the journal belongs to another run.
+        UsageError: If arguments exclude or need each other, or the journal holds a finished or another run.
         CalibrationError: If a calibration is too old or of another device.
         MeasurementError: If the room is not dark.
         UnsafeStimulus: If the light is too much for the eye.
         DeviceError: If a device fails; the run can be taken up again.
     """
     safe_name(subject, "--subject")
-    chosen = read_protocol(protocol)
+    require_other("--screen", screen, display=display, port=port)
+    require_other("--box sim", box == "sim", room=room)
+    chosen = practice_of(read_protocol(protocol)) if practice else read_protocol(protocol)
+    by_box = box or (simulate is None and chosen.spot.device == "light_box")
+    require_other("--box", by_box, calibration=calibration, preset=preset, fixation=fixation)
     known, presets, screens, benches = (Path(one) if one else None for one in (calibration, preset, screen, bench))
-    request = RunRequest(
+    asked = RunRequest(
         chosen, subject, eye, seed, box, known, presets, white, fixation, accept_stale,
         measure_room=camera is not None or bench is not None, camera=camera, bench=benches, room_cd_m2=room,
-        simulate=simulate, screen=screens, display=display, port=port,
+        simulate=simulate, screen=screens, display=display or "browser", port=port, age_years=age, pupil_mm=pupil,
+        practice=practice,
     )  # fmt: skip
-    journal = Path(out) if out else Path(f"{subject}-{chosen.name}.jsonl")
-    resumed = journal.exists()
+    moment = dt.datetime.now(dt.UTC) if visit is None else moment_of(visit)
+    found = visit_at(Path(out), asked, moment) if out else visit_in(Path(), asked, moment)
+    request, journal, resumed = found.request, found.journal, found.resumed
+    for remark in (*found.remarks, request.smaller_pupil()):
+        if remark is not None:
+            notice(remark)
     table_file = Path(csv) if csv else journal.with_suffix(".csv")
     check_outputs(None if resumed else journal, table_file, force=force or resumed)
     with (
@@ -242,8 +271,11 @@ class AdaptationCurve(Result):
         found = []
         for name, estimate in self.fit.estimates.items():
             interval = estimate.profile or estimate.bootstrap
-            shown = f"   {interval.low:.3f} to {interval.high:.3f} (95 %)" if interval else ""
-            found.append(f"{label_of(name, self.fit):<32} {estimate.value:9.3f} {estimate.unit:<10}{shown}")
+            expanded = 2.0 * estimate.u
+            ends = [rounded(end, expanded)[0] for end in (interval.low, interval.high)] if interval else []
+            shown = f"   {ends[0]} to {ends[1]} (95 %)" if ends else ""
+            value = rounded(estimate.value, expanded)[0]
+            found.append(f"{label_of(name, self.fit):<32} {value:>9} {unit_text(estimate.unit):<10}{shown}".rstrip())
         rates = Reliability.of_facts(self.series.facts).rates
         return [*found, *(f"{NAMES[name]:<32} {rate}" for name, rate in rates.items())]
 
@@ -272,6 +304,7 @@ def adapt_fit(
     stimulus_u_log10: float | None = None,
     bootstrap: int = 200,
     seed: int = 1,
+    progress: Progress = unseen,
 ) -> AdaptationCurve:
     """Fit cone and rod branches to thresholds: plateau, rod–cone break, S2, rod intercept, final threshold.
 
@@ -287,6 +320,7 @@ def adapt_fit(
         stimulus_u_log10: Standard uncertainty of the stimulus calibration in log10 units; the table's own by default.
         bootstrap: Bootstrap redraws; 0 for none.
         seed: Makes the redraws.
+        progress: Called after every redraw.
 
     Raises:
         InputError: If the table cannot be read.
@@ -297,7 +331,8 @@ def adapt_fit(
         stimulus_u_log10 = number_of(series.facts, "u_scale_log10") or 0.0
     rule = intercept_of(series.facts) if criterion is None else None
     request = FitRequest(criterion, stimulus_u_log10, bootstrap, intercept=rule)
-    return AdaptationCurve(fit_adaptation(series, request, np.random.default_rng(seed)), series, Path(data).stem)
+    found = fit_adaptation(series, request, np.random.default_rng(seed), progress)
+    return AdaptationCurve(found, series, Path(data).stem)
 
 
 @dataclass(frozen=True, repr=False)
@@ -396,6 +431,115 @@ def adapt_protocols() -> Protocols:
         True
     """
     return Protocols(tuple(read_protocol(name) for name in SHIPPED))
+
+
+@dataclass(frozen=True, repr=False)
+class Instructions(Result):
+    """What is read aloud to the subject before a test."""
+
+    protocol: str
+    sentences: tuple[str, ...]
+
+    def to_mapping(self) -> dict[str, Any]:
+        """Return the documented JSON form."""
+        return {"protocol": self.protocol, "instructions": list(self.sentences)}
+
+    def lines(self) -> list[str]:
+        """Return the instructions, a paragraph each."""
+        return list(self.sentences)
+
+    def __str__(self) -> str:
+        """Return whose they are and how they begin."""
+        return f"{self.protocol}: {self.sentences[0]}"
+
+
+def adapt_instructions(protocol: str) -> Instructions:
+    """Return the instructions to the subject of a protocol, to be read aloud before the test.
+
+    Examples:
+        >>> import radiometer as rm
+        >>> rm.adapt_instructions("classic")
+        <Instructions classic: This test finds how your eye gets used to the dark. ...>
+
+    Args:
+        protocol: Protocol file, or the name of a shipped one.
+
+    Raises:
+        ConfigurationError: If there is none, or it holds something not allowed.
+    """
+    chosen = read_protocol(protocol)
+    return Instructions(chosen.name, tuple(instructions(chosen)))
+
+
+@dataclass(frozen=True, repr=False)
+class Visits(Result):
+    """Fits of several visits, to be seen together."""
+
+    curves: tuple[AdaptationCurve, ...]
+
+    def to_mapping(self) -> dict[str, Any]:
+        """Return the documented JSON form."""
+        return {
+            "visits": [
+                {"name": label_of_visit(one.series, one.name), "facts": dict(one.series.facts), **one.to_mapping()}
+                for one in self.curves
+            ]
+        }
+
+    def lines(self) -> list[str]:
+        """Return a line for each visit: who and when, break, S2 and final threshold with their intervals."""
+        return [
+            f"{label_of_visit(one.series, one.name)}: "
+            + ", ".join(
+                f"{label_of(name, one.fit).lower()} {short(one.fit, name)} {one.fit.estimates[name].unit}"
+                for name in OVERLAID
+                if name in one.fit.estimates
+            )
+            for one in self.curves
+        ]
+
+    def write_report(self, path: PathLike) -> None:
+        """Write the page with all curves in one picture (HTML). Raises OutputError."""
+        write_text_atomic(Path(path), visits_html([(one.fit, one.name) for one in self.curves]))
+
+    def __str__(self) -> str:
+        """Return the visits' names."""
+        return ", ".join(label_of_visit(one.series, one.name) for one in self.curves)
+
+
+def adapt_visits(visits: Sequence[PathLike], *, report: PathLike | None = None) -> Visits:
+    """Fit the thresholds of several visits and lay their curves over each other.
+
+    Examples:
+        >>> import radiometer as rm
+        >>> len(rm.adapt_visits(["thresholds.csv", "thresholds.csv"]).curves)
+        2
+
+    Args:
+        visits: Tables or journals, in the order of the visits.
+        report: Page to write, with all curves in one picture.
+
+    Raises:
+        UsageError: If there are fewer than two.
+        InputError: If one cannot be read.
+        MeasurementError: If thresholds determine no branch.
+    """
+    if len(visits) < 2:
+        raise UsageError(f"{len(visits)} visit: name two at least")
+    curves = []
+    for one in visits:
+        series = ThresholdSeries.read(Path(one))
+        request = FitRequest(bootstrap_draws=0, intercept=intercept_of(series.facts))
+        try:
+            curves.append(
+                AdaptationCurve(fit_adaptation(series, request, np.random.default_rng(1)), series, Path(one).stem)
+            )
+        except MeasurementError as error:
+            raise MeasurementError(f"{one}: {error}") from error
+    found = Visits(tuple(curves))
+    if report is not None:
+        found.write_report(report)
+    return found
 
 
 @dataclass(frozen=True, repr=False)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
@@ -18,6 +17,7 @@ from radiometer.api.files import PathLike
 from radiometer.api.result import Result
 from radiometer.data import Quantity, Reading
 from radiometer.data.drawing import new_axes, picture, write_figure
+from radiometer.data.json_text import parsed_json
 from radiometer.data.storage import read_text
 from radiometer.errors import InputError, UsageError
 from radiometer.screen.calibration import LUMINANCE, ScreenCalibration
@@ -174,8 +174,10 @@ def alpha_opic(
 def _quantity_of_file(path: Path) -> Quantity:
     """Return the luminance of a reading's JSON, or its radiance where it has none. Raises InputError."""
     try:
-        content = json.loads(read_text(path))
+        content = parsed_json(read_text(path))
         stated = content["luminance"] or content["radiance"]
         return Quantity(float(stated["value"]), float(stated["u"]), str(stated["unit"]))
     except (ValueError, KeyError, TypeError, RecursionError) as error:
-        raise InputError(f"{path}: is not the JSON of a reading, as `radiometer measure --json` prints it") from error
+        raise InputError(
+            f"{path}: is not the JSON of a reading, as `radiometer measure --json` prints it ({error})"
+        ) from error

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
@@ -12,9 +11,10 @@ from radiometer.analysis.exports.certificate import Certified, Item, Laboratory,
 from radiometer.api.files import PathLike
 from radiometer.api.result import Result
 from radiometer.data import Calibration, Contribution, Quantity, Reading
+from radiometer.data.json_text import parsed_json
 from radiometer.data.storage import check_outputs, read_text, write_text_atomic
 from radiometer.errors import InputError, UsageError
-from radiometer.reporting.numbers import unit_text, with_u
+from radiometer.numbers import unit_text, with_u
 from radiometer.reporting.page import listed, page, section, table
 
 _RELATIVE: Final = "a relative value has no SI unit and cannot be certified; calibrate the camera first"
@@ -142,14 +142,14 @@ def _certified(source: Reading | Calibration | PathLike, laboratory: Laboratory,
     if path.suffix.lower() in (".yaml", ".yml"):
         return _of_calibration(Calibration.read(path), laboratory, identifier)
     try:
-        content = json.loads(read_text(path))
+        content = parsed_json(read_text(path))
         budget = [
             Contribution(str(line["name"]), float(line["u_rel"]), str(line.get("kind", "B")))
             for line in content.get("budget", [])
         ]
         return _of_reading(content, tuple(budget), laboratory, identifier)
     except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
-        raise InputError(f"{path}: is neither the JSON of a reading nor the YAML of a calibration") from error
+        raise InputError(f"{path}: is neither the JSON of a reading nor the YAML of a calibration ({error})") from error
 
 
 def _of_reading(

@@ -25,6 +25,7 @@ from radiometer.data import (
 from radiometer.devices import CameraPreset
 from radiometer.errors import UsageError
 from radiometer.importing import imported_of, open_capture
+from radiometer.numbers import with_u
 from radiometer.photographs.scene import prepared
 
 __all__ = ["Flux", "FluxReport", "Quantity", "flux"]
@@ -60,7 +61,7 @@ class Flux(Result):
     def __str__(self) -> str:
         """Return the flux in mW with its expanded uncertainty in one line."""
         where = "emitted" if self.report.emitted else "through the sensor"
-        return f"{1e3 * self.result.value:.4g} ± {2e3 * self.result.u:.2g} mW (k = 2) {where}"
+        return f"{with_u(1e3 * self.result.value, 2e3 * self.result.u, 'mW', k=2)} {where}"
 
 
 def flux(

@@ -27,6 +27,7 @@ from radiometer.data.json_text import json_text
 from radiometer.data.light_calibration import LevelChoice, LightCalibration
 from radiometer.data.storage import check_outputs
 from radiometer.devices import ChannelMode, ChannelState, CurrentRange, DriveLevel, Radiance
+from radiometer.devices.exposure_account import name_of_eye
 from radiometer.devices.light_box import Level
 from radiometer.errors import DeviceError, DeviceNotFound, UsageError
 
@@ -89,6 +90,9 @@ def light_set(
     low: bool = False,
     hold_s: float | None = None,
     box: str | None = None,
+    subject: str | None = None,
+    eye: str | None = None,
+    no_eye: bool = False,
     calibration: PathLike | None = None,
     preset: PathLike | None = None,
     lit: Lit = _unwatched,
@@ -108,18 +112,21 @@ def light_set(
         low: Raw level on the low current range.
         hold_s: Time in s; until an interrupt by default.
         box: "sim", a serial number or a port; the only one by default.
+        subject: Pseudonym of who looks into the box. Where no eye is named, the light counts for every eye.
+        eye: That eye, "right" or "left".
+        no_eye: State that no eye looks: the light counts in the account of the box alone.
         calibration: Light calibration; the box's own by default.
         preset: Light-box preset with safety bounds.
         lit: Called once the channel is lit.
         notice: Gets what the user must know meanwhile.
 
     Raises:
-        UsageError: If not exactly one of radiance and level is given.
+        UsageError: If not exactly one of radiance and level is given, or one of subject and eye alone.
         UnsafeStimulus: If it is too much for the eye or the box.
         DeviceError: If the box fails or ends the light early.
     """
-    wanted = _level(radiance, level, low=low)
-    with _opened(box, calibration, preset) as opened:
+    wanted, looks = _level(radiance, level, low=low), name_of_eye(subject, eye, no_eye=no_eye)
+    with _opened(box, calibration, preset, looks) as opened:
         found = _found(opened, opened.box.set_level(channel, wanted), radiance)
         lit(found)
         _stay(opened, hold_s, channel if found.state.drive.level else None, notice)
@@ -134,6 +141,9 @@ def light_pulse(
     level: int | None = None,
     low: bool = False,
     box: str | None = None,
+    subject: str | None = None,
+    eye: str | None = None,
+    no_eye: bool = False,
     calibration: PathLike | None = None,
     preset: PathLike | None = None,
     lit: Lit = _unwatched,
@@ -153,8 +163,8 @@ def light_pulse(
     Raises:
         RadiometerError: As `light_set`.
     """
-    wanted = _level(radiance, level, low=low)
-    with _opened(box, calibration, preset) as opened:
+    wanted, looks = _level(radiance, level, low=low), name_of_eye(subject, eye, no_eye=no_eye)
+    with _opened(box, calibration, preset, looks) as opened:
         found = _found(opened, opened.box.pulse(channel, wanted, duration_s), radiance)
         lit(found)
         _stay(opened, duration_s, None, notice)
@@ -172,6 +182,9 @@ def light_blink(
     low: bool = False,
     hold_s: float | None = None,
     box: str | None = None,
+    subject: str | None = None,
+    eye: str | None = None,
+    no_eye: bool = False,
     calibration: PathLike | None = None,
     preset: PathLike | None = None,
     lit: Lit = _unwatched,
@@ -194,9 +207,9 @@ def light_blink(
     Raises:
         RadiometerError: As `light_set`.
     """
-    wanted = _level(radiance, level, low=low)
+    wanted, looks = _level(radiance, level, low=low), name_of_eye(subject, eye, no_eye=no_eye)
     lit_s = hold_s if hold_s is not None else (on_s + off_s) * count if count else None
-    with _opened(box, calibration, preset) as opened:
+    with _opened(box, calibration, preset, looks) as opened:
         found = _found(opened, opened.box.blink(channel, wanted, on_s, off_s, count), radiance)
         lit(found)
         _stay(opened, lit_s, channel if count == 0 else None, notice)
@@ -517,9 +530,11 @@ def light_calibrate(
 
 
 @contextlib.contextmanager
-def _opened(box: str | None, calibration: PathLike | None, preset: PathLike | None) -> Iterator[OpenedBox]:
+def _opened(
+    box: str | None, calibration: PathLike | None, preset: PathLike | None, eye: str | None
+) -> Iterator[OpenedBox]:
     known, bounds = (Path(one) if one else None for one in (calibration, preset))
-    with open_light_box(box, calibration=known, preset=bounds) as opened:
+    with open_light_box(box, calibration=known, preset=bounds, eye=eye) as opened:
         yield opened
 
 

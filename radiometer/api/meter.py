@@ -65,7 +65,7 @@ class Meter:
         """
         where = as_patch(patch)
         instrument = self.instrument if where is None else self.instrument.at(where)
-        return instrument.measure(target_u_rel=u_rel)
+        return instrument.with_origin(instrument.measure(target_u_rel=u_rel))
 
     def bracket(
         self, patch: PatchLike | None = None, *, darks: int = 0, time_limit_s: float = DEFAULT_TIME_LIMIT_S

@@ -11,6 +11,7 @@ import numpy as np
 from radiometer.analysis.reading.monte_carlo import propagate_distributions
 from radiometer.analysis.reading.reading import patch_situation, read_patch
 from radiometer.api.files import PathLike, Stack, stack_of
+from radiometer.api.reading import reading_record
 from radiometer.api.result import Progress
 from radiometer.bench.sources import open_source
 from radiometer.data import Bracket, Calibration, CameraDescription, LensDescription, Patch, Provenance, Reading
@@ -19,6 +20,8 @@ from radiometer.errors import UsageError
 from radiometer.photographs.response import relative_calibration
 from radiometer.photographs.scene import Photographs, prepared, with_shutter_doubt
 from radiometer.photographs.stated import with_f_number, with_iso_in_reading
+from radiometer.progress import counted, unseen
+from radiometer.reporting.reading_page import check_report_name, write_reading_page
 
 
 def measure_photographs(
@@ -36,6 +39,7 @@ def measure_photographs(
     f_number: float | None = None,
     spectrum: str | None = None,
     monte_carlo: bool = False,
+    report: PathLike | None = None,
     progress: Progress | None = None,
 ) -> Reading:
     """Read the radiance of a patch in photographs, with its uncertainty.
@@ -62,6 +66,7 @@ def measure_photographs(
         f_number: f-number of frames that state none.
         spectrum: Spectrum of the light; where it is unknown, all kinds of light count in the uncertainty.
         monte_carlo: Add the interval by the propagation of distributions to `reading.more`.
+        report: Page of the reading to write, .html or .pdf.
         progress: Called as files are read.
 
     Returns:
@@ -73,6 +78,8 @@ def measure_photographs(
         MeasurementError: If a response is needed and the photographs hold none.
         UsageError: If arguments exclude each other.
     """
+    if report is not None:
+        check_report_name(Path(report))
     if calibration is None and not uncalibrated:
         raise UsageError("--photographs needs --calibration (or --uncalibrated for relative values)")
     if calibration is not None and uncalibrated:
@@ -86,7 +93,7 @@ def measure_photographs(
     if stack.photographs:
         ready = prepared(
             stack.as_photographs(), calibration=known, linear=linear, measured_iso=measured_iso, iso=iso,
-            f_number=f_number, align=align,
+            f_number=f_number, align=align, progress=progress or unseen,
         )  # fmt: skip
         camera, lens = known.camera if known else CameraDescription(bit_depth=ready.only.bit_depth), LensDescription()
         bracket = ready.without_absent()
@@ -99,15 +106,19 @@ def measure_photographs(
         bracket, camera, lens = with_f_number(stack.chosen(pattern), f_number), stack.camera, stack.lens
         ready = Photographs({"mono": bracket}, Path(stack.origin), notes=stack.notes)
     where = patch if isinstance(patch, Patch) else Patch(*patch)
-    return _reading(bracket, where, Setup(camera, lens, known, spectrum=spectrum), ready, drawn=monte_carlo)
+    reading = _reading(bracket, where, Setup(camera, lens, known, spectrum=spectrum), ready, drawn=monte_carlo)
+    stated = None
+    if calibration is not None and known is not None:
+        file = None if isinstance(calibration, Calibration) else str(calibration)
+        stated = {"file": file, "created": known.created, "reference": known.scale.reference}
+    reading = replace(reading, more={**reading.more, "calibration": stated})
+    if report is not None:
+        write_reading_page(reading_record(reading, bracket, lens), Path(report))
+    return reading
 
 
 def _opened(path: Path, channel: str, progress: Progress | None) -> Stack:
-    def report(done: int, total: int) -> None:
-        if progress is not None:
-            progress("reading", done, total)
-
-    return stack_of(open_source(path, channel, report=report), str(path))
+    return stack_of(open_source(path, channel, report=counted(progress, "reading")), str(path))
 
 
 def _reading(bracket: Bracket, patch: Patch, setup: Setup, ready: Photographs, *, drawn: bool) -> Reading:

@@ -49,6 +49,7 @@ from radiometer.photographs.scene import (
     merge_photographs,
     prepared,
 )
+from radiometer.progress import counted, unseen
 
 if TYPE_CHECKING:
     import xarray
@@ -375,7 +376,7 @@ def merge(
         None if vignetting is None else str(vignetting), lens, map_path,
     )  # fmt: skip
     found = (
-        _of_stack(source, asked, pattern)
+        _of_stack(source, asked, pattern, progress or unseen)
         if isinstance(source, Stack)
         else _of_path(Path(source), asked, pattern, progress)
     )
@@ -432,40 +433,32 @@ def _of_path(path: Path, asked: _Asked, pattern: str | None, progress: Progress 
     if is_photographs(path):
         by_colour = asked.calibration is None and not set(asked.curves(8)) - {"red", "green", "blue"}
         channel = asked.channel or ("each" if by_colour else "luminance")
-        report = None if progress is None else _reported(progress, "reading")
+        report = counted(progress, "reading")
         read = open_source(path, channel, report=report, interpolated=asked.demosaic)
-        return _of_photographs(stack_of(read, str(path)).as_photographs(), asked)
+        return _of_photographs(stack_of(read, str(path)).as_photographs(), asked, progress or unseen)
     if not (is_foreign(path) or path.is_dir()):
         what = "is not a folder" if path.exists() else "does not exist"
         raise CaptureError(f"{path} {what}; give a capture set or a folder of photographs")
     capture = open_capture(path)
     notes = tuple(imported_of(capture).lines()) if capture.store is not None else ()
     dark, lit = capture.lit_indices(pattern)
-    shown = None if progress is None else _reported(progress, "merging")
-    frames = _streamed(capture, (*dark, *lit), shown)
+    frames = _streamed(capture, (*dark, *lit), counted(progress, "merging"))
     found = _of_capture(frames, [capture.header.frames[i].settings.black_level_dn for i in lit], capture.header.camera,
                         capture.header.lens, asked)  # fmt: skip
     return replace(found, notes=tuple(f"{path.name}: {line}" for line in notes))
 
 
-def _reported(progress: Progress, what: str) -> Callable[[int, int], None]:
-    return lambda done, total: progress(what, done, total)
-
-
-def _streamed(
-    capture: CaptureSet, indices: Sequence[int], report: Callable[[int, int], None] | None
-) -> Iterator[Frame]:
+def _streamed(capture: CaptureSet, indices: Sequence[int], report: Callable[[int, int], None]) -> Iterator[Frame]:
     for done, frame in enumerate(capture.read_frames(indices), start=1):
         yield frame
-        if report is not None:
-            report(done, len(indices))
+        report(done, len(indices))
 
 
-def _of_stack(stack: Stack, asked: _Asked, pattern: str | None) -> Radiance:
+def _of_stack(stack: Stack, asked: _Asked, pattern: str | None, progress: Progress) -> Radiance:
     if stack.photographs:
         if asked.channel or asked.demosaic:
             raise UsageError("channel and demosaic say how a folder is read: give them to read_photographs")
-        return _of_photographs(stack.as_photographs(), asked)
+        return _of_photographs(stack.as_photographs(), asked, progress)
     chosen = stack.chosen(pattern)
     bracket = Bracket.from_frames(with_white_levels(chosen.every_frame), origin=chosen.origin)
     levels = [frame.settings.black_level_dn for frame in bracket.light]
@@ -512,7 +505,7 @@ def _of_capture(
     return Radiance({"mono": merge_bracket(frames, Setup(camera, lens, known))})
 
 
-def _of_photographs(photographs: Photographs, asked: _Asked) -> Radiance:
+def _of_photographs(photographs: Photographs, asked: _Asked, progress: Progress) -> Radiance:
     depth = next(iter(photographs.brackets.values())).bit_depth
     flat, falloff = falloff_of(photographs, asked.vignetting, asked.lens, asked.calibration)
     ready = prepared(
@@ -525,8 +518,9 @@ def _of_photographs(photographs: Photographs, asked: _Asked) -> Radiance:
         f_number=asked.f_number,
         align=asked.align,
         map_path=asked.map_path,
+        progress=progress,
     )
-    maps = merge_photographs(ready, asked.calibration, flat, keep_ghosts=asked.keep_ghosts)
+    maps = merge_photographs(ready, asked.calibration, flat, keep_ghosts=asked.keep_ghosts, progress=progress)
     return Radiance(maps, (), ready.files, ready.alignment, falloff, ready.notes)
 
 

@@ -18,9 +18,10 @@ from radiometer.bench.assembly import open_instrument
 from radiometer.bench.capturing import shutter_by_hand
 from radiometer.bench.instrument import Instrument
 from radiometer.bench.reopening import reopen
-from radiometer.data import Bracket, Reading
+from radiometer.data import Bracket, LensDescription, Reading
 from radiometer.data.serials import serial_shown
 from radiometer.errors import DeviceLost, DeviceTimeout, UsageError
+from radiometer.reporting.reading_page import ReadingRecord, check_report_name, write_reading_page
 
 
 def measure(
@@ -35,6 +36,7 @@ def measure(
     u_rel: float | None = None,
     darks: bool = False,
     monte_carlo: bool = False,
+    report: PathLike | None = None,
     ask: Ask | None = None,
     notice: Notice = unheard,
     progress: Progress | None = None,
@@ -58,6 +60,7 @@ def measure(
         u_rel: Repeat exposures until noise is below this relative standard uncertainty.
         darks: Take dark frames with the reading; `ask` has the lens covered where there is no shutter.
         monte_carlo: Add the interval by the propagation of distributions to `reading.more`.
+        report: Page of the reading to write, .html or .pdf: picture with the patch, budget, calibration, assumptions.
         ask: Has something done by hand.
         notice: Gets what must be known before the first reading, a line each.
         progress: Called after every frame.
@@ -70,8 +73,8 @@ def measure(
     return next(
         readings(
             camera, patch, bench=bench, calibration=calibration, uncalibrated=uncalibrated, f_number=f_number,
-            spectrum=spectrum, u_rel=u_rel, darks=darks, monte_carlo=monte_carlo, ask=ask, notice=notice,
-            progress=progress,
+            spectrum=spectrum, u_rel=u_rel, darks=darks, monte_carlo=monte_carlo, report=report, ask=ask,
+            notice=notice, progress=progress,
         )
     )  # fmt: skip
 
@@ -88,6 +91,7 @@ def readings(
     u_rel: float | None = None,
     darks: bool = False,
     monte_carlo: bool = False,
+    report: PathLike | None = None,
     repeat: int = 1,
     watch: bool = False,
     every_s: float = 0.0,
@@ -118,6 +122,8 @@ def readings(
     """
     if calibration is not None and uncalibrated:
         raise UsageError("--calibration and --uncalibrated exclude each other")
+    if report is not None:
+        check_report_name(Path(report))
     with open_instrument(
         Path(bench) if bench else None,
         camera,
@@ -133,7 +139,11 @@ def readings(
         for number in itertools.count(1) if watch else range(1, repeat + 1):
             begun_s = clock()
             reading, frames = _one(instrument, number, u_rel, notice if watch else None, progress)
-            yield _with_distribution(reading, instrument, frames) if monte_carlo else reading
+            if monte_carlo:
+                reading = _with_distribution(reading, instrument, frames)
+            if report is not None:
+                _write_report(reading, frames, instrument.camera.lens, Path(report))
+            yield reading
             if watch or number < repeat:
                 sleep(max(0.0, every_s - (clock() - begun_s)))
 
@@ -171,7 +181,7 @@ def _one(
     while True:
         try:
             frames = instrument.take_bracket(target_u_rel=u_rel, progress=taken)
-            return instrument.read(frames, sequence=number), frames
+            return instrument.with_origin(instrument.read(frames, sequence=number)), frames
         except (DeviceLost, DeviceTimeout) as error:
             if waiting is None:
                 raise
@@ -184,3 +194,28 @@ def _with_distribution(reading: Reading, instrument: Instrument, frames: Bracket
     """Return the reading with its distribution from draws of all its inputs."""
     drawn = propagate_distributions(instrument.situation(frames), np.random.default_rng(reading.sequence))
     return replace(reading, more={**reading.more, "monte_carlo": drawn.to_mapping(reading)})
+
+
+def _write_report(reading: Reading, frames: Bracket, lens: LensDescription, path: Path) -> None:
+    write_reading_page(reading_record(reading, frames, lens), path)
+
+
+def reading_record(reading: Reading, bracket: Bracket, lens: LensDescription) -> ReadingRecord:
+    """Return a reading with the frame that shows its patch best, and what is known of camera and lens.
+
+    Args:
+        reading: The reading.
+        bracket: The frames that it was made from.
+        lens: The lens as the bench or the capture set states it.
+    """
+    patch = reading.patch.slices
+    clear = [one for one in bracket.light if float(np.max(one.dn[patch])) < one.saturated_dn]
+    best = max(clear or bracket.light[:1], key=lambda one: one.settings.effective_exposure_s)
+    number = best.settings.f_number or lens.f_number
+    facts = [
+        ("lens", f"{lens.focal_length_mm:g} mm" if lens.focal_length_mm else ""),
+        ("f-number", "" if number is None else f"f/{number:.4g}"),
+        ("gain", "" if best.settings.gain_db is None else f"{best.settings.gain_db:g} dB"),
+        ("sensor temperature", "" if best.settings.temperature_c is None else f"{best.settings.temperature_c:.1f} °C"),
+    ]
+    return ReadingRecord(reading, best.dn, [fact for fact in facts if fact[1]])

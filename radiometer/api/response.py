@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from radiometer.analysis.exports.curves import CURVE_SUFFIXES, check_plot_name, draw_responses, write_curves
+from radiometer.analysis.exports.curves import CURVE_SUFFIXES, draw_responses, write_curves
 from radiometer.analysis.response.auto import recover_colours_auto
 from radiometer.analysis.response.estimate import ResponseEstimate, median_uncertainty, telling
 from radiometer.analysis.response.methods import DEFAULT_METHOD, METHODS, RATIO_METHODS, compare_methods, method_names
@@ -19,13 +19,14 @@ from radiometer.api.files import PathLike, Stack, stack_of
 from radiometer.api.result import Progress, Result
 from radiometer.bench.sources import open_source
 from radiometer.data import Bracket, ResponseCurve
-from radiometer.data.drawing import new_axes, picture
+from radiometer.data.drawing import check_plot_name, new_axes, picture
 from radiometer.data.iso_speeds import IsoSpeeds
 from radiometer.data.storage import check_outputs
 from radiometer.errors import MeasurementError, UsageError
 from radiometer.photographs.response import ENOUGH_PIXELS
-from radiometer.photographs.scene import Photographs, refuse_lying_photographs
+from radiometer.photographs.scene import Photographs, reject_inconsistent_photographs
 from radiometer.photographs.stated import with_gains, with_iso_speeds
+from radiometer.progress import unseen
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -243,8 +244,8 @@ def _read(
         taken, by_hand = stack.as_photographs(), stack.photographs
     if by_hand:
         taken = taken.thinned().each(lambda one: with_gains(one, IsoSpeeds(measured_iso)))
-    refuse_lying_photographs(taken)
-    placed = taken.placed(align if by_hand else "off")  # a camera on a bench stands still
+    reject_inconsistent_photographs(taken)
+    placed = taken.placed(align if by_hand else "off", progress or unseen)  # a camera on a bench stands still
     if placed.absent:
         note(f"{taken.folder}: {placed.alignment}")
     if unused := sum(len(one.dark) for one in placed.brackets.values()):

@@ -7,10 +7,10 @@ from collections.abc import Callable, Mapping
 from typing import Any, Final
 
 from radiometer.data.json_text import finite_or_null, json_text
+from radiometer.progress import Progress as Progress
 
-# Callbacks that functions take. Progress gets what is done, how much of it is done, and how much there is (None where
-# that is unknown). An ask returns once somebody has done what it asks for. A notice is one line for the user.
-Progress = Callable[[str, int, int | None], None]
+# Callbacks that functions take, besides `Progress`. An ask returns once somebody has done what it asks for. A notice is
+# one line for the user.
 Ask = Callable[[str], None]
 Notice = Callable[[str], None]
 

@@ -14,6 +14,7 @@ from radiometer.bench.sources import is_photographs, open_source
 from radiometer.data import Frame
 from radiometer.data.drawing import new_axes, picture
 from radiometer.errors import UsageError
+from radiometer.numbers import with_u
 from radiometer.photographs.response import ENOUGH_PIXELS
 from radiometer.reconciliation.advice.separability import Separability as SeparabilityPlan
 from radiometer.reconciliation.engine import plan_of, whole_catalogue
@@ -306,5 +307,4 @@ def _parameters(effect: FoundEffect) -> str:
 
 
 def _parameter(found: FittedParameter) -> str:
-    own = "" if found.u is None else f" ± {found.u:.2g}"
-    return f"{found.value:.4g}{own} {found.unit}"
+    return with_u(found.value, 0.0 if found.u is None else 2.0 * found.u, found.unit, k=2)

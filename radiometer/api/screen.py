@@ -3,26 +3,38 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import AbstractContextManager
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
 
 from radiometer.api.files import PathLike
 from radiometer.api.meter import PatchLike, as_patch
 from radiometer.api.result import Notice, Progress, Result, unheard
-from radiometer.bench.screen import BROWSER, lights, open_screen_bench, primaries_of
+from radiometer.bench.screen import BROWSER, ScreenBench, lights, open_screen_bench, primaries_of
 from radiometer.data import Quantity
+from radiometer.data.drawing import check_plot_name, new_axes, own_axes, picture, write_figure
 from radiometer.data.statements import StatementMap
 from radiometer.data.storage import check_outputs
+from radiometer.devices import Display
 from radiometer.errors import UsageError
+from radiometer.numbers import with_u
+from radiometer.progress import counted
 from radiometer.screen.calibration import LUMINANCE, RADIANCE, SCOTOPIC, ChannelCurve, ScreenCalibration
 from radiometer.screen.calibration_run import Options, calibrate_screen
 from radiometer.screen.exports import EXPORTS, write_export
 from radiometer.screen.exports.chromaticity import argyll_line
 from radiometer.screen.measured_elsewhere import METER_U_REL, imported, read_screen_readings
 from radiometer.screen.plan import parse_levels
+from radiometer.screen.verification import COVERAGE, Verified, verify_screen
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 # Names of what a level is looked up by, as the command line writes them.
+_DEEPEST: Final = 1e-6  # of white: where a plot's logarithmic axis ends for a black that is not known from 0
 _UNITS: Final[Mapping[str, str]] = {"cd": LUMINANCE, "scotopic": SCOTOPIC, "W": RADIANCE}
 
 
@@ -65,6 +77,34 @@ class CalibratedScreen(Result):
             for name, curve in self.calibration.channels.items()
             for n in curve.levels
         ]
+
+    def plot(self, axes: Axes | None = None) -> Axes:
+        """Draw the luminance of every channel over the level, with its k = 2 band.
+
+        Args:
+            axes: Where to draw; a new figure by default.
+        """
+        where = axes if axes is not None else new_axes()
+        colours = {"grey": "#333333", "red": "#c0392b", "green": "#27843f", "blue": "#2a5db0"}
+        for name, curve in self.calibration.channels.items():
+            shown = [curve.at(n, LUMINANCE) for n in curve.levels]
+            values, u = np.array([one.value for one in shown]), np.array([one.u for one in shown])
+            low = np.maximum(values - 2 * u, _DEEPEST * values.max())
+            (line,) = where.semilogy(curve.levels, np.maximum(values, low), "o-", ms=3, label=name, color=colours[name])
+            where.fill_between(curve.levels, low, values + 2 * u, color=line.get_color(), alpha=0.2, linewidth=0)
+        where.set_xlabel("level (8 bits)")
+        where.set_ylabel("luminance (cd·m⁻²), band k = 2")
+        where.set_title(self.calibration.name)
+        where.grid(visible=True, alpha=0.3)
+        where.legend(frameon=False)
+        return where
+
+    def write_plot(self, path: PathLike) -> None:
+        """Draw the curves into a PNG, PDF or SVG file. Raises UsageError for another ending, OutputError."""
+        write_figure(Path(path), self.plot(own_axes()))
+
+    def _repr_html_(self) -> str:
+        return picture(self.plot, str(self))
 
     def __str__(self) -> str:
         """Return the name and each channel's brightest luminance."""
@@ -118,6 +158,7 @@ def screen_calibrate(
     patch: PatchLike | None = None,
     port: int = 0,
     export: Sequence[str] = (),
+    plot: PathLike | None = None,
     seed: int = 1,
     force: bool = False,
     announce: Callable[[str], None] = lambda url: None,
@@ -144,12 +185,13 @@ def screen_calibrate(
         warm_up_s: Longest wait for the screen to settle in s.
         white: Spectrum assumed for grey.
         primaries: Spectra of red, green and blue: a display type, or a CSV of them.
-        camera: Camera by id, serial number or address.
-        bench: Bench file; the simulated bench by default.
+        camera: Camera by id, serial number or address; a browser's page needs it, or a bench.
+        bench: Bench file; before a simulated display the simulated bench by default.
         calibration: The camera's calibration; the bench's by default.
         patch: Where the camera sees the patch.
         port: Port of the page; 0 for any free one.
         export: Forms to write as well, such as "psychopy" or "ti3".
+        plot: Picture of the curves to draw: .png, .pdf or .svg.
         seed: Seed of the random order.
         force: Replace exports that exist.
         announce: Called with the page's address.
@@ -157,36 +199,177 @@ def screen_calibrate(
         progress: Called after every patch.
 
     Raises:
-        UsageError: If display, channel, level or form is unknown.
+        UsageError: If display, channel, level or form is unknown, or no camera looks at a browser's page.
+        MeasurementError: If white clips or is hardly brighter than black; before the screen warms up.
         DeviceError: If display or camera fails.
         OutputError: If a file cannot be written.
     """
     kinds = _kinds(export)
     if out is not None:
         check_outputs(*_export_files(kinds, Path(out)), force=force)
+    if plot is not None:
+        check_plot_name(Path(plot))
     options = Options(
         name=name or display, levels=parse_levels("quick" if quick else levels), channels=tuple(channels),
         repeats=repeats, patch_size=size, warm_up_limit_s=warm_up_s, seed=seed, pixel_mm=pixel_mm,
     )  # fmt: skip
     lamps = lights(white, primaries_of(display, options.channels, primaries))
-    known_bench, known_calibration = (Path(one) if one else None for one in (bench, calibration))
-
-    def advance(done: int, total: int, _step: object) -> None:
-        if progress:
-            progress("measuring the screen", done, total)
-
-    with open_screen_bench(
-        display, bench=known_bench, camera=camera, calibration=known_calibration, patch=as_patch(patch), port=port,
-        announce=announce,
-    ) as opened:  # fmt: skip
-        found = calibrate_screen(opened, options, lamps, progress=advance)
-        warnings = getattr(opened.display, "warnings", None)
-        for warning in warnings() if warnings else ():
-            notice(f"warning: {warning}")
+    with _opened(display, bench, camera, calibration, patch, port, announce) as opened:
+        found = calibrate_screen(opened, options, lamps, progress=_advance(progress), waiting=_warming(progress))
+        _warn(opened.display, notice)
     if out is not None:
         found.write(Path(out))
         _exports(found, kinds, Path(out))
-    return CalibratedScreen(found, Path(out) if out is not None else None)
+    done = CalibratedScreen(found, Path(out) if out is not None else None)
+    if plot is not None:
+        done.write_plot(plot)
+    return done
+
+
+@dataclass(frozen=True, repr=False)
+class VerifiedScreen(Result):
+    """A screen's calibration compared with its screen as it is now."""
+
+    calibration: ScreenCalibration
+    verified: Verified
+
+    @property
+    def holds(self) -> bool:
+        """Return whether the calibration holds at every level that was measured."""
+        return self.verified.holds
+
+    def to_mapping(self) -> dict[str, Any]:
+        """Return the documented JSON form."""
+        return {
+            "screen": self.calibration.name,
+            "calibrated": self.calibration.created,
+            "holds": self.holds,
+            "coverage_factor": COVERAGE,
+            "levels": [
+                {
+                    "channel": one.channel,
+                    "level": one.level,
+                    "calibrated": one.calibrated.to_mapping(),
+                    "measured": one.measured.to_mapping(),
+                    "difference": one.difference.to_mapping(),
+                    "agrees": one.agrees,
+                }
+                for one in self.verified.levels
+            ],
+        }
+
+    def lines(self) -> list[str]:
+        """Return each level as calibrated and as measured, then the verdict."""
+        rows = []
+        for one in self.verified.levels:
+            known, now, gap = (
+                with_u(part.value, COVERAGE * part.u, part.unit)
+                for part in (one.calibrated, one.measured, one.difference)
+            )
+            word = "agrees" if one.agrees else "DIFFERS"
+            rows.append(f"{one.channel:<6} {one.level:>3}  {known} calibrated, {now} now, difference {gap}: {word}")
+        verdict = (
+            "the calibration holds at every level measured (k = 2)"
+            if self.holds
+            else "the calibration no longer holds: calibrate again, with settings and room as they are used"
+        )
+        return [*rows, verdict]
+
+    def __str__(self) -> str:
+        """Return whether the calibration holds."""
+        return f"{self.calibration.name}: {'holds' if self.holds else 'no longer holds'}"
+
+
+def screen_verify(
+    calibration: PathLike | ScreenCalibration,
+    display: str = BROWSER,
+    *,
+    levels: str = "0,64,128,192,255",
+    size: float = 1.0,
+    warm_up_s: float = 900.0,
+    camera: str | None = None,
+    bench: PathLike | None = None,
+    camera_calibration: PathLike | None = None,
+    patch: PatchLike | None = None,
+    port: int = 0,
+    announce: Callable[[str], None] = lambda url: None,
+    notice: Notice = unheard,
+    progress: Progress | None = None,
+) -> VerifiedScreen:
+    """Measure some levels of a calibrated screen again, and find whether the calibration still holds.
+
+    Examples:
+        >>> import radiometer as rm
+        >>> screen = rm.screen_calibrate(display="lcd", quick=True).calibration
+        >>> rm.screen_verify(screen, "lcd").holds
+        True
+
+    Args:
+        calibration: Screen calibration, or its file.
+        display: "browser", or a simulated one: "lcd", "pwm_lcd", "oled".
+        levels: "all", "quick", a count such as "33", or a list such as "0,16,255".
+        size: Patch size as a share of the screen's.
+        warm_up_s: Longest wait for the screen to settle in s.
+        camera: Camera by id, serial number or address; a browser's page needs it, or a bench.
+        bench: Bench file; before a simulated display the simulated bench by default.
+        camera_calibration: The camera's calibration; the bench's by default.
+        patch: Where the camera sees the patch.
+        port: Port of the page; 0 for any free one.
+        announce: Called with the page's address.
+        notice: Gets warnings of the page.
+        progress: Called after every patch.
+
+    Raises:
+        UsageError: If display or level is unknown, or no camera looks at a browser's page.
+        MeasurementError: If white clips or is hardly brighter than black.
+        DeviceError: If display or camera fails.
+    """
+    known = calibration if isinstance(calibration, ScreenCalibration) else ScreenCalibration.read(Path(calibration))
+    chosen = parse_levels(levels)
+    with _opened(display, bench, camera, camera_calibration, patch, port, announce) as opened:
+        found = verify_screen(
+            opened, known, chosen, warm_up_limit_s=warm_up_s, patch_size=size, progress=_advance(progress),
+            waiting=_warming(progress),
+        )  # fmt: skip
+        _warn(opened.display, notice)
+    return VerifiedScreen(known, found)
+
+
+def _opened(
+    display: str,
+    bench: PathLike | None,
+    camera: str | None,
+    calibration: PathLike | None,
+    patch: PatchLike | None,
+    port: int,
+    announce: Callable[[str], None],
+) -> AbstractContextManager[ScreenBench]:
+    if display == BROWSER and camera is None and bench is None:
+        raise UsageError(
+            "a page in a browser is shown on a real screen, which the simulated camera does not see: name --camera or "
+            "--bench; or simulate the screen too, with --display lcd, pwm_lcd or oled"
+        )
+    known_bench, known_calibration = (Path(one) if one else None for one in (bench, calibration))
+    return open_screen_bench(
+        display, bench=known_bench, camera=camera, calibration=known_calibration, patch=as_patch(patch), port=port,
+        announce=announce,
+    )  # fmt: skip
+
+
+def _advance(progress: Progress | None) -> Callable[[int, int, object], None]:
+    shown = counted(progress, "measuring the screen")
+    return lambda done, total, _step: shown(done, total)
+
+
+def _warming(progress: Progress | None) -> Callable[[float, float], None]:
+    shown = counted(progress, "screen warms up, at most so many s")
+    return lambda waited_s, longest_s: shown(round(waited_s), round(longest_s))
+
+
+def _warn(display: Display, notice: Notice) -> None:
+    warnings = getattr(display, "warnings", None)
+    for warning in warnings() if warnings else ():
+        notice(f"warning: {warning}")
 
 
 def screen_level(

@@ -30,6 +30,7 @@ from radiometer.data.storage import write_text_atomic, write_yaml_atomic
 from radiometer.devices import Camera, CameraCapabilities
 from radiometer.errors import UsageError
 from radiometer.importing import open_capture
+from radiometer.numbers import with_u
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -114,7 +115,7 @@ class Sensor(Result):
             for name, figure in self.figures.items()
         )
         notes = "".join(f"<p>{html.escape(note)}</p>" for note in self.characterisation.notes)
-        table = f"<table><tr><th>EMVA 1288</th><th>value ± u (k = 1)</th></tr>{rows}</table>{notes}"
+        table = f"<table><tr><th>EMVA 1288</th><th>value ± U</th></tr>{rows}</table>{notes}"
         return picture(self.plot, repr(self)) + table
 
 
@@ -219,4 +220,4 @@ def _limits(capabilities: CameraCapabilities) -> dict[str, Any]:
 
 
 def _quantity(figure: Quantity) -> str:
-    return f"{figure.value:.4g} ± {figure.u:.2g} {figure.unit}"
+    return with_u(figure.value, 2.0 * figure.u, figure.unit, k=2)

@@ -62,19 +62,19 @@ def hidden_cycles(
         best = int(gains.argmax())
         if not is_supported(2.0 * (gains[best] - without), schwarz(2, count, trials=float(per_span[-1]))):
             break
-        if not tells_apart(np.column_stack([design, cycle_columns(time_s, span / float(per_span[best]))])):
+        if not is_determined(np.column_stack([design, cycle_columns(time_s, span / float(per_span[best]))])):
             break
         near = per_span[best] + np.linspace(-1.0, 1.0, 2 * _FINER + 1) / _STEPS
         _, gains = _likelihoods(design, relative / sigma, sigma, time_s, span / near)
         found.append(span / float(near[int(gains.argmax())]))
         design = np.column_stack([design, with_period(design, relative, sigma, time_s, found[-1])])
-        if not tells_apart(design):
+        if not is_determined(design):
             found.pop()
             break
     return tuple(found)
 
 
-def tells_apart(design: Array) -> bool:
+def is_determined(design: Array) -> bool:
     """Return whether the readings separate columns: not where they are all at few times of a cycle."""
     sizes = np.linalg.svd(design / np.maximum(np.linalg.norm(design, axis=0), 1e-300), compute_uv=False)
     return bool(sizes[-1] > _LEAST_APART * sizes[0])
@@ -105,7 +105,7 @@ def slow_cycles(
     without, gains = _likelihoods(design, relative / sigma, sigma, time_s, periods_s)
     odds = np.exp(np.clip(gains - without - math.log(count) - math.log(periods_s.size), -700.0, 700.0))
     odds *= min(1.0, _MOST_ODDS / max(float(odds.sum()), 1e-300))
-    return _told_apart(design, time_s, periods_s, odds)
+    return _separated(design, time_s, periods_s, odds)
 
 
 def near_the_season(
@@ -128,15 +128,15 @@ def near_the_season(
     periods_s = np.concatenate([[season_s], span / per_span])
     _, gains = _likelihoods(others, relative / sigma, sigma, time_s, periods_s)
     odds = np.exp(np.clip(gains[1:] - gains[0], -700.0, 700.0)) / max(per_span.size, 1)
-    return _told_apart(others, time_s, periods_s[1:], odds)
+    return _separated(others, time_s, periods_s[1:], odds)
 
 
-def _told_apart(design: Array, time_s: Array, periods_s: Array, odds: Array) -> list[tuple[float, float]]:
+def _separated(design: Array, time_s: Array, periods_s: Array, odds: Array) -> list[tuple[float, float]]:
     whole = 1.0 + float(odds.sum())
     return [
         (float(period), float(one))
         for period, one in zip(periods_s, odds, strict=True)
-        if one > _TRIFLE * whole and tells_apart(np.column_stack([design, cycle_columns(time_s, float(period))]))
+        if one > _TRIFLE * whole and is_determined(np.column_stack([design, cycle_columns(time_s, float(period))]))
     ]
 
 

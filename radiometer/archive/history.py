@@ -6,7 +6,7 @@ import re
 from collections import Counter
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
@@ -16,6 +16,8 @@ from radiometer.errors import InputError
 
 if TYPE_CHECKING:
     import pandas as pd
+
+_LONGEST_HEADING: Final = 10_000  # bytes; a batch writes some 300, and pandas takes a minute for a million columns
 
 
 @bounded_reader(error=InputError)
@@ -28,12 +30,10 @@ def read_histories(table: Path, quantity: str) -> list[Trend]:
     Raises:
         InputError: If the file is no such table, or a patch has too few readings.
     """
-    import pandas as pd
-
     try:
-        frame = pd.read_parquet(table) if table.suffix == ".parquet" else pd.read_csv(table)
+        frame = _parquet(table) if table.suffix == ".parquet" else _csv(table)
     except (OSError, ValueError) as error:
-        raise InputError(f"cannot read {table}: {error}") from error
+        raise InputError(f"cannot read {table}: {' '.join(str(error).split())[:200]}") from error
     missing = {"captured", "quantity", "patch", "value", "u", "unit", "status"} - set(frame.columns)
     if missing:
         raise InputError(f"{table}: column {sorted(missing)[0]!r} is missing; it is no table of `radiometer batch`")
@@ -43,6 +43,22 @@ def read_histories(table: Path, quantity: str) -> list[Trend]:
     except (ValueError, TypeError) as error:
         raise InputError(f"{table}: a time, value or uncertainty is no number ({error})") from error
     return [_history(str(name), quantity, rows) for name, rows in chosen.groupby("patch")]
+
+
+@bounded_reader(error=InputError, apart="pyarrow")
+def _parquet(table: Path) -> pd.DataFrame:
+    import pandas as pd
+
+    return pd.read_parquet(table)
+
+
+def _csv(table: Path) -> pd.DataFrame:
+    import pandas as pd
+
+    with table.open("rb") as stream:
+        if len(stream.readline(_LONGEST_HEADING + 1)) > _LONGEST_HEADING:
+            raise InputError(f"{table}: its first line is longer than {_LONGEST_HEADING} bytes; this is no table")
+    return pd.read_csv(table)
 
 
 def _history(patch: str, quantity: str, rows: pd.DataFrame) -> Trend:

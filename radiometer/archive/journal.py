@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 from collections.abc import Iterable
 from io import BytesIO
@@ -10,7 +9,7 @@ from pathlib import Path
 from typing import Self
 
 from radiometer.archive.jobs import COLUMNS, Row
-from radiometer.data.json_text import json_text
+from radiometer.data.json_text import json_text, parsed_json
 from radiometer.data.storage import write_bytes_atomic
 from radiometer.errors import OutputError, UsageError
 from radiometer.reporting.plain_text import spreadsheet_cell
@@ -102,7 +101,7 @@ class ResultJournal:
             return
         for line in self.path.read_text(encoding="utf-8", errors="replace").splitlines():
             try:
-                rows = json.loads(line)
-            except (json.JSONDecodeError, RecursionError):
+                rows = parsed_json(line)
+            except (ValueError, RecursionError):
                 continue
             yield from rows

@@ -14,6 +14,7 @@ from scipy.special import ndtr, ndtri, stdtrit
 
 from radiometer.archive.sessions import LightSeries, Session
 from radiometer.data import Quantity
+from radiometer.numbers import unit_text, with_u
 from radiometer.typing import Array
 
 # To what an unchanged camera repeats at best between sessions, relative: a smaller difference is no change, however
@@ -350,7 +351,7 @@ def _compared(name: str, sessions: Sequence[Session]) -> Change | None:
         for difference in [Quantity(other.value - one.value, math.hypot(one.u, other.u), one.unit)]
         if abs(difference.value) > max(limit_sigmas * difference.u, _repeatability(name, one.value))
     ]
-    said = ", ".join(f"{q.value:.5g} ± {q.u:.2g}" for _, q in known) + f" {known[0][1].unit}"
+    said = ", ".join(with_u(q.value, 2.0 * q.u) for _, q in known) + f" {unit_text(known[0][1].unit)} (k = 2)"
     if not changed:
         return Change(name, False, said)
     degrees = _temperatures([s for s, _ in known])
@@ -358,8 +359,9 @@ def _compared(name: str, sessions: Sequence[Session]) -> Change | None:
 
 
 def _against(before: Session, after: Session, difference: Quantity) -> str:
-    size = f"{difference.value:+.3g} ± {2.0 * difference.u:.2g} {difference.unit} (k = 2)"
-    return f"{after.name} against {before.name} {size}"
+    sign = "+" if difference.value >= 0 else ""
+    size = with_u(difference.value, 2.0 * difference.u, difference.unit, k=2)
+    return f"{after.name} against {before.name} {sign}{size}"
 
 
 def _repeatability(name: str, value: float) -> float:
@@ -382,7 +384,7 @@ def _gain(sessions: Sequence[Session]) -> list[str]:
         if K is None:
             continue
         measured, u = 1.0 / K.value, K.u_rel / K.value
-        lines.append(f"from {source}: {measured:.4g} ± {u:.2g} e-/DN")
+        lines.append(f"from {source}: {with_u(measured, 2.0 * u, 'e-/DN', k=2)}")
         for value in stated:
             off, sigmas = 100.0 * (value / measured - 1.0), abs(value - measured) / u
             word = "wrong" if sigmas > _AGREE_SIGMAS else "within 2 u"

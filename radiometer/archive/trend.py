@@ -14,9 +14,9 @@ from scipy import stats
 from radiometer.archive.cycles import (
     cycle_columns,
     hidden_cycles,
+    is_determined,
     near_the_season,
     slow_cycles,
-    tells_apart,
     with_period,
 )
 from radiometer.errors import InputError
@@ -95,7 +95,7 @@ class Trend:
         return "season_or_drift" if shown and not season_is_known else "no_drift"
 
     @property
-    def told_from_s(self) -> float:
+    def decided_from_s(self) -> float:
         """Return from when on the record separates a season from a drift, in s since 1970."""
         return float(self.time_s[0]) + _TOLD_YEARS * _YEAR_S
 
@@ -209,7 +209,7 @@ def _season(months: Array, time_s: Array) -> _Season:
     # The cosine is 0 in the middle of the record, where the level is determined.
     design = np.stack([np.ones_like(months), months, np.sin(phase), np.cos(phase) - 1.0], axis=1)
     long = time_s[-1] - time_s[0] >= _SEASON_YEARS * _YEAR_S and time_s.size >= 2 * _MINIMUM_READINGS
-    season_is_known = bool(long and tells_apart(design))
+    season_is_known = bool(long and is_determined(design))
     return _Season(
         design, np.array([math.inf, math.inf, *(math.inf if season_is_known else _SEASON_REL,) * 2]), season_is_known
     )

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from radiometer.archive.trend import MONTH_S, Trend
-from radiometer.reporting.numbers import unit_text, with_u
+from radiometer.numbers import unit_text, with_u
 from radiometer.reporting.page import folded, heading, listed, page, paragraph, section, table
 from radiometer.reporting.pictures import (
     BEFORE,
@@ -120,7 +120,8 @@ def advice(ordered: Sequence[Trend]) -> list[str]:
             )
         elif trend.verdict == "season_or_drift":
             said.append(
-                f"{trend.patch}: measure until {_day(trend.told_from_s)[:10]}, a year and a half after the first one: "
+                f"{trend.patch}: measure until {_day(trend.decided_from_s)[:10]}, a year and a half after the "
+                "first one: "
                 "that separates a season from a drift. Or keep temperature and ambient light steady."
             )
         else:

@@ -71,6 +71,7 @@ def open_instrument(
             f_number=_set_by_hand(config, f_number),
             source=stated_source(config),
             spectrum_stated=states_spectrum(config, spectrum),
+            calibration_file=chosen,
         )
 
 

@@ -24,7 +24,7 @@ from radiometer.data.guards import safe_file_name
 from radiometer.data.light_calibration import LightCalibration
 from radiometer.data.storage import read_yaml, state_folder
 from radiometer.data.validation import ConfigSection, validate
-from radiometer.devices.exposure_account import AccountStore, FileStore, MemoryStore
+from radiometer.devices.exposure_account import ANY_EYE, AccountStore, FileStore, MemoryStore
 from radiometer.devices.exposure_ledger import ExposureLedger
 from radiometer.devices.light_box import LightBoxIdentity
 from radiometer.devices.retinal_safety import BLUE_WINDOW_S, DEFAULT_FRACTION, ChannelOptics, FlashLight
@@ -37,7 +37,7 @@ from radiometer.errors import (
     InputError,
     UsageError,
 )
-from simulators.light_box.box import LightBoxTwin, TwinSettings
+from simulators.light_box.box import SimulatedBoxSettings, SimulatedLightBox
 from simulators.light_box.virtual_line import VirtualLine
 
 SIMULATED: Final = "sim"
@@ -120,7 +120,7 @@ class OpenedBox:
     config: LightBoxConfig  # its preset
     calibration: LightCalibration | None  # its calibration; None where there is none
     wait: Callable[[float], None]  # lets a time in s pass while the box is kept lit
-    twin: LightBoxTwin | None = None  # the simulated box behind it; None for a real one
+    twin: SimulatedLightBox | None = None  # the simulated box behind it; None for a real one
 
 
 def read_preset(path: Path | None = None) -> LightBoxConfig:
@@ -316,8 +316,9 @@ def require_known_box(serial: str | None) -> str:
 class ExposureReport:
     """What the account of retinal exposure holds of a box or an eye."""
 
-    name: str  # "box SERIAL" or "eye SUBJECT right"
-    blue_light: float  # fraction of the blue-light limit used up within 10⁴ s, with all that is planned
+    name: str  # "box SERIAL", "eye SUBJECT right", or "any eye" for light that no eye was named for
+    # Fraction of the blue-light limit used up within 10⁴ s, with all that is planned; every eye's holds any eye's too
+    blue_light: float
     frees_in_s: float  # time in s after which all of it has left the window
     # Time in s for which the limit counts as used up, for the history is unknown; 0 where it is known
     unknown_for_s: float
@@ -329,11 +330,13 @@ def exposure_reports() -> list[ExposureReport]:
     names = {*account.given, *(key for planned in account.planned.values() for key in planned.keys)}
     reports = []
     for name in sorted(names):
-        open_blue = sum(planned.blue() for planned in account.planned.values() if name in planned.keys)
-        frees_s = max(account.given.get(name, {}), default=-math.inf) + BLUE_WINDOW_S - account.now_s
+        keys = {name, ANY_EYE} if name.startswith("eye ") else {name}
+        open_blue = sum(planned.blue() for planned in account.planned.values() if keys & set(planned.keys))
+        ends_s = (end_s for key in keys for end_s in account.given.get(key, {}))
+        frees_s = max(ends_s, default=-math.inf) + BLUE_WINDOW_S - account.now_s
         unknown_s = account.assumed.get(name, (account.now_s, ""))[0] - account.now_s
         frees_in_s = BLUE_WINDOW_S if open_blue else max(frees_s, 0.0)
-        reports.append(ExposureReport(name, account.blue(name) + open_blue, frees_in_s, unknown_s))
+        reports.append(ExposureReport(name, sum(map(account.blue, keys)) + open_blue, frees_in_s, unknown_s))
     return reports
 
 
@@ -347,7 +350,8 @@ def open_light_box(
         name: "sim", a serial number or a port; None for the only one that answers.
         calibration: Calibration file; the one kept for its serial number where None.
         preset: Light-box preset; the reference box's where None.
-        eye: Whose eye looks into it, such as "S07 right": its exposure is counted over all boxes. None: not known.
+        eye: Whose eye looks into it, as `name_of_eye` returns it: its exposure is counted over all boxes. Where it is
+            not known (None), the light counts for every eye.
 
     Raises:
         DeviceNotFound: If it does not answer, or several do and none is named.
@@ -413,7 +417,7 @@ def nothing_answers(serial: str | None, held: Sequence[str] = ()) -> str:
 
 
 def _simulated(config: LightBoxConfig) -> OpenedBox:
-    twin = LightBoxTwin(TwinSettings(serial=SIMULATED_SERIAL))
+    twin = SimulatedLightBox(SimulatedBoxSettings(serial=SIMULATED_SERIAL))
     line = VirtualLine(twin, latency_s=0.0003)
     ledger = ExposureLedger(config.optics, MemoryStore(line.now, (SIMULATED_SERIAL,)), config.allowed_fraction)
     flash = config.flash.light if config.flash else None

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import http.client
-import json
 import socket
 from typing import Final
 
+from radiometer.data.json_text import parsed_json
 from radiometer.devices import Finding, Health
 
 SCPI_PORT: Final = 5025  # the daemon's default, registered for SCPI (IANA: scpi-raw)
@@ -48,7 +48,7 @@ def _alarms(port: int) -> list[str]:
     connection = http.client.HTTPConnection("127.0.0.1", port, timeout=_PATIENCE_S)
     try:
         connection.request("GET", "/healthz")
-        return [str(name) for name in json.loads(connection.getresponse().read(10_000))["alarms"]]
+        return [str(name) for name in parsed_json(connection.getresponse().read(10_000))["alarms"]]
     except (OSError, http.client.HTTPException, ValueError, KeyError, TypeError):
         return []
     finally:

@@ -6,6 +6,7 @@ import math
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 
@@ -61,6 +62,7 @@ class Instrument:
     # Called with True to have the lens covered for dark frames, and False after them; None for none by hand
     cover: Callable[[bool], None] | None = None
     clock: Callable[[], float] = time.monotonic  # steady clock in s
+    calibration_file: Path | None = None  # where the calibration was read from, for the record of a reading
 
     def __post_init__(self) -> None:
         if self.calibration is not None:
@@ -156,6 +158,18 @@ class Instrument:
     def read(self, bracket: Bracket, *, sequence: int = 0) -> Reading:
         """Return the radiance of the patch in frames already taken. Raises CalibrationError if it does not fit."""
         return read_patch(bracket, self.patch, self.setup, sequence=sequence)
+
+    def with_origin(self, reading: Reading) -> Reading:
+        """Return a reading with its assumptions and its calibration (file, date, reference) in `more`."""
+        known = self.calibration
+        assumed = () if reading.provenance is None else reading.provenance.assumptions
+        of_calibration = () if known is None or known.provenance is None else known.provenance.assumptions
+        calibration = None
+        if known is not None:
+            file = None if self.calibration_file is None else str(self.calibration_file)
+            calibration = {"file": file, "created": known.created, "reference": known.scale.reference}
+        origin = {"assumptions": list(dict.fromkeys((*of_calibration, *assumed))), "calibration": calibration}
+        return replace(reading, more={**reading.more, **origin})
 
     def situation(self, bracket: Bracket) -> PatchSituation:
         """Return what a reading of frames is made from. Raises CalibrationError if the calibration does not fit."""

@@ -5,10 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from radiometer.bench.boxes import LightBoxConfig
-from radiometer.errors import UsageError
-from simulators.light_box.box import LightBoxTwin
-from simulators.observers.eye_kinetics import Eye, drawn_amd_eye, drawn_clinical_eye
-from simulators.observers.observer import Habits, Observer
+from simulators.light_box.box import SimulatedLightBox
+from simulators.observers.behaviours import behaviour_of
+from simulators.observers.observer import Observer
 from simulators.observers.observer_at_box import ObserverAtBox
 
 
@@ -18,36 +17,23 @@ def places_of(preset: LightBoxConfig) -> dict[str, tuple[float, float]]:
     return {name: (c.place.temporal_deg, -c.place.below_deg) for name, c in known.items() if c.place is not None}
 
 
-def seat_subject(twin: LightBoxTwin, behaviour: str, seed: int, filter_density: float) -> ObserverAtBox:
+def seat_subject(twin: SimulatedLightBox, behaviour: str, seed: int, filter_density: float) -> ObserverAtBox:
     """Seat a simulated subject before a simulated box and return it.
 
     Args:
-        behaviour: "steady", "never" (presses), "always" (presses), "leaves" (after 10 min), "wanders" (looks away in
-            two blinks of five); "healthy" and "amd" have eyes drawn from published rod intercepts.
+        behaviour: Name of a behaviour of `simulators.observers.behaviours`.
         filter_density: Optical density of the filter before the spot.
 
     Raises:
         UsageError: If the behaviour is unknown.
     """
-    habits = {
-        "steady": Habits(),
-        "never": Habits(lapses=1.0, false_alarms=0.0),
-        "always": Habits(),
-        "leaves": Habits(),
-        "wanders": Habits(fixation_losses=0.4),
-        "healthy": Habits(),
-        "amd": Habits(),
-    }
-    if behaviour not in habits:
-        raise UsageError(f"simulated subject {behaviour!r}: choose {', '.join(habits)}")
-    rng = np.random.default_rng(seed)
-    drawn = {"healthy": drawn_clinical_eye, "amd": drawn_amd_eye}.get(behaviour)
+    chosen, rng = behaviour_of(behaviour), np.random.default_rng(seed)
     subject = ObserverAtBox(
-        Observer(drawn(rng) if drawn else Eye(), habits[behaviour], rng),
+        Observer(chosen.eye(rng), chosen.habits, rng),
         twin,
         filter_density=filter_density,
-        leaves_after_min=10.0 if behaviour == "leaves" else float("inf"),
-        taps=behaviour == "always",
+        leaves_after_min=chosen.leaves_after_min,
+        taps=chosen.taps,
     )
     subject.sit_down()
     return subject

@@ -17,9 +17,9 @@ from radiometer.bench.boxes import SIMULATED_PORTS, exposure_store, read_preset
 from radiometer.bench.seated_subject import places_of, seat_subject
 from radiometer.errors import OutputError, UsageError
 from simulators.light_box.avr_box import AvrBox
-from simulators.light_box.box import LightBoxTwin, TwinSettings
+from simulators.light_box.box import SimulatedBoxSettings, SimulatedLightBox
 from simulators.light_box.line_faults import LineFaults
-from simulators.light_box.pty_line import PtyServer, WiredTwin
+from simulators.light_box.pty_line import PtyServer, WiredLightBox
 
 _LOOK_S: Final = 0.05  # a tenth of the shortest period that anybody presses or resets a box with
 _PRESS_S: Final = 0.2  # of a short press by a finger
@@ -77,10 +77,10 @@ def served_box(
         avr = AvrBox(firmware, serial)
         server = PtyServer(avr, place, faults_in, faults_out)
         return ServedBox(server, _locked(server, lambda pressed: avr.press(pressed=pressed)), lambda: None)
-    twin = LightBoxTwin(TwinSettings(serial=serial, clock_ppm=clock_ppm))
+    twin = SimulatedLightBox(SimulatedBoxSettings(serial=serial, clock_ppm=clock_ppm))
     if subject is not None:
         seat_subject(twin, subject, seed, filter_density).places = places_of(read_preset())
-    server = PtyServer(WiredTwin(twin), place, faults_in, faults_out)
+    server = PtyServer(WiredLightBox(twin), place, faults_in, faults_out)
 
     def reset() -> None:
         with server.lock:

@@ -22,6 +22,7 @@ class CommandEntry(NamedTuple):
 COMMANDS: Final[dict[str, CommandEntry]] = {
     "measure": CommandEntry("radiometer.cli.capture.measure", "Read the radiance of a patch, with its uncertainty."),
     "bracket": CommandEntry("radiometer.cli.capture.bracket", "Capture a set of exposures of an unmoving scene."),
+    "view": CommandEntry("radiometer.cli.capture.view", "See what the camera sees, live; draw the patch."),
     "merge": CommandEntry("radiometer.cli.analyse.merge", "Merge a bracket into a picture of radiance."),
     "response": CommandEntry("radiometer.cli.calibrate.response",
                              "Recover the camera response from brackets or photographs."),
@@ -33,6 +34,7 @@ COMMANDS: Final[dict[str, CommandEntry]] = {
     "import": CommandEntry("radiometer.cli.capture.import_",
                            "Turn FITS, raw TIFF, EMVA 1288 sets and tables into capture sets."),
     "flux": CommandEntry("radiometer.cli.analyse.flux", "Find the radiant flux of a light-emitting diode."),
+    "analyse": CommandEntry("radiometer.cli.analyse.analyse", "Measure regions of a radiance map."),
     "flicker": CommandEntry(
         "radiometer.cli.analyse.flicker", "Measure flicker and the stroboscopic effect of a light (SVM, PstLM)."
     ),

@@ -36,13 +36,22 @@ def note(message: str) -> None:
 @contextmanager
 def progress_bar(*, shown: bool = True) -> Iterator[Progress]:
     """Show a progress bar on standard error while the block runs; nothing where that is no terminal."""
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+    from rich.progress import (
+        BarColumn,
+        MofNCompleteColumn,
+        Progress,
+        TextColumn,
+        TimeElapsedColumn,
+        TimeRemainingColumn,
+    )
 
     bar = Progress(
         TextColumn("{task.description}"),
         BarColumn(),
         MofNCompleteColumn(),
         TimeElapsedColumn(),
+        TextColumn("left"),
+        TimeRemainingColumn(),
         console=console(to_stderr=True),
         transient=True,
         disable=not (shown and sys.stderr.isatty()),
@@ -56,22 +65,16 @@ def progress(*, shown: bool = True) -> Iterator[Callable[[str, int, int | None],
     """Show a progress bar while the block runs; yield what takes the progress of a function of the library."""
     with progress_bar(shown=shown) as bar:
         task = bar.add_task("", total=None)
-        yield lambda what, done, total: bar.update(task, description=what, completed=done, total=total)
+        doing = [""]
 
+        def show(what: str, done: int, total: int | None) -> None:
+            if what != doing[0]:  # a new step: its time left is not that of the step before
+                doing[0] = what
+                bar.reset(task, description=what, completed=done, total=total)
+            else:
+                bar.update(task, completed=done, total=total)
 
-def significant(value: float, u: float) -> str:
-    """Return a value with as many digits as its standard uncertainty allows: two digits of u."""
-    import math
-
-    if not (math.isfinite(value) and math.isfinite(u)) or u <= 0:
-        return f"{value:.5g}"
-    decimals = 1 - math.floor(math.log10(u))
-    if value == 0:
-        return f"{0.0:.{max(decimals, 0)}f}"
-    magnitude = math.floor(math.log10(abs(value)))
-    if -4 <= magnitude < 6 and 0 <= decimals <= 9:
-        return f"{value:.{decimals}f}"
-    return f"{value:.{max(0, magnitude + decimals)}e}"
+        yield show
 
 
 def asker() -> Callable[[str], None] | None:
@@ -85,8 +88,3 @@ def asker() -> Callable[[str], None] | None:
         typer.confirm(f"{wish}. Done?", default=True, abort=True, err=True)
 
     return ask
-
-
-def expanded(value: float, u: float, unit: str, k: float = 2.0) -> str:
-    """Return "value ± U unit", to two digits of u."""
-    return f"{significant(value, u)} ± {k * u:.2g} {unit}"

@@ -120,6 +120,8 @@ class Journal:
         """
         if self._connection is not None:
             return
+        if self._file.exists() and not self._file.is_file():
+            raise OutputError(f"{self.path} is no regular file; name another with --journal")
         self._take_locks()
         try:
             connection = sqlite3.connect(

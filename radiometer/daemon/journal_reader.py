@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import csv
 import io
-import json
 import sqlite3
 import time
 from collections.abc import Iterable, Iterator
@@ -16,6 +15,7 @@ from urllib.parse import quote
 
 from radiometer.daemon.journal import APPLICATION_ID, MINUTE_US
 from radiometer.daemon.timestamps import iso_time
+from radiometer.data.json_text import parsed_json
 from radiometer.errors import InputError
 from radiometer.reporting.plain_text import spreadsheet_cell
 
@@ -166,7 +166,7 @@ class JournalReader:
             row = connection.execute("SELECT budget FROM readings WHERE sequence = ?", (sequence,)).fetchone()
         if row is None:
             raise InputError(f"{self._path} holds no reading {sequence}")
-        return {str(name): float(u_rel) for name, u_rel in json.loads(row[0]).items()}
+        return {str(name): float(u_rel) for name, u_rel in parsed_json(row[0]).items()}
 
     def bounds(self) -> tuple[int, int, int]:
         """Return lowest and highest sequence number and the count; (0, 0, 0) if empty. Raises InputError."""
@@ -208,7 +208,7 @@ def to_csv(lines: Iterable[str], *, header: bool = True) -> str:
 
 
 def _csv_row(line: str) -> list[Any]:
-    reading = json.loads(line)
+    reading = parsed_json(line)
     radiance, luminance, patch = reading["radiance"], reading["luminance"] or {}, reading["patch"]
     cells = [
         reading["sequence"], reading["time"], reading["instrument"], radiance["value"], radiance["u"],

@@ -131,9 +131,9 @@ class Lateness:
         if counts["shared"] < _BEHIND * due:
             self._alarms.put_up(
                 PERIOD,
-                f"the period of {every_s:g} s is not kept: in the last {window_s:.0f} s {counts['shared']} measurements"
+                f"the period of {every_s:g} s is not kept. In the last {window_s:.0f} s {counts['shared']} measurements"
                 f" of the shared patch began, {counts['named']} of patches with names and {counts['asked']} that"
-                " clients asked for; set a longer period, shorter exposures or fewer patches",
+                " clients asked for. Set a longer period, shorter exposures or fewer patches",
             )
         elif counts["shared"] >= _KEPT * due:
             self._alarms.clear(PERIOD, "the period is kept again")

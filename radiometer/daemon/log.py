@@ -3,27 +3,25 @@
 from __future__ import annotations
 
 import datetime as dt
-import json
 import math
 import statistics
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any
 
 from radiometer.api.files import PathLike
 from radiometer.api.result import Result
 from radiometer.daemon.journal import default_journal_path
 from radiometer.daemon.journal_reader import JournalReader, ReadingFilter, to_csv
 from radiometer.daemon.timestamps import parse_moment
-from radiometer.data.drawing import new_axes, write_figure
+from radiometer.data.drawing import new_axes, own_axes, write_figure
+from radiometer.data.json_text import parsed_json
 from radiometer.errors import UsageError
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-
-_PICTURES: Final = (".png", ".pdf", ".svg")
 
 
 @dataclass(frozen=True)
@@ -66,7 +64,7 @@ class LoggedReadings(Result):
     @cached_property
     def readings(self) -> list[dict[str, Any]]:
         """Return the readings as plain values."""
-        return [json.loads(line) for line in self.stored]
+        return [parsed_json(line) for line in self.stored]
 
     @cached_property
     def places(self) -> list[Place]:
@@ -116,7 +114,7 @@ class LoggedReadings(Result):
 
     def write_plot(self, path: PathLike) -> None:
         """Draw the readings into a PNG, PDF or SVG file. Raises UsageError for another ending."""
-        write_figure(Path(path), self.plot(new_axes()), inches=(9.0, 4.2))
+        write_figure(Path(path), self.plot(own_axes()), inches=(9.0, 4.2))
 
     def __str__(self) -> str:
         """Return how many readings of how many places."""

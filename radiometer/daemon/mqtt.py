@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import json
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -15,7 +14,7 @@ import structlog
 from radiometer.daemon.hub import Event, Subscription
 from radiometer.daemon.patches import MAIN
 from radiometer.daemon.station import Station
-from radiometer.data.json_text import json_text
+from radiometer.data.json_text import json_text, parsed_json
 from radiometer.errors import MissingLibrary, UsageError
 
 _log = structlog.get_logger(__name__)
@@ -242,7 +241,7 @@ def topic_level(name: str) -> str:
 
 def topic_of(event: Event) -> str:
     """Return the topic of an event below that of the instrument: each patch with a name has its own."""
-    return _patch_topic(str(json.loads(event.line)["name"])) if event.kind == "patch" else event.kind
+    return _patch_topic(str(parsed_json(event.line)["name"])) if event.kind == "patch" else event.kind
 
 
 def _patch_topic(name: str, *, quoted: bool = False) -> str:

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, Final
 
 from radiometer.data import Flag, Patch, Reading
-from radiometer.data.json_text import json_text
+from radiometer.data.json_text import json_text, parsed_json
 from radiometer.errors import UsageError
 
 MAIN: Final = "main"  # means the patch that is measured for all where a name is asked for
@@ -108,7 +107,7 @@ class NamedPatch:
     @classmethod
     def from_json(cls, name: str, line: str) -> NamedPatch:
         """Return the patch that a line of JSON describes."""
-        content: Mapping[str, Any] = json.loads(line)
+        content: Mapping[str, Any] = parsed_json(line)
         return cls(name, Patch(**content["patch"]), PatchLimits(**content["limits"]))
 
 

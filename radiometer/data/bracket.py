@@ -19,16 +19,11 @@ class Bracket:
     """Frames of one scene, all of one size and bit depth, from the shortest effective exposure to the longest.
 
     A bracket is not iterable: `light` and `dark` say which frames are meant.
-
-    Attributes:
-        light: Frames with the shutter open, at least one.
-        dark: Frames with the shutter closed, possibly none.
-        origin: Where the frames came from, for messages and provenance.
     """
 
-    light: tuple[Frame, ...]
-    dark: tuple[Frame, ...] = ()
-    origin: str = ""
+    light: tuple[Frame, ...]  # frames with the shutter open, at least one
+    dark: tuple[Frame, ...] = ()  # frames with the shutter closed, possibly none
+    origin: str = ""  # where the frames came from, for messages and provenance
 
     @classmethod
     def from_frames(cls, frames: Iterable[Frame], origin: str = "") -> Self:

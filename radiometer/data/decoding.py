@@ -55,12 +55,12 @@ def _without_remarks(content: NDArray[np.uint8]) -> NDArray[np.uint8]:
 
 @contextmanager
 def _quiet() -> Iterator[None]:
-    """Have OpenCV report errors alone until the last thread is done: unknown tags do not concern a user."""
+    """Have OpenCV print nothing until the last thread is done: what cannot be decoded gets one line of our own."""
     with _COUNTED:
-        _levels.append(logging.setLogLevel(logging.LOG_LEVEL_ERROR))
+        _levels.append(logging.setLogLevel(logging.LOG_LEVEL_SILENT))
     try:
         yield
     finally:
         with _COUNTED:
-            logging.setLogLevel(_levels[0] if len(_levels) == 1 else logging.LOG_LEVEL_ERROR)
+            logging.setLogLevel(_levels[0] if len(_levels) == 1 else logging.LOG_LEVEL_SILENT)
             del _levels[-1]

@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 import html
 import io
+import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
@@ -14,16 +15,33 @@ from radiometer.errors import UsageError
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
 
-_PICTURES: Final = (".png", ".pdf", ".svg")
+PLOT_SUFFIXES: Final = (".png", ".pdf", ".svg")
+_SIZE_IN: Final = (6.4, 4.0)  # matplotlib's width, a little lower: it fits a notebook's cell
 
 
 def new_axes() -> Axes:
+    """Return axes in a new figure: pyplot's current one where the user has pyplot, so that `plt.savefig` saves it."""
+    pyplot = sys.modules.get("matplotlib.pyplot")
+    if pyplot is not None:
+        figure: Figure = pyplot.figure(figsize=_SIZE_IN, layout="constrained")
+        return figure.subplots()
+    return own_axes()
+
+
+def own_axes() -> Axes:
     """Return axes in a new figure, which no global list of figures holds."""
     from matplotlib.figure import Figure
 
-    return Figure(figsize=(6.4, 4.0), layout="constrained").subplots()
+    return Figure(figsize=_SIZE_IN, layout="constrained").subplots()
+
+
+def check_plot_name(path: Path) -> None:
+    """Refuse a name whose ending is no form of a picture. Raises UsageError."""
+    if path.suffix.lower() not in PLOT_SUFFIXES:
+        raise UsageError(f"cannot draw {path}: its ending must be one of {', '.join(PLOT_SUFFIXES)}")
 
 
 def write_figure(path: Path, axes: Axes, inches: tuple[float, float] | None = None) -> None:
@@ -38,8 +56,7 @@ def write_figure(path: Path, axes: Axes, inches: tuple[float, float] | None = No
         UsageError: If the ending is another.
         OutputError: If the file cannot be written.
     """
-    if path.suffix.lower() not in _PICTURES:
-        raise UsageError(f"{path}: name a .png, .pdf or .svg file")
+    check_plot_name(path)
     figure: Any = axes.figure
     if inches is not None:
         figure.set_size_inches(*inches)
@@ -48,10 +65,10 @@ def write_figure(path: Path, axes: Axes, inches: tuple[float, float] | None = No
     write_bytes_atomic(path, content.getvalue())
 
 
-def picture(draw: Callable[[], Axes], words: str) -> str:
+def picture(draw: Callable[[Axes], Axes], words: str) -> str:
     """Return HTML with a picture and, under it, what it shows in words."""
     content = io.BytesIO()
-    figure: Any = draw().figure
+    figure: Any = draw(own_axes()).figure
     figure.savefig(content, format="png", dpi=110)
     encoded = base64.b64encode(content.getvalue()).decode()
     said = html.escape(words)

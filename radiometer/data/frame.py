@@ -60,35 +60,23 @@ class FrameSettings:
 
 @dataclass(frozen=True, slots=True)
 class CameraFile:
-    """The file that a camera itself wrote for a frame, as it came.
+    """The file that a camera itself wrote for a frame, as it came."""
 
-    Attributes:
-        suffix: How its name ends, such as ".cr2".
-        content: Its bytes.
-    """
-
-    suffix: str
-    content: bytes = field(repr=False)
+    suffix: str  # how its name ends, such as ".cr2"
+    content: bytes = field(repr=False)  # its bytes
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Frame:
-    """One exposure: raw digital numbers, right-aligned, with the settings read back.
+    """One exposure: raw digital numbers, right-aligned, with the settings read back."""
 
-    Attributes:
-        dn: Digital numbers, shape (height, width), uint8 or uint16, 0 to 2**bit_depth − 1; made read-only.
-        bit_depth: Bits per pixel, 1 to 16.
-        settings: What the frame was taken with.
-        frame_id: Running number given by the device; None where there is none.
-        extra: Further facts from the device (chunk data, counts of resent packets).
-        file: The camera's own raw file that the numbers were read from; None where there is none.
-    """
-
-    dn: DigitalNumbers
-    bit_depth: int
-    settings: FrameSettings
-    frame_id: int | None = None
+    dn: DigitalNumbers  # digital numbers, shape (height, width), uint8 or uint16, 0 to 2**bit_depth − 1; made read-only
+    bit_depth: int  # bits per pixel, 1 to 16
+    settings: FrameSettings  # what the frame was taken with
+    frame_id: int | None = None  # running number given by the device; None where there is none
+    # Further facts from the device (chunk data, counts of resent packets)
     extra: dict[str, float | int | str] = field(default_factory=dict)
+    # The camera's own raw file that the numbers were read from; None where there is none
     file: CameraFile | None = None
 
     @property

@@ -24,6 +24,8 @@ MOST_FILE_BYTES: Final = 800_000_000  # twice the largest picture: headers and p
 MOST_YAML_BYTES: Final = 64_000_000  # a capture set of 100,000 frames
 MOST_DIRECTORIES: Final = 1_000_000  # of a TIFF: a day of frames at 10 per second
 DEEPEST_NESTING: Final = 64  # files of this program nest some ten levels
+# Of a JPEG; libtiff allows as many in a TIFF (JPEG_MAX_SCAN_NUMBER). Encoders write ten, and thumbnails have their own.
+MOST_SCANS: Final = 100
 MOST_ENTRIES: Final = 5_000_000  # after all repetitions are written out
 _Loader: Final = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
 _PNG_SIGNATURE: Final = b"\x89PNG\r\n\x1a\n"
@@ -76,6 +78,8 @@ def refuse_large_picture(path: Path, content: bytes) -> None:
         for width, height, samples, bits in _tiff_sizes(content):
             refuse_size(path, (height, width, samples), max(1, (bits + 7) // 8))
         return
+    if content.startswith(b"\xff\xd8"):
+        refuse_many_scans(path, content)
     if (size := _hdr_size(content) or _exr_size(content)) is not None:
         refuse_size(path, size, 4)
         return
@@ -86,6 +90,18 @@ def refuse_large_picture(path: Path, content: bytes) -> None:
         raise CaptureError(f"{path}: {error}; look whether the file is what it says") from error
     except (UnidentifiedImageError, OSError, SyntaxError, ValueError, struct.error, OverflowError):
         return  # its decoder will say what is wrong with it
+
+
+def refuse_many_scans(path: Path, content: bytes) -> None:
+    """Refuse a JPEG that is decoded again and again: each of its scans, of a few bytes, goes over all pixels.
+
+    Within a scan, the byte of the marker is always followed by 0 (ITU-T T.81, B.1.1.5), so each is a scan indeed.
+
+    Raises:
+        CaptureError: If it has more than `MOST_SCANS`.
+    """
+    if (scans := content.count(b"\xff\xda")) > MOST_SCANS:
+        raise CaptureError(f"{path}: a JPEG of {scans} scans; at most {MOST_SCANS} are read: save it again")
 
 
 def _hdr_size(content: bytes) -> tuple[int, int, int] | None:

@@ -11,17 +11,11 @@ from radiometer.errors import UsageError
 
 @dataclass(frozen=True, slots=True)
 class IsoSpeeds:
-    """What is known of a camera's ISO speeds beyond what its photographs state.
+    """What is known of a camera's ISO speeds beyond what its photographs state."""
 
-    Attributes:
-        measured: Real speed by stated one, such as {200: 136}.
-        reference: Real speed at which the gain is 0 dB; None for the lowest one in use.
-        reference_stated: That speed as the camera states it; None where unknown.
-    """
-
-    measured: Mapping[float, float] = field(default_factory=dict)
-    reference: float | None = None
-    reference_stated: float | None = None
+    measured: Mapping[float, float] = field(default_factory=dict)  # real speed by stated one, such as {200: 136}
+    reference: float | None = None  # real speed at which the gain is 0 dB; None for the lowest one in use
+    reference_stated: float | None = None  # that speed as the camera states it; None where unknown
 
     def real(self, stated: float) -> float:
         """Return the speed as measured where it was, else as stated."""
@@ -49,7 +43,6 @@ class IsoSpeeds:
         """Refuse a measured speed that no photograph states: the word was meant for another one.
 
         Args:
-            where: What to call the photographs.
             in_use: Speeds that they state.
 
         Raises:

@@ -1,4 +1,8 @@
-"""The one writer of JSON: a number that is not finite becomes null, because JSON has no NaN and no infinity."""
+"""The one writer and the one reader of JSON.
+
+A number that is not finite is written as null, because JSON has no NaN and no infinity. A key that occurs twice in an
+object is refused, because which of its two values is meant is not known (RFC 8259, section 4).
+"""
 
 from __future__ import annotations
 
@@ -27,6 +31,30 @@ def json_text(content: Any, *, indent: int | None = None, sort_keys: bool = Fals
         ensure_ascii=ascii_only,
         allow_nan=False,
     )
+
+
+class RepeatedKey(ValueError):
+    """A key occurs twice in one object of a JSON text."""
+
+
+def parsed_json(text: str | bytes) -> Any:
+    """Return what a JSON text holds.
+
+    Raises:
+        RepeatedKey: If a key occurs twice in one object.
+        ValueError: If it is no JSON.
+        RecursionError: If it is nested too deeply.
+    """
+    return json.loads(text, object_pairs_hook=_object)  # noqa: TID251 (the one place)
+
+
+def _object(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    found = dict(pairs)
+    if len(found) != len(pairs):
+        names = [name for name, _ in pairs]
+        twice = next(name for name in names if names.count(name) > 1)
+        raise RepeatedKey(f"the key {twice[:40]!r} occurs twice in one object; leave one out")
+    return found
 
 
 def finite_or_null(value: Any) -> Any:

@@ -79,7 +79,6 @@ class _Pile:
     saturated_dn: int
     top_dn: int
     pixels: int
-    strays: int
     sigmas: float
 
 
@@ -198,7 +197,6 @@ def _decided(frames: Sequence[_Ranks], pile: _Pile | None, lowest: _Pile | None)
         measured_dn=pile.centre_dn,
         spread_dn=pile.spread_dn,
         piled_pixels=pile.pixels,
-        stray_pixels=pile.strays,
     )
 
 
@@ -291,7 +289,7 @@ def _extent(frame: _Ranks, upper: int, centre: int, lower: int, step: int) -> tu
     above = frame.pixels_from(top + 1)
     pixels = frame.pixels_from(end) - above
     is_pile = end > margin and dense > _DENSER * around and above <= pixels
-    return _Pile(float(centre), spread, end, top, pixels, above, 0.0) if is_pile else None, low, high
+    return _Pile(float(centre), spread, end, top, pixels, 0.0) if is_pile else None, low, high
 
 
 def _lower_end(frame: _Ranks, end: int, step: int) -> int:

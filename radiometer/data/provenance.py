@@ -37,23 +37,14 @@ def source_hash(*packages: str) -> str:
 
 @dataclass(frozen=True, slots=True)
 class Provenance:
-    """What made a result, from what, and under which assumptions.
+    """What made a result, from what, and under which assumptions."""
 
-    Attributes:
-        method: Name of the method, with author and year where the field names it so.
-        inputs: Names or content hashes of what went in.
-        assumptions: What was assumed rather than measured; shown to the user.
-        parameters: Settings of the method.
-        created: ISO 8601 time in UTC.
-        software: Program and version.
-    """
-
-    method: str
-    inputs: tuple[str, ...] = ()
-    assumptions: tuple[str, ...] = ()
-    parameters: Mapping[str, Any] = field(default_factory=dict)
-    created: str = field(default_factory=utc_now)
-    software: str = f"radiometer {radiometer.__version__}"
+    method: str  # name of the method, with author and year where the field names it so
+    inputs: tuple[str, ...] = ()  # names or content hashes of what went in
+    assumptions: tuple[str, ...] = ()  # what was assumed rather than measured; shown to the user
+    parameters: Mapping[str, Any] = field(default_factory=dict)  # settings of the method
+    created: str = field(default_factory=utc_now)  # ISO 8601 time in UTC
+    software: str = f"radiometer {radiometer.__version__}"  # program and version
 
     def to_mapping(self) -> dict[str, Any]:
         """Return the plain mapping that is written to files."""

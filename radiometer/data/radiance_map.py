@@ -25,27 +25,17 @@ class PixelMask(IntFlag):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RadianceMap:
-    """Radiance per pixel.
+    """Radiance per pixel."""
 
-    Attributes:
-        radiance: Radiance, shape (height, width), float32, in `unit`.
-        u_radiance: Standard uncertainty per pixel (noise only; what is common to all pixels is in `u_rel_common`).
-        mask: PixelMask bits per pixel, uint8.
-        unit: "W sr-1 m-2", or "relative".
-        u_rel_common: Relative standard uncertainty common to all pixels (scale, lens, exposure time).
-        exposures_s: Exposure times merged, in s.
-        provenance: Method, inputs, assumptions.
-        not_in_u: What neither `u_radiance` nor `u_rel_common` holds, in words with its size.
-    """
-
-    radiance: NDArray[np.float32]
+    radiance: NDArray[np.float32]  # radiance, shape (height, width), float32, in `unit`
+    # Standard uncertainty per pixel (noise only; what is common to all pixels is in `u_rel_common`)
     u_radiance: NDArray[np.float32]
-    mask: NDArray[np.uint8]
-    unit: str = "relative"
-    u_rel_common: float = 0.0
-    exposures_s: tuple[float, ...] = ()
-    provenance: Provenance = field(default_factory=lambda: Provenance("unknown"))
-    not_in_u: tuple[str, ...] = ()
+    mask: NDArray[np.uint8]  # PixelMask bits per pixel, uint8
+    unit: str = "relative"  # "W sr-1 m-2", or "relative"
+    u_rel_common: float = 0.0  # relative standard uncertainty common to all pixels (scale, lens, exposure time)
+    exposures_s: tuple[float, ...] = ()  # exposure times merged, in s
+    provenance: Provenance = field(default_factory=lambda: Provenance("unknown"))  # method, inputs, assumptions
+    not_in_u: tuple[str, ...] = ()  # what neither `u_radiance` nor `u_rel_common` holds, in words with its size
 
     @property
     def shape(self) -> tuple[int, int]:

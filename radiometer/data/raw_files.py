@@ -46,7 +46,7 @@ class RawColours:
         return plane
 
 
-@bounded_reader(RAW_READER_BYTES)
+@bounded_reader(RAW_READER_BYTES, apart="rawpy")
 def read_raw_colours(path: Path, *, interpolated: bool = False) -> RawColours:
     """Return the sensor's numbers of a camera raw file.
 

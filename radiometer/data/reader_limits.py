@@ -3,24 +3,27 @@
 from __future__ import annotations
 
 import bz2
+import ctypes
 import functools
 import lzma
 import resource
-import signal
 import stat
 import threading
+import time
 import zlib
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from importlib.util import find_spec
 from pathlib import Path
-from types import FrameType
 from typing import Any, Final, ParamSpec, TypeVar
 
 from radiometer.data.guards import MOST_FILE_BYTES
+from radiometer.data.reader_process import ReaderEnded, is_inside, run_apart
 from radiometer.errors import CaptureError, InputError, RadiometerError
 
 READER_BYTES: Final = 2_000_000_000  # a picture of 400 MB, decoded, converted and copied
 RAW_READER_BYTES: Final = 5_000_000_000  # 151 million raw pixels: LibRaw keeps four values of 16 bits for each
+_AGAIN_S: Final = 0.1  # between two attempts to end a reader: a library may keep the first one to itself
 READER_SECONDS: Final = 60.0  # of processor time; the largest pictures take some 5 s
 _P = ParamSpec("_P")
 _R = TypeVar("_R")
@@ -48,22 +51,31 @@ _BUDGET: Final = _Budget()
 
 
 def bounded_reader(
-    memory_bytes: int = READER_BYTES, *, error: type[RadiometerError] = CaptureError
+    memory_bytes: int = READER_BYTES, *, error: type[RadiometerError] = CaptureError, apart: str = ""
 ) -> Callable[[Callable[_P, _R]], Callable[_P, _R]]:
     """Return a decorator that keeps a reader of a file within limits.
 
     The first argument of the reader that is a path names the file. It must be a regular file of at most
     `MOST_FILE_BYTES`; a folder or a missing file is left to the reader. Whatever a damaged file makes a library raise
-    becomes one line that names the file. The limit of time holds in the main thread, where Python lets signals in.
+    becomes one line that names the file.
+
+    Most readers work in this process. What they do is Python, or decodes in a time that grows with a size which is
+    refused before (`refuse_large_picture`, `refuse_size`, `unpacked`). A reader whose compiled library may hang or
+    crash on a damaged file works apart (`reader_process`): LibRaw, OpenEXR, Parquet, compressed FITS, what Pillow
+    decodes in TIFF, and R's files, whose structure may refer to itself.
 
     Args:
         memory_bytes: Memory in bytes that the reader may take beyond what the process has.
         error: Kind of error that names the file.
+        apart: Library for which the file is read in another process; "" to read it here. Such a reader is a function
+            of a module, with plain arguments and results. Where the library is missing, the reader says so here.
     """
 
     def decorate(read: Callable[_P, _R]) -> Callable[_P, _R]:
         @functools.wraps(read)
         def bounded(*args: _P.args, **kwargs: _P.kwargs) -> _R:
+            if apart and not is_inside() and find_spec(apart) is not None:
+                return _read_apart(bounded, args, kwargs, memory_bytes, error)
             if getattr(_THREAD, "reading", False):  # within the limits of the reader that asked for this one
                 return read(*args, **kwargs)
             path = next((one for one in args if isinstance(one, Path)), None)
@@ -87,19 +99,37 @@ def bounded_reader(
                     " is what it says"
                 ) from failure
             except OSError as failure:
-                raise error(f"cannot read {where}: {failure.strerror or failure}") from failure
+                raise error(f"cannot read {where}: {failure.strerror or _one_line(failure)}") from failure
             except Exception as failure:  # a damaged file makes libraries raise nearly anything
                 if path is None:
                     raise
-                reason = (str(failure).strip().splitlines() or [""])[0][:200]
-                kind = type(failure).__name__
-                raise error(f"{where}: damaged, or of a form that is not read ({kind}: {reason})") from failure
+                reason = f"{type(failure).__name__}: {_one_line(failure)}"
+                raise error(f"{where}: damaged, or of a form that is not read ({reason})") from failure
             finally:
                 _THREAD.reading = False
 
         return bounded
 
     return decorate
+
+
+def _one_line(failure: BaseException) -> str:
+    return (str(failure).strip().splitlines() or [""])[0][:200]
+
+
+def _read_apart(
+    read: Callable[..., _R], args: tuple[Any, ...], kwargs: dict[str, Any], memory_bytes: int,
+    error: type[RadiometerError],
+) -> _R:  # fmt: skip
+    path = next(one for one in args if isinstance(one, Path))
+    refuse_endless(path, error)
+    try:
+        found: _R = run_apart(read, args, kwargs, processor_s=READER_SECONDS, most_bytes=memory_bytes)
+    except ReaderEnded as failure:
+        raise error(f"{path}: {failure}; look whether the file is what it says") from failure
+    except MemoryError as failure:
+        raise error(f"{path}: holds more than {memory_bytes / 1e9:g} GB; look whether it is what it says") from failure
+    return found
 
 
 def refuse_endless(path: Path, error: type[RadiometerError] = InputError) -> None:
@@ -185,18 +215,29 @@ def _virtual_bytes() -> int:
 
 @contextmanager
 def _limited_time() -> Iterator[None]:
-    """End the block after `READER_SECONDS` of processor time; only the main thread can be interrupted."""
-    if threading.current_thread() is not threading.main_thread() or signal.getitimer(signal.ITIMER_VIRTUAL)[0]:
-        yield
-        return
+    """End the block after `READER_SECONDS` of processor time of its thread, as soon as Python runs in it."""
+    reader, done, lock = threading.get_ident(), threading.Event(), threading.Lock()
+    clock = time.pthread_getcpuclockid(reader)
+    end_s = time.clock_gettime(clock) + READER_SECONDS
 
-    def stop(_signal: int, _frame: FrameType | None) -> None:
-        raise _TooLong
+    def watch() -> None:
+        while not done.wait(max(end_s - time.clock_gettime(clock), _AGAIN_S)):
+            with lock:
+                if not done.is_set() and time.clock_gettime(clock) >= end_s:
+                    _raise_in(reader, _TooLong)
 
-    before = signal.signal(signal.SIGVTALRM, stop)
-    signal.setitimer(signal.ITIMER_VIRTUAL, READER_SECONDS, 1.0)  # again, where a library kept the first one
+    watcher = threading.Thread(target=watch, name="reader's time", daemon=True)
+    watcher.start()
     try:
         yield
     finally:
-        signal.setitimer(signal.ITIMER_VIRTUAL, 0.0)
-        signal.signal(signal.SIGVTALRM, before)
+        with lock:
+            done.set()
+            _raise_in(reader, None)  # what was raised and has not arrived
+        watcher.join()
+
+
+def _raise_in(thread: int, error: type[BaseException] | None) -> None:
+    """Raise an error in a thread, once Python runs there; None takes one back that has not arrived yet."""
+    given = ctypes.py_object(error) if error is not None else None
+    ctypes.pythonapi.PyThreadState_SetAsyncExc(ctypes.c_ulong(thread), given)

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 from radiometer.data.json_text import finite_or_null, json_text
 from radiometer.data.provenance import Provenance, utc_now
+from radiometer.numbers import below, upper_limit, with_u
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -130,7 +131,7 @@ class Reading:
         >>> with rm.open("bench.yaml") as meter:
         ...     reading = meter.measure()
         >>> print(reading)
-        0.30... ± 0.00... W sr-1 m-2 (k = 2)
+        0.30... ± 0.00... W·sr⁻¹·m⁻² (k = 2)
         >>> reading.radiance.unit, [str(flag) for flag in reading.flags]
         ('W sr-1 m-2', [])
         >>> max(reading.budget, key=lambda line: line.u_rel).name
@@ -174,6 +175,13 @@ class Reading:
     more: Mapping[str, Any] = field(default_factory=dict, hash=False)
 
     @property
+    def upper_limit(self) -> Quantity | None:
+        """Return what the radiance is below with 95 % probability; None where it rises above the noise."""
+        if Flag.BELOW_NOISE not in self.flags:
+            return None
+        return Quantity(upper_limit(self.radiance.value, self.radiance.u), self.radiance.u, self.radiance.unit)
+
+    @property
     def expanded_u_rel(self) -> float:
         """Return the expanded relative uncertainty U_rel = k·u/|value|."""
         return self.coverage_factor * self.radiance.u_rel
@@ -199,6 +207,8 @@ class Reading:
             "sequence": self.sequence,
         }
         mapping |= {"band_nm": list(self.band_nm)} if self.band_nm else {}
+        limit = self.upper_limit
+        mapping |= {"upper_limit": {"value": limit.value, "unit": limit.unit, "probability": 0.95}} if limit else {}
         mapping |= {"name": self.name} if self.name else {}
         mapping |= {"session": self.session} if self.session else {}
         mapping |= self.more
@@ -223,11 +233,13 @@ class Reading:
         return where
 
     def __str__(self) -> str:
-        """Return value, expanded uncertainty, unit and flags in one line."""
+        """Return value, expanded uncertainty, unit and flags in one line; below the noise the limit in its place."""
         expanded = self.coverage_factor * self.radiance.u
         flags = f" [{', '.join(self.flags)}]" if self.flags else ""
-        said = f"{_rounded(self.radiance.value, expanded)} {self.radiance.unit}"
-        return f"{said} (k = {self.coverage_factor:.3g}){flags}"
+        limit = self.upper_limit
+        if limit is not None:
+            return f"{below(limit.value, limit.unit)}{flags}"
+        return f"{with_u(self.radiance.value, expanded, self.radiance.unit, k=self.coverage_factor)}{flags}"
 
     def __repr__(self) -> str:
         """Return value, patch and instrument in one line; `to_mapping()` holds every field."""
@@ -238,11 +250,3 @@ class Reading:
         from radiometer.data.drawing import picture
 
         return picture(self.plot, str(self))
-
-
-def _rounded(value: float, expanded: float) -> str:
-    """Return "value ± U" with two digits of U."""
-    if not (math.isfinite(value) and math.isfinite(expanded) and expanded > 0):
-        return f"{value:.5g} ± {expanded:.2g}"
-    decimals = max(0, 1 - math.floor(math.log10(expanded)))
-    return f"{value:.{decimals}f} ± {expanded:.{decimals}f}"

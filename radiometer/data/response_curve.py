@@ -27,22 +27,16 @@ class ResponseCurve:
 
     Relative curves have the gauge g(M_mid) = 0, M_mid = 2**bit_depth // 2 (128 at 8 bit); absolute ones are
     in ln(J·m⁻²).
-
-    Attributes:
-        log_exposure: g, shape (2**bit_depth,), ascending; not finite where the curve says nothing (black, clipped).
-        u_log_exposure: Standard uncertainty of g relative to the gauge point, same shape.
-        absolute: Whether g is in ln(J·m⁻²).
-        valid_dn: Lowest and highest digital number that data supported; outside it the curve is extrapolated.
-        channel: "mono", "luminance", "red", "green" or "blue".
-        provenance: Method, inputs, assumptions.
     """
 
+    # g, shape (2**bit_depth,), ascending; not finite where the curve says nothing (black, clipped)
     log_exposure: NDArray[np.float64]
-    u_log_exposure: NDArray[np.float64]
-    absolute: bool = False
+    u_log_exposure: NDArray[np.float64]  # standard uncertainty of g relative to the gauge point, same shape
+    absolute: bool = False  # whether g is in ln(J·m⁻²)
+    # Lowest and highest digital number that data supported; outside it the curve is extrapolated
     valid_dn: tuple[int, int] | None = None
-    channel: str = "mono"
-    provenance: Provenance = field(default_factory=lambda: Provenance("unknown"))
+    channel: str = "mono"  # "mono", "luminance", "red", "green" or "blue"
+    provenance: Provenance = field(default_factory=lambda: Provenance("unknown"))  # method, inputs, assumptions
 
     def __post_init__(self) -> None:
         size = self.log_exposure.size

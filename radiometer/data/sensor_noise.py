@@ -19,27 +19,18 @@ _TYPICAL_READ_NOISE_E = 3.0
 class SensorNoise:
     """Linear sensor noise model: σ_y² = K²·(σ_d² + μ_e) + 1/12 in DN².
 
-    Attributes:
-        conversion_gain_e_per_dn: Electrons per DN at gain 0 dB.
-        read_noise_e: Temporal read noise σ_d in electrons, quantisation taken out.
-        dark_current_e_per_s: Dark current at the reference temperature in e⁻/s.
-        dark_reference_c: That temperature in °C.
-        dark_doubling_k: Temperature step in K that doubles the dark current.
-        full_well_e: Saturation capacity in electrons.
-        assumed: Names of the figures that were not known and are typical values.
-        post_curve_dn2: Variance in DN² of noise that arises behind a response curve (grain, compression, sharpening,
-            registration), rounding left out.
-
     Source: EMVA Standard 1288, release 4.0, equations (6)–(13).
     """
 
-    conversion_gain_e_per_dn: float
-    read_noise_e: float
-    dark_current_e_per_s: float = 0.0
-    dark_reference_c: float = 25.0
-    dark_doubling_k: float = 7.0
-    full_well_e: float = _TYPICAL_FULL_WELL_E
-    assumed: tuple[str, ...] = ()
+    conversion_gain_e_per_dn: float  # electrons per DN at gain 0 dB
+    read_noise_e: float  # temporal read noise σ_d in electrons, quantisation taken out
+    dark_current_e_per_s: float = 0.0  # Dark current at the reference temperature in e⁻/s
+    dark_reference_c: float = 25.0  # that temperature in °C
+    dark_doubling_k: float = 7.0  # temperature step in K that doubles the dark current
+    full_well_e: float = _TYPICAL_FULL_WELL_E  # saturation capacity in electrons
+    assumed: tuple[str, ...] = ()  # names of the figures that were not known and are typical values
+    # Variance in DN² of noise that arises behind a response curve (grain, compression, sharpening, registration),
+    # rounding left out
     post_curve_dn2: float = 0.0
 
     @property
@@ -85,7 +76,6 @@ class SensorNoise:
         Args:
             signal_dn: Mean signal from light above the dark signal, in DN, any shape; below 0 counts as 0.
             gain_db: Analogue gain in dB.
-            dark_e: Mean dark signal in electrons.
         """
         gain = self.gain_dn_per_e(gain_db)
         light = np.maximum(np.asarray(signal_dn, dtype=np.float64), 0.0)

@@ -14,12 +14,7 @@ _PLAINLY_HEXADECIMAL: Final = re.compile(r"(?=.*[A-Fa-f]|0)[0-9A-Fa-f]{8}")  # a
 
 
 def same_serial(one: str, other: str) -> bool:
-    """Return whether two serial numbers are the same, whichever of them is written in hexadecimal.
-
-    Args:
-        one: As a device or a file states it.
-        other: As another device, file or person states it.
-    """
+    """Return whether two serial numbers are the same, whichever of them is written in hexadecimal."""
     if one.casefold() == other.casefold():
         return True
     return any(

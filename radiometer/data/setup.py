@@ -14,22 +14,16 @@ AS_CALIBRATED: Final = "as calibrated"
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Setup:
-    """Camera, lens and calibration in use, and what is known of the light.
+    """Camera, lens and calibration in use, and what is known of the light."""
 
-    Attributes:
-        camera: The camera in use.
-        lens: The lens in use.
-        calibration: The camera's calibration, with the light's spectrum where that is stated; None gives relative
-            values.
-        source: What is known of the light; that of a screen counts as polarised where nothing else is stated.
-        spectrum: Name of the light's spectrum, or path of a CSV; `AS_CALIBRATED`; None where it is unknown: then all
-            kinds of light count in the uncertainty.
-    """
-
-    camera: CameraDescription
-    lens: LensDescription = field(default_factory=LensDescription)
+    camera: CameraDescription  # the camera in use
+    lens: LensDescription = field(default_factory=LensDescription)  # the lens in use
+    # The camera's calibration, with the light's spectrum where that is stated; None gives relative values
     calibration: Calibration | None = None
+    # What is known of the light; that of a screen counts as polarised where nothing else is stated
     source: SourceDescription | None = None
+    # Name of the light's spectrum, or path of a CSV; `AS_CALIBRATED`; None where it is unknown: then all kinds of light
+    # count in the uncertainty
     spectrum: str | None = AS_CALIBRATED
 
     def __post_init__(self) -> None:

@@ -25,17 +25,11 @@ MAP_FORMAT: Final = "radiometer-import-map/1"
 
 @dataclass(frozen=True, slots=True)
 class Unknown:
-    """What means "unknown" for a quantity.
+    """What means "unknown" for a quantity."""
 
-    Attributes:
-        numbers: Numbers as written.
-        low: Least value in the base unit; anything below means "unknown".
-        high: Greatest value in the base unit; anything above means "unknown".
-    """
-
-    numbers: frozenset[float] = frozenset()
-    low: float = -math.inf
-    high: float = math.inf
+    numbers: frozenset[float] = frozenset()  # numbers as written
+    low: float = -math.inf  # least value in the base unit; anything below means "unknown"
+    high: float = math.inf  # greatest value in the base unit; anything above means "unknown"
 
 
 # Gain steps by the maker's name in the header. ZWO: "ASI Cameras software development kit", ASI_GAIN, tenths of a dB.
@@ -87,17 +81,11 @@ def is_unknown(written: Any) -> bool:
 
 @dataclass(frozen=True, slots=True)
 class Statement:
-    """One thing that a file states.
+    """One thing that a file states."""
 
-    Attributes:
-        written: The value as written.
-        unit: Its unit as the file states it; "" where it states none.
-        comment: What the file says of it in words, where a unit may stand.
-    """
-
-    written: Any
-    unit: str = ""
-    comment: str = ""
+    written: Any  # the value as written
+    unit: str = ""  # its unit as the file states it; "" where it states none
+    comment: str = ""  # what the file says of it in words, where a unit may stand
 
 
 def value_of(
@@ -112,12 +100,9 @@ def value_of(
     """Return what a file states of a fact in the base unit of its quantity; None where it is unknown.
 
     Args:
-        statement: What stands there.
         fact: Name of the fact, a key of `FACTS`.
-        place: Keyword, tag or column, for messages.
         doubts: Lines to which is added what is reported.
         defined: Unit that the format's definition gives where the file states none; "" where it gives none.
-        where: The file, for messages.
 
     Raises:
         UnsettledError: If the unit is missing, not known, or contradicts itself; the message names the option.
@@ -201,14 +186,11 @@ class Place:
 
 @dataclass(frozen=True, slots=True)
 class StatementMap:
-    """Where a user states that facts stand.
+    """Where a user states that facts stand."""
 
-    Attributes:
-        places: Places by fact, the first that a file has counts.
-        demanded: Facts of which every file must have one of the places (those given one by one, not by a file).
-    """
-
+    # Places by fact, the first that a file has counts
     places: Mapping[str, tuple[Place, ...]] = field(default_factory=dict)
+    # Facts of which every file must have one of the places (those given one by one, not by a file)
     demanded: frozenset[str] = frozenset()
 
     @classmethod
@@ -278,11 +260,9 @@ def first_stated(
 
     Args:
         fact: A key of `FACTS`.
-        header: What the file states.
         places: Where the format has it, the best first, each with the unit that its definition gives.
         mapped: Where the user states that facts stand.
         doubts: Lines to which is added what is reported.
-        where: The file, for messages.
 
     Raises:
         UnsettledError: If a unit is missing or not known, or the user's place is not there.

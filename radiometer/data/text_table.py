@@ -23,6 +23,7 @@ from radiometer.units import heading_parts, plain_name, unit_of
 
 _SEPARATORS: Final = {"\t": "tabs", ";": "semicolons", ",": "commas", "": "blanks"}
 _LONGEST_LINE: Final = 100_000  # Python's csv takes cells of up to 131 072 characters
+_LONGEST_CELL: Final = 4_000  # a remark; what looks for units in a heading takes a time that grows with its square
 _COMMENT_SIGNS: Final = "#%!"
 _POINT: Final = re.compile(r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?")
 _COMMA: Final = re.compile(r"[-+]?\d+,\d+(?:[eE][-+]?\d+)?")
@@ -197,6 +198,8 @@ def read_table(path: Path, needs: str, text: str | None = None, *, named: bool =
         raise InputError(f"{path}, line {long}: longer than {_LONGEST_LINE} characters; this is no table")
     separator = _separator([line for _, line in content], forced)
     cells = [(n, _split(line, separator)) for n, line in content]
+    if (long := next((n for n, row in cells if max(map(len, row), default=0) > _LONGEST_CELL), None)) is not None:
+        raise InputError(f"{path}, line {long}: a cell of more than {_LONGEST_CELL} characters; this is no table")
     width = Counter(len(row) for _, row in cells).most_common(1)[0][0]
     start = next(n for n, (_, row) in enumerate(cells) if len(row) == width)
     preamble, body = cells[:start], cells[start:]
@@ -280,6 +283,8 @@ def _fitness(lines: Sequence[str], separator: str) -> tuple[float, float, int]:
 
 def _is_cell(cell: str, separator: str) -> bool:
     """Return whether a cell is a number, a blank or a word, and not two cells of another separator."""
+    if len(cell) > _LONGEST_CELL:
+        return False
     if _POINT.fullmatch(cell) or is_unknown(cell):
         return True
     if separator != "," and any(form.fullmatch(cell) for form in (_COMMA, _GROUPED_COMMA, _GROUPED_POINT)):

@@ -27,12 +27,6 @@ class ConfigSection(BaseModel):
 def validate(model: type[ModelT], mapping: Mapping[str, Any], where: str, error: type[RadiometerError]) -> ModelT:
     """Return the model of a mapping.
 
-    Args:
-        model: The pydantic model.
-        mapping: What the file holds.
-        where: File name for the message.
-        error: Class of the error to raise.
-
     Raises:
         RadiometerError: Of the class `error`, naming key, value and what is allowed.
     """

@@ -14,32 +14,20 @@ EDGE_SIGMAS: Final = 4.0
 
 @dataclass(frozen=True, slots=True)
 class WhiteLevel:
-    """The white level of frames of one gain.
+    """The white level of frames of one gain."""
 
-    Attributes:
-        saturated_dn: Digital numbers at or above are saturated.
-        basis: "measured" where the pile-up of saturated pixels decides, "stated" where the file or the camera does,
-            "assumed" where only the bit depth is known.
-        stated_dn: As the file or the camera states it, else the highest code of the bit depth, in DN.
-        is_stated: Whether the file or the camera states it.
-        measured_dn: Centre of the pile in DN; None where the frames show none.
-        spread_dn: Standard deviation of the pile in DN.
-        piled_pixels: Pixels in the pile of the frame that shows it best.
-        stray_pixels: Pixels above the pile in that frame.
-        reached_dn: The highest digital number that more than single pixels reach; None where frames were not compared.
-        exposures: Different exposures that were compared.
-    """
-
-    saturated_dn: int
+    saturated_dn: int  # digital numbers at or above are saturated
+    # "measured" where the pile-up of saturated pixels decides, "stated" where the file or the camera does, "assumed"
+    # where only the bit depth is known
     basis: Basis
-    stated_dn: int
-    is_stated: bool = False
-    measured_dn: float | None = None
-    spread_dn: float = 0.0
-    piled_pixels: int = 0
-    stray_pixels: int = 0
+    stated_dn: int  # as the file or the camera states it, else the highest code of the bit depth, in DN
+    is_stated: bool = False  # whether the file or the camera states it
+    measured_dn: float | None = None  # centre of the pile in DN; None where the frames show none
+    spread_dn: float = 0.0  # standard deviation of the pile in DN
+    piled_pixels: int = 0  # pixels in the pile of the frame that shows it best
+    # The highest digital number that more than single pixels reach; None where frames were not compared
     reached_dn: int | None = None
-    exposures: int = 0
+    exposures: int = 0  # different exposures that were compared
 
     @classmethod
     def stated(cls, dn: float) -> WhiteLevel:

@@ -9,10 +9,11 @@ from __future__ import annotations
 import contextlib
 import fcntl
 import hashlib
-import json
 import math
 import os
+import stat
 import time
+import unicodedata
 import uuid
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -20,10 +21,10 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Final, Protocol
 
-from radiometer.data.json_text import json_text
+from radiometer.data.json_text import json_text, parsed_json
 from radiometer.data.storage import write_text_atomic
 from radiometer.devices.retinal_safety import BLUE_WINDOW_S
-from radiometer.errors import OutputError, UnsafeStimulus
+from radiometer.errors import OutputError, UnsafeStimulus, UsageError
 
 FORMAT: Final = "radiometer-exposure-account/1"
 FILE_NAME: Final = "exposure-account.json"
@@ -31,6 +32,10 @@ BIN_S: Final = 50.0  # what ends within it is one entry that expires with its en
 MOST_BYTES: Final = 4_000_000  # a thousand boxes and eyes with full histories take a tenth of it
 LOCK_PATIENCE_S: Final = 0.5  # below the box's dead-man time: a wait for the lock darkens no other channel
 LOCK_LOOK_S: Final = 0.005  # the account is held for some ms
+EYES: Final = ("right", "left")
+LONGEST_NAME: Final = 64  # characters of a pseudonym, as a test allows: thousands of eyes fit into MOST_BYTES
+NO_EYE: Final = ""  # in place of whose eye looks: a person states that none does
+ANY_EYE: Final = "any eye"  # the account of light that no eye was named for; no subject's key begins like it
 # Steps of the wall clock below this at a restart are corrections of a drifting clock; time counts as standing still.
 CLOCK_STEP_S: Final = 60.0
 _BOOT_ID: Final = Path("/proc/sys/kernel/random/boot_id")
@@ -96,7 +101,7 @@ class Planned:
     """A stimulus that was entered and is not settled."""
 
     box: str  # serial number of the light box
-    eye: str | None  # whose eye looks; None where it is not known
+    eye: str | None  # whose eye looks; None where it is not known, NO_EYE where none does
     channel: str  # channel of the box
     holder: str  # the program that entered it
     start_s: float  # when it was entered, by the uptime of the account's boot
@@ -115,7 +120,7 @@ class Planned:
     @property
     def keys(self) -> tuple[str, ...]:
         """Return the names of the accounts that it counts in."""
-        return (box_key(self.box),) if self.eye is None else (box_key(self.box), eye_key(self.eye))
+        return box_key(self.box), *eye_keys(self.eye)
 
 
 def box_key(serial: str) -> str:
@@ -123,9 +128,33 @@ def box_key(serial: str) -> str:
     return f"box {serial}"
 
 
-def eye_key(eye: str) -> str:
-    """Return the name of an eye's account."""
-    return f"eye {eye}"
+def eye_keys(eye: str | None) -> tuple[str, ...]:
+    """Return the names of the accounts of eyes that light counts in: of one, of any, or of none."""
+    return () if eye == NO_EYE else (ANY_EYE,) if eye is None else (f"eye {eye}",)
+
+
+def name_of_eye(subject: str | None, eye: str | None, *, no_eye: bool = False) -> str | None:
+    """Return whose eye looks, in one spelling: "s07 right"; None where that is not known, NO_EYE where none does.
+
+    Args:
+        subject: Pseudonym of the subject. Case and blanks make no other subject.
+        eye: "right" or "left".
+        no_eye: State that no eye looks.
+
+    Raises:
+        UsageError: If a subject has no eye, an eye no subject, somebody looks although no eye does, or a name is too
+            long.
+    """
+    name = " ".join(unicodedata.normalize("NFKC", subject or "").casefold().split())
+    if len(name) > LONGEST_NAME:
+        raise UsageError(f"--subject has {len(name)} characters; a pseudonym has {LONGEST_NAME} at most")
+    if no_eye and (name or eye):
+        raise UsageError("--no-eye and --subject exclude each other: state whose eye looks, or that none does")
+    if eye is not None and eye not in EYES:
+        raise UsageError(f"--eye {eye}: {' or '.join(EYES)}")
+    if bool(name) != (eye is not None):
+        raise UsageError("an eye needs both --subject NAME and --eye right or left; give both, or none of them")
+    return NO_EYE if no_eye else f"{name} {eye}" if name else None
 
 
 @dataclass(slots=True)
@@ -357,8 +386,9 @@ class FileStore:
 
     def _read(self) -> Account:
         try:
-            with self.path.open("rb") as stream:
-                content = stream.read(MOST_BYTES + 1)
+            # Without waiting: a pipe in its place would hold this program, and the lock, for ever.
+            with os.fdopen(os.open(self.path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC), "rb") as stream:
+                content = stream.read(MOST_BYTES + 1) if stat.S_ISREG(os.fstat(stream.fileno()).st_mode) else b""
         except FileNotFoundError:
             return Account(self.moment())
         except OSError as error:
@@ -410,7 +440,7 @@ def parse_account(content: bytes) -> Account | None:
     if len(content) > MOST_BYTES or checksum != hashlib.sha256(body).hexdigest().encode("ascii") + b"\n":
         return None
     try:
-        known = json.loads(body)
+        known = parsed_json(body)
         if known["format"] != FORMAT:
             return None
         boot, uptime_s, wall_s, machine = known["moment"]

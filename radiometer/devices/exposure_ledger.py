@@ -9,7 +9,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Final
 
-from radiometer.devices.exposure_account import Account, AccountStore, Phase, Planned, box_key, eye_key
+from radiometer.devices.exposure_account import ANY_EYE, Account, AccountStore, Phase, Planned, box_key, eye_keys
 from radiometer.devices.retinal_safety import (
     BLUE_WINDOW_S,
     DEFAULT_FRACTION,
@@ -51,13 +51,14 @@ class ExposureLedger:
     """Adds up the blue-light exposure of all channels over 10⁴ s; takes the hottest moment for the thermal limit.
 
     All channels count as falling on the same place of the retina, a blinking channel as bright for the planned time,
-    and a ramp as the higher of its two levels for its whole time.
+    and a ramp as the higher of its two levels for its whole time. Light that no eye was named for counts for every eye,
+    so that an eye that changes the box gets at most as much as an eye that stays.
     """
 
     optics: Mapping[str, ChannelOptics]  # optics of each channel
     store: AccountStore  # keeps the account of all boxes and eyes
     allowed_fraction: float = DEFAULT_FRACTION  # largest fraction of either limit that may be used up
-    eye: str | None = None  # whose eye looks into the box; None where it is not known
+    eye: str | None = None  # whose eye looks into the box; None where it is not known, NO_EYE where none does
     _box: str = ""
     _open: dict[str, _Open] = field(default_factory=dict)  # by name in the account
     _dark_s: dict[str, float] = field(default_factory=dict)  # by name: from when on it is dark, where not yet stored
@@ -102,9 +103,8 @@ class ExposureLedger:
             used: Fractions of the limits that it would use up.
         """
         with self._lock:
-            before = self._used(self._looked_at(), channel=None)
-        whole = HazardFractions(used.blue_light + before.blue_light, used.thermal + before.thermal)
-        refuse_unsafe(where, whole, self.allowed_fraction)
+            account = self._looked_at()
+            self._refuse_in_all(account, where, used, channel=None)
 
     def reserve(self, stimulus: Stimulus) -> str:
         """Enter a stimulus into the account before it is given, and return its name there.
@@ -224,18 +224,38 @@ class ExposureLedger:
         most = hazard_fractions(optics, radiance_w_sr_m2, math.inf).blue_light
         return Phase(each_s, most, longest_s, hazard_fractions(optics, radiance_w_sr_m2, longest_s).thermal)
 
-    def _used(self, account: Account, channel: str | None) -> HazardFractions:
-        """Return what counts besides a new stimulus of a channel, in the fuller of the accounts of box and eye."""
-        blue, thermal = [], []
-        for key in [box_key(self._box)] if self.eye is None else [box_key(self._box), eye_key(self.eye)]:
-            others = {name: planned for name, planned in account.planned.items() if key in planned.keys}
-            ending = [p for name, p in others.items() if name in self._open and p.channel == channel]
-            going_on = [p for name, p in others.items() if name not in self._open or p.channel != channel]
-            soon_s = account.now_s + CHANGE_S
-            open_blue = [p.blue(soon_s) for p in ending] + [p.blue() for p in going_on]
-            blue.append(math.fsum([account.blue(key), *open_blue]))
-            thermal.append(math.fsum(p.thermal for p in going_on))
-        return HazardFractions(max(blue), max(thermal))
+    def _refuse_in_all(self, account: Account, where: str, further: HazardFractions, channel: str | None) -> None:
+        """Raise UnsafeStimulus if a stimulus is too much for the box, or for an eye that may look."""
+        for keys in self._together(account):
+            before = self._used(account, keys, channel)
+            whole = HazardFractions(further.blue_light + before.blue_light, further.thermal + before.thermal)
+            refuse_unsafe(where + self._counted(keys), whole, self.allowed_fraction)
+
+    def _used(self, account: Account, keys: set[str], channel: str | None) -> HazardFractions:
+        """Return what counts besides a new stimulus of a channel, in accounts that add up."""
+        others = {name: planned for name, planned in account.planned.items() if keys & set(planned.keys)}
+        ending = [p for name, p in others.items() if name in self._open and p.channel == channel]
+        going_on = [p for name, p in others.items() if name not in self._open or p.channel != channel]
+        soon_s = account.now_s + CHANGE_S
+        open_blue = [p.blue(soon_s) for p in ending] + [p.blue() for p in going_on]
+        blue = math.fsum([*map(account.blue, keys), *open_blue])
+        return HazardFractions(blue, math.fsum(p.thermal for p in going_on))
+
+    def _together(self, account: Account) -> list[set[str]]:
+        """Return the accounts of the box and of each eye that may look, each with those that add to it."""
+        eyes = set(eye_keys(self.eye))
+        if self.eye is None:  # it may be any of those that the account knows
+            known = {key for planned in account.planned.values() for key in planned.keys} | set(account.given)
+            eyes |= {key for key in known if key.startswith("eye ")}
+        return [{box_key(self._box)}, *({ANY_EYE, key} for key in sorted(eyes))]
+
+    def _counted(self, keys: set[str]) -> str:
+        """Return the note to a refusal where it is not for the light of this box alone."""
+        if ANY_EYE not in keys:
+            return ""
+        if self.eye is None:
+            return ", which counts for every eye with the light of other boxes (name the eye, or state that none looks)"
+        return f", for {' '.join(eye_keys(self.eye))} over all boxes"
 
     def _refusal(self, account: Account, planned: Planned) -> UnsafeStimulus | None:
         if not planned.blue() and not planned.thermal:
@@ -243,10 +263,9 @@ class ExposureLedger:
         assumed = account.assumed.get(box_key(self._box))
         if assumed is not None:
             return _unknown_history(self._box, *assumed, account)
-        used = self._used(account, planned.channel)
-        whole = HazardFractions(planned.blue() + used.blue_light, planned.thermal + used.thermal)
+        further = HazardFractions(planned.blue(), planned.thermal)
         try:
-            refuse_unsafe(f"channel {planned.channel}", whole, self.allowed_fraction)
+            self._refuse_in_all(account, f"channel {planned.channel}", further, planned.channel)
         except UnsafeStimulus as refusal:
             return refusal
         return None

@@ -183,7 +183,7 @@ class _Codes:
         bits = 0
         for dn in pixels:
             bits |= int(np.bitwise_or.reduce(dn, axis=None))
-        step = bits & -bits if _tells_step(pixels, bits) else 1
+        step = bits & -bits if _determines_step(pixels, bits) else 1
         container = 8 * max(dn.dtype.itemsize for dn in pixels)
         depth, doubts = (stated, []) if stated else _converter_bits(pixels, container, looked)
         if step > 1 and not stated:
@@ -198,7 +198,7 @@ class _Codes:
         return cls(depth, step, tuple(doubts))
 
 
-def _tells_step(pixels: Sequence[DigitalNumbers], bits: int) -> bool:
+def _determines_step(pixels: Sequence[DigitalNumbers], bits: int) -> bool:
     """Return whether the codes are many enough to be multiples of more than 1 by no chance."""
     if bits == 0 or bits & 1:
         return False

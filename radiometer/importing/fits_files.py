@@ -133,9 +133,17 @@ def read_fits_pixels(path: Path, part: int) -> NDArray[Any]:
                 break
             part -= _planes(unit)
         refuse_size(path, unit.shape, max(1, abs(int(unit.header.get("BITPIX", 8))) // 8))
-        values = np.asarray(unit.data)
+        is_packed = type(unit).__name__ == "CompImageHDU"
+        values = _unpacked_picture(path, units.index(unit)) if is_packed else np.asarray(unit.data)
     plane = values.reshape(-1, *values.shape[-2:])[part]
     return _unsigned(plane.astype(plane.dtype.newbyteorder("="), copy=False))
+
+
+@bounded_reader(apart="astropy")
+def _unpacked_picture(path: Path, number: int) -> NDArray[Any]:
+    """Return the values of a tiled compressed picture (FITS standard 4.0, chapter 10), the unit of a number."""
+    with _opened(path) as units:
+        return np.asarray(units[number].data)
 
 
 def _pictures(units: Any, path: Path) -> list[Any]:

@@ -297,7 +297,7 @@ def linear(reference: Array, name: str, assumed: list[str]) -> tuple[Array, str]
         assumed: Lines to which is added what was assumed.
     """
     if any(sign in name for sign in _MAGNITUDES):
-        assumed.append("magnitudes per square arcsecond m are 10.8e4·10^(−0.4·m) cd/m² (Unihedron)")
+        assumed.append("magnitudes per square arcsecond m are 10.8e4·10^(−0.4·m) cd·m⁻² (Unihedron)")
         return np.asarray(CD_M2_AT_0_MAG * 10.0 ** (-0.4 * reference)), "cd m-2"
     for sign, unit in (
         ("mcd_m2", "mcd m-2"), ("kcd_m2", "kcd m-2"), ("cd_m2", "cd m-2"), ("luminance", "cd m-2"), ("lux", "lx"),

@@ -7,7 +7,6 @@ OME-XML (pymmcore-plus, and anything else that writes it). Last a JSON file next
 
 from __future__ import annotations
 
-import json
 import re
 import xml.etree.ElementTree as ElementTree
 from collections.abc import Mapping, Sequence
@@ -16,7 +15,9 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, Final
 
+from radiometer.data.json_text import RepeatedKey, parsed_json
 from radiometer.data.statements import Statement, StatementMap, value_of
+from radiometer.errors import CaptureError
 from radiometer.importing.found import FoundFrame
 from radiometer.units import heading_parts
 
@@ -52,8 +53,11 @@ def planes_of(path: Path, pages: Sequence[Any], ome_xml: str | None) -> list[Pla
 
     Args:
         ome_xml: Its OME-XML; None where it has none.
+
+    Raises:
+        CaptureError: If a key occurs twice in an object of its JSON.
     """
-    tagged = [_of_tag(page) for page in pages]
+    tagged = [_of_tag(page, path) for page in pages]
     if any(tagged):
         return tagged
     if ome_xml:
@@ -97,11 +101,13 @@ def completed(frame: FoundFrame, facts: PlaneFacts, mapped: StatementMap) -> Fou
     return changed.doubting(*doubts)
 
 
-def _of_tag(page: Any) -> PlaneFacts | None:
+def _of_tag(page: Any, path: Path) -> PlaneFacts | None:
     tag = page.tags.get(TAG)
-    said = tag.value if tag is not None else None
-    if isinstance(said, bytes | str):
-        said = _json(said if isinstance(said, str) else said.decode("utf-8", "replace"))
+    if tag is None:
+        return None
+    page.parent.filehandle.seek(tag.valueoffset)  # tifffile's own value takes the last of a key that occurs twice
+    text = page.parent.filehandle.read(tag.valuebytecount).decode("utf-8", "replace")
+    said = _json(text, f"{path}, tag {TAG}")
     return _of_micro_manager(said, "tag MicroManagerMetadata") if isinstance(said, Mapping) else None
 
 
@@ -154,7 +160,7 @@ def _of_ome(text: str, path: Path, pages: Sequence[int]) -> list[PlaneFacts | No
         root = ElementTree.fromstring(text)
     except ElementTree.ParseError:
         return nothing
-    device, camera = _devices(root)
+    device, camera = _devices(root, path)
     found: dict[int, PlaneFacts | None] = {}
     for image in root.iterfind(".//{*}Image"):
         pixels = image.find("{*}Pixels")
@@ -252,12 +258,12 @@ def _value(
     return value_of(Statement(written, unit), fact, place, doubts, defined=defined, where=where)
 
 
-def _devices(root: Any) -> tuple[dict[str, Any], str | None]:
+def _devices(root: Any, path: Path) -> tuple[dict[str, Any], str | None]:
     """Return properties and label of the camera in the summary that pymmcore-plus annotates its files with."""
     for entry in root.iterfind(".//{*}MapAnnotation/{*}Value/{*}M"):
         if entry.get("K") != "summary_metadata_json":
             continue
-        summary = _json(entry.text or "")
+        summary = _json(entry.text or "", f"{path}, its OME-XML")
         if not isinstance(summary, Mapping):
             continue
         labels = [info.get("camera_label") for info in summary.get("image_infos", ()) if isinstance(info, Mapping)]
@@ -273,7 +279,7 @@ def _of_sidecar(path: Path) -> PlaneFacts | None:
         beside = path.parent / name
         if not beside.is_file() or beside.stat().st_size > _LARGEST_TEXT:
             continue
-        said = _json(beside.read_text(encoding="utf-8", errors="replace"))
+        said = _json(beside.read_text(encoding="utf-8", errors="replace"), str(beside))
         found = _entry_of(said, path.name) if isinstance(said, Mapping) else None
         if found is not None:
             return _of_frame_dict(found) if "exposure_ms" in found else _of_micro_manager(found, name)
@@ -342,8 +348,11 @@ def _stamp(text: Any) -> float | None:
     return moment.replace(tzinfo=moment.tzinfo or UTC).timestamp()
 
 
-def _json(text: str) -> Any:
+def _json(text: str, where: str) -> Any:
+    """Return what a text holds; None where it is no JSON. Raises CaptureError where a key occurs twice."""
     try:
-        return json.loads(text.strip("\x00 \n"))
+        return parsed_json(text.strip("\x00 \n"))
+    except RepeatedKey as error:
+        raise CaptureError(f"{where}: {error}") from error
     except ValueError:
         return None

@@ -16,6 +16,7 @@ from radiometer.errors import CaptureError, InputError
 from radiometer.importing.exif import exposure_of, f_number_of, iso_of, read_exif_header
 from radiometer.units import exact_exposure_s, exact_f_number, heading_parts, read_number, unit_of
 
+_LONGEST_NAME: Final = 1_000  # characters; no file system has names of so many
 _GAP: Final = re.compile(r"[,;\s]+")
 _DECIMAL_COMMA: Final = re.compile(r"[;\s]+(\d+,\d+)(?![,\d])")
 _UNITS_OFFERED: Final = "write s, ms, us, ns or min behind the number, or in the heading"
@@ -153,7 +154,7 @@ def name_of_other_case(name: str, names: Iterable[str]) -> str | None:
 
 def _words(line: str, here: dict[str, str]) -> list[str]:
     """Return a line's name and what follows; a name has blanks where a photograph of that name is in the folder."""
-    for gap in _GAP.finditer(line):
+    for gap in _GAP.finditer(line[:_LONGEST_NAME]):
         name = _plain_name(line[: gap.start()])
         if name in here:
             return [here[name], *_GAP.split(line[gap.end() :])]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 import re
 from collections.abc import Callable, Mapping, Sequence
@@ -10,6 +9,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from radiometer.data import CameraDescription, CaptureHeader, SettingStatistics, SourceDescription
+from radiometer.data.json_text import RepeatedKey, parsed_json
 from radiometer.data.reader_limits import bounded_reader
 from radiometer.data.statements import Statement, StatementMap, is_unknown, value_of
 from radiometer.data.text_table import decode_export, read_table
@@ -183,9 +183,11 @@ def _json_rows(text: str, path: Path) -> list[Row]:
 
 def _json(text: str, path: Path, line: int) -> Any:
     try:
-        return json.loads(text)
-    except json.JSONDecodeError as error:
-        raise CaptureError(f"{path}, line {line}: not valid JSON ({error.msg}); a truncated file?") from error
+        return parsed_json(text)
+    except RepeatedKey as error:
+        raise CaptureError(f"{path}, line {line}: {error}") from error
+    except ValueError as error:
+        raise CaptureError(f"{path}, line {line}: not valid JSON ({error}); a truncated file?") from error
 
 
 def _flat(entry: Any, path: Path, number: int) -> Row:

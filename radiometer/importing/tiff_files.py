@@ -86,10 +86,7 @@ def read_tiff_pixels(path: Path, part: int) -> NDArray[Any]:
         page = pages[0 if stacked else part]
         _refuse_cut_short(path, page, tiff.filehandle.size)
         refuse_size(path, (1 + stacked, *page.shape), page.dtype.itemsize)
-        if stacked:
-            values = tiff.series[0].asarray().reshape(-1, *page.shape)[part]
-        else:
-            values = _with_pillow(path, page) if page.compression in _OF_PILLOW else page.asarray()
+        values = tiff.series[0].asarray().reshape(-1, *page.shape)[part] if stacked else _unpacked(path, page)
         table = page.tags.get(_LINEARIZATION)
         if table is not None:  # DNG 1.7, chapter 4: what is stored is the number of an entry
             entries = np.asarray(table.value, dtype=np.uint16)
@@ -97,6 +94,12 @@ def read_tiff_pixels(path: Path, part: int) -> NDArray[Any]:
         if page.photometric == _WHITE_IS_ZERO:
             values = np.iinfo(values.dtype).max - values
     return np.asarray(values[..., 0] if values.ndim == 3 and values.shape[-1] == 1 else values)
+
+
+def _unpacked(path: Path, page: Any) -> NDArray[Any]:
+    if page.compression in _OF_PILLOW:
+        return _with_pillow(path, page.dataoffsets[0]).astype(page.dtype, copy=False)
+    return np.asarray(page.asarray())
 
 
 _LINEARIZATION: Final = 50712
@@ -107,14 +110,15 @@ _OF_PILLOW: Final = (2, 3, 4, 5, 7)
 _STRIPS, _TILES = 273, 324  # where the data of a directory begin
 
 
-def _with_pillow(path: Path, page: Any) -> NDArray[Any]:
+@bounded_reader(apart="PIL")
+def _with_pillow(path: Path, data_begin: int) -> NDArray[Any]:
     """Return the values of a directory that Pillow decodes; it is found by where its data begin."""
     image: Any
     with Image.open(io.BytesIO(read_bytes(path))) as image:
         for number in range(getattr(image, "n_frames", 1)):
             image.seek(number)
-            if image.tag_v2.get(_STRIPS, image.tag_v2.get(_TILES, (None,)))[0] == page.dataoffsets[0]:
-                return np.asarray(image).astype(page.dtype, copy=False)
+            if image.tag_v2.get(_STRIPS, image.tag_v2.get(_TILES, (None,)))[0] == data_begin:
+                return np.asarray(image)
     raise CaptureError(f"{path}: a directory of this compression is within another; save it without compression")
 
 

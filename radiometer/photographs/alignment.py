@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final
 
 from radiometer.errors import UsageError
+from radiometer.progress import Progress, counted, unseen
 
 if TYPE_CHECKING:
     from radiometer.data import Bracket
@@ -31,12 +32,13 @@ class Placed:
     sentence: str | None
 
 
-def in_one_place(brackets: Sequence[Bracket], align: str) -> Placed:
+def in_one_place(brackets: Sequence[Bracket], align: str, progress: Progress = unseen) -> Placed:
     """Return photographs in the place of that which shows most of the scene.
 
     Args:
         brackets: One per channel, of the same photographs; the movement is sought in green or the only one.
         align: "auto" moves them where they need it, "on" always, "off" never looks.
+        progress: Called after every photograph.
 
     Raises:
         UsageError: If it is none of these.
@@ -51,7 +53,7 @@ def in_one_place(brackets: Sequence[Bracket], align: str) -> Placed:
     if align == "off" or len(brackets[0].light) < 2:
         return Placed(list(brackets), list(brackets), [], None)
     seen = next((one for one in brackets if one.light[0].extra.get("channel") == "green"), brackets[0])
-    alignment = find_alignment(seen)
+    alignment = find_alignment(seen, counted(progress, "aligning"))
     sentence = alignment.sentence([frame_name(seen, k) for k in range(len(seen.light))], moved=align == "on")
     if not (alignment.needed or align == "on"):
         return Placed(list(brackets), list(brackets), [], sentence)

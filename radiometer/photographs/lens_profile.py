@@ -27,23 +27,14 @@ _LEAST_SENSITIVITY: Final = 0.02
 
 @dataclass(frozen=True, slots=True)
 class LensRecord:
-    """What a photograph says of camera and lens.
+    """What a photograph says of camera and lens."""
 
-    Attributes:
-        maker: Of the camera.
-        camera: Its model.
-        lens: Name of the lens; empty where not stated.
-        focal_length_mm: Focal length in mm.
-        f_number: f-number.
-        distance_m: Distance of the subject in m; None where not stated.
-    """
-
-    maker: str
-    camera: str
-    lens: str
-    focal_length_mm: float
-    f_number: float
-    distance_m: float | None = None
+    maker: str  # of the camera
+    camera: str  # its model
+    lens: str  # name of the lens; empty where not stated
+    focal_length_mm: float  # focal length in mm
+    f_number: float  # f-number
+    distance_m: float | None = None  # distance of the subject in m; None where not stated
 
 
 @bounded_reader()
@@ -51,7 +42,6 @@ def read_lens_record(path: Path, lens: str | None = None) -> LensRecord:
     """Return what a photograph's EXIF record says of camera and lens.
 
     Args:
-        path: The photograph.
         lens: Name of the lens in place of the record's.
 
     Raises:
@@ -91,7 +81,6 @@ def lensfun_flat_field(record: LensRecord, shape: tuple[int, int]) -> tuple[Flat
     """Return the fall-off of a lens as a flat field, and in a sentence what it was taken from.
 
     Args:
-        record: Camera, lens and settings.
         shape: (height, width) of the frames: the whole picture of the camera, at any scale.
 
     Raises:

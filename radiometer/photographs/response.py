@@ -113,11 +113,11 @@ def _recovered(brackets: Mapping[str, Bracket], key: str, say: Callable[[str], N
     """Return the response of every colour, their labels judged by all of them, with the photographs' fingerprint."""
     from radiometer.analysis.response.auto import recover_colours_auto
     from radiometer.analysis.response.estimate import telling
-    from radiometer.analysis.response.labels import refuse_lying_labels
+    from radiometer.analysis.response.labels import reject_inconsistent_exposures
     from radiometer.data.provenance import source_hash
 
     for bracket in brackets.values():
-        refuse_lying_labels(bracket)
+        reject_inconsistent_exposures(bracket)
     curves, found = {}, recover_colours_auto(list(brackets.values()))
     of_colours: dict[str, list[str]] = {}
     for (channel, bracket), estimate in zip(brackets.items(), found, strict=True):
@@ -162,10 +162,10 @@ def shutter_offset_of(curve: ResponseCurve | None) -> ShutterOffset | None:
     return ShutterOffset(seconds, u_seconds, 1.0) if math.isfinite(seconds) and math.isfinite(u_seconds) else None
 
 
-def offset_told(curve: ResponseCurve) -> str | None:
+def offset_in_words(curve: ResponseCurve) -> str | None:
     """Return what a map states of the shutter's offset that its photographs show; None where they show none."""
     offset = shutter_offset_of(curve)
-    return f"all exposures {offset.told()} than their labels, the shutter's offset" if offset else None
+    return f"all exposures {offset.in_words()} than their labels, the shutter's offset" if offset else None
 
 
 def with_offset_of_response(
@@ -190,7 +190,7 @@ def with_offset_of_response(
     if offset is None:
         return bracket, None, False
     shortest_s = min(frame.settings.exposure_s for frame in bracket.light)
-    not_taken = f"the shutter's offset of the response (exposures {offset.told()} than their labels) is not used"
+    not_taken = f"the shutter's offset of the response (exposures {offset.in_words()} than their labels) is not used"
     if listed is not None:
         return bracket, f"{not_taken}: {listed} gives the exposures", False
     if not is_possible(offset.seconds, shortest_s):
@@ -199,7 +199,8 @@ def with_offset_of_response(
         replace(f, settings=replace(f.settings, exposure_s=f.settings.exposure_s + offset.seconds))
         for f in bracket.light
     ]
-    text = f"all exposures {offset.told()} than their labels, the shutter's offset that the response was recovered with"
+    text = f"all exposures {offset.in_words()} than their labels, the shutter's offset that the response was "
+    "recovered with"
     return bracket.with_light(timed), text, True
 
 
@@ -266,7 +267,7 @@ def displacement_of(bracket: Bracket, curve: ResponseCurve | None) -> Displaceme
         return None
 
 
-def with_displacement_told(found: RadianceMap, displacement: Displacement | None) -> RadianceMap:
+def with_displacement_stated(found: RadianceMap, displacement: Displacement | None) -> RadianceMap:
     """Return a map whose provenance says how far its frames are displaced, or that they were taken as not displaced.
 
     Args:

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from radiometer.analysis.calibration.shared import require_photograph
 from radiometer.analysis.exports.curves import FILE_METHOD, read_curves
 from radiometer.analysis.merge.bracket import merge
-from radiometer.analysis.response.labels import refuse_lying_labels
+from radiometer.analysis.response.labels import reject_inconsistent_exposures
 from radiometer.data import (
     Bracket,
     Calibration,
@@ -37,15 +37,16 @@ from radiometer.photographs.response import (
     displacement_of,
     in_their_own_depth,
     linear_doubt,
-    offset_told,
+    offset_in_words,
     recovered_curves,
     relative_calibration,
     shutter_offset_of,
-    with_displacement_told,
+    with_displacement_stated,
     with_found_times,
     with_offset_of_response,
 )
 from radiometer.photographs.stated import iso_speeds, with_f_number, with_gains, with_iso, with_iso_in_map
+from radiometer.progress import Progress, unseen
 
 # The offset of a shutter that photographs did not show. The travel of one curtain against the other is adjusted to
 # 0.1 ms (`analysis.response.shutter_offset` names the source), taken as a rectangle: 6 % (k = 1) at 1/1000 s.
@@ -113,16 +114,17 @@ class Photographs:
         """Return a lattice of pixels that is enough for a response."""
         return self.each(lambda one: one.thinned(ENOUGH_PIXELS))
 
-    def placed(self, align: str = "auto") -> Photographs:
+    def placed(self, align: str = "auto", progress: Progress = unseen) -> Photographs:
         """Return the photographs in the place of that which shows most of the scene.
 
         Args:
             align: "auto" moves them where they need it, "on" always, "off" never looks.
+            progress: Called after every photograph.
 
         Raises:
             UsageError: If it is none of these.
         """
-        found = in_one_place(list(self.brackets.values()), align)
+        found = in_one_place(list(self.brackets.values()), align, progress)
         names = list(self.brackets)
         return replace(
             self,
@@ -145,14 +147,14 @@ class Photographs:
         return replace(bracket, light=tuple(light))
 
 
-def refuse_lying_photographs(photographs: Photographs) -> None:
+def reject_inconsistent_photographs(photographs: Photographs) -> None:
     """Refuse photographs whose brightness contradicts their exposures.
 
     Raises:
         MeasurementError: If they do; with the names.
     """
     for bracket in photographs.brackets.values():
-        refuse_lying_labels(bracket)
+        reject_inconsistent_exposures(bracket)
 
 
 def prepared(
@@ -166,6 +168,7 @@ def prepared(
     f_number: float | None = None,
     align: str = "auto",
     map_path: Path | None = None,
+    progress: Progress = unseen,
 ) -> Photographs:
     """Return photographs in one place with gains, response and exposure times, ready to be merged or read.
 
@@ -182,6 +185,7 @@ def prepared(
         f_number: f-number of photographs that state none.
         align: "auto", "on" or "off".
         map_path: Keep a recovered response next to this file; None keeps none.
+        progress: Called as they are aligned, and when their response is recovered.
 
     Raises:
         CalibrationError: If photographs and calibration do not go together.
@@ -197,7 +201,7 @@ def prepared(
             of_speed = require_photograph(calibration, bracket.light[0])
     elif linear:
         taken = _in_their_own_depth(taken)
-    taken = taken.placed(align)
+    taken = taken.placed(align, progress)
     if calibration is not None:
         held = calibration.found.exposure_offset_s != 0.0  # a model's offset takes the place of the response's
         timed = with_offset(taken, {} if held else dict.fromkeys(taken.brackets, calibration.response))
@@ -207,6 +211,7 @@ def prepared(
         return with_offset(replace(taken, curves={k: v for k, v in given.items() if v is not None}), given)
     if linear or taken.are_raw:
         return _linear(taken)
+    progress("recovering the response", 0, None)
     return _recovered(taken, map_path)
 
 
@@ -227,7 +232,7 @@ def _recovered(photographs: Photographs, map_path: Path | None) -> Photographs:
     notes: list[str] = []
     curves, files = recovered_curves(list(photographs.common.values()), map_path, notes.append)
     brackets = {name: with_found_times(one, curves[name]) for name, one in photographs.brackets.items()}
-    told = {name: offset_told(curve) for name, curve in curves.items()}
+    told = {name: offset_in_words(curve) for name, curve in curves.items()}
     assumed = {name: (text or times_as_stated(photographs),) for name, text in told.items()}
     return replace(photographs, brackets=brackets, curves=curves, assumed=assumed, files=tuple(files)).noted(*notes)
 
@@ -351,6 +356,7 @@ def merge_photographs(
     flat: FlatField | None = None,
     *,
     keep_ghosts: bool = False,
+    progress: Progress = unseen,
 ) -> dict[str, RadianceMap]:
     """Return the radiance maps of prepared photographs by channel.
 
@@ -359,13 +365,15 @@ def merge_photographs(
         calibration: The calibration that they were prepared with; None for relative values.
         flat: Fall-off to take out.
         keep_ghosts: Average what moved instead of taking it from the frames that agree.
+        progress: Called before every channel.
 
     Raises:
         CalibrationError: If the calibration does not fit.
         MeasurementError: If frames do not belong together.
     """
     maps = {}
-    for name, bracket in photographs.brackets.items():
+    for done, (name, bracket) in enumerate(photographs.brackets.items()):
+        progress("merging", done, len(photographs.brackets))
         curve = photographs.curves.get(name)
         if calibration is not None:
             known, displacement = calibration, displacement_of(bracket, calibration.response)
@@ -381,7 +389,7 @@ def merge_photographs(
             displacement_px=displacement.px if displacement else 0.0,
             doubt_exposures=True,
         )
-        found = with_iso_in_map(with_displacement_told(found, displacement), bracket.light)
+        found = with_iso_in_map(with_displacement_stated(found, displacement), bracket.light)
         further = (*_assumed_of(curve, name), *photographs.assumed.get(name, ()))
         origin = found.provenance
         maps[name] = replace(found, provenance=replace(origin, assumptions=(*origin.assumptions, *further)))

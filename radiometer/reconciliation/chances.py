@@ -40,7 +40,6 @@ def sine_freedom(frames: Array, share: Array) -> Array:
     which the cube root of few values feels less. The first frame of three or more is not among them.
 
     Args:
-        frames: Frames of the capture.
         share: Share of the variance that a sine at random phases has; broadcasts.
     """
     counted = frames_counted(frames)
@@ -60,11 +59,7 @@ def followed_scores(seen: Array, expected: Array, accepted: Array | None, dof: A
     about an accepted variance the score is followed linearly in the logarithm.
 
     Args:
-        seen: Measured ratios.
-        expected: Ratios under the prediction.
         accepted: The same of what is accepted already; None for nothing.
-        dof: Degrees of freedom.
-        mask: Which count.
     """
     seen = np.where(mask, seen, 1.0)
     if accepted is None:

@@ -15,23 +15,7 @@ from simulators.effects.tile_moments import Moments
 
 @dataclass(frozen=True, eq=False)
 class Prediction:
-    """Expected statistics, named and shaped as in CaptureStatistics; those of several models along a first axis.
-
-    Attributes:
-        signal: (captures, tiles) light signal in electrons, for regressors.
-        gain: (captures,) DN per electron.
-        fixed: (captures, tiles) fixed-pattern part of `spatial` in DN².
-        unrounded: Moments in DN before they are rounded to whole codes.
-        band_variance: (captures, tiles) variance of light that goes as a wave along the rows, in DN².
-        band_frequency: Periods of that wave per row.
-        mixed_x: (captures, tiles) correlation of neighbours in a row that exchange charge, without what rows share.
-        mixed_y: The same in a column.
-        limit_variance: (captures, tiles) part of `fixed` in DN² that limits which differ from pixel to pixel leave.
-        renewed_variance: (captures, tiles) part of it for which each setting has a separate pattern.
-        beyond_x: (captures, tiles) sum of the correlations in a row from the second neighbour on, to one side.
-        beyond_y: The same in a column.
-        beyond_rows: The same with all pixels of the rows below, but for the vertical neighbour.
-    """
+    """Expected statistics, named and shaped as in CaptureStatistics; those of several models along a first axis."""
 
     mean: Array
     slope_x: Array
@@ -49,19 +33,19 @@ class Prediction:
     outliers: Array
     comb_step: float
     comb_kept: float
-    signal: Array
-    gain: Array
-    fixed: Array
-    unrounded: Moments
-    band_variance: Array
-    band_frequency: float
-    mixed_x: Array
-    mixed_y: Array
-    limit_variance: Array
-    renewed_variance: Array
-    beyond_x: Array
-    beyond_y: Array
-    beyond_rows: Array
+    signal: Array  # (captures, tiles) light signal in electrons, for regressors
+    gain: Array  # (captures,) DN per electron
+    fixed: Array  # (captures, tiles) fixed-pattern part of `spatial` in DN²
+    unrounded: Moments  # moments in DN before they are rounded to whole codes
+    band_variance: Array  # (captures, tiles) variance of light that goes as a wave along the rows, in DN²
+    band_frequency: float  # periods of that wave per row
+    mixed_x: Array  # (captures, tiles) correlation of neighbours in a row that exchange charge, without what rows share
+    mixed_y: Array  # the same in a column
+    limit_variance: Array  # (captures, tiles) part of `fixed` in DN² that limits which differ from pixel to pixel leave
+    renewed_variance: Array  # (captures, tiles) part of it for which each setting has a separate pattern
+    beyond_x: Array  # (captures, tiles) sum of the correlations in a row from the second neighbour on, to one side
+    beyond_y: Array  # the same in a column
+    beyond_rows: Array  # the same with all pixels of the rows below, but for the vertical neighbour
 
     @cached_property
     def waves(self) -> bool:

@@ -144,16 +144,12 @@ class FoundEffect:
     @property
     def evidence(self) -> str:
         """Return in words how certain it is: its probability, or the nats where no models were compared."""
-        return (
-            f"{self.gain_nats:.0f} nats" if self.probability is None else f"probability {_believed(self.probability)}"
-        )
+        return f"{self.gain_nats:.0f} nats" if self.probability is None else _believed(self.probability)
 
     @property
     def evidence_of_any(self) -> str:
         """Return the same of it and its alternatives together; nothing where no models were compared."""
-        return (
-            "" if self.probability_of_any is None else f"one of them: probability {_believed(self.probability_of_any)}"
-        )
+        return "" if self.probability_of_any is None else f"one of them: {_believed(self.probability_of_any)}"
 
     def to_mapping(self) -> dict[str, Any]:
         """Return the mapping of the documented JSON form."""

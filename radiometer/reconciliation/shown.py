@@ -12,8 +12,7 @@ import numpy as np
 from radiometer.data import CaptureHeader
 from radiometer.errors import CaptureError
 from radiometer.reconciliation.measure.design import Design
-from radiometer.reconciliation.measure.pattern_images import PatternImages
-from radiometer.reconciliation.measure.reduce import FrameReader, Progress, reduce_frames
+from radiometer.reconciliation.measure.reduce import FrameReader, PatternImages, Progress, reduce_frames
 from radiometer.reconciliation.measure.scenes import scenes_of
 from radiometer.reconciliation.measure.seen import CaptureStatistics
 from radiometer.reconciliation.noise.darkness import black_by_noise

@@ -77,7 +77,7 @@ class Statistic:
         along: Covariates that it may depend on: a trend must be possible physically.
         forms: Forms that such a trend may have.
         family: Name of the statistics that it is one direction of.
-        tells_light: Whether it says how much light there is. Noise does so too, but a hundred times worse: a wrong
+        determines_light: Whether it says how much light there is. Noise does so too, but a hundred times worse: a wrong
             noise figure would pull at the responsivity and show as a disagreement of all means.
         follows_light: Whether it follows the light of its tile without determining it.
         holds_form: Whether the form of an accepted effect limits how well it is predicted.
@@ -91,7 +91,7 @@ class Statistic:
     along: tuple[str, ...]
     forms: tuple[str, ...] = (MULTIPLICATIVE,)
     family: str = ""
-    tells_light: bool = False
+    determines_light: bool = False
     follows_light: bool = False
     holds_form: bool = False
 
@@ -363,15 +363,15 @@ _ROWS: Final = (
     Statistic(
         "mean", Given.TILE, Scale.PLAIN, lambda s: s.mean, lambda c: c.inside,
         (*_CAPTURE_AXES, *_TILE_AXES, "constant"), (MULTIPLICATIVE, ADDITIVE, ADDITIVE_GAIN),
-        tells_light=True, holds_form=True,
+        determines_light=True, holds_form=True,
     ),
     Statistic(
         "slope_x", Given.TILE, Scale.PLAIN, lambda s: s.slope(0), lambda c: c.inside, _SLOPE_AXES,
-        family="slope", tells_light=True, holds_form=True,
+        family="slope", determines_light=True, holds_form=True,
     ),
     Statistic(
         "slope_y", Given.TILE, Scale.PLAIN, lambda s: s.slope(1), lambda c: c.inside, _SLOPE_AXES,
-        family="slope", tells_light=True, holds_form=True,
+        family="slope", determines_light=True, holds_form=True,
     ),
     Statistic(
         "variance", Given.TILE, Scale.LOGARITHM, lambda s: s.variance, lambda c: c.noisy, _NOISE_AXES, _NOISE_FORMS,

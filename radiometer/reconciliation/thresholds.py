@@ -16,21 +16,13 @@ _TOGETHER: Final = (
 
 @dataclass(frozen=True, slots=True)
 class Threshold:
-    """One row of the table.
+    """One row of the table."""
 
-    Attributes:
-        name: Name of the constant.
-        value: Its value.
-        unit: nats, chance, χ², sigma, 1.
-        reason: What it protects from.
-        measured: What measured it, or that nothing did.
-    """
-
-    name: str
-    value: float
-    unit: str
-    reason: str
-    measured: str = _TOGETHER
+    name: str  # name of the constant
+    value: float  # its value
+    unit: str  # nats, chance, χ², sigma, 1
+    reason: str  # what it protects from
+    measured: str = _TOGETHER  # what measured it, or that nothing did
 
 
 _ROWS: dict[str, Threshold] = {}

@@ -73,8 +73,9 @@ def doubts_of(
         alternatives: What these data cannot separate from each name; by default the rivals of its step.
     """
     state, effects = outcome.state, outcome.state.effects
-    alike = {step.name: [rival.name for rival in step.rivals] for step in outcome.steps}
-    alike = alike if alternatives is None else dict(alternatives)
+    alike: Mapping[str, Collection[str]] = alternatives or {
+        step.name: [rival.name for rival in step.rivals] for step in outcome.steps
+    }
     said = [f"{name} is fitted at the end of its range: the data contain something else" for name in _at_bound(state)]
     said += [
         f"{name} has a probability of {probability:.2f}, its alternatives included: other models predict as well"
@@ -91,7 +92,7 @@ def doubts_of(
     ]
     said += [
         f"{name} improves the prediction little; it may be another effect or the residual of one"
-        for name in faint_beside_others(outcome.steps, effects)
+        for name in insignificant_next_to_others(outcome.steps, effects)
     ]
     said += [
         f"{name} is not exactly the law that the data follow: a residual remains where it acts"
@@ -420,7 +421,7 @@ def below_least(effects: Sequence[CatalogueEffect]) -> list[str]:
     ]
 
 
-def faint_beside_others(steps: Sequence[Step], effects: Sequence[CatalogueEffect]) -> list[str]:
+def insignificant_next_to_others(steps: Sequence[Step], effects: Sequence[CatalogueEffect]) -> list[str]:
     """Return the names that bring little where another entry might absorb them, or where others bring more.
 
     What is left of a law that is not quite the one that was named looks like one more effect, but a faint one.

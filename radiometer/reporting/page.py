@@ -11,6 +11,8 @@ import re
 from collections.abc import Iterable, Sequence
 from typing import Final
 
+import radiometer
+
 _POLICY: Final = "default-src 'none'; img-src data:; style-src 'unsafe-inline'"
 # Every colour of text has a contrast of 4.5 or more on what is behind it (WCAG 2.1, 1.4.3).
 _MANY_COLUMNS: Final = 5  # a table of so many scrolls on a phone rather than that its words break
@@ -36,7 +38,7 @@ STYLE: Final = "\n".join(
         ".wide{overflow-x:auto}table{border-collapse:collapse;margin:.6rem 0;font-variant-numeric:tabular-nums}",
         "td,th{padding:.25rem .9rem .25rem 0;text-align:right;border-bottom:1px solid #ddd;vertical-align:baseline}",
         "td:first-child,th:first-child,td.words,th.words{text-align:left}th{font-weight:600;color:#444}",
-        "td:not(:first-child,.words){white-space:nowrap}td:last-child,th:last-child{padding-right:.2rem}",
+        "td.words{overflow-wrap:anywhere}td:not(:first-child,.words){white-space:nowrap}td:last-child,th:last-child{padding-right:.2rem}",
         "details{margin:.7rem 0;border-top:1px solid #ddd;padding-top:.5rem}",
         "summary{cursor:pointer;font-weight:600;min-height:2.75rem;display:list-item;padding:.5rem 0}",
         "summary:focus-visible{outline:2px solid #1f618d;outline-offset:2px}",
@@ -57,7 +59,7 @@ def page(subject: str, outcome: str, parts: Iterable[str], *, kind: str, made: s
     Args:
         subject: What the report is about, such as the camera's name.
         parts: HTML from the functions of this module, in order; empty ones are passed by.
-        made: How and from what it was made, for the foot of the page.
+        made: How and from what it was made, for the foot of the page; by which version of the program where empty.
     """
     head = (
         "<!doctype html>\n<html lang='en'><head><meta charset='utf-8'>"
@@ -66,7 +68,7 @@ def page(subject: str, outcome: str, parts: Iterable[str], *, kind: str, made: s
         f"<title>{escaped(kind)}: {escaped(subject)}</title><style>{STYLE}</style></head><body><main>"
     )
     opening = f"<h1>{escaped(subject)}</h1><p class='outcome'>{prose(outcome)}</p>"
-    foot = f"</main><footer>{escaped(made)}</footer>" if made else "</main>"
+    foot = f"</main><footer>{escaped(made or f'Made by radiometer {radiometer.__version__}.')}</footer>"
     return "\n".join((head, opening, *(part for part in parts if part), f"{foot}</body></html>\n"))
 
 

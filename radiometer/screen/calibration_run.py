@@ -59,7 +59,12 @@ class Options:
 
 
 def calibrate_screen(
-    bench: Instrumented, options: Options, lights: Mapping[str, Light], *, progress: Progress | None = None
+    bench: Instrumented,
+    options: Options,
+    lights: Mapping[str, Light],
+    *,
+    progress: Progress | None = None,
+    waiting: Callable[[float, float], None] | None = None,
 ) -> ScreenCalibration:
     """Warm the screen up, check it, measure its levels and return its calibration.
 
@@ -67,16 +72,19 @@ def calibrate_screen(
         bench: An open display and what looks at it.
         lights: Light of every channel.
         progress: Called after every patch.
+        waiting: Called while the screen warms up with the time so far and the longest time, both in s.
 
     Raises:
         UsageError: If a channel is unknown.
         DeviceError: If display or camera fail.
-        MeasurementError: If a reading clips or too few levels were asked for.
+        MeasurementError: If a reading clips, white is hardly brighter than black, or too few levels were asked for.
     """
     channels = tuple(dict.fromkeys(("grey", *options.channels)))
     plan = make_plan(options.levels, channels, np.random.default_rng(options.seed))
+    # White and black come first: what clips, or is no screen, is refused before the minutes of the warm-up.
+    measure_steps(bench.display, bench, plan[:2], patch_size=options.patch_size)
     bench.display.show(_WHITE)
-    warm_up = wait_until_steady(bench, bench.sleep, limit_s=options.warm_up_limit_s)
+    warm_up = wait_until_steady(bench, bench.sleep, limit_s=options.warm_up_limit_s, progress=waiting)
     flicker = bench.check_flicker()
     uniformity = bench.check_uniformity()
     repeats = _repeats(bench, options.repeats) if flicker.found else options.repeats

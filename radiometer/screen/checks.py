@@ -25,7 +25,12 @@ class WarmUp:
 
 
 def wait_until_steady(
-    meter: Meter, sleep: Callable[[float], None], *, limit_s: float, interval_s: float = 60.0
+    meter: Meter,
+    sleep: Callable[[float], None],
+    *,
+    limit_s: float,
+    interval_s: float = 60.0,
+    progress: Callable[[float, float], None] | None = None,
 ) -> WarmUp:
     """Read white until five readings in a row agree within 0.2 % (or their noise), or the time is up.
 
@@ -33,11 +38,14 @@ def wait_until_steady(
         sleep: Waits for a number of seconds.
         limit_s: Longest time to wait in s; 0 takes a single set of readings.
         interval_s: Pause between readings in s.
+        progress: Called after every reading with the time so far and the limit, both in s.
     """
     readings = [meter.read()]
     while True:
         drift, noise = _drift_of(readings[-_WINDOW:])
         waited = readings[-1].time_s - readings[0].time_s
+        if progress is not None:
+            progress(waited, limit_s)
         steady = len(readings) >= _WINDOW and drift <= max(STEADY_REL, 3.0 * noise)
         if steady or waited >= limit_s:
             return WarmUp(waited, drift, steady)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import json
 import secrets
 import threading
 from collections.abc import Callable, Coroutine
@@ -12,6 +11,7 @@ from typing import Any, Final, Protocol, TypeVar
 
 from aiohttp import WSMsgType, web
 
+from radiometer.data.json_text import parsed_json
 from radiometer.errors import DeviceError, DeviceInUse, RadiometerError
 
 _HEADERS: Final = {
@@ -126,16 +126,16 @@ class LoopbackServer:
             raise
         return runner, int(runner.addresses[0][1])
 
-    def _refuse_strangers(self, request: web.Request) -> None:
+    def _refuse_foreign_requests(self, request: web.Request) -> None:
         if not secrets.compare_digest(request.query.get("key", ""), self._key):
             raise web.HTTPForbidden(text="This page needs the whole address that the program printed.")
 
     async def _page(self, request: web.Request) -> web.Response:
-        self._refuse_strangers(request)
+        self._refuse_foreign_requests(request)
         return web.Response(text=self._text, content_type="text/html", headers=_HEADERS)
 
     async def _talk(self, request: web.Request) -> web.WebSocketResponse:
-        self._refuse_strangers(request)
+        self._refuse_foreign_requests(request)
         socket = web.WebSocketResponse(heartbeat=20.0, max_msg_size=65536)
         await socket.prepare(request)
         await self._host.joined(socket)
@@ -149,7 +149,7 @@ class LoopbackServer:
 def _mapping(text: str) -> Message | None:
     """Return the JSON object in a text; None for anything else: a stranger's nonsense is not answered."""
     try:
-        message = json.loads(text)
+        message = parsed_json(text)
     except ValueError:
         return None
     return message if isinstance(message, dict) else None

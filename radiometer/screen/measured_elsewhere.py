@@ -173,16 +173,15 @@ def _scatter(levels: Array, values: Array) -> Array:
 def _ti3(path: Path, text: str) -> ScreenReadings:
     """Return greys and primaries of an ArgyllCMS .ti3; its XYZ are relative to white where it says so."""
     keys = dict(re.findall(r'^([A-Z_0-9]+)\s+"([^"]*)"', text, re.MULTILINE))
-    names = re.search(r"BEGIN_DATA_FORMAT\s+(.*?)\s+END_DATA_FORMAT", text, re.DOTALL)
-    data = re.search(r"BEGIN_DATA\s+(.*?)\s+END_DATA\b", text, re.DOTALL)
+    names, data = _block(text, "DATA_FORMAT"), _block(text, "DATA")
     if names is None or data is None:
         raise InputError(f"{path}: no table in this .ti3")
-    columns = names.group(1).split()
+    columns = names.split()
     wanted = ("RGB_R", "RGB_G", "RGB_B", "XYZ_Y")
     if any(name not in columns for name in wanted):
         raise InputError(f"{path}: needs the columns {', '.join(wanted)}; it has {', '.join(columns)}")
     at = [columns.index(name) for name in wanted]
-    rows = [line.split() for line in data.group(1).splitlines() if line.strip()]
+    rows = [line.split() for line in data.splitlines() if line.strip()]
     patches = [tuple(float(row[n]) for n in at) for row in rows]
     if max(max(patch[:3]) for patch in patches) > _MOST_PERCENT:
         raise InputError(f"{path}: RGB go above 100; a .ti3 has them in per cent: divide them by 2.55")
@@ -228,6 +227,13 @@ def _ti3_scale(path: Path, keys: Mapping[str, str], brightest: float) -> tuple[f
     )
 
 
+def _block(text: str, name: str) -> str | None:
+    """Return what stands between BEGIN_ and END_ of a name (CGATS.17); None where there is no such block."""
+    begin = re.search(rf"\bBEGIN_{name}\s", text)
+    end = re.compile(rf"\sEND_{name}\b").search(text, begin.end()) if begin else None
+    return text[begin.end() : end.start()] if begin and end else None
+
+
 _AXES: Final = {"grey": (1, 1, 1), "red": (1, 0, 0), "green": (0, 1, 0), "blue": (0, 0, 1)}
 
 
@@ -244,7 +250,7 @@ def _grouped(patches: Sequence[tuple[float, ...]], axis: tuple[int, int, int], s
 
 def _ulr(path: Path, text: str) -> ScreenReadings:
     """Return greys and the primaries' tops of a pacsdisplay uLR file; steps between greys are left out."""
-    reading = re.compile(r"([0-9]*\.?[0-9]+)\s+#([0-9a-fA-F]{6})\b")
+    reading = re.compile(r"(?<![0-9.])([0-9]++(?:\.[0-9]++)?|\.[0-9]++)\s++#([0-9a-fA-F]{6})\b")
     grey: dict[int, list[float]] = {}
     primaries: dict[str, dict[int, list[float]]] = {}
     digits = 0
@@ -278,8 +284,8 @@ def _cal(path: Path, text: str, white_cd_m2: float | None, gamma: float) -> Scre
         raise InputError(
             f"{path}: a .cal holds curves and no luminance; give that of white by --white-luminance, or import the .ti3"
         )
-    data = re.search(r"BEGIN_DATA\s+(.*?)\s+END_DATA\b", text, re.DOTALL)
-    rows = [[float(v) for v in line.split()] for line in (data.group(1) if data else "").splitlines() if line.strip()]
+    data = _block(text, "DATA") or ""
+    rows = [[float(v) for v in line.split()] for line in data.splitlines() if line.strip()]
     if len(rows) < 3 or any(len(row) < 4 for row in rows):
         raise InputError(f"{path}: no table of RGB_I, RGB_R, RGB_G, RGB_B in this .cal")
     table = np.array(rows)
@@ -303,6 +309,7 @@ _LEVEL_NAMES: Final = (
 # Of the first three names the unit is cd·m⁻² unless the heading has another; the others are nothing without one.
 _PLAIN_LUMINANCE: Final = ("luminance", "lv", "leuchtdichte")
 _LUMINANCE_NAMES: Final = (*_PLAIN_LUMINANCE, "l", "y", "luminosite", "brightness", "reading", "measured")
+_CHANNEL_NAMES: Final = ("channel", "primary", "colour", "color")
 _RGB: Final = ({"r", "red", "rgb_r"}, {"g", "green", "rgb_g"}, {"b", "blue", "rgb_b"})
 
 
@@ -325,7 +332,7 @@ def _table(path: Path, text: str, mapped: StatementMap) -> ScreenReadings:
                 f"{path}: {table.width} columns without a heading; write one, such as level,luminance_cd_m2"
             )
         level_at, light_at = 0, 1
-        doubts.append("no heading: the first column is read as the level, the second as the luminance in cd/m²")
+        doubts.append("no heading: the first column is read as the level, the second as the luminance in cd·m⁻²")
     if light_at is None or (level_at is None and channels is None):
         lacking = "luminance" if light_at is None else "level"
         raise UnsettledError(
@@ -336,12 +343,14 @@ def _table(path: Path, text: str, mapped: StatementMap) -> ScreenReadings:
     luminance = finite(table.values(light_at, "luminance", doubts, mapped, "cd/m2" if plain else ""), table, light_at)
     drives = [_drives(table, at, doubts, mapped) for at in (channels or (level_at,) * 3)]
     groups: dict[str, dict[int, list[float]]] = {name: {} for name in _AXES}
-    for red, green, blue, value in zip(*drives, luminance, strict=True):
+    named_at = None if channels else next((n for n, name in enumerate(table.plain) if name in _CHANNEL_NAMES), None)
+    for (number, cells), red, green, blue, value in zip(table.rows, *drives, luminance, strict=True):
         top = max(red, green, blue)
+        drive = (red, green, blue) if named_at is None else _drive_of(path, number, cells[named_at], top)
         for name, axis in _AXES.items():
-            if all(v == top * on for v, on in zip((red, green, blue), axis, strict=True)):
+            if all(v == top * on for v, on in zip(drive, axis, strict=True)):
                 groups[name].setdefault(round(top), []).append(value)
-    left = table.not_used([light_at, *(channels or (level_at,))])
+    left = table.not_used([light_at, *(channels or (level_at,)), *([] if named_at is None else [named_at])])
     return ScreenReadings(
         path.stem,
         groups["grey"],
@@ -365,6 +374,14 @@ def _without_chromaticity(table: TextTable) -> TextTable:
     for n in pairs:
         names[n : n + 2] = "chromaticity x", "chromaticity y"
     return replace(table, header=tuple(names))
+
+
+def _drive_of(path: Path, line: int, channel: str, level: float) -> tuple[float, ...]:
+    """Return the drive of red, green and blue of a row that names its channel. Raises InputError for another name."""
+    axis = _AXES.get(channel.strip().lower().replace("gray", "grey"))
+    if axis is None:
+        raise InputError(f"{path}, line {line}: channel {channel!r} is unknown; rows are of {', '.join(_AXES)}")
+    return tuple(level * on for on in axis)
 
 
 def _heading(table: TextTable, *columns: int | None) -> str:

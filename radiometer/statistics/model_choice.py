@@ -9,15 +9,10 @@ from typing import Final
 
 @dataclass(frozen=True, slots=True)
 class Criterion:
-    """What a further term must gain.
+    """What a further term must gain."""
 
-    Attributes:
-        gain: Least fall of the deviance (−2 ln of the likelihood, or χ²).
-        reason: Why so much.
-    """
-
-    gain: float
-    reason: str
+    gain: float  # least fall of the deviance (−2 ln of the likelihood, or χ²)
+    reason: str  # why so much
 
 
 # Chance alone brings each with the probability in brackets, for one further parameter.
@@ -44,8 +39,6 @@ def schwarz(parameters: int, count: int, trials: float = 1.0) -> Criterion:
     A margin of 6 (odds of 20 to 1) comes on top: equal odds are no finding.
 
     Args:
-        parameters: Further parameters of the term.
-        count: Values.
         trials: How many such terms (periods) were tried.
 
     Source: Schwarz 1978, Annals of Statistics 6, 461.
@@ -58,8 +51,6 @@ def aicc(sum_of_squares: float, count: int, parameters: int) -> float:
 
     Args:
         sum_of_squares: Of the (weighted) residuals.
-        count: Values.
-        parameters: Fitted parameters, the variance included.
 
     Source: Hurvich and Tsai 1989, Biometrika 76, 297.
     """

@@ -177,7 +177,7 @@ class BlackflyGige(Opened):
                 self._after_sending(device)
             elif self._ready is not None:
                 self._await_sending(device)
-            elif self._is_wanted(device):
+            elif self._is_requested(device):
                 self._expose(device)
             else:
                 self._closing.wait(_LOOK_S)
@@ -186,7 +186,7 @@ class BlackflyGige(Opened):
         stalled = device.read_word(registers.STALL)
         device.lose_packets(1.0 if stalled else device.read_word(registers.LOSS_PER_MILLE) / 1000)
 
-    def _is_wanted(self, device: FakeGigeDevice) -> bool:
+    def _is_requested(self, device: FakeGigeDevice) -> bool:
         if not is_acquiring(device):
             return False
         if not device.read_word(registers.TRIGGER_MODE):

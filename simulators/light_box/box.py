@@ -33,7 +33,7 @@ class Emitted(NamedTuple):
 
 
 @dataclass(slots=True)
-class TwinSettings:
+class SimulatedBoxSettings:
     """How this box differs from another."""
 
     serial: str = "TWIN0001"  # eight characters
@@ -46,10 +46,10 @@ class TwinSettings:
 
 
 @dataclass(slots=True)
-class LightBoxTwin:
+class SimulatedLightBox:
     """A light box in true time; `advance` lets time pass, `receive` hands it bytes."""
 
-    settings: TwinSettings = field(default_factory=TwinSettings)  # what box it is
+    settings: SimulatedBoxSettings = field(default_factory=SimulatedBoxSettings)  # what box it is
     # Lines that left it, oldest first; whoever carries the line takes them off
     emitted: deque[Emitted] = field(default_factory=deque)
     channels: list[Channel] = field(default_factory=list)

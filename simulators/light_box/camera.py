@@ -11,7 +11,7 @@ from radiometer.devices import CameraCapabilities
 from simulators.cameras.simulated_camera import SimulatedCamera
 from simulators.chain.camera_model import CameraModel
 from simulators.clock import SimulatedClock
-from simulators.light_box.box import LightBoxTwin
+from simulators.light_box.box import SimulatedLightBox
 from simulators.scenes.uniform import UniformScene
 
 WHITE_EFFECTIVE_NM: Final = 555.0  # peak of V(λ)
@@ -21,7 +21,7 @@ WHITE_EFFECTIVE_NM: Final = 555.0  # peak of V(λ)
 class BoxView:
     """What of a box the camera sees: all lit channels on one diffuser."""
 
-    twin: LightBoxTwin  # the box
+    twin: SimulatedLightBox  # the box
     ambient_w_sr_m2: float = 0.0  # radiance of the room on it, in W·sr⁻¹·m⁻²
 
     def look(self, time_s: float) -> tuple[float, float]:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Final
 from simulators.light_box.channel import CHANNELS_OF_VERSION, PARTNERS, Channel, steps_of
 
 if TYPE_CHECKING:
-    from simulators.light_box.box import LightBoxTwin
+    from simulators.light_box.box import SimulatedLightBox
 
 
 _NUMBER: Final = re.compile(r"[0-9]{1,10}")
@@ -39,7 +39,7 @@ def checked(line: bytes) -> bytes | None:
 class Commands:
     """Runs one command on a box."""
 
-    box: LightBoxTwin
+    box: SimulatedLightBox
 
     def run(self, text: str) -> str:
         """Return the answer to a command without its number and checksum; Refused becomes an error number."""

@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Final, Protocol, Self
 
-from simulators.light_box.box import LightBoxTwin
+from simulators.light_box.box import SimulatedLightBox
 from simulators.light_box.line_faults import LineFaults
 
 IDLE_S: Final = 0.002  # short against the 5 ms of a line at 115 200 baud
@@ -139,10 +139,10 @@ class PtyServer:
 
 
 @dataclass(slots=True)
-class WiredTwin:
+class WiredLightBox:
     """A light-box twin on a wire of limited speed, as PtyServer serves it."""
 
-    twin: LightBoxTwin  # the box
+    twin: SimulatedLightBox  # the box
     byte_time_s: float = 10 / 115200  # time that a byte takes on the wire, both ways
     _arriving: list[tuple[float, bytes]] = field(default_factory=list)
     _leaving: list[tuple[float, bytes]] = field(default_factory=list)

@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from simulators.light_box.box import LightBoxTwin
+from simulators.light_box.box import SimulatedLightBox
 from simulators.light_box.line_faults import LineFaults
 
 
@@ -23,7 +23,7 @@ class Arrived(NamedTuple):
 class VirtualLine:
     """Carries bytes between a host and a twin; `now` is true time and only moves while the host waits."""
 
-    twin: LightBoxTwin  # the box at the other end
+    twin: SimulatedLightBox  # the box at the other end
     faults: LineFaults = field(default_factory=LineFaults)  # what happens to the bytes, both ways
     byte_time_s: float = 10 / 115200  # time that a byte takes on the wire
     latency_s: float = 0.0  # mean of the exponential delay that each message has besides, each way, in s

@@ -9,7 +9,7 @@ from typing import Final
 
 import numpy as np
 
-from simulators.light_box.box import LightBoxTwin
+from simulators.light_box.box import SimulatedLightBox
 from simulators.light_box.led_physics import LedState
 from simulators.observers.eye_kinetics import (
     Eye,
@@ -37,7 +37,7 @@ class ObserverAtBox:
     """
 
     observer: Observer  # the subject
-    twin: LightBoxTwin  # the box
+    twin: SimulatedLightBox  # the box
     channels: tuple[str, ...] = ("spot", "spot_red", "spot_green")  # the channels that it watches for
     filter_density: float = 0.0  # optical density of the filter before the test spot
     # Positions of channels that have a separate opening, without the filter, in degrees temporal of and above the mark;

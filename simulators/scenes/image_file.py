@@ -72,6 +72,7 @@ def _decode(path: Path) -> NDArray[np.generic] | None:
     return picture
 
 
+@bounded_reader(error=ConfigurationError, apart="OpenEXR")
 def _exr(path: Path) -> NDArray[np.generic]:
     """Return blue, green and red, or the one channel, of an OpenEXR picture."""
     with path.open("rb") as stream:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 import json
 import math
+import shlex
 import shutil
 import subprocess
 import sys
@@ -142,3 +143,26 @@ def test_every_camera_is_found_by_its_serial_number(serve, bench, project_root):
     if "unshare" in done.stderr:
         pytest.skip(f"no network of one's own on this computer: {done.stderr.strip()}")
     assert done.stdout.strip() == "FLIR-BFS-U3-19S4M-22500078 GigEVision 127.0.0.1", done.stderr
+
+
+def readme_commands(project_root) -> list[list[str]]:
+    """Return the words of the README's five commands."""
+    section = (project_root / "README.md").read_text(encoding="utf-8").partition("## Five commands")[2]
+    block = section.partition("```console\n")[2].partition("```")[0]
+    return [shlex.split(line.removeprefix("$ radiometer "), comments=True) for line in block.splitlines()]
+
+
+@pytest.mark.long
+@pytest.mark.slow
+@pytest.mark.parametrize("camera", ["sim", LOOPBACK])
+def test_the_readmes_five_commands_run_on_a_bench(camera, serve, bench, project_root, tmp_path, monkeypatch, capsys):
+    """With --bench, and the camera simulated here or on the wire: no option is missing, every file is written."""
+    if camera == LOOPBACK:
+        serve()
+    monkeypatch.chdir(tmp_path)
+    commands = readme_commands(project_root)
+    assert [words[0] for words in commands] == ["measure", "bracket", "response", "merge", "reconcile"]
+    for words in commands:
+        own = ["--bench", str(bench), "--camera", camera] if words[0] in ("measure", "bracket") else []
+        assert run([*words, *own]) == 0, capsys.readouterr().err
+    assert all((tmp_path / name).is_file() for name in ("response.yaml", "map.png", "map.exr", "report.html"))

@@ -12,7 +12,7 @@ import pytest
 
 from radiometer.errors import MissingLibrary
 from simulators.light_box.avr_box import AvrBox
-from simulators.light_box.box import LightBoxTwin, TwinSettings
+from simulators.light_box.box import SimulatedBoxSettings, SimulatedLightBox
 from testing.patience import within
 
 SERIAL = "LB000007"
@@ -23,7 +23,7 @@ class Talker:
 
     def __init__(self, avr: AvrBox | None) -> None:
         self.avr = avr
-        self.twin = LightBoxTwin(TwinSettings(serial=SERIAL))
+        self.twin = SimulatedLightBox(SimulatedBoxSettings(serial=SERIAL))
         self.run(0.1)
         self.boot = self.take()
 

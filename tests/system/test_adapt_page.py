@@ -18,8 +18,8 @@ from radiometer.adaptation.outcome import Outcome, Verdict
 from radiometer.adaptation.protocol import read_protocol
 from radiometer.adaptation.run import run_test
 from radiometer.adaptation.simulated_stage import simulated_stage
-from simulators.observers.subject import SubjectCurve
 from testing.chromium import Browser, headless
+from testing.scripted_adaptation import SubjectCurve
 
 PHONE = (390, 844)
 

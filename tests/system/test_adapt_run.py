@@ -9,12 +9,15 @@ import subprocess
 import sys
 import time
 from pathlib import Path
+from typing import Any
 
 import pytest
 
+import radiometer as rm
 from testing.patience import within
 
-PROGRAM = [sys.executable, "-m", "radiometer", "adapt", "run", "quick", "--subject", "S1", "--seed", "5"]
+VISIT = ["--visit", "2026-03-02T14:30Z"]  # of both runs that are compared: a visit's date is in its journal
+PROGRAM = [sys.executable, "-m", "radiometer", "adapt", "run", "quick", *VISIT, "--subject", "S1", "--seed", "5"]
 
 
 def _run(*words: str, cwd: Path) -> subprocess.CompletedProcess[str]:
@@ -68,9 +71,102 @@ def test_subject_who_cannot_be_fitted_is_exit_code_one_with_a_verdict(
 def test_other_subjects_journal_is_misuse(tmp_path: Path) -> None:
     """Exit code 2, and the error is one line."""
     assert _run("--simulate", "steady", "-o", "j", cwd=tmp_path).returncode == 0
+    _cut(tmp_path / "j")
     wrong = subprocess.run(
         [*PROGRAM[:-4], "--subject", "S2", "--seed", "5", "--simulate", "steady", "-o", "j"],
         cwd=tmp_path, capture_output=True, text=True, timeout=within(120), check=False,
     )  # fmt: skip
     assert wrong.returncode == 2
     assert [line for line in wrong.stderr.splitlines() if line.startswith("error:")] == wrong.stderr.splitlines()[1:]
+
+
+def _cut(journal: Path) -> bytes:
+    """Cut a journal in its middle, as a crash does, and return what it held."""
+    whole = journal.read_bytes()
+    journal.write_bytes(whole[: len(whole) // 2])
+    return whole
+
+
+def test_second_visit_is_measured_and_an_unfinished_one_is_taken_up(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Two runs of a subject are two journals, whose names and heads state subject, eye and moment."""
+    monkeypatch.chdir(tmp_path)
+    about = {"simulate": "steady", "eye": "left", "age": 31.0, "pupil": 6.0}
+    first = rm.adapt_run("quick", "S7", visit="2026-03-02T14:30Z", **about)
+    second = rm.adapt_run("quick", "S7", visit="2026-03-09T14:30Z", **about)
+    assert [str(one.journal) for one in (first, second)] == [
+        "S7-quick-left-2026-03-02T143000Z.jsonl",
+        "S7-quick-left-2026-03-09T143000Z.jsonl",
+    ]
+    start = json.loads(second.journal.read_text().splitlines()[0])
+    assert [start[name] for name in ("subject", "eye", "age_years", "pupil_mm", "visit")] == [
+        "S7", "left", 31.0, 6.0, "2026-03-09T14:30:00Z",
+    ]  # fmt: skip
+    head = Path(str(second.table)).read_text()
+    assert all(line in head for line in ("# subject: S7", "# eye: left", "# age_years: 31.0", "# pupil_mm: 6.0"))
+    whole = _cut(second.journal)
+    third = rm.adapt_run("quick", "S7", visit="2026-03-16T14:30Z", **about)
+    assert third.journal == second.journal
+    assert third.journal.read_bytes() == whole
+
+
+def test_finished_run_is_never_taken_up(tmp_path: Path) -> None:
+    """Naming its journal again is misuse; the message states its date, and how its thresholds are read."""
+    journal = tmp_path / "j.jsonl"
+    rm.adapt_run("quick", "S7", journal, simulate="steady", visit="2026-03-02T14:30Z")
+    before = journal.read_bytes()
+    with pytest.raises(rm.UsageError, match="finished run of 2026-03-02T14:30:00Z: `adapt fit"):
+        rm.adapt_run("quick", "S7", journal, simulate="steady")
+    assert journal.read_bytes() == before
+    from_table, from_journal = (rm.adapt_fit(file, bootstrap=0) for file in (tmp_path / "j.csv", journal))
+    assert from_journal.fit.estimates["plateau"].value == pytest.approx(
+        from_table.fit.estimates["plateau"].value, abs=0.01
+    )
+
+
+@pytest.mark.parametrize(
+    ("option", "needed"),
+    [
+        ({"display": "lcd"}, "--screen"),
+        ({"port": 8000}, "--screen"),
+        ({"room": 1.0}, "--box sim"),
+        ({"preset": "box.yaml"}, "--box"),
+        ({"calibration": "light.yaml"}, "--box"),
+        ({"fixation": 0.1}, "--box"),
+    ],
+)
+def test_option_without_the_one_that_it_needs_is_misuse(tmp_path: Path, option: dict[str, Any], needed: str) -> None:
+    """No wish is dropped in silence."""
+    (name,) = option
+    with pytest.raises(rm.UsageError, match=f"--{name} has no effect without {needed}:"):
+        rm.adapt_run("quick", "S7", tmp_path / "j", simulate="steady", **option)
+
+
+def test_practice_run_bleaches_nothing_and_is_no_visit_of_the_test(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Three minutes of the task; its journal has another protocol's name, and nothing of it is fitted."""
+    monkeypatch.chdir(tmp_path)
+    done = rm.adapt_run("quick", "S7", simulate="steady", practice=True, visit="2026-03-02T14:30Z")
+    kinds = [json.loads(line)["kind"] for line in done.journal.read_text().splitlines()]
+    assert done.journal.name == "S7-quick-practice-right-2026-03-02T143000Z.jsonl"
+    assert "bleach" not in kinds
+    assert done.practised
+    assert done.table is None
+    assert done.outcome.catches > 0
+
+
+def test_visits_are_laid_over_each_other_with_their_dates(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The page names subject, eye and date of each visit; what each found stands side by side."""
+    monkeypatch.chdir(tmp_path)
+    for day, seed in (("02", 1), ("09", 2)):
+        rm.adapt_run("classic", "S7", simulate="steady", seed=seed, visit=f"2026-03-{day}T14:30Z", age=31.0)
+    tables = sorted(tmp_path.glob("*.csv"))
+    found = rm.adapt_visits(tables, report="visits.html")
+    assert [line.split(":")[0] for line in map(str, found.lines())] == [
+        "S7 right 2026-03-02 14",
+        "S7 right 2026-03-09 14",
+    ]
+    page = Path("visits.html").read_text()
+    assert all(text in page for text in ("2026-03-02", "2026-03-09", "Rod–cone break", "31.0", rm.__version__))

@@ -63,6 +63,28 @@ def test_set_holds_the_light_and_leaves_the_box_dark(served, capsys):
         assert opened.box.read_channel("spot").drive.level == 0
 
 
+@pytest.mark.parametrize(
+    ("words", "counted"),
+    [
+        ([], {"box CLI00001", "any eye"}),
+        (["--subject", "S07", "--eye", "left"], {"box CLI00001", "eye s07 left"}),
+        (["--no-eye"], {"box CLI00001"}),
+    ],
+)
+def test_light_counts_for_the_box_and_for_whose_eye_looks(served, capsys, words, counted):
+    """Whoever looks, the box's account holds the light; and that of the named eye, or else of every eye."""
+    light = ["field", "--level", "30000", "--box", "CLI00001", *words]
+    assert run(["light", "pulse", *light, "--duration", "200ms"]) == 0
+    assert run(["light", "set", *light, "--for", "200ms"]) == 0
+    assert run(["light", "blink", *light, "--on", "100ms", "--off", "100ms", "--count", "2"]) == 0
+    capsys.readouterr()
+    assert run(["light", "account", "--json"]) == 0
+    given = {entry["name"]: entry["blue_light"] for entry in json.loads(capsys.readouterr().out)}
+    assert set(given) == counted
+    assert len(set(given.values())) == 1
+    assert run(["light", "set", *light, "--eye", "both"]) == 2
+
+
 def test_button_is_watched(served, capsys):
     """Presses are printed one JSON object per line, with their uncertainty."""
     assert run(["light", "watch-buttons", "--box", served, "--count", "2", "--json"]) == 0

@@ -1,4 +1,4 @@
-"""The reports in a real browser at two widths: they fit, can be read, load nothing, and no name in them acts."""
+"""The reports in a real browser at three widths: they fit, can be read, load nothing, and no name in them acts."""
 
 from __future__ import annotations
 
@@ -11,11 +11,14 @@ from radiometer.adaptation.adaptation_fit import FitRequest, fit_adaptation
 from radiometer.adaptation.report import report_html
 from radiometer.adaptation.rod_intercept import InterceptRule
 from radiometer.adaptation.threshold_series import ThresholdSeries
+from radiometer.adaptation.visits_page import visits_html
 from radiometer.analysis.characterise import characterise, read_subject
 from radiometer.analysis.characterise.report import datasheet
 from radiometer.archive.trend import MONTH_S, fit_trend
 from radiometer.archive.trend_report import trend_report
 from radiometer.data import CameraDescription, FrameSettings, LensDescription
+from radiometer.data.reading import Contribution, Flag, Patch, Quantity, Reading
+from radiometer.reporting.reading_page import ReadingRecord, reading_html
 from simulators.chain.camera_model import CameraModel
 from simulators.scenes import UniformScene
 from testing.report_checks import HOSTILE, assert_reports_hold
@@ -59,7 +62,34 @@ def _datasheet(folder: Path) -> str:
     return datasheet(characterise(read_subject(folder, None)))
 
 
-async def test_reports_hold_in_a_browser_at_two_widths(tmp_path: Path) -> None:
-    """Trend, adaptation with and without a break, characterisation: each with hostile names in it."""
+def _reading() -> str:
+    """Return the page of a reading with a long name of its calibration's file and every flag."""
+    reading = Reading(
+        Quantity(0.3265, 0.0017, "W sr-1 m-2"), Patch(40, 24, 16, 16), HOSTILE, Quantity(103.5, 0.5, "cd m-2"),
+        tuple(Flag), (0.001, 0.02), (Contribution("scale", 0.005), Contribution(HOSTILE, 0.001, note=HOSTILE)),
+        more={
+            "assumptions": [HOSTILE],
+            "calibration": {"file": "a-long-folder-name/" * 8, "created": "2026-03-02T14:30:00Z", "reference": HOSTILE},
+        },
+    )  # fmt: skip
+    frame_dn = np.random.default_rng(2).integers(64, 4000, (64, 96))
+    return reading_html(ReadingRecord(reading, frame_dn, [("lens", HOSTILE)]))
+
+
+def _visits() -> str:
+    times = np.linspace(0.5, 25.0, 45)
+    found = []
+    for day in range(2, 5):
+        noise = np.random.default_rng(day).normal(0.0, 0.08, times.size)
+        curve = -1.0 + 2.5 * np.exp(-np.minimum(times, 9.0) / 1.6) - 0.23 * np.maximum(times - 9.0, 0.0) + noise
+        facts = {"subject": HOSTILE, "eye": "right", "visit": f"2026-03-0{day}T14:30:00Z", "protocol": "classic"}
+        series = ThresholdSeries(times, curve, None, facts)
+        found.append((fit_adaptation(series, FitRequest(bootstrap_draws=0), np.random.default_rng(0)), "name"))
+    return visits_html(found)
+
+
+async def test_reports_hold_in_a_browser_at_three_widths(tmp_path: Path) -> None:
+    """Readings, trend, adaptation with and without a break, visits, characterisation: with hostile names in each."""
     pages = {"trend": _trends(), **_adaptations(), "characterise": _datasheet(tmp_path / "set")}
+    pages |= {"measure --report": _reading(), "adapt visits": _visits()}
     await assert_reports_hold(pages, tmp_path)

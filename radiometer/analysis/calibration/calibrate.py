@@ -21,7 +21,6 @@ from radiometer.data import (
     Calibration,
     CameraDescription,
     Flag,
-    FlatField,
     FrameSettings,
     LensDescription,
     Patch,
@@ -30,8 +29,8 @@ from radiometer.data import (
     ResponseCurve,
     Scale,
     SensorNoise,
-    SourceDescription,
 )
+from radiometer.data.calibration import DEFAULT_VALIDITY_DAYS
 from radiometer.data.setup import Setup
 from radiometer.errors import InputError, MeasurementError, UsageError
 from radiometer.units import exact_exposure_s, exact_f_number
@@ -187,7 +186,7 @@ def scale_from_meter(
         quantity="luminance",
         f_number=settings.f_number,
         reference=f"K = {meter_k:g}, f/{settings.f_number:.4g}, {settings.exposure_s:.6g} s, ISO {settings.iso:g}: "
-        f"{luminance:.6g} cd/m²",
+        f"{luminance:.6g} cd·m⁻²",
     )
 
 
@@ -266,8 +265,7 @@ def unscaled_calibration(
     response: ResponseCurve | None,
     spectrum_name: str,
     black_dn: float | None = None,
-    validity_days: float = 365.0,
-    flat_field: FlatField | None = None,
+    validity_days: float = DEFAULT_VALIDITY_DAYS,
 ) -> Calibration:
     """Return a calibration that still lacks its scale (it is 1).
 
@@ -278,7 +276,6 @@ def unscaled_calibration(
         spectrum_name: Spectrum that the scale will hold for.
         black_dn: Black level in DN; None takes the camera description's, or what the response was recovered with.
         validity_days: Days until readings are flagged `stale_calibration`.
-        flat_field: Sensitivity over the picture; the scale then holds on the optical axis.
 
     Raises:
         CalibrationError: If curve and camera differ in bit depth.
@@ -295,7 +292,6 @@ def unscaled_calibration(
         response=response,
         noise=SensorNoise.of(camera),
         black_level=BlackLevel(dn=black or 0.0),
-        flat_field=flat_field,
         spectrum=spectrum_name,
         validity_days=validity_days,
     )
@@ -306,7 +302,6 @@ def scale_by_source(
     frames: Bracket,
     patch: Patch,
     source: KnownSource,
-    light: SourceDescription | None = None,
 ) -> Scale:
     """Return the scale from frames of a source of known radiance.
 
@@ -315,17 +310,16 @@ def scale_by_source(
         frames: Bracket of the source; its dark frames give the dark level.
         patch: Where the source is.
         source: What is known of its radiance.
-        light: What else is known of it.
 
     Raises:
         MeasurementError: If the patch is clipped, below the noise or not uniform.
     """
     made = dt.datetime.fromisoformat(base.created)  # a scale has no age when it is made
-    situation = patch_situation(frames, patch, Setup(base.camera, base.lens, base, light), now=made)
+    situation = patch_situation(frames, patch, Setup(base.camera, base.lens, base), now=made)
     channel = frames.light[0].extra.get("channel")
     conditions = situation.conditions.model_copy(update={"channel": None if channel is None else str(channel)})
     own = replace(base, scale=base.scale.model_copy(update={"conditions": conditions}))
-    reading = read_patch(frames, patch, Setup(base.camera, base.lens, own, light), now=made)
+    reading = read_patch(frames, patch, Setup(base.camera, base.lens, own), now=made)
     for flag in (Flag.SATURATED, Flag.BELOW_NOISE, Flag.NONUNIFORM):
         if flag in reading.flags:
             raise MeasurementError(

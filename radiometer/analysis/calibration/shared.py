@@ -47,18 +47,12 @@ class Handling(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Rule:
-    """What is done in one state.
+    """What is done in one state."""
 
-    Attributes:
-        handling: What is done.
-        reason: Why; of a refusal the message, with {there} and {here} for the two values.
-        term: Line of the budget that carries the doubt; empty where there is none.
-        error: What a refusal raises: a misuse where another option is the way out.
-    """
-
-    handling: Handling
-    reason: str
-    term: str = ""
+    handling: Handling  # what is done
+    reason: str  # why; of a refusal the message, with {there} and {here} for the two values
+    term: str = ""  # line of the budget that carries the doubt; empty where there is none
+    # What a refusal raises: a misuse where another option is the way out
     error: type[RadiometerError] = CalibrationError
 
 
@@ -211,10 +205,6 @@ def settle(quantity: str, there: object | None, here: object | None, *, equal: b
 def require_camera(calibration: Calibration, camera: CameraDescription) -> None:
     """Refuse a camera that a calibration does not belong to.
 
-    Args:
-        calibration: The calibration.
-        camera: The camera in use.
-
     Raises:
         CalibrationError: If model, serial number or bit depth differ.
     """
@@ -227,10 +217,6 @@ def require_camera(calibration: Calibration, camera: CameraDescription) -> None:
 
 def require_lens(calibration: Calibration, lens: LensDescription) -> None:
     """Refuse a lens of another focal length than the calibration was made with.
-
-    Args:
-        calibration: The calibration.
-        lens: The lens in use.
 
     Raises:
         CalibrationError: If the focal lengths differ by more than 1 %.

@@ -14,23 +14,14 @@ from radiometer.statistics.model_choice import THREE_SIGMA, is_supported
 
 @dataclass(frozen=True, slots=True)
 class Line:
-    """y = slope·x + intercept with standard uncertainties.
+    """y = slope·x + intercept with standard uncertainties."""
 
-    Attributes:
-        slope: Slope.
-        intercept: Value at x = 0 (0 where the line was tied to the origin).
-        u_slope: Standard uncertainty of the slope.
-        u_intercept: Standard uncertainty of the intercept.
-        birge_ratio: Root of the reduced chi-square; where it is above 1 the uncertainties hold that factor.
-        degrees_of_freedom: Points less parameters.
-    """
-
-    slope: float
-    intercept: float
-    u_slope: float
-    u_intercept: float
-    birge_ratio: float
-    degrees_of_freedom: int
+    slope: float  # slope
+    intercept: float  # value at x = 0 (0 where the line was tied to the origin)
+    u_slope: float  # standard uncertainty of the slope
+    u_intercept: float  # standard uncertainty of the intercept
+    birge_ratio: float  # root of the reduced chi-square; where it is above 1 the uncertainties hold that factor
+    degrees_of_freedom: int  # points less parameters
 
 
 def fit_line(x: ArrayLike, y: ArrayLike, u_y: ArrayLike, *, through_origin: bool = False) -> Line:
@@ -40,7 +31,6 @@ def fit_line(x: ArrayLike, y: ArrayLike, u_y: ArrayLike, *, through_origin: bool
         x: Abscissae, shape (n,), taken as exact.
         y: Ordinates, shape (n,).
         u_y: Standard uncertainties of y, above 0.
-        through_origin: Tie the line to the origin.
 
     Raises:
         ValueError: If there are fewer points than parameters or they share one x.
@@ -83,7 +73,6 @@ def is_bent(x: ArrayLike, y: ArrayLike, u_y: ArrayLike, *, through_origin: bool 
         x: Abscissae, shape (n,).
         y: Ordinates, shape (n,).
         u_y: Standard uncertainties of y, above 0.
-        through_origin: The line is tied to the origin.
     """
     xs, ys, u = (np.asarray(v, dtype=np.float64) for v in (x, y, u_y))
     columns = [xs, xs**2] if through_origin else [np.ones_like(xs), xs, xs**2]

@@ -11,7 +11,7 @@ import numpy as np
 from radiometer.analysis.characterise.steps import SignalStep
 from radiometer.data import Quantity
 
-_LOWEST_SHARE, _HIGHEST_SHARE = 0.05, 0.95  # of saturation: EMVA 1288 release 4.0, section 6.7
+_LOWEST_SHARE, _HIGHEST_SHARE = 0.05, 0.95  # of saturation: EMVA 1288, release 4.0 (linear)
 _FEWEST_STEPS = 4
 
 

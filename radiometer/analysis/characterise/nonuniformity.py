@@ -38,7 +38,6 @@ def nonuniformity_by_part(
 
     Args:
         bright: Bright group of the PRNU; None for no PRNU.
-        dark: Dark group.
         K: Overall system gain in DN/e-; None for no DSNU.
 
     Source: EMVA Standard 1288, release 4.0, sections 8.2 and 8.3.

@@ -15,7 +15,7 @@ from radiometer.analysis.characterise.steps import SignalStep
 from radiometer.data import Quantity
 from radiometer.errors import MeasurementError
 
-USED_SHARE = 0.7  # of saturation: EMVA 1288 release 4.0, section 6.6
+USED_SHARE = 0.7  # of saturation: EMVA 1288, release 4.0 (linear)
 CLIPPED_SHARE = 1e-4  # hot pixels at full scale; from there on clipping takes more than 0.1 % of the variance
 # With σ² of noise before it, rounding adds 1/12 ± (1/π² + 4σ²)·exp(−2π²σ²) steps²: below 0.001 from σ² = 0.42 on.
 _BLURRED_VARIANCE = 0.5  # of squared code steps

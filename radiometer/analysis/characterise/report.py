@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from radiometer.analysis.characterise.result import SYMBOLS, Characterisation, as_printed, upper_limit
 from radiometer.data import Quantity
-from radiometer.reporting.numbers import rounded, unit_text, with_u
+from radiometer.numbers import rounded, unit_text, with_u
 from radiometer.reporting.page import folded, listed, page, paragraph, section, side_by_side, table
 from radiometer.reporting.pictures import BEFORE, DIMMED, MARK, MODEL, RULE, SEEN, dress, legend, mark, picture
 from radiometer.typing import Array

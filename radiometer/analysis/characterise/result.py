@@ -11,7 +11,7 @@ from radiometer.analysis.characterise.linearity import Linearity
 from radiometer.analysis.characterise.photon_transfer import PhotonTransfer
 from radiometer.analysis.characterise.steps import SignalStep
 from radiometer.data import CameraDescription, Provenance, Quantity
-from radiometer.reporting.numbers import rounded
+from radiometer.numbers import rounded
 from radiometer.units import gain_factor
 
 # Quantum efficiency: no electron without a photon, and any sensor sold sees one in twenty.

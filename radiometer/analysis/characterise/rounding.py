@@ -38,7 +38,6 @@ def unrounded_variance(
         u_dn2: Its standard uncertainty.
         mean_dn: Mean over pixels and frames; its fraction shows where between two codes the pixels are.
         spatial_variance_dn2: Variance of the pixels' means, which spreads them over the codes.
-        step_dn: Distance between codes.
 
     Returns:
         Sheppard's correction where it holds. Below, the middle of the noise that may have given the measured

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from math import comb
@@ -15,8 +14,9 @@ from scipy import optimize
 
 from radiometer.analysis.response.estimate import ResponseEstimate
 from radiometer.data import Provenance, ResponseCurve
+from radiometer.data.drawing import check_plot_name, write_figure
 from radiometer.data.reader_limits import bounded_reader
-from radiometer.data.storage import write_bytes_atomic, write_text_atomic
+from radiometer.data.storage import write_text_atomic
 from radiometer.errors import InputError, UsageError
 
 CURVE_SUFFIXES: Final = (".m", ".rsp")
@@ -25,7 +25,6 @@ FILE_METHOD: Final = "file"
 ASSUMED_U_LOG: Final = 0.03  # what curves of other programs are off by on real cameras, in ln H
 _HIGHEST_ORDER: Final = 12  # of the polynomial: above it the sums lose digits of double precision
 _GOOD_ENOUGH: Final = 5e-4  # rms of the polynomial about the curve, of full scale
-PLOT_SUFFIXES: Final = (".png", ".pdf", ".svg")
 _COLOURS: Final = {"red": "#c0392b", "green": "#27843f", "blue": "#2a5db0"}
 
 
@@ -212,16 +211,6 @@ def _hdrgen(curve: ResponseCurve) -> str:
     return " ".join([str(coefficients.size - 1), *(f"{c:.12g}" for c in coefficients)]) + "\n"
 
 
-def check_plot_name(path: Path) -> None:
-    """Refuse a name whose ending is no picture form.
-
-    Raises:
-        UsageError: If the ending is not one of .png, .pdf, .svg.
-    """
-    if path.suffix.lower() not in PLOT_SUFFIXES:
-        raise UsageError(f"cannot draw {path}: its ending must be one of {', '.join(PLOT_SUFFIXES)}")
-
-
 def draw_responses(estimates: Sequence[ResponseEstimate], path: Path) -> None:
     """Draw ln H over the digital number with its k = 2 band, and below it the standard uncertainty.
 
@@ -247,10 +236,9 @@ def draw_responses(estimates: Sequence[ResponseEstimate], path: Path) -> None:
     absolute = any(estimate.curve.absolute for estimate in estimates)
     upper.set_ylabel("ln H  (J m⁻²)" if absolute else "ln H, relative to the middle value")
     upper.legend(frameon=False)
+    lower.set_ylim(top=min(1.0, lower.get_ylim()[1]))  # beyond a factor of e a curve says nothing
     lower.set_ylabel("u(ln H), k = 1")
     lower.set_xlabel("digital number M (DN)")
     for axes in (upper, lower):
         axes.grid(True, alpha=0.3)
-    content = io.BytesIO()
-    figure.savefig(content, format=path.suffix.lower()[1:], dpi=150)
-    write_bytes_atomic(path, content.getvalue())
+    write_figure(path, lower)

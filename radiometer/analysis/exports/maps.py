@@ -16,10 +16,11 @@ from numpy.typing import NDArray
 import radiometer
 from radiometer.analysis.photometry.photometry import Spectrum, luminous_efficacy_lm_per_w
 from radiometer.data import PixelMask, RadianceMap
-from radiometer.data.json_text import json_text
+from radiometer.data.json_text import json_text, parsed_json
+from radiometer.data.reader_limits import bounded_reader
 from radiometer.data.reading import LUMINANCE_UNIT, RADIANCE_UNIT
 from radiometer.data.storage import write_bytes_atomic
-from radiometer.errors import MeasurementError, MissingLibrary, OutputError, UsageError
+from radiometer.errors import InputError, MeasurementError, MissingLibrary, OutputError, UsageError
 
 _LABELS: Final = {RADIANCE_UNIT: "radiance / W·sr⁻¹·m⁻²", LUMINANCE_UNIT: "luminance / cd·m⁻²"}
 _CLIPPED_COLOUR: Final = "#ff40ff"
@@ -156,6 +157,32 @@ def write_tiff(path: Path, picture: MapPicture) -> None:
                 metadata=None,
             )
     write_bytes_atomic(path, stream.getvalue())
+
+
+@bounded_reader(error=InputError)
+def read_tiff(path: Path) -> MapPicture:
+    """Return the maps of a TIFF that `write_tiff` wrote.
+
+    Raises:
+        InputError: If it cannot be read, or is no such file.
+    """
+    try:
+        with tifffile.TiffFile(path) as tiff:
+            pages = {}
+            for page in tiff.pages:
+                facts = parsed_json(page.description)
+                pages[str(facts["quantity"])] = (page.asarray(), facts)
+        (values, facts), (u, _), (mask, _) = (pages[name] for name in ("value", "standard uncertainty", "mask"))
+    except (OSError, ValueError, KeyError, TypeError, AttributeError, tifffile.TiffFileError) as error:
+        raise InputError(
+            f"{path}: is no map of radiance with its uncertainty; write one by `radiometer merge -o FILE.tiff`"
+        ) from error
+    names = ("red", "green", "blue") if values.ndim == 3 else ("mono",)
+    value, own, bits = (one.reshape(*one.shape[:2], -1) for one in (values, u, mask))
+    common, unit = float(facts["u_rel_common"]), str(facts["unit"])
+    return MapPicture(
+        {name: RadianceMap(value[..., n], own[..., n], bits[..., n], unit, common) for n, name in enumerate(names)}
+    )
 
 
 def write_false_colour(path: Path, picture: MapPicture) -> None:

@@ -8,15 +8,13 @@ from pathlib import Path
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.fft import next_fast_len, rfft, rfftfreq
 from scipy.optimize import minimize_scalar
 
 from radiometer.data.statements import StatementMap, is_unknown
 from radiometer.data.text_table import TextTable, finite, read_table
 from radiometer.errors import InputError
-
-Array = NDArray[np.float64]
+from radiometer.typing import Array
 
 FEWEST_SAMPLES: Final = 32
 _TIME_NAMES: Final = ("time", "t", "timestamp", "seconds", "x", "second")
@@ -153,7 +151,7 @@ def waveform_of_rows(
         origin: What the frame is called.
         black_dn: Black level.
         flat: Digital numbers of the same field under steady light (or a mean of many frames), same shape; it takes the
-            fall-off away. Without it a parabola over the rows is taken for the fall-off.
+            fall-off away. Without it the fall-off is assumed to be a parabola over the rows.
         u_black_dn: Standard uncertainty of the black level.
 
     Raises:

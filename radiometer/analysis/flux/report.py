@@ -11,63 +11,37 @@ from radiometer.data import Flag, Quantity
 
 @dataclass(frozen=True, slots=True)
 class Emitter:
-    """What the datasheet and a ruler say of the diode; all but the half angle may be unknown.
+    """What the datasheet and a ruler say of the diode; all but the half angle may be unknown."""
 
-    Attributes:
-        half_angle: Angle in ° at which its intensity is one half, with standard uncertainty.
-        diameter_mm: Diameter of its emitting area.
-        distance_mm: From the emitting area to the lens's entrance pupil.
-        reference_w: Flux that the datasheet states.
-    """
-
-    half_angle: Quantity
-    diameter_mm: Quantity | None = None
-    distance_mm: Quantity | None = None
-    reference_w: float | None = None
+    half_angle: Quantity  # angle in ° at which its intensity is one half, with standard uncertainty
+    diameter_mm: Quantity | None = None  # diameter of its emitting area
+    distance_mm: Quantity | None = None  # from the emitting area to the lens's entrance pupil
+    reference_w: float | None = None  # flux that the datasheet states
 
 
 @dataclass(frozen=True, slots=True)
 class Correction:
-    """One step from the thesis's figure to the emitted flux.
+    """One step from the thesis's figure to the emitted flux."""
 
-    Attributes:
-        name: What is put right.
-        flux: Flux after it in W.
-        share: Part of the gap between the first figure and the reference that it closes.
-        note: Where its figures come from.
-    """
-
-    name: str
-    flux: Quantity
-    share: float
-    note: str = ""
+    name: str  # what is put right
+    flux: Quantity  # flux after it in W
+    share: float  # part of the gap between the first figure and the reference that it closes
+    note: str = ""  # where its figures come from
 
 
 @dataclass(frozen=True, slots=True)
 class FluxReport:
-    """Flux by the thesis's formula, and the emitted flux.
+    """Flux by the thesis's formula, and the emitted flux."""
 
-    Attributes:
-        thesis: Formula (2.13) on one frame, in W.
-        thesis_exposure_s: Exposure of that frame.
-        thesis_left_out: Share of its pixels that the formula leaves out.
-        on_sensor: Flux of the source through the sensor, background taken off.
-        corrections: The steps, in order.
-        emitted: Emitted flux by each way that the given figures allow, by name.
-        reference_w: What the datasheet states; None where unknown.
-        assumptions: What was assumed.
-        clipped_everywhere: Pixels that clip even in the shortest exposure; above 0 every flux is a lower bound.
-    """
-
-    thesis: Quantity
-    thesis_exposure_s: float
-    thesis_left_out: float
-    on_sensor: Quantity
-    corrections: tuple[Correction, ...]
-    emitted: dict[str, Quantity]
-    reference_w: float | None
-    assumptions: tuple[str, ...]
-    clipped_everywhere: int = 0
+    thesis: Quantity  # formula (2.13) on one frame, in W
+    thesis_exposure_s: float  # exposure of that frame
+    thesis_left_out: float  # share of its pixels that the formula leaves out
+    on_sensor: Quantity  # flux of the source through the sensor, background taken off
+    corrections: tuple[Correction, ...]  # the steps, in order
+    emitted: dict[str, Quantity]  # emitted flux by each way that the given figures allow, by name
+    reference_w: float | None  # what the datasheet states; None where unknown
+    assumptions: tuple[str, ...]  # what was assumed
+    clipped_everywhere: int = 0  # pixels that clip even in the shortest exposure; above 0 every flux is a lower bound
 
     @property
     def flags(self) -> tuple[Flag, ...]:

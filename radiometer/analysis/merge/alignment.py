@@ -272,11 +272,12 @@ class Alignment:
         )
 
 
-def find_alignment(bracket: Bracket) -> Alignment:
+def find_alignment(bracket: Bracket, progress: Callable[[int, int], None] = lambda done, total: None) -> Alignment:
     """Return where the frames of a bracket are relative to each other.
 
     Args:
         bracket: Frames of one scene from the shortest exposure to the longest; of colour photographs one channel.
+        progress: Called after every frame with the number of frames that are placed, and of all.
     """
     reference = _reference(bracket)
     small = [_reduced(frame.dn, _GLANCE_PIXELS) for frame in bracket.light]
@@ -289,6 +290,7 @@ def find_alignment(bracket: Bracket) -> Alignment:
             before = found[k - step]
             own = _STILL if glance.stand_still(k - step, k) else fine.movement(k - step, k)
             found[k] = Movement(_after(_STILL if own is None else own, before.to_frame), own is not None)
+            progress(len(found), len(bracket.light))
     return Alignment(tuple(found[k] for k in range(len(bracket.light))), reference, bracket.shape)
 
 

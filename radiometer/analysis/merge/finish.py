@@ -147,7 +147,7 @@ def with_censored(
 
 
 @compiled_apart
-def hear_nearest(
+def include_nearest_censored(
     rates: Any, variances: Any, slots: Any, records: Any, frames: Any, kappa: float, contradictions: Any
 ) -> None:  # pragma: no cover (compiled)
     """Do as `with_censored` does for a run of pixels that one frame only has something to say of: many at a time.
@@ -365,7 +365,7 @@ def finish(sums: Any, kept: Any, tables: Any, quantisation: Any, image: Any) -> 
         these, seen = bits[start:end], mask[start:end]
         if quantisation is None:
             straight(*run, these, slots, records, dark, rates, variances, seen, doubtful)
-            _hear_nearest(rates, variances, seen, slots, doubtful[:count], waiting, records, frames, kappa)
+            _include_nearest_censored(rates, variances, seen, slots, doubtful[:count], waiting, records, frames, kappa)
         else:
             straight_curved(
                 *run,
@@ -416,7 +416,7 @@ def finish(sums: Any, kept: Any, tables: Any, quantisation: Any, image: Any) -> 
 
 
 @compiled
-def _hear_nearest(
+def _include_nearest_censored(
     rates: Any,
     variances: Any,
     mask: Any,
@@ -453,7 +453,7 @@ def _hear_nearest(
             estimates[0, count], estimates[1, count] = rates[i], variances[i]
             count += 1
     heard, their_variances = estimates[0, :count], estimates[1, :count]
-    hear_nearest(heard, their_variances, places_of_records[:count], records, frames, kappa, contradictions)
+    include_nearest_censored(heard, their_variances, places_of_records[:count], records, frames, kappa, contradictions)
     for j in range(count):
         i = places[j]
         rates[i], variances[i], doubtful[i] = heard[j], their_variances[j], 0

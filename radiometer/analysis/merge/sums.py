@@ -113,11 +113,7 @@ def add_table_four(
         constants: Exposure and weight of each as in `add_linear_four`, float32, shape (4, 2).
         limits: As in `add_linear_four`.
         bits_of: Likewise.
-        first: Σw·x, float32, added to.
-        second: Σt·x, float32, added to.
-        squares: Σx², float32, added to.
-        bits: Frames used in each pixel, added to.
-        mask: Whether a frame was clipped at white in each pixel, added to.
+        first: As in `add_linear_four`; so are `second`, `squares`, `bits` and `mask`.
     """
     exposure_a, weight_a = constants[0]
     exposure_b, weight_b = constants[1]
@@ -178,11 +174,7 @@ def add_linear_many(
         constants: As in `add_linear_four` for each frame; so are `limits` and `bits_of`.
         limits: Likewise.
         bits_of: Likewise.
-        first: Σw·x, float32, added to.
-        second: Σt·x, float32, added to.
-        squares: Σx², float32, added to.
-        bits: Frames used in each pixel, added to.
-        mask: Whether a frame was clipped at white in each pixel, added to.
+        first: As in `add_linear_four`; so are `second`, `squares`, `bits` and `mask`.
     """
     for low in range(0, first.size, _RUN):
         high = min(low + _RUN, first.size)
@@ -246,11 +238,7 @@ def add_table(
         exposure: Relative exposure t, float32.
         weight: t to the power `FIRST_POWER`, float32.
         bit: Bit of this frame.
-        first: Σw·x, float32, added to.
-        second: Σt·x, float32, added to.
-        squares: Σx², float32, added to.
-        bits: Frames used in each pixel, added to.
-        mask: Whether a frame was clipped at white in each pixel, added to.
+        first: As in `add_linear_four`; so are `second`, `squares`, `bits` and `mask`.
     """
     for i in range(dn.size):
         number = dn[i]

@@ -1,9 +1,9 @@
 """Relative spectra of sources by name; radiance and luminance, photopic and scotopic; light of unstated kind.
 
-A spectrum is what a conversion between luminance and radiance assumes, through V(λ) and V′(λ). For displays without a
-measured spectrum: peaks, widths and shares of the primaries that are usual for the kind (Lee, Liu and Wu 2008,
-Introduction to Flat Panel Displays; not verified line by line); `crt` is the typical CRT of Brainard 1997. Luminous
-efficacies of single displays scatter about these by some 10 %, the blue's by 25 %.
+A spectrum is what a conversion between luminance and radiance assumes, through V(λ) and V′(λ). Displays without a
+measured spectrum have peaks, widths and shares of the primaries that are usual for the kind. They are those of Lee, Liu
+and Wu (2008), Introduction to Flat Panel Displays, not verified line by line. The kind `crt` is the typical CRT of
+Brainard (1997). Luminous efficacies of single displays scatter about these by some 10 %, the blue's by 25 %.
 """
 
 from __future__ import annotations

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
@@ -10,6 +9,7 @@ from radiometer.analysis.quality.indices import Figure
 from radiometer.analysis.quality.session import Datasheet, Index
 from radiometer.analysis.reading.budget import coverage_factor
 from radiometer.data.storage import write_text_atomic
+from radiometer.numbers import rounded
 from radiometer.reporting.page import folded, heading, listed, page, paragraph, section, table
 from radiometer.reporting.pictures import MODEL, dress, label, picture
 
@@ -55,12 +55,8 @@ def shown(figure: Figure) -> tuple[str, str]:
     """Return (value, expanded uncertainty) with their unit, as many digits as u allows."""
     scale, unit = (1.0, "px") if figure.unit == "px" else (100.0, "%")
     expanded = scale * coverage_factor(figure.degrees_of_freedom) * figure.u
-    decimals = _decimals(expanded)
-    return f"{scale * figure.value:.{decimals}f} {unit}", f"{expanded:.{decimals}f} {unit}"
-
-
-def _decimals(expanded: float) -> int:
-    return min(max(1 - math.floor(math.log10(expanded)), 0), 6) if expanded > 0.0 else 3
+    value, u = rounded(scale * figure.value, expanded)
+    return f"{value} {unit}", f"{u} {unit}"
 
 
 def _sentence(measured: list[Index], total: int) -> str:

@@ -48,16 +48,13 @@ class Figure:
     remarks: tuple[str, ...] = ()
 
 
-def worst_deviation(
-    signals: Sequence[StepSignal], reference: StepSignal, source_u_rel: float, *, signed: bool = False
-) -> Figure:
+def worst_deviation(signals: Sequence[StepSignal], reference: StepSignal, source_u_rel: float) -> Figure:
     """Return the largest |Y/Y_reference − 1| over all other steps.
 
     Args:
         signals: Readings, the reference among them or not.
         reference: The one that they are compared with.
         source_u_rel: Relative standard uncertainty that the source gives to each reading.
-        signed: Keep the sign of the largest.
 
     Raises:
         MeasurementError: If there is no other step, or the reference reads no light.
@@ -66,8 +63,7 @@ def worst_deviation(
     if not found:
         raise MeasurementError(f"only step {reference.name!r} was captured; it needs another to be compared with")
     worst = max(found, key=lambda one: abs(one.value))
-    value = worst.value if signed else abs(worst.value)
-    return Figure(value, worst.u, worst.degrees_of_freedom, details=found)
+    return Figure(abs(worst.value), worst.u, worst.degrees_of_freedom, details=found)
 
 
 def linearity(signals: Mapping[float, StepSignal], exposure_u_rel: float, source_u_rel: float) -> Figure:

@@ -14,40 +14,25 @@ IMAGING: Final = "CIE 244"
 
 @dataclass(frozen=True, slots=True)
 class ProcedureStep:
-    """One capture of a procedure.
+    """One capture of a procedure."""
 
-    Attributes:
-        name: Folder of the capture within the procedure's.
-        ask: What must be arranged before it is taken.
-    """
-
-    name: str
-    ask: str
+    name: str  # folder of the capture within the procedure's
+    ask: str  # what must be arranged before it is taken
 
 
 @dataclass(frozen=True, slots=True)
 class Procedure:
-    """One quality index.
+    """One quality index."""
 
-    Attributes:
-        name: Folder in the session, and name on the command line.
-        symbol: As the field writes it.
-        title: What it measures, in words.
-        definition: Formula, in terms of the reading Y.
-        source: Document that defines the index; the definition here is the one found in open literature.
-        steps: Captures that the command asks for.
-        more: What further captures may be named, and what their names mean; empty for none.
-        exposures: Which exposures a capture takes: the patch's, the whole scene's, a ladder up to the patch's longest,
-            or that ladder and beyond, so that the patch clips.
-    """
-
-    name: str
-    symbol: str
-    title: str
-    definition: str
-    source: str
-    steps: tuple[ProcedureStep, ...] = ()
-    more: str = ""
+    name: str  # folder in the session, and name on the command line
+    symbol: str  # as the field writes it
+    title: str  # what it measures, in words
+    definition: str  # formula, in terms of the reading Y
+    source: str  # document that defines the index; the definition here is the one found in open literature
+    steps: tuple[ProcedureStep, ...] = ()  # captures that the command asks for
+    more: str = ""  # what further captures may be named, and what their names mean; empty for none
+    # Which exposures a capture takes: the patch's, the whole scene's, a ladder up to the patch's longest, or that
+    # ladder and beyond, so that the patch clips
     exposures: Exposures = "patch"
 
 

@@ -230,7 +230,7 @@ def _estimate(plane: Plane, exposures: Exposures, known: tuple[tuple[float, floa
     shared = np.hypot(_u_shared(samples, judged), judged.u_among(judged.other_labels))
     of_parts = parts.u_log_exposure(result)
     u_curve = np.sqrt(of_parts**2 + shared**2 + _u_of_offset(samples, result, exposures) ** 2)
-    curve = _with_offset_told(_curve(samples, result, u_curve), exposures, fit.log_time_errors, stated_s)
+    curve = _with_offset_stated(_curve(samples, result, u_curve), exposures, fit.log_time_errors, stated_s)
     ratios, u_ratios = _exposure_ratios(fit, times, parts)
     if offset is not None:
         u_ratios = np.hypot(u_ratios, ratios * np.abs(np.diff(1.0 / samples.exposures_s)) * offset.u_seconds)
@@ -342,14 +342,14 @@ def _offset_parameters(exposures: Exposures) -> dict[str, float]:
     return {"shutter_offset_s": offset.seconds, "u_shutter_offset_s": offset.u_seconds}
 
 
-def _with_offset_told(curve: ResponseCurve, exposures: Exposures, errors: Array, stated_s: Array) -> ResponseCurve:
+def _with_offset_stated(curve: ResponseCurve, exposures: Exposures, errors: Array, stated_s: Array) -> ResponseCurve:
     """Return a curve whose provenance states the offset, and so the error of every label."""
     if exposures.offset is None:
         return curve
     whole = errors + exposures.offset.log_ratios(stated_s)
     origin = curve.provenance
     told = {"log_time_errors": [float(error) for error in whole], **_offset_parameters(exposures)}
-    text = f"all exposures {exposures.offset.told()} than stated, the shutter's offset found from these frames"
+    text = f"all exposures {exposures.offset.in_words()} than stated, the shutter's offset found from these frames"
     assumed = (*(other for other in origin.assumptions if other != _AS_STATED), text)
     parameters = {**origin.parameters, **told}
     return replace(curve, provenance=replace(origin, parameters=parameters, assumptions=assumed))
@@ -361,7 +361,8 @@ def _offset_note(exposures: Exposures, printed: ResponseSamples) -> tuple[str, .
         return ()
     shortest = int(np.argmin(printed.exposures_s))
     return (
-        f"all exposures are {offset.told()} than their labels (the shutter's offset; {_label(printed, shortest)} has "
+        f"all exposures are {offset.in_words()} than their labels (the shutter's offset; "
+        f"{_label(printed, shortest)} has "
         f"{1.0 + offset.seconds / printed.exposures_s[shortest]:.3f} of that); the exposures found were used",
     )
 
@@ -446,9 +447,8 @@ def _no_curve(result: FittedResponse) -> str | None:
         return None
     return (
         "these frames follow no single curve with their exposures: a frame is predicted from the others to "
-        f"{error:.2g} DN "
-        f"only, where a third of a stop is {dial_step_dn(rows, g):.2g} DN (another scene or light in some of them, "
-        "movement, wrong exposures); do not rely on the curve, even within its uncertainty"
+        f"{error:.2g} DN only, where a third of a stop is {dial_step_dn(rows, g):.2g} DN. Causes are another scene or "
+        "light in some of them, movement, or wrong exposures. Do not rely on the curve, even within its uncertainty"
     )
 
 

@@ -43,10 +43,7 @@ def finished_curve(
         log_exposure: g at every digital number, finite.
         u_log_exposure: Its standard uncertainty relative to the gauge point.
         valid_dn: Lowest and highest digital number that data supported.
-        method: Name of the method.
-        channel: Colour channel.
         black_dn: Digital number of no light.
-        parameters: Settings of the method, for the provenance.
         assumptions: What was assumed, for the provenance.
     """
     inside = rising(log_exposure, u_log_exposure, valid_dn, black_dn)
@@ -84,7 +81,6 @@ def rising(log_exposure: Array, u: Array, valid_dn: tuple[int, int], black_dn: f
     Args:
         log_exposure: g at every digital number.
         u: Its uncertainty; values count by its inverse square, so that poorly known ones do not level the others.
-        valid_dn: Supported range, above black.
         black_dn: Digital number of no light.
     """
     low, high = valid_dn

@@ -60,18 +60,13 @@ def solve_debevec1997(samples: ResponseSamples, *, smoothing: float | None = Non
     parts = [samples.third(k) for k in range(3)] if samples.group_count >= 60 else []
     thirds = [_solve(part, solution.smoothing, of_pixels=True)[0] for part in parts]
     residual = normal.residuals(solution.coefficients)
-    times = samples.frame_log_time
-    return ResponseEstimate(
-        curve=curve,
-        method=METHOD,
-        pixel_count=samples.pixel_count,
-        group_count=samples.group_count,
-        sample_count=int(samples.pixels.sum()),
+    return ResponseEstimate.of(
+        samples,
+        curve,
+        METHOD,
         residual_rms_log=float(np.sqrt(normal.weight @ residual**2 / normal.weight.sum())),
         smoothing=solution.smoothing,
         stability=compare_thirds(thirds, curve) if thirds else None,
-        exposure_ratios=np.exp(np.diff(times)),
-        u_exposure_ratios=np.zeros(times.size - 1),
         details={"effective_parameters": solution.effective_parameters},
     )
 

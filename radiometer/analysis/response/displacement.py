@@ -30,26 +30,17 @@ _PARTS_EACH_WAY: Final = 8
 
 @dataclass(frozen=True, slots=True)
 class Displacement:
-    """How far the frames of a stack are from their common place, and the noise.
+    """How far the frames of a stack are from their common place, and the noise."""
 
-    Attributes:
-        px: Standard deviation δ of a frame's displacement along any direction in pixels; 0 where none shows.
-        u_px: Its standard uncertainty, of the pixels and of a standard deviation from so few frames; where none shows,
-            the smallest that would have, half of the time.
-        noise: Noise of one pixel without it.
-    """
-
-    px: float
+    px: float  # standard deviation δ of a frame's displacement along any direction in pixels; 0 where none shows
+    # Its standard uncertainty, of the pixels and of a standard deviation from so few frames; where none shows, the
+    # smallest that would have, half of the time
     u_px: float
-    noise: LogNoise
+    noise: LogNoise  # noise of one pixel without it
 
 
 def find_displacement(bracket: Bracket, curve: ResponseCurve) -> Displacement:
     """Return by how many pixels the frames are displaced, and the noise of a pixel.
-
-    Args:
-        bracket: Frames of one unmoving scene, two or more.
-        curve: Their response.
 
     Raises:
         MeasurementError: If hardly a pixel is unclipped in two frames.

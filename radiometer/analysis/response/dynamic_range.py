@@ -203,7 +203,7 @@ def _run_to(
     valid_dn: tuple[int, int] | None,
     dn: float,
     wanted: float,
-    u_wanted: float,
+    u_requested: float,
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return curve and uncertainty that run from the edge of the supported range to a measured point outside it."""
     if valid_dn is None or valid_dn[0] <= dn <= valid_dn[1]:
@@ -220,8 +220,8 @@ def _run_to(
     line = g[edge] + part * (wanted - g[edge])
     beyond = numbers < dn if below else numbers > dn
     line = np.where(beyond, g + moved, line)
-    between = np.hypot((1.0 - part) * u[edge], part * u_wanted) + 2.0 * part * (1.0 - part) * abs(moved)
-    spread = np.where(beyond, np.hypot(u_wanted, np.abs(g + moved - wanted)), between)
+    between = np.hypot((1.0 - part) * u[edge], part * u_requested) + 2.0 * part * (1.0 - part) * abs(moved)
+    spread = np.where(beyond, np.hypot(u_requested, np.abs(g + moved - wanted)), between)
     return np.where(outside, line, g), np.where(outside, spread, u)
 
 

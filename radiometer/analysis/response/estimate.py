@@ -3,18 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from radiometer.analysis.response.samples import ResponseSamples
 from radiometer.data.response_curve import ResponseCurve
 from radiometer.errors import MeasurementError
 
 # Less than this is no curve but a point, and one that is not known to a factor of e says nothing.
 _FEWEST_STOPS = 0.1
 _LARGEST_U_LOG = 1.0
+# Readings use the range from about 10 to 90 % of full scale, which is 3.2 stops: a curve of less does not cover them.
+_NARROW_STOPS = 3.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,6 +85,26 @@ class ResponseEstimate:
     notes: tuple[str, ...] = ()
     details: dict[str, Any] = field(default_factory=dict)
     agreement: Agreement | None = None
+
+    @classmethod
+    def of(cls, samples: ResponseSamples, curve: ResponseCurve, method: str, **more: Any) -> ResponseEstimate:
+        """Return what a method recovered from samples, with their exposure ratios as given unless it says otherwise.
+
+        Args:
+            samples: All rows behind the curve.
+            curve: The curve.
+            method: Name in the registry.
+            more: The other attributes.
+        """
+        times = samples.frame_log_time
+        counted: dict[str, Any] = {
+            "pixel_count": samples.pixel_count,
+            "group_count": samples.group_count,
+            "sample_count": int(samples.pixels.sum()),
+            "exposure_ratios": np.exp(np.diff(times)),
+            "u_exposure_ratios": np.zeros(times.size - 1),
+        }
+        return cls(curve=curve, method=method, **(counted | more))
 
     def to_mapping(self) -> dict[str, Any]:
         """Return the diagnostics (not the curve's values) as plain values for JSON."""
@@ -167,10 +190,10 @@ def compare_thirds(curves: list[ResponseCurve], whole: ResponseCurve) -> Stabili
 
 
 def telling(estimate: ResponseEstimate, where: str) -> ResponseEstimate:
-    """Refuse a curve that says nothing: no range, or one that is not known to a factor of e.
+    """Refuse a curve without information: no range, or not known to a factor of e. A narrow range becomes a note.
 
     Args:
-        estimate: As recovered; handed back where it says something.
+        estimate: As recovered.
         where: Where the frames came from; "" where it is unknown.
 
     Raises:
@@ -181,9 +204,16 @@ def telling(estimate: ResponseEstimate, where: str) -> ResponseEstimate:
     stops = float(curve.log_exposure[high] - curve.log_exposure[low]) / float(np.log(2.0))
     u = median_uncertainty(curve)
     if stops >= _FEWEST_STOPS and not u > _LARGEST_U_LOG:
-        return estimate
+        return estimate if stops >= _NARROW_STOPS else replace(estimate, notes=(*estimate.notes, _narrow(stops)))
     raise MeasurementError(
         f"{where or 'the frames'}: no response follows from these frames: between {low} and {high} DN "
-        f"they give {stops:.3g} stops of exposure, ln H known to {u:.2g} (k = 1); check that the pictures differ as "
+        f"they give {stops:.3g} stops of exposure, ln H known to {u:.2g} (k = 1). Check that the pictures differ as "
         "their exposure times state, or take more of them, a stop apart"
+    )
+
+
+def _narrow(stops: float) -> str:
+    return (
+        f"the data cover {stops:.1f} stops only: readings outside them are extrapolated, and their uncertainty grows. "
+        "Bracket a scene with dark and bright parts, or more exposures (`bracket --from --to --stops`)"
     )

@@ -18,7 +18,7 @@ _MIDDLE, _LEAST_MIDDLE_PART = (0.1, 0.9), 0.02
 _LEAST_LABEL_RATIO = 1.25
 
 
-def refuse_lying_labels(bracket: Bracket) -> None:
+def reject_inconsistent_exposures(bracket: Bracket) -> None:
     """Refuse a bracket in which a longer exposure gave a darker picture, or the same.
 
     Args:

@@ -61,18 +61,13 @@ def solve_linear_spline(samples: ResponseSamples) -> ResponseEstimate:
     residual = normal.residuals(solution.coefficients)
     deviation = _spline(samples, np.arange(1 << samples.bit_depth, dtype=np.float64)) @ solution.coefficients
     low, high = curve.valid_dn or (0, curve.log_exposure.size - 1)
-    times = samples.frame_log_time
-    return ResponseEstimate(
-        curve=curve,
-        method=METHOD,
-        pixel_count=samples.pixel_count,
-        group_count=samples.group_count,
-        sample_count=int(samples.pixels.sum()),
+    return ResponseEstimate.of(
+        samples,
+        curve,
+        METHOD,
         residual_rms_log=float(np.sqrt(normal.weight @ residual**2 / normal.weight.sum())),
         smoothing=solution.smoothing,
         stability=compare_thirds(thirds, curve),
-        exposure_ratios=np.exp(np.diff(times)),
-        u_exposure_ratios=np.zeros(times.size - 1),
         notes=_notes(float(np.sqrt(np.mean(misfit**2)))),
         details={
             "black_dn": black,

@@ -388,12 +388,10 @@ def solve_mitsunaga1999(
     thirds = [_curve(samples, values(samples.third(k))[:size], u[:size] * 3**0.5, order) for k in range(3)]
     ratios = np.exp(here.log_ratios)
     curve = _curve(samples, here.log_curve(), np.sqrt(u[:size] ** 2 + misfit**2 + shared**2), order)
-    return ResponseEstimate(
-        curve=curve,
-        method=METHOD,
-        pixel_count=samples.pixel_count,
-        group_count=samples.group_count,
-        sample_count=int(samples.pixels.sum()),
+    return ResponseEstimate.of(
+        samples,
+        curve,
+        METHOD,
         residual_rms_log=here.residual_rms,
         smoothing=float(order),
         stability=compare_thirds(thirds, curve),

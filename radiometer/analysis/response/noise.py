@@ -12,6 +12,7 @@ from radiometer.analysis.response.limits import ValueLimits
 from radiometer.analysis.response.samples import ResponseSamples
 from radiometer.typing import Array
 
+_ROUNDS = 6  # of the weights, which follow the fitted noise
 _QUANTISATION_DN2 = 1.0 / 12.0  # variance of rounding to whole numbers
 # Hat weight from which a row counts in full: 5 % of the range away from black and from saturation.
 _FULLY_TRUSTED_HAT = 0.1
@@ -78,9 +79,7 @@ class LogNoise:
         return np.asarray(slope**2 * (_QUANTISATION_DN2 / pixels + np.minimum(wave, _QUANTISATION_DN2)))
 
 
-def fit_log_noise(
-    residual: Array, leverage: Array, log_exposure: Array, slope: Array, pixels: Array, rounds: int = 6
-) -> LogNoise:
+def fit_log_noise(residual: Array, leverage: Array, log_exposure: Array, slope: Array, pixels: Array) -> LogNoise:
     """Return the noise parameters behind the residuals of a fit, all at or above 0.
 
     Args:
@@ -89,7 +88,6 @@ def fit_log_noise(
         log_exposure: g at the rows.
         slope: g' at the rows in 1/DN.
         pixels: Pixels behind each row.
-        rounds: Repetitions of the weighted fit.
 
     Source: Var(r²) = 2σ⁴ for Gaussian residuals, so that 1/σ⁴ weights a regression of r² on its expectation.
     """
@@ -97,7 +95,7 @@ def fit_log_noise(
     bent = slope**2
     terms = np.column_stack([np.exp(-log_exposure) / pixels, np.exp(-2.0 * log_exposure) / pixels, bent / pixels, bent])
     noise = LogNoise(1e-4, 0.0, 0.0, 0.0)
-    for _ in range(rounds):
+    for _ in range(_ROUNDS):
         expected = noise.variance(log_exposure, slope, pixels)
         rounding = noise._rounding(log_exposure, slope, pixels)
         # A wild residual (movement, a defect) counts as five standard deviations, not more.

@@ -51,12 +51,12 @@ class JointFit:
 
         The planes share nothing but the labels: the joint maximum of the likelihood is the mean of their labels,
         weighted by the inverse of each one's covariance. Each curve is that of its plane at this mean. A plane that
-        cannot determine the labels (`tells_labels`) takes them from those that can, if any.
+        cannot determine the labels (`determines_labels`) takes them from those that can, if any.
         """
         count = len(fits[0].choices.free)
         if not count:
             return cls(tuple(fits), np.empty(0), np.empty(0))
-        telling = [one for one in fits if tells_labels(one)] or fits
+        telling = [one for one in fits if determines_labels(one)] or fits
         values = np.array([one.fit.time_modes[:count] for one in telling])
         known = np.array([information(one.label_covariance) for one in telling])
         covariance = np.linalg.inv(known.sum(axis=0))
@@ -69,7 +69,7 @@ class JointFit:
         return cls(tuple(shared), np.asarray(mean), np.asarray(u))
 
 
-def tells_labels(fitted: FittedResponse) -> bool:
+def determines_labels(fitted: FittedResponse) -> bool:
     """Return whether a plane determines the exposures of its freed frames at all.
 
     The curve and the exposures may both be multiplied by any power: what holds the exponent are pixels that two frames

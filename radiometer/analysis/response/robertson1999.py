@@ -62,19 +62,14 @@ def solve_robertson1999(samples: ResponseSamples) -> ResponseEstimate:
 
     u = u_by_groups(samples, values)
     thirds = [_curve(part, values(part), u * 3**0.5) for part in (samples.third(k) for k in range(3))]
-    times = samples.frame_log_time
     curve = _curve(samples, _log_curve(samples, exposure), np.hypot(u, first.u_log_exposure))
-    return ResponseEstimate(
-        curve=curve,
-        method=METHOD,
-        pixel_count=samples.pixel_count,
-        group_count=samples.group_count,
-        sample_count=int(samples.pixels.sum()),
+    return ResponseEstimate.of(
+        samples,
+        curve,
+        METHOD,
         residual_rms_log=residual,
         smoothing=0.0,
         stability=compare_thirds(thirds, curve),
-        exposure_ratios=np.exp(np.diff(times)),
-        u_exposure_ratios=np.zeros(times.size - 1),
     )
 
 

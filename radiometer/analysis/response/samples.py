@@ -412,9 +412,9 @@ def _joined(parts: Sequence[ResponseSamples]) -> ResponseSamples:
 
 def _nothing_usable(samples: ResponseSamples) -> str:
     return (
-        "hardly a pixel is unclipped at two exposures: the frames are saturated or black almost everywhere "
-        f"(usable are values above {samples.limits.black_dn} and below {samples.limits.saturated_dn}); "
-        "take exposures about one stop apart that show the scene between black and white"
+        "hardly a pixel is unclipped at two exposures: the frames are saturated or black almost everywhere. "
+        f"Usable are values above {samples.limits.black_dn} and below {samples.limits.saturated_dn}. "
+        "Take exposures about one stop apart that show the scene between black and white"
     )
 
 

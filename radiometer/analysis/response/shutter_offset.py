@@ -65,7 +65,7 @@ class ShutterOffset:
     u_seconds: float
     gain: float
 
-    def told(self) -> str:
+    def in_words(self) -> str:
         """Return the time in words: "29.6 ± 4.8 µs longer"."""
         size, u = 1e6 * abs(self.seconds), 1e6 * self.u_seconds
         return f"{size:.1f} ± {u:.1f} µs {'longer' if self.seconds > 0 else 'shorter'}"

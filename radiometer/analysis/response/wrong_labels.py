@@ -50,20 +50,13 @@ _SEARCHED_GROUPS: Final = 96
 
 @dataclass(frozen=True, slots=True)
 class WrongLabel:
-    """A frame whose exposure is not what its label says.
+    """A frame whose exposure is not what its label says."""
 
-    Attributes:
-        frame: Index of the frame over all brackets.
-        ratio: Real over stated exposure.
-        u_ratio: Its standard uncertainty, from leaving out quadrants and from the fit.
-        gain: Prediction error of left-out quadrants with the exposure freed, over that before.
-        rivals: Other frames, with their ratios, whose freed exposure predicts nearly as well: it may be one of them.
-    """
-
-    frame: int
-    ratio: float
-    u_ratio: float
-    gain: float
+    frame: int  # index of the frame over all brackets
+    ratio: float  # real over stated exposure
+    u_ratio: float  # its standard uncertainty, from leaving out quadrants and from the fit
+    gain: float  # prediction error of left-out quadrants with the exposure freed, over that before
+    # Other frames, with their ratios, whose freed exposure predicts nearly as well: it may be one of them
     rivals: tuple[tuple[int, float], ...] = ()
 
     @property
@@ -113,7 +106,6 @@ def freed_one_by_one(planes: Sequence[Plane], wrong: tuple[int, ...] = ()) -> li
 
     Args:
         planes: Colours of the same photographs, as for `find_wrong_labels`.
-        wrong: Frames whose labels are freed all the while.
     """
     settled = [pair for one in planes for pair in _settled(one, wrong)]
     frames = planes[0].samples.frame_log_time.size
@@ -269,11 +261,7 @@ def _together(found: Sequence[WrongLabel], last: _Tried) -> tuple[WrongLabel, ..
 
 
 def thinned(samples: ResponseSamples) -> ResponseSamples:
-    """Return every n-th group of the samples and of their quadrants: enough to search in.
-
-    Args:
-        samples: The rows, with their quadrants.
-    """
+    """Return every n-th group of the samples and of their quadrants: enough to search in."""
 
     def part(one: ResponseSamples) -> ResponseSamples:
         step = max(1, one.group_count // _SEARCHED_GROUPS)

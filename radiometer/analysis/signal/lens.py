@@ -33,7 +33,8 @@ def lens_in_use(calibration: Calibration, lens: LensDescription) -> LensDescript
     if "transmittance" in stated and calibration.lens.transmittance is None and calibration.absolute:
         raise CalibrationError(
             f"the lens in use states a transmittance of {lens.transmittance:g}, the calibration states none: they "
-            "cannot be compared; state lens.transmittance in the calibration file too, or leave it out of the bench"
+            "cannot be compared. Calibrate with --bench or --camera, which state the lens; or write lens.transmittance "
+            "into the calibration file"
         )
     handled = {"since_calibration": lens.since_calibration, "f_number": lens.f_number}
     return calibration.lens.model_copy(update={**stated, **handled})

@@ -247,7 +247,6 @@ def dark_levels(
     dark_frames: Sequence[Frame],
     model: SignalModel,
     black: BlackLevel,
-    patch: Patch | None = None,
     masked_dn: Sequence[float | None] = (),
 ) -> list[DarkLevel]:
     """Return the dark level of every light frame.
@@ -261,11 +260,10 @@ def dark_levels(
         dark_frames: Frames with the shutter closed.
         model: Signal model of the camera.
         black: Black level of the calibration, with its uncertainty.
-        patch: Part of the picture to take the mean over; None for all of it.
         masked_dn: What masked pixels read in every light frame in DN, where known.
     """
     masked = masked_dn or (None,) * len(settings)
-    return [_level(one, dark_frames, model, black, patch, dn) for one, dn in zip(settings, masked, strict=True)]
+    return [_level(one, dark_frames, model, black, dn) for one, dn in zip(settings, masked, strict=True)]
 
 
 def _level(
@@ -273,15 +271,14 @@ def _level(
     dark_frames: Sequence[Frame],
     model: SignalModel,
     black: BlackLevel,
-    patch: Patch | None,
     masked_dn: float | None,
 ) -> DarkLevel:
     if matching := matching_darks(settings, dark_frames):
-        return _from_frames(settings, matching, model, patch)
+        return _from_frames(settings, matching, model)
     if masked_dn is not None:
         return _from_masked(settings, masked_dn, model)
     if same_gain := [frame for frame in dark_frames if frame.settings.gain_db == settings.gain_db]:
-        return _from_other_exposures(settings, same_gain, model, black, patch)
+        return _from_other_exposures(settings, same_gain, model, black)
     return _from_model(settings, model, black)
 
 
@@ -300,13 +297,12 @@ def _as_warm(one_c: float | None, other_c: float | None) -> bool:
     return one_c is None or other_c is None or abs(one_c - other_c) <= _AS_WARM_K
 
 
-def _from_frames(settings: FrameSettings, frames: list[Frame], model: SignalModel, patch: Patch | None) -> DarkLevel:
+def _from_frames(settings: FrameSettings, frames: list[Frame], model: SignalModel) -> DarkLevel:
     table = model.table(settings)
     means, count = [], 0
     for frame in frames:
-        region = frame.dn if patch is None else frame.dn[patch.slices]
-        means.append(float(table[region].mean()))
-        count += region.size
+        means.append(float(table[frame.dn].mean()))
+        count += frame.dn.size
     sigma = float(np.sqrt(model.variance(0.0, settings) / count))
     return DarkLevel(float(np.mean(means)), sigma, 0.0, "dark frames")
 
@@ -320,14 +316,14 @@ def _from_masked(settings: FrameSettings, masked_dn: float, model: SignalModel) 
 
 
 def _from_other_exposures(
-    settings: FrameSettings, frames: list[Frame], model: SignalModel, black: BlackLevel, patch: Patch | None
+    settings: FrameSettings, frames: list[Frame], model: SignalModel, black: BlackLevel
 ) -> DarkLevel:
     """Return the dark signal that dark frames of other exposures or temperatures show.
 
     Two exposures or more determine black level and dark current. One corrects the black level, and the dark current
     is the modelled one.
     """
-    measured = [_from_frames(frame.settings, [frame], model, patch) for frame in frames]
+    measured = [_from_frames(frame.settings, [frame], model) for frame in frames]
     times = np.array([_seconds_at_reference(frame.settings, model) for frame in frames])
     signals = np.array([level.signal for level in measured])
     here = _seconds_at_reference(settings, model)

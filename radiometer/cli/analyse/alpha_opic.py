@@ -12,7 +12,7 @@ from radiometer.cli.arguments import parse_relative
 from radiometer.cli.console import console
 from radiometer.cli.options import JsonOption
 from radiometer.cli.outputs import writes
-from radiometer.reporting.numbers import unit_text, with_u
+from radiometer.numbers import unit_text, with_u
 
 if TYPE_CHECKING:
     from radiometer import AlphaOpicQuantities

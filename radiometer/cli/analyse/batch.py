@@ -35,7 +35,7 @@ def command(
     What the table holds already of the same captures, settings and code is not done again. A capture set that
     fails becomes a row with its error and does not stop the rest. Ctrl-C leaves a usable table.
     """
-    with progress() as shown:
+    with progress(shown=not json) as shown:
         found = rm.batch(
             archive, do, out, scheduler=scheduler, workers=workers, calibration=calibration, patch=parse_patch(patch),
             maps=maps, force=force, progress=shown,

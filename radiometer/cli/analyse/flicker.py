@@ -12,7 +12,7 @@ from radiometer.cli.arguments import parse_exposure, parse_patch, parse_seconds
 from radiometer.cli.console import console, note
 from radiometer.cli.options import JsonOption
 from radiometer.cli.outputs import writes
-from radiometer.reporting.numbers import with_u
+from radiometer.numbers import with_u
 
 if TYPE_CHECKING:
     from radiometer import FlickerReport

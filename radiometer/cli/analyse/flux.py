@@ -9,7 +9,8 @@ import typer
 
 import radiometer as rm
 from radiometer.cli.arguments import ISO_HELP, parse_measured_iso, parse_patch
-from radiometer.cli.console import console, note, significant
+from radiometer.cli.console import console, note
+from radiometer.numbers import with_u
 
 if TYPE_CHECKING:
     from radiometer.api.led_flux import FluxReport, Quantity
@@ -92,4 +93,4 @@ def _show(report: FluxReport) -> None:
 
 
 def _milliwatt(quantity: Quantity) -> str:
-    return f"{significant(1e3 * quantity.value, 2e3 * quantity.u)} ± {2e3 * quantity.u:.2g}"
+    return with_u(1e3 * quantity.value, 2e3 * quantity.u)

@@ -65,7 +65,7 @@ def command(
     """
     if not out:
         raise UsageError("-o FILE is missing: name a file that ends in .exr, .hdr, .tiff or .png")
-    with progress() as shown:
+    with progress(shown=not json) as shown:
         found = rm.merge(
             path, response or None, calibration=calibration, channel=channel, pattern=pattern,
             measured_iso=parse_measured_iso(measured_iso), iso=iso, f_number=f_number, linear=linear,

@@ -9,7 +9,7 @@ from typing import Any
 from radiometer.cli.console import console
 
 
-def displacement_told(px: float, u_px: float) -> str:
+def displacement_in_words(px: float, u_px: float) -> str:
     """Return in words how far the frames are displaced against each other.
 
     Args:
@@ -33,14 +33,14 @@ def show_map_report(report: dict[str, Any]) -> None:
     out, total = console(), report["width"] * report["height"]
     unit = "relative values" if report["unit"] == "relative" else f"in {report['unit']}"
     out.print(f"{report['width']} × {report['height']} pixels, {len(report['exposures_s'])} exposures, {unit}")
-    for text in _of_channels(report, _values_told):
+    for text in _of_channels(report, _values_in_words):
         out.print(f"values     {text}")
-    for text in _of_channels(report, _noise_told):
+    for text in _of_channels(report, _noise_in_words):
         out.print(f"noise      {text}")
     for name in report["pixels"]:
         counts = {channel: one["pixels"][name] for channel, one in report["by_channel"].items()}
         if any(counts.values()):
-            out.print(f"{name.replace('_', ' '):<13}{_pixels_told(counts, total)}")
+            out.print(f"{name.replace('_', ' '):<13}{_pixels_in_words(counts, total)}")
     if report["alignment"]:
         out.print(f"frames     {report['alignment']}")
     for text in _of_channels(report, _displacement_of):
@@ -63,19 +63,19 @@ def _of_channels(report: dict[str, Any], told: Callable[[dict[str, Any]], str]) 
     return [f"{name}: {text}" for name, text in texts.items() if text]
 
 
-def _values_told(figures: dict[str, Any]) -> str:
+def _values_in_words(figures: dict[str, Any]) -> str:
     values = figures["values"]
     return f"{values['lowest']:.4g} to {values['highest']:.4g}, median {values['median']:.4g}"
 
 
-def _noise_told(figures: dict[str, Any]) -> str:
+def _noise_in_words(figures: dict[str, Any]) -> str:
     if figures["median_u_rel"] is None:
         return ""
     each, common = 100 * figures["median_u_rel"], 100 * figures["u_rel_common"]
     return f"{each:.3g} % per pixel (median, k = 1), {common:.3g} % common to all"
 
 
-def _pixels_told(counts: dict[str, int], total: int) -> str:
+def _pixels_in_words(counts: dict[str, int], total: int) -> str:
     shares = [f"{100 * count / total:.3g}" for count in counts.values()]
     if len(counts) == 1:
         return f"{next(iter(counts.values()))} pixels ({shares[0]} %)"
@@ -85,4 +85,4 @@ def _pixels_told(counts: dict[str, int], total: int) -> str:
 def _displacement_of(figures: dict[str, Any]) -> str:
     if figures["displacement_u_px"] is None:
         return ""
-    return displacement_told(figures["displacement_px"], figures["displacement_u_px"])
+    return displacement_in_words(figures["displacement_px"], figures["displacement_u_px"])

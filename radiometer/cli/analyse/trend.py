@@ -11,6 +11,7 @@ import radiometer as rm
 from radiometer.cli.console import console, note
 from radiometer.cli.options import JsonOption
 from radiometer.cli.outputs import writes
+from radiometer.numbers import with_u
 
 if TYPE_CHECKING:
     from radiometer.api.archive import Trend
@@ -51,6 +52,6 @@ def _sentence(trend: Trend) -> str:
     drift, u = 100 * trend.drift_per_month, 100 * trend.u_drift_per_month
     outliers = f", {int(trend.outlier.sum())} outliers" if trend.outlier.any() else ""
     return (
-        f"{trend.patch}: {trend.quantity} {_VERDICTS[trend.verdict]}: ({drift:+.3f} ± {2 * u:.3f}) % per month (k = 2) "
+        f"{trend.patch}: {trend.quantity} {_VERDICTS[trend.verdict]}: {with_u(drift, 2 * u, '% per month', k=2)} "
         f"over {trend.time_s.size} readings{outliers}"
     )

@@ -95,8 +95,7 @@ def command(
     with progress(shown=not json) as shown:
         found = rm.calibrate(
             capture, out=out, response=response, patch=_patch(patch), radiance=parse_radiance(radiance),
-            luminance=luminance,
-            u_rel=u_rel, luminance_meter_k=meter_k, k_u_rel=k_u_rel, f_number=f_number,
+            luminance=luminance, u_rel=u_rel, luminance_meter_k=meter_k, k_u_rel=k_u_rel, f_number=f_number,
             exposure_s=parse_seconds(exposure, "--exposure") if exposure else None, iso=iso,
             measured_iso=parse_measured_iso(measured_iso), channel=channel, pattern=pattern, align=align,
             reference_dn=reference_dn, dynamic_range=[_region(word) for word in dynamic_range or ()],

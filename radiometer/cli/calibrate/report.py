@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from typing import Any
 
-from radiometer.cli.console import console, significant
+from radiometer.cli.console import console
+from radiometer.numbers import with_u
 
 
 def show_report(report: dict[str, Any]) -> None:
@@ -22,19 +23,17 @@ def show_report(report: dict[str, Any]) -> None:
     if metered := report.get("metered"):
         for name, unit in (("luminance", "cd·m⁻²"), ("radiance", "W·sr⁻¹·m⁻²")):
             entry = metered[name]
-            out.print(
-                f"{name:<10} {significant(entry['value'], entry['u'])} ± {2 * entry['u']:.2g} {unit}  (metered surface)"
-            )
+            out.print(f"{name:<10} {with_u(entry['value'], 2 * entry['u'], unit, k=2)}  (metered surface)")
         thesis = metered["thesis_spectral_radiance"]["value"]
         out.print(f"thesis     {thesis:.4f} W·sr⁻¹·m⁻²·µm⁻¹  (equation 2.10: a spectral radiance, for comparison only)")
     if ranged := report.get("dynamic_range"):
         exponent, u = ranged["exponent"], ranged["u_exponent"]
         out.print(
-            f"exponent   {significant(exponent, u)} ± {2 * u:.2g} (k = 2) of the curve, by {len(ranged['points'])} "
+            f"exponent   {with_u(exponent, 2 * u, k=2)} of the curve, by {len(ranged['points'])} "
             f"regions brought to {ranged['reference_dn']:g} DN"
         )
     if ratio := report.get("meter_over_source"):
-        out.print(f"meter over source  {significant(ratio['value'], ratio['u'])} ± {2 * ratio['u']:.2g} (k = 2)")
+        out.print(f"meter over source  {with_u(ratio['value'], 2 * ratio['u'], k=2)}")
     if flat := report.get("flat_field"):
         out.print(
             f"flat field fitted about {flat['principal_point_px'][0]:.1f}, {flat['principal_point_px'][1]:.1f} px, "

@@ -58,7 +58,7 @@ def command(
     Several PATHs are fitted jointly: one camera, one response.
     """
     started = time.monotonic()
-    with progress() as shown:
+    with progress(shown=not as_json) as shown:
         found = rm.recover_response(
             paths, method, channel=channel, known_ratio=parse_known_ratios(known_ratio),
             measured_iso=parse_measured_iso(measured_iso), align=align, output=output, plot=_plot_path(plot, output),

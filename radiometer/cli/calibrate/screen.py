@@ -10,7 +10,7 @@ import typer
 
 import radiometer as rm
 from radiometer.cli.arguments import parse_patch, parse_relative
-from radiometer.cli.console import console, expanded, note, progress, significant
+from radiometer.cli.console import console, note, progress
 from radiometer.cli.options import (
     BenchOption,
     CalibrationOption,
@@ -23,6 +23,7 @@ from radiometer.cli.options import (
     words,
 )
 from radiometer.cli.outputs import writes
+from radiometer.numbers import rounded, with_u
 
 app = command_group("Calibrate a screen as a light source, and use the calibration.")
 ScreenFile = Annotated[Path, typer.Argument(help="Screen calibration file.")]
@@ -30,7 +31,7 @@ OutOption = Annotated[Path, typer.Option("--out", "-o", help="Calibration file t
 
 
 @app.command()
-@writes("out")
+@writes("out", "plot")
 def calibrate(
     out: OutOption = Path("screen.yaml"),
     display: Annotated[str, typer.Option(help="browser, or a simulated one: lcd, pwm_lcd, oled.")] = "browser",
@@ -53,6 +54,7 @@ def calibrate(
     port: Annotated[int, typer.Option(min=0, max=65535, help="Port of the page; 0 for any free one.")] = 0,
     open_browser: Annotated[bool, typer.Option("--open", help="Open the page in this machine's browser.")] = False,
     export: Annotated[str, typer.Option(help="Also write: psychopy,ti3,csv,inverse,vcgt,cal.")] = "",
+    plot: Annotated[Path | None, typer.Option(help="Picture of the curves: .png, .pdf or .svg.")] = None,
     argyll: Annotated[bool, typer.Option("--argyll", help="Print spotread's line for every level measured.")] = False,
     seed: SeedOption = 1,
     json: JsonOption = False,
@@ -69,7 +71,8 @@ def calibrate(
         found = rm.screen_calibrate(
             out, display, name=name, levels=levels, quick=quick, channels=words(channels), repeats=repeats, size=size,
             pixel_mm=pixel_mm, warm_up_s=warm_up, white=white, primaries=primaries, camera=camera, bench=bench,
-            calibration=calibration, patch=parse_patch(patch), port=port, export=words(export), seed=seed, force=force,
+            calibration=calibration, patch=parse_patch(patch), port=port, export=words(export), plot=plot, seed=seed,
+            force=force,
             announce=announce, notice=note, progress=shown,
         )  # fmt: skip
     if json:
@@ -81,6 +84,41 @@ def calibrate(
         _print_channel(found, curve)
     _print_checks(found.calibration.checks)
     _print_end(found)
+
+
+@app.command()
+def verify(
+    calibration: ScreenFile,
+    display: Annotated[str, typer.Option(help="browser, or a simulated one: lcd, pwm_lcd, oled.")] = "browser",
+    levels: Annotated[str, typer.Option(help="all, quick, a count such as 33, or a list.")] = "0,64,128,192,255",
+    size: Annotated[float, typer.Option(min=0.01, max=1.0, help="Patch size as a share of the screen's.")] = 1.0,
+    warm_up: Annotated[float, typer.Option(min=0.0, help="Longest wait for the screen to settle in s.")] = 900.0,
+    camera: CameraOption = None,
+    bench: BenchOption = None,
+    camera_calibration: Annotated[
+        Path | None, typer.Option(help="Calibration of the camera; the bench's by default.")
+    ] = None,
+    patch: Annotated[str | None, typer.Option(help="Where the camera sees the patch: X,Y,W,H in pixels.")] = None,
+    port: Annotated[int, typer.Option(min=0, max=65535, help="Port of the page; 0 for any free one.")] = 0,
+    json: JsonOption = False,
+) -> None:
+    """Measure some levels of a calibrated screen again: does its calibration still hold?
+
+    Exit code 1 where it does not.
+    """
+    with progress(shown=not json) as shown:
+        found = rm.screen_verify(
+            calibration, display, levels=levels, size=size, warm_up_s=warm_up, camera=camera, bench=bench,
+            camera_calibration=camera_calibration, patch=parse_patch(patch), port=port, notice=note, progress=shown,
+            announce=lambda url: note(f"open this address on the screen to be measured, then press Start:\n  {url}"),
+        )  # fmt: skip
+    if json:
+        print(found.to_json())
+    else:
+        for line in found.lines():
+            console().print(line)
+    if not found.holds:
+        raise typer.Exit(1)
 
 
 @app.command()
@@ -96,8 +134,8 @@ def level(
     if json:
         print(found.to_json())
         return
-    value = expanded(found.shown.value, found.shown.u, found.shown.unit)
-    console().print(f"level {found.level} of {channel} shows {value} (k = 2)")
+    value = with_u(found.shown.value, 2 * found.shown.u, found.shown.unit, k=2)
+    console().print(f"level {found.level} of {channel} shows {value}")
 
 
 @app.command("export")
@@ -116,7 +154,7 @@ def export_command(
 @app.command("import")
 @writes("out")
 def import_command(
-    file: Annotated[Path, typer.Argument(help="ArgyllCMS .ti3 or .cal, pacsdisplay uLR, or a table: level, cd/m².")],
+    file: Annotated[Path, typer.Argument(help="ArgyllCMS .ti3 or .cal, pacsdisplay uLR, or a table: level, cd·m⁻².")],
     out: OutOption = Path("screen.yaml"),
     name: Annotated[str | None, typer.Option(help="What the screen is called; as the file says by default.")] = None,
     white: WhiteOption = "white_led",
@@ -125,7 +163,7 @@ def import_command(
         str, typer.Option(help="Relative standard uncertainty of the meter's scale: 0.04 or 4%.")
     ] = "0.04",
     white_luminance: Annotated[
-        float | None, typer.Option(min=1e-6, help="Luminance of white in cd/m², which a .cal does not hold.")
+        float | None, typer.Option(min=1e-6, help="Luminance of white in cd·m⁻², which a .cal does not hold.")
     ] = None,
     gamma: Annotated[float, typer.Option(min=0.1, max=10.0, help="Exponent that a .cal was made for.")] = 2.2,
     mapped: Annotated[
@@ -155,8 +193,8 @@ def import_command(
     for curve in found.calibration.channels.values():
         black, white_cd = found.luminance_range(curve)
         console().print(
-            f"{curve.name}: {len(curve.levels)} levels, {significant(black.value, black.u)} to "
-            f"{expanded(white_cd.value, white_cd.u, 'cd·m⁻²')} (k = 2)"
+            f"{curve.name}: {len(curve.levels)} levels, {rounded(black.value, 2 * black.u)[0]} to "
+            f"{with_u(white_cd.value, 2 * white_cd.u, white_cd.unit, k=2)}"
         )
     _print_end(found)
 
@@ -171,11 +209,11 @@ def _print_channel(found: rm.CalibratedScreen, curve: Any) -> None:
     out = console()
     (black, white), limit = found.luminance_range(curve), found.detection_limit(curve)
     out.print(f"[bold]{curve.name}[/bold]: {len(curve.levels)} levels")
-    out.print(f"  brightest  {expanded(white.value, white.u, 'cd·m⁻²')} (k = 2)")
+    out.print(f"  brightest  {with_u(white.value, 2 * white.u, white.unit, k=2)}")
     if limit is not None:
-        out.print(f"  darkest    below {limit:.2g} cd·m⁻² (limit of detection)")
+        out.print(f"  darkest    < {rounded(limit, limit)[0]} cd·m⁻² (limit of detection)")
     else:
-        out.print(f"  darkest    {expanded(black.value, black.u, 'cd·m⁻²')} (k = 2)")
+        out.print(f"  darkest    {with_u(black.value, 2 * black.u, black.unit, k=2)}")
     for fit in curve.fits().values():
         shown = ", ".join(f"{k} {v:.4g}" for k, v in fit.parameters.items())
         out.print(f"  {fit.model:<16} rms error {100 * fit.rms_rel:.2g} %, worst {100 * fit.max_rel:.2g} %   ({shown})")

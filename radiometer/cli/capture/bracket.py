@@ -37,7 +37,7 @@ def command(
     Meters the scene and takes the fewest and shortest exposures that expose every pixel well at least twice, or
     the fixed ladder of --stops, --from and --to. Writes one folder with `capture.yaml`, finished or not at all.
     """
-    with progress() as shown:
+    with progress(shown=not json) as shown:
         found = rm.bracket(
             out, camera=camera, bench=bench, patch=parse_patch(patch), stops=stops,
             shortest_s=parse_exposure(shortest, "--from"), longest_s=parse_exposure(longest, "--to"), repeat=repeat,

@@ -9,40 +9,18 @@ import typer
 
 import radiometer as rm
 from radiometer.cli.arguments import ISO_HELP, UNSTATED_ISO_HELP, parse_measured_iso, parse_patch
-from radiometer.cli.console import asker, console, note, progress, significant
+from radiometer.cli.console import asker, console, note, progress
 from radiometer.cli.options import BenchOption, CameraOption, FNumberOption, PatchOption, UncalibratedOption, URelOption
+from radiometer.cli.outputs import writes
 from radiometer.errors import UsageError
+from radiometer.numbers import below, rounded, upper_limit, with_u
+from radiometer.reporting.reading_page import FLAG_MEANINGS
 
 if TYPE_CHECKING:
     from radiometer import Reading
 
-_FLAG_MEANING = {
-    "saturated": "pixels clip even in the shortest exposure: the value is a lower bound",
-    "below_noise": "the signal does not exceed the noise: treat the value as an upper limit",
-    "extrapolated": "uses digital numbers for which the response curve had no data",
-    "flicker": "exposures disagree beyond their noise: the light flickers or moves",
-    "stale_calibration": "the calibration is older than its stated validity: calibrate again",
-    "uncalibrated": "no calibration: the value is relative, not a radiance",
-    "nonuniform": "the patch is not uniform: its spread exceeds the noise",
-    "few_frames": "fewer than three frames (five short ones): they cannot show whether the light is steady",
-    "stray_light": "light from around the patch may make up much of the reading: shade or mask the surround",
-    "short_exposure": "the offset of so short an exposure dominates the uncertainty: close the iris, expose longer",
-    "dark_assumed": "dark current and black level dominate the uncertainty: take dark frames (--darks)",
-    "falloff_assumed": "no flat field: the natural fall-off of the lens was assumed; calibrate with --flat",
-    "spectrum_assumed": "the light's spectrum is not stated, or it dominates the uncertainty: state it (--spectrum)",
-    "small_patch": "the patch is so small that pixels' differences dominate the uncertainty: read a larger one",
-    "temperature": "the difference from the calibration's temperature dominates the uncertainty",
-    "gain": "the gain differs from that at calibration and dominates the uncertainty",
-    "drift": "the calibration's age dominates the uncertainty: calibrate again",
-    "lens_changed": "changes of the lens since calibration dominate the uncertainty",
-    "polarisation": "the light's polarisation dominates the uncertainty",
-    "exposure_unconfirmed": "the camera states another exposure time than was set: the value may be wrong by "
-    "their ratio",
-    "repeated_frame": "the camera delivered the same frame again: the value may be an old one",
-    "linearity": "the signal is far from the calibration's level, and the sensor was assumed to be linear",
-}
 
-
+@writes("report")
 def command(
     camera: CameraOption = None,
     patch: PatchOption = None,
@@ -74,6 +52,9 @@ def command(
     monte_carlo: Annotated[
         bool, typer.Option("--monte-carlo", help="Print the interval by the propagation of distributions as well.")
     ] = False,
+    report: Annotated[
+        Path | None, typer.Option(help="Page of the reading to write: .html or .pdf, with picture and budget.")
+    ] = None,
     budget: Annotated[bool, typer.Option("--budget", help="Print the uncertainty budget.")] = False,
     json: Annotated[bool, typer.Option("--json", help="One JSON object per reading on standard output.")] = False,
 ) -> None:
@@ -82,6 +63,8 @@ def command(
     Meters the patch, takes the necessary exposures and merges them. Prints the radiance in W·sr⁻¹·m⁻² with its expanded
     uncertainty (95.45 %, k by Student's t), the luminance, and the flags of the reading.
     """
+    if report is not None and (watch or repeat > 1):
+        raise UsageError("--report writes the page of one reading: leave --watch and --repeat out")
     if calibration and uncalibrated:
         raise UsageError("--calibration and --uncalibrated exclude each other")
     wanted = parse_patch(patch) if patch else None
@@ -95,7 +78,7 @@ def command(
             reading = rm.measure_photographs(
                 photographs, wanted, calibration=calibration, uncalibrated=uncalibrated, channel=channel,
                 pattern=pattern, align=align, linear=linear, measured_iso=parse_measured_iso(measured_iso), iso=iso,
-                f_number=f_number, spectrum=spectrum, monte_carlo=monte_carlo, progress=shown,
+                f_number=f_number, spectrum=spectrum, monte_carlo=monte_carlo, report=report, progress=shown,
             )  # fmt: skip
         for text in reading.more["notes"]:
             note(text)
@@ -111,8 +94,8 @@ def command(
     with progress(shown=not json) as shown:
         for reading in rm.readings(
             camera, wanted, bench=bench, calibration=calibration, uncalibrated=uncalibrated, f_number=f_number,
-            spectrum=spectrum, u_rel=u_rel, darks=darks, monte_carlo=monte_carlo, repeat=repeat, watch=watch,
-            every_s=every, ask=asker(), notice=_silent if json and not watch else note, progress=shown,
+            spectrum=spectrum, u_rel=u_rel, darks=darks, monte_carlo=monte_carlo, report=report, repeat=repeat,
+            watch=watch, every_s=every, ask=asker(), notice=_silent if json and not watch else note, progress=shown,
         ):  # fmt: skip
             if json:
                 print(reading.to_json(), flush=True)
@@ -128,7 +111,7 @@ def _show_distribution(reading: Reading) -> None:
     """Print the interval by the propagation of distributions next to the budget's."""
     drawn = reading.more["monte_carlo"]
     out, u = console(), reading.radiance.u
-    low, high = (significant(drawn[end], u) for end in ("low", "high"))
+    low, high = (rounded(drawn[end], 2 * u)[0] for end in ("low", "high"))
     out.print(f"drawn      {low} to {high} (95.45 %, JCGM 101), u = {drawn['u']:.3g}")
     if drawn["validates"]:
         out.print(f"           agrees with the budget to {drawn['tolerance']:.2g}")
@@ -143,22 +126,22 @@ def _show_distribution(reading: Reading) -> None:
 def _show(reading: Reading, *, budget: bool) -> None:
     out = console()
     value = reading.radiance
-    expanded = reading.coverage_factor * value.u
-    unit = "W·sr⁻¹·m⁻²" if value.unit == "W sr-1 m-2" else value.unit
-    out.print(
-        f"radiance   [bold]{significant(value.value, value.u)} ± {expanded:.2g} {unit}[/bold]"
-        f"   (k = {reading.coverage_factor:.3g}, {100 * reading.expanded_u_rel:.2g} %)"
-    )
-    if reading.luminance:
-        luminance = reading.luminance
-        expanded = reading.coverage_factor * luminance.u
-        out.print(f"luminance  {significant(luminance.value, luminance.u)} ± {expanded:.2g} cd·m⁻²")
+    k, limit, luminance = reading.coverage_factor, reading.upper_limit, reading.luminance
+    if limit is None:
+        shown, share = with_u(value.value, k * value.u, value.unit), f"{100 * reading.expanded_u_rel:.2g}"
+        out.print(f"radiance   [bold]{shown}[/bold]   (k = {k:.3g}, {share} %)")
+    else:
+        out.print(f"radiance   [bold]{below(limit.value, limit.unit)}[/bold]")
+    if luminance and limit is None:
+        out.print(f"luminance  {with_u(luminance.value, k * luminance.u, luminance.unit, k=k)}")
+    elif luminance:
+        out.print(f"luminance  {below(upper_limit(luminance.value, luminance.u), luminance.unit)}")
     if reading.band_nm:
         out.print("band       {:g} to {:g} nm".format(*reading.band_nm))
     exposures = ", ".join(_time(t) for t in sorted(set(reading.exposures_s)))
     out.print(f"exposures  {exposures}")
     for flag in reading.flags:
-        out.print(f"[yellow]flag       {flag}[/yellow]: {_FLAG_MEANING[str(flag)]}")
+        out.print(f"[yellow]flag       {flag}[/yellow]: {FLAG_MEANINGS[flag]}")
     if budget:
         _show_budget(reading)
     if "monte_carlo" in reading.more:

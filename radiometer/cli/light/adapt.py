@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Final
 import typer
 
 import radiometer as rm
-from radiometer.cli.console import console, note
+from radiometer.cli.console import console, note, progress
 from radiometer.cli.keys import listening
 from radiometer.cli.options import BenchOption, BoxPresetOption, JsonOption, SeedOption, WhiteOption, command_group
 from radiometer.cli.outputs import writes
@@ -29,7 +29,9 @@ app = command_group("Dark adaptation: run the test, and analyse the measured thr
 def run(
     protocol: Annotated[str, typer.Argument(help="Protocol file, or the name of a shipped one (`adapt protocols`).")],
     subject: Annotated[str, typer.Option(help="Pseudonym of the subject.")],
-    out: Annotated[Path | None, typer.Option("--out", "-o", help="Journal; SUBJECT-PROTOCOL.jsonl by default.")] = None,
+    out: Annotated[
+        Path | None, typer.Option("--out", "-o", help="Journal; SUBJECT-PROTOCOL-EYE-DATETIME.jsonl.")
+    ] = None,
     csv: Annotated[Path | None, typer.Option(help="Thresholds; next to the journal where they can be fitted.")] = None,
     box: Annotated[str | None, typer.Option(help="Light box: sim, a serial number or a port.")] = None,
     calibration: Annotated[Path | None, typer.Option(help="Light calibration; the box's own by default.")] = None,
@@ -46,23 +48,27 @@ def run(
     ] = None,
     simulate: Annotated[
         str | None,
-        typer.Option(
-            help="Simulated subject: steady, never, always, leaves, wanders; before --box sim healthy or amd."
-        ),
+        typer.Option(help="Simulated subject: steady, never, always, leaves, wanders, healthy or amd."),
     ] = None,
-    room: Annotated[float, typer.Option(min=0.0, help="Luminance of the simulated box's room in cd/m².")] = 0.0,
+    room: Annotated[float, typer.Option(min=0.0, help="Luminance of the simulated box's room in cd·m⁻².")] = 0.0,
     slow: Annotated[float, typer.Option(min=0.0, help="Real seconds per simulated trial, to watch it.")] = 0.0,
     seed: SeedOption = 0,
     eye: Annotated[
         str, typer.Option(help="Eye that looks, right or left: the blind spot is on its temporal side.")
     ] = "right",
+    age: Annotated[float | None, typer.Option(min=0.0, max=120.0, help="Age of the subject in years.")] = None,
+    pupil: Annotated[float | None, typer.Option(min=1.0, max=9.0, help="Measured diameter of the pupil in mm.")] = None,
+    visit: Annotated[str | None, typer.Option(help="Date and time of the visit (ISO 8601); now by default.")] = None,
+    practice: Annotated[
+        bool, typer.Option("--practice", help="Three minutes without a bleach, to learn the task.")
+    ] = False,
     preset: BoxPresetOption = None,
     screen: Annotated[
         Path | None, typer.Option(help="Calibration of the screen that shows the spot, by `screen calibrate`.")
     ] = None,
     display: Annotated[
-        str, typer.Option(help="That screen: browser, or a simulated one: lcd, pwm_lcd, oled.")
-    ] = "browser",
+        str | None, typer.Option(help="That screen: browser, or a simulated one: lcd, pwm_lcd, oled.")
+    ] = None,
     port: Annotated[int, typer.Option(min=0, max=65535, help="Port of the subject's page; 0 for any free one.")] = 0,
     page: Annotated[bool, typer.Option("--page", help="Serve the live curve as a page, dim and red.")] = False,
     page_port: Annotated[int, typer.Option(min=0, max=65535, help="Port of that page; 0 for any free one.")] = 0,
@@ -72,7 +78,9 @@ def run(
         bool, typer.Option("--force", help="Replace tables that exist; a journal is never replaced.")
     ] = False,
 ) -> None:
-    """Run a dark-adaptation test; where the journal exists, take it up where it ends.
+    """Run a dark-adaptation test; an unfinished run of the same visit is taken up where it ends.
+
+    Each visit has its own journal, with date and time in its name. A finished run is never taken up.
 
     Calibration age, safety and, with --camera or --bench, the dark room are checked before the bleach. Keys: p pauses
     and goes on, q ends the test; a press of the button that is held for 2 s pauses too. Every event is in the journal
@@ -88,9 +96,10 @@ def run(
     done = rm.adapt_run(
         protocol, subject, out, csv=csv, box=box, calibration=calibration, accept_stale=accept_stale, camera=camera,
         bench=bench, white=white, fixation=fixation, simulate=simulate, room=room, slow_s=slow, seed=seed, eye=eye,
-        preset=preset, screen=screen, display=display, port=port, page=page, page_port=page_port, audio=audio,
-        force=force, view=view, bell=lambda: print("\a", end="", file=sys.stderr, flush=True), notice=note,
+        age=age, pupil=pupil, visit=visit, practice=practice, preset=preset, screen=screen,
+        display=display, port=port, page=page, page_port=page_port, audio=audio, force=force, view=view, notice=note,
         announce=_announce,
+        bell=lambda: print("\a", end="", file=sys.stderr, flush=True),
     )  # fmt: skip
     if json:
         print(done.to_json())
@@ -99,7 +108,7 @@ def run(
             console().print(line)
         if done.outcome.can_be_fitted:
             note(f"fit with: radiometer adapt fit {done.table}{done.fit_options}")
-    if not done.outcome.can_be_fitted:
+    if not (done.outcome.can_be_fitted or done.practised):
         raise typer.Exit(1)
 
 
@@ -150,7 +159,7 @@ def protocols(json: JsonOption = False) -> None:
 
 @app.command()
 def bleach(
-    luminance: Annotated[float, typer.Argument(min=0.0, help="Luminance of the bleaching field in cd/m².")],
+    luminance: Annotated[float, typer.Argument(min=0.0, help="Luminance of the bleaching field in cd·m⁻².")],
     duration: Annotated[float, typer.Argument(min=0.0, help="Its duration in s.")],
     pupil: Annotated[
         float | None, typer.Option(min=1.0, max=9.0, help="Pupil in mm; the natural one if left out.")
@@ -208,7 +217,10 @@ def fit(
     One branch, cones and S2 (5 parameters) or cones, S2 and S3 (7) are tried; the AICc decides among those that
     make sense.
     """
-    found = rm.adapt_fit(data, criterion, stimulus_u_log10=stimulus_u_log10, bootstrap=bootstrap, seed=seed)
+    with progress(shown=not json) as shown:
+        found = rm.adapt_fit(
+            data, criterion, stimulus_u_log10=stimulus_u_log10, bootstrap=bootstrap, seed=seed, progress=shown
+        )
     if report is not None:
         found.write_report(report)
     if csv is not None:
@@ -224,6 +236,32 @@ def fit(
     note(f"model {chosen.model.name}; scatter of a threshold {chosen.sigma:.3f} log10 units")
     for line in found.series.taken:
         note(f"taken: {line}")
+
+
+@app.command()
+def instructions(
+    protocol: Annotated[str, typer.Argument(help="Protocol file, or the name of a shipped one.")],
+    json: JsonOption = False,
+) -> None:
+    """Print what to read aloud to the subject before the test."""
+    found = rm.adapt_instructions(protocol)
+    print(found.to_json() if json else "\n\n".join(found.lines()))
+
+
+@app.command()
+@writes("report")
+def visits(
+    files: Annotated[list[Path], typer.Argument(help="Tables or journals of the visits, in their order.")],
+    report: Annotated[Path | None, typer.Option(help="HTML page to write, with all curves in one picture.")] = None,
+    json: JsonOption = False,
+) -> None:
+    """Fit several visits and lay their curves over each other."""
+    found = rm.adapt_visits(files, report=report)
+    if json:
+        print(found.to_json())
+        return
+    for line in found.lines():
+        console().print(line)
 
 
 @app.command()

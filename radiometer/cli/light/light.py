@@ -9,9 +9,10 @@ import typer
 
 import radiometer as rm
 from radiometer.cli.arguments import parse_patch, parse_relative, parse_seconds
-from radiometer.cli.console import console, expanded, note, progress
+from radiometer.cli.console import console, note, progress
 from radiometer.cli.options import BenchOption, BoxOption, BoxPresetOption, CameraOption, JsonOption, command_group
 from radiometer.cli.outputs import writes
+from radiometer.numbers import with_u
 
 _JUMP_SHOWN = 0.005  # a start further off than half a per cent matters next to a calibration's 1 %
 
@@ -23,6 +24,9 @@ RadianceOption = Annotated[float | None, typer.Option(help="Radiance in W·sr⁻
 LevelOption = Annotated[int | None, typer.Option(min=0, max=65535, help="Raw level instead of a radiance.")]
 LowOption = Annotated[bool, typer.Option("--low", help="Raw level on the low current range.")]
 LightOption = Annotated[Path | None, typer.Option("--calibration", help="Light calibration; the box's own by default.")]
+SubjectOption = Annotated[str | None, typer.Option(help="Who looks: counts in this eye's account, too; with --eye.")]
+EyeOption = Annotated[str | None, typer.Option(help="Eye that looks, right or left; every eye by default.")]
+NoEyeOption = Annotated[bool, typer.Option("--no-eye", help="State that no eye looks: counts for the box alone.")]
 HoldOption = Annotated[str | None, typer.Option("--for", help="Stop after this time; at Ctrl-C by default.")]
 
 
@@ -34,14 +38,18 @@ def set_level(
     low: LowOption = False,
     hold: HoldOption = None,
     box: BoxOption = None,
+    subject: SubjectOption = None,
+    eye: EyeOption = None,
+    no_eye: NoEyeOption = False,
     calibration: LightOption = None,
     preset: BoxPresetOption = None,
     json: JsonOption = False,
 ) -> None:
     """Light a channel steadily, for as long as this command runs: the box goes dark without its host."""
     rm.light_set(
-        channel, radiance, level=level, low=low, hold_s=parse_seconds(hold, "--for"), box=box, calibration=calibration,
-        preset=preset, lit=lambda found: _show_lit(found, json=json), notice=note,
+        channel, radiance, level=level, low=low, hold_s=parse_seconds(hold, "--for"), box=box, subject=subject, eye=eye,
+        no_eye=no_eye, calibration=calibration, preset=preset, lit=lambda found: _show_lit(found, json=json),
+        notice=note,
     )  # fmt: skip
 
 
@@ -53,14 +61,18 @@ def pulse(
     level: LevelOption = None,
     low: LowOption = False,
     box: BoxOption = None,
+    subject: SubjectOption = None,
+    eye: EyeOption = None,
+    no_eye: NoEyeOption = False,
     calibration: LightOption = None,
     preset: BoxPresetOption = None,
     json: JsonOption = False,
 ) -> None:
     """Give one pulse, timed by the box."""
     rm.light_pulse(
-        channel, parse_seconds(duration, "--duration"), radiance, level=level, low=low, box=box,
-        calibration=calibration, preset=preset, lit=lambda found: _show_lit(found, json=json), notice=note,
+        channel, parse_seconds(duration, "--duration"), radiance, level=level, low=low, box=box, subject=subject,
+        eye=eye, no_eye=no_eye, calibration=calibration, preset=preset,
+        lit=lambda found: _show_lit(found, json=json), notice=note,
     )  # fmt: skip
 
 
@@ -75,6 +87,9 @@ def blink(
     low: LowOption = False,
     hold: HoldOption = None,
     box: BoxOption = None,
+    subject: SubjectOption = None,
+    eye: EyeOption = None,
+    no_eye: NoEyeOption = False,
     calibration: LightOption = None,
     preset: BoxPresetOption = None,
     json: JsonOption = False,
@@ -82,8 +97,8 @@ def blink(
     """Blink a channel, timed by the box."""
     rm.light_blink(
         channel, parse_seconds(on, "--on"), parse_seconds(off_time, "--off"), count, radiance, level=level, low=low,
-        hold_s=parse_seconds(hold, "--for"), box=box, calibration=calibration, preset=preset,
-        lit=lambda found: _show_lit(found, json=json), notice=note,
+        hold_s=parse_seconds(hold, "--for"), box=box, subject=subject, eye=eye, no_eye=no_eye,
+        calibration=calibration, preset=preset, lit=lambda found: _show_lit(found, json=json), notice=note,
     )  # fmt: skip
 
 
@@ -208,8 +223,8 @@ def _show_lit(found: rm.LitChannel, *, json: bool) -> None:
     console().print(str(found))
     if found.choice is None:
         return
-    value = expanded(found.choice.radiance_w_sr_m2, found.choice.u_w_sr_m2, "W·sr⁻¹·m⁻²")
-    console().print(f"radiance  {value} (k = 2), settled after {found.choice.settle_s:.0f} s")
+    value = with_u(found.choice.radiance_w_sr_m2, 2 * found.choice.u_w_sr_m2, "W sr-1 m-2", k=2)
+    console().print(f"radiance  {value}, settled after {found.choice.settle_s:.0f} s")
     if abs(found.choice.start_rel - 1) > _JUMP_SHOWN:
         note(f"just after switching on it is {100 * (found.choice.start_rel - 1):+.1f} % off")
 

@@ -12,6 +12,7 @@ import radiometer as rm
 from radiometer.cli.console import console, note
 from radiometer.cli.outputs import writes
 from radiometer.errors import UsageError
+from radiometer.numbers import rounded, unit_text, upper_limit
 
 if TYPE_CHECKING:
     from radiometer.daemon.log import LoggedReadings
@@ -75,7 +76,7 @@ def _show(found: LoggedReadings) -> None:
         note("no reading matches")
         return
     table = Table(box=None, pad_edge=False)
-    for title in ("number", "time (UTC)", "radiance", "U (95 %)", "unit", "luminance", "flags"):
+    for title in ("number", "time (UTC)", "radiance", "U (95 %)", "k", "unit", "luminance (cd·m⁻²)", "flags"):
         table.add_column(title, justify="left" if title in ("time (UTC)", "unit", "flags") else "right")
     for reading in found.readings[-_SHOWN:]:
         table.add_row(*_cells(reading))
@@ -87,17 +88,23 @@ def _show(found: LoggedReadings) -> None:
 
 def _cells(reading: dict[str, Any]) -> list[str]:
     radiance, luminance = reading["radiance"], reading["luminance"]
-    expanded = None if radiance["u"] is None else radiance["u"] * reading["coverage_factor"]
     return [
         str(reading["sequence"]),
         reading["time"][:23].replace("T", " "),
-        _number(radiance["value"]),
-        _number(expanded, 2),
-        radiance["unit"],
-        f"{_number(luminance['value'])} {luminance['unit']}" if luminance else "",
+        *_shown(radiance, reading["coverage_factor"], "below_noise" in reading["flags"]),
+        f"{reading['coverage_factor']:.3g}",
+        unit_text(radiance["unit"]),
+        " ± ".join(_shown(luminance, reading["coverage_factor"])) if luminance else "",
         " ".join(reading["flags"]),
     ]
 
 
-def _number(value: float | None, digits: int = 5) -> str:
-    return "undefined" if value is None else f"{value:.{digits}g}"
+def _shown(quantity: dict[str, Any], k: float, is_limit: bool = False) -> tuple[str, str]:
+    """Return value and expanded uncertainty; below the noise the limit that 95 % is below."""
+    value, u = quantity["value"], quantity["u"]
+    if value is None or u is None:
+        return "undefined" if value is None else f"{value:.5g}", "undefined"
+    if is_limit:
+        limit = upper_limit(value, u)
+        return f"< {rounded(limit, limit)[0]}", "95 %"
+    return rounded(value, k * u)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import json
 import socket
 from dataclasses import replace
 from typing import Any, Final
@@ -19,6 +18,7 @@ from radiometer.daemon.journal_reader import JournalReader, ReadingFilter, to_cs
 from radiometer.daemon.limits import SMALL_REPLY_BYTES
 from radiometer.daemon.station import Station
 from radiometer.daemon.timestamps import parse_moment
+from radiometer.data.json_text import parsed_json
 from radiometer.errors import InputError, UsageError
 
 _log = structlog.get_logger(__name__)
@@ -110,7 +110,7 @@ async def _send_all(
             text = to_csv(lines, header=header) if form == "csv" else "".join(line + "\n" for line in lines)
             header = False
             await _write(response, text.encode())
-            wanted = replace(wanted, after=int(json.loads(lines[-1])["sequence"])) if lines else wanted
+            wanted = replace(wanted, after=int(parsed_json(lines[-1])["sequence"])) if lines else wanted
             lines = await _piece(request, reader, wanted) if lines else []
     except (TimeoutError, ConnectionError, InputError) as error:
         _break_off(request, error)
@@ -188,7 +188,7 @@ async def _replay(response: web.StreamResponse, station: Station, after: int, fo
     reader, last = JournalReader(station.journal_path, deadline_s=_QUERY_DEADLINE_S), after
     while lines := await asyncio.to_thread(reader.lines, ReadingFilter(after=last, limit=_REPLAY_ROWS, stream="")):
         for line in lines:
-            last = int(json.loads(line)["sequence"])
+            last = int(parsed_json(line)["sequence"])
             await _write(response, _encoded(Event("reading", line, last), form).encode())
     return last
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import json
 from collections.abc import Sequence
 from contextlib import suppress
 from typing import Any, Final, TypeVar
@@ -14,6 +13,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from radiometer.daemon.http.route import QueryParameter
 from radiometer.daemon.patches import DEFAULT_HYSTERESIS_REL
 from radiometer.data import Patch
+from radiometer.data.json_text import RepeatedKey, parsed_json
 from radiometer.errors import UsageError
 
 _BODY_DEADLINE_S: Final = 5.0  # 16 kB, the most that is taken, come in it at 26 kbit/s
@@ -98,27 +98,17 @@ async def read_body(request: web.Request, model: type[_Model]) -> _Model:
     content = await request.read()
     if content.strip() and request.content_type != "application/json":
         raise web.HTTPUnsupportedMediaType(text="send JSON with Content-Type: application/json")
-    _refuse_repeated_keys(content)
+    with suppress(ValueError, RecursionError):  # what is no JSON is named by the model
+        try:
+            parsed_json(content)
+        except RepeatedKey as error:
+            raise UsageError(str(error)) from error
     try:
         return model.model_validate_json(content.strip() or b"{}")
     except ValidationError as error:
         first = error.errors(include_url=False, include_input=False)[0]
         where = ".".join(map(str, first["loc"])) or "the body"
         raise UsageError(f"{where}: {first['msg']}; allowed are {', '.join(model.model_fields)}") from error
-
-
-def _refuse_repeated_keys(content: bytes) -> None:
-    """Refuse an object in which a key stands twice: which of two levels of a light was meant is not known."""
-
-    def unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-        names = [name for name, _ in pairs]
-        for name in names:
-            if names.count(name) > 1:
-                raise UsageError(f"the key {name[:40]!r} occurs twice; leave one out")
-        return dict(pairs)
-
-    with suppress(ValueError, RecursionError):  # what is no JSON is named by the model
-        json.loads(content, object_pairs_hook=unique)
 
 
 def read_query(request: web.Request, known: Sequence[QueryParameter]) -> dict[str, Any]:

@@ -125,8 +125,8 @@ class HttpServer:
         assert self._runner.server is not None
         for gone in self._places.connections() - set(self._runner.server.connections):
             self._places.leave(gone)
-        if (outdone := self._places.make_room()) is not None:
-            self._end(outdone)
+        if (displaced := self._places.make_room()) is not None:
+            self._end(displaced)
         reason = self._places.refusal(peer) or ("too many connections" if self._places.is_full else "")
         if reason:
             self._station.metrics.refused.labels("http", reason).inc()

@@ -142,8 +142,9 @@ class ScpiConnection(asyncio.Protocol):
             self._transport.abort()
 
     def _cut(self) -> None:
+        """Cut messages off what came in, until as many wait as may; the rest stays bytes."""
         searched = 0
-        while (newline := self._buffer.find(b"\n", searched)) >= 0:
+        while not self._is_full() and (newline := self._buffer.find(b"\n", searched)) >= 0:
             end = block_end(self._buffer, newline) if b"#" in self._buffer[:newline] else newline
             if end > newline and end <= self._limits.line_bytes and not self._discarding:
                 if end >= len(self._buffer):
@@ -158,10 +159,14 @@ class ScpiConnection(asyncio.Protocol):
                 self._messages.append(bytes(self._buffer[:newline]))
             del self._buffer[: newline + 1]
             searched = 0
-        if len(self._buffer) > self._limits.line_bytes:
+        if self._is_full():
+            if self._transport is not None:
+                self._transport.pause_reading()
+        elif len(self._buffer) > self._limits.line_bytes:
             self._overrun()
-        if len(self._messages) > self._limits.messages_waiting and self._transport is not None:
-            self._transport.pause_reading()
+
+    def _is_full(self) -> bool:
+        return len(self._messages) > self._limits.messages_waiting
 
     def _overrun(self) -> None:
         if not self._discarding:
@@ -180,6 +185,9 @@ class ScpiConnection(asyncio.Protocol):
         self._resume = None
         assert self.session is not None
         for _ in range(_MESSAGES_AT_ONCE):
+            if self._buffer and not self._is_full():  # lines for which there was no room
+                self._cut()
+                self._watch()
             if not self._messages or self._cannot_write or self._is_ending():
                 break
             if (pause_s := self._vetting_pause_s() or self._bucket.take()) > 0:
@@ -255,7 +263,7 @@ class ScpiConnection(asyncio.Protocol):
 
     def _watch(self) -> None:
         """A line that is begun must be finished in time."""
-        if self._cannot_write:
+        if self._cannot_write or self._is_full():
             return
         if (self._buffer or self._discarding) and self._timer is None:
             self._start_timer("does not finish its message")
@@ -390,10 +398,10 @@ class ScpiServer:
 
     def make_room(self) -> str:
         """Put the connection out that has the least claim to its place; return why the next one gets none."""
-        if (outdone := self.places.make_room()) is not None:
-            outdone.drop("makes room for another client")
-            self.connections.discard(outdone)
-            self.places.leave(outdone)
+        if (displaced := self.places.make_room()) is not None:
+            displaced.drop("makes room for another client")
+            self.connections.discard(displaced)
+            self.places.leave(displaced)
         return "too many connections" if self.places.is_full else ""
 
     def _state_changed(self) -> None:

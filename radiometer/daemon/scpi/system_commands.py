@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import json
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
@@ -15,7 +14,7 @@ from radiometer.daemon.scpi.errors import ScpiError
 from radiometer.daemon.scpi.parameters import Choice, Number, ParameterLimits
 from radiometer.daemon.station import Station
 from radiometer.data import Frame
-from radiometer.data.json_text import json_text
+from radiometer.data.json_text import json_text, parsed_json
 
 if TYPE_CHECKING:
     from radiometer.daemon.scpi.status import Register
@@ -111,7 +110,7 @@ def _trace(call: Call) -> Outcome:
 async def _trace_history(call: Call, count: int) -> str:
     reader = JournalReader(call.session.station.journal_path, deadline_s=5.0)
     lines = await asyncio.to_thread(reader.lines, ReadingFilter(limit=count, newest_first=True, stream=""))
-    rows = [json.loads(line) for line in reversed(lines)]
+    rows = [parsed_json(line) for line in reversed(lines)]
     table = [[row["sequence"], row["radiance"]["value"], row["radiance"]["u"]] for row in rows]
     return formats.block(_floats(call, np.array(table, dtype=float).reshape(-1, 3)))
 

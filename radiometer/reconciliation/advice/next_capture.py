@@ -23,7 +23,7 @@ from radiometer.data.storage import write_yaml_atomic
 from radiometer.reconciliation.fit.descent import beside, refit
 from radiometer.reconciliation.fit.state import FitState, with_effects, with_terms
 from radiometer.reconciliation.measure.design import BRIGHT_SURROUND, DARK_SURROUND, Design
-from radiometer.reconciliation.measure.pattern_images import PatternImages
+from radiometer.reconciliation.measure.reduce import PatternImages
 from radiometer.reconciliation.model.tile_model import TileModel
 from radiometer.reconciliation.prediction import Prediction
 from radiometer.reconciliation.result import Limit, ReconcileResult
@@ -209,7 +209,9 @@ def propose(state: FitState, chosen: CatalogueEffect, rivals: Sequence[Catalogue
     }
 
 
-def tells_apart(state: FitState, effect: CatalogueEffect, others: Sequence[CatalogueEffect]) -> dict[str, Any] | None:
+def separating_capture(
+    state: FitState, effect: CatalogueEffect, others: Sequence[CatalogueEffect]
+) -> dict[str, Any] | None:
     """Return the capture under which an effect and others that show the same so far would differ most.
 
     Args:

@@ -19,7 +19,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from radiometer.reconciliation.advice.next_capture import tells_apart
+from radiometer.reconciliation.advice.next_capture import separating_capture
 from radiometer.reconciliation.advice.sizes import SHOWN, Asked, mildest
 from radiometer.reconciliation.fit.candidate_fit import Candidate, fit_candidate
 from radiometer.reconciliation.fit.comparison import Comparison
@@ -368,5 +368,5 @@ def _together(state: FitState, seen: Mapping[str, CatalogueEffect], *, every: bo
         names = frozenset({name, *(effect.name for effect in others)})
         if others and (every or names not in told):
             told.add(names)
-            capture = None if every else tells_apart(state, alike.target.effect, others)
+            capture = None if every else separating_capture(state, alike.target.effect, others)
             yield Together(name, tuple(effect.name for effect in others), capture)

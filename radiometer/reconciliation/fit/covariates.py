@@ -23,19 +23,12 @@ _LEVELLED: Final = ("gain_db", "f_number", "source_level", "pattern")
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Covariate:
-    """One axis: a value per capture and tile.
+    """One axis: a value per capture and tile."""
 
-    Attributes:
-        name: Name as in result files.
-        value: (captures, tiles).
-        per_capture: Whether all tiles of a capture share it.
-        waves: Number of half waves that its basis holds in place of low polynomials; 0 for those.
-    """
-
-    name: str
-    value: Array
-    per_capture: bool
-    waves: int = 0
+    name: str  # name as in result files
+    value: Array  # (captures, tiles)
+    per_capture: bool  # whether all tiles of a capture share it
+    waves: int = 0  # number of half waves that its basis holds in place of low polynomials; 0 for those
 
     def basis(self) -> Array:
         """Return smooth functions of the covariate, (captures, tiles, terms), the constant left out."""

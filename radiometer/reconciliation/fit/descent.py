@@ -13,7 +13,7 @@ from radiometer.reconciliation.fit.linear import descended
 from radiometer.reconciliation.fit.nuisances import NuisanceLayout, rough_log_responsivity
 from radiometer.reconciliation.fit.state import FitState, reweighted, weighted, with_effects
 from radiometer.reconciliation.measure.design import Design
-from radiometer.reconciliation.measure.pattern_images import PatternImages
+from radiometer.reconciliation.measure.reduce import PatternImages
 from radiometer.reconciliation.measure.seen import CaptureStatistics
 from radiometer.reconciliation.model.tile_model import TileModel
 from radiometer.typing import Array

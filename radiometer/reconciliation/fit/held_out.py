@@ -26,17 +26,11 @@ _SMALLEST: Final = 1e-12
 
 @dataclass(frozen=True, slots=True)
 class HeldOut:
-    """Quality of the prediction of each group of rows from the others.
+    """Quality of the prediction of each group of rows from the others."""
 
-    Attributes:
-        log_density: (groups,) log predictive density, constants left out.
-        chi2: (groups,) squared standardised residual under the predictive covariance.
-        count: (groups,) entries that count.
-    """
-
-    log_density: Array
-    chi2: Array
-    count: Array
+    log_density: Array  # (groups,) log predictive density, constants left out
+    chi2: Array  # (groups,) squared standardised residual under the predictive covariance
+    count: Array  # (groups,) entries that count
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -64,17 +58,11 @@ class _Group:
 
 @dataclass(frozen=True, eq=False)
 class Groups:
-    """The rows of a fit by groups, with the nuisances' hat matrix factored.
+    """The rows of a fit by groups, with the nuisances' hat matrix factored."""
 
-    Attributes:
-        nuisances: The nuisances' columns.
-        group: (rows,) group of each row, from 0.
-        counts: (rows,) which rows count.
-    """
-
-    nuisances: RowBlock
-    group: NDArray[np.intp]
-    counts: NDArray[np.bool_]
+    nuisances: RowBlock  # the nuisances' columns
+    group: NDArray[np.intp]  # (rows,) group of each row, from 0
+    counts: NDArray[np.bool_]  # (rows,) which rows count
 
     @cached_property
     def size(self) -> int:
@@ -130,7 +118,6 @@ def leave_one_group_out(fit: LinearFit, groups: Groups) -> HeldOut:
 
     Args:
         fit: The linear fit; its nuisances are those of `groups`.
-        groups: The rows by groups.
     """
     effects, residual = _freed(fit), fit.projected
     log_density, chi2 = np.zeros(groups.size), np.zeros(groups.size)

@@ -23,15 +23,10 @@ _OWN_SHARE = 1e-4  # of a trend's square that the parameters must leave for it t
 
 @dataclass(frozen=True, eq=False)
 class RowBlock:
-    """Columns that are zero but in some rows.
+    """Columns that are zero but in some rows."""
 
-    Attributes:
-        rows: (n,) those rows, rising.
-        values: (n, columns) what stands there.
-    """
-
-    rows: NDArray[np.intp]
-    values: Array
+    rows: NDArray[np.intp]  # (n,) those rows, rising
+    values: Array  # (n, columns) what stands there
 
     @classmethod
     def of(cls, matrix: Array) -> RowBlock:
@@ -44,7 +39,6 @@ class RowBlock:
 
         Args:
             other: The other block, of the same rows.
-            size: How many rows both have.
             below: (columns,) the entry of each column in its row.
         """
         rows = np.union1d(self.rows, other.rows)
@@ -94,19 +88,12 @@ class RowBlock:
 
 @dataclass(frozen=True, eq=False)
 class LinearFit:
-    """Residual = N·a + E·b + noise of unit variance, priors standing as further rows.
+    """Residual = N·a + E·b + noise of unit variance, priors standing as further rows."""
 
-    Attributes:
-        residual: Whitened residual at the point of linearisation, priors included, followers followed.
-        nuisances: N = −d(residual)/d(nuisance).
-        effects: E = −d(residual)/d(effect parameter), (rows, parameters), followers followed.
-        followers: The same as N in rows that follow the nuisances but do not determine them.
-    """
-
-    residual: Array
-    nuisances: RowBlock
-    effects: Array
-    followers: RowBlock
+    residual: Array  # whitened residual at the point of linearisation, priors included, followers followed
+    nuisances: RowBlock  # N = −d(residual)/d(nuisance)
+    effects: Array  # E = −d(residual)/d(effect parameter), (rows, parameters), followers followed
+    followers: RowBlock  # the same as N in rows that follow the nuisances but do not determine them
 
     @classmethod
     def of(cls, residual: Array, nuisances: RowBlock, effects: Array, followers: RowBlock) -> LinearFit:
@@ -288,12 +275,7 @@ class LinearFit:
 
 
 def cholesky(normal: Array, less: Array | float = 0.0) -> Array:
-    """Return the lower Cholesky factor of a normal matrix, with a small ridge that keeps it regular.
-
-    Args:
-        normal: The matrix.
-        less: What is taken off it behind the ridge.
-    """
+    """Return the lower Cholesky factor of a normal matrix, with a small ridge that keeps it regular."""
     ridge = _RIDGE * np.maximum(np.diag(normal), 1e-300)
     return np.asarray(np.linalg.cholesky(normal + np.diag(ridge) - less))
 

@@ -260,7 +260,7 @@ def _moved_rows(comparison: Comparison, shows: Iterable[tuple[Change, tuple[str,
     return moved
 
 
-_TILE_ROWS: Final = tuple(name for name, row in STATISTICS.items() if row.tells_light)
+_TILE_ROWS: Final = tuple(name for name, row in STATISTICS.items() if row.determines_light)
 _FOLLOWING: Final = tuple(name for name, row in STATISTICS.items() if row.follows_light)
 
 

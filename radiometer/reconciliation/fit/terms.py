@@ -17,23 +17,15 @@ ColumnBuilder = Callable[[Comparison, Prediction, Array], Array]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LinearTerm:
-    """Something that adds to the statistics in proportion to its coefficients.
+    """Something that adds to the statistics in proportion to its coefficients."""
 
-    Attributes:
-        name: What it is, for messages.
-        build: Gives its whitened columns, (entries, coefficients), for a comparison, prediction and sensitivity.
-        prior: (coefficients,) prior standard deviation; infinite for none.
-        block: Statistic that it acts on.
-        where: Covariate along which it acts.
-        form: multiplicative, additive, or additive × gain.
-    """
-
-    name: str
+    name: str  # what it is, for messages
+    # Gives its whitened columns, (entries, coefficients), for a comparison, prediction and sensitivity
     build: ColumnBuilder
-    prior: Array
-    block: str = ""
-    where: str = ""
-    form: str = ""
+    prior: Array  # (coefficients,) prior standard deviation; infinite for none
+    block: str = ""  # statistic that it acts on
+    where: str = ""  # covariate along which it acts
+    form: str = ""  # multiplicative, additive, or additive × gain
 
     @classmethod
     def of(cls, error: FixedError) -> LinearTerm:

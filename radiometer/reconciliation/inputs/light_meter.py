@@ -85,7 +85,7 @@ class MeterReconciled:
             for row in self.rows
         )
         said = "".join(f"<p>{text}</p>" for text in self.result.extra.get("remarks", []))
-        head = "<tr><th>source</th><th>cd/m²</th><th>f</th><th>s</th><th>K printed</th><th>K exact</th></tr>"
+        head = "<tr><th>source</th><th>cd·m⁻²</th><th>f</th><th>s</th><th>K printed</th><th>K exact</th></tr>"
         write_text_atomic(
             path,
             "<!doctype html><html lang='en'><meta charset='utf-8'><title>light meter</title>"
@@ -148,7 +148,7 @@ def _judge(rows: Sequence[MeterRow]) -> ReconcileResult:
         before, after = (inner_printed, inner_exact) if inner_exact < _COINCIDENCE else (printed, exact)
         effects = (_nominal(before, after),)
         verdict = Verdict.EFFECTS_FOUND if abs(rest) <= _STEP_OF_A_METER / 2 * 1.01 else Verdict.INCOMPLETE
-        remarks.append(_said_of_rounding(before, after, widest if inner_exact < _COINCIDENCE <= exact else None))
+        remarks.append(_rounding_in_words(before, after, widest if inner_exact < _COINCIDENCE <= exact else None))
     elif verdict is Verdict.UNNAMED:
         effects = (FoundEffect("unnamed", {}, _likely_axis(rows), printed, printed, block="meter constant"),)
     extra: dict[str, Any] = {"constants": _table(rows)}
@@ -156,7 +156,7 @@ def _judge(rows: Sequence[MeterRow]) -> ReconcileResult:
     if not _METER_CONSTANTS[0] < middle < _METER_CONSTANTS[1]:
         remarks.append(f"K is {middle:.3g}, and that of meters is 10.6 to 13.4 (ISO 2720): a column has another unit")
     if by_rounding and abs(rest) > _COINCIDENCE:
-        remarks.append(_said_of_rest(rest, widest))
+        remarks.append(_rest_in_words(rest, widest))
         extra["rest"] = {
             "where": "f_number",
             "f_number": widest,
@@ -195,7 +195,7 @@ def _nominal(before: float, after: float) -> FoundEffect:
     )
 
 
-def _said_of_rounding(before: float, after: float, left_out: float | None) -> str:
+def _rounding_in_words(before: float, after: float, left_out: float | None) -> str:
     where = "" if left_out is None else f" (f/{left_out:.2g} left out)"
     return (
         f"K scatters by {100 * before:.2f} % within a source{where} because printed stops were treated as exact; "
@@ -203,7 +203,7 @@ def _said_of_rounding(before: float, after: float, left_out: float | None) -> st
     )
 
 
-def _said_of_rest(rest: float, widest: float) -> str:
+def _rest_in_words(rest: float, widest: float) -> str:
     stops = rest / math.log(2.0)
     whole = abs(stops) < 0.6 and abs(1 / stops - round(1 / stops)) < 0.1
     fraction = f"1/{round(1 / abs(stops))}" if whole else f"{abs(stops):.2f}"

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
+from radiometer.numbers import with_u
 from radiometer.reconciliation.result import ReconcileResult, Verdict
-from radiometer.reporting.numbers import with_u
 from radiometer.reporting.page import folded, heading, listed, page, paragraph, section, table
 from radiometer.reporting.pictures import BEFORE, DIMMED, MODEL, RULE, dress, label, legend, picture, shortened
 from radiometer.typing import Array

@@ -395,7 +395,7 @@ def _sentence(judged: _Judged, bracket: Bracket, names: Sequence[str]) -> str:
         return f"All printed exposures agree: {predicted}{few}."
     parts = ["the printed times are rounded stops"] if judged.rounded else []
     if judged.offset is not None:
-        parts.append(f"all exposures are {judged.offset.told()} than printed (the shutter's offset, k = 1)")
+        parts.append(f"all exposures are {judged.offset.in_words()} than printed (the shutter's offset, k = 1)")
     for one in judged.labels:
         ratio, u_ratio = _of_printed(one, judged, bracket)
         rivals = "".join(f", or {names[frame]} {other * judged.expected[frame]:.3f}" for frame, other in one.rivals)

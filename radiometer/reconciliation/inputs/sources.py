@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import datetime as dt
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Protocol
+from typing import Final, Protocol
 
 from radiometer.data import CaptureSet, Frame
+from radiometer.data.capture_set import read_header
 from radiometer.errors import CaptureError, OutputError
 from radiometer.importing import imported_of, is_foreign, open_capture, statistics_of
 from radiometer.reconciliation.engine import Progress, Say, examine, whole_catalogue
@@ -16,6 +18,8 @@ from radiometer.reconciliation.propose import Proposal
 from radiometer.reconciliation.result import ReconcileResult
 from radiometer.reconciliation.search.outcome import Reconciled
 from simulators.chain.camera_model import CameraModel
+
+_UNIX_FROM_S: Final = 1e9  # smaller time stamps count from the camera's start, and are no date
 
 
 class Done(Protocol):
@@ -80,7 +84,7 @@ class DoneCapture:
         """Write the HTML report."""
         from radiometer.reconciliation.report.html import write_report
 
-        write_report(path, self._reconciled, self._source.name)
+        write_report(path, self._reconciled, self._source.name, facts_of_capture(self._source))
         return str(path)
 
     def write_plan(self, path: Path) -> bool:
@@ -88,6 +92,37 @@ class DoneCapture:
         from radiometer.reconciliation.advice.next_capture import write_plan
 
         return write_plan(path, self._reconciled.result, self._reconciled.outcome.state.design)
+
+
+def facts_of_capture(source: Path) -> list[tuple[str, str]]:
+    """Return what a capture set states of camera, lens, date and conditions, as names and values; nothing of others."""
+    if not (source / "capture.yaml").is_file():
+        return []
+    header = read_header(source)
+    camera, lens = header.camera, header.lens
+    times = [one.timestamp_s for one in header.frames if one.timestamp_s is not None and one.timestamp_s > _UNIX_FROM_S]
+    degrees = [one.temperature_C for one in header.frames if one.temperature_C is not None]
+    stops = sorted({number for one in header.frames if (number := one.f_number or lens.f_number) is not None})
+    facts = [
+        ("capture set", str(source)),
+        ("camera", " ".join(word for word in (camera.vendor, camera.model, camera.serial) if word)),
+        ("lens", "" if lens.focal_length_mm is None else f"{lens.focal_length_mm:g} mm"),
+        ("f-number", ", ".join(f"f/{number:.4g}" for number in stops)),
+        ("taken (UTC)", _moments(times)),
+        ("sensor temperature", f"{min(degrees):.1f} to {max(degrees):.1f} °C" if degrees else ""),
+        ("frames", str(len(header.frames))),
+    ]
+    return [fact for fact in facts if fact[1]]
+
+
+def _moments(times: Sequence[float]) -> str:
+    """Return the first and the last of moments in Unix time; "" where there are none."""
+    if not times:
+        return ""
+    first, last = (
+        dt.datetime.fromtimestamp(one, dt.UTC).isoformat(" ", "seconds")[:19] for one in (min(times), max(times))
+    )
+    return first if first == last else f"{first} to {last}"
 
 
 def reconcile_source(

@@ -69,30 +69,20 @@ class LogStep:
 
 @dataclass(frozen=True, eq=False)
 class LogFit:
-    """The outcome for a log.
+    """The outcome for a log."""
 
-    Attributes:
-        result: In the words of reconcile.
-        state: The fitted model.
-        start: The model without any term.
-        error_before: Root mean square relative error of nights predicted from the others, without any term.
-        error_after: The same with what was found.
-        control: Verdict of the same search over values that lack nothing.
-    """
-
-    result: ReconcileResult
-    state: LogState
-    start: LogState
-    error_before: float
-    error_after: float
-    control: str = ""
+    result: ReconcileResult  # in the words of reconcile
+    state: LogState  # the fitted model
+    start: LogState  # the model without any term
+    error_before: float  # root mean square relative error of nights predicted from the others, without any term
+    error_after: float  # the same with what was found
+    control: str = ""  # verdict of the same search over values that lack nothing
 
 
 def fit_log(log: LogTable, *, control: bool = True, seed: int = 1) -> LogFit:
     """Return which term a log lacks, if any.
 
     Args:
-        log: The readings.
         control: Search values that lack nothing too: made from the fitted model with scatter of the same kind.
         seed: Of that scatter.
 

@@ -45,27 +45,17 @@ Act = Callable[[LogTable, "_Light", Array], None]
 
 @dataclass(frozen=True, slots=True)
 class LogTerm:
-    """One term that may be missing.
+    """One term that may be missing."""
 
-    Attributes:
-        name: Name of the effect.
-        where: Column along which it acts.
-        parameters: Names of its parameters.
-        units: Their units.
-        scales: Size of each that makes a difference of about 1 % somewhere; also the step of differences.
-        act: Changes the parts of the predicted light by its parameters.
-        flexible: Whether it is the flexible form of another one of the same name.
-        start: Where their fit begins; zeros by default.
-    """
-
-    name: str
-    where: str
-    parameters: tuple[str, ...]
-    units: tuple[str, ...]
+    name: str  # name of the effect
+    where: str  # column along which it acts
+    parameters: tuple[str, ...]  # names of its parameters
+    units: tuple[str, ...]  # their units
+    # Size of each that makes a difference of about 1 % somewhere; also the step of differences
     scales: tuple[float, ...]
-    act: Act
-    flexible: bool = False
-    start: tuple[float, ...] = ()
+    act: Act  # changes the parts of the predicted light by its parameters
+    flexible: bool = False  # whether it is the flexible form of another one of the same name
+    start: tuple[float, ...] = ()  # where their fit begins; zeros by default
 
     @property
     def begins(self) -> Array:
@@ -100,7 +90,6 @@ def predicted_log(log: LogTable, terms: Sequence[LogTerm], parameters: Array, *,
     """Return ln of the predicted values.
 
     Args:
-        log: The readings.
         terms: The terms that are there.
         parameters: ln R, then theirs in order.
         measured: Take the signal that bends, offsets and leaks act on from the values as measured.
@@ -273,7 +262,6 @@ def axes(log: LogTable, *, measured: bool = False) -> Mapping[str, Array]:
     """Return each column on a scale from −1 to 1, for trends without a name.
 
     Args:
-        log: The readings.
         measured: Take signal and reference from the values as measured, not from the reference.
     """
     per_reference = np.log(log.exposure_s) + log.gain_db * math.log(10.0) / 20.0

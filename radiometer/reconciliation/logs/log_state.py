@@ -24,19 +24,12 @@ Whiteners = tuple[tuple[NDArray[np.intp], Array], ...]
 
 @dataclass(frozen=True, slots=True)
 class Scatter:
-    """Scatter of readings about a correct model, in ln(value).
+    """Scatter of readings about a correct model, in ln(value)."""
 
-    Attributes:
-        reading: Standard deviation of a reading within its night.
-        clouds: Share of that variance that hangs together along the night.
-        neighbours: Correlation of that share from a reading to the next.
-        night: Standard deviation of nights.
-    """
-
-    reading: float
-    clouds: float
-    neighbours: float
-    night: float
+    reading: float  # standard deviation of a reading within its night
+    clouds: float  # share of that variance that hangs together along the night
+    neighbours: float  # correlation of that share from a reading to the next
+    night: float  # standard deviation of nights
 
     def factors(self, log: LogTable) -> Whiteners:
         """Return (rows, lower Cholesky factor of their covariance) of each night."""
@@ -60,25 +53,15 @@ class Scatter:
 
 @dataclass(frozen=True, eq=False)
 class LogState:
-    """A fitted model of a log.
+    """A fitted model of a log."""
 
-    Attributes:
-        log: The readings.
-        scatter: How they scatter.
-        terms: The named terms.
-        parameters: ln R, then theirs.
-        whiteners: What whitens each night.
-        trends: Columns of trends without a name, with the axis of each.
-        measured: Whether terms and trends along the signal or the reference take these as measured.
-    """
-
-    log: LogTable
-    scatter: Scatter
-    terms: tuple[LogTerm, ...]
-    parameters: Array
-    whiteners: Whiteners
-    trends: tuple[tuple[str, Array], ...] = ()
-    measured: bool = False
+    log: LogTable  # the readings
+    scatter: Scatter  # how they scatter
+    terms: tuple[LogTerm, ...]  # the named terms
+    parameters: Array  # ln R, then theirs
+    whiteners: Whiteners  # what whitens each night
+    trends: tuple[tuple[str, Array], ...] = ()  # columns of trends without a name, with the axis of each
+    measured: bool = False  # whether terms and trends along the signal or the reference take these as measured
 
     def on(self, log: LogTable, trends: tuple[tuple[str, Array], ...]) -> LogState:
         """Return the model fitted to other readings."""

@@ -110,8 +110,6 @@ def coarse_cells(dn: NDArray[Any], cell: int, rows: int, columns: int) -> tuple[
     Args:
         dn: The frame in DN.
         cell: Edge of a cell in pixels.
-        rows: Rows of cells.
-        columns: Columns of cells.
     """
     mean, largest = np.zeros((rows, columns)), np.zeros((rows, columns))
     for i in range(rows * cell):

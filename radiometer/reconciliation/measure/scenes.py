@@ -29,15 +29,10 @@ _SAME: Final = 0.5  # least correlation of one scene's fine structure; that of d
 
 @dataclass(frozen=True, slots=True)
 class FineStructure:
-    """Fine structure of a frame in blocks of pixels.
+    """Fine structure of a frame in blocks of pixels."""
 
-    Attributes:
-        log_light: (rows, columns) logarithm of a block's mean above black; NaN where it is clipped or too dark.
-        noise2: (rows, columns) bound on its variance by the noise of the pixels.
-    """
-
-    log_light: Array
-    noise2: Array
+    log_light: Array  # (rows, columns) logarithm of a block's mean above black; NaN where it is clipped or too dark
+    noise2: Array  # (rows, columns) bound on its variance by the noise of the pixels
 
     @classmethod
     def of(cls, dn: NDArray[np.generic], black_dn: float, full_scale_dn: int) -> FineStructure:

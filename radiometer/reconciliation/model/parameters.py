@@ -18,23 +18,14 @@ _AT_BOUND: Final = 1e-9
 
 @dataclass(frozen=True, slots=True)
 class EffectParameters:
-    """Names, scales and bounds of all fitted parameters.
+    """Names, scales and bounds of all fitted parameters."""
 
-    Attributes:
-        effects: The effects.
-        owner: Position of the effect that each parameter belongs to.
-        names: Its name.
-        scale: Its typical size.
-        low: Its lowest value.
-        high: Its highest value.
-    """
-
-    effects: tuple[CatalogueEffect, ...]
-    owner: tuple[int, ...]
-    names: tuple[str, ...]
-    scale: Array
-    low: Array
-    high: Array
+    effects: tuple[CatalogueEffect, ...]  # the effects
+    owner: tuple[int, ...]  # position of the effect that each parameter belongs to
+    names: tuple[str, ...]  # its name
+    scale: Array  # its typical size
+    low: Array  # its lowest value
+    high: Array  # its highest value
 
     @classmethod
     def of(cls, effects: Sequence[CatalogueEffect], full_scale_dn: float) -> EffectParameters:
@@ -96,7 +87,6 @@ class EffectParameters:
         """Return a step of each parameter in units of the scales, within the bounds, and the effects after it.
 
         Args:
-            share: Step in units of the scales.
             only: Positions of the parameters that are moved; by default all are.
         """
         index = np.arange(self.size) if only is None else np.array(only, dtype=np.intp)

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from radiometer.reconciliation.measure.design import Design
-from radiometer.reconciliation.measure.pattern_images import PatternImages
+from radiometer.reconciliation.measure.reduce import PatternImages
 from radiometer.typing import Array
 from simulators.chain.undeclared import completed
 from simulators.effects.context import ExposureContext, FrameGeometry, Signal

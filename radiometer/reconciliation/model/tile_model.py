@@ -13,7 +13,7 @@ from typing import Any, Final, Self, TypeVar
 import numpy as np
 
 from radiometer.reconciliation.measure.design import Design
-from radiometer.reconciliation.measure.pattern_images import PatternImages
+from radiometer.reconciliation.measure.reduce import PatternImages
 from radiometer.reconciliation.measure.row_bands import TileBands
 from radiometer.reconciliation.model.tile_context import TileContext, rise_of, scene_radiance, tile_context, tilt_of
 from radiometer.reconciliation.prediction import Prediction, of_tiles

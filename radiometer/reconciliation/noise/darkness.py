@@ -48,7 +48,6 @@ def black_by_noise(design: Design, seen: CaptureStatistics) -> float | None:
     to 0.
 
     Args:
-        design: Captures and tiles.
         seen: What was measured.
     """
     alike = np.unique(np.column_stack([design.exposure_s, design.gain_db, design.source_level]), axis=0).shape[0] == 1
@@ -75,7 +74,6 @@ def wander_of_black(design: Design, seen: CaptureStatistics) -> float:
     pooled over the dark captures, and at most 0.3 of a pixel's own noise.
 
     Args:
-        design: Captures.
         seen: What was measured.
     """
     return _wander("black", design, seen)
@@ -87,7 +85,6 @@ def drift_of_black(design: Design, seen: CaptureStatistics) -> float:
     Rows are read one after the other: what wanders from frame to frame moves within one, too.
 
     Args:
-        design: Captures.
         seen: What was measured.
     """
     return _wander("drift", design, seen)

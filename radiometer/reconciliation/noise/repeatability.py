@@ -43,7 +43,6 @@ def capture_scale(
         difference: (captures, tiles) measured minus predicted mean in DN.
         sensitivity: (captures, tiles) d(mean)/d(log light) in DN.
         deviation: (captures, tiles) standard uncertainty of a mean from pixel noise in DN.
-        usable: Which entries count.
 
     Returns:
         (captures,) deviation and variance; the variance is infinite where no light is seen.
@@ -63,7 +62,6 @@ def estimate_tau(design: Design, scale: Array, variance: Array) -> float:
     would be loose by a factor of two.
 
     Args:
-        design: Captures.
         scale: (captures,) common relative deviation from the model.
         variance: (captures,) its variance from pixel noise alone.
     """
@@ -126,19 +124,12 @@ def _bounds(design: Design, scale: Array, variance: Array, lit: _Lit) -> tuple[f
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Repeats:
-    """Captures of settings that were repeated.
+    """Captures of settings that were repeated."""
 
-    Attributes:
-        taken: (n,) which captures they are.
-        scale: (n,) their common relative deviation from the model.
-        variance: (n,) its variance from pixel noise alone.
-        basis: (n, terms) what repeats cannot show: the mean of each setting, slow change in time.
-    """
-
-    taken: NDArray[np.intp]
-    scale: Array
-    variance: Array
-    basis: Array
+    taken: NDArray[np.intp]  # (n,) which captures they are
+    scale: Array  # (n,) their common relative deviation from the model
+    variance: Array  # (n,) its variance from pixel noise alone
+    basis: Array  # (n, terms) what repeats cannot show: the mean of each setting, slow change in time
 
     @classmethod
     def of(cls, design: Design, scale: Array, variance: Array, lit: _Lit) -> _Repeats:

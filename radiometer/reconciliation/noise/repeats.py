@@ -40,7 +40,6 @@ def repeats_of(
     """Return what frames of one setting differ by: dark ones in DN, lit ones relative to their light.
 
     Args:
-        design: Captures and tiles.
         tiles_of: Gives the mean of each tile in frames at positions of the header, (frames, tiles) in DN.
         usable: (captures, tiles) which means count.
         sensitivity: (captures, tiles) d(mean)/d(log light) in DN.

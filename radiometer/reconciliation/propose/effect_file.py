@@ -55,7 +55,7 @@ def effect_source(
         "",
         "@dataclass(frozen=True)",
         f"class {law.class_name}(CatalogueEffect):",
-        *_docstring(_said_law(law), "    ", f"Source: {source}."),
+        *_docstring(_law_in_words(law), "    ", f"Source: {source}."),
         "",
         f'    name = "{law.name}"',
         f"    stage = Stage.{link.member}",
@@ -139,7 +139,7 @@ def _uses_numpy(law: Law, *, per_frame: bool) -> bool:
     return per_frame or LINKS[law.link].is_noise or "np." in text
 
 
-def _said_law(law: Law) -> str:
+def _law_in_words(law: Law) -> str:
     link = LINKS[law.link]
     plain = law.formula().replace("self.", "").replace("np.", "")
     return f"{link.action[0].upper()}{link.action[1:]}: {link.code.format(law=plain).replace('np.', '')}."

@@ -15,8 +15,7 @@ from radiometer.reconciliation.advice.next_capture import FORMAT as PLAN_FORMAT
 from radiometer.reconciliation.advice.next_capture import FRAMES, CapturePool
 from radiometer.reconciliation.fit.state import FitState
 from radiometer.reconciliation.propose.effect_file import SETTINGS, source_of_test
-from radiometer.reconciliation.propose.law import round_to
-from radiometer.reconciliation.propose.law_effect import acted
+from radiometer.reconciliation.propose.law import acted, round_to
 from radiometer.reconciliation.propose.proposal import Proposal
 from simulators.chain.law_stages import LINKS
 from simulators.effects.context import ExposureContext, FrameGeometry

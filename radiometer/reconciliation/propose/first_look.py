@@ -20,8 +20,7 @@ from radiometer.reconciliation.fit.linear import LinearFit
 from radiometer.reconciliation.fit.state import FitState
 from radiometer.reconciliation.model.tile_context import from_grid, rise_of
 from radiometer.reconciliation.propose.grammar import FORMS, PER_FRAME, PLACES, Term
-from radiometer.reconciliation.propose.law import Law
-from radiometer.reconciliation.propose.law_effect import effect_of
+from radiometer.reconciliation.propose.law import Law, effect_of
 from radiometer.reconciliation.statistics import STATISTICS
 from radiometer.reconciliation.thresholds import PARAMETER_NATS
 from radiometer.typing import Array
@@ -59,17 +58,11 @@ def screened(state: FitState, laws: Iterable[Law]) -> list[Screened]:
 
 @dataclass(frozen=True, slots=True)
 class _Values:
-    """Values of a law of amplitude 1 in the tiles, broadcasting to (captures, tiles).
+    """Values of a law of amplitude 1 in the tiles, broadcasting to (captures, tiles)."""
 
-    Attributes:
-        mean: Its mean in a tile, over the frames of a capture.
-        rises: From centre to right and to bottom edge; None where it is even within all tiles.
-        first: In the first frame of a capture less the others; None where frames are alike.
-    """
-
-    mean: Array
-    rises: tuple[Array, Array] | None
-    first: Array | None
+    mean: Array  # its mean in a tile, over the frames of a capture
+    rises: tuple[Array, Array] | None  # from centre to right and to bottom edge; None where it is even within all tiles
+    first: Array | None  # in the first frame of a capture less the others; None where frames are alike
 
     @classmethod
     def of(cls, values: Array, frames: Array) -> _Values:
@@ -99,7 +92,6 @@ class _Look:
         """Return laws, of one column each or (a wave) of two, with amplitude and χ².
 
         Args:
-            laws: The laws.
             shown: The values of each column.
         """
         columns = [(values, self._response[law.link]) for law, own in zip(laws, shown, strict=True) for values in own]

@@ -33,25 +33,15 @@ class Rival:
 
 @dataclass(frozen=True, eq=False)
 class Proposal:
-    """A law for what no entry explains.
+    """A law for what no entry explains."""
 
-    Attributes:
-        law: The law at its fitted parameters.
-        amplitude: Its amplitude.
-        parameters: All parameters with ± and unit.
-        nats: Improvement of the held-out log density against the starting camera.
-        before: The starting camera as fitted.
-        after: The same with the law.
-        rivals: Laws within odds of 150, each further parameter and a second factor paid for.
-    """
-
-    law: Law
-    amplitude: float
-    parameters: Mapping[str, FittedParameter]
-    nats: float
-    before: FitState
-    after: FitState
-    rivals: tuple[Rival, ...] = ()
+    law: Law  # the law at its fitted parameters
+    amplitude: float  # its amplitude
+    parameters: Mapping[str, FittedParameter]  # all parameters with ± and unit
+    nats: float  # improvement of the held-out log density against the starting camera
+    before: FitState  # the starting camera as fitted
+    after: FitState  # the same with the law
+    rivals: tuple[Rival, ...] = ()  # laws within odds of 150, each further parameter and a second factor paid for
 
     @property
     def name(self) -> str:

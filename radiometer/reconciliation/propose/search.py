@@ -22,8 +22,7 @@ from radiometer.reconciliation.fit.full_fit import FullFits, UnfitError, contend
 from radiometer.reconciliation.fit.state import FitState
 from radiometer.reconciliation.propose.first_look import Screened, known_values, screened
 from radiometer.reconciliation.propose.grammar import PLACES, finer, terms_of
-from radiometer.reconciliation.propose.law import Law, round_to
-from radiometer.reconciliation.propose.law_effect import effect_of
+from radiometer.reconciliation.propose.law import Law, effect_of, round_to
 from radiometer.reconciliation.propose.proposal import Proposal, Rival
 from radiometer.reconciliation.search.free_laws import free_forms
 from radiometer.reconciliation.search.score import worth

@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 import inspect
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Final
 
 from radiometer.data.storage import write_text_atomic
+from radiometer.numbers import rounded, unit_text, with_u
 from radiometer.reconciliation.report import pictures
 from radiometer.reconciliation.report.words import along, axis_label, seen_in
 from radiometer.reconciliation.result import FoundEffect, ReconcileResult, Verdict
 from radiometer.reconciliation.search.outcome import Reconciled
-from radiometer.reporting.numbers import rounded, unit_text, with_u
 from radiometer.reporting.page import folded, heading, listed, page, paragraph, section, table
 from simulators.effects.catalogue import CatalogueEffect
 from simulators.effects.registry import all_effects
@@ -20,21 +21,22 @@ _LISTED_PLACES: Final = 5
 _WEAK_NATS: Final = 10.0
 
 
-def write_report(path: Path, reconciled: Reconciled, title: str) -> None:
+def write_report(path: Path, reconciled: Reconciled, title: str, facts: Sequence[tuple[str, str]] = ()) -> None:
     """Write the report as one HTML file that needs nothing else.
 
     Args:
         path: File to write.
         reconciled: What was found.
         title: Name of the capture set.
+        facts: Camera, lens, date and whatever else is known of the data, as names and values.
 
     Raises:
         OutputError: If the file cannot be written.
     """
-    write_text_atomic(path, report_html(reconciled, title))
+    write_text_atomic(path, report_html(reconciled, title, facts))
 
 
-def report_html(reconciled: Reconciled, title: str) -> str:
+def report_html(reconciled: Reconciled, title: str, facts: Sequence[tuple[str, str]] = ()) -> str:
     """Return the report as HTML."""
     result = reconciled.result
     return page(
@@ -47,6 +49,7 @@ def report_html(reconciled: Reconciled, title: str) -> str:
             _following(result),
             _repeats(result),
             section("Where the residual is", pictures.rest_map(reconciled.outcome.state)),
+            section("What was measured", table((), facts, words=(1,))),
             heading("Figures"),
             folded("Equal frames, each less the others of its series", _frames(result)),
             folded(
@@ -171,7 +174,7 @@ def _evidence(effect: FoundEffect) -> str:
         return said
     closed = f" With it the gap falls from {effect.gap_before:.3g} to {effect.gap_after:.3g}"
     weak = "; that is little: repeat the captures" if _is_weak(effect) else ""
-    known = f" Its {effect.evidence}." if effect.probability is not None else ""
+    known = f" {effect.evidence.capitalize()}." if effect.probability is not None else ""
     return f"{said}{closed}, and settings left out are predicted better by {effect.gain_nats:.0f} nats{weak}.{known}"
 
 

@@ -124,8 +124,6 @@ def effect_plot(state: FitState, effect: CatalogueEffect, u_rel: float | None) -
     """Return what the data show along an effect's covariate without it, and what it predicts there.
 
     Args:
-        state: The final model.
-        effect: One of its effects.
         u_rel: Relative standard uncertainty of its main parameter; None where it has none.
 
     Returns:
@@ -157,11 +155,6 @@ def effect_plot(state: FitState, effect: CatalogueEffect, u_rel: float | None) -
 
 def unnamed_plot(state: FitState, where: str, block: str) -> str | None:
     """Return what the final model leaves of a statistic along a covariate.
-
-    Args:
-        state: The final model.
-        where: The covariate.
-        block: The statistic.
 
     Returns:
         The picture; None where the covariate does not vary.

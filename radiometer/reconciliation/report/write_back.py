@@ -30,8 +30,6 @@ def reconciled_model(
 
     Args:
         reconciled: What was found.
-        capture_hash: Content hash of the capture set, for the provenance.
-        provisional: Switch provisional effects on nevertheless.
     """
     state = reconciled.outcome.state
     found = {effect.name: effect for effect in reconciled.result.effects}

@@ -35,21 +35,13 @@ _RANK: Final = 1e-6
 
 @dataclass(frozen=True, slots=True)
 class Periodic:
-    """Light that comes back in the order of the frames.
+    """Light that comes back in the order of the frames."""
 
-    Attributes:
-        period: Frames from one to the next.
-        depth: Largest against smallest mean light of the frames of one phase, relative.
-        rms: Standard deviation of the light over the phases, relative.
-        p_value: Chance of that much among all periods without it.
-        levels: Light of the frames of each phase over that of the usual one.
-    """
-
-    period: int
-    depth: float
-    rms: float
-    p_value: float
-    levels: tuple[float, ...] = ()
+    period: int  # frames from one to the next
+    depth: float  # largest against smallest mean light of the frames of one phase, relative
+    rms: float  # standard deviation of the light over the phases, relative
+    p_value: float  # chance of that much among all periods without it
+    levels: tuple[float, ...] = ()  # light of the frames of each phase over that of the usual one
 
 
 class FrameLight:
@@ -94,7 +86,6 @@ def periodic(design: Design, light: FrameLight, unit: Array, clear: NDArray[np.b
     within the repeats, has a separate statistic.
 
     Args:
-        design: Captures.
         light: The light of each frame.
         unit: (captures,) relative variance of a frame's light by the noise of its pixels alone.
         clear: (captures, tiles) where no frame clips.
@@ -120,10 +111,7 @@ def steadied(design: Design, light: FrameLight, seen: CaptureStatistics, again: 
     stay as they are: the noise of the frames is that of the light that they had.
 
     Args:
-        design: Captures.
         light: The light of each frame.
-        seen: The statistics.
-        again: What comes back.
     """
     found = {name: getattr(seen, name).copy() for name in ("first", "common", "common_unit")}
     level = np.array(again.levels)

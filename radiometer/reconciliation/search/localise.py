@@ -51,23 +51,14 @@ _AS_SEEN: Final = {"screen_x": "image_x", "screen_y": "image_y"}
 
 @dataclass(frozen=True, slots=True)
 class Disagreement:
-    """One test.
+    """One test."""
 
-    Attributes:
-        block: Statistic.
-        where: Covariate.
-        form: Form of the trend.
-        chi2: What the trend would explain.
-        rank: Its free parameters.
-        p_value: Chance of that much without a disagreement.
-    """
-
-    block: str
-    where: str
-    form: str
-    chi2: float
-    rank: int
-    p_value: float
+    block: str  # statistic
+    where: str  # covariate
+    form: str  # form of the trend
+    chi2: float  # what the trend would explain
+    rank: int  # its free parameters
+    p_value: float  # chance of that much without a disagreement
 
     @property
     def log_p(self) -> float:
@@ -93,19 +84,12 @@ class Disagreement:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Basis:
-    """The trend of one test.
+    """The trend of one test."""
 
-    Attributes:
-        block: Statistic.
-        where: Covariate.
-        form: Form of the trend.
-        columns: (entries of the block, terms) whitened.
-    """
-
-    block: str
-    where: str
-    form: str
-    columns: Array
+    block: str  # statistic
+    where: str  # covariate
+    form: str  # form of the trend
+    columns: Array  # (entries of the block, terms) whitened
 
 
 def localise(state: FitState) -> tuple[Disagreement, ...]:
@@ -118,7 +102,6 @@ def trend_bases(state: FitState, axes: Mapping[str, Covariate]) -> Iterator[Basi
     """Yield the trend of every test that the data allow.
 
     Args:
-        state: The fitted model.
         axes: The covariates that vary, by name.
     """
     for block, row in STATISTICS.items():
@@ -154,10 +137,6 @@ def global_p_value(state: FitState, tests: Sequence[Disagreement]) -> float:
 
     Source: N. Anau Montel, J. Alvey, C. Weniger, Phys. Rev. D 111 (2025) 083013, who ask many distortions at once and
     calibrate the least p by simulations.
-
-    Args:
-        state: The fitted model.
-        tests: All its tests, the most significant first.
     """
     if not tests:
         return 1.0
@@ -259,22 +238,12 @@ def smooth_term(state: FitState, test: Disagreement) -> LinearTerm:
 
 
 def axis_of(where: str, block: str) -> str:
-    """Return the covariate of a test's axis.
-
-    Args:
-        where: Axis of the test.
-        block: Its statistic.
-    """
+    """Return the covariate of a test's axis."""
     return _AXIS_OF_CONSTANT.get(block, "signal") if where == "constant" else _AXIS_OF_SHAPE.get(where, where)
 
 
 def places(state: FitState, most: int) -> tuple[Disagreement, ...]:
-    """Return up to so many tests, each the most significant along a covariate that is not listed yet.
-
-    Args:
-        state: The fitted model.
-        most: Length of the list.
-    """
+    """Return up to so many tests, each the most significant along a covariate that is not listed yet."""
     bases = tuple(trend_bases(state, covariates(state.model, state.prediction)))
     fit, found = state.fit, list[Disagreement]()
     for _ in range(most):
@@ -307,10 +276,6 @@ def departing(tests: Sequence[Disagreement], effects: Sequence[CatalogueEffect])
 
     All tests together share one chance of a false alarm; the few that test whether an effect follows its law have a
     separate one. Another cause that looks much alike is found out there first.
-
-    Args:
-        tests: All tests of the final model.
-        effects: Its effects.
     """
     found = []
     for effect in effects:

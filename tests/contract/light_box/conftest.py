@@ -19,8 +19,8 @@ from radiometer.devices.exposure_ledger import ExposureLedger
 from radiometer.devices.retinal_safety import ChannelOptics
 from radiometer.errors import MissingLibrary
 from simulators.light_box.avr_box import AvrBox
-from simulators.light_box.box import LightBoxTwin
-from simulators.light_box.pty_line import PtyServer, WiredTwin
+from simulators.light_box.box import SimulatedLightBox
+from simulators.light_box.pty_line import PtyServer, WiredLightBox
 from testing.patience import within
 
 # Steps of simavr's time where the machine is busy, far shorter than the driver waits for an answer.
@@ -81,8 +81,8 @@ def _driver(server: PtyServer, clock: Callable[[], float] = time.monotonic) -> S
 
 
 def _twin_rig(link: Path) -> Rig:
-    twin = LightBoxTwin()
-    server = PtyServer(WiredTwin(twin), link=link)
+    twin = SimulatedLightBox()
+    server = PtyServer(WiredLightBox(twin), link=link)
     server.start()
 
     def press(pressed: bool) -> None:

@@ -135,6 +135,9 @@ def test_exposures_that_clip_tell_nothing_of_a_mean():
     short, both = ExposurePlan((0.1,)), ExposurePlan((0.1, 100.0))
     assert repeats_for(short, rates, CAMERA, 0.0, 1e-4) > 1
     assert repeats_for(both, rates, CAMERA, 0.0, 1e-4) == repeats_for(short, rates, CAMERA, 0.0, 1e-4)
+    above, both = CAMERA.model_copy(update={"black_level_dn": 2000.0}), ExposurePlan((0.1, 0.25))
+    assert repeats_for(both, rates, above, 0.0, 1e-4) == repeats_for(short, rates, above, 0.0, 1e-4)  # 2500 above 2000
+    assert repeats_for(both, rates, CAMERA, 0.0, 1e-4) < repeats_for(short, rates, CAMERA, 0.0, 1e-4)
 
 
 def test_what_only_the_longest_exposure_clips_is_not_too_bright():

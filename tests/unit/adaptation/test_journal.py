@@ -16,7 +16,7 @@ def test_events_read_back_in_order(tmp_path: Path) -> None:
     with RunJournal(tmp_path / "j") as journal:
         journal.write("start", 0.0, subject="A")
         journal.write("trial", 1.5, threshold=-1.0)
-    events = list(read_events(tmp_path / "j"))
+    events = read_events(tmp_path / "j")
     assert [e["kind"] for e in events] == ["start", "trial"]
     assert events[1] == {"sequence": 1, "kind": "trial", "time_s": 1.5, "threshold": -1.0}
 
@@ -40,7 +40,7 @@ def test_damage_in_the_middle_is_refused_with_its_line(tmp_path: Path, damage: b
     file = tmp_path / "j"
     file.write_bytes(b'{"sequence": 0, "kind": "start", "time_s": 0}\n' + damage + b"{}\n")
     with pytest.raises(InputError, match="line 2"):
-        list(read_events(file))
+        read_events(file)
 
 
 def test_an_event_is_on_the_disk_unless_it_need_not_last(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -15,7 +15,7 @@ from radiometer.adaptation.live_text import LiveText, event_line, live_lines
 from radiometer.adaptation.prompts import Prompter, prompts_after
 from radiometer.adaptation.protocol import read_protocol
 from radiometer.reporting.terminal_chart import TerminalChart
-from simulators.observers.subject import SubjectCurve
+from testing.scripted_adaptation import SubjectCurve
 
 
 def _event(kind: str, time_s: float, **facts: Any) -> Event:
@@ -103,7 +103,7 @@ def test_chart_sets_dots_where_the_points_are() -> None:
 
 
 def test_terminal_shows_clock_curve_and_counts(state: LiveState) -> None:
-    """13 lines of chart between the clock and the counts; the level that blinks is told."""
+    """The axis by name, then 11 rows of chart between the clock and the counts, and the level that blinks."""
     for minute in range(1, 12):
         state.take(_trial(120.0 + 60 * minute, SubjectCurve().threshold(minute)))
     state.take(_event("blink", 781.0, log10_level=-1.5, presses_s=[0.4]))
@@ -111,7 +111,8 @@ def test_terminal_shows_clock_curve_and_counts(state: LiveState) -> None:
     assert lines[0].startswith("11:03 in the dark")
     assert lines[-1].startswith("11 thresholds   0 not seen")
     assert lines[-1].endswith("spot -1.50  pressed")
-    assert sum("⠀" in line for line in lines) == 12
+    assert sum("⠀" in line for line in lines) == 11
+    assert lines[1] == "log₁₀ threshold, scotopic cd·m⁻²"
     assert max(map(len, lines)) < 80
 
 
@@ -172,7 +173,7 @@ def test_lost_fixation_is_announced_until_a_light_in_the_blind_spot_is_missed(st
             "checked: calibration of box, 400 days old, older than the protocol allows: accepted",
         ),
         (_event("check", 0, what="calibration", of="screen"), "checked: calibration of screen"),
-        (_event("room", 0, luminance_cd_m2=0.0021, u_cd_m2=0.0003), "dark room: (0.0021 ± 0.0006) cd/m² (k = 2)"),
+        (_event("room", 0, luminance_cd_m2=0.0021, u_cd_m2=0.0003), "dark room: 0.00210 ± 0.00060 cd·m⁻² (k = 2)"),
         (_event("room", 0, luminance_cd_m2=None, u_cd_m2=None), ""),
         (_event("refused", 0), "refused: nothing was shown"),
         (_event("bleach", 0), "bleach: look at the bright field"),
@@ -193,8 +194,8 @@ def test_lost_fixation_is_announced_until_a_light_in_the_blind_spot_is_missed(st
         (_trial(130, None, catch=True), "catch: rightly not pressed"),
         (_trial(180, None), "1.00 min not seen"),
         (_trial(180, None, false=True), "1.00 min pressed too early"),
-        (_trial(180, -5.1), f"1.00 min -5.10 log scotopic cd/m² {'▪' * 2}"),
-        (_trial(180, -6.0), "1.00 min -6.00 log scotopic cd/m²"),
+        (_trial(180, -5.1), f"1.00 min -5.10 log₁₀ scotopic cd·m⁻² {'▪' * 2}"),
+        (_trial(180, -6.0), "1.00 min -6.00 log₁₀ scotopic cd·m⁻²"),
     ],
 )
 def test_without_a_terminal_each_event_is_a_line(event: Event, line: str) -> None:
@@ -211,3 +212,14 @@ def test_the_terminal_shows_the_running_curve() -> None:
     shown = "\n".join(screen.lines(60))
     assert re.search(r"^1:\d\d in the dark   look at the red mark\n", shown)
     assert "2 thresholds   1 not seen   0 catches   0 false presses" in shown
+
+
+def test_bleach_is_counted_down(state: LiveState) -> None:
+    """After 50 s of the bleach the clock shows what is left of the protocol's time."""
+    lasts_s = int(state.protocol.bleach.duration_s)
+    state = LiveState(state.protocol)
+    for event in (_event("start", 0.0, subject="S1"), _event("bleach", 0.0)):
+        state.take(event)
+    left_s = lasts_s - 50
+    first = live_lines(state, running_fit([]), 60, waited_s=50.0)[0]
+    assert first.startswith(f"{left_s // 60}:{left_s % 60:02d} left of {lasts_s // 60}:{lasts_s % 60:02d}")

@@ -153,10 +153,33 @@ def test_facts_of_a_run_lead_to_its_intercept():
     series = ThresholdSeries(TIMES, falling() + noise)
     fit = fit_adaptation(series, FitRequest(bootstrap_draws=0, intercept=rule), np.random.default_rng(0))
     assert fit.estimates["rod_intercept_min"].value == pytest.approx(6.34, abs=0.3)
-    assert "its limit is 6.5 min" in intercept_verdict(fit)
+    assert "not judged: the limit of 6.5 min" in intercept_verdict(fit)
+    assert "the bleach of this run lasted for 38 s" in intercept_verdict(fit)
     plain = fit_adaptation(series, FitRequest(bootstrap_draws=0), np.random.default_rng(0))
     assert "rod_intercept_min" not in plain.estimates
     assert intercept_verdict(plain) is None
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("limit_min", "bleach_s", "judgement"),
+    [
+        (3.0, 0.00025, "later than the limit of 3 min"),
+        (9.0, 0.00025, "within the limit of 9 min"),
+        (6.34, 0.00025, "cannot be distinguished from the limit of 6.34 min"),
+        (3.0, 38.0, "not judged: the limit of 3 min"),
+        (3.0, None, "not judged: the limit of 3 min"),
+    ],
+)
+def test_intercept_is_judged_where_its_limit_was_published_for_such_a_bleach(
+    limit_min: float, bleach_s: float | None, judgement: str
+) -> None:
+    """The line falls through the criterion at 6.34 min; a bleach of seconds is no flash, an unknown one is unknown."""
+    noise = np.random.default_rng(1).normal(0, 0.05, TIMES.size)
+    rule = InterceptRule(-2.301, limit_min, method_bias(read_protocol("rapid").method).log10, bleach_s=bleach_s)
+    series = ThresholdSeries(TIMES, falling() + noise)
+    fit = fit_adaptation(series, FitRequest(bootstrap_draws=0, intercept=rule), np.random.default_rng(0))
+    assert judgement in intercept_verdict(fit)
 
 
 def test_classic_bleaches_nine_tenths_and_the_screen_protocols_show_recovery():

@@ -13,7 +13,7 @@ from radiometer.cli.main import run
 from radiometer.daemon.journal import Journal
 from radiometer.data import Patch, Quantity, Reading
 from radiometer.data.reading import Contribution
-from simulators.observers.subject import SubjectCurve
+from testing.scripted_adaptation import SubjectCurve
 from testing.sky_log import Camera, sky_log, write
 
 BENCH = """\
@@ -49,6 +49,19 @@ def desk(tmp_path_factory: pytest.TempPathFactory, project_root: Path) -> Path:
         cv2.imwrite(str(folder / "photographs" / f"{number}.png"), grey)
         lines.append(f"{number}.png {time_s}\n")
     (folder / "photographs" / "exposures.txt").write_text("".join(lines), encoding="utf-8")
+    assert (
+        run(
+            [
+                "merge",
+                str(folder / "out" / "chart"),
+                "--calibration",
+                str(folder / "calibration.yaml"),
+                "-o",
+                str(folder / "map.tiff"),
+            ]
+        )
+        == 0
+    )
     _write_tables(folder)
     with Journal(folder / "journal.sqlite") as journal:
         journal.append([_reading(0.30, Patch(40, 24, 16, 16)), _reading(0.31, Patch(40, 24, 16, 16))])

@@ -39,6 +39,10 @@ CASES = (
         lambda out: rm.measure(None, (8, 8, 32, 32), bench="bench.yaml", uncalibrated=True, monte_carlo=True),
     ),
     Case(
+        "measure --bench bench.yaml --report {out}/page.html --json",
+        lambda out: rm.measure(bench="bench.yaml", report=out / "page.html"),
+    ),
+    Case(
         "bracket {out}/set --bench chart.yaml --from 1/1000 --to 8ms --darks 1 --json",
         lambda out: rm.bracket(out / "set", bench="chart.yaml", shortest_s=0.001, longest_s=0.008, darks=1),
     ),
@@ -61,6 +65,12 @@ CASES = (
     Case(
         "certificate calibration.yaml -o {out}/dcc.xml --laboratory laboratory.yaml --identifier 7 --json",
         lambda out: rm.certificate("calibration.yaml", out / "dcc.xml", laboratory="laboratory.yaml", identifier="7"),
+    ),
+    Case(
+        "analyse map.tiff --region a:3,3,8,8 --region b:4,4,6,6 --contrast b,a --line 3,3,10,9 --json",
+        lambda out: rm.analyse(
+            "map.tiff", regions={"a": (3, 3, 8, 8), "b": (4, 4, 6, 6)}, contrast=("b", "a"), line=(3, 3, 10, 9)
+        ),
     ),
     Case("flicker lamp.csv --dark 0 --json", lambda out: rm.flicker("lamp.csv", dark=0.0)),
     Case(
@@ -94,6 +104,10 @@ CASES = (
         lambda out: rm.screen_calibrate(out / "lcd.yaml", "lcd", quick=True, channels=("grey", "red")),
     ),
     Case("screen level lcd.yaml 20 --json", lambda out: rm.screen_level("lcd.yaml", 20.0)),
+    Case(
+        "screen verify lcd.yaml --display lcd --levels 0,128,255 --json",
+        lambda out: rm.screen_verify("lcd.yaml", "lcd", levels="0,128,255"),
+    ),
     Case("screen export lcd.yaml csv -o {out}", lambda out: rm.screen_export("lcd.yaml", ["csv"], out), "lcd.csv"),
     Case(
         "screen import luminances.csv -o {out}/elsewhere.yaml --meter-u-rel 3% --json",
@@ -102,6 +116,11 @@ CASES = (
     Case(
         "adapt run quick --subject S1 -o {out}/run.jsonl --simulate wanders --seed 4 --json",
         lambda out: rm.adapt_run("quick", "S1", out / "run.jsonl", simulate="wanders", seed=4),
+    ),
+    Case("adapt instructions rapid --json", lambda out: rm.adapt_instructions("rapid")),
+    Case(
+        "adapt visits thresholds.csv thresholds.csv --report {out}/visits.html --json",
+        lambda out: rm.adapt_visits(["thresholds.csv", "thresholds.csv"], report=out / "visits.html"),
     ),
     Case("adapt protocols --json", lambda out: rm.adapt_protocols()),
     Case("adapt bleach 1000 120 --age 60 --json", lambda out: rm.adapt_bleach(1000.0, 120.0, age=60.0)),
@@ -131,6 +150,7 @@ CASES = (
 # Commands that are no function of the library.
 EXCUSED = {
     "serve": "runs until it is stopped; the system tests of the daemon compare what it serves",
+    "view": "shows pictures until it is stopped; `test_live_view.py` looks at them",
     "simulate": "a group",
     "simulate camera": "runs until it is stopped; the contract suite measures through it",
     "simulate box": "runs until it is stopped; the contract suite measures through it",

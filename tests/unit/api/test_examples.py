@@ -100,7 +100,7 @@ def test_a_reading_is_printed_with_two_digits_of_its_uncertainty():
         instrument="22500001",
         flags=(Flag.DRIFT,),
     )
-    assert str(reading) == "0.3265 ± 0.0033 W sr-1 m-2 (k = 2) [drift]"
+    assert str(reading) == "0.3265 ± 0.0033 W·sr⁻¹·m⁻² (k = 2) [drift]"
     assert repr(reading) == f"<Reading {reading}, patch 840,240 120 × 120 of 22500001>"
 
 

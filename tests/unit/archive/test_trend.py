@@ -138,7 +138,7 @@ def test_half_a_year_shows_a_change_and_no_drift():
     assert not trend.drifts
     assert trend.season_rel is None
     assert trend.straight_per_month == pytest.approx(0.005 / (1 + 0.005 * 3), abs=3 * trend.u_straight_per_month)
-    assert trend.told_from_s == pytest.approx(1.5 * 365.25 * 86400.0)
+    assert trend.decided_from_s == pytest.approx(1.5 * 365.25 * 86400.0)
     assert trend.to_mapping()["verdict"] == "season_or_drift"
 
 

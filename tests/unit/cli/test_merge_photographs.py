@@ -11,7 +11,7 @@ import tifffile
 
 from radiometer.analysis.response import auto
 from radiometer.analysis.response.debevec1997 import recover_response_debevec1997
-from radiometer.cli.analyse.merge_report import displacement_told
+from radiometer.cli.analyse.merge_report import displacement_in_words
 from radiometer.cli.main import run
 from radiometer.data import (
     BlackLevel,
@@ -61,7 +61,7 @@ def test_shifted_photographs_give_the_scene(folder, tmp_path, capsys):
     _merged(folder, tmp_path / "map.tiff", "--json")
     said = json.loads(capsys.readouterr().out)
     assert said["alignment"].startswith("aligned to p")
-    assert "not to be told" not in said["alignment"]
+    assert "unknown for" not in said["alignment"]
     assert said["pixels"]["moved"] > 100
     assert said["median_u_rel"] < 0.025
     dx, dy = SHIFTS[int(said["alignment"].split("aligned to p")[1][0])]
@@ -181,7 +181,7 @@ def test_a_file_in_place_of_a_folder_is_said_to_be_one(tmp_path, capsys):
 )
 def test_a_displacement_that_frames_cannot_tell_is_not_said_to_be_known_to_nothing(px, u_px, said):
     """A bound of 0 pixels is no bound; others are told with as many digits as are known."""
-    assert said in displacement_told(px, u_px)
+    assert said in displacement_in_words(px, u_px)
 
 
 def test_a_fall_off_that_is_not_known_is_refused_before_the_work(folder, tmp_path, capsys, monkeypatch):

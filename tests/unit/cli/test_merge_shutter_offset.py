@@ -27,7 +27,7 @@ from radiometer.data import (
     SensorNoise,
 )
 from radiometer.photographs.response import (
-    offset_told,
+    offset_in_words,
     shutter_offset_of,
     with_offset_of_response,
 )
@@ -202,6 +202,6 @@ def test_without_a_response_nothing_changes():
 def test_a_response_of_the_same_photographs_tells_it_in_the_map():
     """Shorter exposures are said to be shorter."""
     said = "all exposures 30.0 ± 4.0 µs {} than their labels, the shutter's offset"
-    assert offset_told(of_offset()) == said.format("longer")
-    assert offset_told(of_offset(-OFFSET_S)) == said.format("shorter")
-    assert offset_told(replace(curve(), channel="red")) is None
+    assert offset_in_words(of_offset()) == said.format("longer")
+    assert offset_in_words(of_offset(-OFFSET_S)) == said.format("shorter")
+    assert offset_in_words(replace(curve(), channel="red")) is None

@@ -7,9 +7,10 @@ from pathlib import Path
 
 import pytest
 
-from radiometer.cli.console import significant
+import radiometer as rm
 from radiometer.cli.main import run
 from radiometer.screen import ScreenCalibration
+from radiometer.screen.calibration import LUMINANCE
 
 
 @pytest.fixture(scope="module")
@@ -77,9 +78,24 @@ def test_json_and_argyll_speak_for_programs(tmp_path: Path, capsys: pytest.Captu
     assert len(lines) == 3
 
 
-@pytest.mark.parametrize(
-    ("value", "u", "shown"), [(0.0, 1.7e-4, "0.00000"), (49.72, 0.27, "49.72"), (1.234e-7, 5e-9, "1.234e-07")]
-)
-def test_values_are_told_to_two_digits_of_their_uncertainty(value: float, u: float, shown: str) -> None:
-    """A black that was not seen is 0 to as many places as are known."""
-    assert significant(value, u) == shown
+@pytest.mark.slow
+def test_own_export_is_imported_and_a_kept_calibration_is_verified(calibration: Path, tmp_path: Path) -> None:
+    """The CSV gives the luminances back to its six digits; the OLED agrees with itself, the LCD does not."""
+    back = rm.screen_import(calibration.with_suffix(".csv"), tmp_path / "back.yaml")
+    known = ScreenCalibration.read(calibration).channel()
+    for level in known.levels[1:]:
+        assert back.calibration.channel().at(level, LUMINANCE).value == pytest.approx(
+            known.at(level, LUMINANCE).value, rel=1e-5
+        )
+    assert run(["screen", "verify", str(calibration), "--display", "oled", "--levels", "0,128,255"]) == 0
+    assert run(["screen", "verify", str(calibration), "--display", "lcd", "--levels", "0,128,255"]) == 1
+
+
+@pytest.mark.parametrize("words", [["calibrate", "-o", "x.yaml"], ["verify", "CALIBRATION"]])
+def test_real_screen_needs_a_real_camera(
+    words: list[str], calibration: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Without --camera or --bench a browser's page is not measured by the simulated camera; nothing is written."""
+    monkeypatch.chdir(tmp_path)
+    assert run(["screen", *(str(calibration) if word == "CALIBRATION" else word for word in words)]) == 2
+    assert list(tmp_path.iterdir()) == []

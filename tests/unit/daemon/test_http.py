@@ -309,7 +309,7 @@ async def test_a_key_that_stands_twice_is_refused(base: str, session: aiohttp.Cl
     """Which of two levels of a light was meant is not known: nothing is set."""
     body, kind = '{"channel": "white", "level": 0, "level": 1}', {"Content-Type": "application/json"}
     async with session.post(f"{base}/light", data=body, headers=kind) as reply:
-        assert (reply.status, "'level' stands twice" in await reply.text()) == (400, True)
+        assert (reply.status, "'level' occurs twice" in await reply.text()) == (400, True)
 
 
 async def test_nonsense_is_refused_without_filling_the_log(base: str) -> None:

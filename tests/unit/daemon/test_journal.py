@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import io
 import json
+import os
 import shutil
 import sqlite3
 from collections.abc import Callable
@@ -172,6 +173,15 @@ def test_a_place_that_cannot_be_written_is_refused(tmp_path: Path) -> None:
     with pytest.raises(OutputError, match="--journal") as caught:
         Journal(tmp_path / "file" / "j.sqlite").open()
     assert not isinstance(caught.value, JournalError)
+
+
+@pytest.mark.parametrize("make", [os.mkfifo, os.mkdir])
+def test_what_is_no_regular_file_is_refused(tmp_path: Path, make: Callable[[Path], None]) -> None:
+    """A pipe or folder holds no reading: the daemon says so at its start, and leaves no lock file."""
+    make(tmp_path / "j.sqlite")
+    with pytest.raises(OutputError, match="no regular file"):
+        Journal(tmp_path / "j.sqlite").open()
+    assert [entry.name for entry in tmp_path.iterdir()] == ["j.sqlite"]
 
 
 def test_another_sqlite_file_is_refused(tmp_path: Path) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import socket
+import tracemalloc
 from collections.abc import Coroutine
 from pathlib import Path
 from typing import Any
@@ -283,6 +284,28 @@ async def test_reading_stays_paused_while_more_than_half_wait():
     await asyncio.sleep(0.01)
     assert not wire.paused
     assert session.heard[3:] == ["x", "y", "z"]
+
+
+@pytest.mark.parametrize("line", [b"\n", b"?1\n"])
+@in_virtual_time
+async def test_what_one_client_sends_at_once_takes_little_more_than_its_bytes(line):
+    """64 kB of short lines behind a command that waits: nothing is lost, and nothing is multiplied."""
+    connection, wire, session = client(server(Limits(messages_per_s=1e9)))
+    connection.data_received(b"wait\n")
+    content = line * (65_536 // len(line))
+    tracemalloc.start()
+    try:
+        connection.data_received(content)
+        held, _ = tracemalloc.get_traced_memory()
+    finally:
+        tracemalloc.stop()
+    assert wire.paused
+    assert held < 1.2 * len(content)
+    await asyncio.sleep(40.0)
+    assert not wire.aborted
+    session.event.set()
+    await asyncio.sleep(1.0)
+    assert len(session.heard) == 1 + len(content) // len(line)
 
 
 @in_virtual_time

@@ -84,7 +84,7 @@ def test_a_length_or_capacity_is_above_nothing(takes: TypeAdapter[float]) -> Non
         (FrameEntry, {"file": "a.png", "exposure_s": 1e-6, "temperature_C": -100.0}),
         (FixationCheck, {"size_deg": 2.0, "temporal_deg": 13.5, "share": 0.3}),
         (Fixation, {"size_deg": 2.0, "luminance_cd_m2": 10.0}),
-        (SteadyBleach, {"channel": "bleach", "luminance_cd_m2": 10_000.0, "duration_s": 600.0}),
+        (SteadyBleach, {"channel": "bleach", "luminance_cd_m2": 10_000.0, "duration_s": 600.0, "pupil_mm": 9.0}),
     ],
 )
 def test_what_exists_is_taken(model: type[BaseModel], fields: dict[str, object]) -> None:

@@ -253,7 +253,7 @@ def test_no_damaged_file_takes_more_than_a_gigabyte_or_ends_the_reader(tmp_path:
         resource.setrlimit(resource.RLIMIT_DATA, (2**30, 2**30))
 
     done = subprocess.run(
-        [sys.executable, str(_FUZZ), str(tmp_path), "80"], preexec_fn=limit, capture_output=True, text=True,
+        [sys.executable, str(_FUZZ), str(tmp_path), "80", "1"], preexec_fn=limit, capture_output=True, text=True,
         timeout=within(100), check=False, cwd=_FUZZ.parents[1],
     )  # fmt: skip
     assert done.returncode == 0, done.stdout[-2000:] + done.stderr[-3000:]

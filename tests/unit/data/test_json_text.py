@@ -4,14 +4,21 @@ from __future__ import annotations
 
 import json
 import math
+from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+import tifffile
 from hypothesis import given
 from hypothesis import strategies as st
 
-from radiometer.data.json_text import json_text
+from radiometer.adaptation.journal import read_events
+from radiometer.data.json_text import RepeatedKey, json_text, parsed_json
+from radiometer.errors import RadiometerError
+from radiometer.importing.statistics_table import read_statistics_table
+from radiometer.importing.tiff_files import read_tiff_headers
 
 _NUMBERS = st.floats() | st.integers() | st.floats(width=32).map(np.float32) | st.integers(-99, 99).map(np.int64)
 _CONTENT = st.recursive(
@@ -45,3 +52,48 @@ def test_arrays_are_lists_and_what_has_no_form_is_refused() -> None:
     assert json_text({"u": np.array([1.0, np.nan, -np.inf])}) == '{"u": [1.0, null, null]}'
     with pytest.raises(TypeError):
         json_text(object())
+
+
+def _beside(path: Path) -> object:
+    """Read a TIFF that has this text as Micro-Manager's metadata next to it."""
+    tifffile.imwrite(path.with_name("a.tif"), np.zeros((4, 4), np.uint16), metadata=None)
+    return read_tiff_headers(path.with_name("a.tif"))
+
+
+def _within(path: Path) -> object:
+    """Read a TIFF that has this text as Micro-Manager's tag."""
+    tags = [(51123, "s", 0, path.read_text(), True)]
+    tifffile.imwrite(path.with_name("a.tif"), np.zeros((4, 4), np.uint16), extratags=tags, metadata=None)
+    return read_tiff_headers(path.with_name("a.tif"))
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "read"),
+    [
+        ("t.json", '[{"exposure_s": 1, "mean": 20, "variance": 4, "%s": 2}]', read_statistics_table),
+        ("t.jsonl", '{"mean": 20, "variance": 4, "exposure_s": 1, "%s": 2}\n', read_statistics_table),
+        ("run.jsonl", '{"sequence": 0, "kind": "begin", "exposure_s": 1, "%s": 2}\n', read_events),
+        ("metadata.txt", '{"FrameKey-0": {"FileName": "a.tif", "exposure_s": 1, "%s": 2}}', _beside),
+        ("tag.txt", '{"exposure_s": 1, "%s": 2}', _within),
+    ],
+)
+def test_a_key_that_stands_twice_is_refused_in_every_file(
+    name: str, text: str, read: Callable[[Path], object], tmp_path: Path
+) -> None:
+    """Which of two exposures is meant is not known; another key in its place is read."""
+    path = tmp_path / name
+    path.write_text(text % "other")
+    assert read(path)
+    path.write_text(text % "exposure_s")
+    with pytest.raises(RadiometerError, match=r"'exposure_s' occurs twice.*leave one out") as refusal:
+        read(path)
+    assert str(tmp_path) in str(refusal.value)
+
+
+@given(_CONTENT)
+def test_what_is_written_is_read_and_what_has_a_key_twice_is_not(content: Any) -> None:
+    """At any depth."""
+    text = json_text(content)
+    assert json_text(parsed_json(text)) == text
+    with pytest.raises(RepeatedKey):
+        parsed_json(f'[{{"a": [{{"b": 1, "b": {text}}}]}}]')

@@ -7,6 +7,7 @@ import os
 import threading
 import time
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +17,8 @@ import pytest
 from radiometer.data import reader_limits
 from radiometer.data.reader_limits import bounded_reader, unpacked
 from radiometer.errors import CaptureError, InputError, RadiometerError
-from testing.reader_fuzz import bombs, seeds
+from testing import faulty_readers
+from testing.reader_fuzz import bombs, fuzz, hostile, seeds
 
 _BYTES_ONLY = {"packet.xmp"}  # its reader takes bytes, which another reader has bounded
 
@@ -85,6 +87,65 @@ def test_whatever_a_library_does_becomes_one_line(
     with pytest.raises(InputError, match=f"a.bin: .*{reason}"):
         bounded_reader(error=InputError)(read)(tmp_path / "a.bin")
     assert np.empty(2_500_000_000, np.uint8).nbytes == 2_500_000_000
+
+
+@pytest.mark.parametrize(
+    ("read", "reason"),
+    [
+        (faulty_readers.crash, "the library that reads it crashed"),
+        (faulty_readers.end, "the library that reads it crashed"),
+        (faulty_readers.hang, "never ends"),
+        (faulty_readers.take_memory, "more than 0.1 GB of memory"),
+        (faulty_readers.stumble, "damaged.*KeyError: 'TAG'"),
+        (faulty_readers.refuse, "gain 50 dB is out of range"),
+    ],
+)
+def test_what_a_library_does_in_another_process_ends_that_process_at_most(
+    read: Callable[[Path], object], reason: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """One line each; the next file is read, its numbers to the bit, whatever the library prints."""
+    file = tmp_path / "a.bin"
+    file.write_bytes(b"abc")
+    faulty_readers.read(file)  # has the process started
+    monkeypatch.setattr(reader_limits, "READER_SECONDS", 0.2)
+    with pytest.raises(RadiometerError, match=reason):
+        read(file)
+    monkeypatch.undo()
+    pid, numbers, facts = faulty_readers.read(file)
+    assert pid != os.getpid()
+    assert np.array_equal(numbers, np.arange(2_000_000, dtype=np.uint16))
+    numbers[0] = 1  # it is the caller's own
+    assert facts == {"a": 3.0}
+
+
+def test_readers_of_several_threads_work_apart_at_the_same_time(tmp_path: Path) -> None:
+    """Each thread gets its own answer."""
+    for number in range(8):
+        (tmp_path / f"{number}").write_bytes(b"x" * number)
+    with ThreadPoolExecutor(4) as pool:
+        found = list(pool.map(lambda number: faulty_readers.read(tmp_path / f"{number}")[2]["a"], range(8)))
+    assert found == list(range(8))
+
+
+def test_time_is_limited_in_every_thread(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A reader in a thread of a pool ends as one in the main thread does."""
+    monkeypatch.setattr(reader_limits, "READER_SECONDS", 0.2)
+    with ThreadPoolExecutor(1) as pool, pytest.raises(InputError, match="processor time"):
+        pool.submit(bounded_reader(error=InputError)(_for_ever), tmp_path / "a.bin").result()
+
+
+@pytest.mark.slow
+def test_every_reader_refuses_files_made_to_harm(tmp_path_factory: pytest.TempPathFactory) -> None:
+    """Bombs, loops, nesting and noise under each name, then damaged files: one line of our own, in 10 s each."""
+    folder = tmp_path_factory.mktemp("harm")
+    for name, seeded in seeds(folder).items():
+        place = folder / f"harm {name}"
+        place.mkdir()
+        (place / "a.png").write_bytes((folder / "a.png").read_bytes())
+        found = fuzz(place, name, len(hostile()) + 8, 3, seeded)
+        assert found.faults == []
+        assert found.refused > len(hostile()) // 2 or name in _BYTES_ONLY
+        assert found.longest_s < 10.0
 
 
 def test_readers_in_several_threads_each_have_their_memory(tmp_path: Path) -> None:

@@ -6,6 +6,7 @@ import fcntl
 import math
 import multiprocessing
 import os
+from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
 
@@ -13,10 +14,18 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from radiometer.devices.exposure_account import FileStore, MemoryStore, Moment, parse_account, render_account
+from radiometer.devices.exposure_account import (
+    NO_EYE,
+    FileStore,
+    MemoryStore,
+    Moment,
+    name_of_eye,
+    parse_account,
+    render_account,
+)
 from radiometer.devices.exposure_ledger import ExposureLedger, Stimulus
 from radiometer.devices.retinal_safety import ChannelOptics
-from radiometer.errors import UnsafeStimulus
+from radiometer.errors import UnsafeStimulus, UsageError
 
 # B = 1 over the whole line: 1000 W·sr⁻¹·m⁻² use up 0.1 % of the blue-light limit in each second.
 BLUE = ChannelOptics(437.5, 0.5, 40.0, 1000.0)
@@ -148,6 +157,9 @@ def harm(desk: Desk, kind: str) -> None:
         desk.file.write_bytes(content[:-20])
     elif kind == "edited":
         desk.file.write_bytes(content.replace(b"1000.0", b"0010.0").replace(b"0.001", b"0.000"))
+    elif kind == "a pipe":
+        desk.file.unlink()
+        os.mkfifo(desk.file)
     elif kind == "endless":
         desk.file.write_bytes(b"x" * 5_000_000)
     elif kind == "from the future":
@@ -168,6 +180,7 @@ def harm(desk: Desk, kind: str) -> None:
         "cut",
         "edited",
         "endless",
+        "a pipe",
         "from the future",
         "of another boot, from the future",
         "of another computer",
@@ -220,6 +233,36 @@ def test_an_eye_carries_its_exposure_from_box_to_box(desk):
     with pytest.raises(UnsafeStimulus, match="blue-light"):
         desk.pulse(desk.open("LB000002", "S07 right"), 60.0)
     desk.pulse(desk.open("LB000002", "S07 left"), 60.0)
+
+
+@pytest.mark.parametrize(("first", "second", "refused"), [
+    (None, None, True), ("s07 right", None, True), (None, "s07 right", True), ("s07 left", "s07 right", False),
+    (NO_EYE, None, False), (None, NO_EYE, False), (NO_EYE, "s07 right", False),
+])  # fmt: skip
+def test_light_without_a_named_eye_counts_for_every_eye(desk, first, second, refused):
+    """6 % in each of two boxes: refused where one eye may have looked into both."""
+    with desk.store("setup").change() as account:
+        account.begin("LB000002")
+    desk.pulse(desk.open("LB000001", first), 60.0)
+    desk.clock.wait(100.0)
+    with pytest.raises(UnsafeStimulus, match="blue-light") if refused else nullcontext():
+        desk.pulse(desk.open("LB000002", second), 60.0)
+
+
+def test_a_subject_has_one_account_however_the_name_is_written():
+    """Case, blanks and Unicode's wide forms make no other eye; half a statement is no statement."""
+    assert {name_of_eye(name, "right") for name in ("S07", " s07 ", "Ｓ07")} == {"s07 right"}
+    assert (name_of_eye(None, None), name_of_eye(None, None, no_eye=True)) == (None, NO_EYE)
+    for wrong in (
+        {"subject": "S07", "eye": None},
+        {"subject": None, "eye": "left"},
+        {"subject": "S07", "eye": "both"},
+        {"subject": "S" * 65, "eye": "left"},
+    ):
+        with pytest.raises(UsageError):
+            name_of_eye(**wrong)
+    with pytest.raises(UsageError, match="exclude each other"):
+        name_of_eye("S07", "right", no_eye=True)
 
 
 @pytest.mark.parametrize(("before", "after"), [(900.0, 0.0), (0.0, 9.0), (500.0, 5.0)])

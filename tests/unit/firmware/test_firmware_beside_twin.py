@@ -9,7 +9,7 @@ import pytest
 from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 
-from simulators.light_box.box import LightBoxTwin, TwinSettings
+from simulators.light_box.box import SimulatedBoxSettings, SimulatedLightBox
 from simulators.light_box.channel import REFERENCE_CHANNELS
 from testing.firmware_board import SERIAL
 from tests.unit.firmware.conftest import DIVISOR
@@ -67,7 +67,7 @@ class Pair:
         self.power, self.kind, self.box = power, kind, power(kind)
         self.ms, self.sequence, self.pressed_ms = 0, 0, None
         channels = SMALL if kind == "small" else REFERENCE_CHANNELS
-        self.twin = LightBoxTwin(TwinSettings(serial=SERIAL, channels=channels))
+        self.twin = SimulatedLightBox(SimulatedBoxSettings(serial=SERIAL, channels=channels))
         self.pass_ms(1)
 
     def reset(self):

@@ -33,7 +33,7 @@ def test_answer_stands_where_advice_fails(make_capture: Callable[..., Any], monk
     after = engine.reconcile(captured.header, captured.frames)
     assert [effect.name for effect in after.effects] == ["black_level_offset"]
     assert (after.limits, after.next_capture) == ({}, None)
-    assert any(text.startswith("the limits could not be worked out (IndexError: index 7") for text in after.assumptions)
+    assert any(text.startswith("the limits could not be computed (IndexError: index 7") for text in after.assumptions)
 
 
 def test_fit_holds_a_parameter_though_a_term_before_it_falls_to_nothing(make_capture: Callable[..., Any]) -> None:

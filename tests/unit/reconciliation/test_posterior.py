@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 
 from radiometer.reconciliation.fit.models import ModelFit
 from radiometer.reconciliation.posterior import UNNAMED, posterior, pseudo_bma
+from radiometer.reconciliation.result import FoundEffect
 from simulators.effects.black_level_offset import BlackLevelOffset
 from simulators.effects.catalogue import CatalogueEffect
 from simulators.effects.crosstalk import Crosstalk
@@ -66,6 +67,22 @@ def test_uncertainties_contain_the_choice_among_models() -> None:
     other = ModelFit(both, 0, np.full(SETTINGS, (103.0 + math.log(2.0)) / SETTINGS), 2, 1.0, {key: 0.4})
     found = posterior([_fit(), one, other], CATALOGUE).averaged("black_level_offset")["offset_dn"]
     assert (found.value, found.u) == (pytest.approx(1.5, abs=0.01), pytest.approx(math.sqrt(0.125 + 0.25), rel=0.01))
+
+
+@pytest.mark.parametrize(
+    ("probability", "words"),
+    [
+        (1.0, "probability above 0.999, almost certain"),
+        (0.95, "probability 0.950, almost certain"),
+        (0.7, "probability 0.700, likely"),
+        (0.331, "probability 0.331, possible"),
+        (None, "12 nats"),
+    ],
+)
+def test_people_read_a_probability_with_a_word(probability: float | None, words: str) -> None:
+    """Almost certain from 0.95, likely from two thirds; photographs and logs, which compare no models, give nats."""
+    found = FoundEffect("crosstalk", {}, "signal", 1.2, 1.0, gain_nats=12.0, probability=probability)
+    assert found.evidence == words
 
 
 @given(st.lists(st.floats(-50.0, 50.0), min_size=2, max_size=6))

@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import pytest
 
+from radiometer.numbers import rounded
 from radiometer.reconciliation.engine import Reconciled, examine, whole_catalogue
 from radiometer.reconciliation.fit.descent import first_state
 from radiometer.reconciliation.fit.state import FitState, with_effects
@@ -16,7 +17,6 @@ from radiometer.reconciliation.report.html import outcome, report_html
 from radiometer.reconciliation.report.pictures import effect_plot, unnamed_plot
 from radiometer.reconciliation.report.words import along, axis_label, seen_in
 from radiometer.reconciliation.result import FoundEffect, Verdict
-from radiometer.reporting.numbers import rounded
 from simulators.effects.black_level_offset import BlackLevelOffset
 from simulators.effects.crosstalk import Crosstalk
 from testing.generator.session import make_session

@@ -10,7 +10,6 @@ from typing import Any
 import pytest
 from matplotlib.figure import Figure
 
-from radiometer.reporting.numbers import rounded, unit_text, with_u
 from radiometer.reporting.page import escaped, folded, heading, listed, page, paragraph, prose, section, table
 from radiometer.reporting.pictures import dress, label, mark, picture, shortened
 from testing.report_checks import HOSTILE
@@ -56,37 +55,6 @@ def test_prose_has_printed_signs_and_keeps_numbers_together():
     assert prose("-0.5 ± 0.1 %, k = 2") == "−0.5\u00a0±\u00a00.1\u00a0%, k\u00a0=\u00a02"
     assert prose("S-12, 2026-11-22, a-b, DN/e-") == "S-12, 2026-11-22, a-b, DN/e⁻"
     assert escaped("-0.5 %") == "-0.5 %"
-
-
-@pytest.mark.parametrize(
-    ("value", "expanded", "shown"),
-    [
-        (0.281652, 0.00246, ("0.2817", "0.0025")),
-        (13945.2, 48.0, ("13945", "48")),
-        (9870.3, 1207.0, ("9900", "1200")),
-        (-0.61536, 0.0131, ("-0.615", "0.013")),
-        (3.2166e-9, 4.4e-11, ("3.217e-09", "0.044e-09")),
-        (5.123456, float("nan"), ("5.1235", "–")),
-        (5.123456, 0.0, ("5.1235", "–")),
-    ],
-)
-def test_rounding_gives_two_digits_of_the_expanded_uncertainty(value, expanded, shown):
-    """Value and U end at the same digit; a U that says nothing is a dash."""
-    assert rounded(value, expanded) == shown
-
-
-def test_a_value_stands_with_its_uncertainty_and_unit():
-    """Per cent stand behind brackets; without an uncertainty there is no ±."""
-    assert with_u(0.281652, 0.00246, "DN/e⁻") == "0.2817 ± 0.0025 DN/e⁻"
-    assert with_u(-0.61536, 0.0131, "% per month") == "(-0.615 ± 0.013) % per month"
-    assert with_u(2.5, float("inf"), "e⁻") == "2.5 e⁻"
-    assert with_u(-7.7949e-6, 5.31e-8, "s") == "(-7.795 ± 0.053)·10⁻⁶ s"
-
-
-def test_units_are_printed_as_the_field_does():
-    """Powers are raised, the unit one is nothing, the electron has its charge."""
-    assert unit_text("W sr-1 m-2") == "W·sr⁻¹·m⁻²"
-    assert (unit_text("1"), unit_text("e-/s"), unit_text("DN/e-")) == ("", "e⁻/s", "DN/e⁻")
 
 
 @pytest.mark.slow

@@ -94,6 +94,14 @@ def test_levels_without_a_unit_are_read_by_their_size_or_refused(tmp_path, level
     assert any("have no unit" in doubt for doubt in found.doubts) is doubted
 
 
+def test_a_primary_of_which_only_the_top_was_read_has_the_shape_of_grey() -> None:
+    """A quarter of white's light above black at the top is a quarter of grey's at every level; it is assumed aloud."""
+    readings = ScreenReadings("x", {0: [1.0], 128: [41.0], 255: [201.0]}, {"red": {0: [1.0], 255: [51.0]}})
+    known = imported(readings, lights("white_led", "led_lcd"), 0.04, "x")
+    assert [known.channel("red").at(n, LUMINANCE).value for n in (0, 128, 255)] == pytest.approx([1.0, 11.0, 51.0])
+    assert any(line.startswith("red: curve as grey's") for line in known.provenance.assumptions)
+
+
 def test_readings_that_zigzag_by_levels_are_as_doubtful() -> None:
     """Five levels ± 4 cd/m² about a straight line in turn: each is 8/√1.5 off the line through its neighbours."""
     values = {64 * k: [100.0 + 30.0 * k + 4.0 * (-1) ** k] for k in range(5)}
@@ -234,7 +242,7 @@ def test_command_imports_and_says_what_it_took(tmp_path: Path, capsys: pytest.Ca
     file.write_text(TI3)
     assert run(["screen", "import", str(file), "-o", str(out)]) == 0
     told = capsys.readouterr()
-    assert "relative to a white of 200 cd/m²" in told.err
+    assert "relative to a white of 200 cd" in told.err
     assert "red left out" in told.err
     assert "meter's scale: 4 %" in told.out
     assert run(["screen", "import", str(file), "-o", str(out), "--primaries", "oled", "--json", "--force"]) == 0

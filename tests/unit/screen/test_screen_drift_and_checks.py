@@ -7,6 +7,7 @@ import pytest
 
 from radiometer.devices import DisplayPatch
 from radiometer.errors import MeasurementError
+from radiometer.screen.calibration_run import Options, calibrate_screen
 from radiometer.screen.checks import Uniformity, additivity, judge_flicker, wait_until_steady
 from radiometer.screen.drift import Drift
 from radiometer.screen.meter import ScreenReading
@@ -126,3 +127,22 @@ def test_camera_that_looks_elsewhere_is_found_out_at_once() -> None:
     with pytest.raises(MeasurementError, match="does not see the patches"):
         measure_steps(looked, looked, plan)  # type: ignore[arg-type]
     assert len(shown) == 2
+
+
+def test_impossible_screen_is_refused_before_it_warms_up() -> None:
+    """White that is no brighter than black ends the calibration without any wait."""
+    waits: list[float] = []
+
+    class Elsewhere:
+        display = property(lambda self: self)
+        sleep = property(lambda self: waits.append)
+
+        def show(self, patch: DisplayPatch) -> None:
+            """Show nothing that is seen."""
+
+        def read(self) -> ScreenReading:
+            return _reading(0.3)
+
+    with pytest.raises(MeasurementError, match="does not see the patches"):
+        calibrate_screen(Elsewhere(), Options("x", (0, 128, 255)), {})  # type: ignore[arg-type]
+    assert waits == []

@@ -129,7 +129,7 @@ def test_measuring_waits_for_start() -> None:
     """A page that is open but whose Start nobody presses is no reason to begin; pressing it is."""
     waiting = FakePage()
     display = BrowserDisplay(announce=waiting.open, page_timeout_s=10, start_timeout_s=0.2)
-    with pytest.raises(DeviceTimeout, match="nobody pressed Start"):
+    with pytest.raises(DeviceTimeout, match="Start was not pressed"):
         display.open()
     pressed = FakePage(hello=("hello", "ready"))
     with BrowserDisplay(announce=pressed.open, page_timeout_s=10, start_timeout_s=10) as begun:

@@ -19,7 +19,7 @@ from radiometer.data import CameraDescription, CaptureSet, FrameSettings, LensDe
 from radiometer.data.storage import read_yaml, write_yaml_atomic
 from radiometer.devices import CameraPreset
 from radiometer.errors import InputError, MeasurementError
-from radiometer.reporting.numbers import rounded
+from radiometer.numbers import rounded
 from simulators.chain.camera_model import CameraModel
 from simulators.scenes import StepChartScene, UniformScene
 from testing.report_checks import HOSTILE

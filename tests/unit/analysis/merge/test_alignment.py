@@ -126,7 +126,7 @@ def test_one_lamp_says_nothing_of_the_corners(waves):
     found = find_alignment(Bracket.from_frames([dark, brighter]))
     assert [one.known for one in found.movements].count(False) == 1
     assert found.largest_px == 0.0
-    assert "not to be told of" in found.sentence(["a", "b"])
+    assert "unknown for" in found.sentence(["a", "b"])
 
 
 @pytest.mark.parametrize(("rim_dn", "contrast"), [(0, 0.2), (0, 0.02), (255, 0.02)])

@@ -7,7 +7,7 @@ import pytest
 from scipy.optimize import minimize_scalar
 from scipy.stats import norm
 
-from radiometer.analysis.merge.finish import hear_nearest, with_censored
+from radiometer.analysis.merge.finish import include_nearest_censored, with_censored
 from radiometer.analysis.merge.tables import NEAREST, RECORD_SIZE
 
 # Exposure, noise variance and clipping level of each frame, as `fill_record` has them, with the noise at clipping last.
@@ -76,7 +76,7 @@ def test_many_pixels_at_a_time_hear_their_nearest_frame():
     rates = np.concatenate([np.linspace(0.0, 130.0, 83), np.linspace(90.0, 110.0, 84)])
     variances, slots = np.geomspace(0.5, 9.0, rates.size), (np.arange(rates.size) % 2).astype(np.uint16)
     heard, their_variances, contradictions = rates.copy(), variances.copy(), np.zeros(rates.size, np.uint8)
-    hear_nearest(heard, their_variances, slots, records, FRAMES, 0.3, contradictions)
+    include_nearest_censored(heard, their_variances, slots, records, FRAMES, 0.3, contradictions)
     singly = [
         with_censored(rate, variance, np.uint64(0b101 if slot == 0 else 0b011), FRAMES, 0, 3, 0.3)
         for rate, variance, slot in zip(rates, variances, slots, strict=True)

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from radiometer.analysis.response.labels import exposure_labels, refuse_equal_throughout, refuse_lying_labels
+from radiometer.analysis.response.labels import exposure_labels, refuse_equal_throughout, reject_inconsistent_exposures
 from radiometer.data import Bracket, Frame, FrameSettings
 from radiometer.errors import CaptureError
 
@@ -20,14 +20,14 @@ def _relabelled(bracket: Bracket, index: int, exposure_s: float) -> Bracket:
 
 def test_honest_labels_pass(make_stack):
     """A bracket whose brightness rises with its times is accepted."""
-    refuse_lying_labels(make_stack("gamma", bit_depth=8))
+    reject_inconsistent_exposures(make_stack("gamma", bit_depth=8))
 
 
 @pytest.mark.parametrize(("index", "exposure_s", "looks"), [(2, 0.1, "shorter"), (6, 0.0011, "longer")])
 def test_wrong_label_is_named(make_stack, index, exposure_s, looks):
     """The frame whose stated time contradicts its brightness is named, and so is the direction."""
     with pytest.raises(CaptureError, match=rf"{index:04}\.png says .* looks like a {looks} exposure") as caught:
-        refuse_lying_labels(_relabelled(make_stack("gamma", bit_depth=8), index, exposure_s))
+        reject_inconsistent_exposures(_relabelled(make_stack("gamma", bit_depth=8), index, exposure_s))
     assert str(caught.value).count(".png says") == 1
 
 
@@ -36,7 +36,7 @@ def test_reciprocal_times_are_recognised(make_stack):
     bracket = make_stack("linear")
     frames = [replace(f, settings=replace(f.settings, exposure_s=1 / f.settings.exposure_s)) for f in bracket.light]
     with pytest.raises(CaptureError, match="1/t instead of t"):
-        refuse_lying_labels(Bracket.from_frames(frames))
+        reject_inconsistent_exposures(Bracket.from_frames(frames))
 
 
 def test_equal_frames_with_different_labels_are_refused_by_name(make_stack):
@@ -47,7 +47,7 @@ def test_equal_frames_with_different_labels_are_refused_by_name(make_stack):
         for k in range(4)
     ]
     with pytest.raises(CaptureError, match=r"0\.jpg \(0\.5 s\) and 1\.jpg \(1 s\).*2\.jpg \(2 s\) and 3\.jpg \(4 s\)"):
-        refuse_lying_labels(Bracket.from_frames(frames))
+        reject_inconsistent_exposures(Bracket.from_frames(frames))
     with pytest.raises(CaptureError, match=r"0\.jpg \(0\.5 s\) and 1\.jpg \(1 s\)"):
         refuse_equal_throughout(Bracket.from_frames(frames))
 
@@ -70,7 +70,7 @@ def test_equal_black_frames_are_no_lie(make_stack):
         replace(bracket.light[0], dn=bracket.light[0].dn * 0, settings=replace(bracket.light[0].settings, exposure_s=s))
         for s in (1e-6, 2e-6)
     ]
-    refuse_lying_labels(Bracket.from_frames([*dark, *bracket.light]))
+    reject_inconsistent_exposures(Bracket.from_frames([*dark, *bracket.light]))
 
 
 def _two_frames(seconds, of_middle=(60, 3000), part=0.5, rise=0.0):
@@ -96,9 +96,9 @@ def test_equal_frames_need_enough_middle_tones_and_labels_that_differ(changes, r
     bracket = _two_frames(**({"seconds": (1.0, 2.0)} | changes))
     if refused:
         with pytest.raises(CaptureError, match="equally bright though their stated exposures differ"):
-            refuse_lying_labels(bracket)
+            reject_inconsistent_exposures(bracket)
     else:
-        refuse_lying_labels(bracket)
+        reject_inconsistent_exposures(bracket)
 
 
 @pytest.mark.parametrize(("count", "fall", "refused"), [(60, 0.0038, False), (60, 0.0042, True), (49, 0.0042, False)])
@@ -107,16 +107,16 @@ def test_a_longer_exposure_may_be_darker_by_noise(count, fall, refused):
     bracket = _two_frames((1.0, 1.1), (count, 3000), rise=-fall)
     if refused:
         with pytest.raises(CaptureError, match="get darker"):
-            refuse_lying_labels(bracket)
+            reject_inconsistent_exposures(bracket)
     else:
-        refuse_lying_labels(bracket)
+        reject_inconsistent_exposures(bracket)
 
 
 def test_equal_exposures_are_no_lie_whatever_their_brightness(make_stack):
     """Frames that all state one exposure say nothing of labels: that one exposure is too few is said elsewhere."""
     bracket = make_stack("gamma", bit_depth=8)
     equal = [replace(f, settings=replace(f.settings, exposure_s=0.1)) for f in reversed(bracket.light)]
-    refuse_lying_labels(Bracket.from_frames(equal))
+    reject_inconsistent_exposures(Bracket.from_frames(equal))
 
 
 def test_an_exposure_is_called_as_it_is_stated(make_stack):

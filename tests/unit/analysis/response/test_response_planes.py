@@ -17,9 +17,9 @@ from radiometer.analysis.response.planes import (
     JointFit,
     LeftOut,
     Plane,
+    determines_labels,
     fit_planes,
     settle_planes,
-    tells_labels,
     without_shares,
 )
 from radiometer.analysis.response.samples import ResponseSamples, gather_samples
@@ -169,7 +169,7 @@ def last_label_off(*, lowest: int = 0, more: int = 0) -> Plane:
 def test_two_trusted_frames_hold_the_exponent(lowest: int, more: int, freed: tuple[int, ...], tells: bool) -> None:
     """Four groups of pixels that two trusted frames show, and four of the freed one: fewer may be strays."""
     plane = last_label_off(lowest=lowest, more=more)
-    assert tells_labels(fit_with(plane.samples, plane.start, Choices(smoothing=1e3, free=freed))) is tells
+    assert determines_labels(fit_with(plane.samples, plane.start, Choices(smoothing=1e3, free=freed))) is tells
 
 
 def test_a_plane_that_cannot_tell_a_label_is_given_it() -> None:

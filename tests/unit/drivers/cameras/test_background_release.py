@@ -36,9 +36,9 @@ def test_the_last_reference_is_dropped_in_a_thread_of_its_own():
     assert ended_in == []
     may_end.set()
     for thread in threading.enumerate():
-        if thread.name == "camera farewell":
+        if thread.name == "camera release":
             thread.join(within(20.0))
-    assert ended_in == ["camera farewell"]
+    assert ended_in == ["camera release"]
 
 
 def test_an_error_of_the_library_keeps_no_frame_alive(library_error):

@@ -15,7 +15,7 @@ from radiometer.devices.exposure_ledger import ExposureLedger
 from radiometer.devices.light_box import CurrentRange, DriveLevel
 from radiometer.devices.retinal_safety import ChannelOptics
 from radiometer.errors import DeviceLost, DeviceTimeout, UnsafeStimulus
-from simulators.light_box.box import LightBoxTwin
+from simulators.light_box.box import SimulatedLightBox
 from simulators.light_box.line_faults import LineFaults
 from simulators.light_box.virtual_line import VirtualLine
 from testing.eye_world import PROMISED, Eye, live_through
@@ -29,7 +29,7 @@ class Bench:
     """A simulated box whose port any number of programs open, one after the other, with an account in a folder."""
 
     def __init__(self, folder: Path, optics: ChannelOptics = FIELD, rate: float = WHITE_BLUE) -> None:
-        self.twin, self.folder, self.optics, self.eye = LightBoxTwin(), folder, optics, Eye()
+        self.twin, self.folder, self.optics, self.eye = SimulatedLightBox(), folder, optics, Eye()
         self.line = VirtualLine(self.twin, latency_s=0.0003)
         self._since_s, self._radiance, self._rate = 0.0, 0.0, rate
         self.twin.watch = self.look

@@ -18,7 +18,7 @@ from radiometer.devices.exposure_account import MemoryStore
 from radiometer.devices.exposure_ledger import ExposureLedger
 from radiometer.devices.retinal_safety import ChannelOptics
 from radiometer.errors import DeviceError
-from simulators.light_box.box import LightBoxTwin
+from simulators.light_box.box import SimulatedLightBox
 
 OPTICS = {name: ChannelOptics(640.0, 18.0, 1.5, 1.0) for name in ("bleach", "spot", "spot_red", "fixation")}
 FRAGMENTS = st.sampled_from([b"=", b"!", b"*", b"#", b" OK", b" ER 05", b"--", b"TM", b"1.000", b"\n", b"00", b"HI 1"])
@@ -109,7 +109,7 @@ def test_open_box_on_babble_never_reports_what_was_not_said(answers):
     """An open driver that gets undamaged nonsense raises a DeviceError or has read its own level back."""
     line = BabblingLine([])
     box = SerialLightBox(BoxLink(line), ExposureLedger(OPTICS, MemoryStore(line.now, ("TWIN0001",))), keep_alive=False)
-    twin = LightBoxTwin()
+    twin = SimulatedLightBox()
     prepare(box, line, twin)
     line.lines.extend(sealed(f"={number:02X} {word} ".encode() + noise) for number, word, noise in answers)
     try:
@@ -119,7 +119,7 @@ def test_open_box_on_babble_never_reports_what_was_not_said(answers):
     assert state.drive == DriveLevel(1234)
 
 
-def prepare(box: SerialLightBox, line: BabblingLine, twin: LightBoxTwin) -> None:
+def prepare(box: SerialLightBox, line: BabblingLine, twin: SimulatedLightBox) -> None:
     """Open the driver on a twin's answers."""
 
     def write(request: bytes) -> float:
@@ -137,7 +137,7 @@ def prepare(box: SerialLightBox, line: BabblingLine, twin: LightBoxTwin) -> None
 @given(st.lists(st.one_of(NOISE, NOISE.map(sealed).map(lambda line: line + b"\n")), max_size=20))
 def test_box_takes_any_bytes_and_stays_dark(chunks):
     """The simulated box answers any bytes without failing, and lights nothing without a session."""
-    twin = LightBoxTwin()
+    twin = SimulatedLightBox()
     for step, chunk in enumerate(chunks):
         twin.receive(chunk.replace(b"HI", b"XX"), step * 0.001)
     assert all(twin.duty(channel.limits.name) == 0 for channel in twin.channels)

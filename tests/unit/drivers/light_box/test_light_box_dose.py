@@ -15,7 +15,7 @@ from radiometer.devices.exposure_account import MemoryStore
 from radiometer.devices.exposure_ledger import ExposureLedger
 from radiometer.devices.retinal_safety import ChannelOptics
 from radiometer.errors import DeviceError, SettingOutOfRange, UnsafeStimulus, UsageError
-from simulators.light_box.box import LightBoxTwin, TwinSettings
+from simulators.light_box.box import SimulatedBoxSettings, SimulatedLightBox
 from simulators.light_box.virtual_line import VirtualLine
 
 # B = 1 over the whole line: L·t = 10⁶ J·sr⁻¹·m⁻² is the blue-light limit, and 10⁵ what is allowed of it.
@@ -38,7 +38,7 @@ class Table:
 
 def bench(calibration=None):
     """Return a twin, its line and an opened driver whose channels are all blue."""
-    twin = LightBoxTwin(TwinSettings())
+    twin = SimulatedLightBox(SimulatedBoxSettings())
     line = VirtualLine(twin, latency_s=0.0003)
     optics = dict.fromkeys(("bleach", "field", "spot", "spot_red"), BLUE)
     box = SerialLightBox(

@@ -14,7 +14,7 @@ from radiometer.devices.exposure_account import MemoryStore
 from radiometer.devices.exposure_ledger import ExposureLedger
 from radiometer.devices.retinal_safety import ChannelOptics
 from radiometer.errors import DeviceError, DeviceLost
-from simulators.light_box.box import LightBoxTwin, TwinSettings
+from simulators.light_box.box import SimulatedBoxSettings, SimulatedLightBox
 from simulators.light_box.line_faults import LineFaults
 from simulators.light_box.virtual_line import VirtualLine
 
@@ -22,10 +22,10 @@ CHANNELS = ("bleach", "spot", "spot_red", "fixation")
 OPTICS = {name: ChannelOptics(640.0, 18.0, 1.5, 1.0) for name in CHANNELS}
 
 
-def bench(seed: int, **faults: float) -> tuple[LightBoxTwin, VirtualLine, SerialLightBox]:
+def bench(seed: int, **faults: float) -> tuple[SimulatedLightBox, VirtualLine, SerialLightBox]:
     """Return a twin, its line and an unopened driver."""
     rng = np.random.default_rng(seed)
-    twin = LightBoxTwin(TwinSettings())
+    twin = SimulatedLightBox(SimulatedBoxSettings())
     line = VirtualLine(twin, LineFaults(**faults, rng=rng), latency_s=0.0003, rng=rng)
     return (
         twin,
@@ -146,7 +146,7 @@ def test_button_events_lost_on_the_line_are_fetched():
 def test_press_times_over_forty_minutes_with_a_fast_clock():
     """Button times err by less than 2 ms, and by less than their stated k = 2, at 200 ppm over 40 minutes."""
     rng = np.random.default_rng(18)
-    twin = LightBoxTwin(TwinSettings(clock_ppm=200.0))
+    twin = SimulatedLightBox(SimulatedBoxSettings(clock_ppm=200.0))
     line = VirtualLine(twin, latency_s=0.0008, least_latency_s=0.0002, rng=rng)
     box = SerialLightBox(
         BoxLink(line, _sequence=0), ExposureLedger(OPTICS, MemoryStore(line.now, ("TWIN0001",))), keep_alive=False

@@ -13,7 +13,7 @@ from radiometer.devices.exposure_account import MemoryStore
 from radiometer.devices.exposure_ledger import ExposureLedger
 from radiometer.devices.retinal_safety import ChannelOptics, FlashLight
 from radiometer.errors import SettingOutOfRange, UnsafeStimulus, UsageError
-from simulators.light_box.box import LightBoxTwin, TwinSettings
+from simulators.light_box.box import SimulatedBoxSettings, SimulatedLightBox
 from simulators.light_box.virtual_line import VirtualLine
 
 FIELD = ChannelOptics(None, 0.0, 40.0, 40.0)
@@ -21,9 +21,9 @@ WHITE_BLUE, WHITE_RED = 0.40629, 4.5181  # of the stated white: worked out in te
 FLASH = FlashLight(exposure_j_sr_m2=100.0, exposure_bound_j_sr_m2=120.0, duration_s=0.003, subtense_deg=40.0)
 
 
-def bench(version: int = 2, flash: FlashLight | None = FLASH) -> tuple[LightBoxTwin, VirtualLine, SerialLightBox]:
+def bench(version: int = 2, flash: FlashLight | None = FLASH) -> tuple[SimulatedLightBox, VirtualLine, SerialLightBox]:
     """Return a twin, its line and an opened driver."""
-    twin = LightBoxTwin(TwinSettings(newest_version=version))
+    twin = SimulatedLightBox(SimulatedBoxSettings(newest_version=version))
     line = VirtualLine(twin, latency_s=0.0003)
     optics = dict.fromkeys(("bleach", "field"), FIELD) | {"spot": ChannelOptics(453.0, 22.0, 1.5, 4.0)}
     if flash is not None:

@@ -11,8 +11,7 @@ from radiometer.reconciliation.measure.design import Design
 from radiometer.reconciliation.measure.reduce import reduce_frames
 from radiometer.reconciliation.propose import propose_law, search
 from radiometer.reconciliation.propose.grammar import Term
-from radiometer.reconciliation.propose.law import Law
-from radiometer.reconciliation.propose.law_effect import effect_of
+from radiometer.reconciliation.propose.law import Law, effect_of
 from testing.generator.session import make_session
 from testing.outside import two
 from testing.outside.two_hidden import HIDDEN

@@ -337,6 +337,15 @@ def _grown(effect: CatalogueEffect, field: str) -> Any:
     return np.mean(left - rest) / 7.0
 
 
+@pytest.mark.parametrize("name", sorted(CATALOGUE))
+def test_no_form_is_loosened_to_itself(name: str) -> None:
+    """From every size that is tried, and once more from what comes of it: each looser form is another one."""
+    context = effect_context()
+    for start in starts_of(CATALOGUE[name], context):
+        for form in (start, *start.loosened(context)):
+            assert form not in form.loosened(context)
+
+
 @pytest.mark.parametrize("name", sorted(CATALOGUE.keys() - APART - NEEDS_A_PICTURE))
 def test_noise_from_before_passes_by_the_slope(name: str) -> None:
     """Variances and covariances by its square, differences of means by itself, shares and counts as they are."""

@@ -8,15 +8,15 @@ from zlib import crc32
 
 import pytest
 
-from simulators.light_box.box import LightBoxTwin
+from simulators.light_box.box import SimulatedLightBox
 from simulators.light_box.channel import REFERENCE_CHANNELS, ChannelLimits
 from simulators.light_box.commands import Commands
 
 FIRMWARE = Path(__file__).resolve().parents[4] / "drivers" / "firmware" / "light_box"
 
 
-def greeted() -> tuple[LightBoxTwin, Commands]:
-    twin = LightBoxTwin()
+def greeted() -> tuple[SimulatedLightBox, Commands]:
+    twin = SimulatedLightBox()
     commands = Commands(twin)
     assert commands.run("HI 2").startswith("OK radiometer-light-box 2")
     return twin, commands
@@ -39,7 +39,7 @@ def test_what_is_no_command_is_refused_by_its_number(text: str, code: int) -> No
 
 def test_a_box_that_nobody_greeted_shines_for_nobody() -> None:
     """Reading is allowed, light is not (7); a fresh box has lost and darkened nothing and its button is up."""
-    commands = Commands(LightBoxTwin())
+    commands = Commands(SimulatedLightBox())
     assert commands.run("SL 1 H 100") == "ER 07"
     assert commands.run("ST").split()[3:] == ["0", "0", "0", "P", "0", "0"]
     assert commands.run("TM").endswith(" 01")  # it has told of its start, and of nothing else
@@ -175,7 +175,7 @@ def test_the_twin_has_the_limits_that_stand_in_the_firmware() -> None:
 
 def test_the_twin_tells_when_something_happens_by_itself_next() -> None:
     """Without a host nothing; a second after its last word; a light that ends or a press planned sooner comes first."""
-    assert LightBoxTwin().next_time_s() is None
+    assert SimulatedLightBox().next_time_s() is None
     twin, commands = greeted()
     said_s = twin.time_s
     assert twin.next_time_s() == pytest.approx(said_s + 1.0, abs=2e-3)

@@ -7,8 +7,8 @@ from itertools import pairwise
 import pytest
 
 from drivers.light_box.frames import request_line
-from simulators.light_box.box import LightBoxTwin
-from simulators.light_box.pty_line import LAG_S, PtyServer, WiredTwin
+from simulators.light_box.box import SimulatedLightBox
+from simulators.light_box.pty_line import LAG_S, PtyServer, WiredLightBox
 
 
 class _Clock:
@@ -20,10 +20,10 @@ class _Clock:
         return self.now_s
 
 
-def _greeted() -> tuple[_Clock, PtyServer, LightBoxTwin]:
+def _greeted() -> tuple[_Clock, PtyServer, SimulatedLightBox]:
     """Return a served box with a session that was begun at 0.2 s, its clock and the server."""
-    clock, twin = _Clock(), LightBoxTwin()
-    server = PtyServer(WiredTwin(twin), clock=clock)
+    clock, twin = _Clock(), SimulatedLightBox()
+    server = PtyServer(WiredLightBox(twin), clock=clock)
     for clock.now_s, sent in ((0.1, request_line(1, "HI 2")), (0.2, b"")):
         server.device.exchange(sent, server.time_s())
     assert twin.session

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from simulators.light_box.box import LightBoxTwin
+from simulators.light_box.box import SimulatedLightBox
 from simulators.observers.eye_kinetics import (
     Eye,
     bleached,
@@ -93,7 +93,7 @@ def test_answers_come_as_often_as_they_should():
 
 def test_subject_presses_the_simulated_box_after_its_reaction_time():
     """A bright spot on the box is answered by a press on its button."""
-    twin = LightBoxTwin()
+    twin = SimulatedLightBox()
     seat = ObserverAtBox(Observer(Eye(), Habits(lapses=0.0, false_alarms=0.0)), twin)
     seat.sit_down()
     twin.advance(1.0)
@@ -108,7 +108,7 @@ def test_subject_presses_the_simulated_box_after_its_reaction_time():
 
 def test_false_alarms_at_the_box_come_as_often_as_they_should():
     """In 3000 s of darkness at 0.01 per s the presses are Poisson of mean 30 (4 sigmas), and follow no light."""
-    twin = LightBoxTwin()
+    twin = SimulatedLightBox()
     seat = ObserverAtBox(Observer(Eye(), Habits(false_alarms=0.01), np.random.default_rng(5)), twin)
     seat.sit_down()
     twin.advance(3000.0)

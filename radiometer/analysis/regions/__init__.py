@@ -1,0 +1,1 @@
+"""Measures of regions of a radiance map."""

@@ -1,0 +1,245 @@
+"""Figures of regions of a radiance map with their uncertainty: mean, extremes, uniformity, contrast, profiles, lux."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Final, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import map_coordinates, uniform_filter
+
+from radiometer.data import Patch, PixelMask, Quantity, RadianceMap
+from radiometer.errors import InputError, MeasurementError
+from radiometer.typing import Array
+
+LOST: Final = PixelMask.SATURATED | PixelMask.BELOW_NOISE
+Projection = Literal["equidistant", "equisolid", "orthographic", "stereographic"]
+
+
+@dataclass(frozen=True, slots=True)
+class RegionFigures:
+    """Figures of one region; units are the map's.
+
+    Attributes:
+        name: Its name.
+        patch: Where it is.
+        mean: Mean of the good pixels.
+        median: Median of them.
+        lowest: Least mean over a box.
+        highest: Greatest mean over a box.
+        deviation: Standard deviation over the pixels, their noise taken off.
+        uniformity: Lowest over highest.
+        good_share: Share of pixels with a value.
+        flags: What makes a figure doubtful, a sentence each.
+    """
+
+    name: str
+    patch: Patch
+    mean: Quantity
+    median: Quantity
+    lowest: Quantity
+    highest: Quantity
+    deviation: Quantity
+    uniformity: Quantity
+    good_share: float
+    flags: tuple[str, ...] = ()
+
+
+def region_figures(found: RadianceMap, name: str, patch: Patch, box_px: int = 5) -> RegionFigures:
+    """Return the figures of a region.
+
+    Noise of single pixels averages out; what all pixels share does not, and drops out of ratios. Extremes are of means
+    over a box, for single pixels' extremes are those of the noise. The expected extreme of the noise of n boxes,
+    √(2·ln n) standard deviations, counts as a rectangular bound; the boxes overlap, so n is the number of pixels.
+
+    Args:
+        found: The map.
+        name: Name of the region.
+        patch: Where it is.
+        box_px: Side of the box in pixels.
+
+    Raises:
+        InputError: If the region leaves the map.
+        MeasurementError: If less than half of its pixels have a value.
+    """
+    if not patch.fits(found.shape):
+        raise InputError(f"region {name}: leaves the map of {found.shape[1]} × {found.shape[0]} pixels")
+    values = found.radiance[patch.slices].astype(np.float64)
+    own = found.u_radiance[patch.slices].astype(np.float64)
+    mask = found.mask[patch.slices]
+    good = (mask & LOST) == 0
+    share = float(good.mean())
+    if share < 0.5:
+        raise MeasurementError(
+            f"region {name}: only {100 * share:.0f} % of its pixels have a value; merge more exposures"
+        )
+    common, unit, count = found.u_rel_common, found.unit, int(good.sum())
+    level = float(values[good].mean())
+    u_mean = math.sqrt(float(np.sum(own[good] ** 2))) / count
+    boxes, noise = _boxes(values, own, good, box_px)
+    bound = noise * math.sqrt(2.0 * math.log(max(2, values.size))) / math.sqrt(3.0)
+    low, high = float(boxes.min()), float(boxes.max())
+    u_low, u_high = math.hypot(noise, bound), math.hypot(noise, bound)
+    noise_2 = float(np.mean(own[good] ** 2))
+    spread_2 = max(float(values[good].var(ddof=1)) - noise_2, 0.0)
+    spread = math.sqrt(spread_2)
+    # Var(s²) of values with normal noise: 4S²σ²/n + 2σ⁴/n.
+    u_square = math.sqrt((4.0 * spread_2 + 2.0 * noise_2) * noise_2 / count)
+    u_spread = min(math.sqrt(u_square), u_square / (2.0 * spread) if spread > 0 else math.inf)
+    uniformity = low / high if high > 0 else math.nan
+    u_uniformity = uniformity * math.hypot(u_low / low, u_high / high) if low > 0 else u_low / max(high, 1e-30)
+    return RegionFigures(
+        name,
+        patch,
+        Quantity(level, math.hypot(u_mean, level * common), unit),
+        Quantity(float(np.median(values[good])), math.hypot(1.2533 * u_mean, level * common), unit),
+        Quantity(low, math.hypot(u_low, low * common), unit),
+        Quantity(high, math.hypot(u_high, high * common), unit),
+        Quantity(spread, math.hypot(u_spread, spread * common), unit),
+        Quantity(uniformity, u_uniformity, "1"),
+        share,
+        _flags(mask),
+    )
+
+
+def _boxes(values: Array, own: Array, good: Array, box_px: int) -> tuple[Array, float]:
+    """Return means over a box where all of it is good, and the standard deviation of their noise."""
+    side = max(1, min(box_px, *values.shape))
+    weight = uniform_filter(good.astype(np.float64), side, mode="constant")
+    mean = uniform_filter(np.where(good, values, 0.0), side, mode="constant")
+    whole = weight > 1.0 - 0.5 / side**2
+    if not whole.any():
+        return values[good], float(np.sqrt(np.mean(own[good] ** 2)))
+    return mean[whole], float(np.sqrt(np.mean(own[good] ** 2))) / side
+
+
+def _flags(mask: NDArray[np.uint8]) -> tuple[str, ...]:
+    found = []
+    if (mask & PixelMask.SATURATED).any():
+        found.append("saturated: highest, mean and uniformity are bounds")
+    if (mask & PixelMask.BELOW_NOISE).any():
+        found.append("below noise: some pixels have no value; lowest and mean are upper bounds")
+    if (mask & PixelMask.EXTRAPOLATED).any():
+        found.append("extrapolated: some pixels are outside the response's data")
+    return tuple(found)
+
+
+def ratio_of(first: RegionFigures, second: RegionFigures, common_u_rel: float) -> Quantity:
+    """Return the ratio of two regions' means; what all pixels share drops out.
+
+    Light that the lens scatters from the bright region into the dark one is in no uncertainty here.
+
+    Args:
+        first: The brighter region.
+        second: The darker one.
+        common_u_rel: Relative standard uncertainty that all pixels share.
+
+    Raises:
+        MeasurementError: If the second mean is not above 0.
+    """
+    if second.mean.value <= 0.0:
+        raise MeasurementError(f"region {second.name}: its mean is not above 0, so the contrast has no bound")
+    ratio = first.mean.value / second.mean.value
+    own = [math.sqrt(max(one.mean.u_rel**2 - common_u_rel**2, 0.0)) for one in (first, second)]
+    return Quantity(ratio, ratio * math.hypot(*own), "1")
+
+
+def profile(
+    found: RadianceMap, start: tuple[float, float], end: tuple[float, float], width_px: int = 1
+) -> tuple[Array, Array, Array]:
+    """Return distance in pixels, values and standard uncertainty along a line, averaged over its width.
+
+    Args:
+        found: The map.
+        start: (x, y) of its first point in pixels.
+        end: (x, y) of its last point.
+        width_px: Width to average over.
+
+    Raises:
+        InputError: If an end is outside the map, or both are the same.
+    """
+    height, width = found.shape
+    for at_x, at_y in (start, end):
+        if not (0 <= at_x <= width - 1 and 0 <= at_y <= height - 1):
+            raise InputError(f"profile: the point {at_x:g},{at_y:g} is outside the map of {width} × {height} pixels")
+    length = math.dist(start, end)
+    if length < 1.0:
+        raise InputError("profile: the two points are less than a pixel apart")
+    steps = np.linspace(0.0, 1.0, math.ceil(length) + 1)
+    across = (np.arange(width_px) - (width_px - 1) / 2.0)[:, None]
+    normal = ((start[1] - end[1]) / length, (end[0] - start[0]) / length)
+    x = start[0] + (end[0] - start[0]) * steps + normal[0] * across
+    y = start[1] + (end[1] - start[1]) * steps + normal[1] * across
+    lost = np.where((found.mask & LOST) != 0, np.nan, found.radiance).astype(np.float64)
+    values = map_coordinates(lost, [y, x], order=1, mode="nearest").mean(axis=0)
+    own = map_coordinates(found.u_radiance.astype(np.float64), [y, x], order=1, mode="nearest")
+    u_own = np.sqrt(np.mean(own**2, axis=0) / width_px)
+    return steps * length, values, np.hypot(u_own, values * found.u_rel_common)
+
+
+def vertical_illuminance(
+    found: RadianceMap, projection: Projection, field_of_view_deg: float, u_field_deg: float, radius_px: float | None
+) -> Quantity:
+    """Return the illuminance in lx (or irradiance in W·m⁻²) on a plane across the axis of a fisheye picture.
+
+    E = Σ L·cos θ·dω over the image circle up to 90°, with the solid angle dω of each pixel under the projection.
+
+    Args:
+        found: Map in cd·m⁻² or W·sr⁻¹·m⁻²; the axis is at its centre.
+        projection: How the lens maps the angle θ from the axis to the radius.
+        field_of_view_deg: Full angle of the image circle in degrees.
+        u_field_deg: Its standard uncertainty.
+        radius_px: Radius of the image circle in pixels; half of the shorter side by default.
+
+    Raises:
+        InputError: If the field of view is not above 0 and at most 360°, or the map is a relative one.
+        MeasurementError: If pixels within the circle are saturated or more than 1 % have no value.
+    """
+    if found.unit == "relative":
+        raise InputError("a relative map has no illuminance; merge with a calibration")
+    if not 0.0 < field_of_view_deg <= 360.0:
+        raise InputError(f"field of view {field_of_view_deg:g}°: must be above 0 and at most 360°")
+    height, width = found.shape
+    radius = radius_px if radius_px is not None else min(height, width) / 2.0
+    y, x = np.indices(found.shape)
+    r = np.hypot(x - (width - 1) / 2.0, y - (height - 1) / 2.0)
+    inside = r <= radius
+    mask = found.mask[inside]
+    if (mask & PixelMask.SATURATED).any():
+        raise MeasurementError("pixels within the image circle are saturated: the illuminance has no upper bound")
+    if float(np.mean((mask & PixelMask.BELOW_NOISE) != 0)) > 0.01:
+        raise MeasurementError("more than 1 % of the image circle is below the noise; take longer exposures")
+
+    def total(field_deg: float) -> tuple[float, float]:
+        cosine, solid = _angles(r[inside] / radius, math.radians(field_deg) / 2.0, projection)
+        weight = np.where(cosine > 0.0, cosine * solid, 0.0) / radius**2
+        own = float(np.sum((weight * found.u_radiance[inside]) ** 2))
+        return float(np.sum(weight * found.radiance[inside])), math.sqrt(own)
+
+    value, u_own = total(field_of_view_deg)
+    moved = [total(field_of_view_deg + way * u_field_deg)[0] for way in (-1.0, 1.0)] if u_field_deg else [value, value]
+    u = math.hypot(u_own, value * found.u_rel_common, abs(moved[1] - moved[0]) / 2.0)
+    return Quantity(value, u, "lx" if found.unit.startswith("cd") else "W m-2")
+
+
+def _angles(part: Array, half: float, projection: Projection) -> tuple[Array, Array]:
+    """Return cos θ, and the solid angle per area of the circle of radius 1, for r as part of the circle's radius.
+
+    dω = sin θ·(dθ/dr)/r. Source: Schneider, Schwalbe and Maas 2009, ISPRS J. Photogramm. 64, 259.
+    """
+    if projection == "equidistant":
+        theta = part * half
+        return np.cos(theta), half**2 * np.sinc(theta / np.pi)
+    if projection == "equisolid":
+        scale = math.sin(half / 2.0)
+        sine = part * scale
+        return 1.0 - 2.0 * sine**2, np.full(part.shape, 4.0 * scale**2)
+    if projection == "stereographic":
+        scale = math.tan(half / 2.0)
+        tangent_2 = (part * scale) ** 2
+        return (1.0 - tangent_2) / (1.0 + tangent_2), 4.0 * scale**2 / (1.0 + tangent_2) ** 2
+    scale = math.sin(min(half, math.pi / 2.0))
+    cosine = np.sqrt(np.maximum(1.0 - (part * scale) ** 2, 0.0))
+    return cosine, scale**2 / np.maximum(cosine, 1e-6)

@@ -1,0 +1,228 @@
+"""Measures from a radiance map: regions, contrast, profiles, and the illuminance of a fisheye picture."""
+
+from __future__ import annotations
+
+import csv
+import io
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from radiometer.analysis.exports.maps import MapPicture, in_luminance, read_tiff
+from radiometer.analysis.photometry.photometry import spectrum as spectrum_of
+from radiometer.analysis.regions.figures import (
+    Projection,
+    RegionFigures,
+    profile,
+    ratio_of,
+    region_figures,
+    vertical_illuminance,
+)
+from radiometer.api.files import PathLike
+from radiometer.api.meter import PatchLike, as_patch
+from radiometer.api.radiance import Radiance
+from radiometer.api.result import Result
+from radiometer.data import Patch, Quantity, RadianceMap
+from radiometer.data.drawing import new_axes, picture
+from radiometer.data.storage import write_text_atomic
+from radiometer.errors import UsageError
+from radiometer.numbers import unit_text, with_u
+from radiometer.reporting.page import listed, page, section, table
+from radiometer.typing import Array
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+_FIGURES = ("mean", "median", "lowest", "highest", "deviation", "uniformity")
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class MapAnalysis(Result):
+    """Figures of a radiance map; all uncertainties are standard ones (k = 1).
+
+    Examples:
+        >>> import radiometer as rm
+        >>> chart = rm.merge("out/chart", calibration="calibration.yaml")
+        >>> found = rm.analyse(chart, regions={"a": (3, 3, 8, 8), "b": (4, 4, 4, 4)}, contrast=("a", "b"))
+        >>> found.regions[0].mean.unit, found.contrast.unit
+        ('W sr-1 m-2', '1')
+
+    Attributes:
+        origin: File of the map, or its repr.
+        map: The map in the unit of the figures.
+        regions: Figures by region.
+        contrast: Ratio of two regions' means.
+        profile: Distance in pixels, values and standard uncertainty along the line.
+        illuminance: Vertical illuminance of a fisheye picture.
+        assumptions: What was assumed, a sentence each.
+    """
+
+    origin: str
+    map: RadianceMap
+    regions: tuple[RegionFigures, ...]
+    contrast: Quantity | None = None
+    profile: tuple[Array, Array, Array] | None = None
+    illuminance: Quantity | None = None
+    assumptions: tuple[str, ...] = field(default=())
+
+    def to_mapping(self) -> dict[str, Any]:
+        """Return the documented JSON form."""
+        mapping: dict[str, Any] = {
+            "map": self.origin,
+            "unit": self.map.unit,
+            "regions": {
+                one.name: {
+                    "patch": [one.patch.x, one.patch.y, one.patch.width, one.patch.height],
+                    **{name: getattr(one, name).to_mapping() for name in _FIGURES},
+                    "good_share": one.good_share,
+                    "flags": list(one.flags),
+                }
+                for one in self.regions
+            },
+            "contrast": None if self.contrast is None else self.contrast.to_mapping(),
+            "illuminance": None if self.illuminance is None else self.illuminance.to_mapping(),
+            "assumptions": list(self.assumptions),
+        }
+        if self.profile is not None:
+            names = ("distance_px", "value", "u")
+            mapping["profile"] = {name: one.tolist() for name, one in zip(names, self.profile, strict=True)}
+        return mapping
+
+    def write_csv(self, path: PathLike) -> None:
+        """Write a row for each region and figure. Raises OutputError if it cannot be written."""
+        stream = io.StringIO()
+        writer = csv.writer(stream, lineterminator="\n")
+        writer.writerow(["region", "figure", "value", "u", "unit"])
+        for one in self.regions:
+            for name in _FIGURES:
+                quantity = getattr(one, name)
+                writer.writerow([one.name, name, quantity.value, quantity.u, quantity.unit])
+        write_text_atomic(Path(path), stream.getvalue())
+
+    def write_report(self, path: PathLike) -> None:
+        """Write a self-contained page. Raises OutputError if it cannot be written."""
+        rows = [
+            (one.name, *(with_u(q.value, 2 * q.u) for q in (getattr(one, name) for name in _FIGURES)))
+            for one in self.regions
+        ]
+        further = []
+        if self.contrast is not None:
+            further.append(f"contrast (ratio of the means): {with_u(self.contrast.value, 2 * self.contrast.u)}")
+        if self.illuminance is not None:
+            value = with_u(self.illuminance.value, 2 * self.illuminance.u, unit_text(self.illuminance.unit))
+            further.append(f"vertical illuminance: {value}")
+        flags = [f"{one.name}: {flag}" for one in self.regions for flag in one.flags]
+        parts = [
+            picture(self.plot, f"{self.origin}, {unit_text(self.map.unit)}"),
+            section(f"Regions in {unit_text(self.map.unit)}, k = 2", table(("region", *_FIGURES), rows, words=(0,))),
+            section("Further figures, k = 2", listed(further)),
+            section("Flags and assumptions", listed([*flags, *self.assumptions])),
+        ]
+        outcome = f"{len(self.regions)} regions"
+        write_text_atomic(Path(path), page("figures of a radiance map", outcome, parts, kind="analyse"))
+
+    def plot(self, axes: Axes | None = None) -> Axes:
+        """Draw the map in false colours with its regions.
+
+        Args:
+            axes: Where to draw; a new figure by default.
+        """
+        from matplotlib.patches import Rectangle
+
+        where = Radiance({"mono": self.map}).plot(axes if axes is not None else new_axes())
+        for one in self.regions:
+            corner = (one.patch.x - 0.5, one.patch.y - 0.5)
+            where.add_patch(Rectangle(corner, one.patch.width, one.patch.height, fill=False, color="red"))
+            where.annotate(one.name, corner, color="red", va="bottom")
+        return where
+
+    def _repr_html_(self) -> str:
+        return picture(self.plot, repr(self))
+
+    def __str__(self) -> str:
+        """Return the regions' means in one line."""
+        means = [f"{one.name} {with_u(one.mean.value, 2 * one.mean.u)}" for one in self.regions]
+        lux = [] if self.illuminance is None else [f"{self.illuminance.value:.4g} {self.illuminance.unit}"]
+        return f"{', '.join([*means, *lux])} (k = 2)"
+
+
+def analyse(
+    source: Radiance | PathLike,
+    *,
+    regions: Mapping[str, PatchLike] | None = None,
+    contrast: tuple[str, str] | None = None,
+    line: tuple[float, float, float, float] | None = None,
+    line_width: int = 1,
+    box: int = 5,
+    spectrum: str | None = None,
+    fisheye: Projection | None = None,
+    field_of_view: float | None = None,
+    field_of_view_u: float = 0.0,
+    radius: float | None = None,
+) -> MapAnalysis:
+    """Measure regions, contrast, a profile and the illuminance of a radiance map, each with its uncertainty.
+
+    Examples:
+        >>> import radiometer as rm
+        >>> rm.analyse(rm.merge("out/chart", calibration="calibration.yaml"), regions={"a": (3, 3, 8, 8)})
+        <MapAnalysis a ... (k = 2)>
+
+    Args:
+        source: Map of `merge`, or the TIFF file that it wrote.
+        regions: Patches by name; the whole map by default.
+        contrast: Names of the brighter and the darker region.
+        line: (x1, y1, x2, y2) of a profile in pixels.
+        line_width: Width in pixels that the profile is averaged over.
+        box: Side in pixels of the box whose means give the extremes.
+        spectrum: Spectrum of the light, for figures in cd·m⁻².
+        fisheye: Projection of a fisheye picture: "equidistant", "equisolid", "stereographic" or "orthographic".
+        field_of_view: Full angle of its image circle in degrees.
+        field_of_view_u: Its standard uncertainty in degrees.
+        radius: Radius of its image circle in pixels; half of the shorter side by default.
+
+    Raises:
+        UsageError: If options need each other, or a region is not named.
+        InputError: If the file is no map, or a region leaves it.
+        MeasurementError: If a region or the image circle has too few values.
+    """
+    if (fisheye is None) != (field_of_view is None):
+        raise UsageError("--fisheye and --field-of-view need each other")
+    found, origin = _map_of(source, spectrum)
+    named = {name: as_patch(one) for name, one in (regions or {}).items()}
+    patches = named or {"all": Patch(0, 0, found.shape[1], found.shape[0])}
+    figures = {name: region_figures(found, name, one, box) for name, one in patches.items() if one is not None}
+    ratio = None
+    assumptions = []
+    if contrast is not None:
+        missing = [name for name in contrast if name not in figures]
+        if missing:
+            raise UsageError(f"--contrast: there is no region {missing[0]!r}; known are {', '.join(figures)}")
+        ratio = ratio_of(figures[contrast[0]], figures[contrast[1]], found.u_rel_common)
+        assumptions.append("contrast: light scattered in the lens is in no uncertainty")
+    lux = None
+    if fisheye is not None and field_of_view is not None:
+        lux = vertical_illuminance(found, fisheye, field_of_view, field_of_view_u, radius)
+        assumptions.append("illuminance: the axis is at the centre of the map, and the lens follows its projection")
+    along = None if line is None else profile(found, line[:2], line[2:], line_width)
+    if spectrum is not None:
+        assumptions.append(f"luminance: the light has the spectrum {spectrum} everywhere")
+    return MapAnalysis(origin, found, tuple(figures.values()), ratio, along, lux, tuple(assumptions))
+
+
+def _map_of(source: Radiance | PathLike, spectrum: str | None) -> tuple[RadianceMap, str]:
+    if isinstance(source, Radiance):
+        picture_of, origin = source.picture, repr(source)
+    else:
+        path = Path(source)
+        if path.suffix.lower() not in (".tif", ".tiff"):
+            raise UsageError(
+                f"{path}: give the map as TIFF, which holds its uncertainty: radiometer merge -o FILE.tiff"
+            )
+        picture_of, origin = read_tiff(path), str(path)
+    found = MapPicture(picture_of.maps).first
+    if spectrum is not None:
+        found = in_luminance(found, spectrum_of(spectrum))
+    return replace(found, radiance=np.asarray(found.radiance)), origin

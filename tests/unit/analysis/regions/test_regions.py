@@ -1,0 +1,138 @@
+"""Figures of regions of a map, compared with values by hand and with drawn noise."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import radiometer as rm
+from radiometer.analysis.exports.maps import MapPicture, read_tiff, write_tiff
+from radiometer.analysis.regions.figures import profile, ratio_of, region_figures, vertical_illuminance
+from radiometer.data import Patch, PixelMask, RadianceMap
+from radiometer.errors import InputError, MeasurementError, UsageError
+
+
+def map_of(values: np.ndarray, u: float = 0.01, common: float = 0.02, unit: str = "cd m-2") -> RadianceMap:
+    """Return a map with the same uncertainty everywhere."""
+    value = np.asarray(values, dtype=np.float32)
+    return RadianceMap(value, np.full_like(value, u), np.zeros(value.shape, np.uint8), unit, common)
+
+
+def test_mean_and_uniformity_of_a_ramp_are_those_by_hand() -> None:
+    """Mean and uniformity of a ramp are those by hand."""
+    ramp = np.tile(np.linspace(1.0, 2.0, 101), (40, 1))
+    found = region_figures(map_of(ramp, u=1e-6), "ramp", Patch(0, 0, 101, 40), box_px=1)
+    assert found.mean.value == pytest.approx(1.5)
+    assert found.mean.u == pytest.approx(0.02 * 1.5, rel=1e-3)
+    assert found.uniformity.value == pytest.approx(0.5)
+    assert found.deviation.value == pytest.approx(np.std(np.linspace(1, 2, 101)), rel=1e-2)
+
+
+def test_the_uncertainties_hold_for_drawn_noise() -> None:
+    """The uncertainties hold for drawn noise."""
+    rng = np.random.default_rng(46_003)
+    truth = 5.0 + np.tile(np.linspace(0.0, 0.4, 60), (50, 1))
+    exact = region_figures(map_of(truth, u=1e-9, common=0.0), "x", Patch(0, 0, 60, 50))
+    inside = dict.fromkeys(("mean", "median", "lowest", "highest", "uniformity", "deviation"), 0)
+    for _ in range(100):
+        scale = 1.0 + 0.02 * rng.standard_normal()
+        found = region_figures(map_of(scale * truth + rng.normal(0, 0.2, truth.shape), u=0.2), "x", Patch(0, 0, 60, 50))
+        for name in inside:
+            one, right = getattr(found, name), getattr(exact, name).value
+            inside[name] += abs(one.value - right) <= 2.0 * one.u
+    assert min(inside.values()) >= 91, inside
+
+
+def test_what_all_pixels_share_drops_out_of_a_contrast() -> None:
+    """What all pixels share drops out of a contrast."""
+    values = np.full((20, 40), 100.0)
+    values[:, 20:] = 4.0
+    found = map_of(values, u=0.04, common=0.05)
+    bright, dark = (region_figures(found, name, Patch(x, 0, 20, 20)) for name, x in (("bright", 0), ("dark", 20)))
+    ratio = ratio_of(bright, dark, 0.05)
+    assert ratio.value == pytest.approx(25.0)
+    assert ratio.u == pytest.approx(25.0 * math.hypot(0.04 / 20 / 100, 0.04 / 20 / 4), rel=0.05)
+
+
+@pytest.mark.parametrize("projection", ["equidistant", "equisolid", "stereographic", "orthographic"])
+def test_an_even_hemisphere_gives_pi_times_its_luminance(projection) -> None:
+    """An even hemisphere gives π times its luminance."""
+    found = map_of(np.full((401, 401), 50.0))
+    lux = vertical_illuminance(found, projection, 180.0, 0.0, None)
+    assert lux.value == pytest.approx(math.pi * 50.0, rel=0.006)
+    assert (lux.unit, lux.u) == ("lx", pytest.approx(0.02 * lux.value, rel=0.02))
+
+
+def test_a_small_source_on_the_axis_and_off_it() -> None:
+    """A small source on the axis and off it."""
+    values = np.zeros((401, 401))
+    values[200, 200] = values[200, 300] = 1000.0  # on the axis, and at 45° of an equidistant lens of 180°
+    per_area = (math.pi / 2.0) ** 2 / 200.5**2
+    by_hand = 1000.0 * per_area * (1.0 + math.cos(100 / 200.5 * math.pi / 2) * np.sinc(100 / 200.5 / 2.0))
+    assert vertical_illuminance(map_of(values), "equidistant", 180.0, 0.0, None).value == pytest.approx(
+        by_hand, rel=1e-3
+    )
+
+
+def test_a_profile_follows_its_line_and_its_noise_averages_over_the_width() -> None:
+    """A profile follows its line and its noise averages over the width."""
+    found = map_of(np.tile(np.arange(50.0), (30, 1)), u=0.3, common=0.0)
+    distance, value, u = profile(found, (5.0, 10.0), (25.0, 10.0), 9)
+    assert value == pytest.approx(5.0 + distance)
+    assert u == pytest.approx(np.full(21, 0.1), rel=1e-3)
+
+
+def test_saturated_and_missing_pixels_are_flagged_or_refused() -> None:
+    """Saturated and missing pixels are flagged or refused."""
+    found = map_of(np.full((10, 10), 3.0))
+    found.mask[0, 0] = PixelMask.SATURATED
+    assert "saturated" in region_figures(found, "x", Patch(0, 0, 10, 10)).flags[0]
+    found.mask[:6] = PixelMask.BELOW_NOISE
+    with pytest.raises(MeasurementError, match="40 %"):
+        region_figures(found, "x", Patch(0, 0, 10, 10))
+    found.mask[5, 5] = PixelMask.SATURATED
+    with pytest.raises(MeasurementError, match="saturated"):
+        vertical_illuminance(found, "equisolid", 180.0, 0.0, None)
+
+
+def test_a_written_map_is_analysed_as_the_map(tmp_path: Path) -> None:
+    """A written map is analysed as the map."""
+    found = map_of(np.random.default_rng(1).uniform(1, 2, (30, 40)), unit="W sr-1 m-2")
+    write_tiff(tmp_path / "map.tiff", MapPicture({"mono": found}))
+    again = read_tiff(tmp_path / "map.tiff").first
+    assert np.array_equal(again.radiance, found.radiance)
+    report = rm.analyse(tmp_path / "map.tiff", regions={"a": (2, 3, 10, 10)}, line=(0, 0, 9, 9))
+    assert report.regions[0].mean.value == region_figures(found, "a", Patch(2, 3, 10, 10)).mean.value
+    report.write_csv(tmp_path / "figures.csv")
+    assert (tmp_path / "figures.csv").read_text().splitlines()[1].startswith("a,mean,1.")
+    report.write_report(tmp_path / "page.html")
+    assert "W·sr⁻¹·m⁻²" in (tmp_path / "page.html").read_text(encoding="utf-8")
+    bright = rm.analyse(tmp_path / "map.tiff", spectrum="line:555").regions[0].mean
+    assert bright.value == pytest.approx(683.0 * float(found.radiance.mean()), rel=1e-3)
+    assert bright.unit == "cd m-2"
+
+
+@pytest.mark.parametrize(
+    ("options", "error"),
+    [
+        ({"regions": {"a": (35, 0, 10, 10)}}, InputError),
+        ({"regions": {"a": (0, 0, 5, 5)}, "contrast": ("a", "b")}, UsageError),
+        ({"fisheye": "equidistant"}, UsageError),
+        ({"fisheye": "equidistant", "field_of_view": 400.0}, InputError),
+        ({"line": (0, 0, 99, 0)}, InputError),
+        ({"line": (3, 3, 3, 3)}, InputError),
+    ],
+)
+def test_what_does_not_fit_the_map_is_refused(
+    tmp_path: Path, options: dict[str, object], error: type[Exception]
+) -> None:
+    """What does not fit the map is refused."""
+    write_tiff(tmp_path / "map.tiff", MapPicture({"mono": map_of(np.ones((30, 40)), unit="W sr-1 m-2")}))
+    with pytest.raises(error):
+        rm.analyse(tmp_path / "map.tiff", **options)  # type: ignore[arg-type]
+    (tmp_path / "other.tiff").write_bytes(b"II*\0junk")
+    with pytest.raises(InputError, match="merge"):
+        rm.analyse(tmp_path / "other.tiff")
