@@ -126,7 +126,7 @@ def test_tables_of_a_screen_are_read_by_their_headings(form, tmp_path):
     ("heading", "separator", "comma"), [("wavelength_nm,relative", ",", False), ("nm;relativ", ";", True)]
 )
 def test_a_spectrum_is_the_same_in_either_decimal_mark(heading, separator, comma, tmp_path, capsys):
-    """114.6 cd/m² of the simulated bench with both, printed in whole numbers (Open-Systems-Pharmacology/MoBi/issues/210)."""
+    """114.6 cd/m² of the simulated bench, printed in whole numbers (Open-Systems-Pharmacology/MoBi/issues/210)."""
     file = inputs.white_led(tmp_path / "s.csv", heading, separator, comma=comma)
     assert run(["measure", "--camera", "sim", "--spectrum", str(file)]) == 0
     assert float(re.search(r"luminance +([\d.]+)", capsys.readouterr().out)[1]) == pytest.approx(114.6, abs=0.5)
