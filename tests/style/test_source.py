@@ -144,7 +144,7 @@ def test_every_test_says_which_behaviour_it_shows():
     assert faulty(TESTS, lambda path: faults_of_tests(path)[0]) == {}
 
 
-JUDGES = ("assert_", "refuse_", "require_", "fail")
+JUDGES = ("assert_", "refuse_", "reject_", "require_", "fail")
 
 
 def judges(node):

@@ -18,9 +18,10 @@ from scipy.signal import bilinear, butter, lfilter, resample_poly
 from scipy.stats import chi2
 from scipy.stats import t as student_t
 
-from radiometer.analysis.flicker.waveform import Array, Period, Waveform, find_period, whole_periods
+from radiometer.analysis.flicker.waveform import Period, Waveform, find_period, whole_periods
 from radiometer.data import Quantity
 from radiometer.errors import MeasurementError
+from radiometer.typing import Array
 
 # SVM: exponent of the sum and band of its Fourier components (IEC TR 63158, clause 4; CIE TN 006:2016).
 _SVM_EXPONENT: Final = 3.7

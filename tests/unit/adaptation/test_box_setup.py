@@ -112,7 +112,7 @@ def test_spot_beyond_the_boxs_range_is_refused_with_the_range(quick: AdaptationP
     """Without its filter the spot does not get as dim as the rods see; what it reaches is said."""
     refused = refusal(changed(quick, "spot", filter_density=0.0))
     assert not isinstance(refused, SettingOutOfRange)
-    assert "reaches -1.91 to 3.16 log10 scotopic cd/m²" in str(refused)
+    assert "reaches -1.91 to 3.16 log10 scotopic cd·m⁻²" in str(refused)
 
 
 def test_channel_of_another_colour_is_refused(quick: AdaptationProtocol) -> None:
@@ -187,7 +187,7 @@ def _preset(path: Path, text: str) -> Path:
 
 @pytest.mark.parametrize(
     ("stated", "why"),
-    [("", "states no `place`"), (", place: {temporal_deg: 5, below_deg: 0}", "stands 5° temporal")],
+    [("", "states no `place`"), (", place: {temporal_deg: 5, below_deg: 0}", "is 5° temporal")],
 )
 def test_box_whose_red_light_stands_elsewhere_says_that_fixation_is_not_checked(
     tmp_path: Path, quick: AdaptationProtocol, stated: str, why: str
@@ -200,4 +200,4 @@ def test_box_whose_red_light_stands_elsewhere_says_that_fixation_is_not_checked(
 
 def test_spot_of_a_channel_that_stands_elsewhere_is_refused(quick: AdaptationProtocol) -> None:
     """The red channel of the reference box stands in the blind spot: nobody would see it as a test spot."""
-    assert "stands 15.6° from it" in str(refusal(changed(quick, "spot", channel="spot_red", peak_nm=640.0)))
+    assert "is 15.6° from it" in str(refusal(changed(quick, "spot", channel="spot_red", peak_nm=640.0)))

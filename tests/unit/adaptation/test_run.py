@@ -132,7 +132,7 @@ def test_refused_check_is_journalled_and_keeps_the_bleach_away(tmp_path: Path, c
     """Nobody is dazzled for nothing, and the journal says why; the next try begins with the checks again."""
     stage = ScriptedStage(eye, classic)
     findings = [Finding("check", {"what": "safety"}), judge_room(0.5, 0.01, classic)]
-    with RunJournal(tmp_path / "j") as journal, pytest.raises(MeasurementError, match=r"\(0\.5 ± 0\.02\) cd/m²"):
+    with RunJournal(tmp_path / "j") as journal, pytest.raises(MeasurementError, match=r"0\.500 ± 0\.020 cd·m⁻²"):
         run_test(classic, stage, journal, subject="A1", seed=3, checks=[partial(lambda f: f, f) for f in findings])
     assert stage.time == 0.0
     assert [event["kind"] for event in journal.events] == ["start", "check", "room", "refused"]
