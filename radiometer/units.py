@@ -141,6 +141,7 @@ _LUMINANCE: Final = {
     ),
     **_all("mcd/m2|mcd m2|mcd m-2|mnit", _times(1e-3)),
     **_all("kcd/m2|kcd m2", _times(1e3)),
+    **_all("asb|apostilb|apostilbs", _times(1.0 / math.pi)),
     **_all("fL|ftL|ft-L|footlambert|footlamberts|foot-lambert", _times(3.4262590996)),  # 1/π cd·ft⁻²
 }
 _WAVELENGTH: Final = {

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from radiometer.acquire.exposure_plan import ExposureWindow
 from radiometer.data import Frame, Patch, SensorNoise
+from radiometer.data.pile_up import with_white_levels
 from radiometer.devices import Camera
 
 FIRST_TRIAL_S = 0.01  # the middle of usual ranges, 10 µs to 10 s, by ratio
@@ -75,7 +76,8 @@ def _signal(camera: Camera, frame: Frame, region: Patch | None) -> NDArray[np.fl
 
 
 def _clipped(camera: Camera, frame: Frame, region: Patch | None) -> NDArray[np.bool_]:
-    return np.asarray(_signal(camera, frame, region) > _window(camera, frame).highest_dn)
+    dn = frame.dn if region is None else frame.dn[region.slices]
+    return np.asarray((_signal(camera, frame, region) > _window(camera, frame).highest_dn) | (dn >= frame.saturated_dn))
 
 
 def _lost_in_noise(camera: Camera, trials: list[Frame], region: Patch | None) -> NDArray[np.bool_]:
@@ -91,7 +93,7 @@ def _lost_in_noise(camera: Camera, trials: list[Frame], region: Patch | None) ->
 def _rates(camera: Camera, trials: list[Frame], region: Patch | None) -> NDArray[np.float64]:
     """Return each pixel's rate from the longest trial in which it does not clip."""
     rates = np.full(_signal(camera, trials[0], region).shape, np.inf)
-    for frame in sorted(trials, key=lambda f: f.settings.effective_exposure_s):
+    for frame in sorted(with_white_levels(trials), key=lambda f: f.settings.effective_exposure_s):
         usable = ~_clipped(camera, frame, region)
         signal = _signal(camera, frame, region)
         rates[usable] = signal[usable] / frame.settings.effective_exposure_s

@@ -21,11 +21,12 @@ from radiometer.adaptation.trial_lists import changes_of_answer, column_of_answe
 from radiometer.data import text_table
 from radiometer.data.reader_limits import bounded_reader
 from radiometer.errors import InputError
-from radiometer.units import unit_of
+from radiometer.units import heading_parts, unit_of
 
-TIME_WORDS: Final = ("time", "t", "minutes", "min", "minute", "seconds", "sec", "s", "elapsed", "x")
+TIME_WORDS: Final = ("time", "t", "minutes", "min", "minute", "seconds", "sec", "s", "elapsed", "x", "zeit")
 THRESHOLD_WORDS: Final = (
     "threshold", "thrs", "thresholds", "thr", "sensitivity", "log_threshold", "luminance", "attenuation", "y",
+    "schwelle",
 )  # fmt: skip
 LEVEL_WORDS: Final = (*THRESHOLD_WORDS, "level", "stim", "intensity", "db", "log", "log10")
 SIGMA_WORDS: Final = ("sigma", "u", "sd", "se", "u_log", "u_threshold", "u_log10_threshold", "u_log10", "stderr")
@@ -244,6 +245,9 @@ def _position(words: Sequence[str], known: Sequence[str], without: Sequence[int 
 
 
 def _minutes(times: np.ndarray, word: str, facts: dict[str, str]) -> tuple[np.ndarray, str]:
+    stated = heading_parts(word, "exposure")[1]
+    if stated is not None:
+        return times * stated.to_base(1.0) / 60.0, f"time in {stated.name}, as its header states"
     said = re.sub(r"[^a-z]+", " ", f"{word} {facts.get('time unit', facts.get('time', ''))}".lower()).split()
     unit = next((unit for w in said if (unit := unit_of(w, "exposure")) is not None), None)
     if unit is not None:
@@ -264,17 +268,23 @@ def _log10(
     words = re.sub(r"[^a-z0-9]+", " ", said).split()
     if any(w in ("db", "decibel", "decibels") for w in words):
         return _from_db(levels, said, header, facts)
+    unit = heading_parts(word, "luminance")[1]
+    shift, of_unit = (0.0, "") if unit is None else (math.log10(unit.to_base(1.0)), f" of {unit.name}, given in cd/m²")
+    if any(w in ("ln", "loge", "log_e") for w in words):
+        per_e = 1.0 / math.log(10.0)
+        return levels * per_e + shift, per_e, f"thresholds in natural logarithms{of_unit}, as its header says"
     if any(w.startswith("log") for w in words):
-        return levels, 1.0, "thresholds in log10 units, as its header says"
+        return levels + shift, 1.0, f"thresholds in log10 units{of_unit}, as its header says"
     linear = any(
         w in ("cd", "td", "cdm2", "nits", "w", "apostilb", "asb", "linear", "troland", "trolands") for w in words
     )
     spans = bool(np.all(levels > 0)) and float(levels.max() / levels.min()) > LINEAR_RATIO
+    linear = linear or unit is not None
     if linear or spans:
         if np.any(levels <= 0):
             raise InputError(f"{path}: a threshold of {levels.min():g} in linear units; they must be above 0")
         why = "as its header says" if linear else f"for all are above 0 and span {levels.max() / levels.min():.0f} : 1"
-        return np.log10(levels), None, f"thresholds in linear units, {why}: their log10 taken"
+        return np.log10(levels) + shift, None, f"thresholds in linear units{of_unit}, {why}: their log10 taken"
     return levels, 1.0, "thresholds in log10 units"
 
 

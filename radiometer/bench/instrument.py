@@ -116,7 +116,8 @@ class Instrument:
 
     def _clips_unforeseen(self, frames: list[Frame]) -> bool:
         """Return whether the patch clips in all frames, or in one exposed no longer than one in which it does not."""
-        parts = [(float(np.mean(f.dn[self.patch.slices] >= 0.98 * f.saturated_dn)), f.settings) for f in frames]
+        shown = with_white_levels(frames)
+        parts = [(float(np.mean(f.dn[self.patch.slices] >= 0.98 * f.saturated_dn)), f.settings) for f in shown]
         clear = [settings.exposure_s for part, settings in parts if part < _CLIPS]
         clipped = [settings.exposure_s for part, settings in parts if part >= _CLIPS]
         return bool(clipped) and min(clipped) <= max(clear, default=math.inf) * (1 + 1e-9)

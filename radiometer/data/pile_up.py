@@ -58,6 +58,8 @@ class _Ranks:
         self.counts = histogram(frame.dn, frame.full_scale_dn)
         self._at_least = np.cumsum(self.counts[::-1])  # pixels at or above full scale − index
         self.pixels = int(self._at_least[-1])
+        black_dn = frame.settings.black_level_dn
+        self.floor_dn = float(self.value(np.array([self.pixels]))[0]) if black_dn is None else black_dn
 
     def value(self, ranks: NDArray[np.int64]) -> NDArray[np.int64]:
         """Return the digital number of the pixels at some ranks, 1 for the brightest."""
@@ -101,6 +103,9 @@ def find_white_levels(frames: Iterable[Frame]) -> dict[float, WhiteLevel]:
     if not ranked:
         return {}
     gains = sorted({one.settings.gain_db for one in ranked})
+    for one in ranked:  # an evenly lit frame does not show its black level; a shorter exposure comes nearer to it
+        alike = (other for other in ranked if other.settings.gain_db == one.settings.gain_db)
+        one.floor_dn = min(other.floor_dn for other in alike)
     step = _code_step(ranked)
     piles = {gain: _pile_of_gain(ranked, gain, step) for gain in gains}
     shown = [pile for pile in piles.values() if pile is not None]
@@ -123,6 +128,16 @@ def with_white_levels(frames: Sequence[Frame]) -> list[Frame]:
     return list(streamed_with_white_levels([frame.settings for frame in frames], frames.__getitem__))
 
 
+def white_levels_of(settings: Sequence[FrameSettings], read: Callable[[int], Frame]) -> dict[float, WhiteLevel]:
+    """Return the white level of every gain in dB among frames of one capture, of which a few are read.
+
+    Args:
+        settings: Of every frame.
+        read: Returns the frame at a place of that order.
+    """
+    return find_white_levels(read(index) for index in _looked_at(settings))
+
+
 def streamed_with_white_levels(settings: Sequence[FrameSettings], read: Callable[[int], Frame]) -> Iterator[Frame]:
     """Yield frames with the white level that they show together; a few of each gain are held in memory.
 
@@ -130,7 +145,7 @@ def streamed_with_white_levels(settings: Sequence[FrameSettings], read: Callable
         settings: Of every frame, in the order in which they are yielded.
         read: Returns the frame at a place of that order.
     """
-    kept = {index: read(index) for index in enough_for_white_levels(settings)}
+    kept = {index: read(index) for index in _looked_at(settings)}
     levels = find_white_levels(kept.values())
     for index in range(len(settings)):
         frame = kept.pop(index, None) or read(index)
@@ -142,7 +157,7 @@ def _is_compared(settings: FrameSettings) -> bool:
     return settings.is_dark or (settings.white_level is not None and settings.white_level.exposures > 0)
 
 
-def enough_for_white_levels(settings: Sequence[FrameSettings]) -> list[int]:
+def _looked_at(settings: Sequence[FrameSettings]) -> list[int]:
     """Return which frames are enough to find the white level: of each gain some, evenly over the exposures."""
     groups: dict[tuple[float, str, float], list[int]] = {}
     for index, one in enumerate(settings):
@@ -337,8 +352,7 @@ def _evidence(longer: _Ranks, shorter: _Ranks, pile: _Pile, places: NDArray[np.i
     if before.size < _FEWEST_PIXELS:
         return 0.0
     low, centre, high = (float(value) for value in np.sort(before)[[before.size * part // 4 for part in (1, 2, 3)]])
-    black = shorter.settings.black_level_dn
-    floor_dn = float(shorter.value(np.array([shorter.pixels]))[0]) if black is None else black
+    floor_dn = shorter.floor_dn
     predicted = floor_dn + longer.exposure_s / shorter.exposure_s * (centre - floor_dn)
     collapse = 0.0
     if predicted > pile.centre_dn + step + EDGE_SIGMAS * pile.spread_dn:

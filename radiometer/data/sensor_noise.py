@@ -63,8 +63,12 @@ class SensorNoise:
 
     def dark_e(self, exposure_s: float, temperature_c: float | None) -> float:
         """Return the expected dark signal in electrons."""
+        return float(self.dark_current_e_per_s * self.warmer_factor(temperature_c) * exposure_s)
+
+    def warmer_factor(self, temperature_c: float | None) -> float:
+        """Return the dark current at a temperature over that at the reference; 1 where it is unknown."""
         warmer = 0.0 if temperature_c is None else temperature_c - self.dark_reference_c
-        return float(self.dark_current_e_per_s * 2.0 ** (warmer / self.dark_doubling_k) * exposure_s)
+        return float(2.0 ** (warmer / self.dark_doubling_k))
 
     def variance_dn2(self, signal_dn: ArrayLike, gain_db: float = 0.0, dark_e: float = 0.0) -> NDArray[np.float64]:
         """Return the expected temporal variance of one pixel in DN².

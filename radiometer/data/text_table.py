@@ -10,7 +10,7 @@ import csv
 import math
 import re
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
@@ -28,6 +28,11 @@ _COMMENT_SIGNS: Final = "#%!"
 _POINT: Final = re.compile(r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?")
 _COMMA: Final = re.compile(r"[-+]?\d+,\d+(?:[eE][-+]?\d+)?")
 _THOUSANDS: Final = re.compile(r"[-+]?[1-9]\d{0,2}(?:,\d{3})+")
+# With both signs the last one is the decimal mark: 1.234,5 and 1,234.5.
+_GROUPED_COMMA: Final = re.compile(r"[-+]?\d{1,3}(?:\.\d{3})+,\d+")
+_GROUPED_POINT: Final = re.compile(r"[-+]?\d{1,3}(?:,\d{3})+\.\d+")
+# Signs that part thousands and are nothing else between digits: no-break blanks and the Swiss apostrophe.
+_GROUP_SIGN: Final = re.compile("(?<=\\d)[\u00a0\u202f'\u2019](?=\\d{3}(?!\\d))")
 _STAMP_FORMS: Final = ("%Y/%m/%d %H:%M:%S", "%d.%m.%Y %H:%M:%S", "%d.%m.%Y %H:%M", "%Y-%m-%d_%H:%M:%S")
 # A running number says nothing of what was measured.
 _INDEX_NAMES: Final = ("no", "nr", "number", "index", "row", "sample", "sample_id", "id", "n", "i", "patch", "step", "")
@@ -216,7 +221,10 @@ def read_table(path: Path, needs: str, text: str | None = None, *, named: bool =
     if named and not header:
         raise InputError(f"{path}: has no line that names its columns; it needs {needs}")
     commas = _comma_columns(path, [row for _, row in body], separator)
-    rows = tuple((n, tuple(_pointed(cell) if at in commas else cell for at, cell in enumerate(row))) for n, row in body)
+    rows = tuple(
+        (n, tuple(_pointed(cell) if at in commas else _ungrouped(cell) for at, cell in enumerate(row)))
+        for n, row in body
+    )
     mark = "commas" if commas else "points"
     how = f"columns separated by {_SEPARATORS.get(separator, repr(separator))}, decimal {mark}"
     kept = tuple(f"line {n}: {' '.join(row)[:60]}" for n, row in preamble)
@@ -277,7 +285,9 @@ def _is_cell(cell: str, separator: str) -> bool:
     """Return whether a cell is a number, a blank or a word, and not two cells of another separator."""
     if len(cell) > _LONGEST_CELL:
         return False
-    if _POINT.fullmatch(cell) or is_unknown(cell) or (separator != "," and _COMMA.fullmatch(cell)):
+    if _POINT.fullmatch(cell) or is_unknown(cell):
+        return True
+    if separator != "," and any(form.fullmatch(cell) for form in (_COMMA, _GROUPED_COMMA, _GROUPED_POINT)):
         return True
     return not re.search(r"[;\t,]", cell) and not re.fullmatch(rf"(?:{_POINT.pattern}\s+)+{_POINT.pattern}", cell)
 
@@ -285,7 +295,8 @@ def _is_cell(cell: str, separator: str) -> bool:
 def _split(line: str, separator: str) -> list[str]:
     if not separator:
         return [cell.strip('"') for cell in line.split()]
-    return [cell.strip() for cell in next(csv.reader([line], delimiter=separator, skipinitialspace=True))]
+    cells = next(csv.reader([line], delimiter=separator, skipinitialspace=True))
+    return [_GROUP_SIGN.sub("", cell.strip()) for cell in cells]
 
 
 def _names_rows(names: Sequence[str], width: int, separator: str, lines: Sequence[str]) -> bool:
@@ -323,12 +334,22 @@ def _heading(body: list[tuple[int, list[str]]]) -> tuple[tuple[str, ...], list[t
 
 
 def _heading_above(comments: Sequence[str], width: int) -> tuple[str, ...]:
-    """Return the names in the last comment that has as many as the table has columns; () where none has."""
-    for line in reversed(comments):
-        for separator in filter(None, _SEPARATORS):  # words with blanks between them are a remark
-            names = tuple(_split(line, separator))
-            if len(names) == width > 1 and not any(_is_number(name) for name in names):
-                return names
+    """Return the names in the last comment that has as many as the table has columns; () where none has.
+
+    Of two such comments one after the other the second has the units of the first, as in files of sky meters.
+    """
+    found = [_names_in(line, width) for line in comments]
+    last = max((n for n, names in enumerate(found) if names), default=None)
+    if last is None:
+        return ()
+    return found[last - 1] if last > 0 and found[last - 1] else found[last]
+
+
+def _names_in(line: str, width: int) -> tuple[str, ...]:
+    for separator in filter(None, _SEPARATORS):  # words with blanks between them are a remark
+        names = tuple(_split(line, separator))
+        if len(names) == width > 1 and not any(_is_number(name) for name in names):
+            return names
     return ()
 
 
@@ -342,8 +363,8 @@ def _comma_columns(path: Path, rows: Sequence[Sequence[str]], separator: str) ->
         return set()
     sure, unsure = set[int](), dict[int, str]()
     for at, cells in enumerate(zip(*rows, strict=True)):
-        commas = [c for c in cells if _COMMA.fullmatch(c) or _THOUSANDS.fullmatch(c)]
-        points = [c for c in cells if _POINT.fullmatch(c) and "." in c]
+        commas = [c for c in cells if any(form.fullmatch(c) for form in (_COMMA, _THOUSANDS, _GROUPED_COMMA))]
+        points = [c for c in cells if (_POINT.fullmatch(c) and "." in c) or _GROUPED_POINT.fullmatch(c)]
         if commas and points:
             raise InputError(
                 f"{path}: {points[0]!r} has a decimal point, {commas[0]!r} a comma; write all numbers in one way"
@@ -361,7 +382,13 @@ def _comma_columns(path: Path, rows: Sequence[Sequence[str]], separator: str) ->
 
 
 def _pointed(cell: str) -> str:
+    if _GROUPED_COMMA.fullmatch(cell):
+        cell = cell.replace(".", "")
     return cell.replace(",", ".") if _COMMA.fullmatch(cell) else cell
+
+
+def _ungrouped(cell: str) -> str:
+    return cell.replace(",", "") if _GROUPED_POINT.fullmatch(cell) else cell
 
 
 def _is_number(text: str) -> bool:
@@ -389,14 +416,6 @@ def _other_form(text: str) -> datetime:
     raise ValueError(f"{text!r} is no time; write 2026-11-20T22:15:00, or s since 1970")
 
 
-def column_for(table: TextTable, aliases: Mapping[str, Sequence[str]], key: str, needs: str) -> int:
-    """Return the column of a quantity. Raises InputError where the table has none."""
-    found = table.find(aliases[key])
-    if found is None:
-        raise InputError(f"{table.path}: no column {aliases[key][0]!r}; the first line must name {needs}")
-    return found
-
-
 def finite(values: Sequence[float | None], table: TextTable, at: int) -> list[float]:
     """Return values all of which are known. Raises InputError that names the first line whose value is not."""
     for (line, _), value in zip(table.rows, values, strict=True):
@@ -407,4 +426,4 @@ def finite(values: Sequence[float | None], table: TextTable, at: int) -> list[fl
     return [float(v) for v in values if v is not None]
 
 
-__all__ = ["TextTable", "column_for", "finite", "read_table", "stamp_s"]
+__all__ = ["TextTable", "finite", "read_table", "stamp_s"]

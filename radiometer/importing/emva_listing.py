@@ -10,7 +10,7 @@ from radiometer.data.guards import is_file
 from radiometer.data.reader_limits import bounded_reader
 from radiometer.data.storage import read_text
 from radiometer.errors import InputError
-from radiometer.units import read_number
+from radiometer.units import read_number, unit_of
 
 DESCRIPTOR_NAME: Final = "EMVA1288_Data.txt"
 
@@ -99,20 +99,25 @@ class _Parser:
         if command == "n":
             self._format = (int(words[0]), int(words[1]), int(words[2]))
         elif command == "b":
-            self._begin(read_number(words[0])[0], read_number(words[1])[0])
+            photons, unit = read_number(words[1])
+            if unit or len(words) > 2:
+                raise ValueError("expected the exposure in ns and the photons per pixel")
+            self._begin(_exposure_s(words[0]), photons)
         elif command == "d":
-            self._begin(read_number(words[0])[0], 0.0)
+            if len(words) > 1:
+                raise ValueError("expected the exposure in ns alone")
+            self._begin(_exposure_s(words[0]), 0.0)
         elif command == "i":
             self._add_image(rest, where)
         elif command != "v":
             raise ValueError("a line begins with v, n, b, d or i")
 
-    def _begin(self, exposure_ns: float, photons: float) -> None:
-        if not 0 <= exposure_ns < float("inf"):
+    def _begin(self, exposure_s: float, photons: float) -> None:
+        if not 0 <= exposure_s < float("inf"):
             raise ValueError("the exposure must be 0 ns or above")
         if not 0 <= photons < float("inf"):
             raise ValueError("the photons must be 0 or above")
-        self._entries.append((exposure_ns * 1e-9, photons, []))
+        self._entries.append((exposure_s, photons, []))
 
     def _add_image(self, name: str, where: str) -> None:
         if not self._entries:
@@ -121,3 +126,12 @@ class _Parser:
         if not is_file(file):
             raise InputError(f"{where}: image {file} does not exist")
         self._entries[-1][2].append(file)
+
+
+def _exposure_s(word: str) -> float:
+    """Return an exposure in s from one in ns, as the format has it, or in the unit that the word ends with."""
+    value, spelling = read_number(word)
+    unit = unit_of(spelling or "ns", "exposure")
+    if unit is None:
+        raise ValueError(f"{spelling!r} is no unit of time")
+    return unit.to_base(value)

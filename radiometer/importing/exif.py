@@ -21,6 +21,7 @@ EXIF_DIRECTORY: Final = 34665  # TIFF tag of the EXIF directory (EXIF 2.32, 4.6.
 _NAMES: Final = {
     33434: "ExposureTime", 33437: "FNumber", 34855: "PhotographicSensitivity", 34865: "StandardOutputSensitivity",
     34866: "RecommendedExposureIndex", 34867: "ISOSpeed", 36867: "DateTimeOriginal", 37377: "ShutterSpeedValue",
+    37378: "ApertureValue",
     37386: "FocalLength", 37521: "SubsecTimeOriginal", 50713: "BlackLevelRepeatDim", 50714: "BlackLevel",
     50715: "BlackLevelDeltaH", 50716: "BlackLevelDeltaV",
 }  # fmt: skip
@@ -33,6 +34,7 @@ _ISO: Final = places(
 )
 _F_NUMBER: Final = places("FNumber:1")
 _LARGEST_APEX: Final = 32.0  # 2³² s and 2⁻³² s: no shutter has them
+_APEX_SAME_STOPS: Final = 0.5  # ShutterSpeedValue and ExposureTime may be of the dial's and of the real time
 DAMAGE: Final = (
     tifffile.TiffFileError, OSError, ValueError, TypeError, KeyError, IndexError, AttributeError, struct.error,
     RuntimeError, ZeroDivisionError, OverflowError,
@@ -92,8 +94,13 @@ def exposure_of(header: Header, doubts: list[str], where: str) -> tuple[str, flo
     """
     found = first_stated("exposure", header, _EXPOSURE, StatementMap(), doubts, where)
     speed = first_stated("number", header, places("ShutterSpeedValue"), StatementMap(), [], where)
-    if found is None and speed is not None and abs(speed[1]) < _LARGEST_APEX:
-        return speed[0], float(2.0 ** -speed[1])
+    if speed is None or abs(speed[1]) >= _LARGEST_APEX:
+        return found
+    by_speed = float(2.0 ** -speed[1])
+    if found is None or found[1] == 0.0:
+        return speed[0], by_speed
+    if abs(math.log2(found[1] / by_speed)) > _APEX_SAME_STOPS:
+        doubts.append(f"{found[0]} states {found[1]:.4g} s and {speed[0]} {by_speed:.4g} s: {found[0]} is used")
     return found
 
 
@@ -109,6 +116,9 @@ def iso_of(header: Header, doubts: list[str], where: str) -> tuple[str, float] |
 def f_number_of(header: Header, doubts: list[str], where: str) -> float | None:
     """Return the f-number; None where it is unknown."""
     found = first_stated("f_number", header, _F_NUMBER, StatementMap(), doubts, where)
+    aperture = first_stated("number", header, places("ApertureValue"), StatementMap(), [], where)
+    if found is None and aperture is not None and 0.0 < aperture[1] < _LARGEST_APEX:
+        return float(2.0 ** (aperture[1] / 2.0))  # Exif 2.32, annex C: 2·log2 of the f-number
     return None if found is None else found[1]
 
 
@@ -140,6 +150,15 @@ def count_pictures(path: Path) -> int:
             return max(1, sum(not page.is_reduced for page, _ in directories(tiff)))
     except DAMAGE:
         return 1  # reported when its pixels are read
+
+
+def is_zero_white(path: Path) -> bool:
+    """Return whether a TIFF states that 0 is white: decoders turn such numbers in some depths and not in others."""
+    try:
+        with tifffile.TiffFile(path) as tiff:
+            return any(page.photometric == 0 for page, _ in directories(tiff))
+    except DAMAGE:
+        return False  # reported when its pixels are read
 
 
 def _of_tiff(path: Path) -> dict[str, Statement]:

@@ -10,11 +10,13 @@ from typing import Final
 
 from radiometer.units import unit_of
 
-_NUMBER: Final = r"(\d+(?:[.p]\d+)?)"
+_NUMBER: Final = r"(\d+(?:[.,p]\d+)?)"
+# A name cannot hold the stroke of 1/125 s: cameras' programs write 1-125s.
+_FRACTION: Final = re.compile(r"(?<![a-z\d.])1-(\d+)(s|sec|secs)(?![a-z\d])")
 _UNITS: Final = "ns|us|µs|μs|usec|ms|msec|s|sec|secs|min"
 _MINUTES_AND_SECONDS: Final = re.compile(rf"(?<![\da-z.]){_NUMBER}m{_NUMBER}s(?![a-z])")
-_TIME: Final = re.compile(rf"(?<![\d.]){_NUMBER}({_UNITS})(?![a-z\d])")
-_BARE: Final = re.compile(rf"(?:expos|exposure|exptime|exp){_NUMBER}(?![\d.]*[a-z])")
+_TIME: Final = re.compile(rf"(?<![\d.,]){_NUMBER}({_UNITS})(?![a-z\d])")
+_BARE: Final = re.compile(rf"(?:expos|exposure|exptime|exp){_NUMBER}(?![\d.,]*[a-z])")
 _KINDS: Final = {"bias": "dark", "zero": "dark", "dark": "dark", "flat": "light", "light": "light"}
 _SAME_REL: Final = 0.02  # names round exposures to two digits
 
@@ -26,6 +28,7 @@ class NameClaims:
     exposure_s: float | None  # exposure in s; None where it names none
     exposure_has_unit: bool  # False where a bare number was read as seconds
     kind: str  # "dark", "light", or ""
+    doubt: str = ""  # what the exposure may be otherwise, in words; "" where it is clear
 
 
 def claims_of(file: Path) -> NameClaims:
@@ -34,7 +37,11 @@ def claims_of(file: Path) -> NameClaims:
     found = [kind for word, kind in _KINDS.items() if word in words]
     kind = found[0] if len(set(found)) == 1 else ""
     seconds, has_unit = _exposure(words)
-    return NameClaims(seconds, has_unit, kind)
+    doubt = "" if has_unit or seconds is None else f"the file's name states {seconds:g} without a unit: s is assumed"
+    if (fraction := _FRACTION.search(words)) and int(fraction[1]) > 0:
+        seconds, has_unit = 1.0 / int(fraction[1]), True
+        doubt = f"the file's name states {fraction[0]}: 1/{fraction[1]} s is assumed, not {fraction[1]} s of number 1"
+    return NameClaims(seconds, has_unit, kind, doubt)
 
 
 def _exposure(words: str) -> tuple[float | None, bool]:
@@ -50,7 +57,7 @@ def _exposure(words: str) -> tuple[float | None, bool]:
 
 
 def _value(digits: str) -> float:
-    return float(digits.replace("p", "."))
+    return float(digits.replace("p", ".").replace(",", "."))
 
 
 def contradictions(claims: NameClaims, exposure_s: float | None, *, is_dark: bool) -> list[str]:

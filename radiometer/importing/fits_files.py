@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import math
+import re
 import warnings
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
@@ -46,7 +47,7 @@ _TEMPERATURE: Final = (
 _SET_TEMPERATURE: Final = ("SET-TEMP", "SETTEMP", "CCD-TSET")
 _TIME: Final = ("DATE-OBS", "DATE-BEG", "DATE_OBS", "DATE")
 _CAMERA_NAME: Final = ("INSTRUME", "CAMERA", "DETECTOR", "DETNAM")
-_ELECTRONS_PER_DN: Final = places("EGAIN:e-/DN E-GAIN:e-/DN GAINEL:e-/DN CCDGAIN:e-/DN")
+_ELECTRONS_PER_DN: Final = places("EGAIN:e-/DN E-GAIN:e-/DN EPERADU:e-/DN GAINEL:e-/DN CCDGAIN:e-/DN")
 _SATURATED_FROM: Final = ("SATURATE", "SATLEVEL")
 _READ_NOISE: Final = places("RDNOISE:e- READNOIS:e- RON:e- READNOISE:e-")
 _F_NUMBER: Final = places("FNUMBER:1 FRATIO:1")
@@ -57,6 +58,11 @@ _MODE: Final = (
 # Extensions that hold no frames: errors, flags, weights (NASA and ESO use these names).
 _NO_FRAMES: Final = ("ERR", "ERROR", "DQ", "MASK", "VAR", "VARIANCE", "UNCERT", "WHT", "WEIGHT", "BPM")
 _KIND: Final = ("IMAGETYP", "IMAGETYPE", "OBSTYPE", "FRAME", "FRAMETYP", "EXPTYPE", "PICTTYPE", "OBJECT")
+# OBJECT names the target: it states a kind of frame where it holds nothing else, such as "dark", "BIAS 12", "dark 10s".
+_KIND_ALONE: Final = re.compile(
+    r"(master|super)?[ _-]*(bias|dark|zero|offset|light|flat|object|science|lamp|dome|sky)s?"
+    r"([ _-]*(flat|frame|field|image|exposure))?s?[ _-]*[\d.]*\s*(s|sec|ms)?"
+)
 _DARK_WORDS: Final = ("bias", "dark", "zero", "offset")
 _LIGHT_WORDS: Final = ("light", "flat", "object", "science", "lamp", "dome", "sky", "tricolor", "target")
 _PROCESSED_WORDS: Final = (
@@ -65,6 +71,12 @@ _PROCESSED_WORDS: Final = (
 )  # fmt: skip
 _KELVINS: Final = (150.0, 400.0)  # without a unit, a number between them can only be kelvins
 _SETTLED_K: Final = 1.0  # coolers hold a tenth of a kelvin once they have settled
+# Counts of frames in a sum or mean: NOAO's and ESO's keywords, Seestar's and Siril's, MaxIm's.
+_COMBINED: Final = ("NCOMBINE", "SNAPSHOT", "STACKCNT", "NSUBEXP", "NCOADD", "NCOADDS", "COADDS", "NEXP")
+# Units of data that are numbers of the converter (FITS standard 4.0, table 4; the rest are spellings in use).
+_DATA_UNITS: Final = ("", "adu", "dn", "count", "counts", "ct", "pixel value")
+_COLOURS: Final = ("CTYPE3", "COLORSPC", "COLORTYP", "COLORTYPE", "COLORSPACE")
+_MOSAIC: Final = ("BAYERPAT", "CFAPAT", "CFA")
 _EXPOSURES_SAME_REL: Final = 0.01  # by which two keywords of the exposure may differ unnoticed
 
 
@@ -94,11 +106,14 @@ def read_fits_headers(path: Path, mapped: StatementMap = StatementMap()) -> list
         frames, first = list[FoundFrame](), 0
         for unit in pictures:
             if unit in used:
-                header = {**_cards(units[0].header), **_cards(unit.header)}
+                above = _cards(units[0].header) if unit is not units[0] else {}
+                header = {**above, **_cards(unit.header)}
                 history = _history(units[0].header) + (_history(unit.header) if unit is not units[0] else "")
                 numbers = range(first, first + _planes(unit))
                 shape = tuple(int(n) for n in unit.shape)
-                frames += _frames(path, header, history, shape, _stored(unit.header), numbers, total, mapped)
+                found = _frames(path, header, history, shape, _stored(unit.header), numbers, total, mapped)
+                doubts = _exposures_above(path, found[0], above)
+                frames += [replace(frame, doubts=(*frame.doubts, *doubts)) for frame in found]
             first += _planes(unit)
     return [replace(frame, not_used=not_used) for frame in frames]
 
@@ -227,8 +242,11 @@ def _frames(
     taken, doubts = dict[str, str](), list[str]()
     exposure_s = _exposure(path, header, mapped, taken, doubts)
     is_dark = _is_dark(path, header, exposure_s, mapped, taken, doubts)
+    if exposure_s is None and is_dark and _is_bias(header):
+        exposure_s, taken["exposure_s"] = 0.0, f"{taken['shutter']} (a bias frame has no exposure)"
     doubts += contradictions(claims_of(path), exposure_s, is_dark=is_dark)
     doubts += _processing(header, history)
+    doubts += _colour_doubts(path, header, shape)
     gain_db, mode = _gain(path, header, mapped, taken, doubts)
     filters = text_stated("filter", header, ("FILTER",), mapped, str(path))
     camera = _camera(path, header, mapped, taken, doubts) | ({"mode": mode} if mode else {})
@@ -272,12 +290,35 @@ def _exposure(
     if seconds is None or "(--map)" in taken["exposure_s"]:
         return seconds
     key = taken["exposure_s"]
-    for other in _EXPOSURE:
-        if other.name != key and other.unit and other.name in header:
-            value = value_of(header[other.name], "exposure", other.name, [], defined=other.unit, where=str(path))
+    others = {place.name: place.unit for place in _EXPOSURE if place.unit} | {
+        name: "" for name, card in header.items() if _is_exposure_in_words(card)
+    }
+    for other, unit in others.items():
+        if other != key and other in header:
+            value = value_of(header[other], "exposure", other, [], defined=unit, where=str(path))
             if value is not None and not math.isclose(value, seconds, rel_tol=_EXPOSURES_SAME_REL, abs_tol=1e-6):
-                doubts.append(f"{key} states {seconds:g} s and {other.name} {value:g} s: {key} is used")
+                doubts.append(f"{key} states {seconds:g} s and {other} {value:g} s: {key} is used")
     return seconds
+
+
+def _is_exposure_in_words(card: Statement) -> bool:
+    """Return whether a card is an exposure by its comment, which states the unit as well."""
+    words = card.comment.lower()
+    named = "exposure" in words or "integration" in words
+    return named and isinstance(card.written, int | float) and unit_in_words(card.comment, "exposure")[0] is not None
+
+
+def _exposures_above(path: Path, frame: FoundFrame, above: Header) -> list[str]:
+    """Return what the primary header states of the exposure against that of the picture's own unit."""
+    key = frame.taken.get("exposure_s", "")
+    place = next((place for place in _EXPOSURE if place.name == key), None)
+    if place is None or key not in above:
+        return []
+    value = value_of(above[key], "exposure", key, [], defined=place.unit, where=str(path))
+    own = frame.settings.exposure_s
+    if value is None or math.isclose(value, own, rel_tol=_EXPOSURES_SAME_REL, abs_tol=1e-6):
+        return []
+    return [f"the primary header states {key} {value:g} s, the picture's own {own:g} s: the latter is used"]
 
 
 def _no_exposure(header: Header) -> str:
@@ -287,12 +328,20 @@ def _no_exposure(header: Header) -> str:
     return f"no known keyword states the exposure: name it by --map exposure=KEYWORD:UNIT{offered}"
 
 
+def _is_bias(header: Header) -> bool:
+    """Return whether a frame is stated to be a bias frame, which is read without an exposure."""
+    kinds = (str(header[key].written).lower().split() for key in _KIND if key in header)
+    return any(words and words[0] in ("bias", "zero") for words in kinds)
+
+
 def _is_dark(
     path: Path, header: Header, exposure_s: float | None, mapped: StatementMap, taken: dict[str, str], doubts: list[str]
 ) -> bool:
     named = text_stated("kind", header, (), mapped, str(path))
     for key in (named[0],) if named else _KIND:
         words = str(header[key].written if key in header else named[1] if named else "").lower()
+        if key == "OBJECT" and not _KIND_ALONE.fullmatch(words.strip()):
+            continue  # a target's name: "Dark Nebula B33" is no dark frame
         if any(word in words for word in _DARK_WORDS):
             taken["shutter"] = key
             return "flat" not in words  # a "dark flat" is a dark; a "bias-corrected flat" is not
@@ -322,10 +371,40 @@ def _processing(header: Header, history: str) -> list[str]:
     status = str(header["CALSTAT"].written).strip() if "CALSTAT" in header else ""
     if status:
         found.append(f"CALSTAT {status}: bias, dark or flat corrections were applied already")
-    combined = _number(header, "NCOMBINE") or _number(header, "SNAPSHOT")
-    if combined and combined > 1:
-        found.append(f"{combined:g} frames were combined into it: its noise is not that of one frame")
+    combined = next((n for key in _COMBINED if (n := _number(header, key)) and n > 1), None)
+    if combined:
+        found.append(
+            f"{combined:g} frames were combined into it: its noise is not that of one frame, and its exposure may be "
+            "that of one or of all"
+        )
+    unit = str(header["BUNIT"].written).strip() if "BUNIT" in header else ""
+    if unit.lower() not in _DATA_UNITS:
+        found.append(f"BUNIT states {unit}: its values are no digital numbers of the converter")
+    added = _number(header, "PEDESTAL")
+    if added:
+        found.append(f"PEDESTAL {added:g}: a program added numbers to it")
     return found
+
+
+def _colour_doubts(path: Path, header: Header, shape: tuple[int, ...]) -> list[str]:
+    """Return what is to be reported of a mosaic of colours and of planes that may be colours.
+
+    Raises:
+        CaptureError: If the planes are colours by the header.
+    """
+    stated = next((f"{key} {header[key].written}" for key in _COLOURS if _is_colour(header, key)), None)
+    if len(shape) == 3 and stated is not None:
+        raise CaptureError(f"{path}: its planes are colours ({stated}); frames need one channel: save one plane alone")
+    mosaic = next((f"{key} {header[key].written}" for key in _MOSAIC if key in header), None)
+    if mosaic is not None and len(shape) == 2 and not is_unknown(mosaic.partition(" ")[2]):
+        return [f"{mosaic}: pixels under filters of several colours count as one channel"]
+    if len(shape) == 3 and shape[0] == 3:
+        return ["it has three planes, which count as three frames of one exposure: save one alone if they are colours"]
+    return []
+
+
+def _is_colour(header: Header, key: str) -> bool:
+    return key in header and "rgb" in str(header[key].written).lower()
 
 
 def _gain(

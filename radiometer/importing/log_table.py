@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from radiometer.data.reader_limits import bounded_reader
+from radiometer.data.statements import UNKNOWN
 from radiometer.data.text_table import TextTable, read_table, stamp_s
 from radiometer.errors import InputError, UnsettledError, UsageError
 from radiometer.typing import Array
@@ -46,7 +47,7 @@ _ALIASES: Final[Mapping[str, tuple[str, ...]]] = {
         "temperature_c", "temperature", "temp", "temp_c", "sensor_temperature_c", "sensor_temp", "ccd_temp", "ccdtemp",
     ),
     "time": ("time", "timestamp", "time_s", "timestamp_s", "datetime", "date_time", "utc", "utc_date_time",
-             "createdate"),
+             "createdate", "zeit", "date", "datum"),
     "reference": (
         "reference", "reference_mag", "mag_arcsec2", "mpsas", "sqm_mag", "msas", "reference_cd_m2", "luminance_cd_m2",
         "luminance", "cd_m2", "mcd_m2", "lux", "radiance", "irradiance", "sqm",
@@ -57,6 +58,8 @@ _ALIASES: Final[Mapping[str, tuple[str, ...]]] = {
     "u_reference": ("u_reference", "u_reference_rel", "u_mag"),
 }  # fmt: skip
 _TEXT: Final = ("night",)
+_WITH_UNITS: Final = ("exposure", "gain", "temperature")
+_SATURATED_FROM_BITS: Final = range(8, 17)  # converters whose highest code the values may end at
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -118,9 +121,11 @@ def read_log(path: Path, stated: LogColumns | None = None, reference: Path | Non
     places = _places(table, stated, needed=("value", "exposure", *(() if reference else ("reference",))))
     if reference is not None:
         places.pop("reference", None)
-    columns = {key: _cells(table, at, key) for key, at in places.items()}
-    taken = [f"{key} from {table.header[at]!r}" for key, at in places.items()]
     assumed: list[str] = []
+    columns = {key: _cells(table, at, key) for key, at in places.items()}
+    table, columns = _usable(table, places, columns, assumed)
+    taken = [f"{key} from {table.header[at]!r}" for key, at in places.items()]
+    taken += [f"not used: {line}" for line in table.not_used(list(places.values()))]
     found = _assembled(table, places, columns, stated, assumed)
     if reference is not None:
         found, more = _beside(
@@ -137,8 +142,11 @@ def _places(table: TextTable, stated: LogColumns, needed: Sequence[str]) -> dict
             if chosen[key] not in table.header:
                 raise UsageError(f"{table.path}: no column {chosen[key]!r}; it has {', '.join(table.header)}")
             places[key] = table.header.index(chosen[key])
-        elif (at := table.find([n for n in names if not _is_taken(table, n, chosen)])) is not None:
-            places[key] = at
+        else:
+            at = table.find([n for n in names if not _is_taken(table, n, chosen)])
+            at = _with_unit(table, key, names) if at is None else at
+            if at is not None:
+                places[key] = at
     missing = [key for key in needed if key not in places]
     if missing:
         raise InputError(
@@ -146,6 +154,15 @@ def _places(table: TextTable, stated: LogColumns, needed: Sequence[str]) -> dict
             f"name the one with --{missing[0]} COLUMN"
         )
     return places
+
+
+def _with_unit(table: TextTable, key: str, names: Sequence[str]) -> int | None:
+    """Return the one column of a name with any unit behind it, such as `temp (F)`; None where there is none."""
+    if key not in _WITH_UNITS:
+        return None
+    bare = [heading_parts(heading, key)[0] for heading in table.header]
+    at = [n for n, name in enumerate(bare) if name in names]
+    return at[0] if len(at) == 1 else None
 
 
 def _is_taken(table: TextTable, name: str, chosen: Mapping[str, str]) -> bool:
@@ -163,6 +180,43 @@ def _cells(table: TextTable, at: int, key: str) -> list[Any]:
                 f"{table.where(line)}: {table.header[at]}: {error}; leave the row out, or correct it"
             ) from error
     return found
+
+
+def _usable(
+    table: TextTable, places: Mapping[str, int], columns: Mapping[str, list[Any]], assumed: list[str]
+) -> tuple[TextTable, dict[str, list[Any]]]:
+    """Return the rows whose values are known and not saturated, and their cells.
+
+    A meter writes 0 mag/arcsec² where it has no reading, and −999 or the like where a temperature is unknown.
+    """
+    value = np.array(columns["value"], dtype=np.float64)
+    top = float(value.max(initial=0.0))
+    full = top in {2.0**bits - 1.0 for bits in _SATURATED_FROM_BITS} and np.count_nonzero(value == top) > 1
+    reasons = {f"{top:g} DN is saturated": (value == top) & full}
+    if "reference" in columns and any(sign in table.plain[places["reference"]] for sign in _MAGNITUDES):
+        reasons["a reference of 0 mag is no reading"] = np.array(columns["reference"], dtype=np.float64) <= 0.0
+    if "temperature" in columns:
+        written = np.array(columns["temperature"], dtype=np.float64)
+        factor, offset_c = _degrees(table, places)
+        celsius, known = written * factor + offset_c, UNKNOWN["temperature"]
+        is_word = np.isin(written, list(known.numbers))
+        reasons["the temperature is unknown"] = is_word | (celsius < known.low) | (celsius > known.high)
+    out = np.zeros(value.size, dtype=np.bool_)
+    for reason, there in reasons.items():
+        if there.any():
+            assumed.append(f"{np.count_nonzero(there)} rows are left out: {reason}")
+        out |= there
+    kept = np.flatnonzero(~out)
+    return (
+        replace(table, rows=tuple(table.rows[n] for n in kept)),
+        {key: [cells[n] for n in kept] for key, cells in columns.items()},
+    )
+
+
+def _degrees(table: TextTable, places: Mapping[str, int]) -> tuple[float, float]:
+    """Return factor and offset from the temperature's unit into °C, which a heading without a unit means."""
+    unit = heading_parts(table.header[places["temperature"]], "temperature")[1]
+    return (1.0, 0.0) if unit is None else (unit.to_base(1.0) - unit.to_base(0.0), unit.to_base(0.0))
 
 
 def _number(text: str) -> float:
@@ -201,6 +255,10 @@ def _assembled(
     colour = column("colour")
     if colour is not None and ("cct" in name["colour"] or "temperature" in name["colour"]):
         colour = 1e6 / colour
+    celsius = column("temperature")
+    if celsius is not None:
+        factor, offset_c = _degrees(table, places)
+        celsius = celsius * factor + offset_c
     times = column("time")
     night = _nights(columns.get("night"), times, value.size, assumed)
     own = column("u_reference")
@@ -208,7 +266,7 @@ def _assembled(
         own = own * 0.4 * math.log(10.0)
     return LogTable(
         value, exposure, gain_db, reference, night,
-        None if times is None else times - times.min(), column("temperature"), colour, own,
+        None if times is None else times - times.min(), celsius, colour, own,
         assumptions=tuple(assumed), units={"reference": unit, "colour": _colour_unit(name.get("colour", ""))},
     )  # fmt: skip
 
@@ -241,7 +299,9 @@ def linear(reference: Array, name: str, assumed: list[str]) -> tuple[Array, str]
     if any(sign in name for sign in _MAGNITUDES):
         assumed.append("magnitudes per square arcsecond m are 10.8e4·10^(−0.4·m) cd·m⁻² (Unihedron)")
         return np.asarray(CD_M2_AT_0_MAG * 10.0 ** (-0.4 * reference)), "cd m-2"
-    for sign, unit in (("mcd_m2", "mcd m-2"), ("cd_m2", "cd m-2"), ("luminance", "cd m-2"), ("lux", "lx")):
+    for sign, unit in (
+        ("mcd_m2", "mcd m-2"), ("kcd_m2", "kcd m-2"), ("cd_m2", "cd m-2"), ("luminance", "cd m-2"), ("lux", "lx"),
+    ):  # fmt: skip
         if sign in name:
             return reference, unit
     return reference, "as written"
@@ -275,9 +335,13 @@ def _beside(
         )
     places = _places(other, LogColumns(), needed=("time", "reference"))
     assumed: list[str] = []
-    values, unit = linear(np.array(_cells(other, places["reference"], "reference"), dtype=np.float64),
-                          other.plain[places["reference"]], assumed)  # fmt: skip
-    times = np.array(_cells(other, places["time"], "time"), dtype=np.float64)
+    written = np.array(_cells(other, places["reference"], "reference"), dtype=np.float64)
+    name = other.plain[places["reference"]]
+    read = written > 0.0 if any(sign in name for sign in _MAGNITUDES) else np.ones(written.size, dtype=np.bool_)
+    if not read.all():
+        assumed.append(f"{int((~read).sum())} readings of {other.path.name} are left out: 0 mag is no reading")
+    values, unit = linear(written[read], name, assumed)
+    times = np.array(_cells(other, places["time"], "time"), dtype=np.float64)[read]
     order = np.argsort(times)
     times, values = times[order], values[order]
     needed = np.array(columns["time"], dtype=np.float64)

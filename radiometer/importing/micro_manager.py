@@ -171,8 +171,16 @@ def _of_ome(text: str, path: Path, pages: Sequence[int]) -> list[PlaneFacts | No
         for plane in pixels.iterfind("{*}Plane"):
             page = where.get(_place_of(plane, "The"))
             if page is not None:
-                found.setdefault(page, _of_plane(plane, str(path), device, camera, bits, begun))
+                own = {**device, **_detector(pixels, _whole(plane.get("TheC"), 0))}
+                found.setdefault(page, _of_plane(plane, str(path), own, camera, bits, begun))
     return [found.get(page) for page in pages]
+
+
+def _detector(pixels: Any, channel: int) -> dict[str, Any]:
+    """Return what OME-XML states of the detector of a channel: gain and offset in its own units, and binning."""
+    channels = list(pixels.iterfind("{*}Channel"))
+    settings = channels[channel].find("{*}DetectorSettings") if channel < len(channels) else None
+    return {} if settings is None else {key: value for key, value in settings.attrib.items() if key != "ID"}
 
 
 def _place_of(element: Any, prefix: str) -> tuple[int, int, int]:

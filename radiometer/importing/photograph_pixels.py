@@ -18,7 +18,7 @@ from radiometer.data.guards import refuse_large_picture
 from radiometer.data.raw_files import RAW_SUFFIXES, read_raw_colours
 from radiometer.data.reader_limits import RAW_READER_BYTES, bounded_reader
 from radiometer.errors import CaptureError
-from radiometer.importing.exif import count_pictures
+from radiometer.importing.exif import count_pictures, is_zero_white
 
 CHANNELS: Final = ("red", "green", "blue")
 IMAGE_SUFFIXES: Final = frozenset({".jpg", ".jpeg", ".png", ".tif", ".tiff"})
@@ -160,6 +160,8 @@ def _decode_lossless(path: Path) -> Any:
         raise CaptureError(
             f"{path}: holds {pictures} pictures, a photograph is one; `radiometer import` reads them all"
         )
+    if content[:2].tobytes() in _TIFF_STARTS and is_zero_white(path):
+        raise CaptureError(f"{path}: its tags state that 0 is white; save it anew with 0 as black")
     image = decoded(content)
     if image is None:
         raise CaptureError(f"{path}: not a readable PNG or TIFF (damaged or truncated); copy it again")

@@ -21,6 +21,19 @@ _GAP: Final = re.compile(r"[,;\s]+")
 _DECIMAL_COMMA: Final = re.compile(r"[;\s]+(\d+,\d+)(?![,\d])")
 _UNITS_OFFERED: Final = "write s, ms, us, ns or min behind the number, or in the heading"
 _NAME_COLUMN: Final = ("file", "name", "filename", "image")
+_TIME_COLUMN: Final = (
+    "time",
+    "exposure",
+    "exposure_time",
+    "exptime",
+    "exp",
+    "seconds",
+    "t",
+    "shutter",
+    "duration",
+    "zeit",
+)
+_FRACTION_WITH_BLANKS: Final = re.compile(r"(?<=\d)\s*/\s*(?=\d)")
 
 LIST_NAMES: Final = ("exposures.txt", "exposures.csv", "image_list.txt")
 
@@ -104,13 +117,14 @@ def read_list(path: Path) -> dict[str, PhotographSettings]:
     here = names_in(path.parent)
     for number, line in enumerate(lines, start=1):
         text = line.strip().strip("#").strip()
-        words = _words(text, here)
+        words = _words(_FRACTION_WITH_BLANKS.sub("/", text), here)
         where = f"{path}, line {number}"
         if not words[0]:
             continue
         if line.lstrip().startswith("#") or (number == 1 and _is_heading(words)):
-            reciprocal |= len(words) > 1 and words[1].lower().startswith(("1/", "shutter_speed"))
-            unit = _unit_of_heading(words, where) or unit
+            is_reciprocal = len(words) > 1 and words[1].lower().startswith(("1/", "shutter_speed"))
+            reciprocal |= is_reciprocal
+            unit = _unit_of_heading(words, where, is_time=not is_reciprocal) or unit
             continue
         if (before := told_in.setdefault(words[0], number)) != number:
             raise CaptureError(f"{where}: names {words[0]!r} again (as line {before} does); leave one of the lines out")
@@ -163,14 +177,23 @@ def _is_heading(words: list[str]) -> bool:
     return len(words) > 1 and _number(words[1]) is None and words[0].lower() in _NAME_COLUMN
 
 
-def _unit_of_heading(words: list[str], where: str) -> str:
-    """Return the unit that a heading gives the second column (`name time_ms`, `file, time (ms)`); "" where none."""
-    if words[0].lower() not in _NAME_COLUMN:
+def _unit_of_heading(words: list[str], where: str, *, is_time: bool) -> str:
+    """Return the unit that a heading gives the second column (`name time_ms`, `file, time (ms)`); "" where none.
+
+    Raises:
+        CaptureError: If the second column is no time by its name, or its unit is not known.
+    """
+    if words[0].lower() not in _NAME_COLUMN or len(words) < 2:
         return ""
     bracketed = len(words) > 2 and words[2][:1] in "(["
-    _, unit, spelling = heading_parts(" ".join(words[1:3]) if bracketed else words[1], "exposure")
+    name, unit, spelling = heading_parts(" ".join(words[1:3]) if bracketed else words[1], "exposure")
     if unit is None and spelling:
         raise CaptureError(f"{where}: {spelling!r} is no unit of time; {_UNITS_OFFERED}")
+    if is_time and name and name not in _TIME_COLUMN:
+        raise CaptureError(
+            f"{where}: the second column is {words[1]!r}, which is no exposure time; write `name time` with the time "
+            "in s second"
+        )
     return spelling
 
 

@@ -105,6 +105,8 @@ def read_statistics_table(path: Path, mapped: StatementMap | None = None) -> Cap
         _entry(row, columns, spelled, pixels, f"{path}, row {number}", map_of, doubts)
         for number, row in enumerate(rows, start=1)
     ]
+    if max(entry.mean_dn for entry in entries) <= 1.0:
+        doubts.append("all means are at most 1: they are read as DN, and may be shares of full scale")
     bits = _bit_depth(rows, entries, missing)
     if "kind" not in columns and "dark" not in columns:
         missing.append("no column states which rows are dark: all are taken with light (but exposures of 0)")

@@ -66,7 +66,8 @@ def read_tiff_headers(path: Path, mapped: StatementMap = StatementMap()) -> list
         if not pages:
             raise CaptureError(f"{path}: the TIFF holds no page")
         top = [page for page, _ in pages]
-        planes = planes_of(path, top, tiff.ome_metadata if tiff.is_ome else None)
+        pages += [pages[0]] * _pictures_without_directory(tiff, top)
+        planes = planes_of(path, [page for page, _ in pages], tiff.ome_metadata if tiff.is_ome else None)
         stated = _image_j(tiff)
         frames = []
         for number, ((page, parents), plane) in enumerate(zip(pages, planes, strict=True)):
@@ -80,16 +81,30 @@ def read_tiff_headers(path: Path, mapped: StatementMap = StatementMap()) -> list
 def read_tiff_pixels(path: Path, part: int) -> NDArray[Any]:
     """Return the stored values of one page. Raises CaptureError if the file is damaged or truncated."""
     with _opened(path) as tiff:
-        page = _full_size(tiff)[0][part][0]
+        pages = [page for page, _ in _full_size(tiff)[0]]
+        stacked = _pictures_without_directory(tiff, pages)
+        page = pages[0 if stacked else part]
         _refuse_cut_short(path, page, tiff.filehandle.size)
-        refuse_size(path, page.shape, page.dtype.itemsize)
-        if page.compression in _OF_PILLOW:
-            values = _with_pillow(path, page.dataoffsets[0]).astype(page.dtype, copy=False)
-        else:
-            values = page.asarray()
+        refuse_size(path, (1 + stacked, *page.shape), page.dtype.itemsize)
+        values = tiff.series[0].asarray().reshape(-1, *page.shape)[part] if stacked else _unpacked(path, page)
+        table = page.tags.get(_LINEARIZATION)
+        if table is not None:  # DNG 1.7, chapter 4: what is stored is the number of an entry
+            entries = np.asarray(table.value, dtype=np.uint16)
+            values = entries[np.minimum(values, entries.size - 1)]
+        if page.photometric == _WHITE_IS_ZERO:
+            values = np.iinfo(values.dtype).max - values
     return np.asarray(values[..., 0] if values.ndim == 3 and values.shape[-1] == 1 else values)
 
 
+def _unpacked(path: Path, page: Any) -> NDArray[Any]:
+    if page.compression in _OF_PILLOW:
+        return _with_pillow(path, page.dataoffsets[0]).astype(page.dtype, copy=False)
+    return np.asarray(page.asarray())
+
+
+_LINEARIZATION: Final = 50712
+_WHITE_IS_ZERO, _PALETTE = 0, 3  # PhotometricInterpretation, TIFF 6.0, section 4
+_MOSAIC: Final = 32803
 # LZW (OpenCV's default) and the JPEG and CCITT kinds: tifffile needs a further library for them, Pillow has them.
 _OF_PILLOW: Final = (2, 3, 4, 5, 7)
 _STRIPS, _TILES = 273, 324  # where the data of a directory begin
@@ -119,6 +134,13 @@ def _full_size(tiff: Any) -> tuple[list[tuple[Any, tuple[Any, ...]]], tuple[str,
         for n, (page, _) in enumerate(found)
         if id(page) not in kept
     )
+
+
+def _pictures_without_directory(tiff: Any, pages: Sequence[Any]) -> int:
+    """Return how many pictures follow the first one's in a file with one directory: large stacks of ImageJ, and STK."""
+    if len(pages) != 1 or not (tiff.is_imagej or tiff.is_stk) or len(pages[0].shape) != 2:
+        return 0
+    return int(math.prod(tiff.series[0].shape) // math.prod(pages[0].shape)) - 1
 
 
 def _image_j(tiff: Any) -> dict[str, Statement]:
@@ -180,7 +202,7 @@ def _frame(path: Path, page: Any, number: int, count: int, facts: _Facts, mapped
     if len(shape) != 2:
         raise CaptureError(f"{path}: a page of shape {page.shape}; frames need one channel (raw, not in colour)")
     _refuse_cut_short(path, page, page.parent.filehandle.size)
-    taken, doubts, extra = dict[str, str](), list[str](), dict[str, Any]()
+    taken, doubts, extra = dict[str, str](), _meaning_of_numbers(path, page), dict[str, Any]()
     where = str(path)
     exposure_s = _exposure(facts, path, mapped, taken, doubts)
     claims = claims_of(path)
@@ -201,10 +223,33 @@ def _frame(path: Path, page: Any, number: int, count: int, facts: _Facts, mapped
         shutter="closed" if is_dark else "open",
     )
     lens = _lens(facts, shape, exposure_s, extra)
+    stored = "uint16" if _LINEARIZATION in page.tags else np.dtype(page.dtype).name
     return FoundFrame(
-        path, (shape[0], shape[1]), np.dtype(page.dtype).name, settings, number, count, exposure_s is not None,
+        path, (shape[0], shape[1]), stored, settings, number, count, exposure_s is not None,
         _camera(facts, taken), lens, taken, tuple(doubts), extra,
     )  # fmt: skip
+
+
+def _meaning_of_numbers(path: Path, page: Any) -> list[str]:
+    """Return what is to be reported of what a page's numbers mean.
+
+    Raises:
+        CaptureError: If they are numbers of colours.
+    """
+    if page.photometric == _PALETTE:
+        raise CaptureError(f"{path}: its numbers are places in a table of colours; save it as grey values")
+    found = []
+    if page.photometric == _WHITE_IS_ZERO:
+        if page.dtype.kind != "u":
+            raise CaptureError(
+                f"{path}: its tags state that 0 is white, in numbers without a greatest one; save it anew"
+            )
+        found.append("its tags state that 0 is white: the numbers are turned")
+    if page.photometric == _MOSAIC:
+        found.append("a mosaic of colours by its tags: pixels under several filters count as one channel")
+    if _LINEARIZATION in page.tags:
+        found.append("its tags hold a LinearizationTable, which is applied")
+    return found
 
 
 def _exposure(
@@ -217,8 +262,7 @@ def _exposure(
         taken["exposure_s"] = f"EXIF {found[0]}"
         return found[1]
     claims = claims_of(path)
-    if claims.exposure_s is not None and not claims.exposure_has_unit:
-        doubts.append(f"the file's name states {claims.exposure_s:g} without a unit: s is assumed")
+    doubts += [claims.doubt] if claims.doubt else []
     if claims.exposure_s is not None:
         taken["exposure_s"] = "file name"
     return claims.exposure_s
@@ -304,7 +348,7 @@ def _camera(facts: _Facts, taken: dict[str, str]) -> dict[str, Any]:
         if tags.get(code):
             camera[key] = str(tags[code]).strip("\x00 ")
     white = tags.get(_WHITE_LEVEL)
-    top = float(white[0]) if isinstance(white, tuple) and white else 0.0
+    top = float(min(white)) if isinstance(white, tuple) and white else 0.0  # one of each channel
     if top > 1:
         taken["white_level_dn"] = "tag WhiteLevel"
         camera |= {"stated_top_dn": top, "stated_white_dn": top}

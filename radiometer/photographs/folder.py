@@ -240,7 +240,29 @@ def _from_list(folder: Path, listed: Path) -> dict[str, PhotographSettings]:
     if unnamed := [name for name in image_files(folder) if name not in settings]:
         shown = ", ".join(unnamed[:_NAMED]) + (" …" if len(unnamed) > _NAMED else "")
         _LOG.warning("photographs that the list does not name are left out", list=str(listed), photographs=shown)
-    return {name: _with_exif_aperture(folder / name, known) for name, known in sorted(settings.items())}
+    exif = {name: read_exif(folder / name) for name in sorted(settings)}
+    _refuse_other_unit(listed, settings, exif)
+    return {name: _with_exif_aperture(settings[name], own) for name, own in exif.items()}
+
+
+# A list may correct EXIF by some stops; by a thousand or a million it is in another unit.
+_OTHER_UNITS: Final = (1e-6, 1e-3, 1e3, 1e6)
+_SAME_UNIT_STOPS: Final = 0.5
+
+
+def _refuse_other_unit(
+    listed: Path, settings: Mapping[str, PhotographSettings], exif: Mapping[str, PhotographSettings | None]
+) -> None:
+    """Refuse a list whose times are those of EXIF in another unit, such as ms that are read as s."""
+    stops = [
+        math.log2(settings[name].exposure_s / own.nominal_exposure_s) for name, own in exif.items() if own is not None
+    ]
+    for factor in _OTHER_UNITS:
+        if stops and max(abs(s - math.log2(factor)) for s in stops) < _SAME_UNIT_STOPS:
+            raise CaptureError(
+                f"{listed}: its times are {factor:g} × those in EXIF; write their unit behind them (20 ms) or in the "
+                "heading (`name time_ms`)"
+            )
 
 
 def _absent(listed: Path, absent: list[str], here: set[str]) -> str:
@@ -252,8 +274,7 @@ def _absent(listed: Path, absent: list[str], here: set[str]) -> str:
     return f"{listed}: names {named}, {which} not in the folder; {way_out}"
 
 
-def _with_exif_aperture(path: Path, known: PhotographSettings) -> PhotographSettings:
-    exif = read_exif(path)
+def _with_exif_aperture(known: PhotographSettings, exif: PhotographSettings | None) -> PhotographSettings:
     return known if exif is None else replace(known, f_number=exif.f_number, iso=exif.iso, iso_doubt=exif.iso_doubt)
 
 

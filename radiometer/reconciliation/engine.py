@@ -14,6 +14,7 @@ import numpy as np
 import structlog
 
 from radiometer.data import CaptureHeader, Frame
+from radiometer.data.white_level import white_level_notes
 from radiometer.errors import CaptureError
 from radiometer.importing import open_capture
 from radiometer.one_thread import on_one_blas_thread
@@ -268,7 +269,10 @@ def examine(
         notes.append(f"the scene changes: {1 + len(scenes)} scenes are shown, each with a separate pattern")
     found = search(start, entries, say, lambda found: is_doubted(found, posterior_of(found.state, entries)))
     outcome = _optional_step("laws outside the catalogue", lambda: held_to_laws(found, entries, say), notes) or found
-    well = shown_well(outcome.state, levels_of_brightest(header, read))
+    levels = levels_of_brightest(header, read)
+    well = shown_well(outcome.state, levels)
+    if well is None and not any(effect.saturates for effect in (*given, *outcome.state.effects)):
+        notes += white_level_notes(level for level in levels.values() if level.disagrees)
     result = _result(outcome, entries, again, total, begun, notes, well, with_limits=with_limits)
     return Reconciled(replace(result, repeats=_repeats(outcome.state, light, header)), outcome, taken)
 

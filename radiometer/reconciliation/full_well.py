@@ -14,7 +14,7 @@ from typing import Final
 import numpy as np
 
 from radiometer.data import CaptureHeader
-from radiometer.data.pile_up import enough_for_white_levels, find_white_levels
+from radiometer.data.pile_up import white_levels_of
 from radiometer.data.white_level import EDGE_SIGMAS, WhiteLevel
 from radiometer.reconciliation.fit.covariance import fitted_parameters
 from radiometer.reconciliation.fit.state import FitState
@@ -92,8 +92,7 @@ def levels_of_brightest(header: CaptureHeader, read: FrameReader) -> dict[float,
     settings = [entry.settings for entry in header.frames]
     gains = sorted({one.gain_db for one in settings if not one.is_dark})[:_GAINS_LOOKED_AT]
     places = [place for place, one in enumerate(settings) if one.gain_db in gains and not one.is_dark]
-    chosen = enough_for_white_levels([settings[place] for place in places])
-    return find_white_levels(read(places[number]) for number in chosen)
+    return white_levels_of([settings[place] for place in places], lambda number: read(places[number]))
 
 
 def shown_well(state: FitState, levels: Mapping[float, WhiteLevel]) -> ShownWell | None:

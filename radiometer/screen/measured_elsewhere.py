@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Final
 
@@ -182,19 +182,48 @@ def _ti3(path: Path, text: str) -> ScreenReadings:
         raise InputError(f"{path}: needs the columns {', '.join(wanted)}; it has {', '.join(columns)}")
     at = [columns.index(name) for name in wanted]
     rows = [line.split() for line in data.splitlines() if line.strip()]
-    scale, said = 1.0, "absolute XYZ"
-    if keys.get("NORMALIZED_TO_Y_100", "NO").upper() == "YES":
-        if "LUMINANCE_XYZ_CDM2" not in keys:
-            raise InputError(f"{path}: XYZ relative to white, and no LUMINANCE_XYZ_CDM2 that says how bright that is")
-        scale = float(keys["LUMINANCE_XYZ_CDM2"].split()[1]) / 100.0
-        said = f"XYZ relative to a white of {100 * scale:.4g} cd·m⁻²"
     patches = [tuple(float(row[n]) for n in at) for row in rows]
+    if max(max(patch[:3]) for patch in patches) > _MOST_PERCENT:
+        raise InputError(f"{path}: RGB go above 100; a .ti3 has them in per cent: divide them by 2.55")
+    scale, said = _ti3_scale(path, keys, max(patch[3] for patch in patches))
     groups = {name: _grouped(patches, which, scale) for name, which in _AXES.items()}
     return ScreenReadings(
         path.stem,
         groups["grey"],
         {name: levels for name, levels in groups.items() if name != "grey" and len(levels) > 1},
         taken=(f"ArgyllCMS .ti3, {len(patches)} patches, {said}", f"meter {keys.get('TARGET_INSTRUMENT', 'unknown')}"),
+    )
+
+
+_MOST_PERCENT: Final = 100.5
+_SAME_WHITE_REL: Final = 0.02  # rows repeat white; LUMINANCE_XYZ_CDM2 is one reading of it
+
+
+def _ti3_scale(path: Path, keys: Mapping[str, str], brightest: float) -> tuple[float, str]:
+    """Return the factor of a .ti3's Y into cd·m⁻², and how it was found.
+
+    Files of older programs lack NORMALIZED_TO_Y_100. Their Y are then relative to white where white is 100, and
+    absolute where it is what LUMINANCE_XYZ_CDM2 states.
+
+    Raises:
+        InputError: If nothing states which of both it is.
+    """
+    words = keys.get("LUMINANCE_XYZ_CDM2", "").split()
+    white = float(words[1]) if len(words) > 1 else None
+    relative = keys.get("NORMALIZED_TO_Y_100", "").upper()
+    if relative not in ("YES", "NO") and white is not None:
+        nearer = {"YES": 100.0, "NO": white}
+        fits = [word for word, top in nearer.items() if math.isclose(brightest, top, rel_tol=_SAME_WHITE_REL)]
+        relative = fits[0] if len(fits) == 1 else "NO" if len(fits) == 2 else ""
+    if relative == "NO":
+        return 1.0, "absolute XYZ"
+    if relative == "YES" and white is not None:
+        return white / 100.0, f"XYZ relative to a white of {white:.4g} cd/m²"
+    if relative == "YES":
+        raise InputError(f"{path}: XYZ relative to white, and no LUMINANCE_XYZ_CDM2 that says how bright that is")
+    raise InputError(
+        f'{path}: nothing states whether its XYZ are absolute; add the line NORMALIZED_TO_Y_100 "NO" where they are '
+        'in cd/m², else "YES" and LUMINANCE_XYZ_CDM2'
     )
 
 
@@ -293,6 +322,7 @@ def _table(path: Path, text: str, mapped: StatementMap) -> ScreenReadings:
     if len(table.rows) < 3:
         raise InputError(f"{path}: {len(table.rows)} rows of level and luminance; three at least are needed")
     doubts = list[str]()
+    table = _without_chromaticity(table)
     light_at = table.find_fact("luminance", _LUMINANCE_NAMES, mapped)
     level_at = table.find_fact("level", _LEVEL_NAMES, mapped)
     channels = _rgb_columns(table) if level_at is None else None
@@ -333,6 +363,17 @@ def _table(path: Path, text: str, mapped: StatementMap) -> ScreenReadings:
         ),
         doubts=tuple(dict.fromkeys(doubts)),
     )
+
+
+def _without_chromaticity(table: TextTable) -> TextTable:
+    """Return a table whose columns x and y, next to each other, are named as the chromaticity that they are."""
+    pairs = [n for n in range(len(table.header) - 1) if table.header[n : n + 2] == ("x", "y")]
+    if not pairs:
+        return table
+    names = list(table.header)
+    for n in pairs:
+        names[n : n + 2] = "chromaticity x", "chromaticity y"
+    return replace(table, header=tuple(names))
 
 
 def _drive_of(path: Path, line: int, channel: str, level: float) -> tuple[float, ...]:

@@ -24,6 +24,8 @@ from radiometer.data import (
 )
 from radiometer.data.capture_set import read_digital_numbers
 from radiometer.data.frame import DigitalNumbers
+from radiometer.data.pile_up import white_levels_of
+from radiometer.data.white_level import WhiteLevel, white_level_notes
 from radiometer.errors import CaptureError, MeasurementError, UsageError
 from radiometer.importing import imported_of, is_foreign, open_capture, statistics_of
 from radiometer.importing.emva_listing import DESCRIPTOR_NAME, EmvaListing, find_descriptor
@@ -293,6 +295,7 @@ def subject_of_capture(capture: CaptureSet, region: Patch | None = None) -> Subj
     notes += [*(f"left out: {line}" for line in record.left_out), *record.doubts]
     kept = [g for g in groups if g.settings.is_dark or (g.settings.f_number, g.settings.pattern) == (f_number, pattern)]
     kept, more = _with_dark(kept)
+    white = white_level_notes(_shown(capture))
     patches = _chosen_patches(header.patches, region)
     shape = capture.read_frame(0).shape
     fluxes = [photon_flux(p, pattern, header.camera, header.lens, header.source, f_number, shape) for p in patches]
@@ -305,13 +308,19 @@ def subject_of_capture(capture: CaptureSet, region: Patch | None = None) -> Subj
         tuple(kept),
         tuple(p.patch for p in patches) or (None,),
         tuple(fluxes) or (None,),
-        (*notes, *more),
+        (*notes, *more, *white),
         masked_dn=tuple(
             float(entry.model_extra["masked_rows_dn"])
             for entry in header.frames
             if entry.model_extra and "masked_rows_dn" in entry.model_extra
         ),
     )
+
+
+def _shown(capture: CaptureSet) -> list[WhiteLevel]:
+    """Return the white levels that the frames show against what is stated."""
+    levels = white_levels_of([entry.settings for entry in capture.header.frames], capture.read_frame)
+    return [level for level in levels.values() if level.disagrees]
 
 
 def _most_frequent(light: list[FrameGroup]) -> tuple[tuple[float | None, str], list[str]]:

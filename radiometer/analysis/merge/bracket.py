@@ -172,6 +172,9 @@ class _Excused:
         return cls(np.empty(0, np.intp), np.empty(0), None)
 
 
+_DARKER_SIGMAS = 5.0  # of one pixel: no middle of a picture is so far below its dark level
+
+
 class StreamingMerge:
     """Merges frames as they arrive; holds sums per pixel and the frames of a small batch.
 
@@ -413,10 +416,24 @@ class StreamingMerge:
         )
         if self._terms and frame.settings.source_level != self._terms[0].settings.source_level:
             raise MeasurementError("the frames were taken at different source levels; merge those of one level")
+        self._refuse_foreign_darks(frame, terms)
         self._terms.append(terms)
         model = self._situation.model
         table = None if model.linear and terms.dark.size == 1 else model.table(frame.settings).astype(np.float32)
         return MergeSample.of(np.ascontiguousarray(frame.dn).ravel(), terms, table, len(self._terms) - 1)
+
+    def _refuse_foreign_darks(self, frame: Frame, terms: FrameTerms) -> None:
+        """Refuse dark frames that are brighter than a light frame: their dark signal is not that of its exposure."""
+        if not self._dark:
+            return
+        model = self._situation.model
+        middle = float(model.table(frame.settings)[int(np.median(frame.dn))])
+        sigma = math.hypot(math.sqrt(float(model.variance(0.0, frame.settings))), terms.u_dark)
+        if middle < float(np.mean(terms.dark)) - _DARKER_SIGMAS * sigma:
+            raise MeasurementError(
+                f"the light frame of {frame.settings.exposure_s:g} s is darker than the dark frames show for it; "
+                "take dark frames of its exposure and temperature, or of two exposures"
+            )
 
     def _refuse_misfit(self, frame: Frame) -> None:
         self._shape = self._shape or frame.shape

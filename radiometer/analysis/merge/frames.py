@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from radiometer.analysis.signal.lens import lens_factor_sr
-from radiometer.analysis.signal.model import SignalModel, dark_levels
+from radiometer.analysis.signal.model import SignalModel, dark_levels, matching_darks
 from radiometer.analysis.signal.situation import Situation
 from radiometer.data import Frame, FrameSettings
 from radiometer.units import gain_factor
@@ -103,12 +103,7 @@ def _dark_map(
     settings: FrameSettings, dark_frames: Sequence[Frame], model: SignalModel, level: float
 ) -> tuple[NDArray[np.float32], float]:
     """Return the dark signal of every pixel with the variance of that mean, or one level for all with none."""
-    matching = [
-        frame
-        for frame in dark_frames
-        if frame.settings.gain_db == settings.gain_db
-        and abs(frame.settings.exposure_s / settings.exposure_s - 1.0) <= 0.01
-    ]
+    matching = matching_darks(settings, dark_frames)
     if not matching:
         return np.full(1, level, np.float32), 0.0
     table = model.table(settings).astype(np.float32)

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import csv
 import math
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
@@ -225,8 +226,10 @@ def spectral_columns(
     wavelength = columns.pop("wavelength")
     if wavelength.size < 2:
         raise InputError(f"{path}: expected at least two lines of {form}")
+    if np.all(np.diff(wavelength) < 0):  # as spectrometers write that disperse from right to left
+        wavelength, columns = wavelength[::-1], {name: values[::-1] for name, values in columns.items()}
     if np.any(np.diff(wavelength) <= 0):
-        raise InputError(f"{path}: wavelengths must rise from line to line")
+        raise InputError(f"{path}: wavelengths must rise from line to line, or fall from line to line")
     if wavelength[0] < 100.0 or wavelength[-1] > 5000.0:
         raise InputError(f"{path}: wavelengths run from {wavelength[0]:g} to {wavelength[-1]:g}; they must be in nm")
     return wavelength, columns
@@ -259,8 +262,18 @@ def _places(table: TextTable, names: Mapping[str, Sequence[str]], form: str) -> 
             raise InputError(
                 f"{table.path}: no column is known as {name}; it has {', '.join(table.header)}: keep the columns {form}"
             )
+        if (other := _OTHER_DENSITY.search(table.header[at].lower())) is not None:
+            raise InputError(
+                f"{table.path}: {table.header[at]!r} is in {other[0]}; a spectrum needs power per wavelength"
+            )
         found[name] = (at, "number", "1")
     return found
+
+
+# Not proportional to power per nm: counts of photons, and densities per wavenumber or frequency.
+_OTHER_DENSITY: Final = re.compile(
+    r"photons?|quanta|[µμu]mol|\bmol\b|einstein|(?:per |/ ?)(?:cm-1|cm\^-1|cm⁻¹|[tg]?hz|ev)\b|\blog(?:10)?\b|\bdb\w*"
+)
 
 
 @bounded_reader(error=InputError)

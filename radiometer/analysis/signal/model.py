@@ -29,6 +29,10 @@ from radiometer.units import gain_factor
 # A full well is where charge stops; linearity and the datasheet's figure end a little before.
 USABLE_FULL_WELL = 0.97
 _SAME_EXPOSURE_REL = 0.01
+_OTHER_EXPOSURE_REL = 0.05  # dark frames that differ by less say nothing of the dark current
+_AS_WARM_K = 3.0  # a third more dark current, or a third less
+_U_DOUBLING_K = 1.0  # dark currents in silicon double within 6 to 8 K
+_OTHER = "dark frames of other exposures"
 # Dark current of machine-vision sensors near 40 °C where a data sheet says nothing: 0 to some 20 e⁻/s.
 UNKNOWN_DARK_E_PER_S = 10.0
 # Masked pixels against those next to them: half a digital number (a rectangle), and a tenth of the modelled dark
@@ -269,7 +273,7 @@ def _level(
     black: BlackLevel,
     masked_dn: float | None,
 ) -> DarkLevel:
-    if matching := _matching(settings, dark_frames):
+    if matching := matching_darks(settings, dark_frames):
         return _from_frames(settings, matching, model)
     if masked_dn is not None:
         return _from_masked(settings, masked_dn, model)
@@ -278,13 +282,19 @@ def _level(
     return _from_model(settings, model, black)
 
 
-def _matching(settings: FrameSettings, dark_frames: Sequence[Frame]) -> list[Frame]:
+def matching_darks(settings: FrameSettings, dark_frames: Sequence[Frame]) -> list[Frame]:
+    """Return the dark frames of the same exposure, gain and, where both are known, temperature."""
     return [
         frame
         for frame in dark_frames
         if abs(frame.settings.exposure_s / settings.exposure_s - 1.0) <= _SAME_EXPOSURE_REL
         and frame.settings.gain_db == settings.gain_db
+        and _as_warm(frame.settings.temperature_c, settings.temperature_c)
     ]
+
+
+def _as_warm(one_c: float | None, other_c: float | None) -> bool:
+    return one_c is None or other_c is None or abs(one_c - other_c) <= _AS_WARM_K
 
 
 def _from_frames(settings: FrameSettings, frames: list[Frame], model: SignalModel) -> DarkLevel:
@@ -308,14 +318,46 @@ def _from_masked(settings: FrameSettings, masked_dn: float, model: SignalModel) 
 def _from_other_exposures(
     settings: FrameSettings, frames: list[Frame], model: SignalModel, black: BlackLevel
 ) -> DarkLevel:
-    """Return the modelled dark signal on a black level that dark frames of other exposures have corrected."""
+    """Return the dark signal that dark frames of other exposures or temperatures show.
+
+    Two exposures or more determine black level and dark current. One corrects the black level, and the dark current
+    is the modelled one.
+    """
     measured = [_from_frames(frame.settings, [frame], model) for frame in frames]
-    modelled = [model.modelled_dark(frame.settings) for frame in frames]
-    offset = float(np.mean([level.signal - dark for level, dark in zip(measured, modelled, strict=True)]))
+    times = np.array([_seconds_at_reference(frame.settings, model) for frame in frames])
+    signals = np.array([level.signal for level in measured])
+    here = _seconds_at_reference(settings, model)
     noise = float(np.sqrt(np.sum([level.u_independent**2 for level in measured]))) / len(frames)
+    if np.ptp(times) > _OTHER_EXPOSURE_REL * times.max():
+        middle, spread = float(times.mean()), float(np.sum((times - times.mean()) ** 2))
+        rate = float(np.sum((times - middle) * signals)) / spread
+        level = float(signals.mean()) + rate * (here - middle)
+        lacking = signals - signals.mean() - rate * (times - middle)
+        scatter = max(noise * math.sqrt(len(frames)), float(np.sqrt(np.sum(lacking**2) / max(len(frames) - 2, 1))))
+        u = scatter * math.sqrt(1.0 / len(frames) + (here - middle) ** 2 / spread)
+        return DarkLevel(level, 0.0, math.hypot(u, rate * _u_seconds(settings, frames, model)), _OTHER)
+    modelled = [model.modelled_dark(frame.settings) for frame in frames]
+    offset = float(np.mean(signals - np.array(modelled)))
     dark = model.modelled_dark(settings)
-    u_common = float(np.hypot(noise, black.dark_u_rel * abs(dark - float(np.mean(modelled)))))
-    return DarkLevel(dark + offset, 0.0, u_common, "dark frames of other exposures")
+    u_rate = black.dark_u_rel * abs(dark - float(np.mean(modelled)))
+    if "dark_current_e_per_s" in model.noise.assumed:
+        u_rate = UNKNOWN_DARK_E_PER_S * abs(here - float(times.mean())) / model.electrons_per_unit
+    return DarkLevel(dark + offset, 0.0, float(np.hypot(noise, u_rate)), _OTHER)
+
+
+def _seconds_at_reference(settings: FrameSettings, model: SignalModel) -> float:
+    """Return the exposure in s that has the same dark signal at the temperature of the stated dark current."""
+    return settings.exposure_s * model.noise.warmer_factor(settings.temperature_c)
+
+
+def _u_seconds(settings: FrameSettings, frames: Sequence[Frame], model: SignalModel) -> float:
+    """Return the standard uncertainty of that exposure due to the doubling temperature, where temperatures differ."""
+    known = [frame.settings.temperature_c for frame in frames if frame.settings.temperature_c is not None]
+    if settings.temperature_c is None or not known:
+        return 0.0
+    doublings = abs(settings.temperature_c - float(np.mean(known))) / model.noise.dark_doubling_k
+    relative = math.log(2.0) * doublings * _U_DOUBLING_K / model.noise.dark_doubling_k
+    return relative * _seconds_at_reference(settings, model)
 
 
 def _from_model(settings: FrameSettings, model: SignalModel, black: BlackLevel) -> DarkLevel:

@@ -18,21 +18,25 @@ import numpy as np
 
 from radiometer.data.reader_limits import bounded_reader
 from radiometer.data.storage import write_text_atomic, write_yaml_atomic
-from radiometer.data.text_table import column_for, read_table
+from radiometer.data.text_table import TextTable, finite, read_table
 from radiometer.errors import InputError
 from radiometer.reconciliation.result import FittedParameter, FoundEffect, Limit, ReconcileResult, Verdict
 from radiometer.typing import Array
-from radiometer.units import exact_exposure_s, exact_f_number, read_number, unit_of
+from radiometer.units import exact_exposure_s, exact_f_number
 
 _GAP_UNIT: Final = "standard deviation of ln K within a source"
 _COINCIDENCE: Final = 2e-3  # rows that agree to this, though printed values scatter by more, are no chance
 _STEP_OF_A_METER: Final = math.log(2.0) / 3.0  # meters and cameras run in thirds of a stop
-_ALIASES: Final[Mapping[str, tuple[str, ...]]] = {
-    "luminance": ("luminance", "luminance_cd_m2", "l_v", "lv", "cd_m2", "luminance_cd_per_m2"),
+_NAMES: Final[Mapping[str, tuple[str, ...]]] = {
+    "luminance": ("luminance", "l_v", "lv", "luminance_cd_per_m2"),
     "f_number": ("f_number", "fnumber", "f", "aperture", "n"),
-    "time": ("time", "time_s", "exposure", "exposure_s", "t", "exposure_time", "exposure_time_s", "shutter"),
+    "exposure": ("time", "exposure", "t", "exposure_time", "shutter"),
     "iso": ("iso", "s", "speed", "iso_speed"),
 }
+# What the documented table means where a heading has no unit.
+_UNITS: Final = {"luminance": "cd/m2", "f_number": "1", "exposure": "s", "iso": "ISO"}
+# ISO 2720 recommends 10.6 to 13.4; meters in use go from 10 to 17. Far from it a column has another unit.
+_METER_CONSTANTS: Final = (3.0, 50.0)
 _NEEDS: Final = "luminance, f_number, time and iso"
 
 
@@ -102,11 +106,16 @@ def read_meter_table(path: Path) -> tuple[MeterRow, ...]:
         InputError: If a column is missing or a value is no positive number; the message gives the line.
     """
     table = read_table(path, f"the columns {_NEEDS}", named=True)
-    place = {key: column_for(table, _ALIASES, key, _NEEDS) for key in _ALIASES}
+    columns = {fact: _column(table, fact) for fact in _NAMES}
     named = next(
         (i for i, name in enumerate(table.plain) if name in ("screen", "source", "scene", "target", "name")), None
     )
-    rows = [_row(cells, place, named, table.where(line)) for line, cells in table.rows if any(cells)]
+    rows = []
+    for (line, cells), *figures in zip(table.rows, *columns.values(), strict=True):
+        if min(figures) <= 0:
+            raise InputError(f"{table.where(line)}: expected positive numbers, times as 0.004 or 1/250")
+        source = cells[named].strip() if named is not None else f"{figures[0]:g} cd/m2"
+        rows.append(MeterRow(source, *figures))
     if len(rows) < 2:
         raise InputError(f"{path}: holds {len(rows)} reading; two of one source are the least that can disagree")
     return tuple(rows)
@@ -143,6 +152,9 @@ def _judge(rows: Sequence[MeterRow]) -> ReconcileResult:
     elif verdict is Verdict.UNNAMED:
         effects = (FoundEffect("unnamed", {}, _likely_axis(rows), printed, printed, block="meter constant"),)
     extra: dict[str, Any] = {"constants": _table(rows)}
+    middle = float(np.median([row.k_exact for row in rows]))
+    if not _METER_CONSTANTS[0] < middle < _METER_CONSTANTS[1]:
+        remarks.append(f"K is {middle:.3g}, and that of meters is 10.6 to 13.4 (ISO 2720): a column has another unit")
     if by_rounding and abs(rest) > _COINCIDENCE:
         remarks.append(_rest_in_words(rest, widest))
         extra["rest"] = {
@@ -255,21 +267,9 @@ def _table(rows: Sequence[MeterRow]) -> list[dict[str, Any]]:
     ]
 
 
-def _positive(text: str, key: str) -> float:
-    """Return a number above zero: 0.004, 1/250, 4 ms, f/8. Raises ValueError."""
-    value, unit = read_number(text)
-    if unit and key == "time":
-        known = unit_of(unit, "exposure")
-        value = known.to_base(value) if known else math.nan
-    if not value > 0:
-        raise ValueError(f"{text!r} is not above zero, or has a unit that is not known")
-    return value
-
-
-def _row(cells: Sequence[str], place: Mapping[str, int], named: int | None, where: str) -> MeterRow:
-    try:
-        luminance, f_number, seconds, iso = (_positive(cells[place[key]], key) for key in _ALIASES)
-    except (ValueError, IndexError, ZeroDivisionError) as error:
-        raise InputError(f"{where}: {error}; expected positive numbers, times as 0.004 or 1/250") from error
-    source = cells[named].strip() if named is not None else f"{luminance:g} cd/m2"
-    return MeterRow(source, luminance, f_number, seconds, iso)
+def _column(table: TextTable, fact: str) -> list[float]:
+    """Return a column in cd·m⁻², s or ISO, in the unit that its heading or its cells state."""
+    at = table.find_fact(fact, _NAMES[fact])
+    if at is None:
+        raise InputError(f"{table.path}: no column {_NAMES[fact][0]!r}; the first line must name {_NEEDS}")
+    return finite(table.values(at, fact, [], defined=_UNITS[fact]), table, at)

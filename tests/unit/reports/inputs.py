@@ -188,3 +188,19 @@ def steady_log(path: Path, seed: int) -> Path:
             lines.append(f"{stamp},{value:.1f},{seconds:.6g},0,{magnitude:.2f}")
     path.write_text("\n".join(lines) + "\n")
     return path
+
+
+def light_and_dark(folder: Path, seconds: Sequence[float], celsius: float) -> Path:
+    """Write a ramp of 10 000 DN/s at −10 °C with 1000 DN/s of dark signal, and dark frames; it doubles every 7 K."""
+    folder.mkdir()
+    rng = np.random.default_rng(5)
+    ramp, dark = 1e4 * np.linspace(0.1, 1.0, 64)[None, :] * np.ones((48, 1)), 1000.0
+    lights = [("Light", t, -10.0, (ramp + dark) * t) for t in SECONDS]
+    warm = dark * 2.0 ** ((celsius + 10.0) / 7.0)
+    darks = [("Dark", t, celsius, warm * t * np.ones_like(ramp)) for t in seconds for _ in range(3)]
+    for n, (kind, exposure, temperature, signal) in enumerate((*lights, *darks)):
+        dn = np.rint(500 + rng.normal(signal, np.sqrt(0.5 * signal + 9)))
+        unit = fits.PrimaryHDU(dn.clip(0, 65_535).astype(np.uint16))
+        unit.header.update({"EXPTIME": exposure, "IMAGETYP": kind, "CCD-TEMP": temperature})
+        unit.writeto(folder / f"{n:02d}.fits")
+    return folder

@@ -126,10 +126,10 @@ def test_tables_of_a_screen_are_read_by_their_headings(form, tmp_path):
     ("heading", "separator", "comma"), [("wavelength_nm,relative", ",", False), ("nm;relativ", ";", True)]
 )
 def test_a_spectrum_is_the_same_in_either_decimal_mark(heading, separator, comma, tmp_path, capsys):
-    """114.6 cd/m² of the simulated bench with both (Open-Systems-Pharmacology/MoBi/issues/210)."""
+    """114.6 cd/m² of the simulated bench, printed in whole numbers (Open-Systems-Pharmacology/MoBi/issues/210)."""
     file = inputs.white_led(tmp_path / "s.csv", heading, separator, comma=comma)
     assert run(["measure", "--camera", "sim", "--spectrum", str(file)]) == 0
-    assert float(re.search(r"luminance +([\d.]+)", capsys.readouterr().out)[1]) == pytest.approx(114.6, abs=0.3)
+    assert float(re.search(r"luminance +([\d.]+)", capsys.readouterr().out)[1]) == pytest.approx(114.6, abs=0.5)
 
 
 def test_the_iso_speed_65535_means_more(tmp_path):
@@ -262,3 +262,23 @@ def test_a_log_whose_value_hardly_moves_names_no_effect(seed, tmp_path, capsys):
     assert "The missing effect was found" not in shown
     assert "inf" not in shown
     assert "record some readings at a half and a quarter of the exposure" in shown.replace("\n", " ")
+
+
+DARKS = {
+    "of each exposure": (inputs.SECONDS, -10.0, True),
+    "astropy/ccdproc/issues/360 two others": ((0.05, 3.0), -10.0, True),
+    "LCOGT/banzai/pull/321 30 K warmer": (inputs.SECONDS, 20.0, True),
+    "astropy/ccdproc/issues/75 one much longer": ((5.0,), -10.0, False),
+}
+
+
+@pytest.mark.parametrize(("seconds", "celsius", "works"), DARKS.values(), ids=DARKS)
+def test_dark_frames_are_used_for_the_exposure_and_temperature_they_have(seconds, celsius, works, tmp_path, capsys):
+    """10 000 DN/s at the right end, 3 % being four sigma of the dimmest column; one that shows neither is refused."""
+    imported(inputs.light_and_dark(tmp_path / "in", seconds, celsius), tmp_path / "set")
+    assert run(["merge", str(tmp_path / "set"), "-o", str(tmp_path / "o.tiff")]) == (0 if works else 1)
+    if not works:
+        assert "darker than the dark frames show" in capsys.readouterr().err
+        return
+    found = tifffile.imread(tmp_path / "o.tiff", key=0).mean(axis=0)
+    assert found == pytest.approx(1e4 * np.linspace(0.1, 1.0, 64), rel=0.03)

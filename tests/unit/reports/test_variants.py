@@ -19,11 +19,15 @@ from astropy.io import fits
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from radiometer.adaptation.threshold_files import read_table as read_thresholds
 from radiometer.analysis.photometry.photometry import spectrum_from_csv
 from radiometer.errors import RadiometerError
 from radiometer.importing import import_sources, statistics_of
+from radiometer.importing.emva_listing import EmvaListing
+from radiometer.importing.log_table import read_log
 from radiometer.importing.photograph_times import read_exif, read_list
 from radiometer.importing.record import record_in
+from radiometer.reconciliation.inputs.light_meter import reconcile_meter_table
 from radiometer.screen.measured_elsewhere import read_screen_readings
 
 # Written down anew and not taken from the product: what each spelling means in s. None: no unit of time.
@@ -360,10 +364,169 @@ def exif_variant(draw: st.DrawFn) -> tuple[dict[str, Any], Callable[[Path], Call
     return {"s": 0.007, "iso": float(speed)}, made
 
 
+@st.composite
+def log_variant(draw: st.DrawFn) -> tuple[dict[str, Any], Callable[[Path], Callable[[], Read]]]:
+    """Return a log whose exposure and temperature have some unit, with rows that mean "no reading"."""
+    unit = draw(st.sampled_from(["", *TIME_UNITS]))
+    factor = TIME_UNITS.get(unit, 1.0)
+    degrees, of_celsius = draw(st.sampled_from([("C", lambda c: c), ("K", lambda c: c + 273.15), ("F", _fahrenheit)]))
+    lost = draw(st.sampled_from([-999.0, None]))
+    times = [f"2026-03-{night:02d}T21:{10 * k:02d}:00" for night in range(1, 5) for k in range(5)]
+    columns = {
+        "utc": times,
+        _heading(draw, "exposure", unit): [f"{0.5 / (factor or 1.0):.9g}"] * 20,
+        "adu": [f"{30_000 + n}.5" for n in range(20)],
+        _heading(draw, draw(st.sampled_from(["temperature", "temp"])), degrees): [
+            f"{lost if lost and n == 7 else of_celsius(20.0):.6g}" for n in range(20)
+        ],
+        "sqm": [f"{20 + 0.01 * n:.2f}" for n in range(20)],
+    }
+    text = _table(draw, columns, {"humidity": ["55.5"] * 20, "remark": ["clear"] * 20}, named=True)
+
+    def made(folder: Path) -> Callable[[], Read]:
+        (folder / "l.csv").write_text(text)
+
+        def read() -> Read:
+            log = read_log(folder / "l.csv")
+            celsius = [] if log.temperature_c is None else log.temperature_c.tolist()
+            doubts = tuple(line for line in log.assumptions if "no unit" in line)
+            return Read({"s": float(log.exposure_s[0])} | {f"C {n}": v for n, v in enumerate(celsius)}, doubts)
+
+        return read
+
+    return {"s": 0.5 if factor else -1.0} | {f"C {n}": 20.0 for n in range(20)}, made
+
+
+def _fahrenheit(celsius: float) -> float:
+    return 32.0 + 1.8 * celsius
+
+
+@st.composite
+def meter_variant(draw: st.DrawFn) -> tuple[dict[str, Any], Callable[[Path], Callable[[], Read]]]:
+    """Return readings of a light meter, their units in the headings."""
+    light, time_unit = draw(st.sampled_from(["", *LUMINANCE_UNITS])), draw(st.sampled_from(["", *TIME_UNITS]))
+    factor, seconds = LUMINANCE_UNITS.get(light, 1.0), TIME_UNITS.get(time_unit, 1.0)
+    columns = {
+        _heading(draw, draw(st.sampled_from(["luminance", "Lv"])), light): [
+            f"{v / (factor or 1.0):.7g}" for v in (1000.0, 2000.0)
+        ],
+        _heading(draw, draw(st.sampled_from(["time", "shutter"])), time_unit): [
+            f"{v / (seconds or 1.0):.7g}" for v in (0.008, 0.004)
+        ],
+        "f_number": ["8.0", "8.0"],
+        "iso": ["100", "100"],
+    }
+    text = _table(draw, columns, {"K": ["12.5", "12.5"], "remark": ["a", "b"]}, named=True)
+    known = factor is not None and seconds is not None
+
+    def made(folder: Path) -> Callable[[], Read]:
+        (folder / "m.csv").write_text(text)
+
+        def read() -> Read:
+            found = reconcile_meter_table(folder / "m.csv")
+            doubts = tuple(remark for remark in found.result.extra["remarks"] if "unit" in remark)
+            return Read({"cd/m2": found.rows[0].luminance_cd_m2, "s": found.rows[0].time_s}, doubts)
+
+        return read
+
+    return {"cd/m2": 1000.0 if known else -1.0, "s": 0.008 if known else -1.0}, made
+
+
+@st.composite
+def argyll_variant(draw: st.DrawFn) -> tuple[dict[str, Any], Callable[[Path], Callable[[], Read]]]:
+    """Return a .ti3 whose XYZ are absolute or relative, as its keywords state or not, its columns in any order."""
+    relative, full = draw(st.booleans()), draw(st.sampled_from([100.0, 255.0]))
+    stated = draw(st.booleans())
+    white = 'LUMINANCE_XYZ_CDM2 "218.7 230.2 253.2"' if draw(st.booleans()) else 'DEVICE_CLASS "DISPLAY"'
+    key = f'NORMALIZED_TO_Y_100 "{"YES" if relative else "NO"}"' if stated else ""
+    levels = list(range(0, 256, 15))
+    light = [0.2 + 230 * (n / 255) ** 2.2 for n in levels]
+    columns = {name: [f"{n * full / 255:.5f}" for n in levels] for name in ("RGB_R", "RGB_G", "RGB_B")}
+    columns |= {"XYZ_Y": [f"{v * (100 / 230.2 if relative else 1.0):.6f}" for v in light]}
+    columns |= {"XYZ_X": ["1.0"] * 18, "SAMPLE_ID": [str(n) for n in range(18)]}
+    names = draw(st.permutations(sorted(columns)))
+    rows = "\n".join(" ".join(cells) for cells in zip(*(columns[name] for name in names), strict=True))
+    text = (
+        f"CTI3\n\n{white}\n{key}\nBEGIN_DATA_FORMAT\n{' '.join(names)}\nEND_DATA_FORMAT\nBEGIN_DATA\n{rows}\nEND_DATA\n"
+    )
+
+    def made(folder: Path) -> Callable[[], Read]:
+        (folder / "s.ti3").write_text(text)
+
+        def read() -> Read:
+            found = read_screen_readings(folder / "s.ti3")
+            return Read({str(n): float(np.mean(v)) for n, v in found.grey.items()}, found.doubts)
+
+        return read
+
+    return {str(n): v for n, v in zip(levels, light, strict=True)}, made
+
+
+@st.composite
+def threshold_variant(draw: st.DrawFn) -> tuple[dict[str, Any], Callable[[Path], Callable[[], Read]]]:
+    """Return thresholds over time in some unit, linear or as logarithms."""
+    unit = draw(st.sampled_from([unit for unit, size in TIME_UNITS.items() if size and unit.isascii()]))
+    form, write = draw(
+        st.sampled_from(
+            [
+                ("log10_threshold", lambda v: v), ("ln threshold", lambda v: v * np.log(10.0)),
+                ("threshold (cd/m2)", lambda v: 10.0**v), ("threshold (mcd/m2)", lambda v: 1e3 * 10.0**v),
+                ("log threshold (mcd/m2)", lambda v: v + 3.0), ("sensitivity (dB)", lambda v: -10.0 * v),
+            ]
+        )
+    )  # fmt: skip
+    minutes, logs = (0.5, 1.0, 2.0, 4.0, 8.0, 12.0, 20.0), (-1.0, -1.5, -2.0, -2.2, -2.6, -3.5, -4.5)
+    columns = {
+        f"time ({unit})": [f"{60.0 * t / float(TIME_UNITS[unit] or 1.0):.9g}" for t in minutes],
+        form: [f"{write(v):.9g}" for v in logs],
+    }
+    text = _table(draw, columns, {"eye": ["left"] * 7, "pupil_mm": ["7.1"] * 7}, named=True)
+
+    def made(folder: Path) -> Callable[[], Read]:
+        (folder / "t.csv").write_text(text)
+
+        def read() -> Read:
+            found = read_thresholds(folder / "t.csv")
+            return Read({f"{n} {k}": float(v) for n, row in enumerate(found.rows) for k, v in enumerate(row)})
+
+        return read
+
+    return {f"{n} {k}": v for n, row in enumerate(zip(minutes, logs, strict=True)) for k, v in enumerate(row)}, made
+
+
+@st.composite
+def emva_variant(draw: st.DrawFn) -> tuple[dict[str, Any], Callable[[Path], Callable[[], Read]]]:
+    """Return a descriptor of EMVA 1288 whose exposures have the format's unit, another, or one that is none."""
+    spelling = draw(st.sampled_from(["", "ns", "us", "ms", "s", "ticks"]))
+    blank = draw(st.sampled_from(["", " "]))
+    factor = TIME_UNITS[spelling or "ns"]
+    slash = draw(st.sampled_from(["/", "\\"]))
+    lines = ["v 3.0", "n 12 16 16"]
+    for n, seconds in enumerate(EXPOSURES):
+        written = f"{seconds / (factor or 1.0):.9g}{blank if spelling else ''}{spelling}"
+        lines += [f"b {written} {1000 * n + 1000}", f"i images{slash}{n}.tif"]
+
+    def made(folder: Path) -> Callable[[], Read]:
+        (folder / "images").mkdir()
+        for n in range(len(EXPOSURES)):
+            (folder / "images" / f"{n}.tif").write_bytes(b"")
+        (folder / "EMVA1288_Data.txt").write_text("\n".join(lines) + "\n")
+
+        def read() -> Read:
+            found = EmvaListing.read(folder / "EMVA1288_Data.txt")
+            return Read({str(n): entry.exposure_s for n, entry in enumerate(found.entries)})
+
+        return read
+
+    return {str(n): s if factor else -1.0 for n, s in enumerate(EXPOSURES)}, made
+
+
 READERS = {
     "FITS": fits_variant(), "TIFF": tiff_variant(), "OME-TIFF": ome_variant(), "screen table": screen_variant(),
     "spectrum table": spectrum_variant(), "table of statistics": statistics_variant(),
-    "list of exposures": list_variant(), "EXIF": exif_variant(),
+    "list of exposures": list_variant(), "EXIF": exif_variant(), "log of nights": log_variant(),
+    "light meter": meter_variant(), ".ti3": argyll_variant(), "dark adaptation": threshold_variant(),
+    "EMVA 1288": emva_variant(),
 }  # fmt: skip
 
 

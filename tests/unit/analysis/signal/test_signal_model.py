@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -139,13 +140,30 @@ def test_dark_frames_of_the_exposure_are_taken_as_they_are():
     assert dark_levels([LIGHT], [dark_frame(110, 0.1, 6.0)], LINEAR, DOUBT)[0].source == "black level"
 
 
-def test_dark_frames_of_other_exposures_correct_the_black_level():
+def test_a_dark_frame_of_another_exposure_corrects_the_black_level():
     """Measured less modelled, on the modelled level of the frame; what the model doubts is the difference."""
-    frames = [dark_frame(110, 0.2), dark_frame(114, 0.4)]  # modelled 5 and 10 DN: offsets 5 and 4
+    other = dark_frame(110, 0.2)  # modelled 5 DN: the offset is 5
+    (level,) = dark_levels([LIGHT], [other], LINEAR, DOUBT)
+    assert level.signal == pytest.approx(2.5 + 5.0)
+    noise = math.sqrt(float(LINEAR.variance(0.0, other.settings)) / 100)
+    assert (level.u_independent, level.u_common) == (0.0, pytest.approx(math.hypot(noise, 0.4 * 2.5)))
+
+
+def test_dark_frames_of_two_other_exposures_show_black_level_and_dark_current():
+    """10 DN after 0.2 s and 14 after 0.4 are 8 after 0.1, whatever the model; that far off noise counts √2.5 fold."""
+    frames = [dark_frame(110, 0.2), dark_frame(114, 0.4)]
     (level,) = dark_levels([LIGHT], frames, LINEAR, DOUBT)
-    assert level.signal == pytest.approx(2.5 + 4.5)
-    noise = math.sqrt(sum(float(LINEAR.variance(0.0, one.settings)) / 100 for one in frames)) / 2
-    assert (level.u_independent, level.u_common) == (0.0, pytest.approx(math.hypot(noise, 0.4 * 5.0)))
+    noise = math.sqrt(sum(float(LINEAR.variance(0.0, one.settings)) / 100 for one in frames) / 2.0)
+    assert level.signal == pytest.approx(8.0)
+    assert level.u_common == pytest.approx(noise * math.sqrt(2.5))
+
+
+def test_warmer_dark_frames_are_scaled_to_the_light_frame():
+    """14 K warmer are two doublings of 7 K: of 4 and 16 DN above a black of 2 a quarter is there in the light frame."""
+    frames = [replace(dark_frame(dn, t), settings=replace(dark_frame(dn, t).settings, temperature_c=44.0))
+              for dn, t in ((106, 0.1), (118, 0.4))]  # fmt: skip
+    (level,) = dark_levels([replace(LIGHT, temperature_c=30.0)], frames, LINEAR, DOUBT)
+    assert level.signal == pytest.approx(2.0 + 4.0 / 4.0)
 
 
 @quick

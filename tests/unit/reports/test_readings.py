@@ -1,0 +1,355 @@
+"""Public reports of misread headers and tables, one line each: the report, the input, what is right.
+
+What is right is a value, a doubt that names the cause, or a refusal that names it. Values are those the input was made
+with.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import tifffile
+from astropy.io import fits
+
+from radiometer.adaptation.threshold_files import read_table as read_thresholds
+from radiometer.analysis.photometry.photometry import spectrum_from_csv
+from radiometer.errors import RadiometerError
+from radiometer.importing import import_sources, open_capture, statistics_of
+from radiometer.importing.log_table import read_log
+from radiometer.importing.photograph_times import read_list
+from radiometer.importing.record import record_in
+from radiometer.reconciliation.inputs.light_meter import reconcile_meter_table
+from radiometer.screen.measured_elsewhere import read_screen_readings
+from tests.unit.reports import inputs
+
+LEVEL = 900
+Facts = dict[str, Any]
+
+
+def flat(dtype: Any = np.uint16, level: float = LEVEL) -> Any:
+    """Return an even picture of one level."""
+    return np.full((16, 24), level, dtype)
+
+
+def in_fits(cards: Facts, picture: Any = None, **above: Any) -> Callable[[Path], Path]:
+    """Return what writes a FITS picture, in an extension where the primary header states something."""
+
+    def make(folder: Path) -> Path:
+        kind = fits.ImageHDU if above else fits.PrimaryHDU
+        unit = kind(flat() if picture is None else picture)
+        unit.header.update({"IMAGETYP": "Light", "EXPTIME": 1.0} | cards)
+        units = [fits.PrimaryHDU(header=fits.Header(above)), unit] if above else [unit]
+        fits.HDUList(units).writeto(folder / "a.fits")
+        return folder / "a.fits"
+
+    return make
+
+
+def in_tiff(*tags: Any, picture: Any = None, name: str = "a.tif", seconds: Any = (8, 1000), **how: Any) -> Any:
+    """Return what writes a TIFF of 8 ms with further tags."""
+
+    def make(folder: Path) -> Path:
+        own = [(33434, "2I", 1, seconds, True)] if seconds else []
+        inputs.tiff(folder / name, [flat() if picture is None else picture], [[*own, *tags]], **how)
+        return folder / name
+
+    return make
+
+
+def one_directory_of_four(folder: Path) -> Path:
+    """Write ImageJ's form of a large stack: four pictures, one directory."""
+    path = folder / "stack_8ms.tif"
+    tifffile.imwrite(path, np.stack([flat(level=LEVEL + 100 * n) for n in range(4)]), imagej=True)
+    content = bytearray(path.read_bytes())
+    order = ">" if content[:2] == b"MM" else "<"
+    first = struct.unpack(f"{order}I", content[4:8])[0]
+    entries = struct.unpack(f"{order}H", content[first : first + 2])[0]
+    content[first + 2 + 12 * entries : first + 6 + 12 * entries] = bytes(4)
+    path.write_bytes(content)
+    return path
+
+
+def in_ome(plane: str, pixels: str = "", channel: str = "") -> Callable[[Path], Path]:
+    """Return what writes an OME-TIFF of one page."""
+
+    def make(folder: Path) -> Path:
+        xml = (
+            '<?xml version="1.0"?><OME xmlns="http://www.openmicroscopy.org/Schemas/OME/2016-06"><Image ID="Image:0">'
+            '<Pixels ID="Pixels:0" DimensionOrder="XYZCT" Type="uint16" SizeX="24" SizeY="16" SizeZ="1" SizeC="1" '
+            f'SizeT="1" {pixels}>{channel}<TiffData/><Plane TheZ="0" TheC="0" TheT="0" {plane}/></Pixels></Image></OME>'
+        )
+        tifffile.imwrite(folder / "a.ome.tif", flat(), description=xml, metadata=None, photometric="minisblack")
+        return folder / "a.ome.tif"
+
+    return make
+
+
+def read_image(path: Path) -> tuple[Facts, str]:
+    """Return facts of the first frame, and doubts."""
+    header = import_sources([path])[0].header
+    entry, frames = header.frames[0], open_capture(path)
+    facts = {"s": entry.exposure_s, "dB": entry.gain_db, "black": entry.black_level_dn, "f": entry.f_number}
+    facts |= {"C": entry.temperature_C, "shutter": str(entry.shutter), "bits": header.camera.bit_depth}
+    facts |= {"last": float(frames.read_frame(len(header.frames) - 1).dn.mean()), "frames": len(header.frames)}
+    facts["e/DN"] = header.camera.conversion_gain_e_per_dn
+    return facts, " ".join(record_in(header).doubts)
+
+
+GAIN = '<Channel ID="Channel:0:0" SamplesPerPixel="1"><DetectorSettings ID="D" Gain="100"/></Channel>'
+CODES = np.random.default_rng(0).integers(500, 900, (64, 64)).astype(np.uint16)
+COLOURS = np.stack([flat(), flat(level=400), flat(level=200)])
+STEPS = tuple(range(0, 4096, 4))
+IMAGES: dict[str, tuple[Any, Facts, str]] = {
+    "astroufsc/chimera/issues/102": (in_fits({"EXPTIME": -1.0, "IMAGETYP": "bias"}), {"s": 0.0}, ""),
+    "desihub/desispec/issues/964": (in_fits({"EXPTIME": 15.0}, EXPTIME=60.0), {"s": 15.0}, "primary header"),
+    "Keck-DataReductionPipelines/KPF-Pipeline/pull/646": (
+        in_fits({"EXPTIME": 10.0, "ELAPSED": (12.3, "[s] actual exposure")}), {}, "ELAPSED 12.3"),
+    "rzellem/EXOTIC/issues/1178": (in_fits({"GAIN": 360}, flat(np.uint8, 120)), {"bits": 8}, "gain is 360"),
+    "astrogo/fitsio/issues/35": (in_fits({}, flat(level=40_000)), {"last": 40_000.0}, ""),
+    "astropy/astropy/issues/4974": (in_fits({"BZERO": 32768.0}, flat(np.float32)), {}, "refused: full scale"),
+    "LCOGT/banzai/issues/479": (in_fits({"BUNIT": "electron"}), {}, "BUNIT"),
+    "rate images": (in_fits({"BUNIT": "adu/s"}), {}, "BUNIT"),
+    "indilib/indi/issues/292": (in_fits({"EPERADU": 0.5}), {"e/DN": 0.5}, ""),
+    "scriptorron/indi_pylibcamera/issues/9": (in_fits({}, CODES * 16), {}, "multiples of 16"),
+    "planes of colours": (in_fits({"CTYPE3": "RGB"}, COLOURS), {}, "refused: colours"),
+    "planes that may be colours": (in_fits({}, COLOURS), {"frames": 3}, "three planes"),
+    "a mosaic as one channel": (in_fits({"BAYERPAT": "RGGB"}), {}, "several colours"),
+    "spacetelescope/jwst/issues/7737": (in_fits({"NSUBEXP": 10}), {}, "10 frames were combined"),
+    "stacks of smart telescopes": (in_fits({"STACKCNT": 60}), {}, "60 frames were combined"),
+    "an exposure in words": (in_fits({"EXPTIME": "1/125"}), {"s": 0.008}, ""),
+    "a decimal comma": (in_fits({"EXPTIME": "0,008"}), {"s": 0.008}, ""),
+    "a dark nebula": (in_fits({"IMAGETYP": "", "OBJECT": "Dark Nebula B33"}), {"shutter": "open"}, "open is assumed"),
+    "OBJECT for the kind": (in_fits({"IMAGETYP": "", "OBJECT": "Dark 10s"}), {"shutter": "closed"}, ""),
+    "PEDESTAL of MaxIm": (in_fits({"PEDESTAL": -100}), {}, "PEDESTAL -100"),
+    "Fahrenheit": (in_fits({"CCD-TEMP": (68.0, "[F] sensor")}), {"C": 20.0}, ""),
+    "haraldk/TwelveMonkeys WhiteIsZero": (in_tiff(photometric="miniswhite"), {"last": 65_535.0 - LEVEL}, "0 is white"),
+    "a palette": (in_tiff(picture=flat(level=60), photometric="palette", colormap=np.zeros((3, 65_536), np.uint16)),
+                  {}, "refused: table of colours"),
+    "scikit-image/scikit-image/issues/1929": (
+        lambda p: tifffile.imwrite(p / "8ms.tif", flat(np.float32, 0.4)) or p / "8ms.tif", {}, "refused: full scale"),
+    "emmanueltouzery/hsexif/issues/23": (
+        in_tiff((37377, "2i", 1, (827, 100), True), seconds=None), {"s": 2.0**-8.27}, ""),
+    "mattiasw/ExifReader/issues/201": (
+        in_tiff((37377, "2i", 1, (-2_584_963, 1_000_000), True), seconds=None), {"s": 6.0}, ""),
+    "mattiasw/ExifReader/issues/270": (in_tiff(seconds=(15, 10)), {"s": 1.5}, ""),
+    "darktable-org/darktable/pull/6723": (in_tiff((37378, "2I", 1, (6, 1), True)), {"f": 8.0, "s": 0.008}, ""),
+    "two exposures in EXIF": (in_tiff((37377, "2i", 1, (2, 1), True)), {"s": 0.008}, "ShutterSpeedValue 0.25"),
+    "no exposure but APEX": (in_tiff((37377, "2i", 1, (7, 1), True), seconds=(0, 1)), {"s": 1 / 128}, ""),
+    "jcelaya/hdrmerge/issues/5": (in_tiff((33437, "2I", 1, (0, 0), True)), {"f": None}, ""),
+    "LibRaw/LibRaw/issues/107": (
+        in_tiff((50713, "H", 2, (6, 6), True), (50714, "H", 36, (1022,) * 36, True)), {"black": 1022.0}, ""),
+    "klauspost/rawspeed/issues/63": (
+        in_tiff((50713, "H", 2, (2, 2), True), (50714, "H", 4, (10, 20, 20, 30), True)), {}, "differs by up to 20"),
+    "LinearizationTable": (in_tiff((50712, "H", 1024, STEPS, True)), {"last": 3600.0}, "LinearizationTable"),
+    "a large stack of ImageJ": (one_directory_of_four, {"frames": 4, "last": LEVEL + 300.0, "s": 0.008}, ""),
+    "1/125 s in a name": (in_tiff(name="img_1-125s.tif", seconds=None), {"s": 0.008}, "1/125 s is assumed"),
+    "0,5 s in a name": (in_tiff(name="img_0,5s.tif", seconds=None), {"s": 0.5}, ""),
+    "basler/pypylon/issues/804": (
+        in_tiff(picture=CODES * 16), {}, "multiples of 16"),
+    "ome/ome-model/issues/176": (in_ome('ExposureTime="0.5"'), {"s": 0.5}, ""),
+    "ome/bioformats/pull/601": (in_ome('ExposureTime="0.0005" ExposureTimeUnit="ks"'), {"s": 0.5}, ""),
+    "ilastik/ilastik/pull/3093": (in_ome('ExposureTime="2" ExposureTimeUnit="frame"'), {}, "refused: frame"),
+    "OME SignificantBits": (in_ome('ExposureTime="0.5"', 'SignificantBits="12"'), {"bits": 12}, ""),
+    "OME DetectorSettings": (in_ome('ExposureTime="0.5"', "", GAIN), {"dB": 0.0}, "gain is 100"),
+    "OME DeltaT is no exposure": (in_ome('DeltaT="0.5"'), {}, "refused: exposure"),
+}  # fmt: skip
+
+
+def check(read: Callable[[Path], tuple[Facts, str]], path: Path, facts: Facts, words: str) -> None:
+    """Check what a reader gives: facts, words in a doubt, or words in a refusal."""
+    if words.startswith("refused: "):
+        with pytest.raises(RadiometerError, match=words.removeprefix("refused: ")):
+            read(path)
+        return
+    found, doubts = read(path)
+    for name, fact in facts.items():
+        assert found[name] == (pytest.approx(fact, rel=1e-4) if isinstance(fact, float) else fact), name
+    assert words in doubts
+    assert words or not doubts or "open is assumed" in doubts or "means no" in doubts
+
+
+@pytest.mark.parametrize(("make", "facts", "words"), IMAGES.values(), ids=IMAGES)
+def test_pictures_are_read_as_their_headers_state(make, facts, words, tmp_path):
+    """A value, a doubt or a refusal that names the cause."""
+    check(read_image, make(tmp_path), facts, words)
+
+
+NM = range(400, 701, 10)
+POWER = [float(np.exp(-0.5 * ((nm - 560) / 40) ** 2)) + 0.001 for nm in NM]
+LEVELS = range(0, 256, 15)
+LIGHT = [0.2 + 230 * (n / 255) ** 2.2 for n in LEVELS]
+MINUTES, LOGS = (0.5, 1, 2, 4, 8, 12, 20), (-1.0, -1.5, -2.0, -2.2, -2.6, -3.5, -4.5)
+
+
+def european(number: float, places: int = 1) -> str:
+    """Return a number with points between thousands and a decimal comma."""
+    return f"{number:,.{places}f}".translate(str.maketrans(",.", ".,"))
+
+
+def spectrum(row: Callable[[int, float], str], heading: str = "wavelength_nm,power", *, falling: bool = False) -> str:
+    """Return a table of a spectrum about 560 nm."""
+    rows = [row(nm, power) for nm, power in zip(NM, POWER, strict=True)]
+    return "\n".join([heading, *(rows[::-1] if falling else rows)]) + "\n"
+
+
+def ti3(keys: str, scale: float, full: float = 100.0) -> str:
+    """Return a file of ArgyllCMS, its Y times a factor and its RGB up to `full`."""
+    rows = [f"{n} " + f"{n * full / 255:.4f} " * 3 + f"{v * scale:.5f}" for n, v in zip(LEVELS, LIGHT, strict=True)]
+    names = "BEGIN_DATA_FORMAT\nSAMPLE_ID RGB_R RGB_G RGB_B XYZ_Y\nEND_DATA_FORMAT\n"
+    return f"CTI3\n\n{keys}\n{names}BEGIN_DATA\n" + "\n".join(rows) + "\nEND_DATA\n"
+
+
+def levels(heading: str, row: Callable[[int, float], str]) -> str:
+    """Return a table of a screen."""
+    return "\n".join([heading, *(row(n, v) for n, v in zip(LEVELS, LIGHT, strict=True))]) + "\n"
+
+
+def nights(heading: str, row: Callable[[int], str]) -> str:
+    """Return a log of four nights of five readings, each row given by its number in the night."""
+    times = [(f"2026-03-{night:02d}T21:{10 * k:02d}:00", k) for night in range(1, 5) for k in range(5)]
+    return "\n".join([heading, *(f"{time},{row(k)}" for time, k in times)]) + "\n"
+
+
+def thresholds(heading: str, of_log: Callable[[float], float]) -> str:
+    """Return a table of thresholds."""
+    return "\n".join([heading, *(f"{t},{of_log(v):.6g}" for t, v in zip(MINUTES, LOGS, strict=True))]) + "\n"
+
+
+def read_spectrum(path: Path) -> tuple[Facts, str]:
+    """Return the mean wavelength."""
+    found = spectrum_from_csv(path)
+    return {"nm": float(found.wavelength_nm @ found.power / found.power.sum())}, ""
+
+
+def read_screen(path: Path) -> tuple[Facts, str]:
+    """Return the luminance of black, of level 120 and of white."""
+    found = read_screen_readings(path)
+    return {str(n): float(np.mean(found.grey[n])) for n in (0, 120, 255)}, " ".join(found.doubts)
+
+
+def read_times(path: Path) -> tuple[Facts, str]:
+    """Return the exposure of a listed photograph."""
+    return {"s": read_list(path)["p.jpg"].exposure_s}, ""
+
+
+def read_nights(path: Path) -> tuple[Facts, str]:
+    """Return what a log has."""
+    log = read_log(path)
+    facts = {"rows": log.size, "C": None if log.temperature_c is None else float(log.temperature_c[0])}
+    return facts | {"s": float(log.exposure_s[0])}, " ".join(a for a in log.assumptions if "Unihedron" not in a)
+
+
+def read_meter(path: Path) -> tuple[Facts, str]:
+    """Return what readings of a light meter hold."""
+    found = reconcile_meter_table(path)
+    row = found.rows[0]
+    remarks = found.result.extra["remarks"]
+    return {"cd/m2": row.luminance_cd_m2, "s": row.time_s, "iso": row.iso}, " ".join(
+        remark for remark in remarks if "unit" in remark
+    )
+
+
+def read_means(path: Path) -> tuple[Facts, str]:
+    """Return the first row of a table of statistics."""
+    header = statistics_of(path)
+    assert header is not None
+    row = header.statistics[0]
+    return {"s": row.exposure_s, "mean": row.mean_dn, "var": row.variance_dn2}, " ".join(record_in(header).doubts)
+
+
+def read_dark_adaptation(path: Path) -> tuple[Facts, str]:
+    """Return the first threshold."""
+    first = read_thresholds(path).rows[0]
+    return {"min": float(first[0]), "log": float(first[1])}, ""
+
+
+WHITE = 'LUMINANCE_XYZ_CDM2 "218.7 230.2 253.2"'
+NM_MEAN = {"nm": float(np.array(NM) @ POWER / np.sum(POWER))}
+SCREEN = {"0": 0.2, "120": LIGHT[8], "255": 230.2}
+METER = {"cd/m2": 1000.0, "s": 0.008, "iso": 100.0}
+SKY = "utc,adu,exposure_s,temperature_c,sqm"
+CURVE = {"min": 0.5, "log": -1.0}
+PAIR = "1000,8,1/125,100\n2000,8,1/250,100\n"
+TABLES: dict[str, tuple[Any, str, Facts, str]] = {
+    "astropy/specreduce/issues/174": (
+        read_spectrum, spectrum(lambda n, p: f"{n},{p:.6f}", falling=True), NM_MEAN, ""),
+    "jasp-stats/jasp-desktop/issues/403": (
+        read_spectrum, spectrum(lambda n, p: f"{n};{european(1e6 * p)}", "nm;power"), NM_MEAN, ""),
+    "no-break blanks between thousands": (
+        read_spectrum, spectrum(lambda n, p: f"{n};{1e6 * p:,.1f}".replace(",", "\u202f"), "nm;power"), NM_MEAN, ""),
+    "OpenCompare/OpenCompare/issues/143": (
+        read_spectrum, spectrum(lambda n, p: f'"{n}","{p:.4f}"'.replace(".", ",")), {}, "refused: no number"),
+    "ngscopeclient/scopehal/issues/494": (
+        read_spectrum, spectrum(lambda n, p: f"{n},{p:.4f}".replace(".", ",")), {}, "refused: decimal commas"),
+    "publiclab/spectral-workbench/issues/365": (
+        read_spectrum, spectrum(lambda n, p: f"{n}  {p:.6f}", "# a spectrum"), NM_MEAN, ""),
+    "moviedo5/fda.usc/issues/7": (
+        read_spectrum, spectrum(lambda n, p: f"{n},{p:.6f}", "wavelength [mm],power"), {}, "refused: in mm"),
+    "radis/radis/issues/707": (
+        read_spectrum, spectrum(lambda n, p: f"{1e7 / n},{p}", "wavenumber [cm-1],power"), {}, "refused: wavenumber"),
+    "radis/radis/pull/455": (
+        read_spectrum, spectrum(lambda n, p: f"{n},{p * n * n}", "nm,power per cm-1"), {}, "refused: per cm-1"),
+    "kriswiner/AS7265X/issues/5": (
+        read_spectrum, spectrum(lambda n, p: f"{n},{p * n}", "nm,flux (umol/m2/s/nm)"), {}, "refused: umol"),
+    "Argyll relative": (read_screen, ti3(f'{WHITE}\nNORMALIZED_TO_Y_100 "YES"', 100 / 230.2), SCREEN, ""),
+    "Argyll absolute": (read_screen, ti3('NORMALIZED_TO_Y_100 "NO"', 1.0), SCREEN, ""),
+    "old Argyll, relative": (read_screen, ti3(WHITE, 100 / 230.2), SCREEN, ""),
+    "old Argyll, absolute": (read_screen, ti3(WHITE, 1.0), SCREEN, ""),
+    "old Argyll, unknown": (read_screen, ti3("", 100 / 230.2), {}, "refused: whether its XYZ are absolute"),
+    "RGB of 8 bits in .ti3": (read_screen, ti3('NORMALIZED_TO_Y_100 "NO"', 1.0, 255.0), {}, "refused: above 100"),
+    "points between thousands": (
+        read_screen, levels("level;Lv (mcd/m2)", lambda n, v: f"{n};{european(1e3 * v)}"), SCREEN, ""),
+    "commas between thousands": (
+        read_screen, levels("level;Lv (mcd/m2)", lambda n, v: f"{n};{1e3 * v:,.1f}"), SCREEN, ""),
+    "chromaticity y": (
+        read_screen, levels("level,x,y,Y (cd/m2)", lambda n, v: f"{n},0.313,0.329,{v:.4f}"), SCREEN, ""),
+    "lux": (read_screen, levels("level,illuminance (lx)", lambda n, v: f"{n},{v}"), {}, "refused: luminance"),
+    "no reading": (read_screen, levels("level,Lv", lambda n, v: f"{n},{v if n else -1}"), {}, "refused: missing"),
+    "blanks about the stroke": (read_times, "p.jpg 1 / 125\n", {"s": 0.008}, ""),
+    "milliseconds in the heading": (read_times, "file;time [ms]\np.jpg;8\n", {"s": 0.008}, ""),
+    "another column second": (read_times, "file,iso,time\np.jpg,100,0.008\n", {}, "refused: iso"),
+    "stops": (read_times, "file,Tv\np.jpg,7\n", {}, "refused: Tv"),
+    "a decimal comma in a list": (read_times, "p.jpg;0,008\n", {}, "refused: decimal comma"),
+    "sensor in Fahrenheit": (
+        read_nights, nights("utc,adu,exposure_s,temp (F),sqm", lambda k: f"{3e4 + k},0.5,68,20.{k}"), {"C": 20.0}, ""),
+    "0 mag is no reading": (
+        read_nights, nights(SKY, lambda k: f"{3e4 + k},0.5,20,{0 if k == 2 else 20}.{0 if k == 2 else k}"),
+        {"rows": 16}, "0 mag is no reading"),
+    "-999 degrees": (
+        read_nights, nights(SKY, lambda k: f"{3e4 + k},0.5,{-999 if k == 2 else 20},20.{k}"), {"rows": 16}, "unknown"),
+    "saturated readings": (
+        read_nights, nights(SKY, lambda k: f"{65535 if k == 2 else 3e4 + k},0.5,20,20.{k}"), {"rows": 16}, "65535 DN"),
+    "exposures as fractions": (
+        read_nights, nights(SKY, lambda k: f"{3e4 + k},1/{k + 2},20,20.{k}"), {"s": 0.5, "rows": 20}, ""),
+    "a meter in foot-lamberts": (
+        read_meter, f"luminance (fL),f_number,time,iso\n{PAIR}", METER | {"cd/m2": 3426.259}, ""),
+    "a meter in ms": (read_meter, "luminance,f_number,time_ms,iso\n1000,8,8,100\n2000,8,4,100\n", METER, ""),
+    "denominators of times": (
+        read_meter, "luminance,f_number,time,iso\n100,8,125,100\n200,8,62.5,100\n", {}, "another unit"),
+    "ISO with DIN": (
+        read_meter, "luminance,f_number,time,iso\n100,8,1/125,100/21°\n200,8,1/250,100/21°\n", {}, "refused: 100/21"),
+    "shares of full scale": (
+        read_means, "exposure_ms,mean,variance\n1,0.03,1e-6\n2,0.05,2e-6\n5,0.2,5e-6\n", {"s": 0.001}, "shares of"),
+    "a standard deviation": (read_means, "exposure_ms,mean,std\n1,120,4\n2,140,5\n5,200,6\n", {"var": 16.0}, ""),
+    "natural logarithms": (
+        read_dark_adaptation, thresholds("time_min,ln threshold", lambda v: v * np.log(10.0)), CURVE, ""),
+    "thresholds in mcd/m2": (
+        read_dark_adaptation, thresholds("time_min,threshold (mcd/m2)", lambda v: 1e3 * 10**v), CURVE, ""),
+    "logarithms of mcd/m2": (
+        read_dark_adaptation, thresholds("time_min,log threshold (mcd/m2)", lambda v: v + 3), CURVE, ""),
+    "apostilbs": (
+        read_dark_adaptation, thresholds("time_min,threshold (asb)", lambda v: np.pi * 10**v), CURVE, ""),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize(("read", "text", "facts", "words"), TABLES.values(), ids=TABLES)
+def test_tables_are_read_as_their_headings_state(read, text, facts, words, tmp_path):
+    """A value, a doubt or a refusal that names the cause."""
+    path = tmp_path / "exposures.csv"
+    path.write_text(text, encoding="utf-8")
+    check(read, path, facts, words)
