@@ -20,10 +20,9 @@ from radiometer.reconciliation.fit.covariance import fitted_parameters
 from radiometer.reconciliation.fit.state import FitState
 from radiometer.reconciliation.measure.reduce import FrameReader
 from radiometer.reconciliation.result import FittedParameter, FoundEffect
-from simulators.effects.adc_saturation import AdcSaturation
 from simulators.effects.base import Stage
-from simulators.effects.conversion_gain_error import ConversionGainError
-from simulators.effects.full_well_saturation import FullWellSaturation
+from simulators.effects.catalogue import CatalogueEffect
+from simulators.effects.registry import all_effects
 from simulators.effects.tile_moments import TileMoments
 
 # Datasheets state the saturation capacity of EMVA 1288, at the peak of the variance: up to a tenth below the pile.
@@ -75,11 +74,16 @@ class ShownWell:
         """Return the finding that the full well is another one, at a gap that it leaves as it is."""
         sigmas = (self.shown_e - self.declared_e) / self.u_e
         size = FittedParameter(self.shown_e, None if self.is_least else self.u_e, "e-")
-        rivals = (AdcSaturation.name,) if self.may_be_converter else ()
-        name, block = FullWellSaturation.name, FullWellSaturation.block
-        return FoundEffect(
-            name, {"full_well_e": size}, FullWellSaturation.where, gap, gap, rivals, None, 0.5 * sigmas**2, block
-        )
+        well = limit_at(Stage.WELL)
+        rivals = (limit_at(Stage.DIGITAL).name,) if self.may_be_converter else ()
+        (name,) = well.fitted
+        return FoundEffect(well.name, {name: size}, well.where, gap, gap, rivals, None, 0.5 * sigmas**2, well.block)
+
+
+def limit_at(stage: Stage) -> type[CatalogueEffect]:
+    """Return the entry of the catalogue that limits the signal sharply at a stage."""
+    kinds = (kind for kind in all_effects().values() if issubclass(kind, CatalogueEffect))
+    return next(kind for kind in kinds if kind.saturates == "sharply" and kind.stage is stage)
 
 
 def levels_of_brightest(header: CaptureHeader, read: FrameReader) -> dict[float, WhiteLevel]:
@@ -155,8 +159,8 @@ def _relative_u_of_gain(state: FitState) -> float:
 
     The declared gain is an assumption of every finding, as in the report.
     """
-    effect = next((effect for effect in state.effects if isinstance(effect, ConversionGainError)), None)
+    effect = next((effect for effect in state.effects if effect.responsivity_taken() != 1.0), None)
     if effect is None:
         return 0.0
-    known = fitted_parameters(state)[effect.name]["error_rel"].u
+    known = fitted_parameters(state)[effect.name][effect.fitted[0]].u
     return (known or 0.0) / effect.responsivity_taken()

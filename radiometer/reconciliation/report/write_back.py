@@ -10,12 +10,13 @@ from radiometer.data import CameraDescription
 from radiometer.data.provenance import utc_now
 from radiometer.reconciliation.fit.covariance import effect_covariance, fitted_parameters
 from radiometer.reconciliation.fit.state import FitState
+from radiometer.reconciliation.full_well import limit_at
 from radiometer.reconciliation.result import FoundEffect, Verdict
 from radiometer.reconciliation.search.outcome import Reconciled
 from simulators.chain.camera_model import CameraModel
 from simulators.chain.undeclared import completed
+from simulators.effects.base import Stage
 from simulators.effects.catalogue import CatalogueEffect
-from simulators.effects.full_well_saturation import FullWellSaturation
 from simulators.effects.registry import EffectEntry
 
 _SMALLEST, _LARGEST = 0.01, 1.0  # quantum efficiency
@@ -33,7 +34,7 @@ def reconciled_model(
     """
     state = reconciled.outcome.state
     found = {effect.name: effect for effect in reconciled.result.effects}
-    model = _base(state, _other_well_e(state, found.get(FullWellSaturation.name)))
+    model = _base(state, _other_well_e(state, found.get(limit_at(Stage.WELL).name)))
     enabled = provisional or reconciled.result.verdict is not Verdict.INCOMPLETE
     for effect in state.model.given:
         model = model.with_effect(effect)
@@ -52,8 +53,9 @@ def _switched_off(entry: EffectEntry, effect: CatalogueEffect) -> EffectEntry:
 
 def _other_well_e(state: FitState, found: FoundEffect | None) -> float | None:
     """Return the full well that the brightest pixels show in place of the declared one; None where it is fitted."""
-    fitted = any(isinstance(effect, FullWellSaturation) for effect in state.effects)
-    return None if found is None or fitted else found.parameters["full_well_e"].value
+    well = limit_at(Stage.WELL)
+    fitted = any(effect.name == well.name for effect in state.effects)
+    return None if found is None or fitted else found.parameters[well.fitted[0]].value
 
 
 def _base(state: FitState, other_well_e: float | None = None) -> CameraModel:
