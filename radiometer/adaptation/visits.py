@@ -52,8 +52,8 @@ def visit_at(journal: Path, request: RunRequest, now: dt.datetime) -> Visit:
         InputError: If it is no journal.
     """
     events = list(read_events(journal)) if journal.is_file() and journal.stat().st_size else []
-    if not events:
-        return _new(journal, request, now)
+    if not events:  # a crash may have torn its first line: nothing was measured, and it begins anew
+        return replace(_new(journal, request, now), resumed=journal.is_file())
     over = _over(events, request, now)
     if over is not None:
         raise UsageError(

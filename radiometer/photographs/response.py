@@ -199,8 +199,10 @@ def with_offset_of_response(
         replace(f, settings=replace(f.settings, exposure_s=f.settings.exposure_s + offset.seconds))
         for f in bracket.light
     ]
-    text = f"all exposures {offset.in_words()} than their labels, the shutter's offset that the response was "
-    "recovered with"
+    text = (
+        f"all exposures {offset.in_words()} than their labels, the shutter's offset that the response was "
+        "recovered with"
+    )
     return bracket.with_light(timed), text, True
 
 

@@ -136,7 +136,7 @@ def test_a_bend_beside_a_response_curve_is_refused(tmp_path):
     """Both would straighten the same bend."""
     path = model_file(tmp_path, "response_nonlinearity", {"a2": 0.03}, {"a2": 3e-3})
     curve = ResponseCurve(np.log(np.maximum(np.arange(4096.0) - 64.0, 0.1)), np.full(4096, 1e-3))
-    with pytest.raises(InputError, match="give one of them"):
+    with pytest.raises(InputError, match="Give one of them"):
         with_found_effects(replace(BASE, response=curve), path, stated=())
 
 

@@ -38,5 +38,5 @@ def test_each_place_is_a_line_of_its_own_in_the_picture(journal, tmp_path):
     assert [line.get_label() for line in lines] == ["patch 1,2 3 × 4", "patch 50,60 7 × 8"]
     rm.log(journal).write_plot(tmp_path / "log.png")
     assert (tmp_path / "log.png").stat().st_size > 1000
-    with pytest.raises(rm.UsageError, match=r"name a \.png"):
+    with pytest.raises(rm.UsageError, match=r"one of \.png"):
         rm.log(journal).write_plot(tmp_path / "log.txt")

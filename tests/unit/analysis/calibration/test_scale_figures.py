@@ -242,7 +242,7 @@ def test_a_scale_from_a_known_radiance():
         ("400,1\n450,1\n5001,2\n", "must be in nm"),
         ("99,1\n500,2\n", "must be in nm"),
         ("0.4,1\n0.5,2\n", "must be in nm"),
-        ("500,1\n400,2\n", "must rise"),
+        ("500,1\n450,1\n470,2\n", "must rise"),
         ("400,1\n400,2\n", "must rise"),
         ("400,-1\n500,2\n", "0 or more"),
         ("400,0\n500,0\n", "not all 0"),

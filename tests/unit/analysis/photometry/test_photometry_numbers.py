@@ -145,7 +145,12 @@ def test_a_spectrum_file_is_read(tmp_path):
 
 @pytest.mark.parametrize(
     ("text", "message"),
-    [("500,1\n400,2\n", "rise"), ("a,b\nc,d\n", "two numbers"), ("500,1\n", "two lines"), ("0.5,1\n0.6,1\n", "in nm")],
+    [
+        ("500,1\n450,1\n470,2\n", "rise"),
+        ("a,b\nc,d\n", "two numbers"),
+        ("500,1\n", "two lines"),
+        ("0.5,1\n0.6,1\n", "in nm"),
+    ],
 )
 def test_a_wrong_spectrum_file_is_refused(tmp_path, text, message):
     """The message says what is wrong with it."""

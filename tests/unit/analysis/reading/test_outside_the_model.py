@@ -445,7 +445,7 @@ def test_frames_that_do_not_belong_together_are_refused(rig):
     brighter = replace(second, settings=replace(second.settings, source_level=0.5))
     dimmer = replace(first, settings=replace(first.settings, source_level=0.25))
     wrong = {
-        r"differ in size \(12 × 11 beside 12 × 12 pixels\)": [first, small],
+        r"differ in size \(12 × 11 and 12 × 12 pixels\)": [first, small],
         f"{second.bit_depth + 2} bits per pixel": [first, deep],
         "2 different source levels": [dimmer, brighter],
     }
