@@ -146,7 +146,8 @@ def test_command_runs_it_and_journals_the_prompts(oled: Path, tmp_path: Path, pr
         env={**os.environ, "PYTHONPATH": str(project_root)},
     )  # fmt: skip
     assert done.returncode == 0, done.stderr
-    events = [json.loads(line) for line in (tmp_path / "S1-screen-only.jsonl").read_text().splitlines()]
+    (journal,) = tmp_path.glob("S1-screen-only-right-*.jsonl")
+    events = [json.loads(line) for line in journal.read_text().splitlines()]
     said = [event["say"] for event in events if event["kind"] == "prompt"]
     found = sum(event["kind"] == "trial" and event["threshold"] is not None for event in events)
     assert said[:3] == ["bleach", "dark", "mark"]

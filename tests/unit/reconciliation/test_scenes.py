@@ -102,7 +102,7 @@ def test_each_scene_has_radiances_of_its_own() -> None:
     found = reconciled((one, 1e-3), (one, 4e-3), (other, 1e-3), (other, 4e-3))
     assert found.verdict == "agrees"
     assert 0.8 < found.gap_after < 1.2
-    assert any("the scene changes: 2 are shown" in line for line in found.assumptions)
+    assert any("the scene changes: 2 scenes are shown" in line for line in found.assumptions)
     assert not any("scene" in line for line in reconciled((one, 1e-3), (one, 4e-3)).assumptions if "shown" in line)
 
 

@@ -19,7 +19,8 @@ from radiometer.data import CameraDescription, CaptureSet, FrameSettings, LensDe
 from radiometer.data.storage import read_yaml, write_yaml_atomic
 from radiometer.devices import CameraPreset
 from radiometer.errors import InputError, MeasurementError
-from radiometer.numbers import rounded
+from radiometer.numbers import with_u
+from radiometer.reporting.page import prose
 from simulators.chain.camera_model import CameraModel
 from simulators.scenes import StepChartScene, UniformScene
 from testing.report_checks import HOSTILE
@@ -312,11 +313,13 @@ def test_the_report_opens_with_gain_noise_and_capacity(capture: CaptureSet) -> N
     """The sentence holds K, σ_d and the saturation with U (k = 2); a picture, the meaning, then the tables."""
     result = characterise(subject_of_capture(capture))
     page = datasheet(result)
-    K, noise, full = (
-        "\u00a0±\u00a0".join(rounded(result.figures[name].value, 2 * result.figures[name].u))
-        for name in ("K", "sigma_d", "mu_e_sat")
+    gain, noise, full = (
+        with_u(result.figures[name].value, 2 * result.figures[name].u, unit)
+        for name, unit in (("K", "DN"), ("sigma_d", "e⁻"), ("mu_e_sat", "e⁻"))
     )
-    said = f"One electron is {K} DN; the camera reads with {noise} e⁻ of noise and holds {full} e⁻ before it saturates."
+    said = prose(
+        f"One electron is {gain}; the camera reads with {noise} of noise and holds {full} before it saturates."
+    )
     assert f"class='outcome'>{said}<" in page
     places = [page.index(mark) for mark in ("class='outcome'", "<picture>", "What it means", "<h2>Figures", "<table")]
     assert places == sorted(places)
