@@ -149,7 +149,7 @@ def _range_dn(state: FitState, gain_db: float, well_e: float) -> tuple[float, fl
         for step in trace.chain:
             if step.stage > Stage.WELL:
                 moments = model.through(step, moments)
-        level = np.broadcast_to(moments.mean, shape)[lit]
+        level = np.broadcast_to(moments.mean, np.broadcast_shapes(shape, np.shape(moments.mean)))[lit]
         found.append(float(np.median(level)))
     return found[0], found[1]
 

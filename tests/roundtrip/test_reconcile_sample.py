@@ -75,13 +75,13 @@ def test_hidden_processing_and_a_panel_s_beat_are_named(
 
 @pytest.mark.usefixtures("laws_left_out")
 def test_a_bend_beyond_the_declared_full_well_keeps_its_name() -> None:
-    """Pixels that hold 1.7 times the declared full well: the quadratic bend is named alone, its size in that well."""
+    """Pixels hold 1.7 times the declared full well: the bend is named, its size in that well, and the wrong well."""
     session = make_session("response_nonlinearity", camera_seed=5401, scale=3.0)
     camera = session.header.camera.model_copy(update={"full_well_e": 0.6 * session.header.camera.full_well_e})
     answer = reconcile(session.header.model_copy(update={"camera": camera}), list(session.frames()), with_limits=False)
     assert str(answer.verdict) == "effects_found"
-    (found,) = answer.effects
-    assert found.name == "response_nonlinearity"
+    found, well = answer.effects
+    assert (found.name, well.name) == ("response_nonlinearity", "full_well_saturation")
     bend = found.parameters["a2"]
     assert bend.u is not None
     assert bend.value == pytest.approx(0.6 * session.truth["response_nonlinearity"]["a2"], abs=4.0 * bend.u)

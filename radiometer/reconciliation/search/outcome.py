@@ -24,6 +24,8 @@ class Step:
         rivals: Effects within 5 nats.
         closest: For an unnamed term, the closest entry and the share of it that it explains.
         block: For an unnamed term, the statistic that shows it.
+        outperformed: Whether a plain trend of fewer parameters along the same covariate, or another entry, predicts
+            better than the effect.
     """
 
     name: str
@@ -34,6 +36,7 @@ class Step:
     rivals: tuple[CatalogueEffect, ...] = ()
     closest: tuple[str, float] | None = None
     block: str = ""
+    outperformed: bool = False
 
 
 @dataclass(frozen=True, eq=False)

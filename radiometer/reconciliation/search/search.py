@@ -224,7 +224,9 @@ def _one_step(state: FitState, tests: tuple[Disagreement, ...], run: _Run) -> Fi
         if not _convinces(state, chosen, standing, plain) or _is_likelier(fits, looser, chosen):
             break
         others = judged if contenders is shown else contenders
-        following = _named(fits, chosen, others, run)
+        outperformed = any(_is_plainer(kind, chosen[0]) and lead > 0.0 for kind, lead in plain.items())
+        outperformed |= any(_outperforms(other, chosen) for other in others)
+        following = _named(fits, chosen, others, run, outperformed=outperformed)
         if following is not None:
             run.beside[chosen[0].name] = tuple(f.effect for f in fitted if f.name != chosen[0].name)
             if (lead := _lead(chosen, others)) < NEAR_SHARE:
@@ -312,6 +314,17 @@ def _is_constant(kind: type[CatalogueEffect], fitted: FittedCandidate) -> bool:
     return not kind.where and len(kind.fitted) == 1 < fitted.parameters
 
 
+def _is_plainer(kind: type[CatalogueEffect], fitted: FittedCandidate) -> bool:
+    """Return whether a trend follows an effect's very covariate with fewer parameters than it."""
+    return kind.where == fitted.effect.where and len(kind.fitted) < fitted.parameters
+
+
+def _outperforms(other: tuple[FittedCandidate, float], chosen: tuple[FittedCandidate, float]) -> bool:
+    """Return whether another entry predicts better, each parameter paid for, its prior probability left out."""
+    mine, others = (nats - PARAMETER_NATS * fitted.parameters for fitted, nats in (chosen, other))
+    return other[0].name != chosen[0].name and others > mine + PARAMETER_NATS
+
+
 def _lead(chosen: tuple[FittedCandidate, float], others: Sequence[tuple[FittedCandidate, float]]) -> float:
     """Return by what share of its score a name is ahead of the next entry that shows in the same statistic."""
     best, (mine, _) = score(chosen), chosen
@@ -332,6 +345,8 @@ def _named(
     chosen: tuple[FittedCandidate, float],
     contenders: list[tuple[FittedCandidate, float]],
     run: _Run,
+    *,
+    outperformed: bool,
 ) -> FitState | None:
     """Return the model with the chosen effect; None where, all refitted, it does not predict better after all.
 
@@ -350,7 +365,7 @@ def _named(
     again = next((i for i, step in enumerate(run.steps) if step.name == fitted.name), None)
     if again is None:
         where = fitted.effect.where
-        run.steps.append(Step(fitted.name, where, nats, gap_before, following.gap, rivals))
+        run.steps.append(Step(fitted.name, where, nats, gap_before, following.gap, rivals, outperformed=outperformed))
     else:
         old = run.steps[again]
         run.steps[again] = replace(old, gain_nats=old.gain_nats + nats, gap_after=following.gap)
