@@ -111,7 +111,12 @@ def measure_flicker(waveform: Waveform) -> Flicker:
         return Quantity(value, math.hypot(scatter, abs(value) * u_dark_rel), "1")
 
     depth = with_u(modulation_depth)
-    depth = Quantity(depth.value, math.hypot(depth.u, _extreme_bias(part, period) / math.sqrt(12.0)), "1")
+    # Of a sinusoid of n samples a period, samples miss an extreme by up to 1 − cos(π/n), and straight lines between
+    # them keep sinc²(1/n) of the amplitude.
+    step = periods / part.light.size
+    coarse = (1.0 - math.cos(math.pi * step)) + (1.0 - float(np.sinc(step)) ** 2)
+    missed = abs(depth.value) * coarse / 2.0  # k = 2 covers all of it
+    depth = Quantity(depth.value, math.hypot(depth.u, missed, _extreme_bias(part, period) / math.sqrt(12.0)), "1")
     if depth.value - 2.0 * depth.u > 1.0:
         warnings.append("the light falls below the value of darkness: state that value by --dark")
     svm = pst = None
