@@ -6,8 +6,10 @@ import itertools
 import re
 from collections.abc import Callable, Coroutine, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import TYPE_CHECKING, Any, Final
 
+from radiometer.daemon.scpi import formats
 from radiometer.daemon.scpi.errors import ScpiError
 from radiometer.daemon.scpi.lexer import Unit
 from radiometer.daemon.scpi.parameters import Parameter, short_form
@@ -87,6 +89,15 @@ class CommandTable:
                         f"{spelling} is a spelling of both {self._by_spelling[spelling].pattern} and {command.pattern}"
                     )
                 self._by_spelling[spelling] = command
+
+    @cached_property
+    def headers(self) -> str:
+        """The block that `SYSTem:HELP:HEADers?` answers: a line per command, `/qonly/` and `/nquery/` after SCPI-99."""
+        lines = []
+        for command in self.commands:
+            form = "/nquery/" if command.ask is None else "/qonly/" if command.do is None else ""
+            lines.append(f":{command.pattern}{form}" if not command.pattern.startswith("*") else command.pattern + form)
+        return formats.block(("\n".join(lines) + "\n").encode())
 
     def find(self, header: str, path: str) -> tuple[Command, int, str]:
         """Return the command of a header, its numeric suffix, and the path for the next unit of the message.

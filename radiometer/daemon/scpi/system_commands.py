@@ -77,11 +77,7 @@ def _state(call: Call) -> str:
 
 
 def _headers(call: Call) -> str:
-    lines = []
-    for command in call.session.table.commands:
-        form = "/nquery/" if command.ask is None else "/qonly/" if command.do is None else ""
-        lines.append(f":{command.pattern}{form}" if not command.pattern.startswith("*") else command.pattern + form)
-    return formats.block(("\n".join(lines) + "\n").encode())
+    return call.session.table.headers
 
 
 def _frame(call: Call) -> Frame:
