@@ -166,17 +166,11 @@ class FrameStore(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class CaptureSet:
-    """A finished capture set on disk; frames are read when asked for.
+    """A finished capture set on disk; frames are read when asked for."""
 
-    Attributes:
-        path: The folder.
-        header: What `capture.yaml` says.
-        store: Where the frames are; None for the files of the folder.
-    """
-
-    path: Path
-    header: CaptureHeader
-    store: FrameStore | None = None
+    path: Path  # the folder
+    header: CaptureHeader  # what `capture.yaml` says
+    store: FrameStore | None = None  # where the frames are; None for the files of the folder
 
     @classmethod
     def read(cls, path: Path) -> CaptureSet:

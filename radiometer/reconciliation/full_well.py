@@ -33,22 +33,15 @@ _SIGMAS: Final = 4.0
 
 @dataclass(frozen=True, slots=True)
 class ShownWell:
-    """The full well that the brightest pixels show.
+    """The full well that the brightest pixels show."""
 
-    Attributes:
-        declared_e: As the camera's description states it, in electrons.
-        shown_e: Electrons at which pixels gather; where they gather nowhere below the converter's end, the most that
-            many pixels hold.
-        u_e: Standard uncertainty of that.
-        is_least: Whether pixels gather nowhere, so that the full well is at least `shown_e`.
-        may_be_converter: Whether one gain alone shows the pile: a converter may end there.
-    """
-
-    declared_e: float
+    declared_e: float  # as the camera's description states it, in electrons
+    # electrons at which pixels gather; where they gather nowhere below the converter's end, the most that many pixels
+    # hold
     shown_e: float
-    u_e: float
-    is_least: bool
-    may_be_converter: bool
+    u_e: float  # standard uncertainty of that
+    is_least: bool  # whether pixels gather nowhere, so that the full well is at least `shown_e`
+    may_be_converter: bool  # whether one gain alone shows the pile: a converter may end there
 
     @property
     def contradicts(self) -> bool:

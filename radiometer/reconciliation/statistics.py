@@ -66,34 +66,21 @@ class Scale(Enum):
 
 @dataclass(frozen=True, slots=True)
 class Statistic:
-    """One row of the table.
+    """One row of the table."""
 
-    Attributes:
-        name: Name in `CaptureStatistics`, and in results.
-        given: What it has figures for.
-        scale: How measured and predicted are compared.
-        sigma: Gives its standard uncertainty on that scale.
-        usable: Gives which of its entries count.
-        along: Covariates that it may depend on: a trend must be possible physically.
-        forms: Forms that such a trend may have.
-        family: Name of the statistics that it is one direction of.
-        determines_light: Whether it says how much light there is. Noise does so too, but a hundred times worse: a wrong
-            noise figure would pull at the responsivity and show as a disagreement of all means.
-        follows_light: Whether it follows the light of its tile without determining it.
-        holds_form: Whether the form of an accepted effect limits how well it is predicted.
-    """
-
-    name: str
-    given: Given
-    scale: Scale
-    sigma: Callable[[Scatter], Array]
-    usable: Callable[[Counted], Mask]
-    along: tuple[str, ...]
-    forms: tuple[str, ...] = (MULTIPLICATIVE,)
-    family: str = ""
+    name: str  # name in `CaptureStatistics`, and in results
+    given: Given  # what it has figures for
+    scale: Scale  # how measured and predicted are compared
+    sigma: Callable[[Scatter], Array]  # gives its standard uncertainty on that scale
+    usable: Callable[[Counted], Mask]  # gives which of its entries count
+    along: tuple[str, ...]  # covariates that it may depend on: a trend must be possible physically
+    forms: tuple[str, ...] = (MULTIPLICATIVE,)  # forms that such a trend may have
+    family: str = ""  # name of the statistics that it is one direction of
+    # Whether it says how much light there is. Noise does so too, but a hundred times worse: a wrong noise figure would
+    # pull at the responsivity and show as a disagreement of all means.
     determines_light: bool = False
-    follows_light: bool = False
-    holds_form: bool = False
+    follows_light: bool = False  # whether it follows the light of its tile without determining it
+    holds_form: bool = False  # whether the form of an accepted effect limits how well it is predicted
 
     def shape(self, design: Design) -> tuple[int, ...]:
         """Return the shape of its entries, captures first."""
@@ -107,17 +94,11 @@ class Statistic:
 
 @dataclass(frozen=True, eq=False)
 class Counted:
-    """Entries that are free of clipping, have freedom left and are not formed by the spacing of the codes.
+    """Entries that are free of clipping, have freedom left and are not formed by the spacing of the codes."""
 
-    Attributes:
-        design: Captures and tiles.
-        seen: What was measured.
-        base: Prediction that shows where light is cut off.
-    """
-
-    design: Design
-    seen: CaptureStatistics
-    base: Prediction
+    design: Design  # captures and tiles
+    seen: CaptureStatistics  # what was measured
+    base: Prediction  # prediction that shows where light is cut off
 
     @cached_property
     def step(self) -> int:
@@ -220,18 +201,12 @@ class Scatter:
     """Scatter of the statistics of a correct model, each by itself.
 
     The weights never come from the prediction under test.
-
-    Attributes:
-        design: Captures and tiles.
-        seen: What was measured; its own scatter from frame to frame gives the weights.
-        base: Prediction, for what a measurement of few frames cannot determine.
-        known: (captures, tiles) whether the measured temporal variance counts.
     """
 
-    design: Design
-    seen: CaptureStatistics
-    base: Prediction
-    known: Mask
+    design: Design  # captures and tiles
+    seen: CaptureStatistics  # what was measured; its own scatter from frame to frame gives the weights
+    base: Prediction  # prediction, for what a measurement of few frames cannot determine
+    known: Mask  # (captures, tiles) whether the measured temporal variance counts
 
     @cached_property
     def frames(self) -> Array:

@@ -252,14 +252,10 @@ def _overlay(clipped: NDArray[np.bool_]) -> NDArray[np.uint8]:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MapPicture:
-    """One grey or three colour maps of one scene in one unit.
+    """One grey or three colour maps of one scene in one unit."""
 
-    Attributes:
-        maps: By channel: one of any name, or "red", "green" and "blue".
-        bounds: Lowest and highest value of the false colours; None takes those of the picture.
-    """
-
-    maps: Mapping[str, RadianceMap]
+    maps: Mapping[str, RadianceMap]  # by channel: one of any name, or "red", "green" and "blue"
+    # lowest and highest value of the false colours; None takes those of the picture
     bounds: tuple[float, float] | None = None
 
     @property

@@ -154,16 +154,11 @@ def merge(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Excused:
-    """Pixels where displacement explains how the frames disagree.
+    """Pixels where displacement explains how the frames disagree."""
 
-    Attributes:
-        pixels: Their indices.
-        excess: Their squared scatter over what noise and displacement together make.
-        shift: Relative change by a displacement at every pixel, flat; None where the frames are in one place.
-    """
-
-    pixels: NDArray[np.intp]
-    excess: NDArray[np.float64]
+    pixels: NDArray[np.intp]  # their indices
+    excess: NDArray[np.float64]  # their squared scatter over what noise and displacement together make
+    # relative change by a displacement at every pixel, flat; None where the frames are in one place
     shift: NDArray[np.float32] | None
 
     @classmethod

@@ -35,17 +35,12 @@ _PER_FOLD: Final = 16.0
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Strays:
-    """Which frames to leave out where.
+    """Which frames to leave out where."""
 
-    Attributes:
-        pixels: Indices of the pixels concerned, ascending.
-        left_out: Bits of the frames to leave out of each, those that show nothing there included, uint64.
-        alone: Whether no two frames bear out the value that is left.
-    """
-
-    pixels: NDArray[np.intp]
+    pixels: NDArray[np.intp]  # indices of the pixels concerned, ascending
+    # bits of the frames to leave out of each, those that show nothing there included, uint64
     left_out: NDArray[np.uint64]
-    alone: NDArray[np.bool_]
+    alone: NDArray[np.bool_]  # whether no two frames bear out the value that is left
 
 
 def find_strays(
@@ -170,15 +165,10 @@ def _agreement(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MeanDisplacement:
-    """√Σp² of the weights p of the frames, by the level of a pixel.
+    """√Σp² of the weights p of the frames, by the level of a pixel."""
 
-    Attributes:
-        lowest: ln of the lowest rate that it is given for.
-        factors: At steps of 1/`_PER_FOLD` from there, float64.
-    """
-
-    lowest: float
-    factors: Array
+    lowest: float  # ln of the lowest rate that it is given for
+    factors: Array  # at steps of 1/`_PER_FOLD` from there, float64
 
     @classmethod
     def of(cls, tables: MergeTables) -> MeanDisplacement:

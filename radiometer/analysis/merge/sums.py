@@ -254,21 +254,15 @@ def add_table(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MergeSample:
-    """A frame on its way into the sums.
+    """A frame on its way into the sums."""
 
-    Attributes:
-        dn: Digital numbers, one-dimensional.
-        terms: The frame's constants.
-        table: x by digital number; None where the sensor is linear and the dark signal one number.
-        index: Place of the frame, from 0.
-        usable: x less the dark signal by digital number, 0 where it is not used; None without a table, or where the
-            dark signal is that of every pixel.
-    """
-
-    dn: NDArray[Any]
-    terms: FrameTerms
+    dn: NDArray[Any]  # digital numbers, one-dimensional
+    terms: FrameTerms  # the frame's constants
+    # x by digital number; None where the sensor is linear and the dark signal one number
     table: NDArray[np.float32] | None
-    index: int
+    index: int  # place of the frame, from 0
+    # x less the dark signal by digital number, 0 where it is not used; None without a table, or where the dark signal
+    # is that of every pixel
     usable: NDArray[np.float32] | None = None
 
     @classmethod
@@ -328,20 +322,13 @@ class MergeSample:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MergeSums:
-    """Sums of a run of pixels, one-dimensional and contiguous.
+    """Sums of a run of pixels, one-dimensional and contiguous."""
 
-    Attributes:
-        first: Σt^0.35·x, float32.
-        second: Σt·x, float32.
-        squares: Σx², float32.
-        mask: Whether a frame was clipped at white so far, as PixelMask bit, uint8.
-        planes: Bits of the frames used, uint16, a plane for every 16 frames.
-    """
-
-    first: NDArray[np.float32]
-    second: NDArray[np.float32]
-    squares: NDArray[np.float32]
-    mask: NDArray[np.uint8]
+    first: NDArray[np.float32]  # Σt^0.35·x, float32
+    second: NDArray[np.float32]  # Σt·x, float32
+    squares: NDArray[np.float32]  # Σx², float32
+    mask: NDArray[np.uint8]  # whether a frame was clipped at white so far, as PixelMask bit, uint8
+    # bits of the frames used, uint16, a plane for every 16 frames
     planes: list[NDArray[np.uint16]] = field(default_factory=list)
 
     @classmethod
@@ -441,20 +428,13 @@ def _single(one: MergeSample, reference: float) -> MergePass:
 @dataclass(frozen=True, slots=True, eq=False)
 class ScratchSums:
     """Sums of one block of pixels after another, each used up before the next: only the result is kept of all pixels.
-
-    Attributes:
-        first: Place of the radiance of all pixels, and of a block's Σt^0.35·x before.
-        second: Place of its uncertainty, and of a block's Σt·x before.
-        mask: Place of the mask, uint8.
-        squares: Σx² of a block.
-        planes: Bits of the frames used in a block.
     """
 
-    first: NDArray[np.float32]
-    second: NDArray[np.float32]
-    mask: NDArray[np.uint8]
-    squares: NDArray[np.float32]
-    planes: list[NDArray[np.uint16]]
+    first: NDArray[np.float32]  # place of the radiance of all pixels, and of a block's Σt^0.35·x before
+    second: NDArray[np.float32]  # place of its uncertainty, and of a block's Σt·x before
+    mask: NDArray[np.uint8]  # place of the mask, uint8
+    squares: NDArray[np.float32]  # Σx² of a block
+    planes: list[NDArray[np.uint16]]  # bits of the frames used in a block
 
     @classmethod
     def of(cls, images: Images, most: int, frames: int) -> ScratchSums:

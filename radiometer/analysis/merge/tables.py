@@ -244,28 +244,18 @@ def at_rate(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MergeTables:
-    """What the merge's last step is given besides the pixels.
+    """What the merge's last step is given besides the pixels."""
 
-    Attributes:
-        frames: As in `records.fill_record`.
-        kappa: Shot noise variance per unit of x.
-        bounds: Rate that is the lower bound where all frames clip, the upper bound where all are black, and the
-            relative difference between frames that is never called inconsistent.
-        gains: Gain factor of every frame.
-        quantisation: Variance (dx/dM)²/12 over √x; None for a linear sensor.
-        curve: Relative standard uncertainty of x over √x; None for a linear sensor.
-        top: x of the last entry of both.
-        valid: Lowest and highest x times gain that the response curve has data for.
-    """
-
-    frames: Array
-    kappa: float
+    frames: Array  # as in `records.fill_record`
+    kappa: float  # shot noise variance per unit of x
+    # rate that is the lower bound where all frames clip, the upper bound where all are black, and the relative
+    # difference between frames that is never called inconsistent
     bounds: Array
-    gains: Array
-    quantisation: Array | None
-    curve: Array | None
-    top: float
-    valid: Array
+    gains: Array  # gain factor of every frame
+    quantisation: Array | None  # variance (dx/dM)²/12 over √x; None for a linear sensor
+    curve: Array | None  # relative standard uncertainty of x over √x; None for a linear sensor
+    top: float  # x of the last entry of both
+    valid: Array  # lowest and highest x times gain that the response curve has data for
 
     @property
     def arguments(self) -> tuple[tuple[Any, ...], Array | None]:

@@ -28,42 +28,26 @@ _OWN = frozenset({"repeatability", "source fluctuation"})
 
 @dataclass(frozen=True, slots=True)
 class StepSignal:
-    """The instrument's reading in one step, in radiance or in its unit.
+    """The instrument's reading in one step, in radiance or in its unit."""
 
-    Attributes:
-        name: Of the step.
-        value: Reading Y, unflagged ones only.
-        terms: Contributions that are this step's own, in the unit of Y.
-        dark: Change of Y for one standard deviation of the dark level that all steps share.
-        timing: Change of Y for one standard deviation of what all real exposure times differ by from the stated ones.
-        temperature_c: Mean temperature of the frames; None where a frame does not state it.
-        frames: Number of light frames used.
-    """
-
-    name: str
-    value: float
-    terms: tuple[Term, ...]
-    dark: float
+    name: str  # of the step
+    value: float  # reading Y, unflagged ones only
+    terms: tuple[Term, ...]  # contributions that are this step's own, in the unit of Y
+    dark: float  # change of Y for one standard deviation of the dark level that all steps share
+    # change of Y for one standard deviation of what all real exposure times differ by from the stated ones
     timing: float
-    temperature_c: float | None
-    frames: int
+    temperature_c: float | None  # mean temperature of the frames; None where a frame does not state it
+    frames: int  # number of light frames used
 
 
 @dataclass(frozen=True, slots=True)
 class Deviation:
-    """A relative deviation with its uncertainty.
+    """A relative deviation with its uncertainty."""
 
-    Attributes:
-        label: What deviates.
-        value: Y/Y_reference − 1, or another figure of that kind.
-        u: Its standard uncertainty.
-        degrees_of_freedom: Effective ones.
-    """
-
-    label: str
-    value: float
-    u: float
-    degrees_of_freedom: float = math.inf
+    label: str  # what deviates
+    value: float  # Y/Y_reference − 1, or another figure of that kind
+    u: float  # its standard uncertainty
+    degrees_of_freedom: float = math.inf  # effective ones
 
     @property
     def coverage_factor(self) -> float:

@@ -75,24 +75,15 @@ FILTER_U_REL: Final = 0.1 / math.sqrt(3.0)
 
 @dataclass(frozen=True, slots=True)
 class Term:
-    """One contribution in the unit of the value.
+    """One contribution in the unit of the value."""
 
-    Attributes:
-        name: What the uncertainty comes from.
-        u: Standard uncertainty of the value due to it, in the value's unit, 0 or more.
-        kind: "A" (from repeated observation) or "B" (from anything else).
-        degrees_of_freedom: Of the estimate; infinite where taken as exactly known.
-        correlated: True where two readings made with one calibration share it.
-        note: Where the figure comes from.
-        flag: Raised where the contribution dominates a reading; None for one that needs no separate word.
-    """
-
-    name: str
-    u: float
-    kind: str = "B"
-    degrees_of_freedom: float = math.inf
-    correlated: bool = False
-    note: str = ""
+    name: str  # what the uncertainty comes from
+    u: float  # standard uncertainty of the value due to it, in the value's unit, 0 or more
+    kind: str = "B"  # "A" (from repeated observation) or "B" (from anything else)
+    degrees_of_freedom: float = math.inf  # of the estimate; infinite where taken as exactly known
+    correlated: bool = False  # true where two readings made with one calibration share it
+    note: str = ""  # where the figure comes from
+    # raised where the contribution dominates a reading; None for one that needs no separate word
     flag: Flag | None = None
 
     def contribution(self, value: float) -> Contribution:
@@ -201,15 +192,10 @@ def mean(readings: Sequence[Reading]) -> Quantity:
 
 @dataclass(frozen=True, slots=True)
 class Surround:
-    """The light of the whole picture.
+    """The light of the whole picture."""
 
-    Attributes:
-        rate: Its mean in the unit of the estimate.
-        clipped: Part of the picture that clips even in the frame that shows it best; the mean is too low then.
-    """
-
-    rate: float
-    clipped: float
+    rate: float  # its mean in the unit of the estimate
+    clipped: float  # part of the picture that clips even in the frame that shows it best; the mean is too low then
 
 
 @dataclass(frozen=True, slots=True)
@@ -412,50 +398,29 @@ def _polarisation(size: float, here: ScaleConditions, there: ScaleConditions, st
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Shown:
-    """What the frames show of a patch.
+    """What the frames show of a patch."""
 
-    Attributes:
-        estimate: Estimate over the used frames.
-        frames: Used frames.
-        dark: Dark level of each.
-        exposures: Exposure time of each in s, times the lens factor in sr.
-        good: Pixels used.
-        light_frames: Number of light frames seen.
-        unsteady: Whether a frame clips that was exposed no longer than one that does not: the light changes.
-    """
-
-    estimate: PatchEstimate
-    frames: tuple[PatchFrame, ...]
-    dark: tuple[DarkLevel, ...]
-    exposures: NDArray[np.float64]
-    good: NDArray[np.bool_]
-    light_frames: int
-    unsteady: bool
+    estimate: PatchEstimate  # estimate over the used frames
+    frames: tuple[PatchFrame, ...]  # used frames
+    dark: tuple[DarkLevel, ...]  # dark level of each
+    exposures: NDArray[np.float64]  # exposure time of each in s, times the lens factor in sr
+    good: NDArray[np.bool_]  # pixels used
+    light_frames: int  # number of light frames seen
+    unsteady: bool  # whether a frame clips that was exposed no longer than one that does not: the light changes
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PatchSituation:
-    """Everything a budget is made up from.
+    """Everything a budget is made up from."""
 
-    Attributes:
-        settled: The setup, and what a measurement with it rests on.
-        shown: What the frames show of the patch: estimate, usable frames, their dark levels.
-        scale: Radiance per unit of the estimate.
-        conditions: What the reading was made under, in the form that a scale keeps.
-        surround: Light of the whole picture.
-        falloff: What is known of the sensitivity over the picture.
-        now: Time of the reading, with time zone.
-        stray: Radiance that is taken off for known veiling glare.
-    """
-
-    settled: Situation
-    shown: Shown
-    scale: float
-    conditions: ScaleConditions
-    surround: Surround
-    falloff: Falloff
-    now: dt.datetime
-    stray: float = 0.0
+    settled: Situation  # the setup, and what a measurement with it rests on
+    shown: Shown  # what the frames show of the patch: estimate, usable frames, their dark levels
+    scale: float  # radiance per unit of the estimate
+    conditions: ScaleConditions  # what the reading was made under, in the form that a scale keeps
+    surround: Surround  # light of the whole picture
+    falloff: Falloff  # what is known of the sensitivity over the picture
+    now: dt.datetime  # time of the reading, with time zone
+    stray: float = 0.0  # radiance that is taken off for known veiling glare
 
     @property
     def estimate(self) -> PatchEstimate:

@@ -17,19 +17,12 @@ _DRAWN_ENDS = 0.05
 
 @dataclass(frozen=True, slots=True)
 class Distribution:
-    """What is known of a value after all inputs were drawn many times.
+    """What is known of a value after all inputs were drawn many times."""
 
-    Attributes:
-        mean: Mean.
-        u: Standard deviation.
-        low: Lower end of the shortest interval that holds 95.45 %.
-        high: Its upper end.
-    """
-
-    mean: float
-    u: float
-    low: float
-    high: float
+    mean: float  # mean
+    u: float  # standard deviation
+    low: float  # lower end of the shortest interval that holds 95.45 %
+    high: float  # its upper end
 
     def to_mapping(self, reading: Reading) -> dict[str, Any]:
         """Compare the distribution with a reading's interval: whether their ends agree to 5 % of u.

@@ -49,17 +49,11 @@ _LEAST_GAIN_OF_TIMES = 0.9
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Judged:
-    """A fit and its rivals.
+    """A fit and its rivals."""
 
-    Attributes:
-        best: The fit that predicts best.
-        other_smoothness: Fits with another λ that predict as well.
-        other_labels: Fits with another label freed that predict as well.
-    """
-
-    best: FittedResponse
-    other_smoothness: tuple[FittedResponse, ...] = ()
-    other_labels: tuple[FittedResponse, ...] = ()
+    best: FittedResponse  # the fit that predicts best
+    other_smoothness: tuple[FittedResponse, ...] = ()  # fits with another λ that predict as well
+    other_labels: tuple[FittedResponse, ...] = ()  # fits with another label freed that predict as well
 
     def u_among(self, rivals: tuple[FittedResponse, ...]) -> Array:
         """Return the rms distance of g − g(M_mid) of the best and its rivals from the best: any of them may be true."""

@@ -28,18 +28,12 @@ class LogNoise:
 
     A mean of n pixels has 1/n of that, plus (q + d)·g'² that does not average. Here q is the rounding error where the
     noise does not dither it. d is any other common error (misregistration, compression).
-
-    Attributes:
-        shot: a, the inverse number of electrons at H = 1.
-        read: b, the read noise at H = 1, squared.
-        digital: c in DN², noise that arises after the response curve, rounding left out.
-        common: d in DN².
     """
 
-    shot: float
-    read: float
-    digital: float
-    common: float
+    shot: float  # a, the inverse number of electrons at H = 1
+    read: float  # b, the read noise at H = 1, squared
+    digital: float  # c in DN², noise that arises after the response curve, rounding left out
+    common: float  # d in DN²
 
     def variance(self, log_exposure: Array, slope: Array, pixels: Array) -> Array:
         """Return the variance of ln H of group means.

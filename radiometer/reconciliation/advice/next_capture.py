@@ -44,17 +44,11 @@ _REACH: Final = 2.0  # … within twice its half-width
 
 @dataclass(frozen=True, eq=False)
 class CapturePool:
-    """Captures to choose from.
+    """Captures to choose from."""
 
-    Attributes:
-        design: One capture for each.
-        images: Mean picture of each pattern, those of other surrounds made up.
-        state: The fitted model that says what to expect.
-    """
-
-    design: Design
-    images: PatternImages
-    state: FitState
+    design: Design  # one capture for each
+    images: PatternImages  # mean picture of each pattern, those of other surrounds made up
+    state: FitState  # the fitted model that says what to expect
 
     @classmethod
     def of(cls, state: FitState) -> CapturePool:

@@ -57,17 +57,11 @@ class _Form:
 
 @dataclass(frozen=True, eq=False)
 class Directions:
-    """Changes that entries make in the statistics of a plan, freed of its nuisances.
+    """Changes that entries make in the statistics of a plan, freed of its nuisances."""
 
-    Attributes:
-        state: The model that they are added to.
-        forms: Starts of each entry by name.
-        products: Inner products of all columns, freed of what nuisances and other effects explain.
-    """
-
-    state: FitState
-    forms: Mapping[str, tuple[_Form, ...]]
-    products: Array
+    state: FitState  # the model that they are added to
+    forms: Mapping[str, tuple[_Form, ...]]  # starts of each entry by name
+    products: Array  # inner products of all columns, freed of what nuisances and other effects explain
 
     @classmethod
     def of(cls, state: FitState, entries: Mapping[str, Sequence[CatalogueEffect]]) -> Directions:
@@ -205,13 +199,9 @@ def _exchanged(state: FitState, chosen: CatalogueEffect, other: CatalogueEffect,
 
 @dataclass(frozen=True, eq=False)
 class Noiseless(Comparison):
-    """A comparison whose measured statistics are those that a model expects.
+    """A comparison whose measured statistics are those that a model expects."""
 
-    Attributes:
-        offset: Residual of the real data under that model.
-    """
-
-    offset: Array = field(default_factory=lambda: np.zeros(0))
+    offset: Array = field(default_factory=lambda: np.zeros(0))  # residual of the real data under that model
 
     def residual(self, prediction: Prediction) -> Array:
         """Return expected minus predicted, whitened, (entries,) or (entries, models)."""
@@ -252,14 +242,10 @@ class ConfusablePair:
 
     Derivatives show where one entry may imitate the other. They do not reach far enough to prove it: a change
     that is a small difference of large ones, or bends, is no such sum. Only what follows for the most part is fitted.
-
-    Attributes:
-        directions: Of the starts of all entries.
-        target: The other's start.
     """
 
-    directions: Directions
-    target: _Form
+    directions: Directions  # of the starts of all entries
+    target: _Form  # the other's start
 
     @cached_property
     def _exact(self) -> FitState:
@@ -296,17 +282,11 @@ def _spread(starts: Sequence[CatalogueEffect]) -> tuple[CatalogueEffect, ...]:
 
 @dataclass(frozen=True, slots=True)
 class Together:
-    """Names that a plan cannot separate.
+    """Names that a plan cannot separate."""
 
-    Attributes:
-        name: An entry.
-        others: Entries that could show the same.
-        capture: The capture that would separate them; None where none of the rig's would.
-    """
-
-    name: str
-    others: tuple[str, ...]
-    capture: Mapping[str, Any] | None
+    name: str  # an entry
+    others: tuple[str, ...]  # entries that could show the same
+    capture: Mapping[str, Any] | None  # the capture that would separate them; None where none of the rig's would
 
     def to_mapping(self) -> dict[str, Any]:
         """Return the mapping of the JSON form."""
@@ -315,15 +295,10 @@ class Together:
 
 @dataclass(frozen=True, slots=True)
 class Separability:
-    """The entries that a plan can and cannot separate.
+    """The entries that a plan can and cannot separate."""
 
-    Attributes:
-        together: Names that stand together, each set once.
-        blind: Entries that do not show at any sensible size, nuisances following.
-    """
-
-    together: tuple[Together, ...]
-    blind: tuple[str, ...]
+    together: tuple[Together, ...]  # names that stand together, each set once
+    blind: tuple[str, ...]  # entries that do not show at any sensible size, nuisances following
 
     def to_mapping(self) -> dict[str, Any]:
         """Return the mapping of the JSON form."""

@@ -16,22 +16,15 @@ from simulators.effects.catalogue import CatalogueEffect
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ModelFit:
-    """One fitted model.
+    """One fitted model."""
 
-    Attributes:
-        effects: Its effects at their fitted parameters.
-        curves: Number of columns of its curves without a name.
-        log_density: (groups,) held-out log density of settings and stated values, determinants of the weights included.
-        parameters: Number of fitted parameters, columns of curves included.
-        gap: Reduced χ² of held-out settings; NaN where the nuisances followed linearly.
-        u: Standard uncertainty of each fitted parameter by effect and name; empty where the gap is NaN.
-    """
-
-    effects: tuple[CatalogueEffect, ...]
-    curves: int
+    effects: tuple[CatalogueEffect, ...]  # its effects at their fitted parameters
+    curves: int  # number of columns of its curves without a name
+    # (groups,) held-out log density of settings and stated values, determinants of the weights included
     log_density: Array
-    parameters: int
-    gap: float = np.nan
+    parameters: int  # number of fitted parameters, columns of curves included
+    gap: float = np.nan  # reduced χ² of held-out settings; NaN where the nuisances followed linearly
+    # standard uncertainty of each fitted parameter by effect and name; empty where the gap is NaN
     u: dict[tuple[str, str], float] = field(default_factory=dict)
 
     @property

@@ -46,23 +46,14 @@ class Change:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class NuisanceLayout:
-    """The fitted nuisances with their order and priors.
+    """The fitted nuisances with their order and priors."""
 
-    Attributes:
-        scalars: Names of scalar nuisances.
-        patterns: Patterns that were seen in light.
-        tiles: Number of tiles.
-        shared: (patterns, tiles) number of the error that each radiance has in common with others.
-        free_scene: Whether slope and texture of every tile are fitted too.
-        prior: Prior standard deviation of each parameter.
-    """
-
-    scalars: tuple[str, ...]
-    patterns: tuple[int, ...]
-    tiles: int
-    shared: NDArray[np.intp]
-    free_scene: bool
-    prior: Array
+    scalars: tuple[str, ...]  # names of scalar nuisances
+    patterns: tuple[int, ...]  # patterns that were seen in light
+    tiles: int  # number of tiles
+    shared: NDArray[np.intp]  # (patterns, tiles) number of the error that each radiance has in common with others
+    free_scene: bool  # whether slope and texture of every tile are fitted too
+    prior: Array  # prior standard deviation of each parameter
 
     @classmethod
     def of(cls, design: Design) -> NuisanceLayout:

@@ -45,33 +45,21 @@ _OF_THE_POINT: Final = (
 
 @dataclass(frozen=True, eq=False)
 class FitState:
-    """One fitted model of one capture set.
+    """One fitted model of one capture set."""
 
-    Attributes:
-        seen: Measured statistics.
-        model: The camera with its effects.
-        layout: Which nuisances are fitted.
-        values: Nuisance parameters.
-        terms: Smooth unnamed terms that were added.
-        weights: Their coefficients and those of the realisations, in order.
-        comparison: Measured against predicted, with weights.
-        tau: Capture-to-capture repeatability.
-        frozen: Positions of the effect parameters that are not fitted.
-        held_terms: The terms' whitened columns while a fit moves the parameters: like all weights they come from the
-            model before it. None where they are to be worked out.
-        models: The models fitted to these data so far; all states of one search share the list.
-    """
-
-    seen: CaptureStatistics
-    model: TileModel
-    layout: NuisanceLayout
-    values: Array
-    terms: tuple[LinearTerm, ...]
-    weights: Array
-    comparison: Comparison
-    tau: float
-    frozen: frozenset[int] = field(default_factory=frozenset)
+    seen: CaptureStatistics  # measured statistics
+    model: TileModel  # the camera with its effects
+    layout: NuisanceLayout  # which nuisances are fitted
+    values: Array  # nuisance parameters
+    terms: tuple[LinearTerm, ...]  # smooth unnamed terms that were added
+    weights: Array  # their coefficients and those of the realisations, in order
+    comparison: Comparison  # measured against predicted, with weights
+    tau: float  # capture-to-capture repeatability
+    frozen: frozenset[int] = field(default_factory=frozenset)  # positions of the effect parameters that are not fitted
+    # The terms' whitened columns while a fit moves the parameters: like all weights they come from the model before it.
+    # None where they are to be worked out.
     held_terms: RowBlock | None = None
+    # the models fitted to these data so far; all states of one search share the list
     models: ModelList = field(default_factory=ModelList)
 
     @property

@@ -113,39 +113,23 @@ _CUT_OFF: Final = 1.0 / 3.0  # of a darker tile's noise, below which light is cu
 
 @dataclass(slots=True, eq=False)
 class CaptureSums:
-    """Running sums over the frames of one capture.
+    """Running sums over the frames of one capture."""
 
-    Attributes:
-        groups: Tiles by size.
-        sides: Sides of the patches.
-        defects: Pixels that are left out.
-        frame_means: Per frame, (tiles,) mean of each tile's good pixels in DN.
-        total: Per group, sum of pixels minus their tile's mean, (tiles, height, width).
-        square: The same of squares.
-        pair_x: Per group, sum of products of each pixel's deviation with its left neighbour's in DN², as `total`.
-        pair_y: The same with its upper neighbour's.
-        row_sums: Per group and frame, sums of deviations along each tile row.
-        low: (tiles,) sum of the shares of samples at 0 DN.
-        high: (tiles,) the same at full scale.
-        side_pixels: (sides, lines, pixels) sum of the pixels of the lines across each patch's side.
-        histogram: Counts of digital numbers over the tiles whose histogram must be smooth.
-        occurring: Digital numbers that occur in any tile.
-    """
-
-    groups: Sequence[TileGroup]
-    sides: PatchSides
-    defects: Mask
-    frame_means: list[Array]
-    total: list[Array]
-    square: list[Array]
+    groups: Sequence[TileGroup]  # tiles by size
+    sides: PatchSides  # sides of the patches
+    defects: Mask  # pixels that are left out
+    frame_means: list[Array]  # per frame, (tiles,) mean of each tile's good pixels in DN
+    total: list[Array]  # per group, sum of pixels minus their tile's mean, (tiles, height, width)
+    square: list[Array]  # the same of squares
+    # per group, sum of products of each pixel's deviation with its left neighbour's in DN², as `total`
     pair_x: list[Array]
-    pair_y: list[Array]
-    row_sums: list[list[Array]]
-    low: Array
-    high: Array
-    side_pixels: Array
-    histogram: Array
-    occurring: Mask
+    pair_y: list[Array]  # the same with its upper neighbour's
+    row_sums: list[list[Array]]  # per group and frame, sums of deviations along each tile row
+    low: Array  # (tiles,) sum of the shares of samples at 0 DN
+    high: Array  # (tiles,) the same at full scale
+    side_pixels: Array  # (sides, lines, pixels) sum of the pixels of the lines across each patch's side
+    histogram: Array  # counts of digital numbers over the tiles whose histogram must be smooth
+    occurring: Mask  # digital numbers that occur in any tile
 
     @classmethod
     def start(cls, groups: Sequence[TileGroup], sides: PatchSides, tiles: int, defects: Mask) -> CaptureSums:

@@ -22,20 +22,14 @@ _MOST_SHARE: Final = 0.3  # of a pixel's own noise: a black level that differs b
 
 @dataclass(frozen=True, slots=True)
 class Darkness:
-    """Uncertainty of a frame's darkness in addition to the noise of its pixels.
+    """Uncertainty of a frame's darkness in addition to the noise of its pixels."""
 
-    Attributes:
-        black_dn: Standard deviation by which the black level wanders from frame to frame, in DN.
-        drift_dn: Standard deviation of half a wave down the rows by which it moves while a frame is read, in DN.
-        temperature_k: Standard uncertainty of a temperature reading, in K.
-        warmth: (captures, tiles) change of the means in DN per kelvin.
-        swelling: The same of ln of variances, by statistic: leaks that differ do so the more the warmer it is.
-    """
-
-    black_dn: float
-    temperature_k: float
-    warmth: Array
+    black_dn: float  # standard deviation by which the black level wanders from frame to frame, in DN
+    temperature_k: float  # standard uncertainty of a temperature reading, in K
+    warmth: Array  # (captures, tiles) change of the means in DN per kelvin
+    # the same of ln of variances, by statistic: leaks that differ do so the more the warmer it is
     swelling: Mapping[str, Array] = field(default_factory=dict)
+    # standard deviation of half a wave down the rows by which it moves while a frame is read, in DN
     drift_dn: float = 0.0
 
 

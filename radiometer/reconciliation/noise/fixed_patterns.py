@@ -32,17 +32,12 @@ _FIXED: Final = ("spatial", "columns", "rows")
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FixedError:
-    """One source of error whose z are the same in all captures: y = f(θ) + B·z, fitted with its variance as prior.
+    """One source of error whose z are the same in all captures: y = f(θ) + B·z, fitted with its variance as prior."""
 
-    Attributes:
-        name: What it is.
-        parts: Gives what a unit of each z does, by statistic, for a prediction.
-        sigma: (n,) standard deviation of each z.
-    """
-
-    name: str
+    name: str  # what it is
+    # gives what a unit of each z does, by statistic, for a prediction
     parts: Callable[[Prediction], Mapping[str, Part]]
-    sigma: Array
+    sigma: Array  # (n,) standard deviation of each z
 
 
 Unit = Callable[[Prediction], Array]

@@ -30,15 +30,10 @@ from radiometer.typing import Array, Mask
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Part:
-    """Change of one statistic by a shared error: amplitude · basis · z.
+    """Change of one statistic by a shared error: amplitude · basis · z."""
 
-    Attributes:
-        amplitude: (captures, entries) in the statistic's own scale; 0 where an entry does not count.
-        basis: (entries, n) or (captures, entries, n).
-    """
-
-    amplitude: Array
-    basis: Array
+    amplitude: Array  # (captures, entries) in the statistic's own scale; 0 where an entry does not count
+    basis: Array  # (entries, n) or (captures, entries, n)
 
     @property
     def columns(self) -> Array:
@@ -48,18 +43,12 @@ class Part:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SharedError:
-    """One source of error whose z are drawn anew in each capture.
+    """One source of error whose z are drawn anew in each capture."""
 
-    Attributes:
-        name: What it is.
-        parts: What it does, by statistic.
-        variance: (captures,) variance of each z, or (captures, n).
-        within: Whether the statistic's own standard uncertainty holds it already, so that it correlates entries only.
-    """
-
-    name: str
-    parts: Mapping[str, Part]
-    variance: Array
+    name: str  # what it is
+    parts: Mapping[str, Part]  # what it does, by statistic
+    variance: Array  # (captures,) variance of each z, or (captures, n)
+    # whether the statistic's own standard uncertainty holds it already, so that it correlates entries only
     within: bool = False
 
     def covariance(self, name: str) -> Array:
@@ -103,21 +92,13 @@ _TOGETHER: Final = 0.85  # of the correlation of one wave's scores that is trust
 
 @dataclass(frozen=True, slots=True)
 class Repeatability:
-    """Scatter of the light from one capture to the next, and from one frame to the next.
+    """Scatter of the light from one capture to the next, and from one frame to the next."""
 
-    Attributes:
-        tau: Relative standard deviation from capture to capture.
-        flicker2: (captures,) relative variance from frame to frame that an accepted effect predicts.
-        row_variance: (captures,) row noise that an accepted effect predicts, in DN².
-        bands2: (captures,) relative variance of light that goes as a wave along the rows.
-        band_frequency: Periods of that wave per row.
-    """
-
-    tau: float
-    flicker2: Array
-    row_variance: Array
-    bands2: Array
-    band_frequency: float
+    tau: float  # relative standard deviation from capture to capture
+    flicker2: Array  # (captures,) relative variance from frame to frame that an accepted effect predicts
+    row_variance: Array  # (captures,) row noise that an accepted effect predicts, in DN²
+    bands2: Array  # (captures,) relative variance of light that goes as a wave along the rows
+    band_frequency: float  # periods of that wave per row
 
 
 def shared_errors(

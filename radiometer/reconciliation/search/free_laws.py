@@ -98,19 +98,12 @@ _FEW: Final = 6  # iterations that tell how the others do alone
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Refined:
-    """A model in which one name took a free law.
+    """A model in which one name took a free law."""
 
-    Attributes:
-        state: The fitted model.
-        name: The name.
-        without: The model without that name.
-        rivals: Other entries that leave nothing by a law of theirs either.
-    """
-
-    state: FitState
-    name: str
-    without: FitState
-    rivals: tuple[CatalogueEffect, ...] = ()
+    state: FitState  # the fitted model
+    name: str  # the name
+    without: FitState  # the model without that name
+    rivals: tuple[CatalogueEffect, ...] = ()  # other entries that leave nothing by a law of theirs either
 
     @property
     def nats(self) -> float:

@@ -177,19 +177,12 @@ def simpler(state: FitState, catalogue: Mapping[str, type[CatalogueEffect]]) -> 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Loosened:
-    """A model in which one effect took a more flexible form.
+    """A model in which one effect took a more flexible form."""
 
-    Attributes:
-        name: Name of the effect.
-        state: The fitted model.
-        nats: Improvement of the held-out log density.
-        further: Number of parameters that the form has beyond the former one.
-    """
-
-    name: str
-    state: FitState
-    nats: float
-    further: int
+    name: str  # name of the effect
+    state: FitState  # the fitted model
+    nats: float  # improvement of the held-out log density
+    further: int  # number of parameters that the form has beyond the former one
 
 
 @dataclass(eq=False)
@@ -197,15 +190,11 @@ class LooserForms:
     """The forms that may do more than those of the effects in a model; they are fitted where they are asked for.
 
     Each further parameter must be paid for, and the whole be as far beyond chance as a further name.
-
-    Attributes:
-        state: The model.
-        needed: Nats that a form must bring.
-        promising: Nats that the likeliest would bring if they acted linearly, the places of their effects, the forms.
     """
 
-    state: FitState
-    needed: float
+    state: FitState  # the model
+    needed: float  # nats that a form must bring
+    # nats that the likeliest would bring if they acted linearly, the places of their effects, the forms
     promising: list[tuple[float, int, CatalogueEffect]]
 
     @classmethod

@@ -242,15 +242,10 @@ def usable_catalogue(
 
 @dataclass(frozen=True, slots=True)
 class Before:
-    """Results of another model's screening, by which this one tests the likeliest entries first.
+    """Results of another model's screening, by which this one tests the likeliest entries first."""
 
-    Attributes:
-        candidates: Its candidates.
-        needed: How many of the best are needed now.
-    """
-
-    candidates: Sequence[Candidate] = ()
-    needed: int = 0
+    candidates: Sequence[Candidate] = ()  # its candidates
+    needed: int = 0  # how many of the best are needed now
 
 
 def screen(

@@ -75,23 +75,14 @@ class _Run:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Turn:
-    """A step at which another entry was nearly chosen.
+    """A step at which another entry was nearly chosen."""
 
-    Attributes:
-        state: The model before it.
-        tests: Its tests.
-        chosen: The name that was given.
-        lead: By what share of its score it was ahead of the next in the same statistic.
-        steps: The steps before.
-        refused: What had been refused before.
-    """
-
-    state: FitState
-    tests: tuple[Disagreement, ...]
-    chosen: str
-    lead: float
-    steps: tuple[Step, ...]
-    refused: frozenset[str]
+    state: FitState  # the model before it
+    tests: tuple[Disagreement, ...]  # its tests
+    chosen: str  # the name that was given
+    lead: float  # by what share of its score it was ahead of the next in the same statistic
+    steps: tuple[Step, ...]  # the steps before
+    refused: frozenset[str]  # what had been refused before
 
 
 def search(
