@@ -274,10 +274,6 @@ class Calibration:
     def from_mapping(cls, mapping: Mapping[str, Any], where: str) -> Calibration:
         """Return the calibration that a file's mapping describes.
 
-        Args:
-            mapping: Keys and values of the file.
-            where: File name for messages.
-
         Raises:
             CalibrationError: If a key is missing, wrong, or the parts do not fit together.
         """

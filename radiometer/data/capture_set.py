@@ -451,10 +451,6 @@ class CaptureSetWriter:
     def add(self, frame: Frame, **further: Any) -> None:
         """Write one frame: the camera's own raw file where it has one, its digital numbers as PNG where not.
 
-        Args:
-            frame: The frame.
-            further: Further keys of its entry in `capture.yaml`.
-
         Raises:
             OutputError: If the disk refuses it.
         """

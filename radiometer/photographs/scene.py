@@ -248,7 +248,6 @@ def has_untold_shutter(photographs: Photographs, curve: ResponseCurve | None) ->
     """Return whether exposures are those of a shutter whose offset is unknown: EXIF's labels, as they are printed.
 
     Args:
-        photographs: As read.
         curve: Their response, with the offset that it was recovered with; None where they are linear.
     """
     return photographs.listed is None and shutter_offset_of(curve) is None
@@ -259,7 +258,6 @@ def with_shutter_doubt(relative: Calibration, photographs: Photographs) -> Calib
 
     Args:
         relative: The calibration, with the response of the photographs.
-        photographs: As read.
     """
     if not has_untold_shutter(photographs, relative.response):
         return relative
@@ -308,7 +306,6 @@ def falloff_of(
     """Return the fall-off that is to be taken out of photographs, and in a sentence from what it was taken.
 
     Args:
-        photographs: As read.
         vignetting: "lensfun", or the file of a calibration with a flat field; None takes nothing out.
         lens: Name of the lens for lensfun in place of EXIF's.
         calibration: The calibration in use; its own flat field excludes another one.

@@ -83,7 +83,6 @@ def levels_of_brightest(header: CaptureHeader, read: FrameReader) -> dict[float,
     """Return where the frames of the lowest gains show that pixels saturate, by gain in dB.
 
     Args:
-        header: What `capture.yaml` says.
         read: Gives the frame at a position of the header.
     """
     settings = [entry.settings for entry in header.frames]
@@ -96,7 +95,6 @@ def shown_well(state: FitState, levels: Mapping[float, WhiteLevel]) -> ShownWell
     """Return the full well that the brightest pixels show; None where none is declared or the fit has found another.
 
     Args:
-        state: The fitted model.
         levels: Where pixels saturate, by gain in dB.
     """
     camera = state.design.header.camera

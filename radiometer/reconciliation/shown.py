@@ -72,7 +72,6 @@ def evidence_for(
     then.
 
     Args:
-        header: What `capture.yaml` says.
         shape: Height and width of the frames.
         read: Gives the frame at a position of the header.
         progress: Called with the number of frames done.

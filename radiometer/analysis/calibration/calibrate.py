@@ -336,10 +336,6 @@ def scale_by_source(
 def scale_by_meter(base: Calibration, meter: MeterReading) -> Scale:
     """Return the scale from a light meter's constant.
 
-    Args:
-        base: Unscaled calibration.
-        meter: The reference photograph.
-
     Raises:
         InputError: If a setting or K is not above 0.
         UsageError: If the reference pixel value is not between black and full scale, or where the curve has no data.

@@ -310,7 +310,6 @@ def gain_from_darks(
     best of them.
 
     Args:
-        subject: The frames.
         dark: Statistics of their dark groups at one gain, in the region that is looked at.
     """
     transfers = []

@@ -367,7 +367,6 @@ def with_known_radiance(
     """Return the subject with the photon flux that a radiance stated by hand makes on its regions.
 
     Args:
-        subject: The frames.
         header: Camera, lens, light and f-number of the capture set.
         shape: (height, width) of its frames.
         radiance: Radiance of the regions in W·sr⁻¹·m⁻².

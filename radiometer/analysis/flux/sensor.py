@@ -68,7 +68,6 @@ def flux_scale(
     Args:
         camera: The camera.
         source: Its wavelength counts.
-        calibration: The camera's calibration.
         responsivity_u_rel: Relative standard uncertainty of η/c where it was measured; None takes 3 %.
 
     Raises:

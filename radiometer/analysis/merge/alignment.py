@@ -329,10 +329,6 @@ def aligned(bracket: Bracket, alignment: Alignment) -> tuple[Bracket, list[NDArr
 
     Values between pixels are read off cubic splines through them; where one of these clips and another does not, the
     value is unknown. Beyond a frame's edge stands its last row or column.
-
-    Args:
-        bracket: The frames, of any channel.
-        alignment: As found.
     """
     frames, absent = [], []
     for frame, movement in zip(bracket.light, alignment.movements, strict=True):

@@ -265,7 +265,6 @@ class StreamingMerge:
         """Return the radiance map of a bracket in memory, every pixel's sums made and used up at once.
 
         Args:
-            bracket: The frames.
             absent: Where each light frame shows nothing, shape (height, width) each; empty where all show everything.
             without_ghosts: Leave out of every pixel the frames that contradict the others there.
             displacement_px: Standard deviation of a frame's displacement along any direction in pixels.

@@ -53,7 +53,6 @@ def find_strays(
     """Return which frames to leave out at the pixels where frames contradict each other.
 
     Args:
-        samples: The frames.
         tables: As the last step of the merge uses them, for all frames.
         doubtful: Where frames disagree beyond their noise, shape (height, width).
         absent: Where each frame shows nothing, same shape; empty where all show everything.
@@ -126,7 +125,6 @@ def signals(
     """Return the signal of every frame at some pixels, whether it is one, and whether it clips.
 
     Args:
-        samples: The frames.
         pixels: Indices of the pixels.
         gone: Which frames show nothing there, shape (frames, pixels).
     """
@@ -278,7 +276,6 @@ def excess_scatter(
     A ratio of sums of squares: 1 is expected, and what `AGREEMENT_SIGMA` does not reach is a contradiction.
 
     Args:
-        samples: The frames.
         tables: As the last step of the merge uses them, for all frames.
         pixels: Indices of the pixels.
         rate: Merged rate of each.

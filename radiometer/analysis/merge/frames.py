@@ -47,7 +47,6 @@ def frame_terms(
     """Return the constants of a light frame.
 
     Args:
-        settings: Of the frame.
         situation: What the merge rests on.
         dark_frames: Frames with the shutter closed; those of the same exposure are taken off pixel by pixel.
         through_lens: Whether the exposure carries the lens factor of the frame's f-number.

@@ -381,7 +381,6 @@ def merge_passes(samples: Sequence[MergeSample], reference: float) -> list[Merge
     What the compiled loops are given of the frames is made once, not for every block of pixels anew.
 
     Args:
-        samples: The frames.
         reference: Exposure that exposures are counted in.
     """
     passes, waiting = [], list(samples)

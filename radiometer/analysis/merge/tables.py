@@ -83,9 +83,6 @@ _AGREEMENT_ASSUMED_REL = 0.1
 def scatter_limit(freedom: float) -> float:  # pragma: no cover (compiled)
     """Return by how much Σ(x − E·t)² may exceed its expectation, at `AGREEMENT_SIGMA`.
 
-    Args:
-        freedom: Degrees of freedom.
-
     Source: Wilson and Hilferty 1931.
     """
     return float((1.0 - 2.0 / (9.0 * freedom) + AGREEMENT_SIGMA * math.sqrt(2.0 / (9.0 * freedom))) ** 3)

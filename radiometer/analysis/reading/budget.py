@@ -256,7 +256,6 @@ def outside_terms(
         value: The radiance.
         here: Conditions of the reading.
         calibration: The calibration, with the conditions of its scale.
-        lens: The lens in use.
         falloff: What is known of the sensitivity over the picture.
         linear: Whether the sensor is taken as linear.
         now: Time of the reading, with time zone.
@@ -289,7 +288,6 @@ def frame_u_rel(
 
     Args:
         calibration: The calibration.
-        lens: The lens in use.
         numbers: f-numbers of the frames.
         settings: Of the frames.
         now: Time that the calibration's age is counted to, with time zone; None for the present.
@@ -655,12 +653,7 @@ def _clipped(situation: PatchSituation) -> list[Term]:
 
 
 def reading_flags(situation: PatchSituation, terms: Sequence[Term]) -> tuple[Flag, ...]:
-    """Return the flags of a reading, sorted by name.
-
-    Args:
-        situation: What the reading was made from.
-        terms: Its budget.
-    """
+    """Return the flags of a reading, sorted by name."""
     calibration, estimate, now = situation.calibration, situation.estimate, situation.now
     found = {
         Flag.SATURATED: not situation.frames[0].unclipped,
@@ -832,11 +825,7 @@ def magnification_u_rel(calibration: Calibration | None, lens: LensDescription) 
 
 
 def common_u_rel(situation: Situation) -> float:
-    """Return the relative standard uncertainty that all pixels of a radiance map share, whatever its frames.
-
-    Args:
-        situation: What the map rests on.
-    """
+    """Return the relative standard uncertainty that all pixels of a radiance map share, whatever its frames."""
     stated, calibration = situation.stated, situation.calibration
     linearity = stated.linearity_u_rel if situation.model.linear else 0.0
     parts = [stated.exposure_u_rel, linearity]

@@ -60,7 +60,6 @@ def estimate_patch(
         dark: Dark level of each.
         exposures: Exposure time of each in s, times the lens factor in sr where requested.
         good: Pixels to use, shape of the patch.
-        model: Signal model of the camera.
 
     Source: iteratively reweighted least squares, Charnes, Frome and Yu 1976, JASA 71, 169.
     """

@@ -30,9 +30,6 @@ class Distribution:
         Ends of a shortest interval from 100 000 draws scatter by some 2 % of u: less than 5 % shows no difference.
         The source allows at most half of u's second digit, which is between 0.5 % and 5 % of u.
 
-        Args:
-            reading: Its linear counterpart, with its coverage factor.
-
         Source: JCGM 101:2008, section 8.1.
         """
         u, expanded = reading.radiance.u, reading.coverage_factor * reading.radiance.u
@@ -64,11 +61,6 @@ def propagate_distributions(situation: PatchSituation, rng: np.random.Generator,
 
     The equation is L = s·Σ c_i·(x_i·(1 + curve_i) − d_i)·Π(1 + factor)/Π(1 + divisor)·(1 + stop)² + stray light:
     quotients and powers as they stand. Inputs from few observations are drawn from Student's t.
-
-    Args:
-        situation: What the reading was made from.
-        rng: Source of the draws.
-        trials: Number of draws.
 
     Source: JCGM 101:2008, sections 5.9 to 7.7.
     """

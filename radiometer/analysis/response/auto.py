@@ -98,12 +98,7 @@ def judge_by_prediction(
 
 
 def without_frames(samples: ResponseSamples, found: FittedResponse) -> Iterator[tuple[int, FittedResponse]]:
-    """Yield every n-th frame's fold and the fit without it, for each n-th.
-
-    Args:
-        samples: The rows.
-        found: The fit to all of them.
-    """
+    """Yield every n-th frame's fold and the fit without it, for each n-th."""
     folds = frame_folds(samples)
     for fold in range(folds if samples.frame_log_time.size > 2 else 0):
         keep = samples.frame % folds != fold

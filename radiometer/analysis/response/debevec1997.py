@@ -83,12 +83,7 @@ def curve_debevec1997(samples: ResponseSamples, *, smoothing: float | None = Non
 
 
 def without_noise_shift(samples: ResponseSamples, first: ResponseCurve) -> ResponseSamples:
-    """Return the samples with every mean digital number replaced by that of the mean exposure.
-
-    Args:
-        samples: The rows.
-        first: A first estimate of the curve.
-    """
+    """Return the samples with every mean digital number replaced by that of the mean exposure."""
     shifted = mean_exposure_dn(samples.dn, samples.variance, first.log_exposure, samples.limits)
     return replace(samples, dn=np.clip(shifted, samples.limits.black_dn, samples.limits.saturated_dn))
 

@@ -61,14 +61,7 @@ class ResponseEstimate:
 
     @classmethod
     def of(cls, samples: ResponseSamples, curve: ResponseCurve, method: str, **more: Any) -> ResponseEstimate:
-        """Return what a method recovered from samples, with their exposure ratios as given unless it says otherwise.
-
-        Args:
-            samples: All rows behind the curve.
-            curve: The curve.
-            method: Name in the registry.
-            more: The other attributes.
-        """
+        """Return what a method recovered from samples, with their exposure ratios as given unless it says otherwise."""
         times = samples.frame_log_time
         counted: dict[str, Any] = {
             "pixel_count": samples.pixel_count,

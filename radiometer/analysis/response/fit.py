@@ -254,7 +254,6 @@ def fit_response(
     λ and, where the data call for it, the spread of the exposure times maximise the restricted likelihood.
 
     Args:
-        samples: The rows.
         dn: Their digital numbers (of the mean exposure), shape (rows,).
         variance: Variance of ln H of every row, shape (rows,).
         time_spread: Relative standard deviation of the exposure times; 0 for exact ones, None to decide by the data.

@@ -60,7 +60,6 @@ class Pairs:
         """Return the pairs of a set of samples.
 
         Args:
-            samples: The rows.
             start: A first estimate of g at every digital number.
             frames: Shorter frames of the requested pairs; None for all that occur.
         """
@@ -143,13 +142,7 @@ class Gauge:
 
 
 def with_log_ratios(samples: ResponseSamples, pairs: Pairs, log_ratios: Array) -> ResponseSamples:
-    """Return the samples with exposure times that have these ratios; the first of every bracket stays.
-
-    Args:
-        samples: The rows.
-        pairs: Their pairs.
-        log_ratios: ln ratio of every pair.
-    """
+    """Return the samples with exposure times that have these ratios; the first of every bracket stays."""
     step = np.diff(samples.frame_log_time)
     step[pairs.frames] = log_ratios
     times = samples.frame_log_time[0] + np.concatenate([[0.0], np.cumsum(step)])

@@ -132,7 +132,6 @@ def noise_of(samples: ResponseSamples, dn: Array, log_exposure: Array) -> LogNoi
     """Return the noise behind the residuals of a first curve, every group's ln E at its hat-weighted mean.
 
     Args:
-        samples: The rows.
         dn: Their digital numbers (of the mean exposure), shape (rows,).
         log_exposure: The first curve, g at every digital number.
     """
@@ -151,7 +150,6 @@ def group_residual(samples: ResponseSamples, log_exposure: Array, weight: Array)
     """Return ln H − ln t − ln E of every row, and the row's share in its group's ln E.
 
     Args:
-        samples: The rows.
         log_exposure: ln H of every row, shape (rows,).
         weight: Weight of every row, shape (rows,).
     """
@@ -169,7 +167,6 @@ def row_variance(samples: ResponseSamples, dn: Array, log_exposure: Array, noise
     describes: rows fade out there. Nowhere is a mean trusted beyond the truth of the spline itself.
 
     Args:
-        samples: The rows.
         dn: Their digital numbers (of the mean exposure), shape (rows,).
         log_exposure: g at every digital number.
         noise: Noise of the stack.

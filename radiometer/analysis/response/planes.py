@@ -64,9 +64,6 @@ def determines_labels(fitted: FittedResponse) -> bool:
     The curve and the exposures may both be multiplied by any power: what holds the exponent are pixels that two frames
     with trusted labels show. Where hardly any are, least squares takes a flat curve and makes all exposures equal, sure
     of it. A row or two of the freed frame itself may be strays.
-
-    Args:
-        fitted: A fit with freed labels.
     """
     rows, freed = fitted.samples, np.array(fitted.choices.free)
     trusted = ~np.isin(rows.frame, freed)

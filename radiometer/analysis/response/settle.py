@@ -172,7 +172,6 @@ def fit_with(samples: ResponseSamples, start: Array, choices: Choices) -> Fitted
     """Return the fit under given choices.
 
     Args:
-        samples: The rows.
         start: A first estimate of g at every digital number, rising.
         choices: What to take as given.
     """

@@ -199,11 +199,7 @@ class _Told:
         return cls(planes, plain, fits, seconds, u)
 
     def offset(self, short: NDArray[np.intp]) -> ShutterOffset | None:
-        """Return the offset where it is to be taken.
-
-        Args:
-            short: Frames that may show it.
-        """
+        """Return the offset where it is to be taken."""
         if abs(self.seconds) < _SIGMA * self.u_fit:
             return None
         left = [(frame, self._without(int(frame))) for frame in short]

@@ -72,7 +72,6 @@ class SignalModel:
         """Return the digital number from which a frame clips: its white level, or the full well's end if lower.
 
         Args:
-            settings: Of the frame.
             within_data: Count numbers above those that the response curve has data for as clipped too.
         """
         white = settings.white_level
@@ -119,7 +118,6 @@ class SignalModel:
 
         Args:
             signal: Expected x at 0 dB from light, any shape; below 0 counts as 0.
-            settings: Of the frame.
 
         Source: EMVA Standard 1288, release 4.0, equations (6)–(13), carried through the response to x.
         """
@@ -240,7 +238,6 @@ def dark_levels(
     Args:
         settings: Of the light frames.
         dark_frames: Frames with the shutter closed.
-        model: Signal model of the camera.
         black: Black level of the calibration, with its uncertainty.
         masked_dn: What masked pixels read in every light frame in DN, where known.
     """

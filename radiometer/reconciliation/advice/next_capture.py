@@ -238,7 +238,6 @@ def propose_for_unnamed(
     predicted by the others, so that a new setting is asked for: there the entries, and no effect at all, must differ.
 
     Args:
-        state: The fitted model.
         catalogue: Entries, by name.
         places: Covariate and statistic of what has no name, the first first.
 
@@ -287,7 +286,6 @@ def propose_for_blind(
     show in the new capture.
 
     Args:
-        state: The fitted model.
         catalogue: Entries, by name.
         limits: What these data would have shown.
 
@@ -357,11 +355,6 @@ def _said(frame: FrameEntry) -> str:
 
 def write_plan(path: Path, result: ReconcileResult, design: Design) -> bool:
     """Write the captures of this set and the next one as a plan, so that its frames can be reconciled by themselves.
-
-    Args:
-        path: File to write.
-        result: What was found.
-        design: The captures as they were.
 
     Returns:
         Whether there was anything to plan; without a proposal no file is written.

@@ -68,7 +68,6 @@ class Directions:
         """Return the directions of the starts of entries.
 
         Args:
-            state: The model that they are added to.
             entries: Starts by name.
         """
         columns, forms, at = list[Array](), dict[str, tuple[_Form, ...]](), 0
@@ -113,12 +112,7 @@ class Directions:
         return left, np.concatenate([[1.0], taken])
 
     def near(self, target: _Form, name: str) -> tuple[CatalogueEffect, ...]:
-        """Return the forms of an entry that follow another's start for the most part, at their size, the best first.
-
-        Args:
-            target: The other's start.
-            name: The entry.
-        """
+        """Return the forms of an entry that follow another's start for the most part, at their size, the best first."""
         rated = [(*self.left(target, form), form) for form in self.forms[name]]
         follow = [entry for entry in rated if entry[0] < (1.0 - _WORTH_A_FIT) * self.shown(target)]
         sized = (_times(form.effect, amount) for _, amount, form in sorted(follow, key=lambda entry: entry[0]))
@@ -258,9 +252,6 @@ class ConfusablePair:
 
     def fitted(self, name: str) -> tuple[CatalogueEffect, float] | None:
         """Return an entry that fits the noiseless data, and the χ² that it leaves; None where captures separate them.
-
-        Args:
-            name: The entry.
         """
         context, gains = self._exact.model.context, list[float]()
         for near in self.directions.near(self.target, name)[:_FITTED]:  # a limit that hardly acts shows no way on

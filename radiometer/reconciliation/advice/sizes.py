@@ -40,7 +40,6 @@ def mildest(state: FitState, starts: Sequence[CatalogueEffect], asked: Asked) ->
     All starts take one look after the other side by side: what many change is projected at once.
 
     Args:
-        state: The model that they are added to.
         starts: Starts of any entries.
         asked: By how much they are to stand out.
     """
@@ -62,7 +61,6 @@ def grown(state: FitState, effects: Sequence[CatalogueEffect], asked: Asked) -> 
     """Return effects as they are, with the χ² by which each alone stands out.
 
     Args:
-        state: The model that they are added to.
         effects: Any effects.
         asked: By how much they are to stand out.
     """
@@ -174,7 +172,6 @@ def main_parameter(kind: type[CatalogueEffect], start: CatalogueEffect | None) -
     """Return the parameter that is an entry's size, and its unit.
 
     Args:
-        kind: The entry.
         start: One form of it; None for the usual one.
     """
     names = start.free() if start is not None else kind.fitted

@@ -325,8 +325,6 @@ def compare(
     """Return the measured statistics with weights.
 
     Args:
-        design: Captures and tiles.
-        seen: What was measured.
         base: Prediction that shows which entries are free of clipping and how far means respond to light.
         sensitivity: (captures, tiles) d(mean)/d(log light) in DN, model-predicted.
         repeatability: Capture-to-capture and frame-to-frame scatter.

@@ -128,11 +128,6 @@ class NuisanceLayout:
 
         The latter do not say how much light there is (see `_only_means`), but the light says how large they are.
 
-        Args:
-            comparison: The weights.
-            changes: What each of `moves` changes.
-            values: The parameters.
-
         Returns:
             (entries, parameters) of the former, and of the latter.
         """

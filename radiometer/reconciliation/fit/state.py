@@ -182,9 +182,6 @@ class FitState:
         """Return what sets of effects change of the whitened prediction of the data, (entries, sets).
 
         Nuisances stay as they are.
-
-        Args:
-            several: Effects to have instead of the model's.
         """
         models = [(self.model.with_effects(effects), self.trace.nuisance) for effects in several]
         moved = np.empty((len(several), self.comparison.size))
@@ -344,7 +341,6 @@ def weighted(
 
     Args:
         seen: Measured statistics.
-        model: The camera with its effects.
         layout: Which nuisances are fitted.
         values: Nuisance parameters.
         terms: Unnamed terms and realisations, all of weight 0.

@@ -80,7 +80,6 @@ class Design:
         """Return the design of a capture set whose frames have the given (height, width).
 
         Args:
-            header: What `capture.yaml` says.
             shape: Height and width.
             jumps: Positions of frames at which a long series of equal ones is cut.
 
@@ -351,7 +350,6 @@ def group_captures(header: CaptureHeader, jumps: Collection[int] = ()) -> tuple[
     time.
 
     Args:
-        header: What `capture.yaml` says.
         jumps: Positions of frames at which a long series is cut.
     """
     runs = _runs(header)

@@ -85,7 +85,6 @@ def reduce_frames(
     Dark captures come first, so that their outlying pixels (defects) are left out everywhere.
 
     Args:
-        design: Captures and tiles.
         read: Gives the frame at a position of the header.
         progress: Called with the number of frames done.
 

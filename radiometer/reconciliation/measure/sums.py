@@ -186,11 +186,7 @@ class CaptureSums:
             self.occurring = np.pad(self.occurring, (0, more))
 
     def without(self, first: CaptureSums) -> CaptureSums:
-        """Return the sums over the frames but the first; the histogram stays that of all.
-
-        Args:
-            first: Sums over the first frame alone.
-        """
+        """Return the sums over the frames but the first; the histogram stays that of all."""
         return replace(
             self,
             frame_means=self.frame_means[1:],

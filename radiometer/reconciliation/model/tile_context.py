@@ -324,12 +324,7 @@ def _dense_points(design: Design) -> tuple[Array, Array]:
 
 
 def tile_context(design: Design, images: PatternImages) -> TileContext:
-    """Return the context of all captures of a design.
-
-    Args:
-        design: Captures and tiles.
-        images: Mean picture of each pattern.
-    """
+    """Return the context of all captures of a design."""
     camera, lens = design.header.camera, design.header.lens
     geometry, grid = (
         FrameGeometry(

@@ -112,9 +112,7 @@ def shared_errors(
     """Return the sources that the weights of means, slopes and variances hold.
 
     Args:
-        design: Captures and tiles.
         base: Prediction of what is accepted.
-        usable: Which entries of each statistic count.
         sensitivity: (captures, tiles) d(mean)/d(log light) in DN.
         repeatability: Capture-to-capture and frame-to-frame scatter, the source's own wander included.
         noise_response: (captures, tiles) how far the statistics of a tile's noise follow its log light, by statistic.
@@ -209,7 +207,6 @@ def phases_of_wave(design: Design, basis: Array, usable: Mask, share: Array, fre
     2ρ²/(n − 1) − (½ + ρ²)/n in units of their means.
 
     Args:
-        design: Captures and tiles.
         basis: (captures, 1 + orders, bins) functions of the rows.
         usable: (captures, orders) which scores count.
         share: (captures, orders) share of the wave in each ratio.
@@ -252,8 +249,6 @@ def chances_of_rows(
     First what differs from frame to frame, then what remains in the mean of the frames; the two are independent.
 
     Args:
-        design: Captures and tiles.
-        seen: What was measured.
         base: The prediction, row noise included.
         band_freedom: (captures, orders) degrees of freedom of the bands.
     """
@@ -294,9 +289,6 @@ def line_excess(design: Design, seen: CaptureStatistics, prediction: Prediction,
     of a capture but stays in their mean.
 
     Args:
-        design: Captures and tiles.
-        seen: What was measured.
-        prediction: Expected statistics.
         name: row_temporal, rows or columns.
     """
     rows, columns = prediction.row_variance, prediction.fixed_column_variance
@@ -321,8 +313,6 @@ def mixing_of_lines(prediction: Prediction, design: Design, name: str) -> Array:
     1 + 2ρ·(1 − 1/w) times that of white noise. A fixed profile holds the noise that the mean of the frames leaves.
 
     Args:
-        prediction: Expected statistics.
-        design: Captures and tiles.
         name: row_temporal, rows or columns.
     """
     length = design.tile_height if name == "columns" else design.tile_width
@@ -438,8 +428,6 @@ def common_of_rows(design: Design, seen: CaptureStatistics, light: Array) -> Arr
     """Return w·O·w / (w·s) for the weights w = s·n/σ² of the tiles' light s and the overlap O of their rows.
 
     Args:
-        design: Captures and tiles.
-        seen: What was measured.
         light: (captures, tiles) d(mean)/d(log light) in DN, 0 where a tile does not count.
     """
     light = np.where(np.nan_to_num(seen.variance) > 0, light, 0.0)
@@ -503,11 +491,6 @@ def errors_of_darkness(design: Design, usable: Mapping[str, Mask], darkness: Dar
 
     Repeated frames do not average it out: they follow one another, and the black level has its way from one series to
     the next.
-
-    Args:
-        design: Captures and tiles.
-        usable: Which entries of each statistic count.
-        darkness: How far darkness differs.
     """
     first = 1.0 + 1.0 / np.maximum(design.frame_count - 1.0, 1.0)
     every, one = np.ones(len(design.captures)), np.ones((len(design.tiles), 1))

@@ -43,7 +43,6 @@ def held_to_laws(
     """Return the outcome with what laws of no entry say of its names: nothing, a doubt, or that they are none.
 
     Args:
-        outcome: What the search came to.
         catalogue: The entries, one of which may hold the law in a looser form.
         say: Told what happens.
     """
@@ -84,13 +83,7 @@ def held_to_laws(
 
 
 def by_one_form(outcome: Search, state: FitState, law: Proposal) -> Search:
-    """Return the outcome in which one entry in a looser form replaces all names; it is provisional.
-
-    Args:
-        outcome: What the search came to.
-        state: The model with the entry.
-        law: The law that it is.
-    """
+    """Return the outcome in which one entry in a looser form replaces all names; it is provisional."""
     (effect,) = state.effects
     nats, tests = state.evidence - outcome.start.evidence, localise(state)
     step = Step(effect.name, effect.where, nats, outcome.start.gap, state.gap)
@@ -137,10 +130,6 @@ def brings_most(outcome: Search, law: Proposal) -> bool:
 
     Their own equations need to bring most of what the law brings and to leave nothing, unless the law depends on the
     covariate of the only name. One that acts as other causes would has brought nothing new.
-
-    Args:
-        outcome: What the search came to.
-        law: The law.
     """
     if acting_as_others(outcome.state):
         return False
@@ -182,13 +171,7 @@ def by_own_equations(outcome: Search) -> FitState:
 
 
 def without_names(outcome: Search, law: Proposal, remark: str) -> Search:
-    """Return the outcome in which all that disagrees is one entry without a name, placed as the law is.
-
-    Args:
-        outcome: What the search came to.
-        law: The law that explains more.
-        remark: Remarks about it.
-    """
+    """Return the outcome in which all that disagrees is one entry without a name, placed as the law is."""
     named = [step for step in outcome.steps if step.name != "unnamed"]
     nearest = max(named, key=lambda step: step.gain_nats)
     step = Step(

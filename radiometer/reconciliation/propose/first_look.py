@@ -89,11 +89,7 @@ class _Look:
         self._parts: dict[tuple[str, ...], tuple[dict[str, slice], LinearFit, Array]] = {}
 
     def gains(self, laws: Sequence[Law], shown: Sequence[Sequence[_Values]]) -> list[Screened]:
-        """Return laws, of one column each or (a wave) of two, with amplitude and χ².
-
-        Args:
-            shown: The values of each column.
-        """
+        """Return laws, of one column each or (a wave) of two, with amplitude and χ²."""
         columns = [(values, self._response[law.link]) for law, own in zip(laws, shown, strict=True) for values in own]
         blocks = list(_FOLLOWING)
         blocks += ["slope_x", "slope_y"] if any(values.rises for values, _ in columns) else []

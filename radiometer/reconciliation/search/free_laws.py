@@ -137,7 +137,6 @@ def in_a_looser_form(
     Args:
         start: The starting camera fitted.
         least: Score that the model needs.
-        catalogue: The entries.
         most: χ² under the weights of the start that a form may leave.
     """
     context, best = start.model.context, list[FitState]()
@@ -171,7 +170,6 @@ def in_place_of_all(
     Args:
         start: The starting camera fitted.
         state: What was found: names, and curves without a name.
-        catalogue: The entries.
     """
     curves = sum(term.is_smooth for term in state.terms)
     if not state.effects or len(state.effects) + curves < 2:

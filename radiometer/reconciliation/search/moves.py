@@ -32,10 +32,6 @@ _REFITTED: Final = 2  # forms that are fitted in full, the most promising first
 def pruned(state: FitState, say: Callable[[str], None]) -> tuple[FitState, list[str]]:
     """Drop earlier effects and unnamed terms that the newest made superfluous.
 
-    Args:
-        state: The model with the newest.
-        say: Told what is dropped.
-
     Returns:
         The model that is left, and the names of what was dropped.
     """
@@ -92,12 +88,6 @@ def better(
 ) -> tuple[FitState, CatalogueEffect] | None:
     """Return the model with another entry in place of one, where it predicts better together with what was named later.
 
-    Args:
-        state: The model with all names so far.
-        name: The name in question.
-        catalogue: Entries that may be named.
-        pool: Their starts.
-
     Returns:
         The model and the entry as it was fitted; None where no entry predicts better.
     """
@@ -150,10 +140,6 @@ def simpler(state: FitState, catalogue: Mapping[str, type[CatalogueEffect]]) -> 
 
     Each parameter that is saved is worth what a further one must bring.
 
-    Args:
-        state: The model with all names so far.
-        catalogue: Entries that may be named.
-
     Returns:
         The model and the entry as it was fitted; None where no entry predicts as well.
     """
@@ -202,7 +188,6 @@ class LooserForms:
         """Return the forms of the effects of a model.
 
         Args:
-            state: The fitted model.
             only: Names of the effects that leave structure in their own place, where these alone are asked and the
                 tests of that place are what is beyond chance; by default all effects.
         """

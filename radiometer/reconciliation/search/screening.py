@@ -41,12 +41,7 @@ class StartPool:
         self._moves: dict[str, Array] = {}
 
     def likeliest(self, state: FitState, kind: type[CatalogueEffect]) -> Starts:
-        """Return the starts of an entry; of many only those that explain most at first sight.
-
-        Args:
-            state: The fitted model.
-            kind: The entry.
-        """
+        """Return the starts of an entry; of many only those that explain most at first sight."""
         if kind.name not in self._starts:
             self._starts[kind.name] = kind.starts(state.model.context)
         starts = self._starts[kind.name]
@@ -110,7 +105,6 @@ def _of_all_captures(state: FitState, unit: Array) -> tuple[Array, Array]:
     """Return the Gram matrix and the slope of χ² for changes of each capture's means, nuisances following.
 
     Args:
-        state: The fitted model.
         unit: What a change of 1 moves of means in DN, (captures, tiles).
     """
     captures, tiles = unit.shape
@@ -261,7 +255,6 @@ def screen(
     model. The rest come as they were, behind these.
 
     Args:
-        state: The fitted model.
         catalogue: Entries to try, by name.
         pool: Their starts, where they were made before.
         before: What a smaller model's screening found.
@@ -304,12 +297,7 @@ def _screened(state: FitState, kinds: Sequence[type[CatalogueEffect]], pool: Sta
 
 
 def of_seen_codes(seen: CaptureStatistics, starts: tuple[CatalogueEffect, ...]) -> tuple[CatalogueEffect, ...]:
-    """Return the starts that leave no gaps where codes occur: a coarse step may compensate another effect.
-
-    Args:
-        seen: What was measured.
-        starts: Starts of one entry.
-    """
+    """Return the starts that leave no gaps where codes occur: a coarse step may compensate another effect."""
     step = seen_step(seen)
     if step == 1:  # nothing tells
         return starts
@@ -332,10 +320,6 @@ def _best(candidates: Sequence[Candidate]) -> list[Candidate]:
 def changes_with(state: FitState, several: Sequence[Sequence[CatalogueEffect]]) -> Array:
     """Return what sets of effects change in the whitened data residual (minus the residual's change), (entries, sets).
 
-    Args:
-        state: The fitted model.
-        several: The sets.
-
     Raises:
         MeasurementError: If the prediction with one of them is not finite.
     """
@@ -347,12 +331,7 @@ def changes_with(state: FitState, several: Sequence[Sequence[CatalogueEffect]]) 
 
 
 def changes_where_possible(state: FitState, several: Sequence[Sequence[CatalogueEffect]]) -> Array:
-    """Return the same; numbers that are none for sets with which the model predicts what no camera does.
-
-    Args:
-        state: The fitted model.
-        several: The sets.
-    """
+    """Return the same; numbers that are none for sets with which the model predicts what no camera does."""
     try:
         return changes_with(state, several)
     except (MeasurementError, ConfigurationError):
@@ -433,7 +412,6 @@ def directions_of(state: FitState, effects: Sequence[CatalogueEffect], index: in
     """Return what a set of effects changes in the residual, and what the parameters of one of them do then.
 
     Args:
-        state: The fitted model.
         effects: The effects to have instead of the model's.
         index: Position of the one whose parameters are moved.
         first: The first of its parameters that is moved.
@@ -453,7 +431,6 @@ def directions_of_each(
     """Yield the same of several sets of effects; their chains run together.
 
     Args:
-        state: The fitted model.
         entries: Each set, the position of the one whose parameters are moved, and the first of these.
         changes: Gives what sets change.
     """
