@@ -25,7 +25,7 @@ from radiometer.reconciliation.fit.state import FitState, with_effects, with_ter
 from radiometer.reconciliation.measure.design import BRIGHT_SURROUND, DARK_SURROUND, Design
 from radiometer.reconciliation.measure.reduce import PatternImages
 from radiometer.reconciliation.model.tile_model import TileModel
-from radiometer.reconciliation.prediction import Prediction
+from radiometer.reconciliation.statistics import Prediction
 from radiometer.reconciliation.result import Limit, ReconcileResult
 from radiometer.reconciliation.search.screening import best_start
 from radiometer.typing import Array

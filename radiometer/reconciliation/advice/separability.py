@@ -24,9 +24,9 @@ from radiometer.reconciliation.advice.sizes import SHOWN, Asked, mildest
 from radiometer.reconciliation.fit.candidate_fit import Candidate, fit_candidate
 from radiometer.reconciliation.fit.comparison import Comparison
 from radiometer.reconciliation.fit.descent import refit
-from radiometer.reconciliation.fit.models import ModelFit, ModelList
+from radiometer.reconciliation.fit.state import ModelFit, ModelList
 from radiometer.reconciliation.fit.state import FitState, with_effects
-from radiometer.reconciliation.prediction import Prediction
+from radiometer.reconciliation.statistics import Prediction
 from radiometer.reconciliation.search.screening import AT_ONCE, changes_where_possible, directions_of_each
 from radiometer.reconciliation.thresholds import PARAMETER_NATS, RIVAL_NATS
 from radiometer.typing import Array

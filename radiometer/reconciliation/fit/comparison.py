@@ -39,7 +39,7 @@ from radiometer.reconciliation.noise.shared_errors import (
     whiteners,
     with_heavy_rows,
 )
-from radiometer.reconciliation.prediction import Prediction
+from radiometer.reconciliation.statistics import Prediction
 from radiometer.reconciliation.statistics import (
     STATISTICS,
     Given,

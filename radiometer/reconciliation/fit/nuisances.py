@@ -13,7 +13,7 @@ from radiometer.reconciliation.fit.comparison import Comparison
 from radiometer.reconciliation.fit.linear import RowBlock
 from radiometer.reconciliation.measure.design import Design
 from radiometer.reconciliation.model.tile_model import Nuisance
-from radiometer.reconciliation.prediction import Prediction
+from radiometer.reconciliation.statistics import Prediction
 from radiometer.reconciliation.statistics import STATISTICS
 from radiometer.typing import Array
 

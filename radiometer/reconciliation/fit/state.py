@@ -6,15 +6,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Final
-
 import numpy as np
-
 from radiometer.reconciliation.fit.comparison import Comparison, compare
 from radiometer.reconciliation.fit.held_out import Groups, HeldOut, leave_one_group_out
 from radiometer.reconciliation.fit.linear import LinearFit, RowBlock
-from radiometer.reconciliation.fit.models import ModelFit, ModelList
 from radiometer.reconciliation.fit.nuisances import Change, NuisanceLayout
-from radiometer.reconciliation.fit.terms import LinearTerm, inverse, prior_residual
 from radiometer.reconciliation.measure.design import Design
 from radiometer.reconciliation.measure.seen import CaptureStatistics
 from radiometer.reconciliation.model.parameters import EffectParameters
@@ -29,10 +25,90 @@ from radiometer.reconciliation.noise.shared_errors import (
     relative_bands,
     relative_flicker,
 )
-from radiometer.reconciliation.prediction import Prediction
+from radiometer.reconciliation.statistics import Prediction
 from radiometer.reconciliation.statistics import usable_entries
 from radiometer.typing import Array
 from simulators.effects.catalogue import CatalogueEffect
+from collections.abc import Callable
+from radiometer.reconciliation.noise.fixed_patterns import FixedError
+
+ColumnBuilder = Callable[[Comparison, Prediction, Array], Array]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LinearTerm:
+    """Something that adds to the statistics in proportion to its coefficients."""
+
+    name: str  # what it is, for messages
+    # Gives its whitened columns, (entries, coefficients), for a comparison, prediction and sensitivity
+    build: ColumnBuilder
+    prior: Array  # (coefficients,) prior standard deviation; infinite for none
+    block: str = ""  # statistic that it acts on
+    where: str = ""  # covariate along which it acts
+    form: str = ""  # multiplicative, additive, or additive × gain
+
+    @classmethod
+    def of(cls, error: FixedError) -> LinearTerm:
+        """Return the term that fits an error which is the same in all captures."""
+
+        def build(comparison: Comparison, prediction: Prediction, sensitivity: Array) -> Array:
+            columns = np.zeros((comparison.size, error.sigma.size))
+            for name, part in error.parts(prediction).items():
+                columns[comparison.cuts[name]] = comparison.whitened(name, part)
+            return columns
+
+        return cls(error.name, build, error.sigma)
+
+    @property
+    def size(self) -> int:
+        """Return the number of coefficients."""
+        return int(self.prior.size)
+
+    @property
+    def is_smooth(self) -> bool:
+        """Return whether it is an unnamed empirical term (and not a realisation of an accepted effect)."""
+        return bool(self.where)
+
+
+def inverse(prior: Array) -> Array:
+    """Return 1/σ of parameters' priors; 0 for infinite ones."""
+    return np.where(np.isfinite(prior), 1.0 / np.where(np.isfinite(prior), prior, 1.0), 0.0)
+
+
+def prior_residual(prior: Array, values: Array) -> Array:
+    """Return the residual of the priors' rows: each is an observation that its parameter is nothing."""
+    return np.asarray(-values * inverse(prior))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ModelFit:
+    """One fitted model."""
+
+    effects: tuple[CatalogueEffect, ...]  # its effects at their fitted parameters
+    curves: int  # number of columns of its curves without a name
+    # (groups,) held-out log density of settings and stated values, determinants of the weights included
+    log_density: Array
+    parameters: int  # number of fitted parameters, columns of curves included
+    gap: float = np.nan  # reduced χ² of held-out settings; NaN where the nuisances followed linearly
+    # standard uncertainty of each fitted parameter by effect and name; empty where the gap is NaN
+    u: dict[tuple[str, str], float] = field(default_factory=dict)
+
+    @property
+    def is_full(self) -> bool:
+        """Return whether nuisances, weights and all effects were fitted together."""
+        return bool(np.isfinite(self.gap))
+
+
+@dataclass(slots=True, eq=False)
+class ModelList:
+    """The models fitted to one capture set, in the order of their fits."""
+
+    fits: list[ModelFit] = field(default_factory=list)
+
+    def add(self, fit: ModelFit) -> None:
+        """Append a model."""
+        self.fits.append(fit)
+
 
 # What of a state was worked out and hangs on the model and the nuisances alone, whatever is frozen or fitted.
 _OF_THE_MODEL: Final = ("nuisance", "trace", "prediction", "sensitivity", "parameters")

@@ -16,7 +16,7 @@ from radiometer.data import Frame
 from radiometer.errors import CaptureError
 from radiometer.reconciliation.measure.design import Design, patch_sides, tile_groups
 from radiometer.reconciliation.measure.edges import edge_shares
-from radiometer.reconciliation.measure.kernels import coarse_cells
+from radiometer.reconciliation.measure.sums import coarse_cells
 from radiometer.reconciliation.measure.row_bands import RowBins
 from radiometer.reconciliation.measure.seen import CaptureStatistics
 from radiometer.reconciliation.measure.sums import CaptureSums

@@ -16,7 +16,7 @@ from radiometer.reconciliation.measure.design import Design
 from radiometer.reconciliation.measure.reduce import PatternImages
 from radiometer.reconciliation.measure.row_bands import TileBands
 from radiometer.reconciliation.model.tile_context import TileContext, rise_of, scene_radiance, tile_context, tilt_of
-from radiometer.reconciliation.prediction import Prediction, of_tiles
+from radiometer.reconciliation.statistics import Prediction, of_tiles
 from radiometer.typing import Array
 from simulators.chain.stages import in_order, place_for
 from simulators.chain.undeclared import Undeclared, undeclared_chain

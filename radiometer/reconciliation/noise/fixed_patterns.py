@@ -18,7 +18,7 @@ from radiometer.reconciliation.measure.design import Design, slope_lengths
 from radiometer.reconciliation.measure.edges import SHARPEST
 from radiometer.reconciliation.measure.seen import CaptureStatistics
 from radiometer.reconciliation.noise.shared_errors import Part
-from radiometer.reconciliation.prediction import Prediction
+from radiometer.reconciliation.statistics import Prediction
 from radiometer.typing import Array
 from simulators.effects.catalogue import CatalogueEffect
 from simulators.effects.context import ExposureContext

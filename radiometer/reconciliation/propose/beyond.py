@@ -19,13 +19,13 @@ import numpy as np
 
 from radiometer.errors import ConfigurationError
 from radiometer.reconciliation.fit.covariance import scatter_of
-from radiometer.reconciliation.fit.full_fit import UnfitError, included
+from radiometer.reconciliation.fit.candidate_fit import UnfitError, included
 from radiometer.reconciliation.fit.state import FitState
 from radiometer.reconciliation.posterior import posterior_of
 from radiometer.reconciliation.propose.grammar import PLACES
 from radiometer.reconciliation.propose.proposal import Proposal
 from radiometer.reconciliation.propose.search import propose_law
-from radiometer.reconciliation.search.free_laws import in_a_looser_form, nowhere_near
+from radiometer.reconciliation.search.moves import in_a_looser_form, nowhere_near
 from radiometer.reconciliation.search.localise import localise, significant
 from radiometer.reconciliation.search.outcome import Search, Step
 from radiometer.reconciliation.search.score import worth

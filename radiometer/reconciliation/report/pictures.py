@@ -9,7 +9,7 @@ import numpy as np
 from radiometer.reconciliation.fit.comparison import FAMILY
 from radiometer.reconciliation.fit.covariates import covariates
 from radiometer.reconciliation.fit.state import FitState
-from radiometer.reconciliation.prediction import Prediction
+from radiometer.reconciliation.statistics import Prediction
 from radiometer.reconciliation.report.words import AXES, axis_label
 from radiometer.reconciliation.result import Verdict
 from radiometer.reconciliation.search.outcome import Reconciled

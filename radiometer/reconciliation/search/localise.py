@@ -20,8 +20,8 @@ from radiometer.reconciliation.fit.comparison import CAPTURE_BLOCKS, FAMILY, Com
 from radiometer.reconciliation.fit.covariates import Covariate, covariates
 from radiometer.reconciliation.fit.linear import LinearFit
 from radiometer.reconciliation.fit.state import FitState
-from radiometer.reconciliation.fit.terms import LinearTerm
-from radiometer.reconciliation.prediction import Prediction
+from radiometer.reconciliation.fit.state import LinearTerm
+from radiometer.reconciliation.statistics import Prediction
 from radiometer.reconciliation.statistics import ADDITIVE, MULTIPLICATIVE, STATISTICS
 from radiometer.reconciliation.thresholds import OWN_SIGNIFICANCE, SIGNIFICANCE
 from radiometer.typing import Array

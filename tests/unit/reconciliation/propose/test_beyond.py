@@ -15,7 +15,7 @@ from radiometer.reconciliation.propose.beyond import (
     own_covariates,
 )
 from radiometer.reconciliation.result import Verdict
-from radiometer.reconciliation.search.free_laws import in_place_of_all
+from radiometer.reconciliation.search.moves import in_place_of_all
 from radiometer.reconciliation.search.score import worth
 from simulators.effects.black_level_offset import BlackLevelOffset
 from simulators.effects.dark_current import DarkCurrent
