@@ -32,14 +32,14 @@ class LiveState:
     time_s: float = 0.0  # time of the newest event in s
     phase_since_s: float = 0.0
     dark_since_s: float | None = None  # when the bleach ended; None before
-    # time in min and log10 threshold by the trial's sequence number; None where not seen
+    # Time in min and log10 threshold by the trial's sequence number; None where not seen
     thresholds: dict[int, tuple[float, float | None]] = field(default_factory=dict)
-    # time in min of each catch and whether it was pressed
+    # Time in min of each catch and whether it was pressed
     catches: dict[int, tuple[float, bool]] = field(default_factory=dict)
     hasty: set[int] = field(default_factory=set)
     fixation: tuple[int, int] = (0, 0)  # lights in the blind spot that were seen, and of how many
     lapses: tuple[int, int] = (0, 0)  # bright spots that were missed, and of how many
-    # whether it was lost of late: since then no light in the blind spot was missed, as it should be
+    # Whether it was lost of late: since then no light in the blind spot was missed, as it should be
     fixation_lost: bool = False
     blink: Event | None = None  # level of the newest blink (None: a catch, or none yet) and its presses
     outcome: tuple[str, str] | None = None  # verdict and explanation, once over

@@ -29,12 +29,12 @@ DEFAULT_VALIDITY_DAYS = 365.0  # a year, the usual interval of instruments
 class ScaleConditions(FileSection):
     """What a scale was got under: what a reading shares with it drops out of the reading's uncertainty."""
 
-    # mean of 1/t over the exposures in s⁻¹, by their part in the value; 0 for long ones
+    # Mean of 1/t over the exposures in s⁻¹, by their part in the value; 0 for long ones
     inverse_exposure_per_s: float = Field(0.0, ge=0)
     gain_db: float = 0.0  # analogue gain in dB
     temperature_c: float | None = None  # sensor temperature in °C; None where unknown
     level: float = Field(0.5, ge=0)  # signal as a part of full scale
-    # sensitivity at the patch relative to the optical axis, as it was reckoned with
+    # Sensitivity at the patch relative to the optical axis, as it was reckoned with
     sensitivity: float = Field(1.0, gt=0)
     field: float = Field(0.0, ge=0)  # distance of the patch from the axis over that of a corner
     surround: float = Field(1.0, ge=0)  # mean radiance of the whole picture over that of the patch
@@ -54,9 +54,9 @@ class Scale(FileSection):
     f_number: float | None = Field(None, gt=0)
     reference: str = ""  # what it was compared with, in words
     spectrum: str | None = None  # spectrum of what it was compared with; None where it is the calibration's
-    # what of the reference was known: its radiance, or its luminance by way of its spectrum
+    # What of the reference was known: its radiance, or its luminance by way of its spectrum
     quantity: Literal["radiance", "luminance"] = "radiance"
-    # relative standard uncertainties that `u_rel` is made up from, by name
+    # Relative standard uncertainties that `u_rel` is made up from, by name
     budget: dict[str, float] = Field(default_factory=dict)
     # ISO speed as really measured, or as stated where that is all, at which the gain of photographs is 0 dB
     iso: float | None = Field(None, gt=0)
@@ -80,7 +80,7 @@ class SpectralResponse(FileSection):
     """The camera's spectral responsivity per watt, relative; 0 outside the wavelengths."""
 
     wavelength_nm: tuple[float, ...] = Field(min_length=2)  # ascending wavelengths in nm
-    # responsivity at each, 0 or more, not all 0
+    # Responsivity at each, 0 or more, not all 0
     relative: tuple[Annotated[float, Field(ge=0)], ...] = Field(min_length=2)
     u_rel: float = Field(0.02, ge=0)  # relative standard uncertainty of a correction made with it
     source: str = ""  # where it is from, in words
@@ -122,13 +122,13 @@ class FoundEffects(FileSection):
     exposure_further_s: float = 0.0  # as much more above the gain `exposure_above_db`
     exposure_above_db: float = 0.0  # that gain in dB
     black_offset_dn: float = 0.0  # real black level beyond the stated one in DN
-    # what the gain amplifies of it, b·(m + c·m²) with m = gain over that of `black_from_db` − 1
+    # What the gain amplifies of it, b·(m + c·m²) with m = gain over that of `black_from_db` − 1
     black_slope_dn: float = 0.0
     black_from_db: float = 0.0  # gain in dB from which on
     black_bend: float = 0.0  # c
     gain_error_rel: float = 0.0  # relative error of gains in dB: a stated G is really G·(1 + error)
     gains_db: tuple[float, ...] = ()  # gains in dB at which a table holds a further error
-    # relative error of the gain factor at each; straight between them
+    # Relative error of the gain factor at each; straight between them
     gain_errors_rel: tuple[Annotated[float, Field(gt=-1)], ...] = ()
     temperature_slope_per_k: float = 0.0  # relative change of the responsivity per K, from 25 °C
     temperature_bend_per_k2: float = 0.0  # the same per K²
@@ -208,7 +208,7 @@ class Calibration:
     spectrum: str = "equal_energy"  # name of the spectrum that the source is taken to have, or path of a CSV
     spectral_response: SpectralResponse | None = None  # spectral responsivity of the camera; None where unknown
     uncertainties: StatedUncertainties = field(default_factory=StatedUncertainties)  # what else the user states
-    # what `radiometer reconcile` found of the camera and readings are corrected for
+    # What `radiometer reconcile` found of the camera and readings are corrected for
     found: FoundEffects = field(default_factory=FoundEffects)
     defects: tuple[tuple[int, int], ...] = ()  # positions (x, y) of defective pixels
     created: str = field(default_factory=utc_now)  # ISO 8601 time in UTC

@@ -31,7 +31,7 @@ class FrameSettings:
     pattern: str = "default"  # name of the displayed pattern
     shutter: Shutter = "open"  # "closed" for a dark frame
     iso: float | None = None  # ISO speed of a photograph; None for a machine camera
-    # from which digital number pixels are saturated; None where only the bit depth is known
+    # From which digital number pixels are saturated; None where only the bit depth is known
     white_level: WhiteLevel | None = field(default=None, compare=False)  # found from frames, not set
 
     @property

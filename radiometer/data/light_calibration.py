@@ -30,9 +30,9 @@ class LightPoint(FileSection):
     current_range: Literal["low", "high"]  # "low" or "high" current
     level: int = Field(gt=0, le=65535)  # raw level
     duty_step: int = Field(gt=0)  # duty step that the box rounds it to
-    # settled radiance
+    # Settled radiance
     radiance_W_per_sr_m2: float = Field(gt=0)  # noqa: N815 (the file's key)
-    # relative standard uncertainty of this point alone (noise, drift); what all points share is not in it
+    # Relative standard uncertainty of this point alone (noise, drift); what all points share is not in it
     u_rel: float = Field(ge=0)
     start_rel: float = Field(1.0, gt=0)  # radiance just after switching on, over the settled one
 
@@ -41,7 +41,7 @@ class ChannelCalibration(FileSection):
     """The measured levels of one channel."""
 
     duty_steps: int = Field(gt=1)  # duty steps of the channel
-    # relative standard uncertainty that all its radiances share: camera scale, spectral correction
+    # Relative standard uncertainty that all its radiances share: camera scale, spectral correction
     common_u_rel: float = Field(ge=0)
     drift_u_rel: float = Field(0.0, ge=0)  # what the radiance changed by between measurements of the reference level
     settle_s: float = Field(0.0, ge=0)  # time in s after which a level had settled
@@ -86,7 +86,7 @@ class LightCalibration:
     channels: Mapping[str, ChannelCalibration]  # calibrated channels
     created: str = field(default_factory=utc_now)  # ISO 8601 time in UTC
     validity_days: float = 365.0  # days that it is valid for
-    # camera, calibration and assumptions behind it
+    # Camera, calibration and assumptions behind it
     provenance: Provenance = field(default_factory=lambda: Provenance("unknown"))
 
     def choose(self, channel: str, radiance_w_sr_m2: float) -> LevelChoice:

@@ -60,12 +60,12 @@ class Photographs:
     brackets: Mapping[str, Bracket]  # by channel ("red", "luminance", "mono", …)
     folder: Path  # where they came from
     listed: str | None = None  # name of the list that gives their exposures; None where EXIF does
-    # the part that all frames show, by channel; that of `brackets` where nothing was moved
+    # The part that all frames show, by channel; that of `brackets` where nothing was moved
     common: Mapping[str, Bracket] = field(default_factory=dict)
-    # where each frame shows nothing after moving, shape (height, width) each; empty where none was moved
+    # Where each frame shows nothing after moving, shape (height, width) each; empty where none was moved
     absent: tuple[NDArray[np.bool_], ...] = ()
     alignment: str | None = None  # how they lay, in a sentence; None where that was not asked
-    # response by channel; empty where the numbers are taken as proportional to light
+    # Response by channel; empty where the numbers are taken as proportional to light
     curves: Mapping[str, ResponseCurve] = field(default_factory=dict)
     notes: tuple[str, ...] = ()  # what a user should know, a sentence each
     assumed: Mapping[str, tuple[str, ...]] = field(default_factory=dict)  # what was assumed, by channel

@@ -36,7 +36,7 @@ class ShownWell:
     """The full well that the brightest pixels show."""
 
     declared_e: float  # as the camera's description states it, in electrons
-    # electrons at which pixels gather; where they gather nowhere below the converter's end, the most that many pixels
+    # Electrons at which pixels gather; where they gather nowhere below the converter's end, the most that many pixels
     # hold
     shown_e: float
     u_e: float  # standard uncertainty of that

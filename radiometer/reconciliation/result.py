@@ -35,7 +35,7 @@ class Limit:
     amplitude: float | None  # in the parameter's unit; None where the data cannot see the effect
     parameter: str  # name of the parameter
     unit: str  # its unit
-    # temperature of the sensor in °C at which it is stated; None where it holds at all
+    # Temperature of the sensor in °C at which it is stated; None where it holds at all
     temperature_c: float | None = None
 
     def parameter_mapping(self) -> dict[str, Any]:
@@ -61,7 +61,7 @@ class FittedParameter:
 class LawCurve:
     """By how much an effect does more or less than by its own equation, where the data follow another."""
 
-    # knots along each covariate, in its unit; of two the second runs faster in `factor`
+    # Knots along each covariate, in its unit; of two the second runs faster in `factor`
     along: Mapping[str, tuple[float, ...]]
     factor: tuple[float, ...]  # factor on the effect's own change at the knots, 1 for its own equation
     u: tuple[float | None, ...]  # its standard uncertainty; None where it was not fitted
@@ -103,15 +103,15 @@ class FoundEffect:
     block: str = ""  # statistic that shows it
     provisional: bool = False  # whether structure stays, so that the name may still change
     closest: tuple[str, float] | None = None  # for an unnamed one, the closest entry and the share that it explains
-    # for an unnamed one, where else structure stays: covariate and statistic
+    # For an unnamed one, where else structure stays: covariate and statistic
     elsewhere: tuple[tuple[str, str], ...] = ()
-    # for a named one that the data follow by another equation than the catalogue's: how large the rest is
+    # For a named one that the data follow by another equation than the catalogue's: how large the rest is
     other_law: Mapping[str, FittedParameter] | None = None
     curve: LawCurve | None = None  # that other law as a factor on the catalogue's, where it was fitted
-    # posterior probability that the effect is present; None where no models were compared
+    # Posterior probability that the effect is present; None where no models were compared
     probability: float | None = None
     probability_of_any: float | None = None  # posterior probability that it or one of its alternatives is present
-    # its parameters averaged over the models that hold it, the choice among them in each u
+    # Its parameters averaged over the models that hold it, the choice among them in each u
     averaged: Mapping[str, FittedParameter] = field(default_factory=dict)
 
     @property
@@ -195,7 +195,7 @@ class Series:
     temperature_c: float | None  # temperature of the sensor in °C; None where unknown
     apart: tuple[float, ...]  # each frame less the mean of the others: its median over the tiles
     u: tuple[float, ...]  # its standard uncertainty from the scatter of the tiles
-    # positions in the series of frames that are farther off than all other repeats scatter
+    # Positions in the series of frames that are farther off than all other repeats scatter
     standing_out: tuple[int, ...] = ()
 
     def to_mapping(self) -> dict[str, Any]:
@@ -268,7 +268,7 @@ class ReconcileResult:
     effects: tuple[FoundEffect, ...]  # what was found, in the order of finding
     gap_before: float  # held-out gap of the starting model
     gap_after: float  # held-out gap of the final model
-    # per catalogue entry the amplitude that would have shown at 5 sigma
+    # Per catalogue entry the amplitude that would have shown at 5 sigma
     limits: Mapping[str, Limit] = field(default_factory=dict)
     covariates: Mapping[str, CovariateGap] = field(default_factory=dict)  # gap along each covariate
     tests: tuple[int, int] = (0, 0)  # number of tests, and how many are significant in the end
@@ -280,16 +280,16 @@ class ReconcileResult:
     report: str | None = None  # name of the report written
     seconds: float = 0.0  # time that it took
     gap_unit: str = GAP_UNIT  # unit of the gaps
-    # where the starting model disagrees: each covariate once, each in addition to the places before it
+    # Where the starting model disagrees: each covariate once, each in addition to the places before it
     localisation: tuple[Place, ...] = ()
     calls: tuple[int, int] = (0, 0)  # tests of the starting model with p < 0.01, and tests in all
-    # chance that any of all tests is as significant without a disagreement, at the start and in the end
+    # Chance that any of all tests is as significant without a disagreement, at the start and in the end
     global_p: tuple[float, float] | None = None
     added: tuple[CatalogueEffect, ...] = ()  # the effects that the final model adds to the ideal chain
-    # where no rivals need to be separated: the capture that would show what these data cannot
+    # Where no rivals need to be separated: the capture that would show what these data cannot
     next_capture: Mapping[str, Any] | None = None
     repeats: tuple[Repeats, ...] = ()  # what frames of one setting differ by
-    # sets of names with their posterior probabilities, the most probable first
+    # Sets of names with their posterior probabilities, the most probable first
     models: tuple[tuple[tuple[str, ...], float], ...] = ()
     extra: Mapping[str, Any] = field(default_factory=dict)  # further entries of the JSON object
 

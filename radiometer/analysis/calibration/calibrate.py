@@ -243,7 +243,7 @@ class MeterReading:
     meter_k: float  # K in cd·m⁻²·s
     settings: MeterSettings  # exact settings of the photograph
     reference_dn: float  # digital number that the metered surface came out at
-    # relative standard uncertainty of K beyond the meter's ±1/6 stop; None where it was not determined
+    # Relative standard uncertainty of K beyond the meter's ±1/6 stop; None where it was not determined
     k_u_rel: float | None = None
 
 

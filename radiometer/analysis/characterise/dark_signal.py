@@ -34,7 +34,7 @@ class DarkSignal:
     mean_line: Line | None  # mean in DN over exposure in s; None where all darks have one exposure
     variance_line: Line | None  # temporal variance in DN² over exposure in s; None where all darks have one exposure
     mean_dn: Quantity  # mean at exposure 0 with standard uncertainty in DN
-    # temporal variance at exposure 0 in DN²; where rounding hides the noise, the most that it can be
+    # Temporal variance at exposure 0 in DN²; where rounding hides the noise, the most that it can be
     variance_dn2: Quantity
     temperature_c: float | None  # mean sensor temperature; None where unknown
     quantisation_limited: bool  # the variance is below 0.24 DN², where rounding hides the noise

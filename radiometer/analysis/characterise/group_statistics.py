@@ -119,7 +119,7 @@ class GroupStatistics:
     clipped_share: float  # share of pixels at full scale
     photons: float | None = None  # mean photons per pixel; None where unknown
     region: int = 0  # number of the region
-    # spatial variance by rows, columns and pixels; None where the pictures are not known
+    # Spatial variance by rows, columns and pixels; None where the pictures are not known
     split: SpatialSplit | None = None
     typical_dn: float | None = None  # mean without hot pixels in DN; None where the pictures are not known
     frame_variance_dn2: float = 0.0  # variance of the frames' means in DN²; 0 where there is one frame

@@ -31,9 +31,9 @@ class PhotonTransfer:
     K: Quantity  # overall system gain in DN/e-
     line: Line  # the weighted line through the points
     used: tuple[SignalStep, ...]  # steps that took part
-    # the dark noise is below 0.24 squared code steps, so that its variance before rounding is estimated
+    # The dark noise is below 0.24 squared code steps, so that its variance before rounding is estimated
     rounded: bool = False
-    # part of K's standard uncertainty that covers the local gains of a bent transfer; 0 where it is straight
+    # Part of K's standard uncertainty that covers the local gains of a bent transfer; 0 where it is straight
     bend_u: float = 0.0
     # (K at the lower end, K at the upper end) in DN/e-: variance over signal of the outer thirds of the steps
     local: tuple[float, float] = (0.0, 0.0)

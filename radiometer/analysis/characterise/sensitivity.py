@@ -28,7 +28,7 @@ class Saturation:
     u_linear_signal_dn: float  # its standard uncertainty, spacing included
     reached: bool  # false where the variance still rises at the last step, so that all is a lower bound
     limited_by: str  # "converter" where pixels are at full scale there or beyond, else "full well"
-    # mean on the plateau beyond, where all pixels are saturated, with standard uncertainty (the black level is still in
+    # Mean on the plateau beyond, where all pixels are saturated, with standard uncertainty (the black level is still in
     # it); None where the steps end before it
     plateau_dn: Quantity | None = None
 

@@ -68,12 +68,12 @@ class Laboratory(ConfigSection):
 
     format: Literal["radiometer-laboratory/1"]  # name and version of the form
     language: str = Field("en", pattern="^[a-z]{2}$")  # two small letters (ISO 639-1) of the texts
-    # where it was measured
+    # Where it was measured
     place: Literal["laboratory", "customer", "laboratoryBranch", "customerBranch", "other"] = "laboratory"
     laboratory: Party  # who measured
     customer: Party  # for whom
     responsible: Person  # who answers for it
-    # what was measured; of a calibration the camera, where the calibration states maker and serial number
+    # What was measured; of a calibration the camera, where the calibration states maker and serial number
     item: Item | None = None
 
     @classmethod
@@ -93,7 +93,7 @@ class Certified:
     item: Item  # what was measured
     equipment: tuple[tuple[str, str], ...]  # name and identification of each instrument and reference
     conditions: tuple[tuple[str, str], ...]  # name and text of each condition
-    # name, value with standard uncertainty, and coverage factor of each result
+    # Name, value with standard uncertainty, and coverage factor of each result
     results: tuple[tuple[str, Quantity, float], ...]
     budget: tuple[Contribution, ...]  # contributions to the uncertainty of the first result
     version: str  # version of the program

@@ -242,7 +242,7 @@ class MapPicture:
     """One grey or three colour maps of one scene in one unit."""
 
     maps: Mapping[str, RadianceMap]  # by channel: one of any name, or "red", "green" and "blue"
-    # lowest and highest value of the false colours; None takes those of the picture
+    # Lowest and highest value of the false colours; None takes those of the picture
     bounds: tuple[float, float] | None = None
 
     @property

@@ -158,7 +158,7 @@ class _Excused:
 
     pixels: NDArray[np.intp]  # their indices
     excess: NDArray[np.float64]  # their squared scatter over what noise and displacement together make
-    # relative change by a displacement at every pixel, flat; None where the frames are in one place
+    # Relative change by a displacement at every pixel, flat; None where the frames are in one place
     shift: NDArray[np.float32] | None
 
     @classmethod

@@ -38,7 +38,7 @@ class Strays:
     """Which frames to leave out where."""
 
     pixels: NDArray[np.intp]  # indices of the pixels concerned, ascending
-    # bits of the frames to leave out of each, those that show nothing there included, uint64
+    # Bits of the frames to leave out of each, those that show nothing there included, uint64
     left_out: NDArray[np.uint64]
     alone: NDArray[np.bool_]  # whether no two frames bear out the value that is left
 

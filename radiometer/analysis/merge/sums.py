@@ -328,7 +328,7 @@ class MergeSums:
     second: NDArray[np.float32]  # Σt·x, float32
     squares: NDArray[np.float32]  # Σx², float32
     mask: NDArray[np.uint8]  # whether a frame was clipped at white so far, as PixelMask bit, uint8
-    # bits of the frames used, uint16, a plane for every 16 frames
+    # Bits of the frames used, uint16, a plane for every 16 frames
     planes: list[NDArray[np.uint16]] = field(default_factory=list)
 
     @classmethod

@@ -245,7 +245,7 @@ class MergeTables:
 
     frames: Array  # as in `records.fill_record`
     kappa: float  # shot noise variance per unit of x
-    # rate that is the lower bound where all frames clip, the upper bound where all are black, and the relative
+    # Rate that is the lower bound where all frames clip, the upper bound where all are black, and the relative
     # difference between frames that is never called inconsistent
     bounds: Array
     gains: Array  # gain factor of every frame

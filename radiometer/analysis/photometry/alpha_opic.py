@@ -51,7 +51,7 @@ class AlphaOpic:
 
     receptor: str  # one of `RECEPTORS`
     quantity: Quantity  # α-opic radiance or irradiance in W·sr⁻¹·m⁻² or W·m⁻²
-    # luminance in cd·m⁻², or illuminance in lx, of daylight D65 that has the same quantity
+    # Luminance in cd·m⁻², or illuminance in lx, of daylight D65 that has the same quantity
     equivalent_daylight: Quantity
     efficacy_mw_lm: Quantity  # α-opic efficacy of luminous radiation in mW/lm
     daylight_ratio: Quantity  # α-opic daylight efficacy ratio, that efficacy over the one of D65

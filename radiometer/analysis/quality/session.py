@@ -32,7 +32,7 @@ _MIDDLE_SHARE: Final = 10  # the patch is a tenth of the picture where nobody sa
 class Evaluation:
     """What a session is read with."""
 
-    # the instrument's calibration: its corrections belong to the instrument; None reads raw ratios
+    # The instrument's calibration: its corrections belong to the instrument; None reads raw ratios
     calibration: Calibration | None = None
     patch: Patch | None = None  # where to read; None takes each capture's own patch, else the middle
     source_u_rel: float = SOURCE_U_REL  # relative standard uncertainty that the source's steadiness gives to each step

@@ -34,7 +34,7 @@ class StepSignal:
     value: float  # reading Y, unflagged ones only
     terms: tuple[Term, ...]  # contributions that are this step's own, in the unit of Y
     dark: float  # change of Y for one standard deviation of the dark level that all steps share
-    # change of Y for one standard deviation of what all real exposure times differ by from the stated ones
+    # Change of Y for one standard deviation of what all real exposure times differ by from the stated ones
     timing: float
     temperature_c: float | None  # mean temperature of the frames; None where a frame does not state it
     frames: int  # number of light frames used

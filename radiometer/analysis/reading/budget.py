@@ -83,7 +83,7 @@ class Term:
     degrees_of_freedom: float = math.inf  # of the estimate; infinite where taken as exactly known
     correlated: bool = False  # true where two readings made with one calibration share it
     note: str = ""  # where the figure comes from
-    # raised where the contribution dominates a reading; None for one that needs no separate word
+    # Raised where the contribution dominates a reading; None for one that needs no separate word
     flag: Flag | None = None
 
     def contribution(self, value: float) -> Contribution:

@@ -32,7 +32,7 @@ class RangePoint:
 
     dn: float  # its digital number in the reference photograph; may be a mean over the region
     exposure_s: float  # time t' in s of the photograph that shows it at the reference value
-    # digital number that it came out at there; None where that is the reference value itself
+    # Digital number that it came out at there; None where that is the reference value itself
     landed_dn: float | None = None
 
 

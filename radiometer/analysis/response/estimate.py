@@ -56,7 +56,7 @@ class ResponseEstimate:
     gauge: str = "g(M_mid) = 0; exposure ratios as given"  # what the data could not fix and how it was fixed
     notes: tuple[str, ...] = ()  # things a user must know, in plain sentences
     details: dict[str, Any] = field(default_factory=dict)  # further figures of the method
-    # agreement of parts of the picture and of the frames; None where there were too few
+    # Agreement of parts of the picture and of the frames; None where there were too few
     agreement: Agreement | None = None
 
     @classmethod

@@ -176,7 +176,7 @@ class ResponseFit:
     smoothing: float  # λ relative to tr(N)/tr(P)
     time_spread: float  # relative standard deviation of the exposure times that was assumed; 0 where taken as exact
     time_modes: Array  # amplitudes of the patterns in the exposure times; empty where exact
-    # ln of true over stated time that one unit of each amplitude makes in every frame, shape (frames, modes)
+    # Ln of true over stated time that one unit of each amplitude makes in every frame, shape (frames, modes)
     patterns: Array
     basis_size: int  # number of coefficients that belong to the curve
     reduced_chi2: float  # of the residuals

@@ -98,7 +98,7 @@ def without_shares(planes: Sequence[Plane], joint: JointFit) -> list[JointFit]:
 class LeftOut:
     """How well the digital numbers of each share are predicted by fits that have not seen it."""
 
-    # sum of the sizes of the errors of each share's rows by frame, over all planes, shape (shares, frames)
+    # Sum of the sizes of the errors of each share's rows by frame, over all planes, shape (shares, frames)
     error_dn: Array
     rows: Array  # how many rows these are, likewise
 

@@ -56,19 +56,19 @@ class ResponseSamples:
     frame_bracket: NDArray[np.intp]  # index of every frame's bracket, shape (frames,)
     pixel_count: int  # pixels of all brackets
     channel: str = "mono"  # colour channel
-    # variance of equally bright pixels at edges over that on even ground where those at edges were left out for it; 0
+    # Variance of equally bright pixels at edges over that on even ground where those at edges were left out for it; 0
     # where all pixels count
     edge_scatter: float = 0.0
-    # the same rows four times, each without the pixels of one quadrant of the picture; empty for samples that were
+    # The same rows four times, each without the pixels of one quadrant of the picture; empty for samples that were
     # themselves cut from others
     without_quadrant: tuple[ResponseSamples, ...] = ()
     quadrants: tuple[ResponseSamples, ...] = ()  # the rows of each quadrant's own pixels, likewise
-    # the same rows four times, each without every fourth cell of a grid over the picture, likewise
+    # The same rows four times, each without every fourth cell of a grid over the picture, likewise
     without_share: tuple[ResponseSamples, ...] = ()
     shares: tuple[ResponseSamples, ...] = ()  # the rows of these cells alone, likewise
-    # what every frame's exposure is called: stated time, speed and file; empty for cut samples
+    # What every frame's exposure is called: stated time, speed and file; empty for cut samples
     frame_labels: tuple[str, ...] = ()
-    # ln of every frame's gain factor, which its effective exposure holds, shape (frames,) or (1,)
+    # Ln of every frame's gain factor, which its effective exposure holds, shape (frames,) or (1,)
     frame_log_gain: NDArray[np.float64] = field(default_factory=lambda: np.zeros(1))
 
     @property

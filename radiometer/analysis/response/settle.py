@@ -107,7 +107,7 @@ class Choices:
     free: tuple[int, ...] = ()  # frames whose exposure is not taken from their label
     known: tuple[tuple[float, float], ...] = ()  # what other data say of these, as in `fit_response`
     noise: LogNoise | None = None  # noise of the stack; None to take it from the residuals
-    # standard deviation in s of a time that all exposures share beyond their labels, as in `fit_response`; 0 for none
+    # Standard deviation in s of a time that all exposures share beyond their labels, as in `fit_response`; 0 for none
     u_offset_s: float = 0.0
 
 

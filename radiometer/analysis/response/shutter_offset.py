@@ -56,7 +56,7 @@ class ShutterOffset:
     """The time by which all exposures of a bracket are longer than their labels."""
 
     seconds: float  # the time in s; negative for shorter exposures
-    # its standard uncertainty in s, from the fit, from shares of the picture and from exposures left out
+    # Its standard uncertainty in s, from the fit, from shares of the picture and from exposures left out
     u_seconds: float
     gain: float  # mean error of left-out exposures that it moves, over that with the labels as they are
 

@@ -69,7 +69,7 @@ class Comparison:
     seen: CaptureStatistics  # what was measured
     usable: Mapping[str, Mask]  # which entries of each block count
     deviation: Mapping[str, Array]  # standard uncertainty of each entry (of its logarithm for variances)
-    # of the statistics whose entries share errors: (captures, entries, entries) inverse Cholesky factor of the
+    # Of the statistics whose entries share errors: (captures, entries, entries) inverse Cholesky factor of the
     # covariance
     whiteners: Mapping[str, Array]
     cuts: Mapping[str, slice]  # rows of each block in the vector

@@ -90,7 +90,7 @@ class ModelFit:
     log_density: Array
     parameters: int  # number of fitted parameters, columns of curves included
     gap: float = np.nan  # reduced χ² of held-out settings; NaN where the nuisances followed linearly
-    # standard uncertainty of each fitted parameter by effect and name; empty where the gap is NaN
+    # Standard uncertainty of each fitted parameter by effect and name; empty where the gap is NaN
     u: dict[tuple[str, str], float] = field(default_factory=dict)
 
     @property
@@ -135,7 +135,7 @@ class FitState:
     # The terms' whitened columns while a fit moves the parameters: like all weights they come from the model before it.
     # None where they are to be worked out.
     held_terms: RowBlock | None = None
-    # the models fitted to these data so far; all states of one search share the list
+    # The models fitted to these data so far; all states of one search share the list
     models: ModelList = field(default_factory=ModelList)
 
     @property

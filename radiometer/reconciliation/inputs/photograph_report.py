@@ -36,17 +36,17 @@ class FrameFinding:
     stated_s: float  # exposure on its label in s
     taken_s: float  # exposure that it was taken to have in the end in s
     ratio: float  # exposure that the others say over that of the label
-    # its standard uncertainty, the curve that the others leave open included; infinite where too few pixels show the
+    # Its standard uncertainty, the curve that the others leave open included; infinite where too few pixels show the
     # frame
     u_ratio: float
-    # real exposure over that of label and offset, or its inverse, from which the label would be named; infinite where
+    # Real exposure over that of label and offset, or its inverse, from which the label would be named; infinite where
     # none
     named_from: float
     wrong: bool  # whether the label was found wrong
     dn: Array  # digital numbers of the frame, shape (rows,)
     error_dn: Array  # predicted from the others minus found, same shape; NaN where no other frame shows it
     error_as_printed_dn: Array  # the same with all labels as printed
-    # what the label and the shutter's offset make together, over the label; 1 where no offset was taken
+    # What the label and the shutter's offset make together, over the label; 1 where no offset was taken
     expected: float = 1.0
 
 

@@ -65,13 +65,13 @@ class Capture:
 class Design:
     """Plan of a capture set: settings per capture and the tiles, without any pixel."""
 
-    # what `capture.yaml` says, with a stand-in for exposures of 0 s and one temperature for readings in turn
+    # What `capture.yaml` says, with a stand-in for exposures of 0 s and one temperature for readings in turn
     header: CaptureHeader
     shape: tuple[int, int]  # (height, width) of the frames in pixels
     captures: tuple[Capture, ...]  # captures in the order taken
     tiles: tuple[Tile, ...]  # tiles of the picture
     uniform: bool  # whether the tiles are known patches (uniform by design) rather than cells of an unknown scene
-    # standard uncertainty of a temperature reading in K; 0 where readings do not come in steps
+    # Standard uncertainty of a temperature reading in K; 0 where readings do not come in steps
     reading_u_k: float = 0.0
     jumps: tuple[int, ...] = ()  # positions of frames at which a long series of equal ones jumps; captures begin there
 
@@ -484,7 +484,7 @@ class TileGroup:
     height: int  # height of each in pixels
     width: int  # width of each in pixels
     trend: Array  # orthonormal basis of the smooth shapes 1, u, v, u², uv, v² in a tile, shape (height × width, 6)
-    # length of u and v over the tile; a coefficient divided by it is the rise from centre to edge
+    # Length of u and v over the tile; a coefficient divided by it is the rise from centre to edge
     slope_norm: tuple[float, float]
     rows: NDArray[np.intp]  # sensor row of each tile row, shape (tiles, height)
     columns: NDArray[np.intp]  # sensor column of each tile column, shape (tiles, width)

@@ -231,7 +231,7 @@ class CaptureSums:
     frame_means: list[Array]  # per frame, (tiles,) mean of each tile's good pixels in DN
     total: list[Array]  # per group, sum of pixels minus their tile's mean, (tiles, height, width)
     square: list[Array]  # the same of squares
-    # per group, sum of products of each pixel's deviation with its left neighbour's in DN², as `total`
+    # Per group, sum of products of each pixel's deviation with its left neighbour's in DN², as `total`
     pair_x: list[Array]
     pair_y: list[Array]  # the same with its upper neighbour's
     row_sums: list[list[Array]]  # per group and frame, sums of deviations along each tile row

@@ -34,7 +34,7 @@ class Nuisance:
 
     off: Undeclared  # what the camera's description leaves out
     log_radiance: Array  # natural logarithm of each patch's radiance over the stated one, (patterns, tiles)
-    # rise of each tile's radiance from centre to edge, relative, (patterns, 2, tiles); unknown scenes only
+    # Rise of each tile's radiance from centre to edge, relative, (patterns, 2, tiles); unknown scenes only
     slope: Array
 
     @classmethod
@@ -268,7 +268,7 @@ class Walk:
     taken: float  # factor by which effects lower the responsivity
     links: tuple[Effect, ...]  # the links of the declared camera
     chain: tuple[Effect, ...]  # these and the effects, in the order of the light
-    # moments in front of each step that was reached; behind the last one too where all were taken
+    # Moments in front of each step that was reached; behind the last one too where all were taken
     passed: tuple[TileMoments, ...]
 
     def in_front(self, place: int) -> TileMoments:

@@ -27,9 +27,9 @@ class Darkness:
     black_dn: float  # standard deviation by which the black level wanders from frame to frame, in DN
     temperature_k: float  # standard uncertainty of a temperature reading, in K
     warmth: Array  # (captures, tiles) change of the means in DN per kelvin
-    # the same of ln of variances, by statistic: leaks that differ do so the more the warmer it is
+    # The same of ln of variances, by statistic: leaks that differ do so the more the warmer it is
     swelling: Mapping[str, Array] = field(default_factory=dict)
-    # standard deviation of half a wave down the rows by which it moves while a frame is read, in DN
+    # Standard deviation of half a wave down the rows by which it moves while a frame is read, in DN
     drift_dn: float = 0.0
 
 

@@ -35,7 +35,7 @@ class FixedError:
     """One source of error whose z are the same in all captures: y = f(θ) + B·z, fitted with its variance as prior."""
 
     name: str  # what it is
-    # gives what a unit of each z does, by statistic, for a prediction
+    # Gives what a unit of each z does, by statistic, for a prediction
     parts: Callable[[Prediction], Mapping[str, Part]]
     sigma: Array  # (n,) standard deviation of each z
 

@@ -48,7 +48,7 @@ class SharedError:
     name: str  # what it is
     parts: Mapping[str, Part]  # what it does, by statistic
     variance: Array  # (captures,) variance of each z, or (captures, n)
-    # whether the statistic's own standard uncertainty holds it already, so that it correlates entries only
+    # Whether the statistic's own standard uncertainty holds it already, so that it correlates entries only
     within: bool = False
 
     def covariance(self, name: str) -> Array:

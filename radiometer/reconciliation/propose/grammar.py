@@ -174,7 +174,7 @@ class Form:
 
     name: str  # its name
     code: str  # a line of NumPy with the covariate as `{u}` and parameters as `{their role}`
-    # parameters without the amplitude: role and whether they have the covariate's unit
+    # Parameters without the amplitude: role and whether they have the covariate's unit
     roles: tuple[tuple[str, bool], ...]
     words: str  # its words, with `{covariate}`
     fixed: tuple[str, ...] = ()  # roles that the fit leaves where they are, for the prediction jumps in them

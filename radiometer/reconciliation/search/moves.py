@@ -202,7 +202,7 @@ class LooserForms:
 
     state: FitState  # the model
     needed: float  # nats that a form must bring
-    # nats that the likeliest would bring if they acted linearly, the places of their effects, the forms
+    # Nats that the likeliest would bring if they acted linearly, the places of their effects, the forms
     promising: list[tuple[float, int, CatalogueEffect]]
 
     @classmethod

@@ -21,10 +21,10 @@ class Step:
     gap_before: float  # reduced χ² of held-out settings before
     gap_after: float  # the same after
     rivals: tuple[CatalogueEffect, ...] = ()  # effects within 5 nats
-    # for an unnamed term, the closest entry and the share of it that it explains
+    # For an unnamed term, the closest entry and the share of it that it explains
     closest: tuple[str, float] | None = None
     block: str = ""  # for an unnamed term, the statistic that shows it
-    # whether a plain trend of fewer parameters along the same covariate, or another entry, predicts better than the
+    # Whether a plain trend of fewer parameters along the same covariate, or another entry, predicts better than the
     # effect
     outperformed: bool = False
 
@@ -48,7 +48,7 @@ class Reconciled:
 
     result: ReconcileResult  # the result
     outcome: Search  # the search behind it
-    # fits the starting camera to the frames as they were taken, where the search had them with light that comes back
+    # Fits the starting camera to the frames as they were taken, where the search had them with light that comes back
     # every so many of them taken out
     taken: Callable[[], FitState] | None = None
 
