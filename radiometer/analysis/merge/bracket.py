@@ -23,7 +23,7 @@ from radiometer.analysis.merge.displaced import (
 from radiometer.analysis.merge.finish import finish
 from radiometer.analysis.merge.frames import FrameTerms, frame_terms
 from radiometer.analysis.merge.sums import (
-    FRAMES_PER_PLANE,
+    MANY,
     Images,
     MergeSample,
     MergeSums,
@@ -210,7 +210,7 @@ class StreamingMerge:
             self._dark.append(frame)
             return
         self._pending.append(self._sample(frame))
-        if len(self._pending) >= self._batch_size(frame) or len(self._terms) % FRAMES_PER_PLANE == 0:
+        if len(self._pending) >= self._batch_size(frame) or len(self._terms) % MANY == 0:
             self._take_in()
 
     def result(self) -> RadianceMap:
@@ -387,7 +387,7 @@ class StreamingMerge:
 
     def _batch_size(self, frame: Frame) -> int:
         """Return how many frames leave sums and batch under three planes of 32 bits beyond the result, at least 1."""
-        planes = (len(self._terms) - 1) // FRAMES_PER_PLANE + 1
+        planes = (len(self._terms) - 1) // MANY + 1
         room = 3 * 4 - 4 - 2 * planes  # bytes per pixel, less Σx² and the bits of the frames used
         return max(1, (room - 1) // frame.dn.itemsize)
 

@@ -246,18 +246,18 @@ def with_shift(
         per_unit: Radiance per rate, of every pixel or of all (size 1).
         mean: What the weights of the frames leave of it.
     """
-    _add_shift(radiance, u_radiance, shift, per_unit, mean.lowest, mean.factors, _PER_FOLD)
+    _add_shift(radiance, u_radiance, shift, per_unit, mean.lowest, mean.factors)
 
 
 @compiled
 def _add_shift(
-    radiance: Any, u_radiance: Any, shift: Any, per_unit: Any, lowest: float, factors: Any, per_fold: float
+    radiance: Any, u_radiance: Any, shift: Any, per_unit: Any, lowest: float, factors: Any
 ) -> None:  # pragma: no cover (compiled)
     step = 1 if per_unit.size > 1 else 0
     for i in range(radiance.size):
         if shift[i] <= 0.0 or radiance[i] <= 0.0:
             continue
-        place = (np.log(radiance[i] / per_unit[i * step]) - lowest) * per_fold
+        place = (np.log(radiance[i] / per_unit[i * step]) - lowest) * _PER_FOLD
         level = min(max(int(place + 0.5), 0), factors.size - 1)
         added = shift[i] * factors[level] * radiance[i]
         u_radiance[i] = np.sqrt(u_radiance[i] ** 2 + added * added)

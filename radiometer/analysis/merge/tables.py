@@ -182,15 +182,13 @@ def moments(
 
 
 @compiled
-def mixture(
-    rate_a: float, rate_b: float, var_a: float, both: float, var_b: float
-) -> tuple[float, float, float]:  # pragma: no cover (compiled)
-    """Return (rate, share of the first, variance) of the mixture of two estimates with the least variance."""
+def mixture(var_a: float, both: float, var_b: float) -> tuple[float, float]:  # pragma: no cover (compiled)
+    """Return (share of the first, variance) of the mixture of two estimates with the least variance."""
     between = var_a + var_b - 2.0 * both
     if between <= 1e-9 * var_a:
-        return rate_a, 1.0, var_a
+        return 1.0, var_a
     share = (var_b - both) / between
-    return rate_b + share * (rate_a - rate_b), share, var_a - (var_a - both) ** 2 / between
+    return share, var_a - (var_a - both) ** 2 / between
 
 
 @compiled
@@ -235,7 +233,7 @@ def at_rate(
     """Return (share of the first estimate, variance of the mixture, Σv, Σv²) at a rate; arguments as `fill_levels`."""
     total, squares, var_a, both, var_b = moments(max(rate, 0.0), pattern, frames, gains, kappa, quantisation, top)
     inv1, inv2 = record[INV1], record[INV2]
-    _, share, variance = mixture(0.0, 0.0, var_a * inv1**2, both * inv1 * inv2, var_b * inv2**2)
+    share, variance = mixture(var_a * inv1**2, both * inv1 * inv2, var_b * inv2**2)
     return share, variance, total, squares
 
 
