@@ -147,8 +147,7 @@ class FoundEffects(FileSection):
 
 
 class StatedUncertainties(FileSection):
-    """Standard uncertainties that the user states or the program assumes, each with its default and where that is from.
-    """
+    """Standard uncertainties that the user states or the program assumes, each with its default and its origin."""
 
     # Of exposure times, relative. Default: crystal oscillators with all their tolerances, 100 ppm.
     exposure_u_rel: float = Field(1e-4, ge=0)

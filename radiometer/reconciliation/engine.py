@@ -5,15 +5,19 @@ Frames are read a second time where what they show changes how they are to be re
 
 from __future__ import annotations
 
+import itertools
 import time
 import traceback
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any, Final, TypeVar
+
 import numpy as np
 import structlog
+
 from radiometer.data import CaptureHeader, Frame
 from radiometer.data.white_level import white_level_notes
 from radiometer.errors import CaptureError
@@ -27,8 +31,11 @@ from radiometer.reconciliation.fit.descent import first_state
 from radiometer.reconciliation.fit.nuisances import dark_current_is_free
 from radiometer.reconciliation.fit.state import FitState
 from radiometer.reconciliation.full_well import ShownWell, levels_of_brightest, shown_well
-from radiometer.reconciliation.measure.reduce import FrameReader, frame_reader
-from radiometer.reconciliation.noise.darkness import drift_of_black, wander_of_black
+from radiometer.reconciliation.measure.design import Design
+from radiometer.reconciliation.measure.reduce import FrameReader, PatternImages, Progress, frame_reader, reduce_frames
+from radiometer.reconciliation.measure.scenes import scenes_of
+from radiometer.reconciliation.measure.seen import CaptureStatistics
+from radiometer.reconciliation.noise.darkness import black_by_noise, drift_of_black, wander_of_black
 from radiometer.reconciliation.noise.repeatability import repeats_of
 from radiometer.reconciliation.posterior import UNNAMED, Posterior, posterior_of
 from radiometer.reconciliation.propose.beyond import held_to_laws
@@ -59,22 +66,13 @@ from radiometer.reconciliation.verdict import (
     verdict_of,
     with_other_functional_form,
 )
+from radiometer.statistics.scale import robust_sigma
+from radiometer.typing import Array
 from simulators.chain.camera_model import CameraModel
 from simulators.chain.ideal_chain import beside_ideal
 from simulators.effects.catalogue import CatalogueEffect
 from simulators.effects.free_law import FreeLaw
 from simulators.effects.registry import all_effects
-import itertools
-from collections import Counter
-from collections.abc import Callable, Iterator, Mapping
-from typing import Final
-from radiometer.reconciliation.measure.design import Design
-from radiometer.reconciliation.measure.reduce import FrameReader, PatternImages, Progress, reduce_frames
-from radiometer.reconciliation.measure.scenes import scenes_of
-from radiometer.reconciliation.measure.seen import CaptureStatistics
-from radiometer.reconciliation.noise.darkness import black_by_noise
-from radiometer.statistics.scale import robust_sigma
-from radiometer.typing import Array
 
 _STANDS_OUT: Final = 8.0  # times what neighbouring frames differ by otherwise
 _STAYS: Final = 4.0  # the same of the frames behind the jump: a lone frame that differs is no jump
@@ -130,7 +128,7 @@ def evidence_for(
     Args:
         shape: Height and width of the frames.
         read: Gives the frame at a position of the header.
-        progress: Called with the number of frames done.
+        progress: Called with frames done and frames in all.
 
     Raises:
         CaptureError: If a scene is shown by one frame alone, which cannot be compared with any other.
@@ -189,7 +187,6 @@ _CALL: Final = 0.01
 _CLEAR: Final = 1e-3  # share of samples that may clip in a tile whose light is compared from frame to frame
 
 Say = Callable[[str], None]
-Progress = Callable[[int, int], None]
 
 
 def whole_catalogue() -> dict[str, type[CatalogueEffect]]:
@@ -236,27 +233,16 @@ def reconcile(
     ).result
 
 
-def gap_of(found: ReconcileResult | CameraModel | None, header: CaptureHeader, frames: Iterable[Frame]) -> float:
-    """Return the reduced χ² of held-out settings of a capture set under a model that is not changed.
-
-    Only the nuisances (responsivity, patch radiances) are fitted.
-
-    Args:
-        found: A result whose effects are taken, a camera model, or None for the ideal camera of the header.
-        header: What `capture.yaml` of the (fresh) capture set says.
-        frames: Its frames.
-    """
-    return gaps_of((found,), header, frames)[0]
-
-
 @on_one_blas_thread
 def gaps_of(
     found: Sequence[ReconcileResult | CameraModel | None], header: CaptureHeader, frames: Iterable[Frame]
 ) -> tuple[float, ...]:
-    """Return the same of several models; the frames are read once.
+    """Return the reduced χ² of held-out settings of a capture set under models that are not changed.
+
+    Only the nuisances (responsivity, patch radiances) are fitted; the frames are read once.
 
     Args:
-        found: Results, camera models, or None for the ideal camera of the header.
+        found: Results whose effects are taken, camera models, or None for the ideal camera of the header.
         header: What `capture.yaml` of the (fresh) capture set says.
         frames: Its frames.
     """
@@ -287,8 +273,6 @@ def reconcile_capture(
     model: CameraModel | None = None,
     *,
     catalogue: Mapping[str, type[CatalogueEffect]] | None = None,
-    progress: Progress | None = None,
-    say: Say = lambda line: None,
 ) -> Reconciled:
     """Return the same for a capture set on disk; one frame is in memory at a time.
 
@@ -296,15 +280,13 @@ def reconcile_capture(
         path: A capture set's folder, or files that `radiometer.importing` reads as one (FITS, raw TIFF, EMVA 1288).
         model: The camera as it is believed to be.
         catalogue: Effects to try.
-        progress: Called with frames done and frames in all.
-        say: Told what happens.
 
     Raises:
         CaptureError: If the capture set is unfinished or inconsistent.
     """
     captured = open_capture(path)
     shape = captured.read_frame(0).shape
-    return examine(captured.header, captured.read_frame, shape, model, catalogue=catalogue, progress=progress, say=say)
+    return examine(captured.header, captured.read_frame, shape, model, catalogue=catalogue)
 
 
 @on_one_blas_thread
@@ -330,9 +312,8 @@ def plan_of(
     """
     captured = open_capture(path)
     header, given = _adopted(captured.header, model)
-    shape, total = captured.read_frame(0).shape, len(header.frames)
-    reading = (lambda done: progress(done, total)) if progress else None
-    design, _, read = evidence_for(header, shape, captured.read_frame, reading)
+    shape = captured.read_frame(0).shape
+    design, _, read = evidence_for(header, shape, captured.read_frame, progress)
     start = first_state(design, *read, given)
     return separability(start, whole_catalogue() if catalogue is None else catalogue)
 
@@ -357,8 +338,7 @@ def examine(
     begun = time.monotonic()
     header, given = _adopted(header, model)
     total = len(header.frames)
-    reading = (lambda done: progress(done, total)) if progress else None
-    design, light, (seen, images) = evidence_for(header, shape, read, reading)
+    design, light, (seen, images) = evidence_for(header, shape, read, progress)
     entries = whole_catalogue() if catalogue is None else catalogue
     clear = (seen.high < _CLEAR) & (seen.low < _CLEAR)
     known = any(kind.where == "frame" for kind in entries.values())  # an effect from outside, which may be just that

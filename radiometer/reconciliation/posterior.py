@@ -18,8 +18,7 @@ from typing import Final
 import numpy as np
 
 from radiometer.reconciliation.fit.covariance import scatter_of
-from radiometer.reconciliation.fit.state import ModelFit
-from radiometer.reconciliation.fit.state import FitState
+from radiometer.reconciliation.fit.state import FitState, ModelFit
 from radiometer.reconciliation.result import FittedParameter
 from radiometer.reconciliation.thresholds import NAMED_NATS, PARAMETER_NATS
 from radiometer.typing import Array

@@ -12,7 +12,9 @@ from dataclasses import dataclass
 from enum import Enum
 from functools import cached_property
 from typing import Final
+
 import numpy as np
+
 from radiometer.reconciliation.chances import log_variance
 from radiometer.reconciliation.measure.design import Design, slope_lengths
 from radiometer.reconciliation.measure.row_bands import RowBins
@@ -21,6 +23,7 @@ from radiometer.typing import Array, Mask
 from simulators.effects.context import Signal
 from simulators.effects.rounding import excess_kurtosis, rounding_amplitude
 from simulators.effects.tile_moments import Moments
+
 
 @dataclass(frozen=True, eq=False)
 class Prediction:

@@ -24,10 +24,9 @@ from radiometer.reconciliation.advice.sizes import SHOWN, Asked, mildest
 from radiometer.reconciliation.fit.candidate_fit import Candidate, fit_candidate
 from radiometer.reconciliation.fit.comparison import Comparison
 from radiometer.reconciliation.fit.descent import refit
-from radiometer.reconciliation.fit.state import ModelFit, ModelList
-from radiometer.reconciliation.fit.state import FitState, with_effects
-from radiometer.reconciliation.statistics import Prediction
+from radiometer.reconciliation.fit.state import FitState, ModelFit, ModelList, with_effects
 from radiometer.reconciliation.search.screening import AT_ONCE, changes_where_possible, directions_of_each
+from radiometer.reconciliation.statistics import Prediction
 from radiometer.reconciliation.thresholds import PARAMETER_NATS, RIVAL_NATS
 from radiometer.typing import Array
 from simulators.effects.catalogue import CatalogueEffect
@@ -251,8 +250,7 @@ class ConfusablePair:
         return _refitted_cost(self._exact, self.target.effect)
 
     def fitted(self, name: str) -> tuple[CatalogueEffect, float] | None:
-        """Return an entry that fits the noiseless data, and the χ² that it leaves; None where captures separate them.
-        """
+        """Return an entry that fits the noiseless data, and the χ² that it leaves; None where they are separable."""
         context, gains = self._exact.model.context, list[float]()
         for near in self.directions.near(self.target, name)[:_FITTED]:  # a limit that hardly acts shows no way on
             start = Candidate(near, self.directions.shown(self.target), max(len(near.free()), 1))

@@ -2,24 +2,23 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Final
+
 import numpy as np
-from radiometer.reconciliation.fit.comparison import FAMILY
-from radiometer.reconciliation.fit.held_out import leave_one_group_out
-from radiometer.reconciliation.fit.linear import descended
-from radiometer.reconciliation.fit.state import ModelFit
-from radiometer.reconciliation.fit.state import FitState
-from radiometer.typing import Array
-from simulators.effects.catalogue import CatalogueEffect
-import contextlib
-from dataclasses import replace
+
 from radiometer.errors import ConfigurationError
+from radiometer.reconciliation.fit.comparison import FAMILY
 from radiometer.reconciliation.fit.covariance import is_far
 from radiometer.reconciliation.fit.descent import coarse_fit, converged_fit
-from radiometer.reconciliation.fit.state import FitState, with_effects
+from radiometer.reconciliation.fit.held_out import leave_one_group_out
+from radiometer.reconciliation.fit.linear import descended
+from radiometer.reconciliation.fit.state import FitState, ModelFit, with_effects
 from radiometer.reconciliation.thresholds import HUGE_NATS, NEAR_SHARE
+from radiometer.typing import Array
+from simulators.effects.catalogue import CatalogueEffect
 
 _CONVERGED: Final = 0.02
 _DAMPING, _LESS, _MORE, _DAMPINGS = 1e-3, 0.3, 10.0, 5

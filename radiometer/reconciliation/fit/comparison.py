@@ -39,10 +39,10 @@ from radiometer.reconciliation.noise.shared_errors import (
     whiteners,
     with_heavy_rows,
 )
-from radiometer.reconciliation.statistics import Prediction
 from radiometer.reconciliation.statistics import (
     STATISTICS,
     Given,
+    Prediction,
     Scale,
     Scatter,
     family_of,

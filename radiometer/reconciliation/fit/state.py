@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Final
+
 import numpy as np
+
 from radiometer.reconciliation.fit.comparison import Comparison, compare
 from radiometer.reconciliation.fit.held_out import Groups, HeldOut, leave_one_group_out
 from radiometer.reconciliation.fit.linear import LinearFit, RowBlock
@@ -15,7 +17,7 @@ from radiometer.reconciliation.measure.design import Design
 from radiometer.reconciliation.measure.seen import CaptureStatistics
 from radiometer.reconciliation.model.parameters import EffectParameters
 from radiometer.reconciliation.model.tile_model import Nuisance, TileModel, Trace, predict_several
-from radiometer.reconciliation.noise.fixed_patterns import error_of_borders, fixed_errors
+from radiometer.reconciliation.noise.fixed_patterns import FixedError, error_of_borders, fixed_errors
 from radiometer.reconciliation.noise.repeatability import capture_scale, estimate_tau
 from radiometer.reconciliation.noise.shared_errors import (
     Repeatability,
@@ -25,12 +27,9 @@ from radiometer.reconciliation.noise.shared_errors import (
     relative_bands,
     relative_flicker,
 )
-from radiometer.reconciliation.statistics import Prediction
-from radiometer.reconciliation.statistics import usable_entries
+from radiometer.reconciliation.statistics import Prediction, usable_entries
 from radiometer.typing import Array
 from simulators.effects.catalogue import CatalogueEffect
-from collections.abc import Callable
-from radiometer.reconciliation.noise.fixed_patterns import FixedError
 
 ColumnBuilder = Callable[[Comparison, Prediction, Array], Array]
 

@@ -12,12 +12,18 @@ import math
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from itertools import product
 from typing import Any, Final
+
 import numpy as np
+from numpy.typing import NDArray
+
 from radiometer.errors import MeasurementError
 from radiometer.importing.log_table import LogTable
 from radiometer.reconciliation.chances import chi2_beyond
+from radiometer.reconciliation.fit.held_out import Groups, HeldOut, leave_one_group_out
+from radiometer.reconciliation.fit.linear import LinearFit, RowBlock
 from radiometer.reconciliation.logs.log_model import (
     MEASURED_TOO,
     SIGNAL,
@@ -43,12 +49,6 @@ from radiometer.reconciliation.thresholds import (
     SMOOTH_SHARE,
 )
 from radiometer.typing import Array
-from functools import cached_property
-from typing import Final
-from numpy.typing import NDArray
-from radiometer.reconciliation.fit.held_out import Groups, HeldOut, leave_one_group_out
-from radiometer.reconciliation.fit.linear import LinearFit, RowBlock
-from radiometer.reconciliation.logs.log_model import MEASURED_TOO, LogTerm, jacobian, predicted_log, trend
 
 _ITERATIONS: Final = 12
 _FARTHEST: Final = 100.0  # scales of a parameter (1 % of the light each) by which one iteration may move it

@@ -5,17 +5,18 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Final
+from typing import Any, Final
+
 import numpy as np
 from numpy.typing import NDArray
+
+from radiometer.compiled import compiled
 from radiometer.data import Frame
 from radiometer.reconciliation.measure.design import PatchSides, TileGroup
 from radiometer.reconciliation.measure.row_bands import RowBins, row_light
 from radiometer.reconciliation.measure.seen import COMB_PERIODS
 from radiometer.statistics.scale import MAD_TO_SIGMA, TWENTIETH_TO_SIGMA
 from radiometer.typing import Array, Mask
-from typing import Any
-from radiometer.compiled import compiled
 
 Corners = NDArray[np.intp]
 

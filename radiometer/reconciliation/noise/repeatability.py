@@ -6,23 +6,23 @@ of all frames of all series shows whether one of them is an outlier.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from typing import Final
+
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import brentq
+from scipy.special import stdtr
+
 from radiometer.reconciliation.chances import chi2_beyond, chi2_quantile
 from radiometer.reconciliation.measure.design import Design
-from radiometer.statistics.least_squares import solve
-from radiometer.statistics.model_choice import CLEARLY_BETTER, is_supported
-from radiometer.statistics.scale import robust_sigma
-from radiometer.typing import Array
-from collections.abc import Callable, Sequence
-from dataclasses import replace
-from scipy.special import stdtr
 from radiometer.reconciliation.result import FittedParameter, Repeats, Series
 from radiometer.reconciliation.thresholds import FRAME_SIGNIFICANCE
-from radiometer.statistics.scale import MAD_TO_SIGMA, MEDIAN_U
+from radiometer.statistics.least_squares import solve
+from radiometer.statistics.model_choice import CLEARLY_BETTER, is_supported
+from radiometer.statistics.scale import MAD_TO_SIGMA, MEDIAN_U, robust_sigma
+from radiometer.typing import Array
 
 _ASSUMED_TAU: Final = 1e-3  # where neither repeats nor capture.yaml tell
 _ASSUMED_RANGE: Final = (0.3, 3.0)

@@ -23,8 +23,7 @@ from radiometer.reconciliation.measure.row_bands import RowBins, TileBands
 from radiometer.reconciliation.measure.seen import CaptureStatistics
 from radiometer.reconciliation.model.tile_model import TileModel, Trace
 from radiometer.reconciliation.noise.darkness import Darkness, drift_of_black, wander_of_black
-from radiometer.reconciliation.statistics import Prediction
-from radiometer.reconciliation.statistics import STATISTICS, Scale
+from radiometer.reconciliation.statistics import STATISTICS, Prediction, Scale
 from radiometer.typing import Array, Mask
 
 

@@ -18,15 +18,15 @@ from dataclasses import replace
 import numpy as np
 
 from radiometer.errors import ConfigurationError
-from radiometer.reconciliation.fit.covariance import scatter_of
 from radiometer.reconciliation.fit.candidate_fit import UnfitError, included
+from radiometer.reconciliation.fit.covariance import scatter_of
 from radiometer.reconciliation.fit.state import FitState
 from radiometer.reconciliation.posterior import posterior_of
 from radiometer.reconciliation.propose.grammar import PLACES
 from radiometer.reconciliation.propose.proposal import Proposal
 from radiometer.reconciliation.propose.search import propose_law
-from radiometer.reconciliation.search.moves import in_a_looser_form, nowhere_near
 from radiometer.reconciliation.search.localise import localise, significant
+from radiometer.reconciliation.search.moves import in_a_looser_form, nowhere_near
 from radiometer.reconciliation.search.outcome import Search, Step
 from radiometer.reconciliation.search.score import worth
 from radiometer.reconciliation.thresholds import NAMED_NATS, RIVAL_NATS, SMOOTH_SHARE
@@ -58,9 +58,9 @@ def held_to_laws(
     law = propose_law(outcome.start, along=along, most=nowhere_near(outcome.start, outcome.state))
     if law is None:
         return outcome
-    if not predicts_better(outcome, law):
+    if lead_nats(outcome, law) <= NAMED_NATS:
         bent = [effect.name for effect in effects if is_bent(effect, outcome)]
-        if not bent or not predicts_as_well(outcome, law):
+        if not bent or lead_nats(outcome, law) <= -RIVAL_NATS:
             return outcome
         remark = (
             f"{' and '.join(bent)} does not follow its catalogue equation, "
@@ -103,26 +103,13 @@ def own_covariates(effect: CatalogueEffect) -> tuple[str, ...]:
     return tuple(dict.fromkeys(found))
 
 
-def predicts_better(outcome: Search, law: Proposal) -> bool:
-    """Return whether the odds are those of a name, each parameter paid for, that it is the law and not what was found.
+def lead_nats(outcome: Search, law: Proposal) -> float:
+    """Return by how many nats a law predicts better than what was found, each parameter paid for.
 
-    Args:
-        outcome: What the search came to.
-        law: The law proposed for the same data, from the same start.
+    An entry by its own equation is known beforehand, a law is not: it must lead by the odds of a name. An entry that
+    had to be bent has that no more; a rival is as good.
     """
-    return worth(law.after) > worth(outcome.state) + NAMED_NATS * scatter_of(outcome.state)
-
-
-def predicts_as_well(outcome: Search, law: Proposal) -> bool:
-    """Return whether a law is a rival of what was found, each parameter paid for.
-
-    An entry by its own equation is known beforehand, a law is not; one that had to be bent has that no more.
-
-    Args:
-        outcome: What the search came to.
-        law: The law proposed for the same data, from the same start.
-    """
-    return worth(law.after) > worth(outcome.state) - RIVAL_NATS * scatter_of(outcome.state)
+    return (worth(law.after) - worth(outcome.state)) / scatter_of(outcome.state)
 
 
 def brings_most(outcome: Search, law: Proposal) -> bool:

@@ -4,22 +4,22 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, Final
-import numpy as np
-from radiometer.reconciliation.fit.state import FitState
-from radiometer.reconciliation.propose.effect_file import effect_source
-from radiometer.reconciliation.propose.grammar import COVARIATES, FORMS
-from radiometer.reconciliation.propose.law import Law
-from radiometer.reconciliation.result import FittedParameter
-from simulators.chain.law_stages import LINKS
 from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
 from radiometer.data import CameraDescription, FrameSettings
 from radiometer.data.storage import write_text_atomic, write_yaml_atomic
 from radiometer.errors import OutputError
 from radiometer.reconciliation.advice.next_capture import FORMAT as PLAN_FORMAT
 from radiometer.reconciliation.advice.next_capture import FRAMES, CapturePool
-from radiometer.reconciliation.propose.effect_file import SETTINGS, source_of_test
-from radiometer.reconciliation.propose.law import acted, round_to
+from radiometer.reconciliation.fit.state import FitState
+from radiometer.reconciliation.propose.effect_file import SETTINGS, effect_source, source_of_test
+from radiometer.reconciliation.propose.grammar import COVARIATES, FORMS
+from radiometer.reconciliation.propose.law import Law, acted, round_to
+from radiometer.reconciliation.result import FittedParameter
+from simulators.chain.law_stages import LINKS
 from simulators.effects.context import ExposureContext, FrameGeometry
 
 _ENDS: Final = ("left", "middle", "right"), ("upper", "middle", "lower")

@@ -10,37 +10,42 @@ them in place would seem to disagree with them as soon as a radiance adapts to i
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
-from dataclasses import replace
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
 from itertools import islice
-from typing import Final
+from typing import Any, Final
+
 import numpy as np
+from scipy.special import ndtr
+
 from radiometer.errors import ConfigurationError, MeasurementError
 from radiometer.one_thread import on_one_blas_thread
-from radiometer.reconciliation.fit.candidate_fit import Candidate, FittedCandidate, fit_candidate, judged_gain
+from radiometer.reconciliation.fit.candidate_fit import (
+    Candidate,
+    FittedCandidate,
+    FullFits,
+    UnfitError,
+    contenders_of,
+    fit_candidate,
+    included,
+    judged_gain,
+)
 from radiometer.reconciliation.fit.covariance import fitted_parameters, is_far
-from radiometer.reconciliation.fit.candidate_fit import FullFits, UnfitError, contenders_of, included
+from radiometer.reconciliation.fit.linear import LinearFit
 from radiometer.reconciliation.fit.state import FitState
-from radiometer.reconciliation.propose.grammar import PLACES, finer, terms_of
+from radiometer.reconciliation.model.tile_context import from_grid, rise_of
+from radiometer.reconciliation.propose.grammar import FORMS, PER_FRAME, PLACES, Term, finer, terms_of
 from radiometer.reconciliation.propose.law import Law, effect_of, round_to
 from radiometer.reconciliation.propose.proposal import Proposal, Rival
 from radiometer.reconciliation.search.moves import free_forms
 from radiometer.reconciliation.search.score import worth
 from radiometer.reconciliation.search.screening import best_start
+from radiometer.reconciliation.statistics import STATISTICS
 from radiometer.reconciliation.thresholds import NAMED_NATS, PARAMETER_NATS, RIVAL_NATS
+from radiometer.typing import Array
 from simulators.chain.law_stages import LINKS
 from simulators.effects.catalogue import CatalogueEffect
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
-from functools import cached_property
-from typing import Any, Final
-from scipy.special import ndtr
-from radiometer.reconciliation.fit.linear import LinearFit
-from radiometer.reconciliation.model.tile_context import from_grid, rise_of
-from radiometer.reconciliation.propose.grammar import FORMS, PER_FRAME, PLACES, Term
-from radiometer.reconciliation.statistics import STATISTICS
-from radiometer.reconciliation.thresholds import PARAMETER_NATS
-from radiometer.typing import Array
 from simulators.effects.surroundings import column_light, picture_mean
 
 _AT_ONCE: Final = 64  # laws that are projected together
@@ -295,25 +300,19 @@ _PLACES: Final = 60  # where a law of a sharp place starts: the means alone hard
 _REFINED: Final = (("step", "border"), ("step",))  # in two turns: a border is found to half a pixel in the first
 _FINER: Final = 6  # laws of a sharp place that are refined
 
-Say = Callable[[str], None]
-
 
 @on_one_blas_thread
-def propose_law(
-    state: FitState, say: Say = lambda line: None, along: Collection[str] = (), most: float = np.inf
-) -> Proposal | None:
+def propose_law(state: FitState, along: Collection[str] = (), most: float = np.inf) -> Proposal | None:
     """Return the law that explains best what a starting camera lacks; None where none is beyond chance.
 
     Args:
         state: The starting camera fitted, without any effect that was named.
-        say: Told what happens, line by line.
         along: Covariates to which laws are confined, of one term then; by default all, and products of two terms.
         most: χ² under the weights of the starting camera that a law may leave at best.
     """
     singles = screened(state, (law for law in _singles(state) if not along or set(law.covariates) <= set(along)))
     for forms in _REFINED:
         singles += screened(state, _finer(state, singles, forms))
-    say(f"{len(singles)} laws of one term looked at")
     plain = {_formula(entry.law): entry.score for entry in sorted(singles, key=lambda entry: entry.score)}
     products = [
         entry
@@ -321,7 +320,7 @@ def propose_law(
         if entry.score > plain.get(_formula(entry.law)[:1], 0.0) + NAMED_NATS
     ]
     fits = FullFits(state, most)
-    judged = _judged(fits, _chosen([*singles, *products, *_noises(state, along)]), say)
+    judged = _judged(fits, _chosen([*singles, *products, *_noises(state, along)]))
     if not judged:
         return None
     best = _without_its_second(fits, _plainest(judged), judged)
@@ -452,7 +451,7 @@ def _chosen(entries: Iterable[Screened]) -> list[Screened]:
 _JudgedLaw = tuple[Law, FittedCandidate, float]
 
 
-def _judged(fits: FullFits, chosen: list[Screened], say: Say) -> list[_JudgedLaw]:
+def _judged(fits: FullFits, chosen: list[Screened]) -> list[_JudgedLaw]:
     """Return the laws fitted to all statistics, with the nats that they improve held-out settings by.
 
     Those that leave too much though the nuisances follow are not among them; where entries are far off, these follow
@@ -474,10 +473,7 @@ def _judged(fits: FullFits, chosen: list[Screened], say: Say) -> list[_JudgedLaw
     fitted.sort(key=lambda pair: -pair[1].gain + 2.0 * PARAMETER_NATS * pair[0].size)
     rated = [(f, judged_gain(state, f)) for _, f in fitted[:_JUDGED]]
     laws = {id(f): law for law, f in fitted}
-    contenders = _fitted_in_full(fits, rated)
-    for f, nats in contenders:
-        say(f"{f.name}: {nats:.0f} nats")
-    return [(laws[id(f)], f, nats) for f, nats in contenders]
+    return [(laws[id(f)], f, nats) for f, nats in _fitted_in_full(fits, rated)]
 
 
 def _fitted_in_full(fits: FullFits, rated: list[tuple[FittedCandidate, float]]) -> list[tuple[FittedCandidate, float]]:

@@ -15,38 +15,44 @@ nothing unexplained.
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Final
+
 import numpy as np
-from radiometer.errors import ConfigurationError
-from radiometer.reconciliation.fit.candidate_fit import Candidate, fit_candidate, judged_gain
-from radiometer.reconciliation.fit.descent import coarse_fit, converged_fit, refit
-from radiometer.reconciliation.fit.candidate_fit import FullFits, UnfitError, contenders_of, included
-from radiometer.reconciliation.fit.state import FitState, reweighted, with_effects, with_terms
-from radiometer.reconciliation.fit.state import LinearTerm
-from radiometer.reconciliation.search.score import likeliest, penalised_chi2
-from radiometer.reconciliation.search.screening import StartPool, directions_of, screen
-from radiometer.reconciliation.thresholds import HUGE_NATS, KEPT_NATS, NAMED_NATS, OWN_LAW_NATS, PARAMETER_NATS
-from simulators.effects.catalogue import CatalogueEffect
-import itertools
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+
 from radiometer.errors import ConfigurationError, MeasurementError
+from radiometer.reconciliation.fit.candidate_fit import (
+    Candidate,
+    FullFits,
+    UnfitError,
+    contenders_of,
+    fit_candidate,
+    included,
+    judged_gain,
+)
 from radiometer.reconciliation.fit.covariance import is_misfit
-from radiometer.reconciliation.fit.descent import refit
-from radiometer.reconciliation.fit.candidate_fit import UnfitError, included
-from radiometer.reconciliation.fit.state import FitState, with_effects, with_terms
-from radiometer.reconciliation.search.score import rated, worth
-from radiometer.reconciliation.search.screening import directions_of
-from radiometer.reconciliation.thresholds import HUGE_NATS, LAW_SHARE, PARAMETER_NATS
+from radiometer.reconciliation.fit.descent import coarse_fit, converged_fit, refit
+from radiometer.reconciliation.fit.state import FitState, LinearTerm, reweighted, with_effects, with_terms
+from radiometer.reconciliation.search.score import likeliest, penalised_chi2, rated, worth
+from radiometer.reconciliation.search.screening import StartPool, directions_of, screen
+from radiometer.reconciliation.thresholds import (
+    HUGE_NATS,
+    KEPT_NATS,
+    LAW_SHARE,
+    NAMED_NATS,
+    OWN_LAW_NATS,
+    PARAMETER_NATS,
+)
 from radiometer.typing import Mask
 from simulators.chain.stages import place_for
+from simulators.effects.catalogue import CatalogueEffect
 from simulators.effects.free_law import FreeLaw, axis_scale, axis_values, freed, unscaled
 from simulators.effects.tile_moments import TileMoments
 
-_ENTRIES_FITTED: Final = 4  # entries that are fitted in another's place
+_EXCHANGED: Final = 4  # entries that are fitted in another's place
 _FAR_OFF: Final = 400.0  # χ² that a smaller model leaves by its own derivatives still, and is asked no further
 _REFITTED: Final = 2  # forms that are fitted in full, the most promising first
 
@@ -118,7 +124,9 @@ def better(
     try:
         rest = converged_fit(coarse_fit(with_effects(state, [effect for effect in state.effects if effect is not own])))
         others = [candidate for candidate in screen(rest, catalogue, pool) if candidate.effect.name not in present]
-        judged = [(fitted, judged_gain(rest, fitted)) for fitted in (fit_candidate(rest, c) for c in others[:_ENTRIES_FITTED])]
+        judged = [
+            (fitted, judged_gain(rest, fitted)) for fitted in (fit_candidate(rest, c) for c in others[:_EXCHANGED])
+        ]
         fits = FullFits(rest)
         chosen = likeliest(contenders_of(fits, judged))
         if chosen is None:
@@ -149,7 +157,9 @@ def fit_swapped(state: FitState, others: Mapping[str, Sequence[CatalogueEffect]]
             continue
         try:
             rest = with_effects(state, [other for other in state.effects if other is not effect])
-            fitted = [fit_candidate(rest, Candidate(start, 0.0, len(start.free()) or 1)) for start in starts[:_ENTRIES_FITTED]]
+            fitted = [
+                fit_candidate(rest, Candidate(start, 0.0, len(start.free()) or 1)) for start in starts[:_EXCHANGED]
+            ]
             best = max(fitted, key=penalised_chi2)
             judged_gain(rest, best)
             FullFits(rest).try_out(best.effect, far=False)

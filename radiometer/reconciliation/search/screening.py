@@ -408,18 +408,17 @@ def _flexible_batch(state: FitState, covers: Sequence[tuple[CatalogueEffect, Arr
     return found
 
 
-def directions_of(state: FitState, effects: Sequence[CatalogueEffect], index: int, first: int = 0) -> Array:
+def directions_of(state: FitState, effects: Sequence[CatalogueEffect], index: int) -> Array:
     """Return what a set of effects changes in the residual, and what the parameters of one of them do then.
 
     Args:
         effects: The effects to have instead of the model's.
         index: Position of the one whose parameters are moved.
-        first: The first of its parameters that is moved.
 
     Returns:
         (entries, 1 + parameters).
     """
-    return next(iter(directions_of_each(state, [(effects, index, first)])))
+    return next(iter(directions_of_each(state, [(effects, index, 0)])))
 
 
 _Changes = Callable[[FitState, Sequence[Sequence[CatalogueEffect]]], Array]

@@ -4,22 +4,34 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Final
+from typing import Any, Final
+
 import numpy as np
+
 from radiometer.reconciliation.fit.candidate_fit import (
     Candidate,
     FittedCandidate,
+    FullFits,
+    UnfitError,
+    contenders_of,
     curve_gain,
     fit_candidate,
     judged_gain,
 )
 from radiometer.reconciliation.fit.covariance import is_far, is_misfit, scatter_of
 from radiometer.reconciliation.fit.descent import refit
-from radiometer.reconciliation.fit.candidate_fit import FullFits, UnfitError, contenders_of
 from radiometer.reconciliation.fit.state import FitState, reweighted, with_terms
-from radiometer.reconciliation.search.moves import by_a_free_law, in_place_of_all
 from radiometer.reconciliation.search.localise import Disagreement, departing, localise, significant, smooth_term
-from radiometer.reconciliation.search.moves import Loosened, LooserForms, better, fit_swapped, pruned, simpler
+from radiometer.reconciliation.search.moves import (
+    Loosened,
+    LooserForms,
+    better,
+    by_a_free_law,
+    fit_swapped,
+    in_place_of_all,
+    pruned,
+    simpler,
+)
 from radiometer.reconciliation.search.outcome import Search, Step
 from radiometer.reconciliation.search.score import (
     by_itself,
@@ -44,8 +56,6 @@ from radiometer.reconciliation.thresholds import (
     SIGNIFICANCE,
     SMOOTH_SHARE,
 )
-from simulators.effects.catalogue import CatalogueEffect
-from typing import Any, Final
 from simulators.effects.base import DIGITAL_NUMBER, EXPOSURE, IRRADIANCE, Stage, parameter
 from simulators.effects.catalogue import CatalogueEffect, Offset, Scaling
 from simulators.effects.context import ExposureContext

@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 from radiometer.reconciliation.fit import candidate_fit
-from radiometer.reconciliation.fit.descent import beside, coarse_fit, converged_fit, first_state, refit
 from radiometer.reconciliation.fit.candidate_fit import FullFits, UnfitError
+from radiometer.reconciliation.fit.descent import beside, coarse_fit, converged_fit, first_state, refit
 from radiometer.reconciliation.fit.nuisances import NuisanceLayout
 from radiometer.reconciliation.fit.state import FitState, reweighted, with_effects
 from radiometer.reconciliation.measure.design import Design, slope_lengths, tile_groups
