@@ -86,14 +86,14 @@ def step_signal(
         patch,
         Setup(header.camera, header.lens, calibration, header.source),
     )
-    if not situation.frames[0].unclipped:
+    if not situation.shown.frames[0].unclipped:
         raise MeasurementError(f"{capture.path}: the patch clips in every frame; capture shorter exposures")
     unit = _unit(situation)
     own = tuple(_in_unit(term, unit) for term in budget_terms(situation) if term.name in _OWN)
-    dark = situation.estimate.coefficients @ [level.u_common for level in situation.dark]
-    alone = situation.estimate.coefficients * [level.u_independent for level in situation.dark]
+    dark = situation.shown.estimate.coefficients @ [level.u_common for level in situation.shown.dark]
+    alone = situation.shown.estimate.coefficients * [level.u_independent for level in situation.shown.dark]
     own += (Term("dark frames", unit * situation.scale * float(np.sqrt(np.sum(alone**2)))),)
-    temperatures = [one.settings.temperature_c for one in situation.frames]
+    temperatures = [one.settings.temperature_c for one in situation.shown.frames]
     known = [value for value in temperatures if value is not None]
     return StepSignal(
         name,
@@ -102,7 +102,7 @@ def step_signal(
         unit * situation.scale * float(dark),
         unit * situation.value * situation.stated.exposure_u_s * situation.conditions.inverse_exposure_per_s,
         float(np.mean(known)) if known and len(known) == len(temperatures) else None,
-        len(situation.frames),
+        len(situation.shown.frames),
     )
 
 
@@ -114,7 +114,7 @@ def _unit(situation: PatchSituation) -> float:
     """Return what makes relative readings of several captures comparable: they count from their first frame's lens."""
     if situation.calibration is not None and situation.calibration.absolute:
         return 1.0
-    first = situation.frames[0].settings
+    first = situation.shown.frames[0].settings
     return 1.0 / lens_factor_sr(situation.lens, first.f_number or situation.lens.f_number)
 
 

@@ -82,15 +82,15 @@ def propagate_distributions(situation: PatchSituation, rng: np.random.Generator,
 
 def _rates(situation: PatchSituation, rng: np.random.Generator, trials: int) -> Array:
     """Return drawn estimates: means of every frame with noise, pattern and fluctuation, through curve and dark."""
-    estimate, count = situation.estimate, int(situation.good.sum())
+    estimate, count = situation.shown.estimate, int(situation.shown.good.sum())
     rates = np.zeros(trials)
     curve_counts = not situation.shares_level  # at the calibration's level its error drops out
     curve = rng.standard_normal(trials)  # one draw: the curve's error is taken as the same at all its numbers
     common_dark = rng.standard_normal(trials)
     for c, frame, dark, expected in zip(
-        estimate.coefficients, situation.frames, situation.dark, estimate.expected, strict=True
+        estimate.coefficients, situation.shown.frames, situation.shown.dark, estimate.expected, strict=True
     ):
-        mean = float(frame.signal[situation.good].mean())
+        mean = float(frame.signal[situation.shown.good].mean())
         noise = np.sqrt(float(situation.model.variance(expected, frame.settings)) / count)
         fluctuation = estimate.fluctuation_rel * expected
         drawn = mean + noise * rng.standard_normal(trials)
