@@ -32,7 +32,6 @@ class TapGain(Scaling):
     prior_reason = "most sensors have one amplifier, or a converter per column"
     trials = trials((0.02, -0.02), ("across_rel", "along_rel", "corner_rel"))
     fitted = ("across_rel", "along_rel", "corner_rel")
-    essential = ()
     settles = "an even field, once as it is and once with the camera turned"
     across_rel: float = parameter(0.0, "1", -0.4, 0.4, source="1 to 10 % between amplifiers")
     along_rel: float = parameter(0.0, "1", -0.4, 0.4, source="1 to 10 % between amplifiers")

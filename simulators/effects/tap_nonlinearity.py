@@ -31,7 +31,6 @@ class TapNonlinearity(CatalogueEffect):
     prior_reason = "most sensors have one amplifier, and those of one sensor bend alike"
     trials = trials((0.01, -0.01), ("across_rel", "along_rel", "corner_rel"))
     fitted = ("across_rel", "along_rel", "corner_rel")
-    essential = ()
     settles = "even fields of many levels up to full well"
     across_rel: float = parameter(0.0, "1", -0.3, 0.3, source="0.1 to 3 % at full well")
     along_rel: float = parameter(0.0, "1", -0.3, 0.3, source="0.1 to 3 % at full well")

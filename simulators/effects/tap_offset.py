@@ -30,7 +30,6 @@ class TapOffset(Offset):
     prior_reason = "most sensors have one amplifier, or a converter per column"
     trials = trials((2.0, -2.0), ("across_dn", "along_dn", "corner_dn"))
     fitted = ("across_dn", "along_dn", "corner_dn")
-    essential = ()
     settles = "an average of many frames of no exposure"
     across_dn: float = parameter(0.0, "DN", -0.1, 0.1, source="some DN to hundreds", of_full_scale=True)
     along_dn: float = parameter(0.0, "DN", -0.1, 0.1, source="some DN to hundreds", of_full_scale=True)

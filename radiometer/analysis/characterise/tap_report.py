@@ -14,7 +14,16 @@ from radiometer.reporting.pictures import dress, picture
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-HEADINGS: Final = ("tap", "x, y, width, height", "K", "black", "read noise", "saturation", "linearity error", "overscan")
+HEADINGS: Final = (
+    "tap",
+    "x, y, width, height",
+    "K",
+    "black",
+    "read noise",
+    "saturation",
+    "linearity error",
+    "overscan",
+)
 _SYMBOLS: Final = ("K", "mu_y_dark", "sigma_d", "mu_e_sat", "LE_max")
 
 
@@ -64,7 +73,11 @@ def _draw(figure: Figure, taps: Sequence[TapFigures], *, narrow: bool) -> None:
     ):  # fmt: skip
         known = [(number, q) for number, one in enumerate(taps) if (q := _figure(one, symbol)) is not None]
         axes.errorbar(
-            [number for number, _ in known], [q.value for _, q in known], [2 * q.u for _, q in known], fmt="o", capsize=3
+            [number for number, _ in known],
+            [q.value for _, q in known],
+            [2 * q.u for _, q in known],
+            fmt="o",
+            capsize=3,
         )
         axes.set_xticks(range(len(taps)), [one.tap.name for one in taps])
         dress(axes, "tap", name)

@@ -100,9 +100,7 @@ def taps_as_stated(how: str | None, subject: Subject, shape: tuple[int, int]) ->
 
 def _grid(x_edges: Sequence[int], y_edges: Sequence[int]) -> tuple[TapDescription, ...]:
     cells = [(x, y, r - x, b - y) for y, b in pairwise(y_edges) for x, r in pairwise(x_edges)]
-    return tuple(
-        TapDescription(name=str(n), x=x, y=y, width=w, height=h) for n, (x, y, w, h) in enumerate(cells, 1)
-    )
+    return tuple(TapDescription(name=str(n), x=x, y=y, width=w, height=h) for n, (x, y, w, h) in enumerate(cells, 1))
 
 
 def characterise_taps(subject: Subject, taps: Sequence[TapDescription]) -> tuple[TapFigures, ...]:
@@ -266,7 +264,7 @@ def _step_sigmas(profile: Array, reach: int) -> Array:
     right = windows[reach : reach + profile.size] @ weight
     left = windows[: profile.size] @ weight[::-1]
     step = right - left
-    step[: _NARROWEST_PX] = step[-_NARROWEST_PX:] = 0.0
+    step[:_NARROWEST_PX] = step[-_NARROWEST_PX:] = 0.0
     spread = robust_sigma(step, 0.0)
     return np.asarray(step / spread if spread > 0 else np.zeros_like(step))
 

@@ -42,7 +42,9 @@ def command(
     ] = None,
     taps: Annotated[
         str | None,
-        typer.Option(help="Output amplifiers: COLUMNSxROWS of equal parts (2x2), or find. Default: what the files state."),
+        typer.Option(
+            help="Output amplifiers: COLUMNSxROWS of equal parts (2x2), or find. Default: what the files state."
+        ),
     ] = None,
     json: Annotated[bool, typer.Option("--json", help="Print the camera file as JSON on standard output.")] = False,
 ) -> None:

@@ -160,7 +160,9 @@ def test_cross_talk_is_the_share_of_a_spot_that_an_even_tap_repeats(tmp_path: Pa
     assert abs(shares["1", "3"].value) < 3 * shares["1", "3"].u
 
 
-@pytest.mark.parametrize(("how", "says"), [("3x0", "no such equal parts"), ("5x2", "no such"), ("four", "COLUMNSxROWS")])
+@pytest.mark.parametrize(
+    ("how", "says"), [("3x0", "no such equal parts"), ("5x2", "no such"), ("four", "COLUMNSxROWS")]
+)
 def test_taps_that_cannot_be_are_refused(tmp_path: Path, how: str, says: str) -> None:
     """A frame of 192 columns has no five equal taps, and a word is no number of them."""
     truth = Taps.drawn(np.random.default_rng(9108), 2, 2)
