@@ -15,9 +15,9 @@ from radiometer.analysis.characterise import Characterisation, read_subject
 from radiometer.analysis.characterise import characterise as characterise_subject
 from radiometer.analysis.characterise.emva_export import export_descriptor
 from radiometer.analysis.characterise.report import datasheet, draw_telling
-from radiometer.analysis.characterise.tap_report import HEADINGS, tap_mappings, tap_rows
 from radiometer.analysis.characterise.result import SYMBOLS, as_printed
 from radiometer.analysis.characterise.subject import Subject, with_known_radiance
+from radiometer.analysis.characterise.tap_report import HEADINGS, tap_mappings, tap_rows
 from radiometer.analysis.characterise.taps import (
     Crosstalk,
     TapFigures,

@@ -18,7 +18,7 @@ class AmplifierGlow(Offset):
 
     p is 1 for light that scatters in the silicon, and up to 2 where it leaves through a window.
 
-    They gather as long as the exposure lasts, in darkness as well, and carry shot noise; the temperature hardly matters.
+    They gather as long as the exposure lasts, in darkness as well, and carry shot noise; temperature hardly matters.
 
     Source: Janesick (2001), Scientific Charge-Coupled Devices, ch. 7: luminescence of the output transistor.
     """

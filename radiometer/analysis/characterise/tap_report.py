@@ -24,6 +24,7 @@ HEADINGS: Final = (
     "linearity error",
     "overscan",
 )
+_DRAWN: Final = {"K": "K in DN/e⁻", "mu_y_dark": "black in DN", "sigma_d": "read noise in e⁻"}
 _SYMBOLS: Final = ("K", "mu_y_dark", "sigma_d", "mu_e_sat", "LE_max")
 
 
@@ -67,10 +68,8 @@ def tap_section(taps: Sequence[TapFigures]) -> str:
 
 
 def _draw(figure: Figure, taps: Sequence[TapFigures], *, narrow: bool) -> None:
-    for axes, symbol, name in zip(
-        figure.subplots(*((3, 1) if narrow else (1, 3))), ("K", "mu_y_dark", "sigma_d"), ("K in DN/e⁻", "black in DN", "read noise in e⁻"),
-        strict=True,
-    ):  # fmt: skip
+    panels = figure.subplots(*((3, 1) if narrow else (1, 3)))
+    for axes, (symbol, name) in zip(panels, _DRAWN.items(), strict=True):
         known = [(number, q) for number, one in enumerate(taps) if (q := _figure(one, symbol)) is not None]
         axes.errorbar(
             [number for number, _ in known],

@@ -173,7 +173,7 @@ def find_taps(subject: Subject) -> tuple[TapDescription, ...]:
     cells = _grid(x_edges, y_edges)
     level = float(np.median(pictures[0]))
     lit = [float(np.median(pictures[0][cell.patch.slices])) > _UNLIT * level for cell in cells]
-    taps = []
+    taps = list[TapDescription]()
     for cell, is_lit in zip(cells, lit, strict=True):
         if is_lit:
             unlit = (other for other, has_light in zip(cells, lit, strict=True) if not has_light)
