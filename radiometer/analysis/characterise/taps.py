@@ -272,9 +272,9 @@ def _step_sigmas(profile: Array, reach: int) -> Array:
 def crosstalk(subject: Subject, taps: Sequence[TapDescription]) -> tuple[Crosstalk, ...]:
     """Return the share of each tap's signal that another reads, where a frame determines it.
 
-    A tap whose pixels are even but for their noise cannot share structure of the scene with another: what it repeats of
+    A tap whose pixels are even but for their noise shares no structure of the scene with another. What it repeats of
     the other's structure, pixel by pixel in the order of the read-out, is cross-talk. Where the first pixel is not
-    stated, each tap is taken to begin at the corner of the frame that it is nearest to.
+    stated, each tap begins at the corner of the frame that is nearest to it.
 
     Raises:
         CaptureError: If a frame is unreadable.
