@@ -171,7 +171,7 @@ def recover_response_auto(brackets: Bracket | Sequence[Bracket]) -> ResponseEsti
 
     Source: restricted likelihood of smoothing, Wood 2011, J. R. Stat. Soc. B 73, 3–36; noise after EMVA 1288.
     """
-    return solve_auto(gather_samples(brackets))
+    return solve_colours_auto([gather_samples(brackets)])[0]
 
 
 def recover_colours_auto(colours: Sequence[Bracket | Sequence[Bracket]]) -> list[ResponseEstimate]:
@@ -200,11 +200,6 @@ def solve_colours_auto(samples: Sequence[ResponseSamples]) -> list[ResponseEstim
     # A colour by itself finds its labels again; several hold each other to what they found together.
     known = tuple(label.log_ratio for label in found.wrong) if len(planes) > 1 else ()
     return [_estimate(plane, found, known) for plane in planes]
-
-
-def solve_auto(samples: ResponseSamples) -> ResponseEstimate:
-    """Recover the response from gathered samples; see `recover_response_auto`."""
-    return solve_colours_auto([samples])[0]
 
 
 def _estimate(plane: Plane, exposures: Exposures, known: tuple[tuple[float, float], ...]) -> ResponseEstimate:

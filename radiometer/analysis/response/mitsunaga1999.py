@@ -296,6 +296,7 @@ def _like(argument: Array, order: int, start: Array, pairs: Pairs) -> Array:
     return solve(rows, (np.exp(g) - 1.0) * shrink)
 
 
+@on_one_blas_thread
 def recover_response_mitsunaga1999(
     brackets: Bracket | Sequence[Bracket], *, known_ratios: Mapping[int, float] | None = None
 ) -> ResponseEstimate:
@@ -326,19 +327,7 @@ def recover_response_mitsunaga1999(
 
     Source: T. Mitsunaga, S. K. Nayar, CVPR 1999, equations (5)–(10).
     """
-    return solve_mitsunaga1999(gather_samples(brackets), known_ratios=known_ratios)
-
-
-@on_one_blas_thread
-def solve_mitsunaga1999(
-    samples: ResponseSamples, *, known_ratios: Mapping[int, float] | None = None
-) -> ResponseEstimate:
-    """Recover the response from gathered samples; see `recover_response_mitsunaga1999`.
-
-    Raises:
-        MeasurementError: If no order gives a rising curve.
-        UsageError: If a known ratio names no pair or is not above 1.
-    """
+    samples = gather_samples(brackets)
     situation = _settled(samples, known_ratios)
     argument, order = _best(situation)
     here = situation.fit(argument, order)
