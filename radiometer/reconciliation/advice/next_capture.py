@@ -213,7 +213,7 @@ def separating_capture(
         effect: The effect at some size.
         others: The others at the sizes that look the same.
     """
-    first, *models = (_held(state, entry) for entry in (effect, *others))
+    first, *models = (beside(state, entry, iterations=_REFITS) for entry in (effect, *others))
     pool = CapturePool.of(state)
     expected = pool.predicted(first)
     apart = np.nan_to_num(np.stack([pool.separation(expected, pool.predicted(model)) for model in models]))
@@ -222,11 +222,6 @@ def separating_capture(
     if not names:
         return None
     return _advice(pool.frame(index), f"separates {effect.name} from {', '.join(names)}") | {"separates": names}
-
-
-def _held(state: FitState, effect: CatalogueEffect) -> FitState:
-    """Return the model with an effect as it is, all else following."""
-    return beside(state, effect, iterations=_REFITS)
 
 
 def propose_for_unnamed(
@@ -297,7 +292,7 @@ def propose_for_blind(
     for name, limit in limits.items():
         starts = catalogue[name].starts(state.model.context) if name in catalogue else ()
         if starts and catalogue[name].usable(able) and not _would_show(limit, starts[0]):
-            models[name] = _held(state, starts[0])
+            models[name] = beside(state, starts[0], iterations=_REFITS)
     told = _best(state, models)
     if told is None:
         return None
@@ -324,7 +319,8 @@ def _best(
     expected = pool.predicted(state)
     apart = np.stack([pool.separation(expected, pool.predicted(model)) for model in models.values()])
     apart = np.nan_to_num(apart)
-    weight = np.array([_weight_unseen(name, model) for name, model in models.items()])
+    own = ([effect for effect in model.effects if effect.name == name] for name, model in models.items())
+    weight = np.array([several[0].weight_unseen if several else 1.0 for several in own])
     worth = weight @ np.minimum(apart, _TOLD_CHI2)
     index = int(np.lexsort((apart.min(axis=0), worth))[-1])
     told: Array = apart[:, index]
@@ -332,10 +328,6 @@ def _best(
     if not names:
         return None
     return pool.frame(index), names, float(min(chi2 for chi2 in told if chi2 >= enough))
-
-
-def _weight_unseen(name: str, model: FitState) -> float:
-    return next((effect.weight_unseen for effect in model.effects if effect.name == name), 1.0)
 
 
 def _advice(frame: FrameEntry, purpose: str) -> dict[str, Any]:

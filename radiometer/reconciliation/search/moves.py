@@ -35,7 +35,7 @@ from radiometer.reconciliation.fit.candidate_fit import (
 )
 from radiometer.reconciliation.fit.covariance import is_misfit
 from radiometer.reconciliation.fit.descent import coarse_fit, converged_fit, refit
-from radiometer.reconciliation.fit.state import FitState, LinearTerm, reweighted, with_effects, with_terms
+from radiometer.reconciliation.fit.state import FitState, reweighted, with_effects, with_terms
 from radiometer.reconciliation.search.score import likeliest, penalised_chi2, rated, worth
 from radiometer.reconciliation.search.screening import StartPool, directions_of, screen
 from radiometer.reconciliation.thresholds import (
@@ -99,12 +99,8 @@ def _without_one(state: FitState) -> Iterator[tuple[str, float, FitState]]:
         residual = state.residual - state.pad(change[:, None])[:, 0]
         yield effect.name, others.left_from(residual), with_effects(state, rests[index])
     for term in smooth if state.effects else ():
-        smaller = _without_term(state, smooth, term)
+        smaller = with_terms(state, [other for other in smooth if other is not term])
         yield term.name, smaller.promised, smaller
-
-
-def _without_term(state: FitState, smooth: tuple[LinearTerm, ...], term: LinearTerm) -> FitState:
-    return with_terms(state, [other for other in smooth if other is not term])
 
 
 def _log_density(state: FitState) -> float:

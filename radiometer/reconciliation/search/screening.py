@@ -341,15 +341,6 @@ def changes_where_possible(state: FitState, several: Sequence[Sequence[Catalogue
     return np.hstack([changes_where_possible(state, part) for part in (several[:half], several[half:])])
 
 
-def changes_of(state: FitState, effects: Sequence[CatalogueEffect]) -> Array:
-    """Return what each of some further effects alone changes, (entries, effects).
-
-    Raises:
-        MeasurementError: If the prediction with one of them is not finite.
-    """
-    return changes_with(state, [(*state.effects, effect) for effect in effects])
-
-
 def _rigid(state: FitState, starts: Sequence[CatalogueEffect]) -> list[Candidate]:
     batches = (starts[first : first + AT_ONCE] for first in range(0, len(starts), AT_ONCE))
     return [candidate for batch in batches for candidate in _rigid_batch(state, batch)]
@@ -358,7 +349,7 @@ def _rigid(state: FitState, starts: Sequence[CatalogueEffect]) -> list[Candidate
 def _rigid_batch(state: FitState, starts: Sequence[CatalogueEffect]) -> list[Candidate]:
     rows = state.comparison.size
     fit = state.fit
-    changes, part = fit.followed_with_half(changes_of(state, starts))
+    changes, part = fit.followed_with_half(changes_with(state, [(*state.effects, start) for start in starts]))
     whole = np.einsum("ij,ij->j", changes, changes)
     curvature = whole - np.einsum("ij,ij->j", part, part)
     slope = changes.T @ fit.projected[:rows]
