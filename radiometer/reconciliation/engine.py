@@ -38,7 +38,7 @@ from radiometer.reconciliation.measure.seen import CaptureStatistics
 from radiometer.reconciliation.noise.darkness import black_by_noise, drift_of_black, wander_of_black
 from radiometer.reconciliation.noise.repeatability import repeats_of
 from radiometer.reconciliation.posterior import UNNAMED, Posterior, posterior_of
-from radiometer.reconciliation.propose.beyond import held_to_laws
+from radiometer.reconciliation.propose.search import held_to_laws
 from radiometer.reconciliation.result import (
     CovariateGap,
     FittedParameter,

@@ -11,15 +11,13 @@ import numpy as np
 from radiometer.reconciliation.fit.candidate_fit import (
     Candidate,
     FittedCandidate,
-    FullFits,
-    UnfitError,
-    contenders_of,
     curve_gain,
     fit_candidate,
     judged_gain,
 )
 from radiometer.reconciliation.fit.covariance import is_far, is_misfit, scatter_of
 from radiometer.reconciliation.fit.descent import refit
+from radiometer.reconciliation.fit.full_fit import FullFits, UnfitError, contenders_of
 from radiometer.reconciliation.fit.state import FitState, reweighted, with_terms
 from radiometer.reconciliation.search.localise import Disagreement, departing, localise, significant, smooth_term
 from radiometer.reconciliation.search.moves import (

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 from scipy.ndimage import convolve
 
-from radiometer.reconciliation.fit.candidate_fit import UnfitError, included
 from radiometer.reconciliation.fit.descent import first_state
+from radiometer.reconciliation.fit.full_fit import UnfitError, included
 from radiometer.reconciliation.fit.state import FitState
 from radiometer.reconciliation.measure.design import Design
 from radiometer.reconciliation.measure.reduce import frame_reader, reduce_frames

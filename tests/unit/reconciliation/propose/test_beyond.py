@@ -10,7 +10,7 @@ from radiometer.reconciliation.fit.descent import first_state, refit
 from radiometer.reconciliation.fit.state import with_effects
 from radiometer.reconciliation.measure.design import Design
 from radiometer.reconciliation.measure.reduce import frame_reader, reduce_frames
-from radiometer.reconciliation.propose.beyond import (
+from radiometer.reconciliation.propose.search import (
     in_a_looser_form,
     own_covariates,
 )
