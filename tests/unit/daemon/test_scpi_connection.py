@@ -569,17 +569,6 @@ async def test_every_session_hears_of_a_change():
     assert wire.closed
 
 
-def test_the_queue_of_errors_has_thirty_two_places():
-    """The last becomes -350 (SCPI-99, 21.8.2: Queue overflow), the oldest stay, and each is taken once."""
-    status = Status()
-    for number in range(33):
-        status.push(ScpiError(-222, str(number)))
-    taken = [status.next_error() for _ in range(33)]
-    assert taken[0] == '-222,"Data out of range;0"'
-    assert taken[30] == '-222,"Data out of range;30"'
-    assert taken[31:] == ['-350,"Queue overflow"', '0,"No error"']
-
-
 @in_virtual_time
 async def test_a_client_that_leaves_before_its_command_begins_leaves_no_work_behind(monkeypatch):
     """What the command would have done is closed, not forgotten unawaited."""

@@ -93,18 +93,6 @@ async def test_a_client_of_ours_lights_after_the_pause(client: Any, box: Any) ->
     assert box.levels["red"] == 0.5
 
 
-async def test_a_real_http_client_is_hung_up_on_and_counted(scpi: ScpiServer, station: Station, box: Any) -> None:
-    """Python's own HTTP client gets no reply, and the figures name the case."""
-
-    def post() -> None:
-        urllib.request.urlopen(f"http://127.0.0.1:{PORTS[scpi]}/", data=b"\n" + LIGHTING, timeout=within(20)).close()
-
-    with pytest.raises((OSError, urllib.error.URLError)):
-        await asyncio.to_thread(post)
-    assert b'reason="not scpi"} 1.0' in station.metrics.render()
-    assert _unchanged(station, box)
-
-
 @pytest.mark.parametrize("command", command_table().commands, ids=lambda command: command.pattern)
 def test_no_command_of_ours_looks_like_http(command: Any) -> None:
     """No example, and no spelling with arguments or as a query, is taken for a stranger's."""
