@@ -22,21 +22,6 @@ from radiometer.errors import UnsafeStimulus
 NARROW = ChannelOptics(437.5, 0.5, 1.5, 1.0)  # B = 1 and R = 10 over its whole line
 
 
-@pytest.mark.parametrize(
-    ("wavelength_nm", "blue"),
-    [(380, 0.01), (400, 0.1), (435, 1.0), (440, 1.0), (460, 0.8), (490, 0.22), (500, 0.1), (550, 0.01), (650, 0.001)],
-)
-def test_blue_light_function_at_tabulated_wavelengths(wavelength_nm, blue):
-    """B(λ) of table 4.2."""
-    assert float(blue_light_weight(np.array([float(wavelength_nm)]))[0]) == pytest.approx(blue, rel=1e-9)
-
-
-@pytest.mark.parametrize(("wavelength_nm", "burn"), [(400, 1.0), (440, 10.0), (600, 1.0), (800, 10**-0.2), (1100, 0.2)])
-def test_burn_function_at_tabulated_wavelengths(wavelength_nm, burn):
-    """R(λ) of table 4.2."""
-    assert float(thermal_weight(np.array([float(wavelength_nm)]))[0]) == pytest.approx(burn, rel=1e-3)
-
-
 def test_blue_light_limit_of_a_large_source_is_a_dose_of_1e6():
     """L_B = 100 W/(sr m²) for 10⁴ s is the limit; twice the radiance for half the time too; longer counts as 10⁴ s."""
     for radiance, bright_s in ((100.0, 1e4), (200.0, 5e3), (100.0, math.inf)):

@@ -75,54 +75,6 @@ def test_mean_and_variance_agree_with_numpy(make_capture: Callable[..., Any]) ->
     assert seen.variance[0, 7] == pytest.approx(expected, rel=1e-9)
 
 
-@pytest.mark.slow
-def test_compiled_sums_agree_with_numpy() -> None:
-    """Means, clipped shares, neighbour products, row sums and histogram of two tiles, one pixel of them a defect."""
-    rng = np.random.default_rng(8)
-    dn = rng.normal(300, 6, (20, 30)).round().astype(np.uint16)
-    dn[3, 4], dn[12, 17] = 0, 4095
-    good = np.ones(dn.shape, dtype=np.bool_)
-    good[5, 5] = False
-    corners = [(2, 3), (9, 12)]
-    total, square, pair_x, pair_y = (np.zeros((2, 8, 9)) for _ in range(4))
-    histogram = np.zeros(4096)
-    occurring = np.zeros(4096, dtype=np.bool_)
-    top, left = (np.array(values, dtype=np.intp) for values in zip(*corners, strict=True))
-    found = add_tiles(dn, good, top, left, 4000.0, 2.6, total, square, pair_x, pair_y, histogram, occurring)
-    for k, (y, x) in enumerate(corners):
-        tile, counted = dn[y : y + 8, x : x + 9].astype(float), good[y : y + 8, x : x + 9]
-        deviation = tile - tile[counted].mean()
-        expected = (
-            tile[counted].mean(),
-            np.mean(tile <= 0),
-            np.mean(tile >= 4000),
-            (deviation * counted).sum(axis=1),
-        )
-        for value, wanted in zip(found, expected, strict=True):
-            np.testing.assert_allclose(value[k], wanted, rtol=1e-9, atol=1e-9)
-        np.testing.assert_allclose(total[k], deviation, atol=1e-9)
-        np.testing.assert_allclose(square[k], deviation**2, rtol=1e-9)
-        np.testing.assert_allclose(pair_x[k, :, 1:], deviation[:, 1:] * deviation[:, :-1], rtol=1e-9, atol=1e-9)
-        np.testing.assert_allclose(pair_y[k, 1:], deviation[1:] * deviation[:-1], rtol=1e-9, atol=1e-9)
-        assert not pair_x[k, :, 0].any()
-        assert not pair_y[k, 0].any()
-    assert histogram.sum() == 0, "both tiles hold a clipped sample"
-    assert set(np.flatnonzero(occurring)) == {int(v) for y, x in corners for v in dn[y : y + 8, x : x + 9].ravel()}
-    sums = (total[1:], square[1:], pair_x[1:], pair_y[1:])
-    add_tiles(dn, good, top[1:] - 9, left[1:] + 6, 4000.0, 2.6, *sums, histogram, occurring)
-    np.testing.assert_array_equal(histogram, np.bincount(dn[0:8, 18:27].ravel(), minlength=4096))
-
-
-@pytest.mark.slow
-def test_coarse_cells_are_block_means_and_maxima() -> None:
-    """Cells of 3 × 3 pixels; the rest at the border is left out."""
-    dn = np.arange(70, dtype=np.uint16).reshape(7, 10)
-    mean, largest = coarse_cells(dn, 3, 2, 3)
-    blocks = dn[:6, :9].reshape(2, 3, 3, 3)
-    np.testing.assert_allclose(mean, blocks.mean(axis=(1, 3)))
-    np.testing.assert_array_equal(largest, blocks.max(axis=(1, 3)))
-
-
 def test_dark_gap_before_a_bright_neighbour_is_no_blur() -> None:
     """A faint patch ends in a black gap two lines before a bright one: its sides tell nothing, the sharp ones do."""
     sharp = np.array([0.0, 0.0, 0.0, 0.0, -300.0, -300.0, 900.0])

@@ -143,14 +143,6 @@ def test_light_that_differs_from_frame_to_frame_is_no_noise():
     assert steady.u_variance_dn2 == pytest.approx(steady.variance_dn2 * math.sqrt(2.0 / (7 * 4199)))
 
 
-def test_full_scale_is_clipped_and_zero_is_the_floor():
-    """Shares of pixels at 4095 and at 0, of all frames."""
-    one, two = np.full((10, 10), 500, np.uint16), np.full((10, 10), 500, np.uint16)
-    one[0, :3], two[0, 0], two[5] = 4095, 4095, 0
-    (found,) = statistics_of_group([one, two], FrameSettings(1.0), (None,), 4095)
-    assert (found.clipped_share, found.floor_share) == (4 / 200, 10 / 200)
-
-
 def test_what_pixels_leave_in_few_rows_is_no_row_pattern():
     """Pictures of 4 × 50 independent pixels: over 600 of them rows and columns come out as zero, pixels as one."""
     rng = np.random.default_rng(6)
@@ -287,12 +279,6 @@ def test_the_dark_current_in_electrons_bears_the_doubt_of_the_gain():
     found = typical_dark_current(dark_plateau([20.0] * 4), 20.0, Quantity(0.5, 0.05, "DN/e-"))["mu_I_typical"]
     assert found.value == pytest.approx(4.0)
     assert found.u == pytest.approx(0.4, rel=1e-3)
-
-
-def test_a_thermometer_s_step_is_a_rectangle():
-    """Readings half a kelvin apart: 0.5/√12 K."""
-    ((_, u_temperature, _),) = typical_rates(dark_plateau([20.0, 20.5, 20.0, 20.5]))
-    assert u_temperature == pytest.approx(0.5 / math.sqrt(12.0))
 
 
 @pytest.mark.parametrize(

@@ -116,12 +116,6 @@ def test_of_a_bent_transfer_k_is_the_standards_and_covers_both_ends(count):
     assert photon_transfer(ladder(), 10_000.0).bend_u == 0.0
 
 
-@pytest.mark.parametrize(("step_dn", "variance"), [(1, 1 / 12), (16, 256 / 12)])
-def test_rounding_is_taken_out_of_the_dark_noise(step_dn, variance):
-    """Of 25 DN² + step²/12 remain 5 DN, with the padded step as well."""
-    assert sigma_d(25.0 + variance, 0.5, step_dn) == pytest.approx(10.0)
-
-
 def dark_frames(rates_e_per_s, exposures_s, seed=3):
     """Return dark frames of pixels with rates of their own, by Poisson charge, normal read noise and rounding."""
     rng = np.random.default_rng(seed)
@@ -173,14 +167,6 @@ def test_dark_current_is_per_second():
     assert rate.value == pytest.approx(0.72)
     ((_, _, slow),) = typical_rates(dark_groups(0.72, 0.0, scale=1000.0))
     assert slow.value == pytest.approx(0.72e-3)
-
-
-def test_doubling_by_the_exponential_law():
-    """Currents 1 : 4 at 0 and 10 °C double per 5 K, and the temperature's readings set the uncertainty."""
-    found = doubling_of(typical_rates([*dark_groups(0.5, 0.0), *dark_groups(2.0, 10.0)]))
-    assert found.value == pytest.approx(5.0)
-    wide = doubling_of([(0.0, 0.2, Quantity(0.5, 0.001, "DN/s")), (10.0, 0.2, Quantity(2.0, 0.001, "DN/s"))])
-    assert wide.u == pytest.approx(5.0 * math.hypot(0.2, 0.2) / 10.0, rel=0.05)
 
 
 def picture(row_sd, column_sd, pixel_sd, shape=(300, 400), seed=5):
