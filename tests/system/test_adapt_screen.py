@@ -129,14 +129,6 @@ def test_run_taken_up_after_a_crash_has_the_same_events(oled: Path, tmp_path: Pa
     assert (tmp_path / "broken").read_text() == (tmp_path / "whole").read_text()
 
 
-@pytest.mark.parametrize(("subject", "verdict"), [("never", Verdict.NO_RESPONSE), ("always", Verdict.UNRELIABLE)])
-def test_absent_and_careless_subjects_get_a_verdict(oled: Path, tmp_path: Path, subject: str, verdict: Verdict) -> None:
-    """As at the box, nothing is fitted."""
-    outcome = _run(oled, tmp_path / "j", subject=subject)
-    assert outcome.verdict is verdict
-    assert not outcome.can_be_fitted
-
-
 def test_command_runs_it_and_journals_the_prompts(oled: Path, tmp_path: Path, project_root: Path) -> None:
     """`adapt run screen-only` before a simulated screen ends well; prompts stand in the journal, bells on stderr."""
     words = ["adapt", "run", "screen-only", "--subject", "S1", "--screen", str(oled), "--display", "oled"]

@@ -268,15 +268,6 @@ def test_what_can_be_no_file_is_none(tmp_path: Path) -> None:
     assert [is_file(tmp_path / name) for name in names] == [True, False, False, False, False]
 
 
-@pytest.mark.parametrize(("colour", "channels"), [(0, 1), (2, 3), (3, 1), (4, 2), (6, 4)])
-def test_a_png_is_as_large_as_its_colours_make_it(tmp_path: Path, colour: int, channels: int) -> None:
-    """Grey, colour, palette, both with transparency, one byte each: 400 MB are read, a column more is not."""
-    columns = MOST_PICTURE_BYTES // (1000 * channels)
-    refuse_large_picture(tmp_path / "a", _png(columns, 1000, 8, colour))
-    with pytest.raises(CaptureError, match=f"1000 × {columns + 1} × {channels} values"):
-        refuse_large_picture(tmp_path / "a", _png(columns + 1, 1000, 8, colour))
-
-
 @pytest.mark.parametrize(("repeated", "read"), [(48, True), (50, False)])
 def test_what_is_repeated_counts_as_if_it_were_written_out(repeated: int, read: bool) -> None:
     """A thousand numbers, a hundred times, 48 times and once: 4.9 million entries are read, 5.1 million not."""

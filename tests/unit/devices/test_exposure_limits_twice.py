@@ -115,17 +115,6 @@ def test_ten_thousand_candela_are_beyond_a_tenth_after_hours_only() -> None:
     assert longest_blue_s(blue) > 1e4 or longest_blue_s(blue) * 0.1 < tenth_s * 1.01
 
 
-def test_flash_that_bleaches_most_rods_at_once_is_beyond_a_tenth_of_the_thermal_limit() -> None:
-    """1.43·10⁷ scotopic td·s through 6 mm in 1 ms: some 900 J·sr⁻¹·m⁻², most of the limit; the field does better."""
-    scotopic = luminous_efficacy_lm_per_w(spectrum("white_led"), "scotopic")
-    exposure = 1.43e7 / (math.pi / 4 * 6.0**2) / scotopic
-    red = weighted(None, 0.0)[1]
-    fraction = red * exposure / 0.001 / thermal_limit(math.radians(40.0), 0.001)
-    flash = ChannelOptics(None, 0.0, 40.0, exposure / 0.001)
-    assert hazard_fractions(flash, exposure / 0.001, 0.001).thermal == pytest.approx(fraction, rel=0.01)
-    assert fraction > 0.5
-
-
 def test_the_hazard_functions_are_the_standard_s_at_every_wavelength_of_its_table() -> None:
     """B(λ) and R(λ) of table 4.2, its formulae above 500 nm, and between two rows the logarithm's straight line."""
     nm = np.array([*ROWS[:, 0], 387.5, 452.5, 550.0, 620.0, 700.0, 800.0, 1000.0])

@@ -99,13 +99,6 @@ def test_darks_alone_say_that_rounding_hides_their_noise():
     assert any("below 0.24 DN²" in note for note in result.notes)
 
 
-def test_scatter_beyond_what_is_stated_widens_a_line():
-    """u of slope and intercept are those of the residuals, as an ordinary regression has them."""
-    x, y = np.arange(6.0), np.array([0.0, 1.2, 1.9, 3.1, 3.8, 5.1])
-    line, usual = fit_line(x, y, np.full(6, 1e-4)), linregress(x, y)
-    assert (line.u_slope, line.u_intercept) == pytest.approx((usual.stderr, usual.intercept_stderr))
-
-
 def test_light_is_exposure_times_level_or_the_photons():
     """Half the level at twice the exposure is the same light; photons go before both."""
     dark = [group(BLACK_DN, 40.0, t, dark=True) for t in (1.0, 2.0)]
