@@ -9,9 +9,8 @@ import pytest
 
 from radiometer.adaptation.adaptation_fit import AdaptationFit, FitRequest, fit_adaptation
 from radiometer.adaptation.threshold_series import ThresholdSeries
-from radiometer.errors import MeasurementError
 from simulators.observers.eye_kinetics import Eye, eye_after_bleach, scotopic_per_photopic
-from simulators.observers.observer import Habits, Observer
+from simulators.observers.observer import Observer
 from testing.drawn_eyes import drawn_eye
 
 QUICK = FitRequest(bootstrap_draws=0)

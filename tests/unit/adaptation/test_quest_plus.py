@@ -17,7 +17,7 @@ from radiometer.adaptation.protocol import AdaptationProtocol, QuestPlusMethod, 
 from radiometer.adaptation.quest_plus import QuestPlusSearch
 from radiometer.adaptation.run import run_test
 from radiometer.errors import DeviceLost, MissingLibrary
-from testing.scripted_adaptation import Eye, ScriptedStage, eye, threshold
+from testing.scripted_adaptation import ScriptedStage, eye, threshold
 
 SPOT = Spot(device="light_box", channel="spot", peak_nm=453)
 METHOD = QuestPlusMethod(kind="questplus")

@@ -10,11 +10,10 @@ import pytest
 import yaml
 
 import radiometer as rm
-from radiometer.bench.reopening import reopen
 from radiometer.cli.main import run
 from radiometer.data import LensDescription
-from radiometer.devices import CameraPreset, CameraSettings
-from radiometer.errors import DeviceLost, DeviceNotFound, MissingLibrary
+from radiometer.devices import CameraPreset
+from radiometer.errors import DeviceLost
 from simulators.cameras.simulated_camera import SimulatedCamera, default_limits
 from simulators.chain.camera_model import CameraModel
 from simulators.scenes import scene_from_mapping

@@ -14,13 +14,7 @@ from radiometer.analysis.response.debevec1997 import recover_response_debevec199
 from radiometer.cli.analyse.merge_report import displacement_in_words
 from radiometer.cli.main import run
 from radiometer.data import (
-    BlackLevel,
-    Calibration,
-    CameraDescription,
-    LensDescription,
     ResponseCurve,
-    Scale,
-    SensorNoise,
     provenance,
 )
 

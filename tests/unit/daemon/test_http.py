@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import io
 import json
 import logging
 from collections.abc import AsyncIterator, Awaitable, Callable
@@ -14,17 +13,14 @@ from typing import Any
 import aiohttp
 import numpy as np
 import pytest
-from PIL import Image
 
 from radiometer.daemon.http.openapi import description
-from radiometer.daemon.http.picture import composite, render
 from radiometer.daemon.http.server import ROUTES, HttpServer
-from radiometer.daemon.instrument import Measurement
 from radiometer.daemon.journal_reader import JournalReader, ReadingFilter
 from radiometer.daemon.limits import Limits
 from radiometer.daemon.station import Station
-from radiometer.data import Frame, FrameSettings, Patch, Quantity, Reading, ResponseCurve
-from radiometer.errors import OutputError, UsageError
+from radiometer.data import Patch, Reading, ResponseCurve
+from radiometer.errors import OutputError
 from testing.patience import within
 
 Eventually = Callable[..., Awaitable[None]]
@@ -431,8 +427,9 @@ async def test_a_query_is_taken_up_to_its_bounds(
 
 @pytest.mark.parametrize(
     ("accept", "query", "kind"),
-    [("*/*", {}, "application/json"), ("text/csv", {}, "text/csv"), ("text/csv", {"format": "json"}, "application/json"),
-     ("application/x-ndjson", {}, "application/x-ndjson"), ("*/*", {"format": "csv"}, "text/csv"),
+    [("*/*", {}, "application/json"), ("text/csv", {}, "text/csv"), ("*/*", {"format": "csv"}, "text/csv"),
+     ("application/x-ndjson", {}, "application/x-ndjson"),
+     ("text/csv", {"format": "json"}, "application/json"),
      ("*/*", {"format": "jsonl"}, "application/x-ndjson")],
 )  # fmt: skip
 async def test_the_form_of_a_history_is_asked_for(

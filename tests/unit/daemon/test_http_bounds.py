@@ -7,13 +7,10 @@ import io
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 from PIL import Image
 
 from radiometer.daemon.http.picture import ServedPicture, render
 from radiometer.daemon.http.server import HttpServer
-from radiometer.daemon.limits import TokenBucket, is_allowed, parse_networks
 from radiometer.daemon.station import Station
 
 

@@ -15,7 +15,7 @@ import pytest
 
 from radiometer.daemon.journal import SCHEMA_VERSION, Journal, JournalError, default_journal_path
 from radiometer.daemon.journal_reader import JournalReader, ReadingFilter, to_csv
-from radiometer.daemon.timestamps import iso_time, microseconds, parse_moment
+from radiometer.daemon.timestamps import iso_time, parse_moment
 from radiometer.data import Flag, Patch, Quantity, Reading
 from radiometer.errors import InputError, OutputError, UsageError
 

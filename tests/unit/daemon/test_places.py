@@ -13,10 +13,8 @@ import pytest
 from radiometer.daemon.http.server import HttpServer
 from radiometer.daemon.limits import Limits
 from radiometer.daemon.places import Places
-from radiometer.daemon.scpi.server import ScpiServer
 from radiometer.daemon.station import Station
 from testing.patience import within
-
 
 Stream = tuple[asyncio.StreamReader, asyncio.StreamWriter]
 

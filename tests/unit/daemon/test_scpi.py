@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import asyncio
-import contextlib
 import json
 import socket
 import sqlite3
-import struct
 import threading
 from collections.abc import Awaitable, Callable
 from pathlib import Path
@@ -17,13 +15,10 @@ import pytest
 
 from radiometer.daemon.limits import Limits
 from radiometer.daemon.scpi.document import manual
-from radiometer.daemon.scpi.errors import ScpiError
-from radiometer.daemon.scpi.lexer import Argument, Kind, block_end, split_message
 from radiometer.daemon.scpi.server import ScpiServer
 from radiometer.daemon.scpi.table import command_table
 from radiometer.daemon.station import Station
-from radiometer.errors import OutputError, UsageError
-from testing.patience import within
+from radiometer.errors import OutputError
 
 Eventually = Callable[..., Awaitable[None]]
 TABLE = command_table()

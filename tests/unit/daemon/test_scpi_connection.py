@@ -17,7 +17,6 @@ from radiometer.daemon.journal import Journal
 from radiometer.daemon.limits import Limits, TokenBucket, parse_networks
 from radiometer.daemon.places import Places
 from radiometer.daemon.scpi import server as module
-from radiometer.daemon.scpi.errors import ScpiError
 from radiometer.daemon.scpi.server import ScpiConnection, ScpiServer
 from radiometer.daemon.scpi.status import Status
 from radiometer.daemon.station import Station

@@ -20,7 +20,7 @@ from radiometer.daemon.scpi.errors import ScpiError, scpi_error
 from radiometer.daemon.scpi.lexer import Argument, Kind, split_message
 from radiometer.daemon.scpi.parameters import Boolean, Choice, Number, ParameterLimits, Text
 from radiometer.daemon.scpi.session import Session
-from radiometer.daemon.scpi.status import QUEUE_LENGTH, Register, Status
+from radiometer.daemon.scpi.status import QUEUE_LENGTH, Status
 from radiometer.daemon.scpi.table import command_table
 from radiometer.data import Flag, Patch, Quantity, Reading
 from radiometer.errors import (

@@ -10,8 +10,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from radiometer.daemon.limits import is_allowed, parse_networks
-from radiometer.daemon.scpi.errors import ScpiError
 from radiometer.daemon.scpi.session import Session
 from radiometer.daemon.scpi.table import command_table
 from radiometer.data import Flag, ResponseCurve

@@ -27,7 +27,6 @@ from radiometer.errors import (
     DeviceLost,
     DeviceTimeout,
     MeasurementError,
-    OutputError,
     RadiometerError,
     SettingOutOfRange,
     UsageError,

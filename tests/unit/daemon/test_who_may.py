@@ -20,7 +20,8 @@ TOKEN = "a-token-of-some-length"
     [
         ("127.0.0.1", True), ("::1", True), ("::ffff:127.0.0.1", True),
         ("192.168.1.7", True), ("192.168.2.7", False), ("10.0.0.7", True), ("10.0.0.8", False),
-        ("::ffff:192.168.1.7", True), ("::ffff:192.168.2.7", False), ("fd00::1", True), ("fe00::1", False), ("fd00::5%eth0", True), ("fe80::1%eth0", False),
+        ("::ffff:192.168.1.7", True), ("::ffff:192.168.2.7", False), ("fd00::1", True), ("fe00::1", False),
+        ("fd00::5%eth0", True), ("fe80::1%eth0", False),
         ("8.8.8.8", False), ("", False), ("nonsense", False), ("192.168.1.7.evil.example", False),
     ],
 )  # fmt: skip

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import shutil
 
 import cv2
@@ -11,7 +10,7 @@ import pytest
 import yaml
 
 from radiometer.data import CameraDescription, CaptureSet, CaptureSetWriter, Frame, FrameSettings
-from radiometer.errors import CaptureError, OutputError
+from radiometer.errors import CaptureError
 
 PORT = {"name": "port", "x": 0, "y": 0, "width": 2, "height": 2}
 STATISTIC = {"exposure_s": 0.01, "mean_dn": 100.0, "variance_dn2": 40.0, "pixels": 48}

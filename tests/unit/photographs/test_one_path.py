@@ -14,7 +14,7 @@ from PIL import Image
 import radiometer as rm
 from radiometer.cli.main import run
 from radiometer.data import Calibration, Flag, ResponseCurve
-from radiometer.errors import CalibrationError, InputError, UsageError
+from radiometer.errors import CalibrationError, UsageError
 
 # Whole stops: EXIF prints them exactly enough for the stop behind to be taken.
 TIMES_S = tuple(2.0**-k for k in (9, 8, 7, 6, 5, 4))

@@ -18,7 +18,6 @@ from radiometer.reconciliation.fit.state import FitState, with_effects
 from radiometer.reconciliation.fit.terms import LinearTerm
 from radiometer.reconciliation.measure.design import LINES, Design, PatchSides, group_captures, patch_sides, tile_groups
 from radiometer.reconciliation.measure.edges import edge_shares
-from radiometer.reconciliation.measure.kernels import add_tiles, coarse_cells
 from radiometer.reconciliation.measure.reduce import frame_reader, reduce_frames
 from radiometer.reconciliation.measure.row_bands import RowBins
 from radiometer.reconciliation.measure.sums import CaptureSums

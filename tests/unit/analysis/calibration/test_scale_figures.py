@@ -7,10 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
-from radiometer.analysis.calibration import calibrate
 from radiometer.analysis.calibration.calibrate import (
     KnownSource,
     MeterReading,

@@ -8,10 +8,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from matplotlib.figure import Figure
-from scipy.stats import linregress
 
 from radiometer.analysis.characterise import characterise, report
-from radiometer.analysis.characterise.dark_signal import dark_signal, typical_dark_current, typical_rates
+from radiometer.analysis.characterise.dark_signal import dark_signal, typical_dark_current
 from radiometer.analysis.characterise.group_statistics import (
     GroupStatistics,
     NoiseLeft,
@@ -19,7 +18,6 @@ from radiometer.analysis.characterise.group_statistics import (
     split_spatial_variance,
     statistics_of_group,
 )
-from radiometer.analysis.characterise.line_fit import fit_line
 from radiometer.analysis.characterise.linearity import linearity
 from radiometer.analysis.characterise.nonuniformity import dsnu, prnu
 from radiometer.analysis.characterise.partial import bent, disagreeing_gains

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from radiometer.analysis.characterise import characterise, read_subject
-from radiometer.analysis.characterise.dark_signal import dark_transfer, doubling_of, typical_rates
+from radiometer.analysis.characterise.dark_signal import dark_transfer, typical_rates
 from radiometer.analysis.characterise.group_statistics import (
     GroupStatistics,
     NoiseLeft,
@@ -19,7 +19,6 @@ from radiometer.analysis.characterise.group_statistics import (
 from radiometer.analysis.characterise.photon_transfer import photon_transfer, transfer_of_few
 from radiometer.analysis.characterise.result import as_printed
 from radiometer.analysis.characterise.rounding import unrounded_variance
-from radiometer.analysis.characterise.sensitivity import sigma_d
 from radiometer.analysis.characterise.steps import contradicting_steps, make_steps
 from radiometer.data import FrameSettings, Quantity
 

@@ -15,7 +15,6 @@ from radiometer.analysis.merge.tables import merge_tables
 from radiometer.analysis.signal.situation import situation_of
 from radiometer.data import (
     BlackLevel,
-    Bracket,
     Calibration,
     CameraDescription,
     FoundEffects,

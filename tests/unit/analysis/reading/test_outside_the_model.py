@@ -8,8 +8,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, given, settings
-from hypothesis import strategies as st
 
 from radiometer.analysis.calibration.calibrate import KnownSource, scale_by_source
 from radiometer.analysis.reading.budget import conditions_of, frame_u_rel, local_scatter, stray_light

@@ -31,7 +31,6 @@ from radiometer.data import (
     StatedUncertainties,
 )
 from radiometer.data.setup import Setup
-from radiometer.errors import MeasurementError
 
 NOTHING_STATED = StatedUncertainties(**dict.fromkeys(StatedUncertainties.model_fields, 0.0))
 KNOWN_BLACK = BlackLevel(dn=64.0, u_dn=0.0, dark_u_rel=0.0)

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from radiometer.analysis.response.debevec1997 import recover_response_debevec1997
-from radiometer.data import Bracket, Frame, FrameSettings
-from radiometer.errors import InputError, MeasurementError
+from radiometer.data import Bracket, Frame
+from radiometer.errors import InputError
 
 
 @pytest.mark.parametrize("response", ["gamma", "linear", "sigmoid"])

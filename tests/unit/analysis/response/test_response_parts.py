@@ -14,9 +14,7 @@ from radiometer.analysis.response.mitsunaga1999 import Pairs
 from radiometer.analysis.response.noise import LogNoise, fit_log_noise, mean_exposure_dn
 from radiometer.analysis.response.pixel_noise import pixel_noise
 from radiometer.analysis.response.samples import gather_samples
-from radiometer.analysis.response.settle import places_as_one, tones_as_one
 from radiometer.data import Bracket, Frame, FrameSettings, ResponseCurve
-from radiometer.statistics.jackknife import jackknife_u
 
 
 def test_saturation_below_full_scale_is_found(make_stack):

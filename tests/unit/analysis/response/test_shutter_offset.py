@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
 
-from radiometer.analysis.merge.bracket import merge
 from radiometer.analysis.response import auto, shutter_offset
-from radiometer.analysis.response.auto import recover_colours_auto, recover_response_auto
+from radiometer.analysis.response.auto import recover_response_auto
 from radiometer.analysis.response.shutter_offset import (
     Exposures,
     ShutterOffset,
@@ -20,10 +18,8 @@ from radiometer.analysis.response.shutter_offset import (
     with_offset,
 )
 from radiometer.analysis.response.wrong_labels import UNTOLD_OFFSET_S, WrongLabel
-from radiometer.data import CameraDescription, LensDescription, ResponseCurve
-from radiometer.data.setup import Setup
-from radiometer.photographs.response import relative_calibration, with_found_times
-from testing.brackets_of_a_shutter import LABELS_S, photographed, plane, scene
+from radiometer.data import ResponseCurve
+from testing.brackets_of_a_shutter import LABELS_S, photographed, plane
 
 OFFSET_S = 25e-6
 
