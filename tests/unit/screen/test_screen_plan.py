@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 
 from radiometer.errors import UsageError
-from radiometer.screen.plan import QUICK_LEVELS, REFERENCE_EVERY, ScreenStep, make_plan, parse_levels
+from radiometer.screen.plan import REFERENCE_EVERY, ScreenStep, make_plan, parse_levels
 
 
 @pytest.mark.parametrize(
     ("text", "expected"),
     [
         ("all", tuple(range(256))),
-        ("quick", QUICK_LEVELS),
+        ("quick", (0, 32, 64, 96, 128, 192, 255)),
         ("3", (0, 128, 255)),
         ("17,5", (0, 5, 17, 255)),
     ],
