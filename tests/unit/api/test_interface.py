@@ -9,7 +9,8 @@ import pytest
 
 import radiometer as rm
 from radiometer.data import CaptureSetWriter
-from radiometer.errors import CaptureError, UsageError
+from radiometer.devices.exposure_account import NO_EYE
+from radiometer.errors import CaptureError, DeviceLost, UsageError
 
 TRUE_RADIANCE = 0.3
 
@@ -200,3 +201,28 @@ def _gradient() -> rm.Stack:
         frames.append(Frame(dn, 12, FrameSettings(exposure_s=exposure_s, black_level_dn=64.0)))
     camera = CameraDescription(bit_depth=12, conversion_gain_e_per_dn=2.6, read_noise_e=2.6, black_level_dn=64.0)
     return rm.Stack({"ramp": Bracket.from_frames(frames)}, camera, LensDescription(), "ramp")
+
+
+@pytest.mark.parametrize(
+    "light",
+    [
+        lambda **whose: rm.light_set("spot", level=1, hold_s=0.0, **whose),
+        lambda **whose: rm.light_pulse("spot", 0.1, level=1, **whose),
+        lambda **whose: rm.light_blink("spot", 0.1, 0.1, 2, level=1, **whose),
+    ],
+)
+@pytest.mark.parametrize(
+    ("whose", "eye"), [({}, None), ({"subject": "S07", "eye": "left"}, "s07 left"), ({"no_eye": True}, NO_EYE)]
+)
+def test_light_counts_for_whose_eye_is_named_and_else_for_every_eye(monkeypatch, light, whose, eye):
+    """Every function that lights opens the box for the eye that is named; that no eye looks has to be stated."""
+    opened_for = []
+
+    def opened(*_, eye, **__):
+        opened_for.append(eye)
+        raise DeviceLost("unplugged")
+
+    monkeypatch.setattr("radiometer.api.light.open_light_box", opened)
+    with pytest.raises(DeviceLost):
+        light(box="LB000001", **whose)
+    assert opened_for == [eye]
