@@ -16,7 +16,7 @@ from radiometer.analysis.characterise.group_statistics import (
     split_spatial_variance,
     statistics_of_group,
 )
-from radiometer.analysis.characterise.photon_transfer import photon_transfer, transfer_of_few
+from radiometer.analysis.characterise.photon_transfer import photon_transfer
 from radiometer.analysis.characterise.result import as_printed
 from radiometer.analysis.characterise.rounding import unrounded_variance
 from radiometer.analysis.characterise.steps import contradicting_steps, make_steps
@@ -91,12 +91,6 @@ def test_the_variance_before_rounding(noise, fraction, spread, step_dn):
 def test_a_figure_with_a_u_above_its_size_is_printed_as_a_limit(value, u, shown):
     """A dark current of −650,000 ± 780,000 e⁻/s is none: what is known is that it is below."""
     assert as_printed("mu_I_mean", Quantity(value, u, "e-/s")) == shown
-
-
-def test_gain_of_an_exact_photon_transfer():
-    """K is the variance over the signal above darkness: neither its inverse, nor twice it, nor with the black level."""
-    assert photon_transfer(ladder(), 10_000.0).K.value == pytest.approx(0.5, rel=1e-9)
-    assert transfer_of_few(ladder()[:1]).value == pytest.approx(0.5, rel=1e-9)
 
 
 @pytest.mark.parametrize("count", [5, 9, 20])
