@@ -12,8 +12,6 @@ from radiometer.data import CaptureSetWriter
 from radiometer.devices.exposure_account import NO_EYE
 from radiometer.errors import CaptureError, DeviceLost, UsageError
 
-TRUE_RADIANCE = 0.3
-
 BENCH = """\
 format: radiometer-bench/1
 camera: {kind: simulated, preset: BFS-U3-19S4M, serial: "22500001", seed: 5, width: 96, height: 64}
@@ -109,16 +107,6 @@ def test_a_merged_bracket_is_arrays_with_unit_and_uncertainty(stack, tmp_path):
     assert "100 % good" in repr(radiance)
 
 
-def test_a_map_goes_into_xarray_with_units_and_flags(stack):
-    """CF units, the uncertainty as an ancillary variable, one meaning per mask bit."""
-    radiance = rm.merge(stack)
-    dataset = radiance.to_xarray()
-    assert dataset.radiance.attrs["units"] == "1"
-    assert dataset.radiance.attrs["ancillary_variables"] == "u_radiance u_common mask"
-    assert len(dataset.mask.attrs["flag_masks"]) == len(dataset.mask.attrs["flag_meanings"].split())
-    assert np.array_equal(dataset.radiance.values, radiance.value)
-
-
 def test_netcdf_keeps_units_uncertainties_and_flags(stack, tmp_path):
     """Written and read by a real engine: values, CF attributes, and what obsarray needs to add the uncertainties up."""
     xarray = pytest.importorskip("xarray")
@@ -173,19 +161,6 @@ def test_a_sensor_tells_its_figures_with_unit_and_uncertainty(stack, capture):
     assert "K" not in sensor.figures
     assert "mu_y_dark = 64.0" in repr(sensor)
     assert "<td>mu_y_dark</td><td>64.0" in sensor._repr_html_()
-
-
-def test_a_reconciliation_tells_verdict_and_names(tmp_path):
-    """A light-meter table of printed stops: the name, the gap and the table that a notebook shows."""
-    table = tmp_path / "meter.csv"
-    rows = [f"screen,{luminance},16,{time},100" for luminance, time in ((250, "1/60"), (500, "1/125"), (1000, "1/250"))]
-    table.write_text("screen,luminance,f_number,time,iso\n" + "\n".join(rows) + "\n", encoding="utf-8")
-    found = rm.reconcile(table)
-    assert found.verdict in repr(found)
-    assert found.gap[1] <= found.gap[0]
-    assert [effect.name for effect in found.effects] == ["nominal_settings"]
-    assert "<td>nominal_settings</td>" in found._repr_html_()
-    assert found.to_mapping()["verdict"] == found.verdict
 
 
 def _gradient() -> rm.Stack:
