@@ -9,11 +9,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from radiometer.reconciliation.fit.descent import converged_fit, first_state, refit
+from radiometer.reconciliation.fit.descent import converged_fit, refit
 from radiometer.reconciliation.fit.models import ModelFit
 from radiometer.reconciliation.fit.state import with_effects
-from radiometer.reconciliation.measure.design import Design
-from radiometer.reconciliation.measure.reduce import frame_reader, reduce_frames
 from radiometer.reconciliation.posterior import Posterior, posterior
 from radiometer.reconciliation.result import FittedParameter
 from radiometer.reconciliation.search.localise import Disagreement, departing
@@ -28,6 +26,7 @@ from simulators.effects.natural_vignetting import NaturalVignetting
 from simulators.effects.psf_blur import PsfBlur
 from simulators.effects.rolling_shutter_banding import RollingShutterBanding
 from simulators.effects.stray_light_kernel import StrayLightKernel
+from testing.reduced import start_of
 
 BLUR_AND_GAIN = (PsfBlur(0.3), ConversionGainError(0.01))
 CROSSTALK = Crosstalk(0.01)
@@ -131,8 +130,7 @@ def test_a_parameter_is_doubted_where_the_data_push_it_out_of_its_range(
 ) -> None:
     """A black level 4 DN too high at every temperature pushes a drift's reference to −60 °C; nothing pushes 0."""
     captured = make_capture(plan=WARM_DARKS, extra_dn=lambda setting: offset_dn)
-    design = Design.of(captured.header, captured.frames[0].shape)
-    state = first_state(design, *reduce_frames(design, frame_reader(captured.frames)))
+    state = start_of(captured)
     found = with_effects(state, [BlackLevelDrift(0.05, -60.0)] if doubted else [BlackLevelDrift(1e-9, -60.0)])
     found = converged_fit(refit(found)) if doubted else replace(found, frozen=frozenset({1}))
     assert found.parameters.on_bounds()[0].any()
