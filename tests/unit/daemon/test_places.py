@@ -105,7 +105,7 @@ async def test_half_open_connections_lock_nobody_out_of_http(station: Station, o
 
 async def test_a_request_head_has_a_deadline(station: Station, opened: Any) -> None:
     """A connection that sends its head drop by drop is ended; one that has made a request may stay."""
-    server = HttpServer(station, limits=Limits(head_s=0.2))
+    server = HttpServer(station, limits=Limits(head_s=within(0.3)))
     port = await server.listen("127.0.0.1", 0)
     reader, writer = await opened(port)
     good_reader, good = await opened(port)
