@@ -21,6 +21,8 @@ from radiometer.errors import DeviceError, DeviceInUse, DeviceLost
 from simulators.cameras.blackfly_pictures import PictureRequest, PictureSource
 
 _CONTROL_UNIT_S: Final = 1e-4
+Mosaic = tuple[tuple[int, ...], ...]  # colours of its cell by row: 0 red, 1 green, 2 blue
+RGGB: Final[Mosaic] = ((0, 1), (1, 2))
 
 
 @dataclass(frozen=True, slots=True)
@@ -298,15 +300,23 @@ def mosaic_of(green: NDArray[Any], black_dn: float) -> NDArray[np.uint16]:
     return mosaic
 
 
-def dng_bytes(mosaic: NDArray[np.uint16], black_dn: int, white_dn: int) -> bytes:
-    """Return a bare DNG of an RGGB mosaic. Source: Adobe DNG 1.4, chapters 3 and 4."""
+def dng_bytes(
+    mosaic: NDArray[np.uint16], black_dn: int | tuple[int, ...], white_dn: int = 4095, pattern: Mosaic = RGGB
+) -> bytes:
+    """Return a bare DNG of a mosaic of 0 red, 1 green and 2 blue, with one black level or four of 2 × 2 pixels.
+
+    Source: Adobe DNG 1.4, chapters 3 and 4.
+    """
     matrix = (1, 1, 0, 1, 0, 1, 0, 1, 1, 1, 0, 1, 0, 1, 0, 1, 1, 1)
+    codes = tuple(code for row in pattern for code in row)
+    levels = black_dn if isinstance(black_dn, tuple) else (black_dn,)
     tags = [
+        (33421, "H", 2, (len(pattern), len(pattern[0])), True),  # CFARepeatPatternDim
+        (33422, "B", len(codes), codes, True),  # CFAPattern
         (50706, "B", 4, (1, 4, 0, 0), True),  # DNGVersion
         (50708, "s", 0, "Simulated", True),  # UniqueCameraModel
-        (33421, "H", 2, (2, 2), True),  # CFARepeatPatternDim
-        (33422, "B", 4, (0, 1, 1, 2), True),  # CFAPattern: red green / green blue
-        (50714, "H", 1, black_dn, True),
+        *([(50713, "H", 2, (2, 2), True)] if len(levels) == 4 else []),  # BlackLevelRepeatDim
+        (50714, "H", len(levels), levels if len(levels) > 1 else levels[0], True),
         (50717, "I", 1, white_dn, True),
         (50721, "2i", 9, matrix, True),  # ColorMatrix1
         (50728, "2I", 3, (1, 1, 1, 1, 1, 1), True),  # AsShotNeutral

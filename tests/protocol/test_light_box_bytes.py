@@ -168,24 +168,6 @@ def test_request_in_two_halves_is_one(talker):
     assert talker.tell(line[7:]) == framed("=01 OK")
 
 
-def test_repeated_request_is_answered_but_not_done_again(talker):
-    """A pulse whose answer was lost is not given twice: the stored answer comes, the pulse goes on as it was."""
-    talker.ask(HELLO)
-    first = talker.ask("#02 PU 1 H 30000 60")
-    talker.run(0.06)
-    assert talker.duty("spot") == 0
-    assert talker.ask("#02 PU 1 H 30000 60") == first
-    assert talker.duty("spot") == 0
-
-
-def test_refused_level_never_reaches_the_pin(talker):
-    """After a refusal the pin stays as it was: dark."""
-    talker.ask(HELLO)
-    talker.ask("#01 SL 3 H 20001")
-    talker.run(0.05)
-    assert talker.duty("fixation") == 0
-
-
 def test_time_runs_between_two_questions(talker):
     """TM gives the line's and the answer's time in steps of 4 µs and the number of the latest event."""
     form = re.compile(rb"=0[12] OK ([0-9]+\.[0-9]{3}) ([0-9]+\.[0-9]{3}) 01\*[0-9A-F]{8}\n")
@@ -216,18 +198,6 @@ def test_lost_event_can_be_had_again(talker):
     assert talker.ask("#01 EV 02") == framed(f"=01 OK {event[1].decode()}")
 
 
-def test_silence_darkens_and_ends_the_session(talker):
-    """One second after the last request: dark, event DK D, and light needs a new session."""
-    talker.ask(HELLO)
-    talker.ask("#01 SL 0 H 40000")
-    talker.run(0.95)
-    assert talker.duty("bleach") > 0.5
-    talker.run(0.1)
-    assert talker.duty("bleach") == 0
-    assert re.fullmatch(rb"!02 DK D [0-9.]+\*[0-9A-F]{8}\n", talker.take())
-    assert talker.ask("#02 SL 0 H 40000") == framed("=02 ER 07")
-
-
 def test_any_undamaged_request_keeps_the_light_on(talker):
     """Requests that fail do not count as silence, damaged lines do."""
     talker.ask(HELLO)
@@ -248,30 +218,6 @@ def test_session_starts_dark(talker):
     talker.ask("#01 SL 0 H 40000")
     talker.ask("#02 HI 1")
     assert talker.duty("bleach") == 0
-
-
-def test_button_held_for_three_seconds_turns_every_light_off(talker):
-    """At 2.9 s all are lit; at 3 s every channel is dark, a blink train too; none can be lit until it is let go."""
-    talker.ask(HELLO_2)
-    for number, words in enumerate(("SL 1 L 60000", "SL 5 L 60000", "BL 4 L 30000 500 1 0", "SL 3 L 20000")):
-        talker.ask(f"#{number + 1:02X} {words}")
-    talker.button(True)
-    for number in range(3):
-        talker.run(0.94)
-        talker.ask(f"#1{number} TM")
-    assert all(talker.duty(name) > 0.2 for name in ("spot", "field", "fixation", "spot_green"))
-    talker.run(0.2)
-    assert b" DK B 3" in talker.take()
-    assert all(talker.duty(name) == 0 for name in ("spot", "field", "fixation", "spot_green"))
-    assert talker.ask("#20 SL 1 L 5") == framed("=20 ER 12")
-    assert talker.ask("#21 FL") == framed("=21 ER 12")
-    assert talker.ask("#22 SL 1 L 0") == framed("=22 OK L 0 0")
-    talker.button(False)
-    talker.run(0.05)
-    talker.take()
-    assert talker.ask("#23 SL 1 L 5000") == framed("=23 OK L 5000 625")
-    talker.run(0.02)
-    assert talker.duty("spot") > 0
 
 
 def test_short_press_leaves_the_lights(talker):

@@ -98,20 +98,6 @@ def test_button_is_stamped_within_twenty_microseconds(avr):
     assert abs(max(delays_s)) < 1e-3
 
 
-def test_bouncing_contact_is_one_press(avr):
-    """Ten bounces within 5 ms are one press; the release comes once too."""
-    for _ in range(10):
-        avr.press()
-        avr.run(0.00025)
-        avr.press(pressed=False)
-        avr.run(0.00025)
-    avr.press()
-    avr.run(0.05)
-    sent = avr.take_sent()
-    assert sent.count(b" BT D ") == 1
-    assert b" BT U " not in sent
-
-
 def test_line_is_served_while_all_channels_ramp_and_blink(avr, ask):
     """At full load no byte is lost and every request is answered."""
     ask("#00 HI 1")
@@ -122,27 +108,6 @@ def test_line_is_served_while_all_channels_ramp_and_blink(avr, ask):
     assert answered == 100
     status = ask("#F0 ST").split()
     assert status[4:6] == [b"0", b"0"]
-
-
-@pytest.mark.parametrize("words", ["SL 5 H 60000", "RA 5 H 60000 5", "BL 5 H 60000 60000 1 0"])
-def test_light_without_an_end_ends_with_its_energy_budget(small_bucket_hex, words):
-    """With a 400th of the budget (0.75 s at the highest level) the field goes dark by itself, and says so."""
-    avr = AvrBox(small_bucket_hex)
-    avr.run(0.05)
-
-    def ask(body: str, wait_s: float) -> bytes:
-        avr.send(f"{body}*{crc32(body.encode()):08X}\n".encode())
-        avr.run(wait_s)
-        return avr.take_sent()
-
-    ask("#00 HI 2", 0.02)
-    assert b" OK " in ask(f"#01 {words}", 0.3)
-    assert avr.duty("field") == pytest.approx(938 / 1024, abs=0.02)
-    assert b"!" not in ask("#02 TM", 0.3)
-    assert b" DK 5 " in ask("#03 TM", 0.3)
-    assert avr.duty("field") == 0
-    assert b" OK O L 0 0 " in ask("#04 RB 5", 0.02)
-    assert b"ER 06" in ask("#05 PU 5 H 60000 500", 0.02)
 
 
 def test_shared_output_drives_one_of_its_two_leds(avr, ask):
@@ -172,44 +137,6 @@ def test_trigger_of_the_flash_is_one_pulse_of_ten_milliseconds(avr, ask):
     (rise, _), (fall, _) = [edge for edge in avr.trigger.edges if edge[0] > 1000][-2:]
     assert (fall - rise) / 16e6 == pytest.approx(0.010, abs=0.0011)
     assert sum(level for _, level in avr.trigger.edges) == 1
-
-
-def test_flashes_in_a_row_are_limited(small_bucket_hex):
-    """Of a firmware for two in a row the second is had 5 s after the first and no third one."""
-    avr = AvrBox(small_bucket_hex)
-    avr.run(0.05)
-
-    def ask(body: str) -> bytes:
-        avr.send(f"{body}*{crc32(body.encode()):08X}\n".encode())
-        avr.run(0.05)  # the EEPROM is written before the flash is fired: 37 ms at most
-        return avr.take_sent()
-
-    ask("#00 HI 2")
-    assert b"OK 1 5000" in ask("#01 FL")
-    for number in range(10):
-        avr.run(0.43)
-        ask(f"#1{number} TM")
-    assert b"ER 06" in ask("#20 FL")
-    avr.run(0.3)
-    assert b"OK 0 5000" in ask("#21 FL")
-    for number in range(10):
-        avr.run(0.49)
-        ask(f"#3{number} TM")
-    assert b"OK 0 0" in ask("#40 FS")
-    assert b"ER 06" in ask("#41 FL")
-    assert sum(level for _, level in avr.trigger.edges) == 2
-
-
-def test_bucket_runs_dry_and_says_so(avr, ask):
-    """Steady bleach at its highest level ends by itself after about 200 s of bucket; a fifth is checked here by RB."""
-    ask("#00 HI 1")
-    ask("#01 SL 0 H 60000")
-    before = int(ask("#02 RB 0").split()[6].split(b"*")[0])
-    for number in range(20):
-        avr.run(0.5)
-        ask(f"#{number + 16:02X} TM")
-    after = int(ask("#03 RB 0").split()[6].split(b"*")[0])
-    assert (before - after) / (20 * 0.512 * 1000) == pytest.approx(60000 // 256 + 1, rel=0.01)
 
 
 def test_opening_the_port_gives_no_energy_back(small_bucket_hex):

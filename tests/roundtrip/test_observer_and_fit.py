@@ -9,9 +9,8 @@ import pytest
 
 from radiometer.adaptation.adaptation_fit import AdaptationFit, FitRequest, fit_adaptation
 from radiometer.adaptation.threshold_series import ThresholdSeries
-from radiometer.errors import MeasurementError
 from simulators.observers.eye_kinetics import Eye, eye_after_bleach, scotopic_per_photopic
-from simulators.observers.observer import Habits, Observer
+from simulators.observers.observer import Observer
 from testing.drawn_eyes import drawn_eye
 
 QUICK = FitRequest(bootstrap_draws=0)
@@ -52,45 +51,6 @@ def test_blue_light_shows_the_break_where_it_is():
     estimate = found.estimates["break_min"]
     assert abs(estimate.value - eye.break_min(453.0)) < 3 * estimate.u + 0.1
     assert found.estimates["s2_slope_per_min"].value == pytest.approx(-0.24, abs=0.03)
-
-
-@pytest.mark.slow
-def test_red_light_shows_no_break():
-    """At 640 nm rods and cones are about equally sensitive: one branch."""
-    assert not fitted(Observer(Eye(), rng=np.random.default_rng(2)), 640.0).has_break
-
-
-@pytest.mark.slow
-def test_short_bleach_leaves_one_branch():
-    """After a short bleach the rods alone are seen: no break, and the fit ends where the thresholds do."""
-    eye = eye_after_bleach(Eye(), 300.0, 2.0)
-    series = limits_run(Observer(eye, rng=np.random.default_rng(3)), 453.0)
-    found = fit_adaptation(series, QUICK, np.random.default_rng(0))
-    assert not found.has_break, found.verdict
-    late = series.log_threshold[series.time_min > 20.0]
-    assert found.estimates["final_threshold"].value == pytest.approx(late.mean(), abs=0.15)
-    assert late.mean() < eye.cone_log10(30.0, 453.0) - 2.0
-
-
-@pytest.mark.parametrize(
-    ("habits", "said"),
-    [
-        (Habits(lapses=1.0, false_alarms=0.0), "never, or always"),
-        (Habits(lapses=0.0, false_alarms=1.0), "no recovery|never, or always"),
-    ],
-)
-def test_subject_who_never_or_always_presses_gets_a_verdict(habits, said):
-    """No curve is made of what is none."""
-    observer = Observer(Eye(), habits, np.random.default_rng(4))
-    if habits.false_alarms:
-        times = np.arange(0.5, 20, 0.5)
-        series = ThresholdSeries(times, np.full(times.size, 3.0))
-        assert observer.answer(None, 60.0, 453.0) is not None
-    else:
-        series = limits_run(observer, 453.0, 10.0)
-        series = ThresholdSeries(series.time_min, np.minimum(series.log_threshold, 5.0).round(6))
-    with pytest.raises(MeasurementError, match=said):
-        fit_adaptation(series, QUICK, np.random.default_rng(0))
 
 
 def cohort_coverage(subjects: int, seed: int) -> tuple[dict[str, list[bool]], list[float]]:

@@ -13,7 +13,7 @@ import pytest
 from radiometer.adaptation.adaptation_fit import AdaptationFit, FitRequest, fit_adaptation
 from radiometer.adaptation.box_setup import open_box_stage
 from radiometer.adaptation.journal import RunJournal
-from radiometer.adaptation.outcome import Outcome, Verdict
+from radiometer.adaptation.outcome import Outcome
 from radiometer.adaptation.protocol import AdaptationProtocol, FlashBleach, SteadyBleach, read_protocol
 from radiometer.adaptation.request import RunRequest
 from radiometer.adaptation.run import run_test
@@ -101,27 +101,6 @@ def test_short_bleach_leaves_the_rod_branch_alone(tmp_path: Path) -> None:
     found = fitted(outcome)
     assert not found.has_break, found.verdict
     assert found.estimates["final_threshold"].value < Eye().cone_log10(30.0, 453.0) - 2.0
-
-
-@pytest.mark.parametrize(
-    ("subject", "verdict"),
-    [("never", Verdict.NO_RESPONSE), (None, Verdict.NO_RESPONSE), ("always", Verdict.UNRELIABLE)],
-)
-def test_subject_who_never_or_always_presses_gets_a_verdict(
-    tmp_path: Path, subject: str | None, verdict: Verdict
-) -> None:
-    """And nobody before the box is as one who never presses."""
-    outcome, _ = run(tmp_path / "j", protocol(7.0, bleach_s=10.0), subject)
-    assert outcome.verdict is verdict
-    assert not outcome.can_be_fitted
-
-
-def test_subject_who_leaves_gets_a_verdict(tmp_path: Path) -> None:
-    """Ten minutes of presses, then none: known before the test's time is over."""
-    outcome, journal = run(tmp_path / "j", protocol(20.0, bleach_s=10.0), "leaves")
-    assert outcome.verdict is Verdict.LEFT
-    assert not outcome.can_be_fitted
-    assert journal.events[-1]["time_s"] < 18 * 60
 
 
 def test_run_that_died_is_lived_through_again_and_goes_on(tmp_path: Path) -> None:

@@ -67,19 +67,6 @@ def test_subject_who_cannot_be_fitted_is_exit_code_one_with_a_verdict(
     assert not list(tmp_path.glob("*.csv"))  # nothing that could be fitted by mistake
 
 
-@pytest.mark.usefixtures("environment")
-def test_other_subjects_journal_is_misuse(tmp_path: Path) -> None:
-    """Exit code 2, and the error is one line."""
-    assert _run("--simulate", "steady", "-o", "j", cwd=tmp_path).returncode == 0
-    _cut(tmp_path / "j")
-    wrong = subprocess.run(
-        [*PROGRAM[:-4], "--subject", "S2", "--seed", "5", "--simulate", "steady", "-o", "j"],
-        cwd=tmp_path, capture_output=True, text=True, timeout=within(120), check=False,
-    )  # fmt: skip
-    assert wrong.returncode == 2
-    assert [line for line in wrong.stderr.splitlines() if line.startswith("error:")] == wrong.stderr.splitlines()[1:]
-
-
 def _cut(journal: Path) -> bytes:
     """Cut a journal in its middle, as a crash does, and return what it held."""
     whole = journal.read_bytes()

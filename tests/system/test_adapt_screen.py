@@ -119,24 +119,6 @@ def test_filter_before_an_lcd_lets_the_curve_go_on(tmp_path: Path) -> None:
     assert counts[1] > 3 * counts[0]
 
 
-@pytest.mark.parametrize("dies_after", [3, 4, 40, 111])
-def test_run_taken_up_after_a_crash_has_the_same_events(oled: Path, tmp_path: Path, dies_after: int) -> None:
-    """Before, just after and long after the bleach: the journal equals that of an undisturbed run."""
-    _run(oled, tmp_path / "whole")
-    with pytest.raises(DeviceLost):
-        _run(oled, tmp_path / "broken", dies_after=dies_after)
-    _run(oled, tmp_path / "broken")
-    assert (tmp_path / "broken").read_text() == (tmp_path / "whole").read_text()
-
-
-@pytest.mark.parametrize(("subject", "verdict"), [("never", Verdict.NO_RESPONSE), ("always", Verdict.UNRELIABLE)])
-def test_absent_and_careless_subjects_get_a_verdict(oled: Path, tmp_path: Path, subject: str, verdict: Verdict) -> None:
-    """As at the box, nothing is fitted."""
-    outcome = _run(oled, tmp_path / "j", subject=subject)
-    assert outcome.verdict is verdict
-    assert not outcome.can_be_fitted
-
-
 def test_command_runs_it_and_journals_the_prompts(oled: Path, tmp_path: Path, project_root: Path) -> None:
     """`adapt run screen-only` before a simulated screen ends well; prompts stand in the journal, bells on stderr."""
     words = ["adapt", "run", "screen-only", "--subject", "S1", "--screen", str(oled), "--display", "oled"]

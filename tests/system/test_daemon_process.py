@@ -27,12 +27,6 @@ def test_a_signal_ends_it_cleanly(tmp_path: Path, number: int) -> None:
     assert not daemon.journal.with_name("journal.sqlite-wal").exists()
 
 
-def test_it_says_at_start_that_scpi_has_no_authentication(tmp_path: Path) -> None:
-    """Addresses and who may connect are told on standard error."""
-    with DaemonProcess(tmp_path) as daemon:
-        assert any(line.startswith("SCPI on") and "no authentication" in line for line in daemon.lines)
-
-
 @pytest.mark.parametrize(
     ("arguments", "code", "message"),
     [
@@ -53,16 +47,6 @@ def test_wrong_options_are_refused(arguments: list[str], code: int, message: str
     assert done.returncode == code
     assert message in done.stderr
     assert "Traceback" not in done.stderr
-
-
-def test_a_port_that_is_taken_is_named(tmp_path: Path) -> None:
-    """Exit code 1 and the address."""
-    with socket.create_server(("127.0.0.1", 0)) as other:
-        port = str(other.getsockname()[1])
-        command = [sys.executable, "-m", "radiometer", "serve", "--journal", str(tmp_path / "j"), "--scpi-port", port]
-        done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=within(60))
-    assert done.returncode == 1
-    assert f"127.0.0.1:{port}" in done.stderr
 
 
 def test_hangup_reloads_the_calibration(tmp_path: Path) -> None:

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from radiometer.cli.main import run
-from radiometer.data import CameraDescription, CaptureSetWriter, Frame, FrameSettings, ResponseCurve
+from radiometer.data import ResponseCurve
 
 
 def _photographs(folder: Path, *, times=(0.01, 0.02, 0.04, 0.08, 0.16), dtype=np.uint8, colour=False) -> Path:
@@ -141,16 +141,3 @@ def test_misuse_is_refused(tmp_path, monkeypatch, capsys, words, code, message):
     _photographs(tmp_path / "p")
     assert run(["response", "p", *words]) == code
     assert message in capsys.readouterr().err
-
-
-def test_capture_set_is_taken_as_well(tmp_path):
-    """A capture set of 12-bit frames gives a curve of 4096 values."""
-    rng = np.random.default_rng(2)
-    radiance = np.exp(np.linspace(0.0, 5.0, 160))[None, :].repeat(80, axis=0)
-    with CaptureSetWriter(tmp_path / "capture", CameraDescription(bit_depth=12)) as writer:
-        for time in 0.001 * 2.0 ** np.arange(8):
-            electrons = rng.poisson(np.minimum(radiance * time, 2.0) * 10_000)
-            numbers = np.clip(np.round(electrons * 0.4), 0, 4095).astype(np.uint16)
-            writer.add(Frame(numbers, 12, FrameSettings(float(time))))
-    assert run(["response", str(tmp_path / "capture"), "-o", str(tmp_path / "c.csv")]) == 0
-    assert ResponseCurve.read(tmp_path / "c.csv").log_exposure.size == 4096

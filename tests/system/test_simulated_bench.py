@@ -114,15 +114,3 @@ def test_good_patches_carry_no_flag(readings):
     """A well-exposed uniform patch needs no warning but of two frames; one in a hundred is flagged by chance."""
     flagged = [reading.flags for _, reading in readings if set(reading.flags) - {Flag.FEW_FRAMES}]
     assert len(flagged) <= 4
-
-
-@pytest.mark.parametrize(("radiance", "flag"), [(1e6, Flag.SATURATED), (0.0, Flag.BELOW_NOISE)])
-def test_a_patch_beyond_the_camera_is_flagged_and_not_nan(radiance, flag):
-    """What clips at the shortest exposure and what is black both give a number and a flag."""
-    calibration = calibrated_on(REFERENCE_RADIANCE, 5)
-    camera = camera_before({"kind": "uniform", "radiance_W_per_sr_m2": radiance}, 6)
-    frames = take(camera, REFERENCE_PATCH)
-    reading = read_patch(frames, REFERENCE_PATCH, Setup(camera.description, camera.lens, calibration))
-    assert flag in reading.flags
-    assert np.isfinite(reading.radiance.value)
-    assert np.isfinite(reading.radiance.u)

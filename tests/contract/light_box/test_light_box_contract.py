@@ -20,7 +20,6 @@ from radiometer.errors import (
     DeviceError,
     DeviceInUse,
     DeviceLost,
-    DeviceNotFound,
     SettingOutOfRange,
     UnsafeStimulus,
     UsageError,
@@ -195,13 +194,6 @@ def test_pulled_cable_is_a_lost_device_and_plugging_in_helps(rig):
     rig.server.plug()
     rig.box.open()
     assert rig.box.set_level("spot", DriveLevel(100)).drive.level == 100
-
-
-def test_missing_port_is_not_found(tmp_path):
-    """A port that is not there is named."""
-    absent = str(tmp_path / "absent")
-    with pytest.raises(DeviceNotFound, match="there is no port"):
-        SerialLine(absent).open()
 
 
 def test_killed_host_leaves_the_bleach_dark(rig, project_root: Path):

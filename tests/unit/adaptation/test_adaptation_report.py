@@ -6,6 +6,7 @@ import re
 
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
 
 from radiometer.adaptation.adaptation_fit import AdaptationFit, FitRequest, fit_adaptation
 from radiometer.adaptation.report import curve_csv, report_html
@@ -49,6 +50,24 @@ def test_the_break_is_said_with_its_interval(broken):
     assert half == pytest.approx((interval.high - interval.low) / 2, rel=0.05)
     assert abs(time - TRUE_BREAK_MIN) < 1.5 * half
     assert abs(slope + TRUE_S2) < 1.5 * half_slope
+
+
+def test_the_picture_shows_what_the_sentence_claims(broken, monkeypatch):
+    """A line at the break, a band over its interval, the plateau, the fitted curve, and after the break cones alone."""
+    figures = []
+    monkeypatch.setattr(Figure, "savefig", lambda one, stream, **_: figures.append(one) or stream.write(b"<svg/>"))
+    report_html(broken, "eye")
+    axes, interval = figures[0].axes[0], broken.estimates["break_min"].profile
+    assert [(band.get_x(), band.get_width()) for band in axes.patches] == [
+        (pytest.approx(interval.low), pytest.approx(interval.high - interval.low))
+    ]
+    lines = [np.array(line.get_data(), dtype=float) for line in axes.lines]
+    assert any(set(x) == {broken.estimates["break_min"].value} for x, _ in lines)
+    assert any(set(y) == {broken.chosen.values["plateau"]} for _, y in lines)
+    long = [(x, y) for x, y in lines if x.size > TIMES.size]
+    assert any(y == pytest.approx(broken.chosen.threshold(x)) for x, y in long)
+    (later,) = [x for x, y in long if y != pytest.approx(broken.chosen.threshold(x))]
+    assert later.min() >= broken.estimates["break_min"].value > later.min() - 1.0
 
 
 @pytest.mark.slow

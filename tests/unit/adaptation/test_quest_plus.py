@@ -17,7 +17,7 @@ from radiometer.adaptation.protocol import AdaptationProtocol, QuestPlusMethod, 
 from radiometer.adaptation.quest_plus import QuestPlusSearch
 from radiometer.adaptation.run import run_test
 from radiometer.errors import DeviceLost, MissingLibrary
-from testing.scripted_adaptation import Eye, ScriptedStage, eye, threshold
+from testing.scripted_adaptation import ScriptedStage, eye, threshold
 
 SPOT = Spot(device="light_box", channel="spot", peak_nm=453)
 METHOD = QuestPlusMethod(kind="questplus")
@@ -104,15 +104,3 @@ def test_run_taken_up_in_the_middle_of_a_search_has_the_same_events(
     errors = [v - threshold(60 * t) for t, v in zip(whole.times_min, whole.thresholds_log10, strict=True)]
     assert max(map(abs, errors)) < 0.3  # 3 u; this eye is a step, 0.1 log10 wide with the levels
     assert whole.to_csv().startswith("time_min,log10_threshold,u_log10_threshold\n")
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    ("subject", "verdict"),
-    [(lambda level, seconds: False, Verdict.NO_RESPONSE), (lambda level, seconds: True, Verdict.UNRELIABLE)],
-)
-def test_absent_and_careless_subjects_get_a_verdict(
-    tmp_path: Path, protocol: AdaptationProtocol, subject: Eye, verdict: Verdict
-) -> None:
-    """As with the other methods, before the test's time is over."""
-    assert _run(tmp_path / "j", ScriptedStage(subject, protocol)).verdict is verdict

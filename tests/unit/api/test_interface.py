@@ -9,9 +9,8 @@ import pytest
 
 import radiometer as rm
 from radiometer.data import CaptureSetWriter
-from radiometer.errors import CaptureError, UsageError
-
-TRUE_RADIANCE = 0.3
+from radiometer.devices.exposure_account import NO_EYE
+from radiometer.errors import CaptureError, DeviceLost, UsageError
 
 BENCH = """\
 format: radiometer-bench/1
@@ -108,16 +107,6 @@ def test_a_merged_bracket_is_arrays_with_unit_and_uncertainty(stack, tmp_path):
     assert "100 % good" in repr(radiance)
 
 
-def test_a_map_goes_into_xarray_with_units_and_flags(stack):
-    """CF units, the uncertainty as an ancillary variable, one meaning per mask bit."""
-    radiance = rm.merge(stack)
-    dataset = radiance.to_xarray()
-    assert dataset.radiance.attrs["units"] == "1"
-    assert dataset.radiance.attrs["ancillary_variables"] == "u_radiance u_common mask"
-    assert len(dataset.mask.attrs["flag_masks"]) == len(dataset.mask.attrs["flag_meanings"].split())
-    assert np.array_equal(dataset.radiance.values, radiance.value)
-
-
 def test_netcdf_keeps_units_uncertainties_and_flags(stack, tmp_path):
     """Written and read by a real engine: values, CF attributes, and what obsarray needs to add the uncertainties up."""
     xarray = pytest.importorskip("xarray")
@@ -174,19 +163,6 @@ def test_a_sensor_tells_its_figures_with_unit_and_uncertainty(stack, capture):
     assert "<td>mu_y_dark</td><td>64.0" in sensor._repr_html_()
 
 
-def test_a_reconciliation_tells_verdict_and_names(tmp_path):
-    """A light-meter table of printed stops: the name, the gap and the table that a notebook shows."""
-    table = tmp_path / "meter.csv"
-    rows = [f"screen,{luminance},16,{time},100" for luminance, time in ((250, "1/60"), (500, "1/125"), (1000, "1/250"))]
-    table.write_text("screen,luminance,f_number,time,iso\n" + "\n".join(rows) + "\n", encoding="utf-8")
-    found = rm.reconcile(table)
-    assert found.verdict in repr(found)
-    assert found.gap[1] <= found.gap[0]
-    assert [effect.name for effect in found.effects] == ["nominal_settings"]
-    assert "<td>nominal_settings</td>" in found._repr_html_()
-    assert found.to_mapping()["verdict"] == found.verdict
-
-
 def _gradient() -> rm.Stack:
     """Return frames of a ramp of light by a linear 12-bit camera with noise, made here."""
     from radiometer.data import Bracket, CameraDescription, Frame, FrameSettings, LensDescription
@@ -200,3 +176,28 @@ def _gradient() -> rm.Stack:
         frames.append(Frame(dn, 12, FrameSettings(exposure_s=exposure_s, black_level_dn=64.0)))
     camera = CameraDescription(bit_depth=12, conversion_gain_e_per_dn=2.6, read_noise_e=2.6, black_level_dn=64.0)
     return rm.Stack({"ramp": Bracket.from_frames(frames)}, camera, LensDescription(), "ramp")
+
+
+@pytest.mark.parametrize(
+    "light",
+    [
+        lambda **whose: rm.light_set("spot", level=1, hold_s=0.0, **whose),
+        lambda **whose: rm.light_pulse("spot", 0.1, level=1, **whose),
+        lambda **whose: rm.light_blink("spot", 0.1, 0.1, 2, level=1, **whose),
+    ],
+)
+@pytest.mark.parametrize(
+    ("whose", "eye"), [({}, None), ({"subject": "S07", "eye": "left"}, "s07 left"), ({"no_eye": True}, NO_EYE)]
+)
+def test_light_counts_for_whose_eye_is_named_and_else_for_every_eye(monkeypatch, light, whose, eye):
+    """Every function that lights opens the box for the eye that is named; that no eye looks has to be stated."""
+    opened_for = []
+
+    def opened(*_, eye, **__):
+        opened_for.append(eye)
+        raise DeviceLost("unplugged")
+
+    monkeypatch.setattr("radiometer.api.light.open_light_box", opened)
+    with pytest.raises(DeviceLost):
+        light(box="LB000001", **whose)
+    assert opened_for == [eye]

@@ -8,6 +8,7 @@ import signal
 import threading
 import time
 
+import numpy as np
 import pytest
 
 from radiometer.archive.discovery import find_captures
@@ -42,14 +43,34 @@ def test_every_capture_becomes_a_row(make_archive, tmp_path):
     assert table["flags"].tolist() == ["uncalibrated"] * 5
 
 
-def test_light_of_unknown_kind_is_flagged_in_the_table(make_archive, tmp_path):
-    """A capture that names no wavelength is read with the doubt of its kind, one that does without."""
+def calibration_of(root, folder):
+    """Write a calibration of the archive's camera, 1e-3 J·m⁻² per DN at f/4, and return its path."""
     scale = Scale(value=1e-3, u_rel=0.005, method="known_radiance", f_number=4.0)
     noise = SensorNoise(conversion_gain_e_per_dn=2.6, read_noise_e=2.4)
-    root = make_archive(2)
     camera = CaptureSet.read(root / "day-0000").header.camera
-    Calibration(camera, LensDescription(f_number=4.0), scale, None, noise).write(tmp_path / "cal.yaml")
-    settings = JobSettings("measure", calibration=str(tmp_path / "cal.yaml"))
+    Calibration(camera, LensDescription(f_number=4.0), scale, None, noise).write(folder / "cal.yaml")
+    return str(folder / "cal.yaml")
+
+
+@pytest.mark.parametrize("calibrated", [True, False])
+def test_a_merged_picture_is_relative_and_flagged_unless_it_is_calibrated(make_archive, tmp_path, calibrated):
+    """200 000 e⁻/s of 2.6 e⁻/DN; 1e-3 J·m⁻² of each DN on the sensor are 4·4²/π times as much before the lens."""
+    root = make_archive(1)
+    settings = JobSettings("merge", calibration=calibration_of(root, tmp_path) if calibrated else None)
+    run_batch(find_captures(str(root))[0], settings, tmp_path / "results.csv")
+    rows = pd.read_csv(tmp_path / "results.csv", keep_default_na=False).set_index("quantity")
+    found, share = rows.loc["radiance"], rows.loc["good_pixels"]
+    expected = 200_000 / 2.6 * (1e-3 * 64.0 / np.pi if calibrated else 1.0)
+    assert found["value"] == pytest.approx(expected, rel=0.005)
+    assert found["u"] / found["value"] == pytest.approx(0.005, rel=0.3) or not calibrated
+    assert (found["unit"], found["flags"]) == (("W sr-1 m-2", "") if calibrated else ("relative", "uncalibrated"))
+    assert (share["value"], share["unit"], share["flags"]) == (1.0, "1", "")
+
+
+def test_light_of_unknown_kind_is_flagged_in_the_table(make_archive, tmp_path):
+    """A capture that names no wavelength is read with the doubt of its kind, one that does without."""
+    root = make_archive(2)
+    settings = JobSettings("measure", calibration=calibration_of(root, tmp_path))
     header = root / "day-0001" / "capture.yaml"
     header.write_text(header.read_text() + "source: {kind: led, wavelength_nm: 550}\n")
     run_batch(find_captures(str(root))[0], settings, tmp_path / "results.csv")

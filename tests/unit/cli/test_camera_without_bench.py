@@ -10,11 +10,10 @@ import pytest
 import yaml
 
 import radiometer as rm
-from radiometer.bench.reopening import reopen
 from radiometer.cli.main import run
 from radiometer.data import LensDescription
-from radiometer.devices import CameraPreset, CameraSettings
-from radiometer.errors import DeviceLost, DeviceNotFound, MissingLibrary
+from radiometer.devices import CameraPreset
+from radiometer.errors import DeviceLost
 from simulators.cameras.simulated_camera import SimulatedCamera, default_limits
 from simulators.chain.camera_model import CameraModel
 from simulators.scenes import scene_from_mapping
@@ -137,35 +136,3 @@ def test_without_watch_a_lost_camera_is_an_error(real, monkeypatch, capsys):
     monkeypatch.setattr("drivers.cameras.aravis_camera.open_camera", find)
     assert run(["measure", "--camera", "20497219", "--patch", "42,22,8,6"]) == 1
     assert "stopped answering" in capsys.readouterr().err
-
-
-def test_a_camera_is_waited_for_as_long_as_it_takes():
-    """Every reason is told once, pauses lie between the tries, and the settings are in force afterwards."""
-    camera, reasons, pauses = RealCamera(LensDescription()), [], []
-    errors = [DeviceNotFound("absent"), DeviceNotFound("absent"), DeviceLost("gone again")]
-    real_open = camera.open
-
-    def open_() -> None:
-        if errors:
-            raise errors.pop(0)
-        real_open()
-
-    camera.open = open_
-    wanted = CameraSettings(exposure_s=0.003, black_level_dn=64)
-    reopen(camera, wanted, reasons.append, pauses.append)
-    assert reasons == ["absent", "gone again"]
-    assert len(pauses) == 3
-    assert camera.settings == wanted
-    camera.close()
-
-
-def test_a_camera_that_can_never_be_opened_is_not_waited_for():
-    """A library that is not installed does not appear by waiting."""
-    camera = RealCamera(LensDescription())
-
-    def open_() -> None:
-        raise MissingLibrary("apt install gir1.2-aravis-0.8")
-
-    camera.open = open_
-    with pytest.raises(MissingLibrary):
-        reopen(camera, CameraSettings(exposure_s=0.003), lambda _reason: None, lambda _seconds: None)

@@ -16,6 +16,7 @@ from radiometer.cli.main import run
 from radiometer.data import Bracket, CameraDescription, Frame, FrameSettings, LensDescription
 from radiometer.data.setup import Setup
 from radiometer.photographs.response import in_their_own_depth, relative_calibration
+from testing.edge_devices import dng_bytes
 
 BLACK, WHITE, ELECTRONS_PER_DN = 64, 4095, 2.5
 TIMES = (1.0, 2.0, 4.0, 8.0, 16.0)
@@ -24,23 +25,6 @@ TIMES = (1.0, 2.0, 4.0, 8.0, 16.0)
 def _mosaic(rng, radiance, seconds, white=WHITE):
     electrons = rng.poisson(radiance * seconds * 120.0 * ELECTRONS_PER_DN)
     return np.clip(np.round(electrons / ELECTRONS_PER_DN + BLACK), 0, white).astype(np.uint16)
-
-
-def _dng(path: Path, mosaic) -> None:
-    """Write a bare DNG with an RGGB mosaic (Adobe DNG 1.4, chapters 3 and 4)."""
-    matrix = (1, 1, 0, 1, 0, 1, 0, 1, 1, 1, 0, 1, 0, 1, 0, 1, 1, 1)
-    tags = [
-        (50706, "B", 4, (1, 4, 0, 0), True),  # DNGVersion
-        (50708, "s", 0, "Test Camera", True),  # UniqueCameraModel
-        (33421, "H", 2, (2, 2), True),  # CFARepeatPatternDim
-        (33422, "B", 4, (0, 1, 1, 2), True),  # CFAPattern: red green / green blue
-        (50714, "H", 1, BLACK, True),
-        (50717, "I", 1, WHITE, True),
-        (50721, "2i", 9, matrix, True),  # ColorMatrix1
-        (50728, "2I", 3, (1, 1, 1, 1, 1, 1), True),  # AsShotNeutral
-        (50778, "H", 1, 21, True),  # CalibrationIlluminant1: D65
-    ]
-    tifffile.imwrite(path, mosaic, photometric=32803, extratags=tags)
 
 
 def _scene(rng):
@@ -110,7 +94,7 @@ def test_raw_files_need_no_response(tmp_path, capsys):
     folder = tmp_path / "raw"
     folder.mkdir()
     for seconds in TIMES:
-        _dng(folder / f"t{seconds:g}.dng", _mosaic(rng, radiance * tint, seconds))
+        (folder / f"t{seconds:g}.dng").write_bytes(dng_bytes(_mosaic(rng, radiance * tint, seconds), BLACK))
     (folder / "exposures.txt").write_text("".join(f"t{s:g}.dng {s}\n" for s in TIMES))
     assert run(["merge", "--force", str(folder), "-o", str(tmp_path / "map.tiff")]) == 0
     capsys.readouterr()
@@ -190,7 +174,7 @@ def test_raw_files_are_filled_in_for_pictures(tmp_path, capsys):
     folder = tmp_path / "raw"
     folder.mkdir()
     for seconds in TIMES:
-        _dng(folder / f"t{seconds:g}.dng", _mosaic(rng, 0.8 * tint, seconds))
+        (folder / f"t{seconds:g}.dng").write_bytes(dng_bytes(_mosaic(rng, 0.8 * tint, seconds), BLACK))
     (folder / "exposures.txt").write_text("".join(f"t{s:g}.dng {s}\n" for s in TIMES))
     assert run(["merge", "--force", str(folder), "--demosaic", "-o", str(tmp_path / "map.tiff")]) == 0
     capsys.readouterr()

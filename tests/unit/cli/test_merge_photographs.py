@@ -14,13 +14,7 @@ from radiometer.analysis.response.debevec1997 import recover_response_debevec199
 from radiometer.cli.analyse.merge_report import displacement_in_words
 from radiometer.cli.main import run
 from radiometer.data import (
-    BlackLevel,
-    Calibration,
-    CameraDescription,
-    LensDescription,
     ResponseCurve,
-    Scale,
-    SensorNoise,
     provenance,
 )
 
@@ -129,20 +123,6 @@ def test_a_patch_of_photographs_from_the_hand_is_read_where_it_is(folder, tmp_pa
     assert found["alignment"] == said
     assert found["radiance"]["value"] / read(other)["radiance"]["value"] == pytest.approx(expected, rel=0.05)
     assert read(one, "--align", "off")["alignment"] is None
-
-
-def test_frames_that_do_not_differ_give_no_response(tmp_path, capsys):
-    """Four equal pictures labelled 0.5 to 4 s end in one line and exit code 1, not in a curve of hundreds of stops."""
-    rng = np.random.default_rng(0)
-    scene = rng.uniform(10.0, 240.0, (40, 60))
-    for k in range(4):
-        dn = np.rint(scene + rng.normal(0.0, 1.0, scene.shape) + 0.3 * k).clip(0, 255)
-        cv2.imwrite(str(tmp_path / f"p{k}.png"), dn.astype(np.uint8))
-    (tmp_path / "exposures.txt").write_text("".join(f"p{k}.png {0.5 * 2.0**k}\n" for k in range(4)))
-    assert run(["response", str(tmp_path), "--method", "debevec1997"]) == 1
-    error = capsys.readouterr().err
-    assert error.count("\n") == 1
-    assert "exposure" in error
 
 
 @pytest.mark.slow
@@ -308,27 +288,3 @@ def test_what_a_given_curve_leaves_open_is_said(few_colours, tmp_path, capsys):
     assert "red: the response curve given (green) holds for red" in of_green
     assert "blue: the response curve given (green) holds for blue" in of_green
     assert not [text for text in assumed("c-red.yaml", "c-green.yaml", "c-blue.yaml") if "curve given" in text]
-
-
-def test_a_calibration_of_another_channel_is_refused(few_colours, tmp_path, capsys):
-    """Green's response and scale hold for green: luminance, the default, is refused with the way out."""
-    folder, _ = few_colours
-    assert run(["response", str(folder), "--channel", "green", "-o", str(tmp_path / "green.yaml")]) == 0
-    camera = CameraDescription(bit_depth=8)
-    calibration = Calibration(
-        camera=camera,
-        lens=LensDescription(f_number=8.0),
-        scale=Scale(value=0.1, u_rel=0.03, method="known_radiance", f_number=8.0),
-        response=ResponseCurve.read(tmp_path / "green.yaml"),
-        noise=SensorNoise.of(camera),
-        black_level=BlackLevel(dn=0.0),
-    )
-    calibration.write(tmp_path / "cal.yaml")
-    words = ["--calibration", str(tmp_path / "cal.yaml"), "--f-number", "8"]
-    reading = ["measure", "--photographs", str(folder), "--patch", "10,10,8,8", *words]
-    merging = ["merge", str(folder), "-o", str(tmp_path / "map.exr"), *words]
-    for command in (reading, merging):
-        capsys.readouterr()
-        assert run(command) == 2
-        assert "give --channel green" in capsys.readouterr().err.replace("\n", " ")
-        assert run([*command, "--channel", "green"]) == 0

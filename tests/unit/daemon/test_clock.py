@@ -232,16 +232,6 @@ async def test_a_jump_before_a_restart_is_remembered(
     again.close()
 
 
-def test_an_old_time_between_young_ones_leaves_no_hole(tmp_path: Path, make_reading: Callable[..., Reading]) -> None:
-    """The clock was set back for a while: deletion stops at the first young reading, and the file stays whole."""
-    path = tmp_path / "j.sqlite"
-    with Journal(path) as journal:
-        journal.append([make_reading(time=f"2026-01-0{day}T00:00:00Z") for day in (1, 2, 5, 3, 6)])
-        assert journal.drop_older(microseconds("2026-01-04T00:00:00Z")) == 2
-    with Journal(path):
-        assert JournalReader(path).bounds() == (3, 5, 3)
-
-
 async def test_a_journal_error_is_told_not_swallowed(
     tmp_path: Path, make_reading: Callable[..., Reading], eventually: Eventually
 ) -> None:

@@ -91,6 +91,7 @@ async def test_the_whole_token_opens_and_nothing_else(station: Station, header: 
         ({"Origin": "http://127.0.0.1:PORT.evil.example"}, 403), ({"Sec-Fetch-Site": "same-origin"}, 200),
         ({"Sec-Fetch-Site": "none"}, 200), ({"Sec-Fetch-Site": "same-site"}, 403),
         ({"Sec-Fetch-Site": "cross-site", "Origin": "http://127.0.0.1:PORT"}, 403),
+        ({"Content-Type": "text/plain"}, 415),
     ],
 )  # fmt: skip
 async def test_only_pages_of_this_host_and_origin_may_change_anything(

@@ -115,21 +115,6 @@ def test_what_clients_measure_for_themselves_is_in_no_trend(tmp_path: Path, make
     assert [len(day(named, stream, 1)) for stream in ("", "patch lamp")] == [0, 3]
 
 
-def test_an_old_file_s_trend_is_that_of_a_new_one(tmp_path: Path, make_reading: Make) -> None:
-    """Brought to the present form, minutes of a file of the first hold what they would have held."""
-    path = tmp_path / "j.sqlite"
-    expected = day(written(path, readings(make_reading)), "", 1)
-    with sqlite3.connect(path) as old:
-        old.executescript(
-            "DROP INDEX readings_by_stream; DROP TABLE trend; DROP TABLE patches;"
-            "ALTER TABLE readings DROP COLUMN stream; PRAGMA user_version = 1;"
-        )
-    old.close()
-    with Journal(path):
-        pass
-    assert day(JournalReader(path), "", 1) == [pytest.approx(row) for row in expected]
-
-
 def test_a_budget_is_of_its_own_reading(tmp_path: Path, make_reading: Make) -> None:
     """Each number gives its own lines; one that was deleted, or never was, none."""
     own = [make_reading(time=iso_time(BASE_US), budget=(Contribution("scale", u),)) for u in (0.01, 0.02, 0.03)]

@@ -5,7 +5,6 @@ from __future__ import annotations
 import asyncio
 import json
 import shutil
-import sqlite3
 import tempfile
 from pathlib import Path
 
@@ -230,26 +229,6 @@ def test_deletion_deletes_all_that_is_old(tmp_path, make_reading):
         assert len(reader.events()) == 1
         journal.drop_older(2**61)
         assert (reader.events(), reader.bounds()) == ([], (10, 10, 1))
-
-
-def test_a_journal_of_the_first_form_is_taken_over(tmp_path, make_reading):
-    """Readings of the form without streams get their stream and their trend."""
-    path = tmp_path / "j.sqlite"
-    with Journal(path) as journal:
-        journal.append([make_reading(time=iso_time(START_US + n)) for n in range(3)])
-    with sqlite3.connect(path) as old:
-        old.executescript(
-            "DROP INDEX readings_by_stream; DROP TABLE trend; DROP TABLE patches;"
-            "ALTER TABLE readings DROP COLUMN stream; PRAGMA user_version = 1;"
-        )
-    old.close()
-    assert len(JournalReader(path).lines(ReadingFilter())) == 3
-    assert JournalReader(path).lines(ReadingFilter(stream="own")) == []
-    assert JournalReader(path).trend("", 0, 2**61) == []
-    with Journal(path) as journal:
-        assert [reading.sequence for reading in journal.append([make_reading()])] == [4]
-    (point, *_) = JournalReader(path).trend("", START_US - HOUR_US, START_US + 9 * HOUR_US)
-    assert (point.count, point.value) == (3, 1.0)
 
 
 @pytest.mark.parametrize(

@@ -13,11 +13,9 @@ import pytest
 from radiometer.daemon.http.server import HttpServer
 from radiometer.daemon.limits import Limits
 from radiometer.daemon.places import Places
-from radiometer.daemon.scpi.server import ScpiServer
 from radiometer.daemon.station import Station
 from testing.patience import within
 
-Eventually = Callable[..., Awaitable[None]]
 Stream = tuple[asyncio.StreamReader, asyncio.StreamWriter]
 
 
@@ -107,7 +105,7 @@ async def test_half_open_connections_lock_nobody_out_of_http(station: Station, o
 
 async def test_a_request_head_has_a_deadline(station: Station, opened: Any) -> None:
     """A connection that sends its head drop by drop is ended; one that has made a request may stay."""
-    server = HttpServer(station, limits=Limits(head_s=0.2))
+    server = HttpServer(station, limits=Limits(head_s=within(0.3)))
     port = await server.listen("127.0.0.1", 0)
     reader, writer = await opened(port)
     good_reader, good = await opened(port)
@@ -157,44 +155,4 @@ async def test_noisy_new_connections_wait_and_others_get_their_turn(station: Sta
         found = [await one() for _ in range(40)]
     assert found == [200] * 40
     assert asyncio.get_running_loop().time() - begun > 0.9  # 20 at once, 20 more at 20 per second
-    await server.close()
-
-
-async def test_idle_scpi_sessions_make_room(
-    station: Station, opened: Any, monkeypatch: pytest.MonkeyPatch, eventually: Eventually
-) -> None:
-    """256 sessions that never say a thing keep nobody out, and one that works stays."""
-    server = ScpiServer(station, limits=Limits(scpi_connections=20))
-    port = await server.listen_tcp("127.0.0.1", 0)
-    reader, writer = await opened(port)
-    writer.write(b"*OPC?\n")
-    assert await reader.readline() == b"1\n"
-    for _ in range(40):
-        await opened(port)
-    late_reader, late = await opened(port)
-    late.write(b"*OPC?\n")
-    async with asyncio.timeout(within(20)):
-        assert await late_reader.readline() == b"1\n"
-        writer.write(b"*OPC?\n")
-        assert await reader.readline() == b"1\n"
-    assert len(server.connections) <= 20
-    await server.close()
-
-
-@pytest.mark.slow
-async def test_an_idle_session_is_warned_then_ended(station: Station, opened: Any, eventually: Eventually) -> None:
-    """At nine tenths of the time an error is queued, at the end the connection closes; who speaks stays."""
-    server = ScpiServer(station, limits=Limits(idle_s=1.0))
-    port = await server.listen_tcp("127.0.0.1", 0)
-    reader, writer = await opened(port)
-    writer.write(b"*CLS;*OPC?\n")
-    assert await reader.readline() == b"1\n"
-    (connection,) = server.connections
-    assert connection.session is not None
-    status = connection.session.status
-    await eventually(lambda: status.error_count)
-    assert "sent nothing for" in status.next_error()
-    async with asyncio.timeout(within(20)):
-        with contextlib.suppress(ConnectionError):
-            assert await reader.read() == b""
     await server.close()

@@ -20,7 +20,7 @@ from radiometer.daemon.scpi.errors import ScpiError, scpi_error
 from radiometer.daemon.scpi.lexer import Argument, Kind, split_message
 from radiometer.daemon.scpi.parameters import Boolean, Choice, Number, ParameterLimits, Text
 from radiometer.daemon.scpi.session import Session
-from radiometer.daemon.scpi.status import QUEUE_LENGTH, Register, Status
+from radiometer.daemon.scpi.status import QUEUE_LENGTH, Status
 from radiometer.daemon.scpi.table import command_table
 from radiometer.data import Flag, Patch, Quantity, Reading
 from radiometer.errors import (
@@ -160,44 +160,6 @@ def test_a_block_and_a_string_hold_any_text(content: str) -> None:
     assert formats.block(content.encode("latin-1")) == f"#{len(length)}{length}{content}"
 
 
-@settings(max_examples=100)
-@given(st.lists(st.integers(0, 2**13 - 1), min_size=1, max_size=6), st.integers(0, 2**13 - 1))
-def test_a_register_latches_what_rises(conditions: list[int], enable: int) -> None:
-    """Each bit that went from 0 to 1 since the last reading is in the event register, and no other."""
-    register, before, risen = Register(), 0, 0
-    register.enable = enable
-    for condition in conditions:
-        register.update(condition)
-        risen |= condition & ~before
-        before = condition
-        assert (register.condition, register.event, register.summary) == (condition, risen, bool(risen & enable))
-    assert (register.take_event(), register.take_event(), register.condition) == (risen, 0, before)
-    register.update(before)  # what is still up does not rise again
-    assert register.event == 0
-
-
-@settings(max_examples=100)
-@given(st.integers(0, 255), st.integers(0, 255), st.integers(0, 255), st.booleans(), st.booleans(), st.integers(0, 3))
-def test_the_status_byte_is_the_sum_of_its_parts(
-    event: int, enabled: int, service: int, operation: bool, questionable: bool, errors: int
-) -> None:
-    """IEEE 488.2, 11.2: errors 4, questionable 8, reply 16, events 32, operation 128, and 64 by *SRE."""
-    status = Status()
-    status.operation.update(16 * operation)
-    status.questionable.update(512 * questionable)
-    status.operation.enable = status.questionable.enable = 0xFFFF
-    for _ in range(errors):
-        status.push(ScpiError(-113))
-    status.event_status, status.event_enable, status.service_enable = event, enabled, service & ~64
-    for available in (False, True):
-        byte = 4 * bool(errors) + 8 * questionable + 16 * available + 32 * bool(event & enabled) + 128 * operation
-        assert status.status_byte(message_available=available) == byte + 64 * bool(byte & service & ~64)
-    status.preset()
-    assert not status.status_byte() & 136
-    status.clear()
-    assert (status.event_status, status.error_count, status.service_enable) == (0, 0, service & ~64)
-
-
 def test_the_error_queue_keeps_the_oldest() -> None:
     """First in, first out; of too many the last says so; each sets the event bit of its hundred."""
     status = Status()
@@ -284,6 +246,9 @@ def test_no_more_than_rate_and_burst_is_let_through(per_s: float, pauses: list[f
             taken += 1
     clock.now_s += 1.1
     assert bucket.is_full
+    clock.now_s += 1000.0  # more than full never
+    assert [bucket.take() for _ in range(int(per_s))] == [0.0] * int(per_s)
+    assert bucket.take() > 0.0
 
 
 # What each setting does to the next measurement: message, field, value.
@@ -386,6 +351,13 @@ async def test_reset_gives_back_every_setting_that_can_be_asked(station: Any) ->
 @pytest.mark.parametrize(
     ("message", "number", "said"),
     [
+        ("NO:SUCH?", -113, ""), ("*IDN", -113, ""), ("SENS:EXP4", -113, ""), ("SENSITIVITYOFX:EXP 1", -113, ""),
+        ("SENSITIVITYOFXYZ:EXP 1", -112, ""), ("SENS:EXP:TIME", -109, ""), ("SENS:PATC 1,2", -109, ""),
+        ("SENS:EXP 1,2", -108, ""), ("SENS:EXP 100", -222, ""), ("SENS:EXP 1e400", -222, ""),
+        ("SENS:PATC 60,40,20,20", -222, ""), ("SENS:EXP 1 KG", -131, ""), ("SENS:PATC 1 MM,2,3,4", -138, ""),
+        ("SENS:EXP ABC", -141, ""), ("SENS:EXP 'abc'", -104, ""), ("SENS:EXP #15hello", -104, ""),
+        ("SENS:EXP 'abc", -151, ""), ("SENS:EXP #Z", -161, ""), ("TRAC:DATA? NONSENSE", -224, ""),
+        ("SOUR:LED9:LEV?", -114, ""), ("@", -101, ""), ("4", -102, ""), ("*IDN?SYST:VERS?", -103, ""),
         ("SENS:GAIN 1 2", -103, "expected at character 13"),
         ('SYST:ERR? "a" "b"', -103, "expected at character 15"),
         ("SENS:PATC 1,2,3,", -109, "after ','"),
@@ -401,7 +373,7 @@ async def test_reset_gives_back_every_setting_that_can_be_asked(station: Any) ->
         ('FETC:PATC? "main"', -230, "no reading of patch main yet"),
         ("FETC?", -230, "READ? makes one"),
     ],
-)
+)  # fmt: skip
 async def test_what_is_wrong_is_named_by_the_standard_s_number(
     station: Any, message: str, number: int, said: str
 ) -> None:

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-import urllib.error
-import urllib.request
 from collections.abc import Awaitable, Callable
 from typing import Any
 
@@ -91,18 +89,6 @@ async def test_a_client_of_ours_lights_after_the_pause(client: Any, box: Any) ->
     """The pause ends by itself, and lines keep their order across it."""
     assert float(await client.ask("SOUR:LED2:LEV 0.5\nSOUR:LED2:LEV?")) == 0.5
     assert box.levels["red"] == 0.5
-
-
-async def test_a_real_http_client_is_hung_up_on_and_counted(scpi: ScpiServer, station: Station, box: Any) -> None:
-    """Python's own HTTP client gets no reply, and the figures name the case."""
-
-    def post() -> None:
-        urllib.request.urlopen(f"http://127.0.0.1:{PORTS[scpi]}/", data=b"\n" + LIGHTING, timeout=within(20)).close()
-
-    with pytest.raises((OSError, urllib.error.URLError)):
-        await asyncio.to_thread(post)
-    assert b'reason="not scpi"} 1.0' in station.metrics.render()
-    assert _unchanged(station, box)
 
 
 @pytest.mark.parametrize("command", command_table().commands, ids=lambda command: command.pattern)

@@ -217,15 +217,6 @@ async def test_a_service_that_cannot_listen_ends_with_all_that_it_began(tmp_path
     taken.close()
 
 
-async def test_a_socket_s_name_that_is_a_file_is_left_alone(tmp_path: Path) -> None:
-    """What is no socket is not removed: the error says that the name is taken."""
-    place = tmp_path / "notes"
-    place.write_text("keep me")
-    with pytest.raises(OutputError, match=f"cannot listen for SCPI on {place}: "):
-        await fresh(tmp_path, scpi_address=None, http_address=None, scpi_socket=place).service.run()
-    assert place.read_text() == "keep me"
-
-
 async def test_hearing_from_other_machines_needs_a_list(tmp_path: Path) -> None:
     """An address beyond loopback is refused without one, in words that tell the way out."""
     with pytest.raises(RadiometerError, match=r"--scpi-allow \(addresses or networks\), or stay on 127\.0\.0\.1"):

@@ -27,7 +27,6 @@ from radiometer.errors import (
     DeviceLost,
     DeviceTimeout,
     MeasurementError,
-    OutputError,
     RadiometerError,
     SettingOutOfRange,
     UsageError,
@@ -130,12 +129,6 @@ async def test_a_late_camera_that_turns_out_lost_is_announced_again(
     assert told == ["overdue", "lost"]
 
 
-async def test_an_idle_camera_is_missed_too(station: Station, instrument: Any, eventually: Eventually) -> None:
-    """Nobody measures, yet the loss is noticed."""
-    instrument.unplugged = True
-    await eventually(lambda: station.camera.state is DeviceState.LOST)
-
-
 async def test_a_camera_that_is_absent_at_start_is_waited_for(
     instrument: Any, tmp_path: Path, eventually: Eventually
 ) -> None:
@@ -164,15 +157,6 @@ async def test_a_light_box_that_comes_back_is_known_to_be_dark(
     assert station.light.levels == {"white": 0.0, "red": 0.0}
 
 
-async def test_a_driver_bug_counts_as_loss(station: Station, instrument: Any, eventually: Eventually) -> None:
-    """An unexpected exception neither ends the daemon nor stays unnoticed."""
-    instrument.measure = lambda settings: 1 / 0
-    station.set_every(0.01)
-    await eventually(lambda: station.camera.losses > 0)
-    del instrument.measure
-    await eventually(lambda: station.shown.latest)
-
-
 async def test_failed_measurements_put_an_alarm_up(station: Station, instrument: Any, eventually: Eventually) -> None:
     """A saturated scene is reported; when it is over the alarm goes."""
     instrument.failing = True
@@ -180,32 +164,6 @@ async def test_failed_measurements_put_an_alarm_up(station: Station, instrument:
     await eventually(lambda: [alarm.name for alarm in station.alarms.active] == ["measurement"])
     instrument.failing = False
     await eventually(lambda: not station.alarms.active)
-
-
-@pytest.mark.slow
-async def test_a_locked_journal_holds_readings_back(station: Station, eventually: Eventually) -> None:
-    """While it is locked no client sees a reading; afterwards all come, numbered without holes."""
-    other = sqlite3.connect(station.journal_path, isolation_level=None)
-    other.execute("BEGIN EXCLUSIVE")
-    station.set_every(0.02)
-    await eventually(lambda: any(alarm.name == "journal" for alarm in station.alarms.active))
-    assert station.shown.latest is None
-    other.execute("ROLLBACK")
-    other.close()
-    await eventually(lambda: station.shown.latest is not None and not station.alarms.active)
-    station.set_every(None)
-    await eventually(lambda: station.writer.depth == 0)
-    numbers = [json.loads(line)["sequence"] for line in JournalReader(station.journal_path).lines(ReadingFilter())]
-    assert numbers == list(range(1, len(numbers) + 1))
-    assert len(numbers) > 5
-
-
-async def test_a_damaged_journal_ends_the_start(instrument: Any, tmp_path: Path) -> None:
-    """A file that will never become a journal is refused with the way out."""
-    (tmp_path / "j.sqlite").write_bytes(b"x" * 5000)
-    station = Station(instrument, Journal(tmp_path / "j.sqlite"))
-    with pytest.raises(OutputError, match="--journal"):
-        await station.start()
 
 
 async def test_a_listener_that_falls_behind_is_cut_off(station: Station) -> None:

@@ -152,6 +152,7 @@ def test_the_journal_of_the_version_before_is_taken_over(tmp_path: Path, make_re
     made.close()
     assert len(JournalReader(path).lines(ReadingFilter(stream=""))) == 4
     assert JournalReader(path).lines(ReadingFilter(stream="own")) == []
+    assert JournalReader(path).trend("", 0, 2**61) == []
     with Journal(path) as journal:
         journal.append([make_reading(session="scpi-1"), make_reading()])
     upgraded = sqlite3.connect(path)

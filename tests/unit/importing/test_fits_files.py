@@ -125,13 +125,6 @@ def test_negative_numbers_need_a_pedestal(write_fits):
     assert int(open_capture(path, ImportOptions(pedestal=40)).read_frame(0).dn[0, 0]) == 0
 
 
-def test_padded_codes_are_named(write_fits):
-    """Twelve bits written in sixteen are told by their step of 16."""
-    capture = open_capture(write_fits("p.fits", (PICTURE % 4096) * np.uint16(16), EXPTIME=1.0))
-    assert capture.header.camera.code_step_dn == 16
-    assert any("12 bits written in 16" in line for line in imported_of(capture).doubts)
-
-
 def test_fewer_bits_are_told_by_where_pixels_pile_up(write_fits):
     """Pixels that pile up at 4095 tell a 12-bit converter in a 16-bit file."""
     capture = open_capture(write_fits("t.fits", np.minimum(PICTURE + 2000, 4095).astype(np.uint16), EXPTIME=1.0))

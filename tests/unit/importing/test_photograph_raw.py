@@ -5,43 +5,36 @@ from __future__ import annotations
 import json
 import sys
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
 import pytest
-import tifffile
 
 from radiometer.cli.main import run
 from radiometer.errors import CaptureError, MissingLibrary
 from radiometer.photographs.folder import read_photographs
+from testing.edge_devices import dng_bytes
 
+pytest.importorskip("rawpy")
 RED, GREEN_1, GREEN_2, BLUE = 1000, 2000, 2002, 3000
 
 
-def _write_dng(path: Path, scale: float = 1.0, white: int = 4095, black: int = 64) -> None:
-    """Write a bare DNG with an RGGB mosaic of plain colours (Adobe DNG 1.4, chapters 3 and 4)."""
+def _plain_colours(scale: float = 1.0, white: int = 4095) -> np.ndarray:
+    """Return an RGGB mosaic of plain colours, their light above black times a factor."""
     mosaic = np.zeros((64, 96), np.uint16)
     for (row, column), value in {(0, 0): RED, (0, 1): GREEN_1, (1, 0): GREEN_2, (1, 1): BLUE}.items():
-        mosaic[row::2, column::2] = min(white, round((value - black) * scale) + black)
-    matrix = (1, 1, 0, 1, 0, 1, 0, 1, 1, 1, 0, 1, 0, 1, 0, 1, 1, 1)
-    tags = [
-        (50706, "B", 4, (1, 4, 0, 0), True),  # DNGVersion
-        (50708, "s", 0, "Test Camera", True),  # UniqueCameraModel
-        (33421, "H", 2, (2, 2), True),  # CFARepeatPatternDim
-        (33422, "B", 4, (0, 1, 1, 2), True),  # CFAPattern: red green / green blue
-        (50714, "H", 1, black, True),
-        (50717, "I", 1, white, True),
-        (50721, "2i", 9, matrix, True),  # ColorMatrix1
-        (50728, "2I", 3, (1, 1, 1, 1, 1, 1), True),  # AsShotNeutral
-        (50778, "H", 1, 21, True),  # CalibrationIlluminant1: D65
-    ]
-    tifffile.imwrite(path, mosaic, photometric=32803, extratags=tags)
+        mosaic[row::2, column::2] = min(white, round((value - 64) * scale) + 64)
+    return mosaic
+
+
+def _write(path: Path, mosaic: np.ndarray, **more: Any) -> None:
+    path.write_bytes(dng_bytes(mosaic, **{"black_dn": 64, **more}))
 
 
 def test_raw_file_gives_the_sensors_values(tmp_path):
     """Each colour of the mosaic comes out unscaled at half size, 12 bits, black level beside it."""
-    pytest.importorskip("rawpy")
-    _write_dng(tmp_path / "a.dng")
+    _write(tmp_path / "a.dng", _plain_colours())
     (tmp_path / "exposures.txt").write_text("a.dng 0.5\n")
     frames = [bracket.light[0] for bracket in read_photographs(tmp_path, "each")]
     assert [np.unique(frame.dn).tolist() for frame in frames] == [[RED], [GREEN_1], [BLUE]]
@@ -52,8 +45,7 @@ def test_raw_file_gives_the_sensors_values(tmp_path):
 
 def test_raw_white_level_counts_as_saturated(tmp_path):
     """Values at the file's white level, here below 2^12 − 1, are saturated."""
-    pytest.importorskip("rawpy")
-    _write_dng(tmp_path / "a.dng", scale=10.0, white=3800)
+    _write(tmp_path / "a.dng", _plain_colours(10.0, 3800), white_dn=3800)
     (tmp_path / "exposures.txt").write_text("a.dng 0.5\n")
     frame = read_photographs(tmp_path, "blue")[0].light[0]
     assert frame.saturated_dn == int(frame.dn.max()) == 3800
@@ -61,7 +53,6 @@ def test_raw_white_level_counts_as_saturated(tmp_path):
 
 def test_damaged_raw_file_is_named(tmp_path):
     """A file that rawpy cannot open is refused by name."""
-    pytest.importorskip("rawpy")
     (tmp_path / "a.nef").write_bytes(b"nothing of the kind")
     (tmp_path / "exposures.txt").write_text("a.nef 0.5\n")
     with pytest.raises(CaptureError, match=r"a\.nef: not a readable camera raw file"):
@@ -87,29 +78,9 @@ X_TRANS = (
 )
 
 
-def _write_mosaic(path: Path, mosaic, pattern=((0, 1), (1, 2)), black=(64,), white: int = 4095) -> None:
-    """Write a bare DNG of any mosaic (0 red, 1 green, 2 blue), with one black level or four (2 × 2)."""
-    shape, codes = (len(pattern), len(pattern[0])), tuple(c for row in pattern for c in row)
-    matrix = (1, 1, 0, 1, 0, 1, 0, 1, 1, 1, 0, 1, 0, 1, 0, 1, 1, 1)
-    tags = [
-        (33421, "H", 2, shape, True),
-        (33422, "B", len(codes), codes, True),
-        (50706, "B", 4, (1, 4, 0, 0), True),
-        (50708, "s", 0, "Test Camera", True),
-        *([(50713, "H", 2, (2, 2), True)] if len(black) == 4 else []),  # BlackLevelRepeatDim
-        (50714, "H", len(black), black if len(black) > 1 else black[0], True),
-        (50717, "I", 1, white, True),
-        (50721, "2i", 9, matrix, True),
-        (50728, "2I", 3, (1, 1, 1, 1, 1, 1), True),
-        (50778, "H", 1, 21, True),
-    ]
-    tifffile.imwrite(path, mosaic, photometric=32803, extratags=tags)
-
-
 def test_each_colour_has_its_own_black(tmp_path):
     """Four black levels of a mosaic: red, the green that is read, and blue keep theirs; luminance has their luma."""
-    pytest.importorskip("rawpy")
-    _write_mosaic(tmp_path / "a.dng", np.full((64, 96), 500, np.uint16), black=(60, 64, 66, 70))
+    _write(tmp_path / "a.dng", np.full((64, 96), 500, np.uint16), black_dn=(60, 64, 66, 70))
     (tmp_path / "exposures.txt").write_text("a.dng 0.5\n")
     levels = [bracket.light[0].settings.black_level_dn for bracket in read_photographs(tmp_path, "each")]
     assert levels == [60.0, 64.0, 70.0]
@@ -119,11 +90,10 @@ def test_each_colour_has_its_own_black(tmp_path):
 
 def test_an_x_trans_mosaic_is_read_by_cells_of_three(tmp_path):
     """Every cell of 3 × 3 pixels gives one red, green and blue value, of pixels of that colour."""
-    pytest.importorskip("rawpy")
     codes = np.tile(np.array(X_TRANS), (10, 12))
     place = np.kron(np.arange(20 * 24).reshape(20, 24), np.ones((3, 3), int))
     mosaic = (100 + place + 1000 * codes).astype(np.uint16)
-    _write_mosaic(tmp_path / "a.dng", mosaic, X_TRANS)
+    _write(tmp_path / "a.dng", mosaic, pattern=X_TRANS)
     (tmp_path / "exposures.txt").write_text("a.dng 0.5\n")
     frames = [bracket.light[0].dn for bracket in read_photographs(tmp_path, "each")]
     for colour, dn in enumerate(frames):
@@ -133,12 +103,11 @@ def test_an_x_trans_mosaic_is_read_by_cells_of_three(tmp_path):
 @pytest.mark.parametrize("pattern", [((0, 1), (1, 2)), X_TRANS])
 def test_colours_are_filled_in_for_pictures(tmp_path, pattern):
     """At full size an even field of plain colours comes out as these colours above black, white as full scale."""
-    pytest.importorskip("rawpy")
     colours = np.array([564, 1064, 1564])
     side = len(pattern)
     mosaic = colours[np.tile(np.array(pattern), (60 // side, 96 // side))].astype(np.uint16)
     mosaic[30:36, 40:46] = 4095
-    _write_mosaic(tmp_path / "a.dng", mosaic, pattern)
+    _write(tmp_path / "a.dng", mosaic, pattern=pattern)
     (tmp_path / "exposures.txt").write_text("a.dng 0.5\n")
     brackets = read_photographs(tmp_path, "each", interpolated=True)
     for bracket, expected in zip(brackets, (500, 1000, 1500), strict=True):
@@ -154,13 +123,12 @@ def test_colours_are_filled_in_for_pictures(tmp_path, pattern):
 @pytest.mark.parametrize("pattern", [((0, 1), (1, 2)), X_TRANS])
 def test_a_colour_that_clips_says_nothing_of_the_others(tmp_path, pattern):
     """Green at white everywhere leaves red and blue filled in as they are; one clipped red pixel is red around it."""
-    pytest.importorskip("rawpy")
     side = len(pattern)
     codes = np.tile(np.array(pattern), (60 // side, 96 // side))
     mosaic = np.array([564, 4095, 1564])[codes].astype(np.uint16)
     row, column = next((r, c) for r, c in np.argwhere(codes == 0) if r > 30 and c > 40)
     mosaic[row, column] = 4095
-    _write_mosaic(tmp_path / "a.dng", mosaic, pattern)
+    _write(tmp_path / "a.dng", mosaic, pattern=pattern)
     (tmp_path / "exposures.txt").write_text("a.dng 0.5\n")
     red, green, blue = (one.light[0].dn.astype(int) for one in read_photographs(tmp_path, "each", interpolated=True))
     assert np.all(green[4:-4, 4:-4] == 4095)
@@ -175,8 +143,7 @@ def test_a_colour_that_clips_says_nothing_of_the_others(tmp_path, pattern):
 
 def test_raw_and_developed_pictures_do_not_mix(tmp_path):
     """A list that names a raw file and a picture is refused in one line that names both."""
-    pytest.importorskip("rawpy")
-    _write_mosaic(tmp_path / "a.dng", np.full((64, 96), 500, np.uint16))
+    _write(tmp_path / "a.dng", np.full((64, 96), 500, np.uint16))
     cv2.imwrite(str(tmp_path / "b.png"), np.full((32, 48, 3), 500, np.uint16))
     (tmp_path / "exposures.txt").write_text("a.dng 0.5\nb.png 1\n")
     with pytest.raises(CaptureError, match=r"a\.dng and b\.png are not both camera raw files"):
@@ -185,9 +152,8 @@ def test_raw_and_developed_pictures_do_not_mix(tmp_path):
 
 def test_a_cut_raw_file_is_named(tmp_path):
     """Half a DNG is refused by name, in one line, by the commands too."""
-    pytest.importorskip("rawpy")
     whole = tmp_path / "whole.dng"
-    _write_mosaic(whole, np.full((64, 96), 500, np.uint16))
+    _write(whole, np.full((64, 96), 500, np.uint16))
     folder = tmp_path / "cut"
     folder.mkdir()
     (folder / "a.dng").write_bytes(whole.read_bytes()[:3000])
@@ -198,7 +164,6 @@ def test_a_cut_raw_file_is_named(tmp_path):
 
 def test_measure_reads_raw_files_by_the_meters_constant_or_a_known_source(tmp_path, capsys):
     """L = K·N²/(t·S) of the metered surface, and a known luminance, both give that of another surface within U."""
-    pytest.importorskip("rawpy")
     rng = np.random.default_rng(1)
     constant, f_number, iso, metered_s = 14.0, 4.0, 100.0, 1.0 / 32.0
     metered = constant * f_number**2 / (metered_s * iso)
@@ -207,7 +172,7 @@ def test_measure_reads_raw_files_by_the_meters_constant_or_a_known_source(tmp_pa
         (tmp_path / folder).mkdir()
         for d in times:
             dn = rng.poisson(dn_per_light * luminance / d * 2.5, (64, 96)) / 2.5 + 64
-            _write_mosaic(tmp_path / folder / f"t{d}.dng", np.round(dn).astype(np.uint16))
+            _write(tmp_path / folder / f"t{d}.dng", np.round(dn).astype(np.uint16))
         (tmp_path / folder / "exposures.txt").write_text("".join(f"t{d}.dng 1/{d}\n" for d in times))
     green = ["--channel", "green", "--f-number", "4"]
     light = ["--spectrum", "equal_energy"]  # stated, or what another light would do is in u too

@@ -18,18 +18,6 @@ def table(tmp_path, text, name="t.csv"):
     return path
 
 
-def test_milliseconds_become_seconds(tmp_path):
-    """The unit in the column's name counts."""
-    header = statistics_of(table(tmp_path, "exposure_ms,mean_dn,variance_dn2\n3,27.5,140.25\n"))
-    row = header.statistics[0]
-    assert (row.exposure_s, row.mean_dn, row.variance_dn2, row.shutter) == (0.003, 27.5, 140.25, "open")
-
-
-def test_a_standard_deviation_is_squared(tmp_path):
-    """A column of standard deviations gives variances."""
-    assert statistics_of(table(tmp_path, "exposure_us;mean;std\n500;10;3\n")).statistics[0].variance_dn2 == 9.0
-
-
 def test_json_lines_with_nested_settings(tmp_path):
     """One object per line, settings one level down, darkness by word."""
     text = (

@@ -14,12 +14,11 @@ from PIL import Image
 import radiometer as rm
 from radiometer.cli.main import run
 from radiometer.data import Calibration, Flag, ResponseCurve
-from radiometer.errors import CalibrationError, InputError, UsageError
+from radiometer.errors import CalibrationError, UsageError
 
 # Whole stops: EXIF prints them exactly enough for the stop behind to be taken.
 TIMES_S = tuple(2.0**-k for k in (9, 8, 7, 6, 5, 4))
 SHAPE = (64, 96)
-HAND_HELD = (160, 224)  # enough texture to align by
 
 
 def scene(shape: tuple[int, int] = SHAPE) -> np.ndarray:
@@ -67,13 +66,6 @@ def exponent(found: rm.Radiance, light: np.ndarray) -> float:
     return float(np.polyfit(np.log(light[good]), np.log(found.value[good].astype(float)), 1)[0])
 
 
-def rms_rel(found: rm.Radiance, light: np.ndarray) -> float:
-    """Return the relative standard deviation of value over truth where the map is good."""
-    good = (found.mask == 0) & (found.value > 0)
-    ratio = np.log(found.value[good].astype(float) / light[good])
-    return float(np.std(ratio))
-
-
 def test_merged_photographs_are_proportional_to_the_scene(tmp_path):
     """JPEG of gamma 1/2.2: the exponent is 1, not 0.5, from the folder, from the stack, and by the command, alike."""
     light = scene()
@@ -87,13 +79,6 @@ def test_merged_photographs_are_proportional_to_the_scene(tmp_path):
     assert np.array_equal(by_path.value, found.value)
     assert np.array_equal(by_path.u, found.u)
     assert exponent(rm.merge(stack, linear=True), light) < 0.7  # only because it was asked for
-
-
-def test_photographs_that_hold_no_response_are_refused(tmp_path):
-    """One photograph of JPEG: no map is made by treating its numbers as light."""
-    folder = photographs(tmp_path / "p", scene(), times_s=(2.0**-6,))
-    with pytest.raises(InputError, match="one exposure only"):
-        rm.merge(rm.read_photographs(folder))
 
 
 @pytest.fixture(scope="module")
@@ -150,36 +135,6 @@ def test_a_calibration_of_one_colour_reads_no_other(tmp_path, curve):
     with pytest.raises(UsageError, match="response is of green"):
         rm.measure_photographs(known, patch, calibration=found.calibration)
     assert np.median(rm.merge(stack["green"], calibration=found.calibration).value) == pytest.approx(0.5, rel=0.02)
-
-
-def test_photographs_from_the_hand_are_aligned_in_python_too(tmp_path):
-    """Moved by up to 6 pixels: the map of the stack is that of the folder, and sharp."""
-    light, shifts = scene(HAND_HELD), (0.0, 2.5, -3.0, 5.0, 1.0, 6.0)
-    folder = photographs(tmp_path / "p", light, shifts=shifts)
-    found = rm.merge(rm.read_photographs(folder))
-    assert found.alignment is not None
-    by, middle = shifts[int(found.alignment.split("aligned to p")[1][0])], np.s_[12:-12, 12:-12]
-    move = np.array([[1.0, 0.0, by], [0.0, 1.0, 0.5 * by]])
-    truth = cv2.warpAffine(light, move, light.shape[::-1], flags=cv2.INTER_CUBIC)[middle]
-    aligned, blurred = (
-        float(np.std(np.log(one.value[middle] / truth)[one.mask[middle] == 0]))
-        for one in (found, rm.merge(rm.read_photographs(folder), align="off"))
-    )
-    assert aligned < 0.05
-    assert blurred > 3 * aligned
-    assert np.array_equal(found.value, rm.merge(folder).value)
-
-
-def test_the_offset_of_a_shutter_that_the_response_tells_counts_in_python(tmp_path, curve):
-    """Exposures 60 µs longer than their labels: the map by a response that says so is right to a third of the error."""
-    light = scene()
-    folder = photographs(tmp_path / "p", 60 * light, times_s=tuple(2.0**-k for k in (12, 11, 10, 9, 8)), late_s=6e-5)
-    offset = {"shutter_offset_s": 6e-5, "u_shutter_offset_s": 5e-6}
-    told = replace(curve, provenance=replace(curve.provenance, parameters=offset))
-    stack = rm.read_photographs(folder)
-    right, wrong = (rms_rel(rm.merge(stack, one), light) for one in (told, curve))
-    assert right < 0.35 * wrong
-    assert any("shutter's offset" in text for text in rm.merge(stack, told).assumptions)
 
 
 def test_exposures_that_nothing_confirms_are_assumed_and_count_in_u(tmp_path, curve):

@@ -10,12 +10,11 @@ import numpy as np
 import pytest
 
 from radiometer.reconciliation import engine
-from radiometer.reconciliation.fit.descent import first_state, refit
+from radiometer.reconciliation.fit.descent import refit
 from radiometer.reconciliation.fit.state import with_effects
-from radiometer.reconciliation.measure.design import Design
-from radiometer.reconciliation.measure.reduce import frame_reader, reduce_frames
 from simulators.effects.full_well_saturation import FullWellSaturation
 from simulators.effects.veiling_glare import VeilingGlare
+from testing.reduced import start_of
 
 PLAN = [{"t": float(t)} for t in np.geomspace(1e-4, 6e-3, 6) for _ in range(2)] + [{"t": 1e-2, "shutter": "closed"}]
 
@@ -39,8 +38,7 @@ def test_answer_stands_where_advice_fails(make_capture: Callable[..., Any], monk
 def test_fit_holds_a_parameter_though_a_term_before_it_falls_to_nothing(make_capture: Callable[..., Any]) -> None:
     """A ceiling's spread goes to zero, where the ceiling is sharp and has one parameter less; the veil stays held."""
     captured = make_capture(seed=32, plan=PLAN)
-    design = Design.of(captured.header, captured.frames[0].shape)
-    start = first_state(design, *reduce_frames(design, frame_reader(captured.frames)))
+    start = start_of(captured)
     added = with_effects(start, [FullWellSaturation(9_000.0, 0.05), VeilingGlare(0.01)])
     assert added.parameters.names == ("full_well_e", "spread_rel", "share")
     fitted = refit(replace(added, frozen=frozenset({2})))

@@ -10,10 +10,8 @@ import pytest
 
 from radiometer.reconciliation.fit.candidate_fit import Candidate, fit_candidate
 from radiometer.reconciliation.fit.covariance import scatter_of
-from radiometer.reconciliation.fit.descent import first_state, refit
+from radiometer.reconciliation.fit.descent import refit
 from radiometer.reconciliation.fit.state import FitState, with_effects
-from radiometer.reconciliation.measure.design import Design
-from radiometer.reconciliation.measure.reduce import frame_reader, reduce_frames
 from radiometer.reconciliation.result import FittedParameter, LawCurve
 from radiometer.reconciliation.search.moves import by_a_free_law, free_forms
 from radiometer.reconciliation.search.score import worth
@@ -24,6 +22,7 @@ from simulators.effects.exposure_time_offset import ExposureTimeOffset
 from simulators.effects.fnumber_tstop_error import FnumberTstopError
 from simulators.effects.gain_step_error import GainStepError
 from simulators.effects.gamma_enabled import GammaEnabled
+from testing.reduced import start_of
 
 TIMES = np.geomspace(1e-4, 6e-3, 9)
 PLAN = [{"t": float(t)} for t in TIMES for _ in range(2)] + [{"t": t, "shutter": "closed"} for t in (1e-4, 1.0)]
@@ -33,8 +32,7 @@ PLAN = [{"t": float(t)} for t in TIMES for _ in range(2)] + [{"t": t, "shutter":
 def late(make_capture: Callable[..., Any]) -> FitState:
     """Return the ideal camera fitted to exposures that are too long by 8 µs, and by twice that from 2 ms on."""
     captured = make_capture(seed=81, plan=PLAN, exposure=lambda t: t + (8e-6 if t < 1e-3 else 24e-6))
-    design = Design.of(captured.header, captured.frames[0].shape)
-    return first_state(design, *reduce_frames(design, frame_reader(captured.frames)))
+    return start_of(captured)
 
 
 def test_knots_lie_where_the_effect_does_something(late: FitState) -> None:

@@ -10,26 +10,21 @@ import numpy as np
 import pytest
 
 from radiometer.reconciliation.fit.covariance import effect_covariance, fitted_parameters, is_misfit
-from radiometer.reconciliation.fit.descent import first_state, refit
+from radiometer.reconciliation.fit.descent import refit
 from radiometer.reconciliation.fit.nuisances import dark_current_is_free
 from radiometer.reconciliation.fit.state import FitState, reweighted, with_effects
 from radiometer.reconciliation.measure.design import Design
-from radiometer.reconciliation.measure.reduce import frame_reader, reduce_frames
 from simulators.effects.black_level_drift import BlackLevelDrift
 from simulators.effects.dark_current import DarkCurrent
 from simulators.effects.exposure_time_offset import ExposureTimeOffset
+from testing.reduced import start_of
 
 LADDER = [{"t": float(t), "d": d} for d in (0.9, 0.3) for t in np.geomspace(1e-4, 5e-3, 8)]
 DARKS = [{"t": t, "T": warm, "shutter": "closed"} for t in (0.01, 1.0) for warm in (25.0, 40.0)]
 
 
-def _state(captured: Any) -> FitState:
-    design = Design.of(captured.header, captured.frames[0].shape)
-    return first_state(design, *reduce_frames(design, frame_reader(captured.frames)))
-
-
 def _with_offset(captured: Any) -> FitState:
-    return refit(reweighted(refit(with_effects(_state(captured), [ExposureTimeOffset(offset_s=1e-6)]))))
+    return refit(reweighted(refit(with_effects(start_of(captured), [ExposureTimeOffset(offset_s=1e-6)]))))
 
 
 def test_uncertainties_stay_where_no_structure_is_left(make_capture: Callable[..., Any]) -> None:
@@ -63,7 +58,7 @@ def test_an_effect_of_temperature_moves_the_first_frame_of_a_series(make_capture
     entries = captured.header.frames
     warm_c = [30.0 + 0.3 * (number % 4 > 0) + 5.0 * (number // 4) for number in range(len(entries))]
     warming = tuple(replace_temperature(entry, read) for entry, read in zip(entries, warm_c, strict=True))
-    state = _state(replace(captured, header=captured.header.model_copy(update={"frames": warming})))
+    state = start_of(replace(captured, header=captured.header.model_copy(update={"frames": warming})))
     drifting = state.model.with_effects([BlackLevelDrift(drift_dn_per_K=2.0)])
     assert drifting.predict(state.nuisance).first == pytest.approx(-0.6, abs=2e-4)  # and a little dark current
 
@@ -74,7 +69,7 @@ def test_declared_dark_current_moves_the_first_frame_of_a_series(make_capture: C
     entries = captured.header.frames
     warm_c = [25.0 + 0.7 * (number % 4 > 0) + 5.0 * (number // 4) for number in range(len(entries))]
     warming = tuple(replace_temperature(entry, read) for entry, read in zip(entries, warm_c, strict=True))
-    state = _state(replace(captured, header=captured.header.model_copy(update={"frames": warming})))
+    state = start_of(replace(captured, header=captured.header.model_copy(update={"frames": warming})))
     dark = state.design.closed
     assert state.prediction.first[dark] == pytest.approx(-(2.0**0.1 - 1.0) / 2.6, rel=1e-6)
     assert DarkCurrent().drifts
@@ -90,11 +85,11 @@ def test_a_well_that_holds_more_than_declared_limits_nothing(make_capture: Calla
     captured = make_capture(2, plan=LADDER)
     header = captured.header
     small = header.model_copy(update={"camera": header.camera.model_copy(update={"full_well_e": 3000.0})})
-    state = _state(replace(captured, header=small))
+    state = start_of(replace(captured, header=small))
     assert state.model.passes_well
     bright = state.seen.mean > 64.0 + 4000.0 / 2.6
     assert float(np.min(state.prediction.variance[bright])) > 4000.0 / 2.6**2
-    assert not _state(captured).model.passes_well
+    assert not start_of(captured).model.passes_well
 
 
 def test_darks_at_several_temperatures_tell_the_dark_current_s_whole_law(make_capture: Callable[..., Any]) -> None:

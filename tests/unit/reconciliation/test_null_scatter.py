@@ -9,12 +9,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from radiometer.reconciliation.fit.descent import converged_fit, first_state
+from radiometer.reconciliation.fit.descent import converged_fit
 from radiometer.reconciliation.fit.state import with_effects
-from radiometer.reconciliation.measure.design import Design
-from radiometer.reconciliation.measure.reduce import frame_reader, reduce_frames
 from radiometer.reconciliation.statistics import STATISTICS
 from simulators.effects.registry import make_effect
+from testing.reduced import start_of
 
 # The knife-edge's u holds an allowance for how sharp a border is, and an even chart of a sound sensor has no outliers.
 STATED_LARGER = {"edge", "outliers"}
@@ -24,8 +23,7 @@ Chi2 = dict[str, tuple[float, int]]
 
 def chi2_of(captured: Any, *effects: Any) -> Chi2:
     """Return χ² and number of entries of each statistic, where these effects are part of the model."""
-    design = Design.of(captured.header, captured.frames[0].shape)
-    state = first_state(design, *reduce_frames(design, frame_reader(captured.frames)))
+    state = start_of(captured)
     state = converged_fit(with_effects(state, list(effects)) if effects else state)
     rest = state.data_residual
     return {

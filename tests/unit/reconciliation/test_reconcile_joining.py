@@ -10,11 +10,9 @@ import pytest
 
 from radiometer.reconciliation.engine import whole_catalogue
 from radiometer.reconciliation.fit.covariance import fitted_parameters
-from radiometer.reconciliation.fit.descent import converged_fit, first_state, refit
+from radiometer.reconciliation.fit.descent import converged_fit, refit
 from radiometer.reconciliation.fit.full_fit import FullFits, UnfitError
 from radiometer.reconciliation.fit.state import FitState, with_effects
-from radiometer.reconciliation.measure.design import Design
-from radiometer.reconciliation.measure.reduce import frame_reader, reduce_frames
 from radiometer.reconciliation.search.moves import better, simpler
 from radiometer.reconciliation.search.screening import StartPool
 from simulators.effects.angle_dependence import AngleDependence
@@ -23,13 +21,13 @@ from simulators.effects.fnumber_tstop_error import FnumberTstopError
 from simulators.effects.gamma_enabled import GammaEnabled
 from simulators.effects.natural_vignetting import NaturalVignetting
 from simulators.effects.veiling_glare import VeilingGlare
+from testing.reduced import start_of
 
 pytestmark = pytest.mark.long  # each runs a whole search
 
 
 def _fitted(captured: Any, *effects: CatalogueEffect) -> FitState:
-    design = Design.of(captured.header, captured.frames[0].shape)
-    start = first_state(design, *reduce_frames(design, frame_reader(captured.frames)))
+    start = start_of(captured)
     return converged_fit(refit(with_effects(start, effects)))
 
 

@@ -10,9 +10,7 @@ import numpy as np
 import pytest
 from scipy.ndimage import convolve
 
-from radiometer.reconciliation.fit.descent import first_state
 from radiometer.reconciliation.fit.full_fit import UnfitError, included
-from radiometer.reconciliation.fit.state import FitState
 from radiometer.reconciliation.measure.design import Design
 from radiometer.reconciliation.measure.reduce import frame_reader, reduce_frames
 from radiometer.reconciliation.noise.fixed_patterns import renewed_patterns
@@ -24,11 +22,7 @@ from simulators.effects.catalogue import Scaling
 from simulators.effects.context import ExposureContext
 from simulators.effects.missing_codes import MissingCodes
 from simulators.effects.pwm_flicker import PwmFlicker
-
-
-def _state(captured: Any) -> FitState:
-    design = Design.of(captured.header, captured.frames[0].shape)
-    return first_state(design, *reduce_frames(design, frame_reader(captured.frames)))
+from testing.reduced import start_of
 
 
 @pytest.mark.slow
@@ -40,7 +34,7 @@ def test_search_for_a_flicker_begins_near_it(make_capture: Callable[..., Any]) -
         wave = 0.09 * np.sinc(480.0 * setting["t"]) * np.cos(2 * np.pi * rng.random())
         return image * (1.0 + wave)
 
-    state = _state(make_capture(5, picture=flickering))
+    state = start_of(make_capture(5, picture=flickering))
     (first, *_) = StartPool().likeliest(state, PwmFlicker)
     assert isinstance(first, PwmFlicker)
     assert first.frequency_hz == pytest.approx(480.0, rel=0.02)
@@ -57,14 +51,14 @@ def test_codes_that_occur_rule_out_a_coarser_step(
     captured = make_capture(7)
     coarse = [replace(frame, dn=frame.dn - frame.dn % step) for frame in captured.frames]
     seen, _ = reduce_frames(Design.of(captured.header, coarse[0].shape), frame_reader(coarse))
-    left = of_seen_codes(seen, MissingCodes.starts(_state(captured).model.context))
+    left = of_seen_codes(seen, MissingCodes.starts(start_of(captured).model.context))
     assert {effect.step_codes for effect in left if effect.kept_codes == 1.0} == possible
 
 
 @pytest.mark.slow
 def test_charge_that_neighbours_exchange_stays_in_the_means_of_lines(make_capture: Callable[..., Any]) -> None:
     """Means of lines of mixed noise scatter as predicted, over what the mixed pixels' own variance would give."""
-    state = _state(make_capture(6))
+    state = start_of(make_capture(6))
     height, width = state.design.tiles[0].height, state.design.tiles[0].width
     x, y = 0.02, 0.01
     kernel = np.array([[0, y, 0], [x, 1 - 2 * x - 2 * y, x], [0, y, 0]])
@@ -90,7 +84,7 @@ def test_charge_that_neighbours_exchange_stays_in_the_means_of_lines(make_captur
 @pytest.mark.slow
 def test_charge_that_is_pushed_far_stays_in_the_means_of_lines(make_capture: Callable[..., Any]) -> None:
     """Flats with covariances of many lags: rows, columns, bands of rows and tiles scatter as told, to 4 sigma."""
-    state = _state(make_capture(6))
+    state = start_of(make_capture(6))
     height, width = state.design.tiles[0].height, state.design.tiles[0].width
     push = push_of(8, 0.56, 0.45)
     kernel, middle = push.kernel, push.kernel.shape[0] // 2
@@ -131,7 +125,7 @@ def test_charge_that_is_pushed_far_stays_in_the_means_of_lines(make_capture: Cal
 @pytest.mark.slow
 def test_captures_of_one_setting_tell_its_own_pattern_once(make_capture: Callable[..., Any]) -> None:
     """Means scatter by the pattern over the root of their pixels; m captures of one setting by √m of that each."""
-    state = _state(make_capture(8))
+    state = start_of(make_capture(8))
     assert renewed_patterns(state.design, state.seen, state.prediction) == {}
     pattern = replace(state.prediction, renewed_variance=4.0 * np.ones_like(state.prediction.mean))
     found = renewed_patterns(state.design, state.seen, pattern)
@@ -164,6 +158,6 @@ class _Impossible(Scaling):
 @pytest.mark.slow
 def test_effect_that_cannot_be_is_refused_by_name(make_capture: Callable[..., Any]) -> None:
     """Where an effect leads to what no camera does, the search is told which it was, and goes on without it."""
-    state = _state(make_capture(6))
+    state = start_of(make_capture(6))
     with pytest.raises(UnfitError, match="impossible"):
         included(state, _Impossible(0.5), far=False)

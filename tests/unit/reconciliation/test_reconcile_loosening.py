@@ -9,21 +9,19 @@ import numpy as np
 import pytest
 
 from radiometer.reconciliation.fit.covariance import fitted_parameters
-from radiometer.reconciliation.fit.descent import converged_fit, first_state, refit
+from radiometer.reconciliation.fit.descent import converged_fit, refit
 from radiometer.reconciliation.fit.state import FitState, with_effects
-from radiometer.reconciliation.measure.design import Design
-from radiometer.reconciliation.measure.reduce import frame_reader, reduce_frames
 from radiometer.reconciliation.search.localise import departing, localise
 from radiometer.reconciliation.search.moves import LooserForms
 from simulators.effects.catalogue import CatalogueEffect
 from simulators.effects.dark_current import DarkCurrent
 from simulators.effects.dark_current_nonuniformity import DarkCurrentNonuniformity
 from simulators.effects.led_thermal_droop import LedThermalDroop
+from testing.reduced import start_of
 
 
 def _with(effect: CatalogueEffect, captured: Any, *more: CatalogueEffect) -> FitState:
-    design = Design.of(captured.header, captured.frames[0].shape)
-    state = first_state(design, *reduce_frames(design, frame_reader(captured.frames)))
+    state = start_of(captured)
     return converged_fit(refit(with_effects(state, [effect, *more])))
 
 

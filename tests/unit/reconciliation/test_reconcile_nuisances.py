@@ -11,12 +11,12 @@ import pytest
 
 from radiometer.data import CameraDescription, CaptureHeader, FrameEntry, PatchDescription
 from radiometer.reconciliation.advice.sizes import limits
-from radiometer.reconciliation.fit.descent import first_state
 from radiometer.reconciliation.fit.nuisances import NuisanceLayout, dark_current_is_free
 from radiometer.reconciliation.measure.design import Design
 from radiometer.reconciliation.measure.reduce import frame_reader, reduce_frames
 from radiometer.reconciliation.noise.repeatability import steady_wander2
 from simulators.effects.gain_step_error import GainStepError
+from testing.reduced import start_of
 
 TRIED = np.concatenate([[0.0], np.geomspace(1e-9, 1e-3, 61)])
 PIXEL_NOISE = 1e-8  # relative variance of a frame's mean from pixel noise alone
@@ -107,8 +107,7 @@ def test_camera_of_stated_noise_has_no_dark_current_but_a_stated_one() -> None:
 def test_table_that_was_found_has_a_limit(make_capture: Callable[..., Any]) -> None:
     """The limit of an effect in the form of a table is that of its largest entry, near that of its law."""
     captured = make_capture(3)
-    design = Design.of(captured.header, captured.frames[0].shape)
-    state = first_state(design, *reduce_frames(design, frame_reader(captured.frames)))
+    state = start_of(captured)
     entries = {"gain_step_error": GainStepError}
     law = limits(state, entries)["gain_step_error"].amplitude
     table = GainStepError(gains_db=(0.0, 6.0, 18.0), errors_rel=(0.0, 0.01, -0.02))

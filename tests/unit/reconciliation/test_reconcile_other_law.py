@@ -8,13 +8,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from radiometer.reconciliation.fit.descent import first_state, refit
+from radiometer.reconciliation.fit.descent import refit
 from radiometer.reconciliation.fit.state import FitState, with_effects
-from radiometer.reconciliation.measure.design import Design
-from radiometer.reconciliation.measure.reduce import frame_reader, reduce_frames
 from radiometer.reconciliation.search.outcome import Search, Step
 from radiometer.reconciliation.verdict import Verdict, rest_of, verdict_of, with_other_functional_form
 from simulators.effects.exposure_time_offset import ExposureTimeOffset
+from testing.reduced import start_of
 
 PLAN = [{"t": float(t)} for t in np.geomspace(1e-4, 6e-3, 6) for _ in range(2)] + [{"t": 1e-2, "shutter": "closed"}]
 
@@ -23,8 +22,7 @@ PLAN = [{"t": float(t)} for t in np.geomspace(1e-4, 6e-3, 6) for _ in range(2)] 
 def late(make_capture: Callable[..., Any]) -> FitState:
     """Return a model with exposures that are 8 µs longer than stated, as they were taken."""
     captured = make_capture(seed=71, plan=PLAN, exposure=lambda t: t + 8e-6)
-    design = Design.of(captured.header, captured.frames[0].shape)
-    start = first_state(design, *reduce_frames(design, frame_reader(captured.frames)))
+    start = start_of(captured)
     return refit(with_effects(start, [ExposureTimeOffset(8e-6)]))
 
 

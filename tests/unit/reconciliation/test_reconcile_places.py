@@ -10,10 +10,7 @@ import numpy as np
 import pytest
 
 from radiometer.data import CameraDescription, CaptureHeader, FrameEntry
-from radiometer.reconciliation.fit.descent import first_state
-from radiometer.reconciliation.fit.state import FitState
 from radiometer.reconciliation.measure.design import Design
-from radiometer.reconciliation.measure.reduce import frame_reader, reduce_frames
 from radiometer.reconciliation.noise.repeatability import estimate_tau
 from radiometer.reconciliation.search.localise import (
     axis_of,
@@ -22,11 +19,7 @@ from radiometer.reconciliation.search.localise import (
     places,
 )
 from radiometer.reconciliation.thresholds import SIGNIFICANCE
-
-
-def _state(captured: Any) -> FitState:
-    design = Design.of(captured.header, captured.frames[0].shape)
-    return first_state(design, *reduce_frames(design, frame_reader(captured.frames)))
+from testing.reduced import start_of
 
 
 def _design(times_s: list[float], warm_c: list[float]) -> Design:
@@ -80,7 +73,7 @@ def test_setting_repeats_whatever_the_rounding_of_its_temperature() -> None:
 @pytest.mark.slow
 def test_one_cause_is_one_place(make_capture: Callable[..., Any]) -> None:
     """A black level 0.5 DN too high differs along a dozen covariates; the list names it once, and no echo."""
-    state = _state(make_capture(seed=3, extra_dn=lambda setting: 0.5))
+    state = start_of(make_capture(seed=3, extra_dn=lambda setting: 0.5))
     tests = localise(state)
     listed = places(state, 4)
     assert len({axis_of(test.where, test.block) for test in listed}) == 4
@@ -92,7 +85,7 @@ def test_one_cause_is_one_place(make_capture: Callable[..., Any]) -> None:
 @pytest.mark.slow
 def test_stronger_half_is_a_step_in_the_picture(make_capture: Callable[..., Any]) -> None:
     """A right half that is 2 % stronger is placed along the width of the picture, as a step of halves."""
-    state = _state(
+    state = start_of(
         make_capture(seed=4, picture=lambda image, setting: image * (1 + 0.02 * (np.arange(image.shape[1]) >= 48)))
     )
     first = places(state, 1)[0]
@@ -107,14 +100,14 @@ def test_swinging_lamp_is_placed_along_time(make_capture: Callable[..., Any]) ->
     def swing(image: Any, setting: dict[str, Any]) -> Any:
         return image * (1 + 0.01 * np.sin(2 * np.pi * (next(clock) // 4) / 20.0))
 
-    first = places(_state(make_capture(seed=5, picture=swing)), 1)[0]
+    first = places(start_of(make_capture(seed=5, picture=swing)), 1)[0]
     assert (first.block, axis_of(first.where, first.block)) == ("mean", "timestamp_s")
 
 
 @pytest.mark.slow
 def test_global_p_lies_within_what_overlapping_tests_allow(make_capture: Callable[..., Any]) -> None:
     """Of tests that overlap the global p lies below Bonferroni's n·p, but not by more than their number of kinds."""
-    state = _state(make_capture(seed=5))
+    state = start_of(make_capture(seed=5))
     tests = localise(state)
     for chance in (1e-3, 1e-2):
         best = replace(tests[0], p_value=chance)

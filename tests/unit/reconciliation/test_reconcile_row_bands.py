@@ -10,13 +10,12 @@ import numpy as np
 import pytest
 
 from radiometer.reconciliation.fit.covariance import is_misfit
-from radiometer.reconciliation.fit.descent import first_state
-from radiometer.reconciliation.fit.state import FitState
 from radiometer.reconciliation.measure.design import Design
 from radiometer.reconciliation.measure.reduce import frame_reader, reduce_frames
 from radiometer.reconciliation.measure.row_bands import RowBins, TileBands, wave_power
 from radiometer.reconciliation.search.localise import localise, significant
 from radiometer.reconciliation.verdict import place_of_scatter
+from testing.reduced import start_of, statistics_of
 
 PERIODS_PER_ROW = 0.0217
 AMPLITUDE = 0.01
@@ -39,15 +38,10 @@ def _one_after_the_other(captures: int) -> list[dict[str, Any]]:
     return [{"t": 3e-3 + 1e-5 * number} for number in range(captures)]
 
 
-def _state(captured: Any) -> FitState:
-    design = Design.of(captured.header, captured.frames[0].shape)
-    return first_state(design, *reduce_frames(design, frame_reader(captured.frames)))
-
-
 def test_without_bands_each_spatial_frequency_is_noise(make_capture: Callable[..., Any]) -> None:
     """The mean of some hundred ratios, two degrees of freedom each, is 1 within 4 sigma; darks have none."""
     captured = make_capture(plan=[*_one_after_the_other(24), {"t": 1e-3, "shutter": "closed"}], seed=4)
-    seen, _ = reduce_frames(Design.of(captured.header, captured.frames[0].shape), frame_reader(captured.frames))
+    seen = statistics_of(captured)
     lit = np.isfinite(seen.bands)
     assert lit.sum(axis=1).max() > 10
     assert np.mean(seen.bands[lit]) == pytest.approx(1.0, abs=4 * np.sqrt(1.0 / lit.sum()))
@@ -103,9 +97,9 @@ def test_a_tile_keeps_of_a_wave_what_random_phases_show(make_capture: Callable[.
 def test_bands_and_flicker_show_in_statistics_of_their_own(make_capture: Callable[..., Any]) -> None:
     """Bands lead in `bands`; a flicker that all rows share leaves nothing there."""
     plan = [{"t": t, "d": d} for t in (1e-3, 2e-3, 3e-3) for d in (0.5, 0.9) for _ in range(3)]
-    banded = significant(localise(_state(make_capture(plan=plan, picture=_bands(6, PERIODS_PER_ROW), seed=6))))
+    banded = significant(localise(start_of(make_capture(plan=plan, picture=_bands(6, PERIODS_PER_ROW), seed=6))))
     assert banded[0].block == "bands"
-    shaken = {test.block for test in significant(localise(_state(make_capture(plan=plan, picture=_bands(7, 0.0)))))}
+    shaken = {test.block for test in significant(localise(start_of(make_capture(plan=plan, picture=_bands(7, 0.0)))))}
     assert "common" in shaken
     assert "bands" not in shaken
 
@@ -121,7 +115,7 @@ def test_scatter_without_any_trend_is_told(make_capture: Callable[..., Any]) -> 
         return image * np.kron(patches, np.ones((height // 4, width // 6)))
 
     plan = [{"t": t, "d": d} for t in (1e-3, 2e-3, 4e-3) for d in (0.3, 0.5, 0.9) for _ in range(3)]
-    calm, restless = (_state(make_capture(plan=plan, seed=8, **hidden)) for hidden in ({}, {"picture": uneasy}))
+    calm, restless = (start_of(make_capture(plan=plan, seed=8, **hidden)) for hidden in ({}, {"picture": uneasy}))
     assert not is_misfit(calm)
     assert is_misfit(restless)
     assert place_of_scatter(restless)[0] in ("mean", "first", "bands")

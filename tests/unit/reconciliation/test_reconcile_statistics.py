@@ -14,7 +14,7 @@ from radiometer.errors import CaptureError
 from radiometer.reconciliation.advice.sizes import limits
 from radiometer.reconciliation.fit.covariance import fitted_parameters
 from radiometer.reconciliation.fit.descent import converged_fit, first_state, refit
-from radiometer.reconciliation.fit.state import FitState, LinearTerm, with_effects
+from radiometer.reconciliation.fit.state import LinearTerm, with_effects
 from radiometer.reconciliation.measure.design import LINES, Design, PatchSides, group_captures, patch_sides, tile_groups
 from radiometer.reconciliation.measure.edges import edge_shares
 from radiometer.reconciliation.measure.reduce import frame_reader, reduce_frames
@@ -27,12 +27,7 @@ from simulators.effects.black_level_offset import BlackLevelOffset
 from simulators.effects.pixel_mixing import disc_edge_share
 from simulators.effects.psf_blur import PsfBlur
 from simulators.effects.row_pattern import RowPattern
-
-
-def _state(captured: Any) -> FitState:
-    design = Design.of(captured.header, captured.frames[0].shape)
-    seen, images = reduce_frames(design, frame_reader(captured.frames))
-    return first_state(design, seen, images)
+from testing.reduced import start_of, statistics_of, taken
 
 
 def _header(exposures: list[float]) -> CaptureHeader:
@@ -71,54 +66,6 @@ def test_mean_and_variance_agree_with_numpy(make_capture: Callable[..., Any]) ->
     assert seen.mean[0, 7] == pytest.approx(stack.mean(), rel=1e-12)
     expected = centred.var(axis=0, ddof=1).sum() / (pixels - 1)
     assert seen.variance[0, 7] == pytest.approx(expected, rel=1e-9)
-
-
-@pytest.mark.slow
-def test_compiled_sums_agree_with_numpy() -> None:
-    """Means, clipped shares, neighbour products, row sums and histogram of two tiles, one pixel of them a defect."""
-    rng = np.random.default_rng(8)
-    dn = rng.normal(300, 6, (20, 30)).round().astype(np.uint16)
-    dn[3, 4], dn[12, 17] = 0, 4095
-    good = np.ones(dn.shape, dtype=np.bool_)
-    good[5, 5] = False
-    corners = [(2, 3), (9, 12)]
-    total, square, pair_x, pair_y = (np.zeros((2, 8, 9)) for _ in range(4))
-    histogram = np.zeros(4096)
-    occurring = np.zeros(4096, dtype=np.bool_)
-    top, left = (np.array(values, dtype=np.intp) for values in zip(*corners, strict=True))
-    found = add_tiles(dn, good, top, left, 4000.0, 2.6, total, square, pair_x, pair_y, histogram, occurring)
-    for k, (y, x) in enumerate(corners):
-        tile, counted = dn[y : y + 8, x : x + 9].astype(float), good[y : y + 8, x : x + 9]
-        deviation = tile - tile[counted].mean()
-        expected = (
-            tile[counted].mean(),
-            np.mean(tile <= 0),
-            np.mean(tile >= 4000),
-            (deviation * counted).sum(axis=1),
-        )
-        for value, wanted in zip(found, expected, strict=True):
-            np.testing.assert_allclose(value[k], wanted, rtol=1e-9, atol=1e-9)
-        np.testing.assert_allclose(total[k], deviation, atol=1e-9)
-        np.testing.assert_allclose(square[k], deviation**2, rtol=1e-9)
-        np.testing.assert_allclose(pair_x[k, :, 1:], deviation[:, 1:] * deviation[:, :-1], rtol=1e-9, atol=1e-9)
-        np.testing.assert_allclose(pair_y[k, 1:], deviation[1:] * deviation[:-1], rtol=1e-9, atol=1e-9)
-        assert not pair_x[k, :, 0].any()
-        assert not pair_y[k, 0].any()
-    assert histogram.sum() == 0, "both tiles hold a clipped sample"
-    assert set(np.flatnonzero(occurring)) == {int(v) for y, x in corners for v in dn[y : y + 8, x : x + 9].ravel()}
-    sums = (total[1:], square[1:], pair_x[1:], pair_y[1:])
-    add_tiles(dn, good, top[1:] - 9, left[1:] + 6, 4000.0, 2.6, *sums, histogram, occurring)
-    np.testing.assert_array_equal(histogram, np.bincount(dn[0:8, 18:27].ravel(), minlength=4096))
-
-
-@pytest.mark.slow
-def test_coarse_cells_are_block_means_and_maxima() -> None:
-    """Cells of 3 × 3 pixels; the rest at the border is left out."""
-    dn = np.arange(70, dtype=np.uint16).reshape(7, 10)
-    mean, largest = coarse_cells(dn, 3, 2, 3)
-    blocks = dn[:6, :9].reshape(2, 3, 3, 3)
-    np.testing.assert_allclose(mean, blocks.mean(axis=(1, 3)))
-    np.testing.assert_array_equal(largest, blocks.max(axis=(1, 3)))
 
 
 def test_dark_gap_before_a_bright_neighbour_is_no_blur() -> None:
@@ -170,10 +117,7 @@ def test_hot_pixel_in_a_dark_is_left_out_everywhere() -> None:
         dn[20, 30] += 3000
         settings = FrameSettings(0.1, shutter="open" if shutter == "open" else "closed")
         frames.append(Frame(dn, 12, settings))
-    entries = tuple(FrameEntry.of(f"{i}.png", frame.settings) for i, frame in enumerate(frames))
-    header = CaptureHeader(camera=CameraDescription(bit_depth=12), frames=entries)
-    design = Design.of(header, (48, 72))
-    seen, _ = reduce_frames(design, frame_reader(frames))
+    seen = statistics_of(taken(frames))
     sigma_of_a_tile_mean = 2.1 / np.sqrt(12 * 12)
     np.testing.assert_allclose(seen.mean[0], 500, atol=5 * sigma_of_a_tile_mean)
     assert seen.outliers.tolist() == [0.0, 1.0]
@@ -188,9 +132,7 @@ def test_values_cut_off_below_full_scale_make_no_defects() -> None:
               FrameSettings(0.1 * (1 + number), shutter="closed"))
         for number, cut in enumerate(cuts) for _ in range(4)
     ]  # fmt: skip
-    entries = tuple(FrameEntry.of(f"{i}.png", frame.settings) for i, frame in enumerate(frames))
-    design = Design.of(CaptureHeader(camera=CameraDescription(bit_depth=12), frames=entries), (48, 72))
-    seen, _ = reduce_frames(design, frame_reader(frames))
+    seen = statistics_of(taken(frames))
     assert seen.outliers.max() <= 10  # of 3456 pixels; a plain robust sigma takes 550 for defects
     assert float(seen.mean.mean()) == pytest.approx(float(np.mean([frame.dn for frame in frames])), abs=0.05)
 
@@ -203,9 +145,7 @@ def test_structure_of_an_unknown_scene_is_no_outlier() -> None:
     frames = [
         Frame(np.rint(rng.poisson(scene * t) + 64.0).astype(np.uint16), 12, FrameSettings(t)) for t in (0.5, 1.0, 2.0)
     ]
-    entries = tuple(FrameEntry.of(f"{i}.png", frame.settings) for i, frame in enumerate(frames))
-    design = Design.of(CaptureHeader(camera=CameraDescription(bit_depth=12), frames=entries), (48, 72))
-    seen, _ = reduce_frames(design, frame_reader(frames))
+    seen = statistics_of(taken(frames))
     expected = scene[:12, :12].mean()
     sigma = np.sqrt(expected * 2.0 / 144)
     np.testing.assert_allclose(seen.mean[:, 0] - 64.0, expected * np.array([0.5, 1.0, 2.0]), atol=5 * sigma)
@@ -218,10 +158,7 @@ def test_flicker_of_an_unknown_scene_is_no_noise_of_its_structure() -> None:
     scene[8:18, 5:20] = 2000.0  # in the first tile of 24 × 24
     flicker = 1.0 + 0.04 * rng.standard_normal(8)
     frames = [Frame(rng.poisson(scene * f).astype(np.uint16), 12, FrameSettings(1.0)) for f in flicker]
-    entries = tuple(FrameEntry.of(f"{i}.png", frame.settings) for i, frame in enumerate(frames))
-    camera = CameraDescription(bit_depth=12, black_level_dn=0.0)
-    design = Design.of(CaptureHeader(camera=camera, frames=entries), (96, 144))
-    seen, _ = reduce_frames(design, frame_reader(frames))
+    seen = statistics_of(taken(frames, black_level_dn=0.0))
     photons = scene[:24, :24].ravel()
     sigma = np.sqrt(2.0 * np.sum(photons**2) / 7) / photons.size
     assert seen.variance[0, 0] == pytest.approx(photons.mean(), abs=5 * sigma)
@@ -239,10 +176,7 @@ def test_uneven_tile_at_the_top_of_a_scene_does_not_count() -> None:
         Frame(np.minimum(rng.poisson(scene * t), 2500).astype(np.uint16), 12, FrameSettings(t))
         for t in (0.5, 0.5, 1.0, 1.0)
     ]
-    entries = tuple(FrameEntry.of(f"{i}.png", frame.settings) for i, frame in enumerate(frames))
-    camera = CameraDescription(bit_depth=12, black_level_dn=0.0, conversion_gain_e_per_dn=1.0, read_noise_e=1.0)
-    design = Design.of(CaptureHeader(camera=camera, frames=entries), (96, 144))
-    state = first_state(design, *reduce_frames(design, frame_reader(frames)))
+    state = start_of(taken(frames, black_level_dn=0.0, conversion_gain_e_per_dn=1.0, read_noise_e=1.0))
     uneven, even = 0, 6
     assert state.comparison.usable["mean"][:, uneven].tolist() == [True, False]
     assert state.comparison.usable["mean"][:, even].tolist() == [True, True]
@@ -278,13 +212,13 @@ def test_frames_of_another_size_are_refused(make_capture: Callable[..., Any]) ->
 @pytest.mark.slow
 def test_repeatability_is_found(make_capture: Callable[..., Any]) -> None:
     """τ comes out at the 0.1 % that the lamp has, within the 99 % interval of 50 captures."""
-    assert _state(make_capture(seed=6)).tau == pytest.approx(1e-3, rel=0.3)
+    assert start_of(make_capture(seed=6)).tau == pytest.approx(1e-3, rel=0.3)
 
 
 @pytest.mark.slow
 def test_null_tests_are_calibrated(make_capture: Callable[..., Any]) -> None:
     """Under the null the share of p < 0.05 over four seeds is 0.05 (about 50 independent tests in each)."""
-    p = [test.p_value for seed in range(4) for test in localise(_state(make_capture(seed=seed)))]
+    p = [test.p_value for seed in range(4) for test in localise(start_of(make_capture(seed=seed)))]
     assert np.mean(np.array(p) < 0.05) == pytest.approx(0.05, abs=4 * np.sqrt(0.05 * 0.95 / 200))
 
 
@@ -301,7 +235,7 @@ def test_disagreement_is_found_along_its_covariate(
     make_capture: Callable[..., Any], hidden: dict[str, Any], block: str, where: str
 ) -> None:
     """The leading test names statistic and covariate without knowing any effect."""
-    found = significant(localise(_state(make_capture(seed=2, **hidden))))
+    found = significant(localise(start_of(make_capture(seed=2, **hidden))))
     assert (found[0].block, found[0].where) == (block, where)
 
 
@@ -310,7 +244,7 @@ def test_noise_below_the_spacing_of_codes_makes_no_defects(make_capture: Callabl
     captured = make_capture(plan=[{"t": 1e-4, "shutter": "closed"}, {"t": 1.0, "shutter": "closed"}, {"t": 3e-3}])
     coarse = [dataclasses.replace(frame, dn=frame.dn - frame.dn % 4) for frame in captured.frames]
     design = Design.of(captured.header, coarse[0].shape)
-    seen, _ = reduce_frames(design, frame_reader(coarse))
+    seen = statistics_of(dataclasses.replace(captured, frames=coarse))
     assert seen.outliers.tolist() == [0.0, 0.0, 0.0]
     assert seen.pixels.sum() == 3 * sum(tile.width * tile.height for tile in design.tiles)
 
@@ -339,7 +273,7 @@ def test_row_pattern_is_known_no_better_than_so_few_rows_allow(make_capture: Cal
     """64 rows tell a standard deviation to 1/√128 at best: the reported one is no smaller, the truth within 3 of it."""
     sigma_e = 0.6
     rows = sigma_e * np.random.default_rng(11).standard_normal((64, 1))
-    state = _state(make_capture(extra_dn=lambda setting: rows / 2.6 * 10 ** (setting["g"] / 20)))
+    state = start_of(make_capture(extra_dn=lambda setting: rows / 2.6 * 10 ** (setting["g"] / 20)))
     found = converged_fit(refit(with_effects(state, [RowPattern(sigma_e)])))
     entry = fitted_parameters(found)["row_pattern"]["sigma_e"]
     assert entry.u is not None
@@ -350,7 +284,7 @@ def test_row_pattern_is_known_no_better_than_so_few_rows_allow(make_capture: Cal
 @pytest.mark.slow
 def test_parameter_on_its_bound_hides_nothing(make_capture: Callable[..., Any]) -> None:
     """A drift with temperature cannot stand for a constant offset, however far its reference: the tests say so."""
-    state = _state(make_capture(extra_dn=lambda setting: 4.0))
+    state = start_of(make_capture(extra_dn=lambda setting: 4.0))
     found = converged_fit(refit(with_effects(state, [BlackLevelDrift(0.1, -20.0)])))
     assert found.parameters.on_bounds()[0].any(), "the reference temperature runs to its bound"
     assert ("mean", "temperature_C") in {(test.block, test.where) for test in significant(localise(found))}
@@ -362,10 +296,10 @@ def test_source_of_unknown_reproducibility_may_wander(make_capture: Callable[...
     rng = np.random.default_rng(21)
     plan = [{"t": float(t)} for t in np.geomspace(1e-4, 6e-3, 12) for _ in range(3)]
     captured = make_capture(plan=plan, picture=lambda image, setting: image * (1.0 + 0.003 * rng.standard_normal()))
-    stated = _state(captured)
+    stated = start_of(captured)
     source = captured.header.source.model_copy(update={"reproducibility_u_rel": None})
     header = captured.header.model_copy(update={"source": source})
-    unstated = _state(dataclasses.replace(captured, header=header))
+    unstated = start_of(dataclasses.replace(captured, header=header))
     assert "common" in {test.block for test in significant(localise(stated))}
     assert "common" not in {test.block for test in significant(localise(unstated))}
     freedom = 2 * len(plan)  # of four frames the first has a statistic of its own
@@ -375,7 +309,7 @@ def test_source_of_unknown_reproducibility_may_wander(make_capture: Callable[...
 @pytest.mark.slow
 def test_blur_that_moves_nothing_stands_still(make_capture: Callable[..., Any]) -> None:
     """A blur of a tenth of a pixel reaches no neighbour: the fit leaves it where it is and still finds the offset."""
-    state = _state(make_capture(extra_dn=lambda setting: 0.9))
+    state = start_of(make_capture(extra_dn=lambda setting: 0.9))
     found = converged_fit(refit(with_effects(state, [PsfBlur(0.1), BlackLevelOffset(0.1)])))
     entry = fitted_parameters(found)["black_level_offset"]["offset_dn"]
     assert entry.u is not None
@@ -386,6 +320,6 @@ def test_blur_that_moves_nothing_stands_still(make_capture: Callable[..., Any]) 
 @pytest.mark.slow
 def test_no_number_of_captures_shows_a_blur_that_borders_feign(make_capture: Callable[..., Any]) -> None:
     """What makes borders unsharp by 0.05 % is the same in all pictures: five times that is the least that shows."""
-    limit = limits(_state(make_capture()), {"psf_blur": PsfBlur})["psf_blur"].amplitude
+    limit = limits(start_of(make_capture()), {"psf_blur": PsfBlur})["psf_blur"].amplitude
     assert limit is not None
     assert 5.0 * 5e-4 * 0.95 < np.exp(-0.5 / limit**2) < 5.0 * 5e-4 * 4.0

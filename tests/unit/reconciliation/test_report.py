@@ -9,10 +9,8 @@ import pytest
 
 from radiometer.numbers import rounded
 from radiometer.reconciliation.engine import Reconciled, examine, whole_catalogue
-from radiometer.reconciliation.fit.descent import first_state
 from radiometer.reconciliation.fit.state import FitState, with_effects
-from radiometer.reconciliation.measure.design import Design
-from radiometer.reconciliation.measure.reduce import frame_reader, reduce_frames
+from radiometer.reconciliation.measure.reduce import frame_reader
 from radiometer.reconciliation.report.html import outcome, report_html
 from radiometer.reconciliation.report.pictures import effect_plot, unnamed_plot
 from radiometer.reconciliation.report.words import along, axis_label, seen_in
@@ -20,6 +18,7 @@ from radiometer.reconciliation.result import FoundEffect, Verdict
 from simulators.effects.black_level_offset import BlackLevelOffset
 from simulators.effects.crosstalk import Crosstalk
 from testing.generator.session import make_session
+from testing.reduced import start_of
 from testing.report_checks import HOSTILE, assert_reports_hold
 
 
@@ -131,8 +130,7 @@ def test_every_entry_has_words_for_where_it_shows(kind):
 def lit_and_dark(make_capture) -> FitState:
     """Return the fitted start of a session with patches of many levels, gains, temperatures and dark frames."""
     captured = make_capture(9)
-    design = Design.of(captured.header, captured.frames[0].shape)
-    return first_state(design, *reduce_frames(design, frame_reader(captured.frames)))
+    return start_of(captured)
 
 
 @pytest.mark.parametrize("kind", [Crosstalk, BlackLevelOffset])

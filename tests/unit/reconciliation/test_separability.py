@@ -26,10 +26,8 @@ from radiometer.reconciliation.advice.separability import (
 )
 from radiometer.reconciliation.engine import whole_catalogue
 from radiometer.reconciliation.fit.candidate_fit import Candidate
-from radiometer.reconciliation.fit.descent import first_state, refit
+from radiometer.reconciliation.fit.descent import refit
 from radiometer.reconciliation.fit.state import FitState, with_effects
-from radiometer.reconciliation.measure.design import Design
-from radiometer.reconciliation.measure.reduce import frame_reader, reduce_frames
 from simulators.effects.adc_saturation import AdcSaturation
 from simulators.effects.ambient_light_leak import AmbientLightLeak
 from simulators.effects.catalogue import CatalogueEffect
@@ -39,6 +37,7 @@ from simulators.effects.mains_ripple import MainsRipple
 from simulators.effects.psf_blur import PsfBlur
 from simulators.effects.series_settling import SeriesSettling
 from simulators.effects.veiling_glare import VeilingGlare
+from testing.reduced import start_of
 
 BRACKET = [{"t": float(t)} for t in np.geomspace(1e-4, 6e-3, 8) for _ in range(2)]
 DARKS = [{"t": t, "shutter": "closed"} for t in (1e-4, 1e-2, 1.0)]
@@ -48,8 +47,7 @@ STRAY = {"veiling_glare", "ambient_light_leak", "display_black_leak"}
 
 def _state(make_capture: Callable[..., Any], plan: list[dict[str, Any]]) -> FitState:
     captured = make_capture(seed=61, plan=plan)
-    design = Design.of(captured.header, captured.frames[0].shape)
-    return first_state(design, *reduce_frames(design, frame_reader(captured.frames)))
+    return start_of(captured)
 
 
 @pytest.fixture(scope="module")

@@ -10,10 +10,7 @@ import numpy as np
 import pytest
 
 from radiometer.reconciliation.engine import whole_catalogue
-from radiometer.reconciliation.fit.descent import first_state
 from radiometer.reconciliation.fit.state import FitState, with_effects
-from radiometer.reconciliation.measure.design import Design
-from radiometer.reconciliation.measure.reduce import frame_reader, reduce_frames
 from radiometer.reconciliation.model.tile_model import predict_several
 from radiometer.reconciliation.statistics import Prediction
 from simulators.effects.brighter_fatter import BrighterFatter
@@ -23,6 +20,7 @@ from simulators.effects.image_lag import ImageLag
 from simulators.effects.missing_codes import MissingCodes
 from simulators.effects.prnu import Prnu
 from simulators.effects.response_nonlinearity import ResponseNonlinearity
+from testing.reduced import start_of
 
 PLAN = [{"t": float(t), "d": d} for d in (0.9, 0.3) for t in np.geomspace(1e-4, 5e-3, 4)]
 NOT_COMPARED = {"unrounded"}
@@ -32,8 +30,7 @@ NOT_COMPARED = {"unrounded"}
 def named(make_capture: Callable[..., Any]) -> FitState:
     """A camera with an effect at either end of the chain."""
     captured = make_capture(5, plan=PLAN)
-    design = Design.of(captured.header, captured.frames[0].shape)
-    plain = first_state(design, *reduce_frames(design, frame_reader(captured.frames)))
+    plain = start_of(captured)
     return with_effects(plain, (ExposureTimeOffset(4e-6), ResponseNonlinearity(0.01), BrighterFatter(0.005)))
 
 

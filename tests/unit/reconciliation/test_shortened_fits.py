@@ -22,6 +22,7 @@ from simulators.effects.exposure_time_offset import ExposureTimeOffset
 from simulators.effects.prnu import Prnu
 from simulators.effects.response_nonlinearity import ResponseNonlinearity
 from simulators.effects.tile_moments import TileMoments
+from testing.reduced import start_of
 
 LADDER = [{"t": float(t), "d": d} for d in (0.9, 0.3) for t in np.geomspace(1e-4, 5e-3, 6)]
 
@@ -35,8 +36,7 @@ def captured(make_capture: Callable[..., Any]) -> Any:
 @pytest.fixture(scope="module")
 def plain(captured: Any) -> FitState:
     """The camera without any effect, fitted."""
-    design = Design.of(captured.header, captured.frames[0].shape)
-    return first_state(design, *reduce_frames(design, frame_reader(captured.frames)))
+    return start_of(captured)
 
 
 @contextmanager

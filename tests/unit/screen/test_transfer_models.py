@@ -26,14 +26,6 @@ def test_parameters_of_its_own_curve_come_back(name: str, truth: tuple[float, ..
     assert found.max_rel < 1e-4
 
 
-def test_plain_gamma_errs_on_a_display_with_black_light() -> None:
-    """With black at 1/2500 of white the plain gamma is off by more than 10 % somewhere, the offset form is not."""
-    values = 3e-4 + 0.75 * LEVELS**2.2
-    plain, offset = (fit_transfer(n, LEVELS, values, 1e-3 * values) for n in ("gamma", "gamma_offset"))
-    assert plain.max_rel > 0.1
-    assert offset.max_rel < 1e-3
-
-
 def test_too_few_levels_are_refused() -> None:
     """Four parameters need four levels; the message says so."""
     with pytest.raises(ValueError, match="at least 4 levels, not 3"):

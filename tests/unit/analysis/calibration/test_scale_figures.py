@@ -7,10 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
-from radiometer.analysis.calibration import calibrate
 from radiometer.analysis.calibration.calibrate import (
     KnownSource,
     MeterReading,
@@ -21,7 +18,7 @@ from radiometer.analysis.calibration.calibrate import (
     scales_ratio,
     unscaled_calibration,
 )
-from radiometer.analysis.photometry.photometry import spectrum_from_csv
+from radiometer.analysis.photometry.photometry import spectrum
 from radiometer.analysis.reading import budget
 from radiometer.analysis.signal import situation
 from radiometer.analysis.signal.lens import lens_factor_sr, lens_in_use, relative_sensitivity
@@ -198,41 +195,6 @@ def test_a_transmittance_must_be_comparable(rig):
     assert used.focal_length_mm == base.lens.focal_length_mm
 
 
-@given(st.floats(0.1, 100.0), st.floats(1e-4, 10.0), st.floats(0.001, 0.1), st.floats(0.01, 0.5), st.floats(0.0, 0.8))
-def test_radiance_and_exposure_are_each_other_s_inverse(radiance, exposure_s, diameter, focal, angle):
-    """E·t of a radiance gives that radiance back; on the axis E = L·π/4·(D/f)², at 60° a sixteenth."""
-    irradiance = calibrate.sensor_irradiance_w_m2(radiance, diameter, focal, angle)
-    back = calibrate.radiance_of_exposure_w_sr_m2(irradiance * exposure_s, exposure_s, diameter, focal, angle)
-    assert back == pytest.approx(radiance)
-    axis = calibrate.sensor_irradiance_w_m2(radiance, diameter, focal)
-    assert axis == pytest.approx(radiance * 0.7853981633974483 * (diameter / focal) ** 2)
-    assert calibrate.sensor_irradiance_w_m2(radiance, diameter, focal, math.pi / 3) == pytest.approx(axis / 16.0)
-
-
-@given(st.floats(1e-3, 10.0), st.floats(1.0, 22.0), st.floats(50.0, 3200.0), st.floats(1.0, 1e4))
-def test_a_meter_s_constant_and_luminance_are_each_other_s_inverse(exposure_s, f_number, iso, luminance):
-    """K of a luminance meters that luminance; twice the time, or speed, or half the stop squared: half of it."""
-    settings = MeterSettings(exposure_s, f_number, iso)
-    k = calibrate.meter_constant(luminance, settings)
-    assert calibrate.metered_luminance_cd_m2(k, settings) == pytest.approx(luminance)
-    for other in (
-        replace(settings, exposure_s=2 * exposure_s),
-        replace(settings, iso=2 * iso),
-        replace(settings, f_number=f_number / math.sqrt(2.0)),
-    ):
-        assert calibrate.metered_luminance_cd_m2(k, other) == pytest.approx(luminance / 2)
-
-
-def test_a_scale_from_a_known_radiance():
-    """10 W over a reading of 4 is 2.5; 3 and 4 % are 5 %; nothing and less than nothing are refused."""
-    found = calibrate.scale_from_radiance(10.0, 0.03, 4.0, 0.04, 5.6)
-    assert (found.value, found.u_rel, found.f_number) == (pytest.approx(2.5), pytest.approx(0.05), 5.6)
-    assert found.budget == {"reference source": 0.03, "reading": 0.04}
-    for wrong in ((0.0, 4.0), (10.0, -1.0), (math.inf, 4.0), (10.0, math.nan)):
-        with pytest.raises(InputError, match="above 0"):
-            calibrate.scale_from_radiance(wrong[0], 0.03, wrong[1], 0.04, None)
-
-
 @pytest.mark.parametrize(
     ("rows", "said"),
     [
@@ -258,10 +220,10 @@ def test_a_spectrum_in_a_file_is_in_nanometres_and_rises(tmp_path, rows, said):
     path = tmp_path / "light.csv"
     path.write_text(rows, encoding="utf-8")
     if said is None:
-        assert spectrum_from_csv(path).power.tolist() == [1.0, 2.0]
+        assert spectrum(str(path)).power.tolist() == [1.0, 2.0]
     else:
         with pytest.raises(InputError, match=said):
-            spectrum_from_csv(path)
+            spectrum(str(path))
 
 
 @pytest.mark.parametrize(

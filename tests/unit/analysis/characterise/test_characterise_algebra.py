@@ -8,10 +8,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from matplotlib.figure import Figure
-from scipy.stats import linregress
 
 from radiometer.analysis.characterise import characterise, report
-from radiometer.analysis.characterise.dark_signal import dark_signal, typical_dark_current, typical_rates
+from radiometer.analysis.characterise.dark_signal import dark_signal, typical_dark_current
 from radiometer.analysis.characterise.group_statistics import (
     GroupStatistics,
     NoiseLeft,
@@ -19,7 +18,6 @@ from radiometer.analysis.characterise.group_statistics import (
     split_spatial_variance,
     statistics_of_group,
 )
-from radiometer.analysis.characterise.line_fit import fit_line
 from radiometer.analysis.characterise.linearity import linearity
 from radiometer.analysis.characterise.nonuniformity import dsnu, prnu
 from radiometer.analysis.characterise.partial import bent, disagreeing_gains
@@ -99,13 +97,6 @@ def test_darks_alone_say_that_rounding_hides_their_noise():
     assert any("below 0.24 DN²" in note for note in result.notes)
 
 
-def test_scatter_beyond_what_is_stated_widens_a_line():
-    """u of slope and intercept are those of the residuals, as an ordinary regression has them."""
-    x, y = np.arange(6.0), np.array([0.0, 1.2, 1.9, 3.1, 3.8, 5.1])
-    line, usual = fit_line(x, y, np.full(6, 1e-4)), linregress(x, y)
-    assert (line.u_slope, line.u_intercept) == pytest.approx((usual.stderr, usual.intercept_stderr))
-
-
 def test_light_is_exposure_times_level_or_the_photons():
     """Half the level at twice the exposure is the same light; photons go before both."""
     dark = [group(BLACK_DN, 40.0, t, dark=True) for t in (1.0, 2.0)]
@@ -141,14 +132,6 @@ def test_light_that_differs_from_frame_to_frame_is_no_noise():
         assert one.u_spatial_variance_dn2 < 0.3
     assert steady.degrees_of_freedom == 7 * (60 * 70 - 1)
     assert steady.u_variance_dn2 == pytest.approx(steady.variance_dn2 * math.sqrt(2.0 / (7 * 4199)))
-
-
-def test_full_scale_is_clipped_and_zero_is_the_floor():
-    """Shares of pixels at 4095 and at 0, of all frames."""
-    one, two = np.full((10, 10), 500, np.uint16), np.full((10, 10), 500, np.uint16)
-    one[0, :3], two[0, 0], two[5] = 4095, 4095, 0
-    (found,) = statistics_of_group([one, two], FrameSettings(1.0), (None,), 4095)
-    assert (found.clipped_share, found.floor_share) == (4 / 200, 10 / 200)
 
 
 def test_what_pixels_leave_in_few_rows_is_no_row_pattern():
@@ -287,12 +270,6 @@ def test_the_dark_current_in_electrons_bears_the_doubt_of_the_gain():
     found = typical_dark_current(dark_plateau([20.0] * 4), 20.0, Quantity(0.5, 0.05, "DN/e-"))["mu_I_typical"]
     assert found.value == pytest.approx(4.0)
     assert found.u == pytest.approx(0.4, rel=1e-3)
-
-
-def test_a_thermometer_s_step_is_a_rectangle():
-    """Readings half a kelvin apart: 0.5/√12 K."""
-    ((_, u_temperature, _),) = typical_rates(dark_plateau([20.0, 20.5, 20.0, 20.5]))
-    assert u_temperature == pytest.approx(0.5 / math.sqrt(12.0))
 
 
 @pytest.mark.parametrize(

@@ -9,17 +9,16 @@ import numpy as np
 import pytest
 
 from radiometer.analysis.characterise import characterise, read_subject
-from radiometer.analysis.characterise.dark_signal import dark_transfer, doubling_of, typical_rates
+from radiometer.analysis.characterise.dark_signal import dark_transfer, typical_rates
 from radiometer.analysis.characterise.group_statistics import (
     GroupStatistics,
     NoiseLeft,
     split_spatial_variance,
     statistics_of_group,
 )
-from radiometer.analysis.characterise.photon_transfer import photon_transfer, transfer_of_few
+from radiometer.analysis.characterise.photon_transfer import photon_transfer
 from radiometer.analysis.characterise.result import as_printed
 from radiometer.analysis.characterise.rounding import unrounded_variance
-from radiometer.analysis.characterise.sensitivity import sigma_d
 from radiometer.analysis.characterise.steps import contradicting_steps, make_steps
 from radiometer.data import FrameSettings, Quantity
 
@@ -94,12 +93,6 @@ def test_a_figure_with_a_u_above_its_size_is_printed_as_a_limit(value, u, shown)
     assert as_printed("mu_I_mean", Quantity(value, u, "e-/s")) == shown
 
 
-def test_gain_of_an_exact_photon_transfer():
-    """K is the variance over the signal above darkness: neither its inverse, nor twice it, nor with the black level."""
-    assert photon_transfer(ladder(), 10_000.0).K.value == pytest.approx(0.5, rel=1e-9)
-    assert transfer_of_few(ladder()[:1]).value == pytest.approx(0.5, rel=1e-9)
-
-
 @pytest.mark.parametrize("count", [5, 9, 20])
 def test_of_a_bent_transfer_k_is_the_standards_and_covers_both_ends(count):
     """Variance over mean falls from 0.027 to 0.020: K is the unweighted slope, and U reaches both ends."""
@@ -114,12 +107,6 @@ def test_of_a_bent_transfer_k_is_the_standards_and_covers_both_ends(count):
     assert found.local[0] > 0.0245
     assert found.local[1] < 0.023
     assert photon_transfer(ladder(), 10_000.0).bend_u == 0.0
-
-
-@pytest.mark.parametrize(("step_dn", "variance"), [(1, 1 / 12), (16, 256 / 12)])
-def test_rounding_is_taken_out_of_the_dark_noise(step_dn, variance):
-    """Of 25 DN² + step²/12 remain 5 DN, with the padded step as well."""
-    assert sigma_d(25.0 + variance, 0.5, step_dn) == pytest.approx(10.0)
 
 
 def dark_frames(rates_e_per_s, exposures_s, seed=3):
@@ -173,14 +160,6 @@ def test_dark_current_is_per_second():
     assert rate.value == pytest.approx(0.72)
     ((_, _, slow),) = typical_rates(dark_groups(0.72, 0.0, scale=1000.0))
     assert slow.value == pytest.approx(0.72e-3)
-
-
-def test_doubling_by_the_exponential_law():
-    """Currents 1 : 4 at 0 and 10 °C double per 5 K, and the temperature's readings set the uncertainty."""
-    found = doubling_of(typical_rates([*dark_groups(0.5, 0.0), *dark_groups(2.0, 10.0)]))
-    assert found.value == pytest.approx(5.0)
-    wide = doubling_of([(0.0, 0.2, Quantity(0.5, 0.001, "DN/s")), (10.0, 0.2, Quantity(2.0, 0.001, "DN/s"))])
-    assert wide.u == pytest.approx(5.0 * math.hypot(0.2, 0.2) / 10.0, rel=0.05)
 
 
 def picture(row_sd, column_sd, pixel_sd, shape=(300, 400), seed=5):

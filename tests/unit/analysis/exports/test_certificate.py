@@ -7,6 +7,7 @@ import xml.etree.ElementTree as ET
 from pathlib import Path
 
 import pytest
+import yaml
 
 import radiometer as rm
 from radiometer.analysis.exports.certificate import read_certificate
@@ -101,6 +102,22 @@ def test_what_cannot_be_certified_is_refused(tmp_path: Path, laboratory: Path) -
     (tmp_path / "list.json").write_text("[1, 2]")
     with pytest.raises(InputError, match="JSON of a reading"):
         rm.certificate(tmp_path / "list.json", laboratory=laboratory, identifier="1")
+
+
+REQUIRED = [
+    *(("laboratory", key) for key in ("name", "email", "city", "country")), ("customer", "name"),
+    ("responsible", "name"), *(("item", key) for key in ("name", "manufacturer", "serial")),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("part", "key"), REQUIRED)
+def test_what_a_certificate_must_state_cannot_be_left_empty(tmp_path: Path, part: str, key: str) -> None:
+    """Names, addresses, maker and serial number: an empty text is refused by its key."""
+    stated = yaml.safe_load(LABORATORY)
+    stated[part][key] = ""
+    (tmp_path / "empty.yaml").write_text(yaml.safe_dump(stated), encoding="utf-8")
+    with pytest.raises(ConfigurationError, match=rf"{part}.{key}"):
+        rm.certificate(reading(), laboratory=tmp_path / "empty.yaml", identifier="1")
 
 
 @pytest.mark.parametrize(

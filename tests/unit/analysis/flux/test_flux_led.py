@@ -148,25 +148,6 @@ def test_thesis_formula_loses_the_clipped_pixels_and_the_gap_closes() -> None:
     assert sum(shares.values()) == pytest.approx(1.0, abs=0.02)
 
 
-@pytest.mark.parametrize("off", [True, False])
-def test_stray_light_is_taken_off(off: bool) -> None:
-    """A room at 5 % of the diode's radiance is removed, from source-off frames or from the rim of the picture."""
-    bright = Setup(half_angle_deg=60.0)
-    setup = replace(bright, background=0.05 * bright.scene().seen_radiance)
-    frames = setup.frames(off=off)
-    if off:
-        # In the simulator the level scales the whole scene: the room is exposed on its own instead.
-        room = replace(setup, flux_mW=1e-9, seed=9)
-        sensor = VirtualSensor(CameraModel.ideal(CAMERA, room.lens, 590.0), room.scene(), SIDE, SIDE, seed=9)
-        times = [f.settings for f in setup.frames()]
-        frames = setup.frames()
-        frames += [Frame(sensor.expose(one), 12, replace(one, source_level=0.0)) for one in times]
-    report = _report(setup, _emitter(setup), frames)
-    steps = {step.name: step.flux.value for step in report.corrections}
-    assert steps["background light taken off"] < 0.9 * steps["clipped pixels from shorter exposures"]
-    assert report.result.value == pytest.approx(5e-3, rel=0.01)
-
-
 def test_distance_follows_from_the_magnification_where_it_is_not_given() -> None:
     """A thin lens at magnification m lies f·(1 + 1/m) from the diode; the report says that it was assumed."""
     setup = Setup(half_angle_deg=60.0)

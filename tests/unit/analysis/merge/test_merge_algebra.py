@@ -62,14 +62,6 @@ def test_dark_frames_of_another_setting_are_not_taken_off_pixel_by_pixel(other):
     assert terms_with([frame(500, shutter="closed", **other)]).dark.size == 1
 
 
-def test_the_noise_of_the_dark_mean_is_in_u():
-    """The mean of n dark frames brings a further (σ_d²/K'² + 1/12)/n."""
-    own = READ_E**2 / GAIN_E**2 + 1 / 12
-    for count in (1, 4):
-        found = terms_with([frame(120, shutter="closed")] * count)
-        assert found.variance == pytest.approx(own * (1.0 + 1.0 / count))
-
-
 def test_what_differs_by_a_seventh_is_marked_and_by_a_hundredth_is_not():
     """One of four frames brighter by 15 %, 13 standard deviations, is a contradiction; by 1 % it is none."""
     shown = [

@@ -15,7 +15,6 @@ from radiometer.analysis.merge.tables import merge_tables
 from radiometer.analysis.signal.situation import situation_of
 from radiometer.data import (
     BlackLevel,
-    Bracket,
     Calibration,
     CameraDescription,
     FoundEffects,
@@ -161,24 +160,6 @@ def test_bounds_of_pixels_that_no_frame_shows():
     assert tables.bounds[1] == pytest.approx(1.0 / 4.0)
     assert tables.frames[:, 0].tolist() == [1.0, 4.0]
     assert tables.kappa == pytest.approx(1.0 / 2.5)
-
-
-def test_equal_exposures_are_averaged_with_the_stated_uncertainty():
-    """Over many pixels of one radiance, two frames: mean and scatter are those of shot, read and rounding noise."""
-    rng = np.random.default_rng(8)
-    several = []
-    for time in (1.0, 2.0):
-        electrons = rng.poisson(1000.0 * time, (200, 200)) + 5.0 * rng.standard_normal((200, 200))
-        several.append(Frame(np.round(electrons / 2.5 + BLACK).astype(np.uint16), 12, FrameSettings(time)))
-    found = merge(Bracket.from_frames(several), Setup(CAMERA, LENS, CALIBRATION))
-    value = found.radiance.astype(float)
-    # Inverse-variance weights: information t²/(κ·E·t + c) of each frame.
-    c = 25.0 / 6.25 + 1.0 / 12.0
-    information = sum(t**2 / (400.0 * t / 2.5 + c) for t in (1.0, 2.0))
-    unit = float(np.median(value)) / 400.0
-    assert value.std() / unit == pytest.approx(information**-0.5, rel=0.02)
-    assert np.median(found.u_radiance) / unit == pytest.approx(information**-0.5, rel=0.02)
-    assert np.count_nonzero(found.mask) < 5
 
 
 @pytest.mark.parametrize("off_rel", [0.0009, 0.0011])

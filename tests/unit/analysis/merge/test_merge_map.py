@@ -136,14 +136,6 @@ def test_a_stream_gives_what_the_bracket_gives(rig):
     np.testing.assert_array_equal(at_once.mask, streamed.mask)
 
 
-def test_the_order_of_exposures_does_not_matter(rig):
-    """Longest first gives the same as shortest first, to single precision."""
-    frames = rig.frames(scene(rig), np.random.default_rng(1), (2.5e-4, 5e-4, 1e-3, 2e-3))
-    up, down = merged(rig, iter(frames)), merged(rig, reversed(frames))
-    np.testing.assert_allclose(up.radiance, down.radiance, rtol=1e-5)
-    np.testing.assert_array_equal(up.mask, down.mask)
-
-
 def test_streaming_holds_less_than_three_planes_beyond_the_result(rig):
     """Peak memory while twelve frames, six planes of float32 together, are made, merged and released."""
     size = 600
@@ -178,17 +170,6 @@ def test_darkness_is_marked_and_averages_to_zero(rig):
     assert np.mean(found.mask == PixelMask.BELOW_NOISE) > 0.95
     assert abs(found.radiance.mean()) < 4.0 * found.radiance.std() / 100
     assert np.all(found.u_radiance > 0)
-
-
-def test_what_moves_is_marked(rig):
-    """A spot that is twice as bright in one of four frames is inconsistent; its surroundings are not."""
-    moving = scene(rig)
-    moving[5:8, 5:8] *= 2.0
-    rng = np.random.default_rng(1)
-    frames = [rig.frame(moving if k == 2 else scene(rig), 2.5e-4 * (k + 1) ** 0, rng) for k in range(4)]
-    marked = merged(rig, frames).mask & PixelMask.INCONSISTENT > 0
-    assert marked[5:8, 5:8].all()
-    assert marked.sum() == 9
 
 
 def test_a_flash_in_a_long_frame_is_marked(rig):
@@ -292,18 +273,6 @@ def test_photographs_are_merged_through_their_curve(rig, bits):
     found = merge(frames, Setup(camera, LensDescription(), calibration))
     relative = found.radiance.mean(axis=0) / truth[0]
     np.testing.assert_allclose(relative / np.median(relative), 1.0, atol=0.01)
-
-
-def test_numbers_outside_the_curve_s_data_are_marked(rig):
-    """A pixel whose longest exposure lies below the curve's lowest supported number is extrapolated."""
-    dn = np.arange(4096.0)
-    with np.errstate(divide="ignore"):
-        curve = ResponseCurve(np.log(np.maximum(dn - 64, 0)), np.full(4096, 1e-3), absolute=True, valid_dn=(1000, 4000))
-    base = rig.calibration()
-    calibration = type(base)(base.camera, base.lens, base.scale, curve, base.noise, base.black_level)
-    frames = [Frame(np.array([[300, 2000]], np.uint16), 12, FrameSettings(1e-3, f_number=4.0, black_level_dn=64.0))]
-    found = merge(frames, Setup(rig.description, rig.lens, calibration))
-    assert (found.mask & PixelMask.EXTRAPOLATED).tolist() == [[PixelMask.EXTRAPOLATED, 0]]
 
 
 def test_without_a_calibration_the_map_is_relative(rig):
@@ -462,17 +431,6 @@ def test_a_pixel_s_uncertainty_is_that_of_its_electrons(rig, dark_e):
     variance = light_e + dark_e + rig.read_e**2 + rig.gain_e_per_dn**2 / 12.0
     expected = np.sqrt(variance) / light_e
     assert found.u_radiance[0, 0] / found.radiance[0, 0] == pytest.approx(expected, rel=2e-3)
-
-
-def test_the_black_level_s_uncertainty_is_in_every_pixel(rig):
-    """2 DN beside 200 DN of light add 1 % to the noise, in quadrature."""
-    frame = Frame(np.full((4, 4), 264, np.uint16), 12, FrameSettings(1e-3, 0.0, 4.0, 64.0, 25.0))
-    known, doubted = (
-        merge([frame], Setup(rig.description, rig.lens, rig.calibration(black_level=BlackLevel(dn=64.0, u_dn=u))))
-        for u in (0.0, 2.0)
-    )
-    added = doubted.u_radiance[0, 0] ** 2 - known.u_radiance[0, 0] ** 2
-    assert np.sqrt(added) / known.radiance[0, 0] == pytest.approx(0.01, rel=1e-3)
 
 
 def test_an_undeclared_falloff_is_taken_out_and_doubted(rig):

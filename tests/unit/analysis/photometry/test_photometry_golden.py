@@ -190,18 +190,6 @@ def test_light_that_the_camera_cannot_see_has_no_correction(ours, of_the_calibra
         photometry.spectral_mismatch_factor(spectrum(ours), spectrum(of_the_calibration), wavelength, response)
 
 
-@pytest.mark.parametrize(("first", "last", "taken"), [(380, 780, True), (3800, 7800, False), (0.38, 0.78, False)])
-def test_a_table_s_wavelengths_are_nanometres(tmp_path, first, last, taken):
-    """Ångström and micrometres are refused, since every integral would be wrong."""
-    path = tmp_path / "s.csv"
-    path.write_text(f"{first},1\n{(first + last) / 2},2\n{last},1\n")
-    if taken:
-        assert spectrum(str(path)).band_nm == (380.0, 780.0)
-    else:
-        with pytest.raises(InputError, match="must be in nm"):
-            spectrum(str(path))
-
-
 @pytest.mark.parametrize("colour", ["red", "green", "blue"])
 @pytest.mark.parametrize("kind", sorted(LINES))
 def test_a_primary_s_lines_have_their_shares_and_widths(kind, colour):

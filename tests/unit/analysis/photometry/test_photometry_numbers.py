@@ -41,12 +41,6 @@ def test_exact_stops_take_the_rounding_out_of_the_constants(row, expected):
     assert round(constant, 4) == expected
 
 
-def test_the_meter_is_known_to_a_sixth_of_a_stop():
-    """A rectangle of half-width ln 2/6 has the standard deviation ln 2/(6√3), 6.67 %."""
-    draws = np.random.default_rng(1).uniform(-math.log(2) / 6, math.log(2) / 6, 200_000)
-    assert float(draws.std()) == pytest.approx(calibrate.METER_U_REL, rel=0.01)
-
-
 def test_luminance_of_the_thesis():
     """K = 16.5, f/16, 1/125 s, ISO 136."""
     found = calibrate.metered_luminance_cd_m2(thesis.MEAN_METER_CONSTANT, REFERENCE)
@@ -75,12 +69,6 @@ def test_the_pixel_of_the_thesis():
     assert round(calibrate.radiance_of_exposure_w_sr_m2(1.792e-3, 1 / 250, 3.571e-3, 20e-3), 3) == 17.892
 
 
-def test_irradiance_falls_with_the_fourth_power_of_the_cosine():
-    """At 60° a sixteenth is left."""
-    ratio = calibrate.sensor_irradiance_w_m2(1, 1, 1, math.radians(60)) / calibrate.sensor_irradiance_w_m2(1, 1, 1)
-    assert ratio == pytest.approx(1 / 16)
-
-
 def test_the_gaussian_lies_where_the_eye_s_sensitivity_lies():
     """Its mean wavelength is within 1.5 nm of the CIE curve's 560.2 nm (the CIE curve leans), and it is off by 6 %."""
     wavelength, gaussian = photometry.luminous_efficiency("photopic_gaussian")
@@ -105,58 +93,10 @@ def test_the_scotopic_table_is_the_published_one():
     assert abs(wavelength[np.argmax(scotopic)] - 507) <= 1
 
 
-@pytest.mark.parametrize(
-    ("name", "observer", "expected", "rel"),
-    [
-        ("line:555", "photopic", 683.0, 1e-12),
-        ("line:507", "scotopic", 1700.05, 1e-3),
-        ("equal_energy", "photopic", 683 * 106.856 / 400, 1e-3),
-    ],
-)
-def test_efficacies_of_known_sources(name, observer, expected, rel):
-    """Luminous efficacies of radiation from the literature."""
-    assert photometry.luminous_efficacy_lm_per_w(spectrum(name), observer) == pytest.approx(expected, rel=rel)
-
-
-@pytest.mark.parametrize(
-    "name",
-    ["equal_energy", "planck:6500", "cie_d65", "white_led", "display_red", "display_green", "display_blue", "line:600"],
-)
-def test_luminance_and_radiance_are_inverse(name):
-    """There and back again, for every named spectrum, and green sees best."""
-    source = spectrum(name)
-    assert photometry.radiance_w_sr_m2(photometry.luminance_cd_m2(2.5, source), source) == pytest.approx(2.5)
-    assert 10.0 < photometry.luminous_efficacy_lm_per_w(source) < 683.0
-
-
 def test_the_thesis_conversion_is_the_radiance_of_one_micrometre():
     """Times the 0.4 µm of the band it is the equal-energy radiance: (2.10) is per µm."""
     right = photometry.radiance_w_sr_m2(3882.3529, spectrum("equal_energy"))
     assert right == pytest.approx(photometry.radiance_thesis_w_sr_m2_um(3882.3529) * 0.4, rel=1e-3)
-
-
-def test_a_spectrum_file_is_read(tmp_path):
-    """With header, comments and semicolons; its efficacy is that of the same numbers."""
-    (tmp_path / "lamp.csv").write_text("# a lamp\nnm;power\n500;1\n600;3\n")
-    found = spectrum(str(tmp_path / "lamp.csv"))
-    assert found.integral() == pytest.approx(200.0)
-    assert found.band_nm == (500.0, 600.0)
-
-
-@pytest.mark.parametrize(
-    ("text", "message"),
-    [
-        ("500,1\n450,1\n470,2\n", "rise"),
-        ("a,b\nc,d\n", "two numbers"),
-        ("500,1\n", "two lines"),
-        ("0.5,1\n0.6,1\n", "in nm"),
-    ],
-)
-def test_a_wrong_spectrum_file_is_refused(tmp_path, text, message):
-    """The message says what is wrong with it."""
-    (tmp_path / "lamp.csv").write_text(text)
-    with pytest.raises(InputError, match=message):
-        spectrum(str(tmp_path / "lamp.csv"))
 
 
 @pytest.mark.parametrize(
@@ -187,36 +127,11 @@ def test_invisible_light_has_no_luminance():
         photometry.radiance_w_sr_m2(1.0, spectrum("line:940"))
 
 
-def test_trolands():
-    """100 cd/m² through a 2 mm pupil are 314 td."""
-    assert photometry.retinal_illuminance_td(100.0, 2.0) == pytest.approx(100 * math.pi)
-    with pytest.raises(InputError, match="pupil"):
-        photometry.retinal_illuminance_td(100.0, 0.002)
-
-
-def test_no_mismatch_between_equal_spectra_or_for_a_flat_response():
-    """The factor is 1 where source and calibration agree, and where the camera weighs all watts alike."""
-    flat = np.array([300.0, 1100.0]), np.ones(2)
-    sloped = np.array([300.0, 1100.0]), np.array([0.0, 1.0])
-    d65, red = spectrum("cie_d65"), spectrum("display_red")
-    assert photometry.spectral_mismatch_factor(red, red, *sloped) == pytest.approx(1.0)
-    assert photometry.spectral_mismatch_factor(red, d65, *flat) == pytest.approx(1.0)
-
-
 def test_mismatch_of_two_lines_is_the_ratio_of_responses():
     """Calibrated at 500 nm where the response is 1, read at 600 nm where it is 2: halve the reading."""
     response = np.array([500.0, 600.0]), np.array([1.0, 2.0])
     lines = (spectrum("line:600"), spectrum("line:500"))
     assert photometry.spectral_mismatch_factor(*lines, *response) == pytest.approx(0.5)
-
-
-def test_a_camera_like_the_eye_needs_no_correction_of_luminance():
-    """With the response V(λ) itself the luminance is right for every source."""
-    eye = photometry.luminous_efficiency()
-    factor = photometry.spectral_mismatch_factor(
-        spectrum("display_blue"), spectrum("cie_d65"), *eye, observer="photopic"
-    )
-    assert factor == pytest.approx(1.0)
 
 
 @pytest.fixture

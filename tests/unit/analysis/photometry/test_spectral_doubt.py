@@ -73,14 +73,6 @@ def test_tabulated_spectra_are_the_published_ones(name, label):
     assert found.power / found.power.max() == pytest.approx(power / power.max(), rel=1e-5, abs=1e-9)
 
 
-def test_a_band_is_a_gaussian_of_its_width():
-    """Half of the peak half a width away; a narrow one has the efficacy of a line."""
-    found = spectrum("band:525,30")
-    assert np.interp(540.0, found.wavelength_nm, found.power) == pytest.approx(0.5, rel=1e-3)
-    narrow, line = (luminous_efficacy_lm_per_w(spectrum(name)) for name in ("band:555,1", "line:555"))
-    assert narrow == pytest.approx(line, rel=1e-3)
-
-
 def test_a_band_needs_a_width():
     """The message says what is missing."""
     with pytest.raises(InputError, match="after the comma"):

@@ -143,5 +143,6 @@ def test_contributions_add_in_squares_and_lines_are_relative(parts, value):
     found = shares(lines)
     assert sum(share for _, share in found) == pytest.approx(1.0)
     assert [line.u_rel for line, _ in found] == pytest.approx(sorted(parts, reverse=True))
+    assert [share for _, share in shares([Contribution("nothing", 0.0)] * 2)] == [0.0, 0.0]
     assert effective_degrees_of_freedom(terms) == math.inf
     assert coverage_factor(math.inf) == pytest.approx(2.0, abs=1e-3)

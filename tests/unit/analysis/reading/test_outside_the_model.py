@@ -8,8 +8,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, given, settings
-from hypothesis import strategies as st
 
 from radiometer.analysis.calibration.calibrate import KnownSource, scale_by_source
 from radiometer.analysis.reading.budget import conditions_of, frame_u_rel, local_scatter, stray_light
@@ -93,15 +91,6 @@ def test_kelvins_from_the_calibration_count(rig):
     assert line(unknown, "temperature") == pytest.approx(3e-3)
 
 
-def test_the_offset_of_exposures_counts_by_its_difference(rig):
-    """3 µs on 1 ms under a calibration at 10 ms: 3e-6·(1000 − 100); under one at 1 ms it drops out."""
-    stated = only(exposure_u_s=3e-6)
-    apart = calibrated(rig, ScaleConditions(inverse_exposure_per_s=100.0), uncertainties=stated)
-    alike = calibrated(rig, ScaleConditions(inverse_exposure_per_s=1000.0), uncertainties=stated)
-    assert line(read(rig, apart), "exposure offset") == pytest.approx(3e-6 * 900.0, rel=1e-9)
-    assert line(read(rig, alike), "exposure offset") == pytest.approx(0.0, abs=1e-12)
-
-
 def test_a_very_short_exposure_is_flagged(rig):
     """At 20 µs the same 3 µs are 15 %: the reading is ruled by them and says so."""
     calibration = calibrated(rig, ScaleConditions(temperature_c=25.0), uncertainties=only(exposure_u_s=3e-6))
@@ -109,23 +98,6 @@ def test_a_very_short_exposure_is_flagged(rig):
     found = read(rig, calibration, frames=rig.frames(scene, np.random.default_rng(1), (20e-6,) * 5))
     assert line(found, "exposure offset") == pytest.approx(0.15)
     assert Flag.SHORT_EXPOSURE in found.flags
-
-
-def test_another_gain_than_at_calibration_counts(rig):
-    """12 dB under a calibration at 0 dB: the step's 1 %; under one at 12 dB nothing."""
-    rng, scene = np.random.default_rng(2), np.full((12, 12), 0.1 * rig.radiance_of_full_scale(1e-3))
-    frames = [rig.frame(scene, 1e-3, rng, 12.0) for _ in range(5)]
-    stated = only(gain_step_u_rel=0.01)
-    other = read(rig, calibrated(rig, ScaleConditions(temperature_c=25.0), uncertainties=stated), frames=frames)
-    same = calibrated(rig, ScaleConditions(temperature_c=25.0, gain_db=12.0), uncertainties=stated)
-    assert line(other, "gain step") == pytest.approx(0.01)
-    assert line(read(rig, same, frames=frames), "gain step") == 0.0
-
-
-def test_levels_apart_count_where_the_sensor_is_taken_as_linear(rig):
-    """Half of full scale under a calibration at 90 %: 0.3 % per full scale times 0.4."""
-    calibration = calibrated(rig, ScaleConditions(level=0.9), uncertainties=only(bend_u_rel=3e-3))
-    assert line(read(rig, calibration), "linearity") == pytest.approx(3e-3 * 0.4, rel=0.01)
 
 
 @pytest.mark.parametrize("handled", ["reseated", "refocused", "iris_reset"])
@@ -168,14 +140,6 @@ def test_glare_that_was_found_is_taken_off(rig, dark_e_per_s):
     calibration = replace(base, camera=camera, noise=noise, found=FoundEffects(glare=0.05))
     found = read(rig, calibration, frames=frames, camera=camera, patch=Patch(16, 16, 8, 8))
     assert found.radiance.value == pytest.approx(scene[20, 20], rel=2e-3)
-
-
-def test_a_surround_that_clips_everywhere_is_flagged(rig):
-    """It may be of any brightness."""
-    scene = np.full((40, 40), 50.0 * rig.radiance_of_full_scale(1e-3))
-    scene[10:30, 10:30] = 0.5 * rig.radiance_of_full_scale(1e-3)
-    frames = rig.frames(scene, np.random.default_rng(3), STEADY)
-    assert Flag.STRAY_LIGHT in read(rig, calibrated(rig), frames=frames, patch=Patch(12, 12, 16, 16)).flags
 
 
 def test_polarised_light_counts_where_the_calibration_s_was_not(rig):
@@ -235,15 +199,6 @@ def test_a_flat_field_of_another_stop_is_in_doubt(rig):
     assert line(same, "flat field") == pytest.approx(0.003)
 
 
-def test_a_few_pixels_carry_the_stated_nonuniformity(rig):
-    """3 × 3 pixels of 1 % each: 0.33 %, though they are too few to show it; 4 × 4 show what there is."""
-    calibration = calibrated(rig, uncertainties=only(prnu_u_rel=0.01))
-    small, larger = (read(rig, calibration, patch=Patch(2, 2, side, side)) for side in (3, 4))
-    assert line(small, "pixel pattern") == pytest.approx(0.01 / 3.0, rel=0.3)
-    assert line(small, "pixel pattern") >= 0.01 / 3.0 * (1.0 - 1e-9)
-    assert line(larger, "pixel pattern") < 0.001
-
-
 def test_two_halves_of_different_radiance_are_not_saturated(rig):
     """0.2 and 0.8 of full scale side by side: nothing clips, so that it is nonuniform and no more."""
     scene = np.full((12, 12), 0.8 * rig.radiance_of_full_scale(1e-3))
@@ -283,16 +238,6 @@ def test_frames_that_agree_leave_the_factor_at_two(rig):
     assert read(rig, calibration).coverage_factor == pytest.approx(2.0, abs=0.001)
 
 
-@pytest.mark.parametrize(
-    ("exposures", "few"), [((1e-3,) * 4, True), (STEADY, False), ((0.02,) * 2, True), ((0.02,) * 3, False)]
-)
-def test_too_few_frames_to_show_flicker_are_flagged(rig, exposures, few):
-    """Three frames of 10 ms or more, five shorter ones."""
-    scene = np.full((12, 12), 0.5 * rig.radiance_of_full_scale(max(exposures)))
-    found = read(rig, calibrated(rig), frames=rig.frames(scene, np.random.default_rng(1), exposures))
-    assert (Flag.FEW_FRAMES in found.flags) == few
-
-
 def test_the_data_sheet_s_dark_current_may_be_three_times_as_much(rig):
     """120 % of the modelled dark signal where no dark frame was taken, with the flag where it rules."""
     camera = rig.description.model_copy(update={"dark_current_e_per_s": 2000.0})
@@ -324,22 +269,6 @@ def test_what_calibration_and_reading_share_drops_out(rig):
     assert scale.budget["response curve"] == pytest.approx(1e-3)
     found = read(rig, replace(base, scale=scale))
     assert found.radiance.u_rel == pytest.approx(math.hypot(0.004, 0.0007, 0.0007), rel=0.01)
-
-
-@settings(max_examples=25, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
-@given(stops=st.floats(-3.0, 3.0), factor=st.floats(0.25, 4.0), tau=st.floats(0.05, 0.9))
-def test_radiance_scales_as_light_does(rig, stops, factor, tau):
-    """The same numbers at factor times the exposure, N·2^(stops/2) and τ mean 2^stops/(factor·τ/0.9) the radiance."""
-    lens = LensDescription(focal_length_mm=16.0, f_number=4.0, transmittance=0.9)
-    calibration = replace(calibrated(rig), lens=lens)
-    taken = rig.frames(np.ones((2, 2)), np.random.default_rng(1), (1e-3,))[0].settings
-    frame = Frame(np.full((12, 12), 2000, np.uint16), 12, taken)
-    number = 4.0 * 2.0 ** (stops / 2.0)
-    other = Frame(frame.dn, 12, replace(frame.settings, exposure_s=1e-3 * factor, f_number=number))
-    changed = LensDescription(focal_length_mm=16.0, f_number=number, transmittance=tau)
-    first = read(rig, calibration, frames=[frame], lens=lens).radiance
-    second = read(rig, calibration, frames=[other], lens=changed).radiance
-    assert second.value / first.value == pytest.approx(2.0**stops / factor * 0.9 / tau, rel=1e-9)
 
 
 def test_luminance_carries_the_radiance_s_uncertainty(rig):

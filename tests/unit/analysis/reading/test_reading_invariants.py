@@ -31,7 +31,6 @@ from radiometer.data import (
     StatedUncertainties,
 )
 from radiometer.data.setup import Setup
-from radiometer.errors import MeasurementError
 
 NOTHING_STATED = StatedUncertainties(**dict.fromkeys(StatedUncertainties.model_fields, 0.0))
 KNOWN_BLACK = BlackLevel(dn=64.0, u_dn=0.0, dark_u_rel=0.0)
@@ -358,26 +357,9 @@ def test_the_surround_is_the_mean_of_the_picture(rig):
     assert found.conditions.inverse_exposure_per_s == pytest.approx(1000.0)
 
 
-def test_frames_of_different_light_are_not_read_together(rig):
-    """The number of source levels is told."""
-    frames = [flat(1000, source_level=0.5), flat(1000, source_level=1.0)]
-    with pytest.raises(MeasurementError, match="2 different source levels"):
-        read(rig, frames)
-
-
 @pytest.mark.parametrize(("days", "stale"), [(364.0, False), (366.0, True)])
 def test_a_calibration_is_stale_after_its_days(rig, days, stale):
     """365 days from its making."""
     known = replace(exact(rig), created="2026-01-01T00:00:00Z", validity_days=365.0)
     now = NOW + dt.timedelta(days=days)
     assert (Flag.STALE_CALIBRATION in read(rig, [flat(1000)] * 5, known, now=now).flags) is stale
-
-
-def test_drift_grows_with_the_years(rig):
-    """1 % a year, as stated: 2 % after two."""
-    stated = NOTHING_STATED.model_copy(update={"drift_u_rel_per_year": 0.01})
-    known = replace(exact(rig, uncertainties=stated), created="2026-01-01T00:00:00Z")
-    found = read(rig, [flat(1000)] * 5, known, now=NOW + dt.timedelta(days=2 * 365.25))
-    assert max(one.u_rel for one in found.budget if "age" in one.name or "drift" in one.name) == pytest.approx(
-        0.02, rel=2e-3
-    )

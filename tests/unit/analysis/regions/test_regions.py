@@ -85,6 +85,19 @@ def test_a_profile_follows_its_line_and_its_noise_averages_over_the_width() -> N
     assert u == pytest.approx(np.full(21, 0.1), rel=1e-3)
 
 
+@pytest.mark.parametrize(
+    ("start", "end"), [((5.0, 20.0), (35.0, 4.0)), ((35.0, 4.0), (5.0, 20.0)), ((7.5, 2.0), (7.5, 25.5))]
+)
+def test_a_profile_goes_in_equal_steps_from_its_start_to_its_end(start, end) -> None:
+    """Over a plane 1 + 2x + 3y: distances from 0 to the length, at most a pixel apart, and the plane's own values."""
+    y, x = np.indices((30, 40))
+    distance, value, _ = profile(map_of(1.0 + 2.0 * x + 3.0 * y), start, end)
+    length = math.dist(start, end)
+    assert distance == pytest.approx(np.linspace(0.0, length, math.ceil(length) + 1))
+    ends = [1.0 + 2.0 * one[0] + 3.0 * one[1] for one in (start, end)]
+    assert value == pytest.approx(ends[0] + (ends[1] - ends[0]) * distance / length)
+
+
 def test_saturated_and_missing_pixels_are_flagged_or_refused() -> None:
     """Saturated and missing pixels are flagged or refused."""
     found = map_of(np.full((10, 10), 3.0))

@@ -14,9 +14,7 @@ from radiometer.analysis.response.mitsunaga1999 import Pairs
 from radiometer.analysis.response.noise import LogNoise, fit_log_noise, mean_exposure_dn
 from radiometer.analysis.response.pixel_noise import pixel_noise
 from radiometer.analysis.response.samples import gather_samples
-from radiometer.analysis.response.settle import places_as_one, tones_as_one
 from radiometer.data import Bracket, Frame, FrameSettings, ResponseCurve
-from radiometer.statistics.jackknife import jackknife_u
 
 
 def test_saturation_below_full_scale_is_found(make_stack):
@@ -154,21 +152,6 @@ def test_samples_without_a_quadrant_lack_its_pixels():
     assert min(without) > 2.0 * max(own)
 
 
-def test_neighbouring_groups_that_err_together_count_as_one():
-    """White residuals count singly; those that keep their sign over ten groups count about ten as one."""
-    rng = np.random.default_rng(5)
-    group, frame = np.tile(np.arange(400), 3), np.repeat(np.arange(3), 400)
-    white = rng.standard_normal(1200)
-    assert tones_as_one(white, group, frame) == pytest.approx(1.0, abs=0.4)
-    assert tones_as_one(np.repeat(rng.standard_normal(120), 10), group, frame) == pytest.approx(10.0, rel=0.3)
-
-
-def test_places_that_differ_no_more_than_by_chance_change_nothing():
-    """A variance between quadrants of three times the groups' is chance, thirty times is not."""
-    assert places_as_one(np.full(9, 3.0), np.ones(9)) == 1.0
-    assert places_as_one(np.full(9, 30.0), np.ones(9)) == pytest.approx(30.0)
-
-
 def test_a_left_out_row_is_predicted_by_the_other_frames_of_its_group():
     """Behind a straight line a row's prediction is the others' mean exposure times its time; the error is in DN."""
     samples = gather_samples(Bracket.from_frames(_ramp_frames((1.0, 2.0))))
@@ -199,13 +182,6 @@ def test_rows_at_the_ends_are_predicted_by_each_other(dn, expected):
 def _ramp_frames(times):
     ramp = np.tile(np.linspace(10.0, 120.0, 128), (64, 1))
     return [Frame(np.round(ramp * t).astype(np.uint8), 8, FrameSettings(t)) for t in times]
-
-
-def test_jackknife_of_means_is_their_standard_error():
-    """Leaving out each of n values, the uncertainty of their mean is s/√n, as it falls by √n it must."""
-    values = np.random.default_rng(2).standard_normal(50)
-    left_out = [np.array([np.delete(values, k).mean()]) for k in range(50)]
-    assert jackknife_u(left_out)[0] == pytest.approx(values.std(ddof=1) / np.sqrt(50))
 
 
 def test_levelling_listens_to_what_is_known():

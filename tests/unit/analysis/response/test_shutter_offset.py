@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
 
-from radiometer.analysis.merge.bracket import merge
 from radiometer.analysis.response import auto, shutter_offset
-from radiometer.analysis.response.auto import recover_colours_auto, recover_response_auto
+from radiometer.analysis.response.auto import recover_response_auto
 from radiometer.analysis.response.shutter_offset import (
     Exposures,
     ShutterOffset,
@@ -20,14 +18,10 @@ from radiometer.analysis.response.shutter_offset import (
     with_offset,
 )
 from radiometer.analysis.response.wrong_labels import UNTOLD_OFFSET_S, WrongLabel
-from radiometer.data import CameraDescription, LensDescription, ResponseCurve
-from radiometer.data.setup import Setup
-from radiometer.photographs.response import relative_calibration, with_found_times
-from testing.brackets_of_a_shutter import LABELS_S, photographed, plane, scene
+from radiometer.data import ResponseCurve
+from testing.brackets_of_a_shutter import LABELS_S, photographed, plane
 
 OFFSET_S = 25e-6
-# Of the shortest label, 1/8192 s, it makes so much more.
-OF_SHORTEST = 1.0 + OFFSET_S * 8192
 
 
 @pytest.mark.parametrize("offset_s", [OFFSET_S, -20e-6])
@@ -222,24 +216,6 @@ def test_what_the_offset_leaves_open_is_in_the_curve(monkeypatch: pytest.MonkeyP
     apart = np.abs(moved.log_exposure[dn] - found[0].log_exposure[dn])
     assert float(np.max(apart)) > 0.01
     assert np.sqrt(np.mean(wider**2)) == pytest.approx(np.sqrt(np.mean(apart**2)), rel=0.3)
-
-
-@pytest.mark.slow
-def test_maps_are_made_with_it() -> None:
-    """A pixel that short frames show and one that long ones show stand in their true ratio, which the labels miss."""
-    bracket, (light, _) = photographed(OFFSET_S), scene(0)
-    (found,) = recover_colours_auto([bracket])
-    camera, lens, gaps = CameraDescription(bit_depth=8), LensDescription(), []
-    timed = with_found_times(bracket, found.curve)
-    assert [f.settings.exposure_s for f in timed.light] == pytest.approx(LABELS_S + OFFSET_S, abs=1e-6)
-    for frames in (timed, bracket):
-        known, _ = relative_calibration(frames, found.curve, camera, lens)
-        radiance = merge(frames, Setup(camera, lens, known)).radiance
-        bright, dim = light > 1500.0, light < 20.0
-        apart = np.log(radiance / light)
-        gaps.append(float(np.median(apart[bright]) - np.median(apart[dim])))
-    assert gaps[0] == pytest.approx(0.0, abs=0.01)
-    assert 0.05 < gaps[1] < math.log(OF_SHORTEST)
 
 
 def test_planes_without_shares_tell_nothing() -> None:

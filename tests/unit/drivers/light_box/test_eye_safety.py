@@ -72,24 +72,6 @@ class Bench:
         return self.eye.most_share
 
 
-@pytest.mark.parametrize("end", ["closed", "killed"])
-def test_twelve_commands_of_forty_seconds_give_no_more_than_the_promised_share(tmp_path, end):
-    """A bright source, twelve openings: the first pulse uses up what is allowed, the others are refused."""
-    bench, refused = Bench(tmp_path), 0
-    for _ in range(12):
-        box = bench.open()
-        try:
-            box.pulse("field", DriveLevel(60000), 40.0)
-            bench.wait(41.0, box)
-        except UnsafeStimulus:
-            refused += 1
-        if end == "closed":
-            box.close()
-        bench.wait(2.0)
-    assert (refused, bench.share) == (11, pytest.approx(BRIGHT * 938 / 1024 * WHITE_BLUE * 40.0 / 1e6, rel=1e-3))
-    assert bench.share <= PROMISED
-
-
 def test_a_ramp_down_is_refused_for_what_it_gives_on_the_way(tmp_path):
     """Down to level 1 in 50 s: next to nothing by the level at its end, up to 11 % by the one that it comes from."""
     bench = Bench(tmp_path)

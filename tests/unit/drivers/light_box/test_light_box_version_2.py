@@ -69,18 +69,6 @@ def test_over_bright_requests_are_refused_before_a_byte_is_sent() -> None:
     box.pulse("field", DriveLevel(60000), 299.0)
 
 
-def test_given_light_counts_in_the_dose() -> None:
-    """After 200 s at 36.6 W/sr/m² the ledger lets so much less be planned: L·t of both stays below a tenth of 10⁶."""
-    _, line, box = bench()
-    radiance = 40.0 * 60000 / 65535
-    box.pulse("field", DriveLevel(60000), 200.0)
-    pass_time(line, box, 201.0)
-    left_s = 1e5 / (WHITE_BLUE * radiance) / 1.01 - 200.0  # the box's clock may be 1 % slow
-    box.ledger.refuse_unsafe("field", radiance, left_s - 5.0)
-    with pytest.raises(UnsafeStimulus):
-        box.ledger.refuse_unsafe("field", radiance, left_s + 5.0)
-
-
 def test_flash_is_judged_as_a_pulse_and_counted() -> None:
     """One flash of 120 J/sr/m² in 3 ms is 8.5 % of the thermal limit and adds 4.9·10⁻⁵ of the blue-light limit."""
     twin, line, box = bench()

@@ -6,10 +6,8 @@ import numpy as np
 import pytest
 
 from radiometer.reconciliation.fit.covariance import fitted_parameters
-from radiometer.reconciliation.fit.descent import first_state, refit
+from radiometer.reconciliation.fit.descent import refit
 from radiometer.reconciliation.fit.state import with_effects
-from radiometer.reconciliation.measure.design import Design
-from radiometer.reconciliation.measure.reduce import frame_reader, reduce_frames
 from radiometer.reconciliation.propose.search import own_covariates
 from radiometer.reconciliation.result import Verdict
 from radiometer.reconciliation.search.moves import in_a_looser_form, in_place_of_all
@@ -24,6 +22,7 @@ from simulators.effects.natural_vignetting import NaturalVignetting
 from simulators.effects.response_nonlinearity import ResponseNonlinearity
 from testing.outside import two
 from testing.outside.two_hidden import HIDDEN
+from testing.reduced import start_of
 
 
 @pytest.mark.parametrize(
@@ -46,8 +45,7 @@ def ramp(make_capture):
     rows = np.arange(64.0)[:, None]
     plan = [{"t": t, "g": g, "shutter": "closed"} for t in (1e-4, 1e-2) for g in (0.0, 12.0)] * 2
     captured = make_capture(6, extra_dn=lambda setting: 2.0 * (rows / 63.0 - 0.5), plan=plan)
-    design = Design.of(captured.header, captured.frames[0].shape)
-    return first_state(design, *reduce_frames(design, frame_reader(captured.frames)))
+    return start_of(captured)
 
 
 def test_a_ramp_that_is_nothing_in_the_middle_is_an_offset_s_looser_form(make_capture):

@@ -55,29 +55,6 @@ def test_slope_of_the_photon_transfer_is_the_system_gain(model: CameraModel, gai
     assert slope == pytest.approx(gain, abs=4 * np.hypot(sigma, u_dark))
 
 
-@pytest.mark.parametrize(("temperature_c", "factor"), [(25.0, 1.0), (39.0, 4.0), (18.0, 0.5)])
-def test_dark_signal_rises_with_time_and_doubles_every_seven_kelvin(
-    model: CameraModel, temperature_c: float, factor: float
-) -> None:
-    """Difference of two dark means over 28 s: 2 e-/s at 25 °C within 4 standard deviations."""
-    means, variances = [], []
-    for seed, t in enumerate((2.0, 30.0)):
-        settings = FrameSettings(t, 0.0, 4.0, 64.0, temperature_c, shutter="closed")
-        mean, variance = _pair(model, settings, 1.0, seed)
-        means.append(mean)
-        variances.append(variance)
-    rate = (means[1] - means[0]) * 2.6 / 28.0
-    assert rate == pytest.approx(2.0 * factor, abs=4 * np.sqrt(sum(variances) / 2 / N) * 2.6 / 28.0)
-
-
-def test_full_well_is_the_plateau_of_the_mean(model: CameraModel) -> None:
-    """Far above saturation the mean stands at 64 + 8000/2.6 DN and only read noise and rounding are left."""
-    mean, variance = _pair(model, FrameSettings(0.05, 0.0, 4.0, 64.0), 5.0, 1)
-    expected_variance = (3.0 / 2.6) ** 2 + 1 / 12
-    assert mean == pytest.approx(64 + 8000 / 2.6, abs=4 * np.sqrt(expected_variance / 2 / N))
-    assert variance == pytest.approx(expected_variance, abs=4 * expected_variance * np.sqrt(2 / N))
-
-
 @pytest.mark.parametrize("gain_db", [0.0, 12.0, 24.0])
 def test_read_noise_is_constant_in_electrons_and_rounding_in_dn(model: CameraModel, gain_db: float) -> None:
     """Variance of dark frames is (K·3)² + 1/12 at every gain."""

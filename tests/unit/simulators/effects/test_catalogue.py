@@ -19,7 +19,6 @@ from simulators.effects.full_well_saturation import FullWellSaturation
 from simulators.effects.image_lag import ImageLag
 from simulators.effects.mechanical_vignetting import MechanicalVignetting, common_area
 from simulators.effects.missing_codes import MissingCodes
-from simulators.effects.nominal_settings import NominalSettings
 from simulators.effects.pixel_mixing import (
     disc_edge_share,
     exchange_between_neighbours,
@@ -251,18 +250,6 @@ def test_label_is_wrong_for_the_captures_that_are_meant() -> None:
     assert isinstance(both, ExposureLabelError)
     assert [float(both.factor(_at(t, s))) for t, s in ((0.01, 60.0), (0.01, 80.0), (0.02, 80.0))] == [1.25, 1.0, 0.8]
     assert both.free() == ("ratio", "further_ratios[0]")
-
-
-def test_sixtieth_of_a_second_counts_as_a_printed_stop() -> None:
-    """Of all printed times 1/60 s lies farthest from its stop, 1/64 s; a time between two stops is none."""
-
-    def usable(*times: float) -> bool:
-        base = effect_context()
-        exposure: Any = np.array(times)
-        return NominalSettings.usable(replace(base, settings=replace(base.settings, exposure_s=exposure)))
-
-    assert usable(1 / 60, 1 / 100, 1 / 125, 1 / 30)
-    assert not usable(1 / 60, 1 / 100, 1 / 125, 1 / 71)
 
 
 def test_lamp_that_settles_at_once_is_no_lamp_of_its_own() -> None:

@@ -330,6 +330,16 @@ def test_wings_of_one_width_are_the_kernel() -> None:
     assert wings.free() == (*(f"wings[{k}]" for k in range(5)), "edge_share")
 
 
+@pytest.mark.parametrize("k", range(5))
+def test_free_wings_begin_at_the_width_that_was_found(k: int) -> None:
+    """Of 0.02, 0.04 … 0.32 the width nearest in octaves gets six tenths of the share, each of the others a tenth."""
+    for away in (1.0, 1.3, 1.0 / 1.3):
+        kernel = StrayLightKernel(0.05, max(0.02 * 2.0**k * away, 0.02))
+        _, near, _ = kernel.loosened(_context())
+        assert near.wings == pytest.approx([0.03 if n == k else 0.005 for n in range(5)])
+        assert near.share == 0.0
+
+
 @pytest.mark.parametrize(("wings", "none"), [((0.2, 0.0, 0.29, 0.0, 0.0), False), ((0.2, 0.0, 0.31, 0.0, 0.0), True)])
 def test_no_lens_scatters_more_than_comes_straight(wings: tuple[float, ...], none: bool) -> None:
     """Wings of together half of the light are the most."""

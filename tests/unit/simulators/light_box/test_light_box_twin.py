@@ -130,19 +130,6 @@ def test_light_is_as_long_as_was_asked_however_time_passes(words: str, lit: str)
         assert twin.duty(name) == 0.0
 
 
-def test_a_ramp_ends_where_it_was_sent_when_it_was_to() -> None:
-    """From 40000 down to 10000 in 6 ms: 5000 in each, then steady."""
-    twin, commands = greeted()
-    assert commands.run("SL 1 H 40000").startswith("OK")
-    assert commands.run("RA 1 H 10000 6").startswith("OK")
-    levels = []
-    for ms in range(8):
-        twin.advance(ms / 1000.0)
-        levels.append(twin.channels[1].driven_level)
-    assert levels == [40000, 35000, 30000, 25000, 20000, 15000, 10000, 10000]
-    assert [channel.mode for channel in twin.channels][1] == "S"
-
-
 SECONDS_OF_A_BUCKET = {
     "bleach": 200,
     "field": 300,
