@@ -9,12 +9,13 @@ import logging
 from collections.abc import AsyncIterator, Awaitable, Callable
 from logging.handlers import BufferingHandler
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import aiohttp
 import numpy as np
 import pytest
 from PIL import Image
+from pydantic import BaseModel
 
 from radiometer.daemon.http.openapi import description
 from radiometer.daemon.http.picture import composite, render
@@ -155,6 +156,31 @@ async def test_wrong_bodies_are_refused_and_change_nothing(
             assert reply.status == status, await reply.text()
     assert station.settings == before
     assert station.shown.latest is None
+
+
+def _numbers(model: type[BaseModel]) -> dict[str, Any]:
+    """Return the fields of a body that take numbers and no text, with those of its parts, as the body's keys."""
+    found: dict[str, Any] = {}
+    for name, field in model.model_fields.items():
+        kinds = get_args(field.annotation) or (field.annotation,)
+        parts = [kind for kind in kinds if isinstance(kind, type) and issubclass(kind, BaseModel)]
+        found |= {f"{name}.{key}": kind for part in parts for key, kind in _numbers(part).items()}
+        found |= {name: field.annotation} if {int, float} & set(kinds) else {}
+    return found
+
+
+@pytest.mark.parametrize("wrong", ["0.5", "1", "NaN", "", True, False, [1], {"value": 1}])
+@pytest.mark.parametrize(
+    ("path", "key"), [(one.path, key) for one in ROUTES if one.body is not None for key in _numbers(one.body)]
+)
+async def test_what_is_no_number_is_refused_in_every_body(
+    base: str, session: aiohttp.ClientSession, path: str, key: str, wrong: Any
+) -> None:
+    """Text, truth values and lists in place of each number of each request: 400, and the key is named."""
+    outer, _, inner = key.partition(".")
+    async with session.post(base + path, json={outer: {inner: wrong} if inner else wrong}) as reply:
+        assert reply.status == 400
+        assert "number" in await reply.text() or "integer" in await reply.text() or "Field required" in await reply.text()
 
 
 async def test_the_stream_replays_and_follows_without_gap(
