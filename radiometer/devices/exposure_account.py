@@ -42,6 +42,7 @@ ANY_EYE: Final = "any eye"  # the account of light that no eye was named for; no
 # Steps of the wall clock below this at a restart are corrections of a drifting clock; time counts as standing still.
 CLOCK_STEP_S: Final = 60.0
 _BOOT_ID: Final = Path("/proc/sys/kernel/random/boot_id")
+_TIME_NAMESPACE: Final = Path("/proc/self/ns/time")  # time_namespaces(7)
 _MACHINE_ID: Final = Path("/etc/machine-id")
 _UNKNOWN_BOOT: Final = uuid.uuid4().hex  # where the system names no boot, each program counts as a new one
 
@@ -50,7 +51,7 @@ _UNKNOWN_BOOT: Final = uuid.uuid4().hex  # where the system names no boot, each 
 class Moment:
     """A time by the two clocks of a machine."""
 
-    boot: str  # which start of the machine `uptime_s` counts from
+    boot: str  # which start of the machine, and which clock of the system, `uptime_s` counts from
     uptime_s: float  # time since that start in s, also while the machine slept; it cannot be set
     wall_s: float  # time of day as Unix time in s; may be set to anything
     machine: str = ""  # which computer it is
@@ -62,6 +63,9 @@ def machine_moment() -> Moment:
         boot = _BOOT_ID.read_text(encoding="ascii").strip()
     except OSError:
         boot = _UNKNOWN_BOOT
+    # Any user may start programs whose uptime is shifted: to the account that is another start of the machine.
+    with contextlib.suppress(OSError):  # systems before Linux 5.6 shift no uptime
+        boot = f"{boot} {_TIME_NAMESPACE.readlink()}"
     try:
         machine = _MACHINE_ID.read_text(encoding="ascii", errors="replace").strip()
     except OSError:

@@ -388,6 +388,21 @@ async def test_rates_and_connections_are_limited(serve: Any, session: aiohttp.Cl
         writer.close()
 
 
+async def test_the_end_with_a_silent_client_is_no_error(station: Station) -> None:
+    """A connection without a request is ended with the daemon; nothing is reported when its time is over."""
+    errors: list[dict[str, Any]] = []
+    asyncio.get_running_loop().set_exception_handler(lambda loop, context: errors.append(context))
+    server = HttpServer(station, limits=Limits(head_s=0.2))
+    reader, writer = await asyncio.open_connection("127.0.0.1", await server.listen("127.0.0.1", 0))
+    await asyncio.sleep(0.05)  # until it is accepted
+    await server.close()
+    async with asyncio.timeout(within(10.0)):
+        assert await reader.read() == b""
+    await asyncio.sleep(0.3)
+    writer.close()
+    assert errors == []
+
+
 async def test_listeners_are_limited(serve: Any, session: aiohttp.ClientSession, station: Station) -> None:
     """Beyond the limit a stream is refused, and a slot is free again once a listener leaves."""
     base = await serve(limits=Limits(listeners=1))

@@ -6,6 +6,8 @@ import fcntl
 import math
 import multiprocessing
 import os
+import subprocess
+import sys
 from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
@@ -304,6 +306,30 @@ def test_what_still_shines_counts_to_its_planned_end(desk):
         ledger.refuse_unsafe("a", 1000.0, 89.0)
 
 
+def test_a_program_whose_uptime_is_shifted_does_not_free_the_account(tmp_path, project_root):
+    """time_namespaces(7): any user may shift the uptime of a program, here by 5.6 h; 8 % given stay given."""
+    store = FileStore(tmp_path)
+    with store.change() as account:
+        account.begin("LB000001")
+    ledger = ExposureLedger({"a": BLUE}, store)
+    ledger.open("LB000001")
+    ledger.begun(ledger.reserve(Stimulus("a", 1000.0, 80.0, 80.0)))
+    look = f"""if True:
+        from pathlib import Path
+        from radiometer.devices.exposure_account import FileStore
+        with FileStore(Path({str(tmp_path)!r})).change() as account:
+            given = account.blue("any eye") + sum(one.blue() for one in account.planned.values())
+            print("given", given, account.reason)"""
+    shift = ["unshare", "-r", "-T", "--boottime", "20000", "--monotonic", "20000"]
+    try:
+        looked = subprocess.run([*shift, sys.executable, "-c", look], cwd=project_root, capture_output=True, text=True)
+    except FileNotFoundError:
+        pytest.skip("util-linux has no unshare here")
+    if "given" not in looked.stdout:
+        pytest.skip(f"this system makes no time namespaces: {looked.stderr[-200:]}")
+    assert float(looked.stdout.split()[1]) >= 0.08
+
+
 def test_another_program_that_holds_the_account_stops_light_within_a_second_and_never_darkness(desk):
     """The way out is named; the wait is shorter than the box's dead-man time; what ended meanwhile is stored later."""
     ledger = desk.open()
@@ -351,7 +377,10 @@ def test_an_account_that_is_no_file_stops_light_and_stays(desk, tmp_path_factory
 
 def test_a_linked_folder_holds_the_same_account(desk, tmp_path_factory):
     """9 % by one name and 3 % by the other are refused: one file, one lock."""
-    desk.pulse(desk.open(), 88.0)
+    ledger = desk.open()
+    ledger.begun(ledger.reserve(Stimulus("a", 1000.0, 88.0, 88.0)))
+    desk.clock.wait(100.0)
+    ledger.settle()
     desk.folder.rename(moved := tmp_path_factory.mktemp("other") / "state")
     desk.folder.symlink_to(moved)
     with pytest.raises(UnsafeStimulus, match="blue-light"):
