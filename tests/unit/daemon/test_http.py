@@ -180,7 +180,9 @@ async def test_what_is_no_number_is_refused_in_every_body(
     outer, _, inner = key.partition(".")
     async with session.post(base + path, json={outer: {inner: wrong} if inner else wrong}) as reply:
         assert reply.status == 400
-        assert "number" in await reply.text() or "integer" in await reply.text() or "Field required" in await reply.text()
+        assert (
+            "number" in await reply.text() or "integer" in await reply.text() or "Field required" in await reply.text()
+        )
 
 
 async def test_the_stream_replays_and_follows_without_gap(

@@ -249,7 +249,19 @@ def test_light_without_a_named_eye_counts_for_every_eye(desk, first, second, ref
 
 def test_a_subject_has_one_account_however_the_name_is_written():
     """What a reader may overlook makes no other eye; half a statement, or a name of marks alone, is no statement."""
-    for name in ("S07", " s07 ", "Ｓ07", "S 07", "S-07", "s_07.", "S\u200b07", "S07\u0301", "S07\0", "\u3164S07", "Š07"):
+    for name in (
+        "S07",
+        " s07 ",
+        "Ｓ07",
+        "S 07",
+        "S-07",
+        "s_07.",
+        "S\u200b07",
+        "S07\u0301",
+        "S07\0",
+        "\u3164S07",
+        "Š07",
+    ):
         assert name_of_eye(name, "right") == "s07 right", name
     assert len({name_of_eye(name, "left") for name in ("S07", "S08", "S070", "T07", "7")}) == 5
     assert (name_of_eye(None, None), name_of_eye(None, None, no_eye=True)) == (None, NO_EYE)
@@ -358,7 +370,7 @@ def test_a_folder_that_takes_no_file_stops_light_and_never_darkness(tmp_path):
 
 @pytest.mark.parametrize("kind", ["file", "nothing", "pipe", "itself", None])
 def test_an_account_that_is_no_file_stops_light_and_stays(desk, tmp_path_factory, kind):
-    """A link to a file, nothing, a pipe or itself, or a pipe: two folders with one account do not exclude each other."""
+    """A pipe, or a link to a file, nothing, a pipe or itself: two folders with one account exclude no program."""
     other = tmp_path_factory.mktemp("other") / "account"
     if kind == "file":
         desk.file.rename(other)
