@@ -35,7 +35,7 @@ octets = st.integers(0, 255)
 @pytest.mark.parametrize("visible", ["", "a-token-so-long-as-it"])
 def test_a_token_of_what_cannot_be_seen_is_refused(station: Station, sign: str, visible: str) -> None:
     """Zero bytes, blanks, marks of no width, private and half characters, alone or at the end of a good token."""
-    with pytest.raises(UsageError, match="invisible characters.*openssl"):
+    with pytest.raises(UsageError, match=r"invisible characters.*openssl"):
         HttpServer(station, token=visible + sign * 20)
 
 

@@ -176,7 +176,7 @@ def test_the_content_hash_notices_one_changed_pixel(capture):
     ("remove", "message"),
     [
         (("capture.yaml", "frames"), "it is no capture set"),
-        (("capture.yaml", "frames", ""), "is not a folder"),
+        (("capture.yaml", "frames", ""), "does not exist"),
         (("frames/0002.png",), r"0002\.png' does not exist; the capture set is incomplete"),
     ],
 )
