@@ -21,7 +21,7 @@ import numpy as np
 from benchmarks._posterior_sessions import Record, collect, sessions
 from benchmarks._sections import write_section
 from radiometer.reconciliation.engine import whole_catalogue
-from radiometer.reconciliation.fit.models import ModelFit
+from radiometer.reconciliation.fit.state import ModelFit
 from radiometer.reconciliation.posterior import UNNAMED, posterior
 from radiometer.reconciliation.result import SURE
 

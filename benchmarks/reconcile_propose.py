@@ -33,8 +33,8 @@ from radiometer.reconciliation.fit.state import FitState
 from radiometer.reconciliation.measure.design import Design
 from radiometer.reconciliation.measure.reduce import reduce_frames
 from radiometer.reconciliation.propose import Proposal, propose_law
-from radiometer.reconciliation.propose.files import write_files
 from radiometer.reconciliation.propose.law import effect_class, effect_of, round_to
+from radiometer.reconciliation.propose.proposal import write_files
 from simulators.effects.catalogue import CatalogueEffect
 from testing.outside.judge import PLACES
 from testing.outside.session import Hidden, Secret, Session

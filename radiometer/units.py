@@ -78,15 +78,10 @@ def _nearest_step(value: float, steps_per_octave: int) -> float:
 
 @dataclass(frozen=True, slots=True)
 class Unit:
-    """A unit of a quantity.
+    """A unit of a quantity."""
 
-    Attributes:
-        name: How the unit is reported.
-        to_base: Turns a number in this unit into one in the quantity's base unit.
-    """
-
-    name: str
-    to_base: Callable[[float], float]
+    name: str  # how the unit is reported
+    to_base: Callable[[float], float]  # turns a number in this unit into one in the quantity's base unit
 
 
 def _times(factor: float, offset: float = 0.0) -> Callable[[float], float]:

@@ -32,9 +32,6 @@ class BracketRequest:
 def plan_for_scene(camera: Camera, request: BracketRequest) -> ExposurePlan:
     """Meter the scene and return the exposures that cover it.
 
-    Args:
-        camera: An open camera.
-
     Raises:
         UsageError: If the region leaves the frame or the time limit is not above 0.
         DeviceError: If the camera fails.
@@ -69,7 +66,6 @@ def take_plan(
     """Yield the frames of a plan as they are taken, dark frames last.
 
     Args:
-        camera: An open camera.
         progress: Called after every frame.
         close_shutter: Called with True before the dark frames and False after them; the camera's own shutter where
             None.
@@ -110,7 +106,6 @@ def take_dark_frames(
     """Yield dark frames as they are taken; the shutter is open again afterwards, whatever happens.
 
     Args:
-        camera: An open camera.
         exposures_s: Exposure times in s.
         count: Frames at each.
         close_shutter: Called with True before and False after.

@@ -61,7 +61,6 @@ def take_capture_plan(camera: Camera, plan: CapturePlan, stage: Stage) -> Iterat
     """Yield the frames of a plan as they are taken, each with what was staged for it.
 
     Args:
-        camera: An open camera.
         plan: What to take, in this order.
         stage: Called before each setting.
 

@@ -56,17 +56,13 @@ class ExposurePlan:
     """Exposure times to take, and what they cannot reach.
 
     Attributes:
-        exposures_s: Exposure times in s, ascending; a time stands as often as it is to be taken.
-        too_bright: Number of pixels that clip even at the shortest exposure.
-        too_dark: Number of pixels that stay under the noise floor even at the longest permitted exposure.
         total_s: Sum of the exposure times in s.
-        cut_short: Whether the time limit kept frames out that were requested.
     """
 
-    exposures_s: tuple[float, ...]
-    too_bright: int = 0
-    too_dark: int = 0
-    cut_short: bool = False
+    exposures_s: tuple[float, ...]  # exposure times in s, ascending; a time stands as often as it is to be taken
+    too_bright: int = 0  # number of pixels that clip even at the shortest exposure
+    too_dark: int = 0  # number of pixels that stay under the noise floor even at the longest permitted exposure
+    cut_short: bool = False  # whether the time limit kept frames out that were requested
 
     @property
     def total_s(self) -> float:

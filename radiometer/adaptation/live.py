@@ -23,35 +23,26 @@ class LiveState:
     """What is known of a running test.
 
     Attributes:
-        protocol: What is done.
-        phase: "starting", "bleach", "fixation", "threshold", "paused" or "over".
-        subject: Pseudonym.
-        time_s: Time of the newest event in s.
-        dark_since_s: When the bleach ended; None before.
-        thresholds: Time in min and log10 threshold by the trial's sequence number; None where not seen.
-        catches: Time in min of each catch and whether it was pressed.
-        fixation: Lights in the blind spot that were seen, and of how many.
-        lapses: Bright spots that were missed, and of how many.
-        fixation_lost: Whether it was lost of late: since then no light in the blind spot was missed, as it should be.
         false_presses: How many presses had no light, or were faster than a human.
-        blink: Level of the newest blink (None: a catch, or none yet) and its presses.
-        outcome: Verdict and explanation, once over.
     """
 
-    protocol: AdaptationProtocol
-    phase: str = "starting"
-    subject: str = ""
-    time_s: float = 0.0
+    protocol: AdaptationProtocol  # what is done
+    phase: str = "starting"  # "starting", "bleach", "fixation", "threshold", "paused" or "over"
+    subject: str = ""  # pseudonym
+    time_s: float = 0.0  # time of the newest event in s
     phase_since_s: float = 0.0
-    dark_since_s: float | None = None
+    dark_since_s: float | None = None  # when the bleach ended; None before
+    # Time in min and log10 threshold by the trial's sequence number; None where not seen
     thresholds: dict[int, tuple[float, float | None]] = field(default_factory=dict)
+    # Time in min of each catch and whether it was pressed
     catches: dict[int, tuple[float, bool]] = field(default_factory=dict)
     hasty: set[int] = field(default_factory=set)
-    fixation: tuple[int, int] = (0, 0)
-    lapses: tuple[int, int] = (0, 0)
+    fixation: tuple[int, int] = (0, 0)  # lights in the blind spot that were seen, and of how many
+    lapses: tuple[int, int] = (0, 0)  # bright spots that were missed, and of how many
+    # Whether it was lost of late: since then no light in the blind spot was missed, as it should be
     fixation_lost: bool = False
-    blink: Event | None = None
-    outcome: tuple[str, str] | None = None
+    blink: Event | None = None  # level of the newest blink (None: a catch, or none yet) and its presses
+    outcome: tuple[str, str] | None = None  # verdict and explanation, once over
 
     def take(self, event: Event) -> None:
         """Take an event of the journal, in order."""

@@ -99,11 +99,7 @@ class Reliability:
 
     @classmethod
     def of_trials(cls, events: Sequence[Event], fastest_press_s: float) -> Reliability:
-        """Return the counts of a journal's events: blinks, each belonging to the trial that follows.
-
-        Args:
-            events: Events in order.
-        """
+        """Return the counts of a journal's events: blinks, each belonging to the trial that follows."""
         counts = {kind: [0, 0] for kind in (BLANK, BRIGHT, BLIND_SPOT)}
         for blink in events:
             kind = kind_of_catch(blink) if blink["kind"] == "blink" else None

@@ -16,19 +16,12 @@ _STAMP: Final = "%Y-%m-%dT%H%M%SZ"
 
 @dataclass(frozen=True, slots=True)
 class Visit:
-    """The journal of a visit.
+    """The journal of a visit."""
 
-    Attributes:
-        journal: File of its journal.
-        request: What is run, with the visit's date; where the run goes on, as its journal states the visit.
-        resumed: Whether the journal holds a part of the run.
-        remarks: What the user must know of other journals of the subject, a line each.
-    """
-
-    journal: Path
-    request: RunRequest
-    resumed: bool = False
-    remarks: tuple[str, ...] = ()
+    journal: Path  # file of its journal
+    request: RunRequest  # what is run, with the visit's date; where the run goes on, as its journal states the visit
+    resumed: bool = False  # whether the journal holds a part of the run
+    remarks: tuple[str, ...] = ()  # what the user must know of other journals of the subject, a line each
 
 
 def iso_utc(moment: dt.datetime) -> str:

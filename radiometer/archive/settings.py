@@ -31,4 +31,4 @@ class JobSettings:
 
 def code_hash() -> str:
     """Return a hash over the source of the packages that results depend on."""
-    return source_hash("data", "analysis", "reconcile", "archive")
+    return source_hash("data", "analysis", "importing", "photographs", "reconciliation", "statistics", "archive")

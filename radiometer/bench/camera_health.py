@@ -89,7 +89,6 @@ def check_linearity(camera: Camera, black_dn: float) -> Finding:
     """Return whether half the exposure gives half the signal in the well-exposed pixels.
 
     Args:
-        camera: An open camera.
         black_dn: Dark level in DN.
     """
     settings = _metered(camera, black_dn)

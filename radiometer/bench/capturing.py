@@ -46,7 +46,6 @@ def capture_exposures(
     """Capture the planned exposures into a new folder and return what was written.
 
     Args:
-        camera: An open camera.
         plan: Exposures in s.
         config: The bench: its light and its patches are written to the header.
         ask: Has the lens covered where the camera has no shutter.

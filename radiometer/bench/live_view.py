@@ -37,7 +37,6 @@ class LiveView:
     """Shows what an open camera sees to any number of browsers.
 
     Args:
-        camera: An open camera.
         patch: Patch to begin with.
         bench: Bench file that a patch may be written into; None where there is none.
         port: Port on 127.0.0.1; 0 for any free one.

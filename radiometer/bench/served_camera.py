@@ -96,13 +96,7 @@ def served_camera(
 
 
 def serve(camera: BlackflyGige, faults: Faults, sleep: Callable[[float], None] = time.sleep) -> None:
-    """Keep a camera served until Ctrl-C, a termination signal, or its disconnection.
-
-    Args:
-        camera: An opened camera.
-        faults: What goes wrong with it, and when.
-        sleep: Waits so many seconds.
-    """
+    """Keep a camera served until Ctrl-C, a termination signal, or its disconnection."""
     signal.signal(signal.SIGTERM, signal.default_int_handler)
     camera.lose_packets(faults.lose_per_mille)
     camera.answer_slowly(faults.answer_delay_s)

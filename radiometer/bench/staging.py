@@ -12,7 +12,6 @@ def stage_of(camera: Camera, ask: Callable[[str], None]) -> Stage:
     """Return what sets source level, pattern, f-number and shutter before each setting of a plan.
 
     Args:
-        camera: An open camera.
         ask: Asks the user to do something and returns when it is done; used for hardware, and only for what changes.
     """
     from simulators.cameras.simulated_camera import SimulatedCamera

@@ -66,8 +66,25 @@ class Measurement:
         return by_exposure[0] if by_exposure else None
 
 
-class ServedInstrument(Protocol):
-    """A camera with its calibration, used from one thread at a time. Every call has a separate deadline."""
+class KeptDevice(Protocol):
+    """What can be kept open: opened, asked whether it is there, closed; used from one thread at a time."""
+
+    @property
+    def late_at(self) -> float | None:
+        """Return when the call in progress begins to be late (monotonic clock, s); None where that is not known."""
+
+    def open(self) -> None:
+        """Open the device, of a light box all channels dark. Raises DeviceError."""
+
+    def close(self) -> None:
+        """Release it, of a light box all channels dark; closing twice, or a lost device, does nothing."""
+
+    def check(self) -> DeviceReport:
+        """Ask whether it is there, of a camera without a frame; a box's dead-man timer is kept. Raises DeviceError."""
+
+
+class ServedInstrument(KeptDevice, Protocol):
+    """A camera with its calibration. Every call has a separate deadline."""
 
     @property
     def identity(self) -> CameraIdentity:
@@ -76,19 +93,6 @@ class ServedInstrument(Protocol):
     @property
     def limits(self) -> CameraCapabilities:
         """Return the camera's limits as of the last opening. Raises DeviceError before the first."""
-
-    @property
-    def late_at(self) -> float | None:
-        """Return when the call in progress begins to be late (monotonic clock, s); None where that is not known."""
-
-    def open(self) -> None:
-        """Open the camera. Raises DeviceError."""
-
-    def close(self) -> None:
-        """Release the camera; closing twice, or a lost camera, does nothing."""
-
-    def check(self) -> DeviceReport:
-        """Ask the camera whether it is still there, without taking a frame. Raises DeviceError."""
 
     def measure(self, settings: MeasurementSettings) -> Measurement:
         """Take frames and return a reading. Raises DeviceError or MeasurementError."""
@@ -108,8 +112,8 @@ class ServedInstrument(Protocol):
         """Return where the calibration comes from: file, time, assumptions. Empty where uncalibrated."""
 
 
-class LightSource(Protocol):
-    """A light box, used from one thread at a time."""
+class LightSource(KeptDevice, Protocol):
+    """A light box."""
 
     @property
     def name(self) -> str:
@@ -118,19 +122,6 @@ class LightSource(Protocol):
     @property
     def channels(self) -> tuple[str, ...]:
         """Return the names of the channels; SCPI numbers them from 1."""
-
-    @property
-    def late_at(self) -> float | None:
-        """Return when the call in progress begins to be late (monotonic clock, s); None where that is not known."""
-
-    def open(self) -> None:
-        """Open the box, all channels dark. Raises DeviceError."""
-
-    def close(self) -> None:
-        """Switch every channel off and release the box; closing twice, or a lost box, does nothing."""
-
-    def check(self) -> DeviceReport:
-        """Ask the box whether it is still there and keep its dead-man timer from firing. Raises DeviceError."""
 
     def set_level(self, channel: str, level: float) -> float:
         """Set a channel's level, 0 to 1, and return it as read back. Raises DeviceError."""

@@ -9,12 +9,12 @@ from collections.abc import Awaitable, Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from enum import StrEnum
-from typing import Protocol, TypeVar
+from typing import TypeVar
 
 import structlog
 
 from radiometer.daemon.alarms import Alarms
-from radiometer.daemon.instrument import DeviceReport
+from radiometer.daemon.instrument import DeviceReport, KeptDevice
 from radiometer.daemon.patience import Patience
 from radiometer.errors import (
     DeviceError,
@@ -34,23 +34,6 @@ _LOOK_S = 0.02  # a late device is reported within a fifth of a second
 _FIRST_CALL_S = 2.0  # a call never made before may take so long, for nothing is known of it
 _REFUSALS = (SettingOutOfRange, UnsafeStimulus)  # the caller asked for too much; the device is well
 _LOSS = (DeviceLost, DeviceTimeout, DeviceNotFound, DeviceInUse, MissingLibrary)
-
-
-class KeptDevice(Protocol):
-    """What can be kept open: opened, asked whether it is there, closed."""
-
-    @property
-    def late_at(self) -> float | None:
-        """Return when the call in progress begins to be late (monotonic clock, s); None where that is not known."""
-
-    def open(self) -> None:
-        """Open the device. Raises DeviceError."""
-
-    def close(self) -> None:
-        """Release it, whatever its state."""
-
-    def check(self) -> DeviceReport:
-        """Ask whether it is there. Raises DeviceError."""
 
 
 class DeviceState(StrEnum):

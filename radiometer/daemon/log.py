@@ -54,12 +54,9 @@ class LoggedReadings(Result):
         <LoggedReadings 3 readings of 2 places>
         >>> [place.name for place in logged.places]
         ['patch 40,24 16 × 16', 'patch 0,0 8 × 8']
-
-    Attributes:
-        stored: The readings as the journal holds them: a line of JSON each.
     """
 
-    stored: tuple[str, ...]
+    stored: tuple[str, ...]  # the readings as the journal holds them: a line of JSON each
 
     @cached_property
     def readings(self) -> list[dict[str, Any]]:

@@ -12,25 +12,15 @@ from typing import Final
 
 @dataclass(frozen=True, slots=True)
 class BleachingConstant:
-    """A published constant with what the literature scatters by.
+    """A published constant with what the literature scatters by."""
 
-    Attributes:
-        name: Its key in the table.
-        value: The value that is used.
-        low: Lowest value in use.
-        high: Highest value in use.
-        unit: Unit of all three.
-        source: Where value, low and high come from.
-        verified: Whether the figure was read in a copy of the source or of a table that quotes it.
-    """
-
-    name: str
-    value: float
-    low: float
-    high: float
-    unit: str
-    source: str
-    verified: bool
+    name: str  # its key in the table
+    value: float  # the value that is used
+    low: float  # lowest value in use
+    high: float  # highest value in use
+    unit: str  # unit of all three
+    source: str  # where value, low and high come from
+    verified: bool  # whether the figure was read in a copy of the source or of a table that quotes it
 
 
 ROD_HALF_BLEACH_LOG10_TD: Final = 4.4  # CVRL, table of half-bleaching constants

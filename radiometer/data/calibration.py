@@ -27,94 +27,63 @@ DEFAULT_VALIDITY_DAYS = 365.0  # a year, the usual interval of instruments
 
 
 class ScaleConditions(FileSection):
-    """What a scale was got under: what a reading shares with it drops out of the reading's uncertainty.
+    """What a scale was got under: what a reading shares with it drops out of the reading's uncertainty."""
 
-    Attributes:
-        inverse_exposure_per_s: Mean of 1/t over the exposures in s⁻¹, by their part in the value; 0 for long ones.
-        gain_db: Analogue gain in dB.
-        temperature_c: Sensor temperature in °C; None where unknown.
-        level: Signal as a part of full scale.
-        sensitivity: Sensitivity at the patch relative to the optical axis, as it was reckoned with.
-        field: Distance of the patch from the axis over that of a corner.
-        surround: Mean radiance of the whole picture over that of the patch.
-        polarised: Whether the source was polarised; None where unknown.
-        channel: Colour of photographs that it was read in, such as "green"; None where there is none.
-    """
-
+    # Mean of 1/t over the exposures in s⁻¹, by their part in the value; 0 for long ones
     inverse_exposure_per_s: float = Field(0.0, ge=0)
-    gain_db: float = 0.0
-    temperature_c: float | None = None
-    level: float = Field(0.5, ge=0)
+    gain_db: float = 0.0  # analogue gain in dB
+    temperature_c: float | None = None  # sensor temperature in °C; None where unknown
+    level: float = Field(0.5, ge=0)  # signal as a part of full scale
+    # Sensitivity at the patch relative to the optical axis, as it was reckoned with
     sensitivity: float = Field(1.0, gt=0)
-    field: float = Field(0.0, ge=0)
-    surround: float = Field(1.0, ge=0)
-    polarised: bool | None = None
-    channel: str | None = None
+    field: float = Field(0.0, ge=0)  # distance of the patch from the axis over that of a corner
+    surround: float = Field(1.0, ge=0)  # mean radiance of the whole picture over that of the patch
+    polarised: bool | None = None  # whether the source was polarised; None where unknown
+    channel: str | None = None  # colour of photographs that it was read in, such as "green"; None where there is none
 
 
 class Scale(FileSection):
-    """What turns the linear signal into exposure on the sensor: H = value · f(M).
+    """What turns the linear signal into exposure on the sensor: H = value · f(M)."""
 
-    Attributes:
-        value: J·m⁻² per unit of the linear signal: per exp(g) with a response curve, else per DN above black at 0 dB.
-        u_rel: Relative standard uncertainty.
-        method: How it was got.
-        degrees_of_freedom: Of the uncertainty; None for infinitely many.
-        f_number: f-number it was got at; None where unknown (the lens is then part of the value).
-        reference: What it was compared with, in words.
-        spectrum: Spectrum of what it was compared with; None where it is the calibration's.
-        quantity: What of the reference was known: its radiance, or its luminance by way of its spectrum.
-        budget: Relative standard uncertainties that `u_rel` is made up from, by name.
-        iso: ISO speed as really measured, or as stated where that is all, at which the gain of photographs is 0 dB.
-        iso_stated: That speed as the camera states it; None where unknown.
-        conditions: What it was got under.
-        unit: Of the value, for people.
-    """
-
+    # J·m⁻² per unit of the linear signal: per exp(g) with a response curve, else per DN above black at 0 dB
     value: float = Field(gt=0)
-    u_rel: float = Field(ge=0)
-    method: ScaleMethod
-    degrees_of_freedom: float | None = Field(None, gt=0)
+    u_rel: float = Field(ge=0)  # relative standard uncertainty
+    method: ScaleMethod  # how it was got
+    degrees_of_freedom: float | None = Field(None, gt=0)  # of the uncertainty; None for infinitely many
+    # f-number it was got at; None where unknown (the lens is then part of the value)
     f_number: float | None = Field(None, gt=0)
-    reference: str = ""
-    spectrum: str | None = None
+    reference: str = ""  # what it was compared with, in words
+    spectrum: str | None = None  # spectrum of what it was compared with; None where it is the calibration's
+    # What of the reference was known: its radiance, or its luminance by way of its spectrum
     quantity: Literal["radiance", "luminance"] = "radiance"
+    # Relative standard uncertainties that `u_rel` is made up from, by name
     budget: dict[str, float] = Field(default_factory=dict)
+    # ISO speed as really measured, or as stated where that is all, at which the gain of photographs is 0 dB
     iso: float | None = Field(None, gt=0)
-    iso_stated: float | None = Field(None, gt=0)
-    conditions: ScaleConditions = ScaleConditions()
-    unit: str = "J m-2 per unit of signal"
+    iso_stated: float | None = Field(None, gt=0)  # that speed as the camera states it; None where unknown
+    conditions: ScaleConditions = ScaleConditions()  # what it was got under
+    unit: str = "J m-2 per unit of signal"  # of the value, for people
 
 
 class BlackLevel(FileSection):
-    """Digital number without light, and its standard uncertainty in DN.
+    """Digital number without light, and its standard uncertainty in DN."""
 
-    Attributes:
-        dn: Black level in DN.
-        u_dn: Standard uncertainty in DN, of drift above all. Default: ±1 DN taken as a rectangle.
-        dark_u_rel: Relative standard uncertainty of a dark signal that is modelled rather than measured. Default: a
-            data sheet's dark current is typical, single sensors have up to three times as much.
-    """
-
-    dn: float = 0.0
+    dn: float = 0.0  # black level in DN
+    # Standard uncertainty in DN, of drift above all. Default: ±1 DN taken as a rectangle.
     u_dn: float = Field(0.58, ge=0)
+    # Relative standard uncertainty of a dark signal that is modelled rather than measured. Default: a data sheet's dark
+    # current is typical, single sensors have up to three times as much.
     dark_u_rel: float = Field(1.2, ge=0)
 
 
 class SpectralResponse(FileSection):
-    """The camera's spectral responsivity per watt, relative; 0 outside the wavelengths.
+    """The camera's spectral responsivity per watt, relative; 0 outside the wavelengths."""
 
-    Attributes:
-        wavelength_nm: Ascending wavelengths in nm.
-        relative: Responsivity at each, 0 or more, not all 0.
-        u_rel: Relative standard uncertainty of a correction made with it.
-        source: Where it is from, in words.
-    """
-
-    wavelength_nm: tuple[float, ...] = Field(min_length=2)
+    wavelength_nm: tuple[float, ...] = Field(min_length=2)  # ascending wavelengths in nm
+    # Responsivity at each, 0 or more, not all 0
     relative: tuple[Annotated[float, Field(ge=0)], ...] = Field(min_length=2)
-    u_rel: float = Field(0.02, ge=0)
-    source: str = ""
+    u_rel: float = Field(0.02, ge=0)  # relative standard uncertainty of a correction made with it
+    source: str = ""  # where it is from, in words
 
     @model_validator(mode="after")
     def _fits(self) -> Self:
@@ -125,25 +94,15 @@ class SpectralResponse(FileSection):
 
 
 class FlatField(FileSection):
-    """Relative sensitivity over the picture: cos⁴α · (1 + k₂ρ² + k₄ρ⁴ + k₆ρ⁶), 1 at the principal point.
+    """Relative sensitivity over the picture: cos⁴α · (1 + k₂ρ² + k₄ρ⁴ + k₆ρ⁶), 1 at the principal point."""
 
-    Attributes:
-        principal_point_px: (x, y) of the optical axis in pixels of the frame.
-        focal_length_px: Focal length in pixels; None leaves cos⁴α out.
-        radius_px: Radius at which ρ is 1.
-        coefficients: k₂, k₄, k₆.
-        u_rel: Relative standard uncertainty of the correction at a pixel.
-        shape: (height, width) of the frames it was made from; it fits no other size.
-        f_number: f-number it was made at; vignetting changes with it.
-    """
-
-    principal_point_px: tuple[float, float]
-    focal_length_px: float | None = Field(None, gt=0)
-    radius_px: float = Field(gt=0)
-    coefficients: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    u_rel: float = Field(0.0, ge=0)
-    shape: tuple[int, int]
-    f_number: float | None = Field(None, gt=0)
+    principal_point_px: tuple[float, float]  # (x, y) of the optical axis in pixels of the frame
+    focal_length_px: float | None = Field(None, gt=0)  # focal length in pixels; None leaves cos⁴α out
+    radius_px: float = Field(gt=0)  # radius at which ρ is 1
+    coefficients: tuple[float, float, float] = (0.0, 0.0, 0.0)  # k₂, k₄, k₆
+    u_rel: float = Field(0.0, ge=0)  # relative standard uncertainty of the correction at a pixel
+    shape: tuple[int, int]  # (height, width) of the frames it was made from; it fits no other size
+    f_number: float | None = Field(None, gt=0)  # f-number it was made at; vignetting changes with it
 
     def at(self, x_px: NDArray[np.float64], y_px: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the relative sensitivity at pixel positions, same shape as the broadcast of x and y."""
@@ -157,45 +116,27 @@ class FlatField(FileSection):
 
 
 class FoundEffects(FileSection):
-    """What `radiometer reconcile` found of a camera and readings are corrected for; 0 where nothing was found.
+    """What `radiometer reconcile` found of a camera and readings are corrected for; 0 where nothing was found."""
 
-    Attributes:
-        exposure_offset_s: Real exposure times beyond the stated ones in s.
-        exposure_further_s: As much more above the gain `exposure_above_db`.
-        exposure_above_db: That gain in dB.
-        black_offset_dn: Real black level beyond the stated one in DN.
-        black_slope_dn: What the gain amplifies of it, b·(m + c·m²) with m = gain over that of `black_from_db` − 1.
-        black_from_db: Gain in dB from which on.
-        black_bend: c.
-        gain_error_rel: Relative error of gains in dB: a stated G is really G·(1 + error).
-        gains_db: Gains in dB at which a table holds a further error.
-        gain_errors_rel: Relative error of the gain factor at each; straight between them.
-        temperature_slope_per_k: Relative change of the responsivity per K, from 25 °C.
-        temperature_bend_per_k2: The same per K².
-        well_a2: S electrons are seen as S·(1 − a₂·z − a₃·z²), z = S over `well_e`.
-        well_a3: a₃.
-        well_e: Electrons at z = 1.
-        glare: Part of the picture's mean that the lens spreads over it.
-        names: Effects that these represent.
-    """
-
-    exposure_offset_s: float = 0.0
-    exposure_further_s: float = 0.0
-    exposure_above_db: float = 0.0
-    black_offset_dn: float = 0.0
+    exposure_offset_s: float = 0.0  # real exposure times beyond the stated ones in s
+    exposure_further_s: float = 0.0  # as much more above the gain `exposure_above_db`
+    exposure_above_db: float = 0.0  # that gain in dB
+    black_offset_dn: float = 0.0  # real black level beyond the stated one in DN
+    # What the gain amplifies of it, b·(m + c·m²) with m = gain over that of `black_from_db` − 1
     black_slope_dn: float = 0.0
-    black_from_db: float = 0.0
-    black_bend: float = 0.0
-    gain_error_rel: float = 0.0
-    gains_db: tuple[float, ...] = ()
+    black_from_db: float = 0.0  # gain in dB from which on
+    black_bend: float = 0.0  # c
+    gain_error_rel: float = 0.0  # relative error of gains in dB: a stated G is really G·(1 + error)
+    gains_db: tuple[float, ...] = ()  # gains in dB at which a table holds a further error
+    # Relative error of the gain factor at each; straight between them
     gain_errors_rel: tuple[Annotated[float, Field(gt=-1)], ...] = ()
-    temperature_slope_per_k: float = 0.0
-    temperature_bend_per_k2: float = 0.0
-    well_a2: float = Field(0.0, gt=-0.5, lt=0.5)
-    well_a3: float = Field(0.0, gt=-0.5, lt=0.5)
-    well_e: float = Field(1.0, gt=0)
-    glare: float = Field(0.0, gt=-0.5, lt=0.5)
-    names: tuple[str, ...] = ()
+    temperature_slope_per_k: float = 0.0  # relative change of the responsivity per K, from 25 °C
+    temperature_bend_per_k2: float = 0.0  # the same per K²
+    well_a2: float = Field(0.0, gt=-0.5, lt=0.5)  # S electrons are seen as S·(1 − a₂·z − a₃·z²), z = S over `well_e`
+    well_a3: float = Field(0.0, gt=-0.5, lt=0.5)  # a₃
+    well_e: float = Field(1.0, gt=0)  # electrons at z = 1
+    glare: float = Field(0.0, gt=-0.5, lt=0.5)  # part of the picture's mean that the lens spreads over it
+    names: tuple[str, ...] = ()  # effects that these represent
 
     @model_validator(mode="after")
     def _fits(self) -> Self:
@@ -206,98 +147,72 @@ class FoundEffects(FileSection):
 
 
 class StatedUncertainties(FileSection):
-    """Standard uncertainties that the user states or the program assumes, each with its default and where that is from.
+    """Standard uncertainties that the user states or the program assumes, each with its default and its origin."""
 
-    Attributes:
-        exposure_u_rel: Of exposure times, relative. Default: crystal oscillators with all their tolerances, 100 ppm.
-        exposure_u_s: Of exposure times in s, the same at every time. Default: ±5 µs taken as a rectangle, the order of
-            the row time and pulse delay that sensors leave undocumented; a fitted offset takes its place.
-        f_number_u_rel: Of the effective f-number, counted where it differs from the one of the scale. Default: 2 %, the
-            tolerance of marked stops (ISO 517).
-        iris_reset_u_rel: Of a radiance whose iris was turned and set to the same stop again. Default: 1 %, the play of
-            a manual iris.
-        reseated_u_rel: Of a radiance whose lens was taken off and on again. Default: 0.5 %.
-        refocused_u_rel: Of a radiance whose lens was focused anew. Default: 0.5 %, some 0.25 % of image distance.
-        magnification_u_rel: Of the change of a stated magnification. Default: 10 %.
-        linearity_u_rel: Departure from a straight line where no response curve is given. Default: 0.1 %.
-        bend_u_rel: The same between levels a full scale apart. Default: 0.3 %, usual linearity errors of EMVA 1288
-            data sheets.
-        gain_step_u_rel: Of a gain other than at calibration. Default: 1 %, usual of analogue stages.
-        temperature_u_rel_per_k: Of the responsivity per K from the calibration's temperature. Default: 0.1 %/K, silicon
-            in the red; less at short wavelengths.
-        drift_u_rel_per_year: Of the responsivity per year since calibration. Default: 1 %, usual of luminance meters.
-        glare_u: Of the part of the surround's light that the lens spreads over the picture. Default: veiling glare of
-            0 to 1.3 %, as of sound lenses (ISO 9358), as the root of its mean square.
-        polarisation_u_rel: Of a polarised source where the calibration's was not, or the other way round. Default:
-            0.3 %, on the axis of a lens without a beam splitter.
-        prnu_u_rel: Spread of responsivity from pixel to pixel, where too few pixels show it. Default: 1 %, the usual
-            upper end of EMVA 1288 data sheets.
-        falloff_u_rel: Of the natural fall-off cos⁴, as a part of it, where it was not measured. Default: 0.6, which
-            reaches (k = 2) from no fall-off at all to twice the natural one.
-        cos4_u_rel: The same where the lens description says that cos⁴ holds. Default: 0.05.
-        spectral_u_rel: From the difference between the assumed spectrum and that of the source.
-        efficacy_u_rel: Of the luminous efficacy of the assumed spectrum, between luminance and radiance. Default: 0
-            for a stated spectrum; `radiometer calibrate` puts 43 % where none is stated.
-    """
-
+    # Of exposure times, relative. Default: crystal oscillators with all their tolerances, 100 ppm.
     exposure_u_rel: float = Field(1e-4, ge=0)
+    # Of exposure times in s, the same at every time. Default: ±5 µs taken as a rectangle, the order of the row time and
+    # pulse delay that sensors leave undocumented; a fitted offset takes its place.
     exposure_u_s: float = Field(2.9e-6, ge=0)
+    # Of the effective f-number, counted where it differs from the one of the scale. Default: 2 %, the tolerance of
+    # marked stops (ISO 517).
     f_number_u_rel: float = Field(0.02, ge=0)
+    # Of a radiance whose iris was turned and set to the same stop again. Default: 1 %, the play of a manual iris.
     iris_reset_u_rel: float = Field(0.01, ge=0)
-    reseated_u_rel: float = Field(0.005, ge=0)
+    reseated_u_rel: float = Field(0.005, ge=0)  # of a radiance whose lens was taken off and on again. Default: 0.5 %
+    # Of a radiance whose lens was focused anew. Default: 0.5 %, some 0.25 % of image distance.
     refocused_u_rel: float = Field(0.005, ge=0)
-    magnification_u_rel: float = Field(0.1, ge=0)
+    magnification_u_rel: float = Field(0.1, ge=0)  # of the change of a stated magnification. Default: 10 %
+    # Departure from a straight line where no response curve is given. Default: 0.1 %.
     linearity_u_rel: float = Field(1e-3, ge=0)
+    # The same between levels a full scale apart. Default: 0.3 %, usual linearity errors of EMVA 1288 data sheets.
     bend_u_rel: float = Field(3e-3, ge=0)
+    # Of a gain other than at calibration. Default: 1 %, usual of analogue stages.
     gain_step_u_rel: float = Field(0.01, ge=0)
+    # Of the responsivity per K from the calibration's temperature. Default: 0.1 %/K, silicon in the red; less at short
+    # wavelengths.
     temperature_u_rel_per_k: float = Field(1e-3, ge=0)
+    # Of the responsivity per year since calibration. Default: 1 %, usual of luminance meters.
     drift_u_rel_per_year: float = Field(0.01, ge=0)
+    # Of the part of the surround's light that the lens spreads over the picture. Default: veiling glare of 0 to 1.3 %,
+    # as of sound lenses (ISO 9358), as the root of its mean square.
     glare_u: float = Field(7.5e-3, ge=0)
+    # Of a polarised source where the calibration's was not, or the other way round. Default: 0.3 %, on the axis of a
+    # lens without a beam splitter.
     polarisation_u_rel: float = Field(3e-3, ge=0)
+    # Spread of responsivity from pixel to pixel, where too few pixels show it. Default: 1 %, the usual upper end of
+    # EMVA 1288 data sheets.
     prnu_u_rel: float = Field(0.01, ge=0)
+    # Of the natural fall-off cos⁴, as a part of it, where it was not measured. Default: 0.6, which reaches (k = 2) from
+    # no fall-off at all to twice the natural one.
     falloff_u_rel: float = Field(0.6, ge=0)
-    cos4_u_rel: float = Field(0.05, ge=0)
-    spectral_u_rel: float = Field(0.0, ge=0)
+    cos4_u_rel: float = Field(0.05, ge=0)  # the same where the lens description says that cos⁴ holds. Default: 0.05
+    spectral_u_rel: float = Field(0.0, ge=0)  # from the difference between the assumed spectrum and that of the source
+    # Of the luminous efficacy of the assumed spectrum, between luminance and radiance. Default: 0 for a stated
+    # spectrum; `radiometer calibrate` puts 43 % where none is stated.
     efficacy_u_rel: float = Field(0.0, ge=0)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Calibration:
-    """The calibration of one camera with one lens.
+    """The calibration of one camera with one lens."""
 
-    Attributes:
-        camera: The camera it belongs to.
-        lens: The lens it was made with.
-        scale: Exposure in J·m⁻² per unit of the linear signal.
-        response: Response curve; None for a sensor that is taken as linear above its black level.
-        noise: Noise model that samples are weighted by.
-        black_level: Black level and its uncertainty.
-        flat_field: Sensitivity over the picture; None where none was made.
-        spectrum: Name of the spectrum that the source is taken to have, or path of a CSV.
-        spectral_response: Spectral responsivity of the camera; None where unknown.
-        uncertainties: What else the user states.
-        found: What `radiometer reconcile` found of the camera and readings are corrected for.
-        defects: Positions (x, y) of defective pixels.
-        created: ISO 8601 time in UTC.
-        validity_days: Days after which a reading carries the flag `stale_calibration`.
-        provenance: Method, inputs, assumptions.
-    """
-
-    camera: CameraDescription
-    lens: LensDescription
-    scale: Scale
-    response: ResponseCurve | None
-    noise: SensorNoise
-    black_level: BlackLevel = field(default_factory=BlackLevel)
-    flat_field: FlatField | None = None
-    spectrum: str = "equal_energy"
-    spectral_response: SpectralResponse | None = None
-    uncertainties: StatedUncertainties = field(default_factory=StatedUncertainties)
+    camera: CameraDescription  # the camera it belongs to
+    lens: LensDescription  # the lens it was made with
+    scale: Scale  # exposure in J·m⁻² per unit of the linear signal
+    response: ResponseCurve | None  # response curve; None for a sensor that is taken as linear above its black level
+    noise: SensorNoise  # noise model that samples are weighted by
+    black_level: BlackLevel = field(default_factory=BlackLevel)  # black level and its uncertainty
+    flat_field: FlatField | None = None  # sensitivity over the picture; None where none was made
+    spectrum: str = "equal_energy"  # name of the spectrum that the source is taken to have, or path of a CSV
+    spectral_response: SpectralResponse | None = None  # spectral responsivity of the camera; None where unknown
+    uncertainties: StatedUncertainties = field(default_factory=StatedUncertainties)  # what else the user states
+    # What `radiometer reconcile` found of the camera and readings are corrected for
     found: FoundEffects = field(default_factory=FoundEffects)
-    defects: tuple[tuple[int, int], ...] = ()
-    created: str = field(default_factory=utc_now)
-    validity_days: float = DEFAULT_VALIDITY_DAYS
-    provenance: Provenance = field(default_factory=lambda: Provenance("unknown"))
+    defects: tuple[tuple[int, int], ...] = ()  # positions (x, y) of defective pixels
+    created: str = field(default_factory=utc_now)  # ISO 8601 time in UTC
+    validity_days: float = DEFAULT_VALIDITY_DAYS  # days after which a reading carries the flag `stale_calibration`
+    provenance: Provenance = field(default_factory=lambda: Provenance("unknown"))  # method, inputs, assumptions
 
     def __post_init__(self) -> None:
         if self.response is not None and self.response.bit_depth != self.camera.bit_depth:
@@ -357,10 +272,6 @@ class Calibration:
     @classmethod
     def from_mapping(cls, mapping: Mapping[str, Any], where: str) -> Calibration:
         """Return the calibration that a file's mapping describes.
-
-        Args:
-            mapping: Keys and values of the file.
-            where: File name for messages.
 
         Raises:
             CalibrationError: If a key is missing, wrong, or the parts do not fit together.

@@ -6,10 +6,10 @@ import hashlib
 import shutil
 import tempfile
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Literal, Protocol, Self
+from typing import Any, Final, Literal, Protocol, Self
 
 import cv2
 import numpy as np
@@ -36,6 +36,14 @@ FORMAT = "radiometer-capture/1"
 HEADER_NAME = "capture.yaml"
 
 
+# Each setting of a frame, and its key in the file.
+_KEY_OF_SETTING: Final = {
+    name: {"temperature_c": "temperature_C"}.get(name, name)
+    for name in (f.name for f in fields(FrameSettings))
+    if name not in ("iso", "white_level")
+}
+
+
 class FrameEntry(FileSection):
     """One frame of a capture set as `capture.yaml` lists it."""
 
@@ -60,34 +68,12 @@ class FrameEntry(FileSection):
     @property
     def settings(self) -> FrameSettings:
         """Return the settings of the frame."""
-        return FrameSettings(
-            exposure_s=self.exposure_s,
-            gain_db=self.gain_db,
-            f_number=self.f_number,
-            black_level_dn=self.black_level_dn,
-            temperature_c=self.temperature_C,
-            timestamp_s=self.timestamp_s,
-            source_level=self.source_level,
-            pattern=self.pattern,
-            shutter=self.shutter,
-        )
+        return FrameSettings(**{name: getattr(self, key) for name, key in _KEY_OF_SETTING.items()})
 
     @classmethod
     def of(cls, file: str, settings: FrameSettings, **further: Any) -> FrameEntry:
         """Return the entry for a frame stored under `file` (relative to the capture set), with further facts."""
-        return cls(
-            file=file,
-            exposure_s=settings.exposure_s,
-            gain_db=settings.gain_db,
-            f_number=settings.f_number,
-            black_level_dn=settings.black_level_dn,
-            temperature_C=settings.temperature_c,
-            timestamp_s=settings.timestamp_s,
-            source_level=settings.source_level,
-            pattern=settings.pattern,
-            shutter=settings.shutter,
-            **further,
-        )
+        return cls(file=file, **{key: getattr(settings, name) for name, key in _KEY_OF_SETTING.items()}, **further)
 
 
 class SettingStatistics(FileSection):
@@ -116,15 +102,8 @@ class SettingStatistics(FileSection):
     @property
     def settings(self) -> FrameSettings:
         """Return the setting."""
-        return FrameSettings(
-            exposure_s=self.exposure_s,
-            gain_db=self.gain_db,
-            temperature_c=self.temperature_C,
-            timestamp_s=self.timestamp_s,
-            source_level=self.source_level,
-            pattern=self.pattern,
-            shutter=self.shutter,
-        )
+        known = {name: key for name, key in _KEY_OF_SETTING.items() if key in type(self).model_fields}
+        return FrameSettings(**{name: getattr(self, key) for name, key in known.items()})
 
 
 class CaptureHeader(FileSection):
@@ -166,17 +145,11 @@ class FrameStore(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class CaptureSet:
-    """A finished capture set on disk; frames are read when asked for.
+    """A finished capture set on disk; frames are read when asked for."""
 
-    Attributes:
-        path: The folder.
-        header: What `capture.yaml` says.
-        store: Where the frames are; None for the files of the folder.
-    """
-
-    path: Path
-    header: CaptureHeader
-    store: FrameStore | None = None
+    path: Path  # the folder
+    header: CaptureHeader  # what `capture.yaml` says
+    store: FrameStore | None = None  # where the frames are; None for the files of the folder
 
     @classmethod
     def read(cls, path: Path) -> CaptureSet:
@@ -457,10 +430,6 @@ class CaptureSetWriter:
 
     def add(self, frame: Frame, **further: Any) -> None:
         """Write one frame: the camera's own raw file where it has one, its digital numbers as PNG where not.
-
-        Args:
-            frame: The frame.
-            further: Further keys of its entry in `capture.yaml`.
 
         Raises:
             OutputError: If the disk refuses it.

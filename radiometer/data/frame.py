@@ -19,32 +19,19 @@ MASKED_PIXELS: Final = "masked_rows_dn"  # key in a frame's `extra`, and in the 
 
 @dataclass(frozen=True, slots=True)
 class FrameSettings:
-    """The settings a frame was really taken with, as read back from the device (never as asked for).
+    """The settings a frame was really taken with, as read back from the device (never as asked for)."""
 
-    Attributes:
-        exposure_s: Exposure time in s, above 0.
-        gain_db: Analogue gain in dB.
-        f_number: f-number of the lens; None where unknown.
-        black_level_dn: Black level (offset) in DN; None where unknown.
-        temperature_c: Sensor temperature in °C; None where unknown.
-        timestamp_s: Time of the frame in s on any one steady clock; None where unknown.
-        source_level: Relative drive of the source, 0 (off) to 1.
-        pattern: Name of the displayed pattern.
-        shutter: "closed" for a dark frame.
-        iso: ISO speed of a photograph; None for a machine camera.
-        white_level: From which digital number pixels are saturated; None where only the bit depth is known.
-    """
-
-    exposure_s: float
-    gain_db: float = 0.0
-    f_number: float | None = None
-    black_level_dn: float | None = None
-    temperature_c: float | None = None
-    timestamp_s: float | None = None
-    source_level: float = 1.0
-    pattern: str = "default"
-    shutter: Shutter = "open"
-    iso: float | None = None
+    exposure_s: float  # exposure time in s, above 0
+    gain_db: float = 0.0  # analogue gain in dB
+    f_number: float | None = None  # f-number of the lens; None where unknown
+    black_level_dn: float | None = None  # black level (offset) in DN; None where unknown
+    temperature_c: float | None = None  # sensor temperature in °C; None where unknown
+    timestamp_s: float | None = None  # time of the frame in s on any one steady clock; None where unknown
+    source_level: float = 1.0  # relative drive of the source, 0 (off) to 1
+    pattern: str = "default"  # name of the displayed pattern
+    shutter: Shutter = "open"  # "closed" for a dark frame
+    iso: float | None = None  # ISO speed of a photograph; None for a machine camera
+    # From which digital number pixels are saturated; None where only the bit depth is known
     white_level: WhiteLevel | None = field(default=None, compare=False)  # found from frames, not set
 
     @property

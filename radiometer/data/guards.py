@@ -173,10 +173,6 @@ def refuse_endless_tiff(path: Path, content: bytes) -> None:
 def refuse_deep_yaml(text: str, where: str) -> None:
     """Refuse YAML that is nested too deeply or repeats itself too often: reading it would end the process.
 
-    Args:
-        text: The text.
-        where: Its origin, for the message.
-
     Raises:
         InputError: If it exceeds a limit.
         YAMLError: If it is no YAML.
@@ -235,9 +231,6 @@ def safe_file_name(text: str) -> str:
     start. A text that had to be changed gets four bytes of its SHA-256 appended, so that two texts never become one
     name.
 
-    Args:
-        text: Any text.
-
     Returns:
         A name of 1 to 64 characters that leads to no other folder.
     """
@@ -252,10 +245,6 @@ def safe_file_name(text: str) -> str:
 
 def safe_name(name: str, what: str) -> str:
     """Return a name that a user chose, where `safe_file_name` leaves it as it is.
-
-    Args:
-        name: The name.
-        what: What it names, for the message.
 
     Raises:
         UsageError: If it is empty, long, or holds what would lead to another folder.

@@ -42,9 +42,6 @@ class IsoSpeeds:
     def refuse_unstated(self, where: str, in_use: set[float]) -> None:
         """Refuse a measured speed that no photograph states: the word was meant for another one.
 
-        Args:
-            in_use: Speeds that they state.
-
         Raises:
             UsageError: If there is one.
         """

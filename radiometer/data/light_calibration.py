@@ -25,41 +25,27 @@ COVERAGE: Final = 2.0  # k = 2: a limit of safety counts with the expanded uncer
 
 
 class LightPoint(FileSection):
-    """One measured level.
+    """One measured level."""
 
-    Attributes:
-        current_range: "low" or "high" current.
-        level: Raw level.
-        duty_step: Duty step that the box rounds it to.
-        radiance_W_per_sr_m2: Settled radiance.
-        u_rel: Relative standard uncertainty of this point alone (noise, drift); what all points share is not in it.
-        start_rel: Radiance just after switching on, over the settled one.
-    """
-
-    current_range: Literal["low", "high"]
-    level: int = Field(gt=0, le=65535)
-    duty_step: int = Field(gt=0)
+    current_range: Literal["low", "high"]  # "low" or "high" current
+    level: int = Field(gt=0, le=65535)  # raw level
+    duty_step: int = Field(gt=0)  # duty step that the box rounds it to
+    # Settled radiance
     radiance_W_per_sr_m2: float = Field(gt=0)  # noqa: N815 (the file's key)
+    # Relative standard uncertainty of this point alone (noise, drift); what all points share is not in it
     u_rel: float = Field(ge=0)
-    start_rel: float = Field(1.0, gt=0)
+    start_rel: float = Field(1.0, gt=0)  # radiance just after switching on, over the settled one
 
 
 class ChannelCalibration(FileSection):
-    """The measured levels of one channel.
+    """The measured levels of one channel."""
 
-    Attributes:
-        duty_steps: Duty steps of the channel.
-        common_u_rel: Relative standard uncertainty that all its radiances share: camera scale, spectral correction.
-        drift_u_rel: What the radiance changed by between measurements of the reference level.
-        settle_s: Time in s after which a level had settled.
-        points: The levels.
-    """
-
-    duty_steps: int = Field(gt=1)
+    duty_steps: int = Field(gt=1)  # duty steps of the channel
+    # Relative standard uncertainty that all its radiances share: camera scale, spectral correction
     common_u_rel: float = Field(ge=0)
-    drift_u_rel: float = Field(0.0, ge=0)
-    settle_s: float = Field(0.0, ge=0)
-    points: tuple[LightPoint, ...] = Field(min_length=2)
+    drift_u_rel: float = Field(0.0, ge=0)  # what the radiance changed by between measurements of the reference level
+    settle_s: float = Field(0.0, ge=0)  # time in s after which a level had settled
+    points: tuple[LightPoint, ...] = Field(min_length=2)  # the levels
 
     @cached_property
     def ranges(self) -> dict[str, _Range]:
@@ -82,41 +68,25 @@ class _File(FileSection):
 
 @dataclass(frozen=True, slots=True)
 class LevelChoice:
-    """A raw level for a requested radiance, with the radiance that it really gives.
+    """A raw level for a requested radiance, with the radiance that it really gives."""
 
-    Attributes:
-        level: Raw level.
-        current_range: "low" or "high".
-        radiance_w_sr_m2: Settled radiance.
-        u_w_sr_m2: Its standard uncertainty.
-        start_rel: Radiance just after switching on, over the settled one.
-        settle_s: Time in s after which it has settled.
-    """
-
-    level: int
-    current_range: str
-    radiance_w_sr_m2: float
-    u_w_sr_m2: float
-    start_rel: float
-    settle_s: float
+    level: int  # raw level
+    current_range: str  # "low" or "high"
+    radiance_w_sr_m2: float  # settled radiance
+    u_w_sr_m2: float  # its standard uncertainty
+    start_rel: float  # radiance just after switching on, over the settled one
+    settle_s: float  # time in s after which it has settled
 
 
 @dataclass(frozen=True, slots=True)
 class LightCalibration:
-    """The calibration of a light box.
+    """The calibration of a light box."""
 
-    Attributes:
-        box_serial: Serial number of the box.
-        channels: Calibrated channels.
-        created: ISO 8601 time in UTC.
-        validity_days: Days that it is valid for.
-        provenance: Camera, calibration and assumptions behind it.
-    """
-
-    box_serial: str
-    channels: Mapping[str, ChannelCalibration]
-    created: str = field(default_factory=utc_now)
-    validity_days: float = 365.0
+    box_serial: str  # serial number of the box
+    channels: Mapping[str, ChannelCalibration]  # calibrated channels
+    created: str = field(default_factory=utc_now)  # ISO 8601 time in UTC
+    validity_days: float = 365.0  # days that it is valid for
+    # Camera, calibration and assumptions behind it
     provenance: Provenance = field(default_factory=lambda: Provenance("unknown"))
 
     def choose(self, channel: str, radiance_w_sr_m2: float) -> LevelChoice:

@@ -25,11 +25,17 @@ def source_hash(*packages: str) -> str:
 
     Args:
         packages: Folders below `radiometer`, such as "analysis/response".
+
+    Raises:
+        ValueError: If a folder holds no source: its hash would stay the same whatever changes.
     """
     root = Path(radiometer.__file__).resolve().parent
     digest = hashlib.sha256()
     for package in packages:
-        for source in sorted((root / package).rglob("*.py")):
+        sources = sorted((root / package).rglob("*.py"))
+        if not sources:
+            raise ValueError(f"there is no source in {root / package}")
+        for source in sources:
             digest.update(source.relative_to(root).as_posix().encode())
             digest.update(source.read_bytes())
     return digest.hexdigest()[:16]

@@ -22,21 +22,15 @@ _CELLS: Final = {(2, 2): 2, (6, 6): 3}
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RawColours:
-    """The three colours of a mosaic, or the one of a sensor without filters.
+    """The three colours of a mosaic, or the one of a sensor without filters."""
 
-    Attributes:
-        values: Shape (height, width) of a sensor without filters, else (height, width, 3), red, green and blue. They
-            are values of the first pixel of a colour in each cell (at half size for Bayer's mosaic, a third for
-            X-Trans). Where interpolated, they are values of every pixel.
-        bit_depth: Bits per value, 9 to 16.
-        white_level_dn: White level as the file states it.
-        black_levels_dn: Black level of red, green and blue.
-    """
-
+    # Shape (height, width) of a sensor without filters, else (height, width, 3), red, green and blue. They are values
+    # of the first pixel of a colour in each cell (at half size for Bayer's mosaic, a third for X-Trans). Where
+    # interpolated, they are values of every pixel.
     values: NDArray[np.uint16]
-    bit_depth: int
-    white_level_dn: int
-    black_levels_dn: tuple[float, float, float]
+    bit_depth: int  # bits per value, 9 to 16
+    white_level_dn: int  # white level as the file states it
+    black_levels_dn: tuple[float, float, float]  # black level of red, green and blue
 
     @property
     def green(self) -> NDArray[np.uint16]:

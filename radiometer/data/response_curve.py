@@ -5,7 +5,7 @@ from __future__ import annotations
 import csv
 import io
 import math
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -61,10 +61,6 @@ class ResponseCurve:
     def mid_dn(self) -> int:
         """Return the digital number at which a relative curve is zero."""
         return int(self.log_exposure.size // 2)
-
-    def shifted(self, offset: float, *, absolute: bool) -> ResponseCurve:
-        """Return the curve with `offset` added to ln H everywhere."""
-        return replace(self, log_exposure=self.log_exposure + offset, absolute=absolute)
 
     def to_csv(self) -> str:
         """Return the CSV text `dn,log_exposure,u_log_exposure`."""

@@ -40,23 +40,14 @@ _INDEX_NAMES: Final = ("no", "nr", "number", "index", "row", "sample", "sample_i
 
 @dataclass(frozen=True, slots=True)
 class TextTable:
-    """A table as it is written.
+    """A table as it is written."""
 
-    Attributes:
-        path: Its file.
-        header: Names of the columns as they are spelt; () where the table has no heading.
-        rows: Line number and cells of each row; numbers have decimal points.
-        how: How it was read, such as "columns separated by semicolons, decimal commas".
-        comments: Its comment lines without their sign.
-        preamble: Lines before the heading that are no part of the table.
-    """
-
-    path: Path
-    header: tuple[str, ...]
-    rows: tuple[tuple[int, tuple[str, ...]], ...]
-    how: str = ""
-    comments: tuple[str, ...] = ()
-    preamble: tuple[str, ...] = ()
+    path: Path  # its file
+    header: tuple[str, ...]  # names of the columns as they are spelt; () where the table has no heading
+    rows: tuple[tuple[int, tuple[str, ...]], ...]  # line number and cells of each row; numbers have decimal points
+    how: str = ""  # how it was read, such as "columns separated by semicolons, decimal commas"
+    comments: tuple[str, ...] = ()  # its comment lines without their sign
+    preamble: tuple[str, ...] = ()  # lines before the heading that are no part of the table
 
     @property
     def width(self) -> int:

@@ -48,9 +48,6 @@ def regulated(header: CaptureHeader) -> CaptureHeader:
     A sensor at the border of two steps has one temperature, yet shows now the one reading and now the other. Used as
     read, each change of the reading would become one of the dark current. The mean of the readings replaces all of
     them. What changes once may be a drift, and stays as it is.
-
-    Args:
-        header: What `capture.yaml` says.
     """
     known = readings_c(header)
     step_k = uncertainty_of_readings(known) * np.sqrt(12.0)

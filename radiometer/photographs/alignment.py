@@ -17,19 +17,12 @@ ALIGN_CHOICES: Final = ("auto", "on", "off")
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Placed:
-    """Photographs in one place.
+    """Photographs in one place."""
 
-    Attributes:
-        brackets: By channel, as given or moved.
-        common: The part of them that all frames show.
-        absent: Where each frame shows nothing, shape (height, width) each; empty where nothing was moved.
-        sentence: How they lay, for people; None where it was not asked for.
-    """
-
-    brackets: list[Bracket]
-    common: list[Bracket]
-    absent: list[Any]
-    sentence: str | None
+    brackets: list[Bracket]  # by channel, as given or moved
+    common: list[Bracket]  # the part of them that all frames show
+    absent: list[Any]  # where each frame shows nothing, shape (height, width) each; empty where nothing was moved
+    sentence: str | None  # how they lay, for people; None where it was not asked for
 
 
 def in_one_place(brackets: Sequence[Bracket], align: str, progress: Progress = unseen) -> Placed:

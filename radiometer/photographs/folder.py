@@ -52,17 +52,11 @@ _VALUES_OF_A_PICTURE: Final = 16
 
 @dataclass(frozen=True, slots=True)
 class PhotographFolder:
-    """Photographs of one scene in a folder, with their settings.
+    """Photographs of one scene in a folder, with their settings."""
 
-    Attributes:
-        path: The folder.
-        settings: Settings by file name, in the order of the names.
-        speeds: What is known of the camera's ISO speeds.
-    """
-
-    path: Path
-    settings: dict[str, PhotographSettings]
-    speeds: IsoSpeeds = field(default_factory=IsoSpeeds)
+    path: Path  # the folder
+    settings: dict[str, PhotographSettings]  # settings by file name, in the order of the names
+    speeds: IsoSpeeds = field(default_factory=IsoSpeeds)  # what is known of the camera's ISO speeds
 
     @classmethod
     def open(cls, path: Path, speeds: IsoSpeeds | None = None) -> PhotographFolder:

@@ -214,7 +214,6 @@ def relative_calibration(
     The calibration is the curve (linear without one) and the noise; where displacement shows, without what that adds.
 
     Args:
-        bracket: The frames.
         curve: Their response; None where they are linear.
         camera: Description of the camera.
         lens: Description of the lens.
@@ -254,7 +253,6 @@ def displacement_of(bracket: Bracket, curve: ResponseCurve | None) -> Displaceme
     """Return how far the frames are displaced by parts of a pixel; None where they overlap too little.
 
     Args:
-        bracket: The frames.
         curve: Their response; None where they are linear. One of another bit depth shows nothing.
     """
     from radiometer.analysis.response.displacement import find_displacement

@@ -55,31 +55,21 @@ UNTOLD_SHUTTER_U_S: Final = 1e-4 / math.sqrt(3.0)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Photographs:
-    """Photographs of one unmoving scene, one bracket per channel.
+    """Photographs of one unmoving scene, one bracket per channel."""
 
-    Attributes:
-        brackets: By channel ("red", "luminance", "mono", …).
-        folder: Where they came from.
-        listed: Name of the list that gives their exposures; None where EXIF does.
-        common: The part that all frames show, by channel; that of `brackets` where nothing was moved.
-        absent: Where each frame shows nothing after moving, shape (height, width) each; empty where none was moved.
-        alignment: How they lay, in a sentence; None where that was not asked.
-        curves: Response by channel; empty where the numbers are taken as proportional to light.
-        notes: What a user should know, a sentence each.
-        assumed: What was assumed, by channel.
-        files: Files that a recovered response is kept in.
-    """
-
-    brackets: Mapping[str, Bracket]
-    folder: Path
-    listed: str | None = None
+    brackets: Mapping[str, Bracket]  # by channel ("red", "luminance", "mono", …)
+    folder: Path  # where they came from
+    listed: str | None = None  # name of the list that gives their exposures; None where EXIF does
+    # The part that all frames show, by channel; that of `brackets` where nothing was moved
     common: Mapping[str, Bracket] = field(default_factory=dict)
+    # Where each frame shows nothing after moving, shape (height, width) each; empty where none was moved
     absent: tuple[NDArray[np.bool_], ...] = ()
-    alignment: str | None = None
+    alignment: str | None = None  # how they lay, in a sentence; None where that was not asked
+    # Response by channel; empty where the numbers are taken as proportional to light
     curves: Mapping[str, ResponseCurve] = field(default_factory=dict)
-    notes: tuple[str, ...] = ()
-    assumed: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
-    files: tuple[Path, ...] = ()
+    notes: tuple[str, ...] = ()  # what a user should know, a sentence each
+    assumed: Mapping[str, tuple[str, ...]] = field(default_factory=dict)  # what was assumed, by channel
+    files: tuple[Path, ...] = ()  # files that a recovered response is kept in
 
     @property
     def are_raw(self) -> bool:
@@ -258,7 +248,6 @@ def has_untold_shutter(photographs: Photographs, curve: ResponseCurve | None) ->
     """Return whether exposures are those of a shutter whose offset is unknown: EXIF's labels, as they are printed.
 
     Args:
-        photographs: As read.
         curve: Their response, with the offset that it was recovered with; None where they are linear.
     """
     return photographs.listed is None and shutter_offset_of(curve) is None
@@ -269,7 +258,6 @@ def with_shutter_doubt(relative: Calibration, photographs: Photographs) -> Calib
 
     Args:
         relative: The calibration, with the response of the photographs.
-        photographs: As read.
     """
     if not has_untold_shutter(photographs, relative.response):
         return relative
@@ -318,7 +306,6 @@ def falloff_of(
     """Return the fall-off that is to be taken out of photographs, and in a sentence from what it was taken.
 
     Args:
-        photographs: As read.
         vignetting: "lensfun", or the file of a calibration with a flat field; None takes nothing out.
         lens: Name of the lens for lensfun in place of EXIF's.
         calibration: The calibration in use; its own flat field excludes another one.

@@ -25,7 +25,6 @@ def with_f_number(bracket: Bracket, f_number: float | None) -> Bracket:
     """Return the bracket with an f-number stated by hand for the frames that do not state theirs.
 
     Args:
-        bracket: The frames.
         f_number: As printed on the lens; None changes nothing.
 
     Raises:

@@ -1,10 +1,15 @@
-"""Reconciles a capture set with the forward model: from frames to a verdict."""
+"""Reconciles a capture set with the forward model: from frames to a verdict.
+
+Frames are read a second time where what they show changes how they are to be read.
+"""
 
 from __future__ import annotations
 
+import itertools
 import time
 import traceback
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -26,11 +31,14 @@ from radiometer.reconciliation.fit.descent import first_state
 from radiometer.reconciliation.fit.nuisances import dark_current_is_free
 from radiometer.reconciliation.fit.state import FitState
 from radiometer.reconciliation.full_well import ShownWell, levels_of_brightest, shown_well
-from radiometer.reconciliation.measure.reduce import FrameReader, frame_reader
-from radiometer.reconciliation.noise.darkness import drift_of_black, wander_of_black
-from radiometer.reconciliation.noise.repeats import repeats_of
+from radiometer.reconciliation.measure.design import Design
+from radiometer.reconciliation.measure.reduce import FrameReader, PatternImages, Progress, frame_reader, reduce_frames
+from radiometer.reconciliation.measure.scenes import scenes_of
+from radiometer.reconciliation.measure.seen import CaptureStatistics
+from radiometer.reconciliation.noise.darkness import black_by_noise, drift_of_black, wander_of_black
+from radiometer.reconciliation.noise.repeatability import repeats_of
 from radiometer.reconciliation.posterior import UNNAMED, Posterior, posterior_of
-from radiometer.reconciliation.propose.beyond import held_to_laws
+from radiometer.reconciliation.propose.search import held_to_laws
 from radiometer.reconciliation.result import (
     CovariateGap,
     FittedParameter,
@@ -47,7 +55,6 @@ from radiometer.reconciliation.search.frame_order import FrameLight, Periodic, p
 from radiometer.reconciliation.search.localise import Disagreement, axis_of, global_p_value, places
 from radiometer.reconciliation.search.outcome import Reconciled, Search, Step
 from radiometer.reconciliation.search.search import search
-from radiometer.reconciliation.shown import evidence_for
 from radiometer.reconciliation.verdict import (
     doubts_of,
     faint,
@@ -59,11 +66,118 @@ from radiometer.reconciliation.verdict import (
     verdict_of,
     with_other_functional_form,
 )
+from radiometer.statistics.scale import robust_sigma
+from radiometer.typing import Array
 from simulators.chain.camera_model import CameraModel
 from simulators.chain.ideal_chain import beside_ideal
 from simulators.effects.catalogue import CatalogueEffect
 from simulators.effects.free_law import FreeLaw
 from simulators.effects.registry import all_effects
+
+_STANDS_OUT: Final = 8.0  # times what neighbouring frames differ by otherwise
+_STAYS: Final = 4.0  # the same of the frames behind the jump: a lone frame that differs is no jump
+_BESIDE: Final = 3  # frames on either side that tell whether it stays
+_MOST_JUMPS: Final = 8  # of one series, the largest first
+
+
+def jumps(design: Design, tiles_of: Callable[[tuple[int, ...]], Array]) -> tuple[int, ...]:
+    """Return the positions in the header of the frames that are the first behind a jump.
+
+    Args:
+        design: Captures; those that follow each other in one setting are a series.
+        tiles_of: Gives the mean of each tile in frames at positions of the header, (frames, tiles) in DN.
+    """
+    return tuple(sorted(frame for frames in _series(design) for frame in _of_series(frames, tiles_of(frames))))
+
+
+def _series(design: Design) -> Iterator[tuple[int, ...]]:
+    """Yield the frames of captures of one setting that follow each other, where there are several."""
+    numbers = range(len(design.captures))
+    for _, same in itertools.groupby(numbers, key=lambda number: design.setting_id[number]):
+        captures = [design.captures[number].frames for number in same]
+        frames = tuple(itertools.chain.from_iterable(captures))
+        if len(captures) > 1 and frames == tuple(range(frames[0], frames[0] + len(frames))):
+            yield frames
+
+
+def _of_series(frames: tuple[int, ...], means: Array) -> list[int]:
+    level = np.median(means - means.mean(axis=0), axis=1)
+    steps = np.diff(level)
+    usual = robust_sigma(steps)
+    found = []
+    for at in np.argsort(-np.abs(steps), kind="stable")[:_MOST_JUMPS].tolist():
+        behind, before = level[at + 1 : at + 1 + _BESIDE], level[max(at + 1 - _BESIDE, 0) : at + 1]
+        stays = abs(float(np.median(behind) - np.median(before)))
+        if abs(float(steps[at])) > _STANDS_OUT * usual and stays > _STAYS * usual:
+            found.append(frames[at + 1])
+    return found
+
+
+Shown = tuple[Design, FrameLight, tuple[CaptureStatistics, PatternImages]]
+
+
+def evidence_for(
+    header: CaptureHeader, shape: tuple[int, int], read: FrameReader, progress: Progress | None = None
+) -> Shown:
+    """Return the design of a capture set, the light of its frames, and what they show.
+
+    A series of equal frames may jump, one setting alone may not determine an undeclared black level, or the scene may
+    change. The design then follows what was seen, and the frames are read again. Each scene is a separate pattern
+    then.
+
+    Args:
+        shape: Height and width of the frames.
+        read: Gives the frame at a position of the header.
+        progress: Called with frames done and frames in all.
+
+    Raises:
+        CaptureError: If a scene is shown by one frame alone, which cannot be compared with any other.
+    """
+    design, light, shown = _read_by(Design.of(header, shape), read, progress)
+    at, black_dn = jumps(design, light.of_tiles), black_by_noise(design, shown[0])
+    apart = _by_scene(header, light)
+    if not at and black_dn is None and apart is None:
+        return design, light, shown
+    header = apart or header
+    if black_dn is not None:
+        camera = header.camera.model_copy(update={"black_level_dn": black_dn})
+        header = header.model_copy(update={"camera": camera})
+    return _read_by(Design.of(header, shape, at), read, progress)
+
+
+def _by_scene(header: CaptureHeader, light: FrameLight) -> CaptureHeader | None:
+    """Return the header with a pattern for each scene; None where every pattern shows one."""
+    names: dict[int, str] = {}
+    for pattern in dict.fromkeys(header.frames[index].pattern for index in light.structures):
+        own = {index: seen for index, seen in light.structures.items() if header.frames[index].pattern == pattern}
+        scenes = scenes_of(own)
+        if max(scenes.values()):
+            _refuse_lone_frames(header, scenes)
+        names |= {index: f"{pattern}, scene {scene + 1}" for index, scene in scenes.items() if scene}
+    if not names:
+        return None
+    frames = [
+        frame.model_copy(update={"pattern": names.get(index, frame.pattern)})
+        for index, frame in enumerate(header.frames)
+    ]
+    patterns = tuple(dict.fromkeys((*header.patterns, *names.values())))
+    return header.model_copy(update={"frames": tuple(frames), "patterns": patterns})
+
+
+def _refuse_lone_frames(header: CaptureHeader, scenes: Mapping[int, int]) -> None:
+    times = Counter(scenes.values())
+    lone = [header.frames[index].file for index, scene in scenes.items() if times[scene] == 1]
+    if lone:
+        raise CaptureError(
+            f"the frames show {len(times)} scenes, and no other frame shows that of {', nor that of '.join(lone)}: "
+            "it cannot be compared with any; give two frames or more of each scene, or those of one scene only"
+        )
+
+
+def _read_by(design: Design, read: FrameReader, progress: Progress | None) -> Shown:
+    light = FrameLight(design, read)
+    return design, light, reduce_frames(design, light, progress)
+
 
 _log = structlog.get_logger(__name__)
 
@@ -73,7 +187,6 @@ _CALL: Final = 0.01
 _CLEAR: Final = 1e-3  # share of samples that may clip in a tile whose light is compared from frame to frame
 
 Say = Callable[[str], None]
-Progress = Callable[[int, int], None]
 
 
 def whole_catalogue() -> dict[str, type[CatalogueEffect]]:
@@ -120,27 +233,16 @@ def reconcile(
     ).result
 
 
-def gap_of(found: ReconcileResult | CameraModel | None, header: CaptureHeader, frames: Iterable[Frame]) -> float:
-    """Return the reduced χ² of held-out settings of a capture set under a model that is not changed.
-
-    Only the nuisances (responsivity, patch radiances) are fitted.
-
-    Args:
-        found: A result whose effects are taken, a camera model, or None for the ideal camera of the header.
-        header: What `capture.yaml` of the (fresh) capture set says.
-        frames: Its frames.
-    """
-    return gaps_of((found,), header, frames)[0]
-
-
 @on_one_blas_thread
 def gaps_of(
     found: Sequence[ReconcileResult | CameraModel | None], header: CaptureHeader, frames: Iterable[Frame]
 ) -> tuple[float, ...]:
-    """Return the same of several models; the frames are read once.
+    """Return the reduced χ² of held-out settings of a capture set under models that are not changed.
+
+    Only the nuisances (responsivity, patch radiances) are fitted; the frames are read once.
 
     Args:
-        found: Results, camera models, or None for the ideal camera of the header.
+        found: Results whose effects are taken, camera models, or None for the ideal camera of the header.
         header: What `capture.yaml` of the (fresh) capture set says.
         frames: Its frames.
     """
@@ -171,8 +273,6 @@ def reconcile_capture(
     model: CameraModel | None = None,
     *,
     catalogue: Mapping[str, type[CatalogueEffect]] | None = None,
-    progress: Progress | None = None,
-    say: Say = lambda line: None,
 ) -> Reconciled:
     """Return the same for a capture set on disk; one frame is in memory at a time.
 
@@ -180,15 +280,13 @@ def reconcile_capture(
         path: A capture set's folder, or files that `radiometer.importing` reads as one (FITS, raw TIFF, EMVA 1288).
         model: The camera as it is believed to be.
         catalogue: Effects to try.
-        progress: Called with frames done and frames in all.
-        say: Told what happens.
 
     Raises:
         CaptureError: If the capture set is unfinished or inconsistent.
     """
     captured = open_capture(path)
     shape = captured.read_frame(0).shape
-    return examine(captured.header, captured.read_frame, shape, model, catalogue=catalogue, progress=progress, say=say)
+    return examine(captured.header, captured.read_frame, shape, model, catalogue=catalogue)
 
 
 @on_one_blas_thread
@@ -214,9 +312,8 @@ def plan_of(
     """
     captured = open_capture(path)
     header, given = _adopted(captured.header, model)
-    shape, total = captured.read_frame(0).shape, len(header.frames)
-    reading = (lambda done: progress(done, total)) if progress else None
-    design, _, read = evidence_for(header, shape, captured.read_frame, reading)
+    shape = captured.read_frame(0).shape
+    design, _, read = evidence_for(header, shape, captured.read_frame, progress)
     start = first_state(design, *read, given)
     return separability(start, whole_catalogue() if catalogue is None else catalogue)
 
@@ -241,8 +338,7 @@ def examine(
     begun = time.monotonic()
     header, given = _adopted(header, model)
     total = len(header.frames)
-    reading = (lambda done: progress(done, total)) if progress else None
-    design, light, (seen, images) = evidence_for(header, shape, read, reading)
+    design, light, (seen, images) = evidence_for(header, shape, read, progress)
     entries = whole_catalogue() if catalogue is None else catalogue
     clear = (seen.high < _CLEAR) & (seen.low < _CLEAR)
     known = any(kind.where == "frame" for kind in entries.values())  # an effect from outside, which may be just that

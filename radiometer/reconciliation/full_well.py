@@ -33,22 +33,15 @@ _SIGMAS: Final = 4.0
 
 @dataclass(frozen=True, slots=True)
 class ShownWell:
-    """The full well that the brightest pixels show.
+    """The full well that the brightest pixels show."""
 
-    Attributes:
-        declared_e: As the camera's description states it, in electrons.
-        shown_e: Electrons at which pixels gather; where they gather nowhere below the converter's end, the most that
-            many pixels hold.
-        u_e: Standard uncertainty of that.
-        is_least: Whether pixels gather nowhere, so that the full well is at least `shown_e`.
-        may_be_converter: Whether one gain alone shows the pile: a converter may end there.
-    """
-
-    declared_e: float
+    declared_e: float  # as the camera's description states it, in electrons
+    # Electrons at which pixels gather; where they gather nowhere below the converter's end, the most that many pixels
+    # hold
     shown_e: float
-    u_e: float
-    is_least: bool
-    may_be_converter: bool
+    u_e: float  # standard uncertainty of that
+    is_least: bool  # whether pixels gather nowhere, so that the full well is at least `shown_e`
+    may_be_converter: bool  # whether one gain alone shows the pile: a converter may end there
 
     @property
     def contradicts(self) -> bool:
@@ -90,7 +83,6 @@ def levels_of_brightest(header: CaptureHeader, read: FrameReader) -> dict[float,
     """Return where the frames of the lowest gains show that pixels saturate, by gain in dB.
 
     Args:
-        header: What `capture.yaml` says.
         read: Gives the frame at a position of the header.
     """
     settings = [entry.settings for entry in header.frames]
@@ -103,7 +95,6 @@ def shown_well(state: FitState, levels: Mapping[float, WhiteLevel]) -> ShownWell
     """Return the full well that the brightest pixels show; None where none is declared or the fit has found another.
 
     Args:
-        state: The fitted model.
         levels: Where pixels saturate, by gain in dB.
     """
     camera = state.design.header.camera

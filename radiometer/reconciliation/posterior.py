@@ -18,8 +18,7 @@ from typing import Final
 import numpy as np
 
 from radiometer.reconciliation.fit.covariance import scatter_of
-from radiometer.reconciliation.fit.models import ModelFit
-from radiometer.reconciliation.fit.state import FitState
+from radiometer.reconciliation.fit.state import FitState, ModelFit
 from radiometer.reconciliation.result import FittedParameter
 from radiometer.reconciliation.thresholds import NAMED_NATS, PARAMETER_NATS
 from radiometer.typing import Array
@@ -32,17 +31,11 @@ _LEAST_WEIGHT: Final = 1e-3  # of a model that is listed
 
 @dataclass(frozen=True, slots=True, eq=False)
 class WeightedModel:
-    """One hypothesis with its posterior probability.
+    """One hypothesis with its posterior probability."""
 
-    Attributes:
-        names: Names of its effects in alphabetical order; `unnamed` for what no entry explains.
-        weight: Posterior probability.
-        fit: The model that represents it.
-    """
-
-    names: tuple[str, ...]
-    weight: float
-    fit: ModelFit
+    names: tuple[str, ...]  # names of its effects in alphabetical order; `unnamed` for what no entry explains
+    weight: float  # posterior probability
+    fit: ModelFit  # the model that represents it
 
 
 @dataclass(frozen=True, slots=True, eq=False)

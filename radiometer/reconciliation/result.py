@@ -30,18 +30,12 @@ class Verdict(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Limit:
-    """The smallest amplitude that would have stood out.
+    """The smallest amplitude that would have stood out."""
 
-    Attributes:
-        amplitude: In the parameter's unit; None where the data cannot see the effect.
-        parameter: Name of the parameter.
-        unit: Its unit.
-        temperature_c: Temperature of the sensor in °C at which it is stated; None where it holds at all.
-    """
-
-    amplitude: float | None
-    parameter: str
-    unit: str
+    amplitude: float | None  # in the parameter's unit; None where the data cannot see the effect
+    parameter: str  # name of the parameter
+    unit: str  # its unit
+    # Temperature of the sensor in °C at which it is stated; None where it holds at all
     temperature_c: float | None = None
 
     def parameter_mapping(self) -> dict[str, Any]:
@@ -65,17 +59,12 @@ class FittedParameter:
 
 @dataclass(frozen=True, slots=True)
 class LawCurve:
-    """By how much an effect does more or less than by its own equation, where the data follow another.
+    """By how much an effect does more or less than by its own equation, where the data follow another."""
 
-    Attributes:
-        along: Knots along each covariate, in its unit; of two the second runs faster in `factor`.
-        factor: Factor on the effect's own change at the knots, 1 for its own equation.
-        u: Its standard uncertainty; None where it was not fitted.
-    """
-
+    # Knots along each covariate, in its unit; of two the second runs faster in `factor`
     along: Mapping[str, tuple[float, ...]]
-    factor: tuple[float, ...]
-    u: tuple[float | None, ...]
+    factor: tuple[float, ...]  # factor on the effect's own change at the knots, 1 for its own equation
+    u: tuple[float | None, ...]  # its standard uncertainty; None where it was not fitted
 
     @classmethod
     def of(cls, effect: CatalogueEffect, parameters: Mapping[str, FittedParameter]) -> LawCurve | None:
@@ -101,44 +90,28 @@ def _believed(probability: float) -> str:
 
 @dataclass(frozen=True, slots=True)
 class FoundEffect:
-    """One effect (or unnamed disagreement) that was found.
+    """One effect (or unnamed disagreement) that was found."""
 
-    Attributes:
-        name: Catalogue name, or `unnamed`.
-        parameters: Its parameters by name.
-        where: Covariate along which it was found.
-        gap_before: Held-out gap before it was added.
-        gap_after: The same after.
-        alternatives: Catalogue names that these data cannot separate from it.
-        next_capture: The capture that would separate them; None where nothing rivals it.
-        gain_nats: Improvement of the held-out log density.
-        block: Statistic that shows it.
-        provisional: Whether structure stays, so that the name may still change.
-        closest: For an unnamed one, the closest entry and the share that it explains.
-        other_law: For a named one that the data follow by another equation than the catalogue's: how large the rest is.
-        curve: That other law as a factor on the catalogue's, where it was fitted.
-        elsewhere: For an unnamed one, where else structure stays: covariate and statistic.
-        probability: Posterior probability that the effect is present; None where no models were compared.
-        probability_of_any: Posterior probability that it or one of its alternatives is present.
-        averaged: Its parameters averaged over the models that hold it, the choice among them in each u.
-    """
-
-    name: str
-    parameters: Mapping[str, FittedParameter]
-    where: str
-    gap_before: float
-    gap_after: float
-    alternatives: tuple[str, ...] = ()
-    next_capture: Mapping[str, Any] | None = None
-    gain_nats: float = 0.0
-    block: str = ""
-    provisional: bool = False
-    closest: tuple[str, float] | None = None
+    name: str  # catalogue name, or `unnamed`
+    parameters: Mapping[str, FittedParameter]  # its parameters by name
+    where: str  # covariate along which it was found
+    gap_before: float  # held-out gap before it was added
+    gap_after: float  # the same after
+    alternatives: tuple[str, ...] = ()  # catalogue names that these data cannot separate from it
+    next_capture: Mapping[str, Any] | None = None  # the capture that would separate them; None where nothing rivals it
+    gain_nats: float = 0.0  # improvement of the held-out log density
+    block: str = ""  # statistic that shows it
+    provisional: bool = False  # whether structure stays, so that the name may still change
+    closest: tuple[str, float] | None = None  # for an unnamed one, the closest entry and the share that it explains
+    # For an unnamed one, where else structure stays: covariate and statistic
     elsewhere: tuple[tuple[str, str], ...] = ()
+    # For a named one that the data follow by another equation than the catalogue's: how large the rest is
     other_law: Mapping[str, FittedParameter] | None = None
-    curve: LawCurve | None = None
+    curve: LawCurve | None = None  # that other law as a factor on the catalogue's, where it was fitted
+    # Posterior probability that the effect is present; None where no models were compared
     probability: float | None = None
-    probability_of_any: float | None = None
+    probability_of_any: float | None = None  # posterior probability that it or one of its alternatives is present
+    # Its parameters averaged over the models that hold it, the choice among them in each u
     averaged: Mapping[str, FittedParameter] = field(default_factory=dict)
 
     @property
@@ -194,20 +167,13 @@ class CovariateGap:
 class Place:
     """A place where the starting model disagrees, found without the catalogue: one test, the places before it taken
     out.
-
-    Attributes:
-        block: Statistic.
-        covariate: Axis.
-        form: In proportion to the light, as a constant in DN, or as a constant in electrons.
-        score: χ² of the trend.
-        p_value: Chance of that much without a disagreement.
     """
 
-    block: str
-    covariate: str
-    form: str
-    score: float
-    p_value: float
+    block: str  # statistic
+    covariate: str  # axis
+    form: str  # in proportion to the light, as a constant in DN, or as a constant in electrons
+    score: float  # χ² of the trend
+    p_value: float  # chance of that much without a disagreement
 
     def to_mapping(self) -> dict[str, Any]:
         """Return the mapping of the JSON form."""
@@ -222,22 +188,14 @@ class Place:
 
 @dataclass(frozen=True, slots=True)
 class Series:
-    """Frames of one capture against each other.
+    """Frames of one capture against each other."""
 
-    Attributes:
-        frames: Their positions in the header, in order.
-        exposure_s: Exposure in s.
-        temperature_c: Temperature of the sensor in °C; None where unknown.
-        apart: Each frame less the mean of the others: its median over the tiles.
-        u: Its standard uncertainty from the scatter of the tiles.
-        standing_out: Positions in the series of frames that are farther off than all other repeats scatter.
-    """
-
-    frames: tuple[int, ...]
-    exposure_s: float
-    temperature_c: float | None
-    apart: tuple[float, ...]
-    u: tuple[float, ...]
+    frames: tuple[int, ...]  # their positions in the header, in order
+    exposure_s: float  # exposure in s
+    temperature_c: float | None  # temperature of the sensor in °C; None where unknown
+    apart: tuple[float, ...]  # each frame less the mean of the others: its median over the tiles
+    u: tuple[float, ...]  # its standard uncertainty from the scatter of the tiles
+    # Positions in the series of frames that are farther off than all other repeats scatter
     standing_out: tuple[int, ...] = ()
 
     def to_mapping(self) -> dict[str, Any]:
@@ -254,19 +212,12 @@ class Series:
 
 @dataclass(frozen=True, slots=True)
 class Repeats:
-    """Differences between frames of one setting, and the part of them that is treated as an unnamed wander.
+    """Differences between frames of one setting, and the part of them that is treated as an unnamed wander."""
 
-    Attributes:
-        kind: `dark` (black level and dark current, in DN) or `lit` (light, relative).
-        scatter: Standard deviation of frames of a series beyond what their tiles give by chance, with u.
-        aside: Standard deviation of the wander that the fit allows for; 0 where none is needed.
-        series: The series.
-    """
-
-    kind: str
-    scatter: FittedParameter
-    aside: float
-    series: tuple[Series, ...]
+    kind: str  # `dark` (black level and dark current, in DN) or `lit` (light, relative)
+    scatter: FittedParameter  # standard deviation of frames of a series beyond what their tiles give by chance, with u
+    aside: float  # standard deviation of the wander that the fit allows for; 0 where none is needed
+    series: tuple[Series, ...]  # the series
 
     def to_mapping(self) -> dict[str, Any]:
         """Return the mapping of the JSON form."""
@@ -311,57 +262,36 @@ def _taken_at(series: Series) -> str:
 
 @dataclass(frozen=True, slots=True)
 class ReconcileResult:
-    """The outcome of one capture set.
+    """The outcome of one capture set."""
 
-    Attributes:
-        verdict: In one word.
-        effects: What was found, in the order of finding.
-        gap_before: Held-out gap of the starting model.
-        gap_after: Held-out gap of the final model.
-        limits: Per catalogue entry the amplitude that would have shown at 5 sigma.
-        covariates: Gap along each covariate.
-        tests: Number of tests, and how many are significant in the end.
-        repeatability: Capture-to-capture repeatability, relative.
-        assumptions: What was assumed.
-        captures: Number of captures.
-        frames: Number of frames.
-        model: Name of the model file written; None where none was asked for.
-        report: Name of the report written.
-        seconds: Time that it took.
-        gap_unit: Unit of the gaps.
-        localisation: Where the starting model disagrees: each covariate once, each in addition to the places before it.
-        calls: Tests of the starting model with p < 0.01, and tests in all.
-        global_p: Chance that any of all tests is as significant without a disagreement, at the start and in the end.
-        added: The effects that the final model adds to the ideal chain.
-        next_capture: Where no rivals need to be separated: the capture that would show what these data cannot.
-        repeats: What frames of one setting differ by.
-        models: Sets of names with their posterior probabilities, the most probable first.
-        extra: Further entries of the JSON object.
-    """
-
-    verdict: Verdict
-    effects: tuple[FoundEffect, ...]
-    gap_before: float
-    gap_after: float
+    verdict: Verdict  # in one word
+    effects: tuple[FoundEffect, ...]  # what was found, in the order of finding
+    gap_before: float  # held-out gap of the starting model
+    gap_after: float  # held-out gap of the final model
+    # Per catalogue entry the amplitude that would have shown at 5 sigma
     limits: Mapping[str, Limit] = field(default_factory=dict)
-    covariates: Mapping[str, CovariateGap] = field(default_factory=dict)
-    tests: tuple[int, int] = (0, 0)
-    repeatability: float | None = None
-    assumptions: tuple[str, ...] = ()
-    captures: int = 0
-    frames: int = 0
-    model: str | None = None
-    report: str | None = None
-    seconds: float = 0.0
-    gap_unit: str = GAP_UNIT
+    covariates: Mapping[str, CovariateGap] = field(default_factory=dict)  # gap along each covariate
+    tests: tuple[int, int] = (0, 0)  # number of tests, and how many are significant in the end
+    repeatability: float | None = None  # capture-to-capture repeatability, relative
+    assumptions: tuple[str, ...] = ()  # what was assumed
+    captures: int = 0  # number of captures
+    frames: int = 0  # number of frames
+    model: str | None = None  # name of the model file written; None where none was asked for
+    report: str | None = None  # name of the report written
+    seconds: float = 0.0  # time that it took
+    gap_unit: str = GAP_UNIT  # unit of the gaps
+    # Where the starting model disagrees: each covariate once, each in addition to the places before it
     localisation: tuple[Place, ...] = ()
-    calls: tuple[int, int] = (0, 0)
+    calls: tuple[int, int] = (0, 0)  # tests of the starting model with p < 0.01, and tests in all
+    # Chance that any of all tests is as significant without a disagreement, at the start and in the end
     global_p: tuple[float, float] | None = None
-    added: tuple[CatalogueEffect, ...] = ()
+    added: tuple[CatalogueEffect, ...] = ()  # the effects that the final model adds to the ideal chain
+    # Where no rivals need to be separated: the capture that would show what these data cannot
     next_capture: Mapping[str, Any] | None = None
-    repeats: tuple[Repeats, ...] = ()
+    repeats: tuple[Repeats, ...] = ()  # what frames of one setting differ by
+    # Sets of names with their posterior probabilities, the most probable first
     models: tuple[tuple[tuple[str, ...], float], ...] = ()
-    extra: Mapping[str, Any] = field(default_factory=dict)
+    extra: Mapping[str, Any] = field(default_factory=dict)  # further entries of the JSON object
 
     def written(self, model: str | None, report: str | None) -> ReconcileResult:
         """Return the result with the names of the files that were written."""

@@ -19,8 +19,76 @@ from radiometer.reconciliation.chances import log_variance
 from radiometer.reconciliation.measure.design import Design, slope_lengths
 from radiometer.reconciliation.measure.row_bands import RowBins
 from radiometer.reconciliation.measure.seen import COMB_PERIODS, CaptureStatistics
-from radiometer.reconciliation.prediction import Prediction
 from radiometer.typing import Array, Mask
+from simulators.effects.context import Signal
+from simulators.effects.rounding import excess_kurtosis, rounding_amplitude
+from simulators.effects.tile_moments import Moments
+
+
+@dataclass(frozen=True, eq=False)
+class Prediction:
+    """Expected statistics, named and shaped as in CaptureStatistics; those of several models along a first axis."""
+
+    mean: Array
+    slope_x: Array
+    slope_y: Array
+    variance: Array
+    spatial: Array
+    neighbour_x: Array
+    neighbour_y: Array
+    first: Array
+    common_variance: Array
+    row_variance: Array
+    fixed_column_variance: Array
+    fixed_row_variance: Array
+    edge: Array
+    outliers: Array
+    comb_step: float
+    comb_kept: float
+    signal: Array  # (captures, tiles) light signal in electrons, for regressors
+    gain: Array  # (captures,) DN per electron
+    fixed: Array  # (captures, tiles) fixed-pattern part of `spatial` in DN²
+    unrounded: Moments  # moments in DN before they are rounded to whole codes
+    band_variance: Array  # (captures, tiles) variance of light that goes as a wave along the rows, in DN²
+    band_frequency: float  # periods of that wave per row
+    mixed_x: Array  # (captures, tiles) correlation of neighbours in a row that exchange charge, without what rows share
+    mixed_y: Array  # the same in a column
+    limit_variance: Array  # (captures, tiles) part of `fixed` in DN² that limits which differ from pixel to pixel leave
+    renewed_variance: Array  # (captures, tiles) part of it for which each setting has a separate pattern
+    beyond_x: Array  # (captures, tiles) sum of the correlations in a row from the second neighbour on, to one side
+    beyond_y: Array  # the same in a column
+    beyond_rows: Array  # the same with all pixels of the rows below, but for the vertical neighbour
+
+    @cached_property
+    def waves(self) -> bool:
+        """Return whether any light goes as a wave along the rows."""
+        return bool(self.band_variance.any())
+
+    @cached_property
+    def mixes(self) -> bool:
+        """Return whether any neighbours in a row exchange charge."""
+        return bool(self.mixed_x.any())
+
+    @property
+    def rounding(self) -> Array:
+        """Return how far rounding to whole codes may move the mean, in DN, (captures, tiles)."""
+        return of_tiles(rounding_amplitude(self.unrounded), self.mean.shape)
+
+    @property
+    def kurtosis(self) -> Array:
+        """Return the excess kurtosis that rounding to whole codes gives a pixel's values, (captures, tiles)."""
+        return of_tiles(excess_kurtosis(self.unrounded), self.mean.shape)
+
+
+def of_tiles(values: Signal, shape: tuple[int, ...]) -> Array:
+    """Return the mean over the points of each tile, of this shape."""
+    values = np.asarray(values, dtype=np.float64)
+    if values.shape[-1] == 1:
+        found = np.empty(shape)
+        found[...] = values[..., 0]
+        return found
+    return np.asarray(0.25 * (values[..., 0] + values[..., 1] + values[..., 2] + values[..., 3]))
+
 
 MULTIPLICATIVE: Final = "multiplicative"
 ADDITIVE: Final = "additive"
@@ -66,34 +134,21 @@ class Scale(Enum):
 
 @dataclass(frozen=True, slots=True)
 class Statistic:
-    """One row of the table.
+    """One row of the table."""
 
-    Attributes:
-        name: Name in `CaptureStatistics`, and in results.
-        given: What it has figures for.
-        scale: How measured and predicted are compared.
-        sigma: Gives its standard uncertainty on that scale.
-        usable: Gives which of its entries count.
-        along: Covariates that it may depend on: a trend must be possible physically.
-        forms: Forms that such a trend may have.
-        family: Name of the statistics that it is one direction of.
-        determines_light: Whether it says how much light there is. Noise does so too, but a hundred times worse: a wrong
-            noise figure would pull at the responsivity and show as a disagreement of all means.
-        follows_light: Whether it follows the light of its tile without determining it.
-        holds_form: Whether the form of an accepted effect limits how well it is predicted.
-    """
-
-    name: str
-    given: Given
-    scale: Scale
-    sigma: Callable[[Scatter], Array]
-    usable: Callable[[Counted], Mask]
-    along: tuple[str, ...]
-    forms: tuple[str, ...] = (MULTIPLICATIVE,)
-    family: str = ""
+    name: str  # name in `CaptureStatistics`, and in results
+    given: Given  # what it has figures for
+    scale: Scale  # how measured and predicted are compared
+    sigma: Callable[[Scatter], Array]  # gives its standard uncertainty on that scale
+    usable: Callable[[Counted], Mask]  # gives which of its entries count
+    along: tuple[str, ...]  # covariates that it may depend on: a trend must be possible physically
+    forms: tuple[str, ...] = (MULTIPLICATIVE,)  # forms that such a trend may have
+    family: str = ""  # name of the statistics that it is one direction of
+    # Whether it says how much light there is. Noise does so too, but a hundred times worse: a wrong noise figure would
+    # pull at the responsivity and show as a disagreement of all means.
     determines_light: bool = False
-    follows_light: bool = False
-    holds_form: bool = False
+    follows_light: bool = False  # whether it follows the light of its tile without determining it
+    holds_form: bool = False  # whether the form of an accepted effect limits how well it is predicted
 
     def shape(self, design: Design) -> tuple[int, ...]:
         """Return the shape of its entries, captures first."""
@@ -107,17 +162,11 @@ class Statistic:
 
 @dataclass(frozen=True, eq=False)
 class Counted:
-    """Entries that are free of clipping, have freedom left and are not formed by the spacing of the codes.
+    """Entries that are free of clipping, have freedom left and are not formed by the spacing of the codes."""
 
-    Attributes:
-        design: Captures and tiles.
-        seen: What was measured.
-        base: Prediction that shows where light is cut off.
-    """
-
-    design: Design
-    seen: CaptureStatistics
-    base: Prediction
+    design: Design  # captures and tiles
+    seen: CaptureStatistics  # what was measured
+    base: Prediction  # prediction that shows where light is cut off
 
     @cached_property
     def step(self) -> int:
@@ -220,18 +269,12 @@ class Scatter:
     """Scatter of the statistics of a correct model, each by itself.
 
     The weights never come from the prediction under test.
-
-    Attributes:
-        design: Captures and tiles.
-        seen: What was measured; its own scatter from frame to frame gives the weights.
-        base: Prediction, for what a measurement of few frames cannot determine.
-        known: (captures, tiles) whether the measured temporal variance counts.
     """
 
-    design: Design
-    seen: CaptureStatistics
-    base: Prediction
-    known: Mask
+    design: Design  # captures and tiles
+    seen: CaptureStatistics  # what was measured; its own scatter from frame to frame gives the weights
+    base: Prediction  # prediction, for what a measurement of few frames cannot determine
+    known: Mask  # (captures, tiles) whether the measured temporal variance counts
 
     @cached_property
     def frames(self) -> Array:

@@ -68,7 +68,6 @@ def doubts_of(
     """Return in words why names are provisional though nothing structured is left.
 
     Args:
-        outcome: The search.
         weighed: The posterior over all models that it fitted.
         alternatives: What these data cannot separate from each name; by default the rivals of its step.
     """
@@ -186,7 +185,6 @@ def rest_of(outcome: Search, again: Periodic | None = None) -> FoundEffect | Non
     """Return all that has no name as one entry: its clearest place, its size, and its other places.
 
     Args:
-        outcome: The search.
         again: What comes back in the order of the frames.
     """
     state = outcome.state
@@ -241,10 +239,6 @@ def size_of_rest(state: FitState, block: str) -> dict[str, FittedParameter]:
     """Return the size of the residual, root mean square: of means in DN, e⁻ and of the light, of noise relative.
 
     It is what the unnamed terms took up; where there are none, what the residual holds beyond its uncertainties.
-
-    Args:
-        state: The fitted model.
-        block: Statistic that shows it.
     """
     comparison = state.comparison
     if block in ("variance", "spatial"):
@@ -388,12 +382,7 @@ def uncertain(
 
 
 def outperformed(steps: Sequence[Step], effects: Sequence[CatalogueEffect]) -> list[str]:
-    """Return the names that their prior probability alone speaks for: something else predicts better.
-
-    Args:
-        steps: What was added, in order.
-        effects: The effects of the model.
-    """
+    """Return the names that their prior probability alone speaks for: something else predicts better."""
     present = {effect.name for effect in effects}
     return [step.name for step in steps if step.outperformed and step.name in present]
 
@@ -409,8 +398,6 @@ def without_essential(
     form (a fall along a line, of any depth and as slow) makes the name doubtful only where little else tests its law.
 
     Args:
-        steps: What was added, in order.
-        effects: The effects of the model.
         parameters: Their fitted parameters by effect and name.
     """
     gains = {step.name: step.gain_nats for step in steps}
@@ -440,10 +427,6 @@ def insignificant_next_to_others(steps: Sequence[Step], effects: Sequence[Catalo
     """Return the names that bring little where another entry might absorb them, or where others bring more.
 
     What is left of a law that is not quite the one that was named looks like one more effect, but a faint one.
-
-    Args:
-        steps: What was added, in order.
-        effects: The effects of the model.
     """
     present = {effect.name for effect in effects}
     named = [step for step in steps if step.name in present]

@@ -62,17 +62,11 @@ _A4_IN: Final = (8.27, 11.69)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ReadingRecord:
-    """A reading with the facts that a laboratory's book needs.
+    """A reading with the facts that a laboratory's book needs."""
 
-    Attributes:
-        reading: The reading.
-        frame_dn: The frame of longest exposure without clipping in the patch, shape (height, width), in DN.
-        facts: Camera, lens and settings as names and values, in the order to print them.
-    """
-
-    reading: Reading
-    frame_dn: NDArray[Any]
-    facts: Sequence[tuple[str, str]] = ()
+    reading: Reading  # the reading
+    frame_dn: NDArray[Any]  # the frame of longest exposure without clipping in the patch, shape (height, width), in DN
+    facts: Sequence[tuple[str, str]] = ()  # camera, lens and settings as names and values, in the order to print them
 
     @property
     def value(self) -> str:

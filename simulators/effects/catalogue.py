@@ -33,69 +33,55 @@ _NORMAL: Final = _PIXELS / _PIXELS.std()  # what pixels scatter by, in standard 
 
 @dataclass(frozen=True)
 class CatalogueEffect(Effect):
-    """An effect that reconcile tries.
+    """An effect that reconcile tries."""
 
-    Class attributes:
-        where: Covariate along which it shows, by its name in result files.
-        block: Statistic that must improve when the effect is there: mean, slope, variance, spatial, neighbour,
-            first, common, bands, row_temporal, columns, rows, edge, outliers or comb.
-        also: Further statistics that count as its evidence.
-        trials: Sets of parameters from which the search starts, the likeliest first.
-        fitted: Parameters that are fitted; the others keep their trial's value.
-        further: Sets of further parameters, with the values from which a more flexible form starts; all of them are
-            fitted where any differs from its default.
-        varies: Setting that must differ between captures: `f_number`, `gain_db` or `temperature_C`.
-        settles: The capture that separates the effect from its likenesses, as advice to the user.
-        essential: Parameters without which it is not this effect, however well the others fit.
-        stands_for: Other entries that may together be equivalent to this one.
-        endless: Parameters whose range ends in a form of the effect as good as any, not where physics ends.
-        log_prior_odds: Natural logarithm of how likely the effect is before any data, against a usual one; added to
-            its score.
-        prior_reason: Why they are not even.
-        weight_unseen: How much more than others it is worth seeing where data are blind to it.
-        acts_by_square: Whether its first parameter is a standard deviation, whose square is what shows.
-        is_stepwise: Whether it does not grow from nothing with its first parameter; its limit is a form that shows.
-        saturates: `sharply` or `softly` for what limits the signal: the higher the limit the milder. Below a sharp one
-            nothing bends.
-        law_along: Covariates along which the data may follow another law than its equation; by default `where`.
-        neutral_at_one: Parameters that do nothing at 1, as others do at 0.
-        looks_back: Whether it acts by what the frame before held (`context.previous_e`).
-        is_steep: Whether it may change within a tile as no quadratic surface does: a step, a narrow spot or wave.
-        signal_power: Power of the signal with which a steep effect goes, where that is all: 0 for what is added, 1 for
-            a factor. The result for one signal on the grid in each tile then holds for all.
-        is_sudden: Whether it jumps along the signal: each pixel's noise decides on which side of the jump it is.
-        least: Least distance of a parameter from the value without effect where this is the cause, by its name.
-        heated: Parameter that doubles within `doubling_K` and is stated at `reference_C`; a search states it at the
-            temperature of the session that is nearest to the usual.
-    """
-
-    where: ClassVar[str]
+    where: ClassVar[str]  # covariate along which it shows, by its name in result files
+    # Statistic that must improve when the effect is there: mean, slope, variance, spatial, neighbour, first, common,
+    # bands, row_temporal, columns, rows, edge, outliers or comb
     block: ClassVar[str] = "mean"
-    also: ClassVar[tuple[str, ...]] = ()
+    also: ClassVar[tuple[str, ...]] = ()  # further statistics that count as its evidence
+    # Sets of parameters from which the search starts, the likeliest first
     trials: ClassVar[tuple[Mapping[str, float], ...]]
-    fitted: ClassVar[tuple[str, ...]]
+    fitted: ClassVar[tuple[str, ...]]  # parameters that are fitted; the others keep their trial's value
+    # Sets of further parameters, with the values from which a more flexible form starts; all of them are fitted where
+    # any differs from its default
     further: ClassVar[tuple[Mapping[str, float], ...]] = ()
-    varies: ClassVar[str] = ""
-    settles: ClassVar[str] = ""
+    varies: ClassVar[str] = ""  # setting that must differ between captures: `f_number`, `gain_db` or `temperature_C`
+    settles: ClassVar[str] = ""  # the capture that separates the effect from its likenesses, as advice to the user
+    # Parameters without which it is not this effect, however well the others fit
     essential: ClassVar[tuple[str, ...]] = ()
-    stands_for: ClassVar[tuple[str, ...]] = ()
+    stands_for: ClassVar[tuple[str, ...]] = ()  # other entries that may together be equivalent to this one
+    # Parameters whose range ends in a form of the effect as good as any, not where physics ends
     endless: ClassVar[tuple[str, ...]] = ()
     profiled: ClassVar[str] = ""  # a parameter that is searched on a dense grid, for the fit is not smooth in it
     repeats: ClassVar[bool] = False  # whether it may act more than once (several wrong labels); `joined` makes it one
     proportional: ClassVar[bool] = False  # whether a fixed pattern grows with the light
+    # Natural logarithm of how likely the effect is before any data, against a usual one; added to its score
     log_prior_odds: ClassVar[float] = 0.0
-    prior_reason: ClassVar[str] = ""
-    weight_unseen: ClassVar[float] = 1.0
+    prior_reason: ClassVar[str] = ""  # why they are not even
+    weight_unseen: ClassVar[float] = 1.0  # how much more than others it is worth seeing where data are blind to it
+    # Whether its first parameter is a standard deviation, whose square is what shows
     acts_by_square: ClassVar[bool] = False
+    # Whether it does not grow from nothing with its first parameter; its limit is a form that shows
     is_stepwise: ClassVar[bool] = False
+    # `sharply` or `softly` for what limits the signal: the higher the limit the milder. Below a sharp one nothing
+    # bends.
     saturates: ClassVar[Literal["", "softly", "sharply"]] = ""
+    # Covariates along which the data may follow another law than its equation; by default `where`
     law_along: ClassVar[tuple[str, ...]] = ()
-    neutral_at_one: ClassVar[tuple[str, ...]] = ()
-    looks_back: ClassVar[bool] = False
+    neutral_at_one: ClassVar[tuple[str, ...]] = ()  # parameters that do nothing at 1, as others do at 0
+    looks_back: ClassVar[bool] = False  # whether it acts by what the frame before held (`context.previous_e`)
+    # Whether it may change within a tile as no quadratic surface does: a step, a narrow spot or wave
     is_steep: ClassVar[bool] = False
+    # Whether it jumps along the signal: each pixel's noise decides on which side of the jump it is
     is_sudden: ClassVar[bool] = False
+    # Power of the signal with which a steep effect goes, where that is all: 0 for what is added, 1 for a factor. The
+    # result for one signal on the grid in each tile then holds for all.
     signal_power: ClassVar[int | None] = None
+    # Least distance of a parameter from the value without effect where this is the cause, by its name
     least: ClassVar[Mapping[str, float]] = MappingProxyType({})
+    # Parameter that doubles within `doubling_K` and is stated at `reference_C`; a search states it at the temperature
+    # of the session that is nearest to the usual
     heated: ClassVar[str] = ""
 
     @classmethod

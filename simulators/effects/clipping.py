@@ -61,11 +61,7 @@ def censored_below(before: Moments, floor: float) -> Moments:
 
 
 def limited(before: Moments, limit: Callable[[Moments], Moments]) -> Moments:
-    """Return the moments behind a limit; what rows, columns and neighbours of tiles share shrinks as fixed patterns do.
-
-    Args:
-        before: Moments before it.
-    """
+    """Return the moments behind a limit; what lines and neighbours of tiles share shrinks as fixed patterns do."""
     after = limit(before) if not isinstance(before, TileMoments) else _limited_tile(before, limit)
     return after if before.unrounded is None else after.changed(unrounded=limited(before.unrounded, limit))
 

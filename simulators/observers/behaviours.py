@@ -18,19 +18,12 @@ LEAVES_AFTER_MIN: Final = 10.0  # within every protocol, after the first thresho
 
 @dataclass(frozen=True, slots=True)
 class Behaviour:
-    """How a simulated subject behaves.
+    """How a simulated subject behaves."""
 
-    Attributes:
-        habits: How it answers.
-        leaves_after_min: Time in the dark in min after which it does not press any more.
-        taps: Whether it presses all the time, whatever is shown.
-        draws_eye: Draws its eye; None for the textbook's.
-    """
-
-    habits: Habits = field(default_factory=Habits)
-    leaves_after_min: float = math.inf
-    taps: bool = False
-    draws_eye: Callable[[np.random.Generator], Eye] | None = None
+    habits: Habits = field(default_factory=Habits)  # how it answers
+    leaves_after_min: float = math.inf  # time in the dark in min after which it does not press any more
+    taps: bool = False  # whether it presses all the time, whatever is shown
+    draws_eye: Callable[[np.random.Generator], Eye] | None = None  # draws its eye; None for the textbook's
 
     def eye(self, rng: np.random.Generator) -> Eye:
         """Return the eye of one such subject."""

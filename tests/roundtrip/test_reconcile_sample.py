@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import pytest
 
-from radiometer.reconciliation import gap_of, reconcile
+from radiometer.reconciliation import gaps_of, reconcile
 from radiometer.reconciliation.result import ReconcileResult
 from testing.generator.session import Session, make_session
 
@@ -94,7 +94,7 @@ def test_found_effect_shrinks_the_gap_of_a_fresh_session() -> None:
     answer = _ask(make_session("exposure_time_offset", camera_seed=4))
     assert [e.name for e in answer.effects][:1] == ["exposure_time_offset"]
     fresh = make_session("exposure_time_offset", camera_seed=4, session_seed=904)
-    before, after = (gap_of(found, fresh.header, list(fresh.frames())) for found in (None, answer))
+    before, after = gaps_of((None, answer), fresh.header, list(fresh.frames()))
     assert before > 1.1
     assert after <= 1.05
 
@@ -113,7 +113,7 @@ def test_other_equation_of_an_effect_takes_a_flexible_form(form: str) -> None:
     assert str(answer.verdict) == "effects_found"
     assert [e.name for e in answer.effects] == [form.partition(":")[0]]
     fresh = make_session(form, camera_seed=9500, session_seed=904)
-    before, after = (gap_of(found, fresh.header, list(fresh.frames())) for found in (None, answer))
+    before, after = gaps_of((None, answer), fresh.header, list(fresh.frames()))
     assert before > 1.5
     assert after <= 1.05
 

@@ -43,17 +43,11 @@ METER_U_REL: Final = math.log(2.0) / 6.0 / math.sqrt(3.0)
 
 @dataclass(frozen=True, slots=True)
 class MeterSettings:
-    """What a camera showed when its light meter called a scene well exposed.
+    """What a camera showed when its light meter called a scene well exposed."""
 
-    Attributes:
-        exposure_s: Exposure time in s.
-        f_number: f-number.
-        iso: ISO speed as really measured, not as printed on the dial.
-    """
-
-    exposure_s: float
-    f_number: float
-    iso: float
+    exposure_s: float  # exposure time in s
+    f_number: float  # f-number
+    iso: float  # ISO speed as really measured, not as printed on the dial
 
     def exact(self) -> MeterSettings:
         """Return the exact stops behind printed ones (1/60 s is 2⁻⁶ s, f/5.6 is 2^(5/2))."""
@@ -244,18 +238,12 @@ class KnownSource:
 
 @dataclass(frozen=True, slots=True)
 class MeterReading:
-    """A reference photograph by a light meter.
+    """A reference photograph by a light meter."""
 
-    Attributes:
-        meter_k: K in cd·m⁻²·s.
-        settings: Exact settings of the photograph.
-        reference_dn: Digital number that the metered surface came out at.
-        k_u_rel: Relative standard uncertainty of K beyond the meter's ±1/6 stop; None where it was not determined.
-    """
-
-    meter_k: float
-    settings: MeterSettings
-    reference_dn: float
+    meter_k: float  # K in cd·m⁻²·s
+    settings: MeterSettings  # exact settings of the photograph
+    reference_dn: float  # digital number that the metered surface came out at
+    # Relative standard uncertainty of K beyond the meter's ±1/6 stop; None where it was not determined
     k_u_rel: float | None = None
 
 
@@ -347,10 +335,6 @@ def scale_by_source(
 
 def scale_by_meter(base: Calibration, meter: MeterReading) -> Scale:
     """Return the scale from a light meter's constant.
-
-    Args:
-        base: Unscaled calibration.
-        meter: The reference photograph.
 
     Raises:
         InputError: If a setting or K is not above 0.

@@ -53,7 +53,6 @@ def characterise(subject: Subject, statistics: Sequence[GroupStatistics] | None 
     largest one.
 
     Args:
-        subject: The frames.
         statistics: Their statistics where they are known already.
 
     Raises:

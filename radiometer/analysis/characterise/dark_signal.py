@@ -29,23 +29,15 @@ _FINEST_TEMPERATURE_K: Final = 0.05  # rounding to a tenth: the finest that came
 
 @dataclass(frozen=True, slots=True)
 class DarkSignal:
-    """The dark signal of one temperature.
+    """The dark signal of one temperature."""
 
-    Attributes:
-        mean_line: Mean in DN over exposure in s; None where all darks have one exposure.
-        variance_line: Temporal variance in DN² over exposure in s; None where all darks have one exposure.
-        mean_dn: Mean at exposure 0 with standard uncertainty in DN.
-        variance_dn2: Temporal variance at exposure 0 in DN²; where rounding hides the noise, the most that it can be.
-        temperature_c: Mean sensor temperature; None where unknown.
-        quantisation_limited: The variance is below 0.24 DN², where rounding hides the noise.
-    """
-
-    mean_line: Line | None
-    variance_line: Line | None
-    mean_dn: Quantity
+    mean_line: Line | None  # mean in DN over exposure in s; None where all darks have one exposure
+    variance_line: Line | None  # temporal variance in DN² over exposure in s; None where all darks have one exposure
+    mean_dn: Quantity  # mean at exposure 0 with standard uncertainty in DN
+    # Temporal variance at exposure 0 in DN²; where rounding hides the noise, the most that it can be
     variance_dn2: Quantity
-    temperature_c: float | None
-    quantisation_limited: bool
+    temperature_c: float | None  # mean sensor temperature; None where unknown
+    quantisation_limited: bool  # the variance is below 0.24 DN², where rounding hides the noise
 
 
 def dark_signal(dark: Sequence[GroupStatistics], step_dn: int = 1) -> DarkSignal:
@@ -318,7 +310,6 @@ def gain_from_darks(
     best of them.
 
     Args:
-        subject: The frames.
         dark: Statistics of their dark groups at one gain, in the region that is looked at.
     """
     transfers = []

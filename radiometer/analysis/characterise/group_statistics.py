@@ -103,40 +103,27 @@ def typical_pixels(average: NDArray[np.float64]) -> NDArray[np.bool_]:
 class GroupStatistics:
     """What L frames of one setting say about one region of N pixels.
 
-    Attributes:
-        settings: The setting.
-        frames: L, at least 1.
-        pixels: N.
-        mean_dn: μ_y, mean over pixels and frames in DN.
-        variance_dn2: σ_y², temporal variance of a pixel in DN²; changes common to a frame are taken out.
-        spatial_variance_dn2: s_y², variance of the frame average over the region in DN², temporal noise taken out;
-            negative where chance has it so.
-        clipped_share: Share of pixels at full scale.
-        photons: Mean photons per pixel; None where unknown.
-        region: Number of the region.
-        split: Spatial variance by rows, columns and pixels; None where the pictures are not known.
-        typical_dn: Mean without hot pixels in DN; None where the pictures are not known.
-        frame_variance_dn2: Variance of the frames' means in DN²; 0 where there is one frame.
-        floor_share: Share of pixels at 0.
-
     Of one frame alone the temporal variance is 0 and means nothing, and the spatial variance holds the noise.
 
     Source: EMVA Standard 1288, release 4.0, sections 6.5 and 8.1.
     """
 
-    settings: FrameSettings
-    frames: int
-    pixels: int
-    mean_dn: float
-    variance_dn2: float
+    settings: FrameSettings  # the setting
+    frames: int  # L, at least 1
+    pixels: int  # N
+    mean_dn: float  # μ_y, mean over pixels and frames in DN
+    variance_dn2: float  # σ_y², temporal variance of a pixel in DN²; changes common to a frame are taken out
+    # s_y², variance of the frame average over the region in DN², temporal noise taken out; negative where chance has it
+    # so
     spatial_variance_dn2: float
-    clipped_share: float
-    photons: float | None = None
-    region: int = 0
+    clipped_share: float  # share of pixels at full scale
+    photons: float | None = None  # mean photons per pixel; None where unknown
+    region: int = 0  # number of the region
+    # Spatial variance by rows, columns and pixels; None where the pictures are not known
     split: SpatialSplit | None = None
-    typical_dn: float | None = None
-    frame_variance_dn2: float = 0.0
-    floor_share: float = 0.0
+    typical_dn: float | None = None  # mean without hot pixels in DN; None where the pictures are not known
+    frame_variance_dn2: float = 0.0  # variance of the frames' means in DN²; 0 where there is one frame
+    floor_share: float = 0.0  # share of pixels at 0
 
     @property
     def has_noise(self) -> bool:

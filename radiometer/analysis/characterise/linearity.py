@@ -19,17 +19,13 @@ _FEWEST_STEPS = 4
 class Linearity:
     """Deviations from the line that fits best in relative terms.
 
-    Attributes:
-        LE_min: Most negative deviation in %.
-        LE_max: Most positive deviation in %.
-        deviations: (light, relative deviation in %, its standard uncertainty in %) of every step in the range.
-
     The uncertainty of LE_min and LE_max is the largest deviation that noise alone is expected to show among as many
     steps, √(2·ln n)·u: a camera without any non-linearity shows values of that size.
     """
 
-    LE_min: Quantity
-    LE_max: Quantity
+    LE_min: Quantity  # most negative deviation in %
+    LE_max: Quantity  # most positive deviation in %
+    # (light, relative deviation in %, its standard uncertainty in %) of every step in the range
     deviations: tuple[tuple[float, float, float], ...]
 
 

@@ -42,7 +42,6 @@ def partial_characterisation(
     """Return the figures that can be had, with notes that say what is missing for the others.
 
     Args:
-        subject: The frames.
         bright: Bright groups, single frames included.
         lit: Bright groups of two frames or more that do not contradict the others.
         dark: Dark groups.

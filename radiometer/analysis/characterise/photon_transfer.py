@@ -26,22 +26,16 @@ UNSEEN_CURVE_U_REL = 0.02  # of K from one or two levels: real photon transfers 
 
 @dataclass(frozen=True, slots=True)
 class PhotonTransfer:
-    """The photon transfer of one gain.
+    """The photon transfer of one gain."""
 
-    Attributes:
-        K: Overall system gain in DN/e-.
-        line: The weighted line through the points.
-        used: Steps that took part.
-        rounded: The dark noise is below 0.24 squared code steps, so that its variance before rounding is estimated.
-        bend_u: Part of K's standard uncertainty that covers the local gains of a bent transfer; 0 where it is straight.
-        local: (K at the lower end, K at the upper end) in DN/e-: variance over signal of the outer thirds of the steps.
-    """
-
-    K: Quantity
-    line: Line
-    used: tuple[SignalStep, ...]
+    K: Quantity  # overall system gain in DN/e-
+    line: Line  # the weighted line through the points
+    used: tuple[SignalStep, ...]  # steps that took part
+    # The dark noise is below 0.24 squared code steps, so that its variance before rounding is estimated
     rounded: bool = False
+    # Part of K's standard uncertainty that covers the local gains of a bent transfer; 0 where it is straight
     bend_u: float = 0.0
+    # (K at the lower end, K at the upper end) in DN/e-: variance over signal of the outer thirds of the steps
     local: tuple[float, float] = (0.0, 0.0)
 
 

@@ -84,31 +84,19 @@ def as_printed(name: str, figure: Quantity) -> tuple[str, str]:
 
 @dataclass(frozen=True, slots=True)
 class Characterisation:
-    """What frames say about a camera, in EMVA 1288 symbols.
+    """What frames say about a camera, in EMVA 1288 symbols."""
 
-    Attributes:
-        believed: The camera as it was described beforehand.
-        gain_db: Gain that the figures hold at.
-        figures: Quantities by EMVA 1288 symbol.
-        gains: Overall system gain by gain in dB.
-        transfer: Photon transfer at `gain_db`; None where there is none.
-        steps: Bright steps of the main region.
-        dark_points: (exposure in s, mean in DN, variance in DN², temperature in °C) of the dark groups.
-        linearity: Linearity; None where too few steps are in its range.
-        notes: What a user must know.
-        provenance: What it was made from.
-    """
-
-    believed: CameraDescription
-    gain_db: float
-    figures: Mapping[str, Quantity]
-    gains: Mapping[float, Quantity]
-    transfer: PhotonTransfer | None
-    steps: tuple[SignalStep, ...]
+    believed: CameraDescription  # the camera as it was described beforehand
+    gain_db: float  # gain that the figures hold at
+    figures: Mapping[str, Quantity]  # quantities by EMVA 1288 symbol
+    gains: Mapping[float, Quantity]  # overall system gain by gain in dB
+    transfer: PhotonTransfer | None  # photon transfer at `gain_db`; None where there is none
+    steps: tuple[SignalStep, ...]  # bright steps of the main region
+    # (exposure in s, mean in DN, variance in DN², temperature in °C) of the dark groups
     dark_points: tuple[tuple[float, float, float, float | None], ...]
-    linearity: Linearity | None
-    notes: tuple[str, ...]
-    provenance: Provenance
+    linearity: Linearity | None  # linearity; None where too few steps are in its range
+    notes: tuple[str, ...]  # what a user must know
+    provenance: Provenance  # what it was made from
     reference_temperature_c: float | None = None
     limited_by: str = "converter"
     extra: Mapping[str, Any] = field(default_factory=dict)

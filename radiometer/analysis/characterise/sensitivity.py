@@ -19,27 +19,17 @@ _COLLAPSED_SHARE = 0.05  # of the largest variance, below which nearly all pixel
 
 @dataclass(frozen=True, slots=True)
 class Saturation:
-    """The saturation point by the standard: the step with the largest temporal variance.
+    """The saturation point by the standard: the step with the largest temporal variance."""
 
-    Attributes:
-        signal_dn: μ_y − μ_y.dark of that step in DN.
-        light: Its light (photons per pixel, or exposure × level).
-        u_light_rel: Relative standard uncertainty that the spacing of the steps leaves.
-        linear_signal_dn: Signal that this light would give without compression, from the line below 70 %.
-        u_linear_signal_dn: Its standard uncertainty, spacing included.
-        reached: False where the variance still rises at the last step, so that all is a lower bound.
-        limited_by: "converter" where pixels are at full scale there or beyond, else "full well".
-        plateau_dn: Mean on the plateau beyond, where all pixels are saturated, with standard uncertainty (the black
-            level is still in it); None where the steps end before it.
-    """
-
-    signal_dn: float
-    light: float
-    u_light_rel: float
-    linear_signal_dn: float
-    u_linear_signal_dn: float
-    reached: bool
-    limited_by: str
+    signal_dn: float  # μ_y − μ_y.dark of that step in DN
+    light: float  # its light (photons per pixel, or exposure × level)
+    u_light_rel: float  # relative standard uncertainty that the spacing of the steps leaves
+    linear_signal_dn: float  # signal that this light would give without compression, from the line below 70 %
+    u_linear_signal_dn: float  # its standard uncertainty, spacing included
+    reached: bool  # false where the variance still rises at the last step, so that all is a lower bound
+    limited_by: str  # "converter" where pixels are at full scale there or beyond, else "full well"
+    # Mean on the plateau beyond, where all pixels are saturated, with standard uncertainty (the black level is still in
+    # it); None where the steps end before it
     plateau_dn: Quantity | None = None
 
 

@@ -27,27 +27,16 @@ _AGREE_SHARE: Final = 1 / 3  # of its distance: how far the neighbours may lie f
 
 @dataclass(frozen=True, slots=True)
 class SignalStep:
-    """One bright setting in one region, with its dark one.
+    """One bright setting in one region, with its dark one."""
 
-    Attributes:
-        bright: Statistics of the bright frames.
-        light: What the signal is proportional to: photons per pixel where known, else exposure × source level in s.
-        dark_mean_dn: Mean of the dark signal at this exposure in DN.
-        u_dark_mean_dn: Its standard uncertainty.
-        dark_variance_dn2: Temporal variance of the dark signal in DN².
-        u_dark_variance_dn2: Its standard uncertainty.
-        dark_noise_dn2: The same before rounding to whole codes.
-        u_dark_noise_dn2: Its standard uncertainty; alike in all steps.
-    """
-
-    bright: GroupStatistics
-    light: float
-    dark_mean_dn: float
-    u_dark_mean_dn: float
-    dark_variance_dn2: float
-    u_dark_variance_dn2: float
-    dark_noise_dn2: float = 0.0
-    u_dark_noise_dn2: float = 0.0
+    bright: GroupStatistics  # statistics of the bright frames
+    light: float  # what the signal is proportional to: photons per pixel where known, else exposure × source level in s
+    dark_mean_dn: float  # mean of the dark signal at this exposure in DN
+    u_dark_mean_dn: float  # its standard uncertainty
+    dark_variance_dn2: float  # temporal variance of the dark signal in DN²
+    u_dark_variance_dn2: float  # its standard uncertainty
+    dark_noise_dn2: float = 0.0  # the same before rounding to whole codes
+    u_dark_noise_dn2: float = 0.0  # its standard uncertainty; alike in all steps
 
     @property
     def signal_dn(self) -> float:

@@ -35,19 +35,12 @@ from radiometer.units import photon_energy_j
 
 @dataclass(frozen=True, slots=True)
 class FrameGroup:
-    """Frames of one setting, still on disk.
+    """Frames of one setting, still on disk."""
 
-    Attributes:
-        settings: The setting; temperature and time are those of the first frame.
-        files: Their files.
-        photons: Mean photons per pixel where a descriptor states them; None elsewhere.
-        reader: Returns the digital numbers of a file.
-    """
-
-    settings: FrameSettings
-    files: tuple[Path, ...]
-    photons: float | None = None
-    reader: Callable[[Path], DigitalNumbers] = read_digital_numbers
+    settings: FrameSettings  # the setting; temperature and time are those of the first frame
+    files: tuple[Path, ...]  # their files
+    photons: float | None = None  # mean photons per pixel where a descriptor states them; None elsewhere
+    reader: Callable[[Path], DigitalNumbers] = read_digital_numbers  # returns the digital numbers of a file
 
     def read(self, full_scale_dn: int) -> Iterator[DigitalNumbers]:
         """Yield the frames' digital numbers.
@@ -102,15 +95,10 @@ def _temperature_plateaus(temperatures: list[float | None]) -> list[int]:
 
 @dataclass(frozen=True, slots=True)
 class PhotonFlux:
-    """Photons per pixel and second of exposure at source level 1.
+    """Photons per pixel and second of exposure at source level 1."""
 
-    Attributes:
-        per_s: Photons per pixel per second.
-        u_rel: Relative standard uncertainty (radiance and transmittance).
-    """
-
-    per_s: float
-    u_rel: float
+    per_s: float  # photons per pixel per second
+    u_rel: float  # relative standard uncertainty (radiance and transmittance)
 
     def photons(self, settings: FrameSettings) -> float:
         """Return the mean photons per pixel of a frame; none with the shutter closed."""
@@ -163,21 +151,13 @@ def _mean_sensitivity(patch: Patch, camera: CameraDescription, lens: LensDescrip
 
 @dataclass(frozen=True, slots=True)
 class EmvaDescriptor:
-    """What a descriptor file says.
+    """What a descriptor file says."""
 
-    Attributes:
-        path: The file.
-        bit_depth: Bits per pixel.
-        width: Pixels per row.
-        height: Rows.
-        groups: Images of each setting; photons 0 for dark ones.
-    """
-
-    path: Path
-    bit_depth: int
-    width: int
-    height: int
-    groups: tuple[FrameGroup, ...]
+    path: Path  # the file
+    bit_depth: int  # bits per pixel
+    width: int  # pixels per row
+    height: int  # rows
+    groups: tuple[FrameGroup, ...]  # images of each setting; photons 0 for dark ones
 
     @classmethod
     def read(cls, path: Path) -> EmvaDescriptor:
@@ -203,29 +183,17 @@ __all__ = ["DESCRIPTOR_NAME", "EmvaDescriptor"]
 
 @dataclass(frozen=True, slots=True)
 class Subject:
-    """Frames to characterise a camera by.
+    """Frames to characterise a camera by."""
 
-    Attributes:
-        origin: Folder or file, for messages and provenance.
-        camera: What is believed of the camera.
-        lens: The lens.
-        groups: Frames of each setting.
-        regions: Where to look; (None,) for the whole frame.
-        fluxes: Photon flux of each region; None where unknown.
-        notes: What the user must know of how they were chosen.
-        given: Statistics that are known without pictures; they replace all groups.
-        masked_dn: What masked rows read in DN, frame by frame, where files state it.
-    """
-
-    origin: str
-    camera: CameraDescription
-    lens: LensDescription
-    groups: tuple[FrameGroup, ...]
-    regions: tuple[Patch | None, ...]
-    fluxes: tuple[PhotonFlux | None, ...]
-    notes: tuple[str, ...] = ()
-    given: tuple[GroupStatistics, ...] = ()
-    masked_dn: tuple[float, ...] = ()
+    origin: str  # folder or file, for messages and provenance
+    camera: CameraDescription  # what is believed of the camera
+    lens: LensDescription  # the lens
+    groups: tuple[FrameGroup, ...]  # frames of each setting
+    regions: tuple[Patch | None, ...]  # where to look; (None,) for the whole frame
+    fluxes: tuple[PhotonFlux | None, ...]  # photon flux of each region; None where unknown
+    notes: tuple[str, ...] = ()  # what the user must know of how they were chosen
+    given: tuple[GroupStatistics, ...] = ()  # statistics that are known without pictures; they replace all groups
+    masked_dn: tuple[float, ...] = ()  # what masked rows read in DN, frame by frame, where files state it
 
     @property
     def photons_u_rel(self) -> float:
@@ -399,7 +367,6 @@ def with_known_radiance(
     """Return the subject with the photon flux that a radiance stated by hand makes on its regions.
 
     Args:
-        subject: The frames.
         header: Camera, lens, light and f-number of the capture set.
         shape: (height, width) of its frames.
         radiance: Radiance of the regions in W·sr⁻¹·m⁻².

@@ -35,34 +35,21 @@ _BRIGHTER: Final = 10.0  # times the noise by which an aggressor's pixels differ
 
 @dataclass(frozen=True, slots=True)
 class Crosstalk:
-    """What one tap reads of another's signal at the same time.
+    """What one tap reads of another's signal at the same time."""
 
-    Attributes:
-        of: Name of the tap whose signal it is.
-        into: Name of the tap that reads it.
-        share: Share of the signal, with its standard uncertainty.
-    """
-
-    of: str
-    into: str
-    share: Quantity
+    of: str  # name of the tap whose signal it is
+    into: str  # name of the tap that reads it
+    share: Quantity  # share of the signal, with its standard uncertainty
 
 
 @dataclass(frozen=True, slots=True)
 class TapFigures:
-    """One tap: where it is, and the figures of its pixels.
+    """One tap: where it is, and the figures of its pixels."""
 
-    Attributes:
-        tap: Its name and rectangles.
-        characterisation: EMVA 1288 figures of its pixels; None where these determine none.
-        overscan: Mean of its overscan in DN; None where it has none.
-        why_not: Why it has no figures; empty where it has.
-    """
-
-    tap: TapDescription
-    characterisation: Characterisation | None
-    overscan: Quantity | None = None
-    why_not: str = ""
+    tap: TapDescription  # its name and rectangles
+    characterisation: Characterisation | None  # EMVA 1288 figures of its pixels; None where these determine none
+    overscan: Quantity | None = None  # mean of its overscan in DN; None where it has none
+    why_not: str = ""  # why it has no figures; empty where it has
 
 
 def taps_as_stated(how: str | None, subject: Subject, shape: tuple[int, int]) -> tuple[TapDescription, ...]:

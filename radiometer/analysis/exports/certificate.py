@@ -37,23 +37,14 @@ _OF_SI: Final = {si: unit for unit, si in _UNITS.items()}
 
 
 class Party(ConfigSection):
-    """A laboratory or a customer.
+    """A laboratory or a customer."""
 
-    Attributes:
-        name: Its name.
-        email: Its address for mail.
-        city: City.
-        country: Two capital letters (ISO 3166-1).
-        street: Street and number.
-        post_code: Post code.
-    """
-
-    name: str = Field(min_length=1)
-    email: str = Field(min_length=3)
-    city: str = Field(min_length=1)
-    country: str = Field(pattern="^[A-Z]{2}$")
-    street: str = ""
-    post_code: str = ""
+    name: str = Field(min_length=1)  # its name
+    email: str = Field(min_length=3)  # its address for mail
+    city: str = Field(min_length=1)  # city
+    country: str = Field(pattern="^[A-Z]{2}$")  # two capital letters (ISO 3166-1)
+    street: str = ""  # street and number
+    post_code: str = ""  # post code
 
 
 class Person(ConfigSection):
@@ -64,40 +55,25 @@ class Person(ConfigSection):
 
 
 class Item(ConfigSection):
-    """What was calibrated or measured.
+    """What was calibrated or measured."""
 
-    Attributes:
-        name: What it is.
-        manufacturer: Who made it.
-        model: Its model.
-        serial: Its serial number.
-    """
-
-    name: str = Field(min_length=1)
-    manufacturer: str = Field(min_length=1)
-    model: str = ""
-    serial: str = Field(min_length=1)
+    name: str = Field(min_length=1)  # what it is
+    manufacturer: str = Field(min_length=1)  # who made it
+    model: str = ""  # its model
+    serial: str = Field(min_length=1)  # its serial number
 
 
 class Laboratory(ConfigSection):
-    """What a certificate states beyond the measurement; nothing of it has a default that would be a guess.
+    """What a certificate states beyond the measurement; nothing of it has a default that would be a guess."""
 
-    Attributes:
-        format: Name and version of the form.
-        language: Two small letters (ISO 639-1) of the texts.
-        place: Where it was measured.
-        laboratory: Who measured.
-        customer: For whom.
-        responsible: Who answers for it.
-        item: What was measured; of a calibration the camera, where the calibration states maker and serial number.
-    """
-
-    format: Literal["radiometer-laboratory/1"]
-    language: str = Field("en", pattern="^[a-z]{2}$")
+    format: Literal["radiometer-laboratory/1"]  # name and version of the form
+    language: str = Field("en", pattern="^[a-z]{2}$")  # two small letters (ISO 639-1) of the texts
+    # Where it was measured
     place: Literal["laboratory", "customer", "laboratoryBranch", "customerBranch", "other"] = "laboratory"
-    laboratory: Party
-    customer: Party
-    responsible: Person
+    laboratory: Party  # who measured
+    customer: Party  # for whom
+    responsible: Person  # who answers for it
+    # What was measured; of a calibration the camera, where the calibration states maker and serial number
     item: Item | None = None
 
     @classmethod
@@ -108,31 +84,19 @@ class Laboratory(ConfigSection):
 
 @dataclass(frozen=True, slots=True)
 class Certified:
-    """What a certificate is made of.
+    """What a certificate is made of."""
 
-    Attributes:
-        identifier: Number of the certificate, unique in the laboratory.
-        title: Name of the measurement.
-        date: Day of it, ISO 8601.
-        method: How it was measured, in sentences.
-        item: What was measured.
-        equipment: Name and identification of each instrument and reference.
-        conditions: Name and text of each condition.
-        results: Name, value with standard uncertainty, and coverage factor of each result.
-        budget: Contributions to the uncertainty of the first result.
-        version: Version of the program.
-    """
-
-    identifier: str
-    title: str
-    date: str
-    method: tuple[str, ...]
-    item: Item
-    equipment: tuple[tuple[str, str], ...]
-    conditions: tuple[tuple[str, str], ...]
+    identifier: str  # number of the certificate, unique in the laboratory
+    title: str  # name of the measurement
+    date: str  # day of it, ISO 8601
+    method: tuple[str, ...]  # how it was measured, in sentences
+    item: Item  # what was measured
+    equipment: tuple[tuple[str, str], ...]  # name and identification of each instrument and reference
+    conditions: tuple[tuple[str, str], ...]  # name and text of each condition
+    # Name, value with standard uncertainty, and coverage factor of each result
     results: tuple[tuple[str, Quantity, float], ...]
-    budget: tuple[Contribution, ...]
-    version: str
+    budget: tuple[Contribution, ...]  # contributions to the uncertainty of the first result
+    version: str  # version of the program
 
 
 def certificate_xml(content: Certified, laboratory: Laboratory) -> str:

@@ -125,9 +125,6 @@ def polynomial(curve: ResponseCurve) -> NDArray[np.float64]:
 
     The lowest order whose rms is under 0.05 % of full scale is taken, or the best of orders 1 to 12.
 
-    Args:
-        curve: The response curve.
-
     Source: Mitsunaga and Nayar 1999, equation (3): H = Σ c_n·Mⁿ with f(1) = 1. A Bernstein polynomial with rising
     coefficients rises (Farouki 2012, Comput. Aided Geom. Des. 29, 379), so that these are fitted, then expanded.
     """

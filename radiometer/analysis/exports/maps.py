@@ -34,10 +34,6 @@ def write_exr(path: Path, picture: MapPicture) -> None:
     point, and Y.mask (R.mask, …) for the PixelMask bits. The header names the unit, what all pixels share
     (`u_rel_common`), and what is in no uncertainty (`not_in_u`).
 
-    Args:
-        path: File to write.
-        picture: One or three maps.
-
     Raises:
         MissingLibrary: If the OpenEXR package is not installed.
         OutputError: If the file cannot be written.
@@ -79,10 +75,6 @@ def write_hdr(path: Path, picture: MapPicture) -> None:
     """Write a picture as .hdr; values in its unit, EXPOSURE 1, negative values as 0.
 
     The form keeps no uncertainty and resolves 0.4 %; it holds no path and no user name.
-
-    Args:
-        path: File to write.
-        picture: One or three maps.
 
     Raises:
         OutputError: If the file cannot be written.
@@ -129,10 +121,6 @@ def write_tiff(path: Path, picture: MapPicture) -> None:
     """Write a picture as TIFF of three pages: values and standard uncertainty as float32, mask bits as uint8.
 
     Each page's description is JSON with the quantity and the unit.
-
-    Args:
-        path: File to write.
-        picture: One or three maps.
 
     Raises:
         OutputError: If the file cannot be written.
@@ -192,7 +180,6 @@ def write_false_colour(path: Path, picture: MapPicture) -> None:
     channel is shown.
 
     Args:
-        path: File to write.
         picture: The map, with the bounds of the scale where they are requested.
 
     Raises:
@@ -252,14 +239,10 @@ def _overlay(clipped: NDArray[np.bool_]) -> NDArray[np.uint8]:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MapPicture:
-    """One grey or three colour maps of one scene in one unit.
+    """One grey or three colour maps of one scene in one unit."""
 
-    Attributes:
-        maps: By channel: one of any name, or "red", "green" and "blue".
-        bounds: Lowest and highest value of the false colours; None takes those of the picture.
-    """
-
-    maps: Mapping[str, RadianceMap]
+    maps: Mapping[str, RadianceMap]  # by channel: one of any name, or "red", "green" and "blue"
+    # Lowest and highest value of the false colours; None takes those of the picture
     bounds: tuple[float, float] | None = None
 
     @property

@@ -50,29 +50,18 @@ _COVERAGE: Final = 0.9545  # of the expanded uncertainty
 
 @dataclass(frozen=True, slots=True)
 class Flicker:
-    """How light is modulated in time.
+    """How light is modulated in time."""
 
-    Attributes:
-        frequency: Dominant frequency in Hz; None where nothing repeats beyond noise.
-        modulation_depth: (max − min)/(max + min), also called percent flicker.
-        flicker_index: Area above the mean over the whole area of a period.
-        svm: Stroboscopic visibility measure; None where the record cannot give it.
-        pst_lm: Short-term flicker severity of light; None where the record cannot give it.
-        coverage_factor: k of the expanded uncertainty at 95.45 %: Student's t for the blocks whose scatter was taken.
-        periods: Whole periods that took part; 0 where there is no period.
-        assumptions: What was assumed, a sentence each.
-        warnings: What makes a figure doubtful, a sentence each.
-    """
-
-    frequency: Quantity | None
-    modulation_depth: Quantity
-    flicker_index: Quantity
-    svm: Quantity | None
-    pst_lm: Quantity | None
+    frequency: Quantity | None  # dominant frequency in Hz; None where nothing repeats beyond noise
+    modulation_depth: Quantity  # (max − min)/(max + min), also called percent flicker
+    flicker_index: Quantity  # area above the mean over the whole area of a period
+    svm: Quantity | None  # stroboscopic visibility measure; None where the record cannot give it
+    pst_lm: Quantity | None  # short-term flicker severity of light; None where the record cannot give it
+    # k of the expanded uncertainty at 95.45 %: Student's t for the blocks whose scatter was taken
     coverage_factor: float
-    periods: int
-    assumptions: tuple[str, ...]
-    warnings: tuple[str, ...]
+    periods: int  # whole periods that took part; 0 where there is no period
+    assumptions: tuple[str, ...]  # what was assumed, a sentence each
+    warnings: tuple[str, ...]  # what makes a figure doubtful, a sentence each
 
 
 def measure_flicker(waveform: Waveform) -> Flicker:

@@ -32,23 +32,14 @@ _MOST_SAMPLES: Final = 10_000  # to find the period of: some 200 periods, which 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Waveform:
-    """Light at equal steps of time.
+    """Light at equal steps of time."""
 
-    Attributes:
-        light: Values in any unit proportional to light, with the value of darkness taken off, shape (samples,).
-        rate_hz: Samples per s.
-        origin: File or device that it is from.
-        u_dark: Standard uncertainty of the value of darkness, in the unit of `light`.
-        averaged_s: Time over which each sample averages, in s; 0 where that is short.
-        assumptions: What was assumed, a sentence each.
-    """
-
-    light: Array
-    rate_hz: float
-    origin: str
-    u_dark: float = 0.0
-    averaged_s: float = 0.0
-    assumptions: tuple[str, ...] = ()
+    light: Array  # values in any unit proportional to light, with the value of darkness taken off, shape (samples,)
+    rate_hz: float  # samples per s
+    origin: str  # file or device that it is from
+    u_dark: float = 0.0  # standard uncertainty of the value of darkness, in the unit of `light`
+    averaged_s: float = 0.0  # time over which each sample averages, in s; 0 where that is short
+    assumptions: tuple[str, ...] = ()  # what was assumed, a sentence each
 
     @property
     def duration_s(self) -> float:
@@ -181,17 +172,11 @@ def waveform_of_rows(
 
 @dataclass(frozen=True, slots=True)
 class Period:
-    """The repetition of a waveform.
+    """The repetition of a waveform."""
 
-    Attributes:
-        frequency_hz: Its fundamental frequency.
-        u_hz: Standard uncertainty of it.
-        share: Part of the variance that the fundamental and its harmonics hold.
-    """
-
-    frequency_hz: float
-    u_hz: float
-    share: float
+    frequency_hz: float  # its fundamental frequency
+    u_hz: float  # standard uncertainty of it
+    share: float  # part of the variance that the fundamental and its harmonics hold
 
 
 def find_period(waveform: Waveform) -> Period | None:

@@ -30,48 +30,29 @@ _EXPOSURE_U_REL = 1e-4  # assumed of a camera's clock: 100 ppm is the coarsest c
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FluxScale:
-    """What turns digital numbers into exposure on the sensor.
+    """What turns digital numbers into exposure on the sensor."""
 
-    Attributes:
-        model: Linear signal behind the digital numbers.
-        black: Black level.
-        joule_per_m2: Exposure per unit of the signal in J·m⁻².
-        u_rel: Its relative standard uncertainty.
-        pixel_area_m2: Area of the sensor that one stored pixel covers in m².
-        assumptions: What was assumed rather than measured.
-    """
-
-    model: SignalModel
-    black: BlackLevel
-    joule_per_m2: float
-    u_rel: float
-    pixel_area_m2: float
-    assumptions: tuple[str, ...] = ()
+    model: SignalModel  # linear signal behind the digital numbers
+    black: BlackLevel  # black level
+    joule_per_m2: float  # exposure per unit of the signal in J·m⁻²
+    u_rel: float  # its relative standard uncertainty
+    pixel_area_m2: float  # area of the sensor that one stored pixel covers in m²
+    assumptions: tuple[str, ...] = ()  # what was assumed rather than measured
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SensorFlux:
-    """Flux through the sensor, by the thesis and by the merged bracket.
+    """Flux through the sensor, by the thesis and by the merged bracket."""
 
-    Attributes:
-        thesis: (exposure in s, flux in W by (2.13), share of pixels left out) of every light frame, short ones first.
-        irradiance: Merged irradiance in W·m⁻², shape of the region.
-        merged_w: Its sum over pixels in W, background included.
-        u_noise_w: Standard uncertainty of that sum due to noise in W.
-        background_w: Flux of the background over the same pixels in W.
-        u_background_w: Its standard uncertainty in W.
-        background_source: Where the background comes from.
-        clipped_everywhere: Pixels that clip in every frame.
-    """
-
+    # (exposure in s, flux in W by (2.13), share of pixels left out) of every light frame, short ones first
     thesis: tuple[tuple[float, float, float], ...]
-    irradiance: NDArray[np.float64]
-    merged_w: float
-    u_noise_w: float
-    background_w: float
-    u_background_w: float
-    background_source: str
-    clipped_everywhere: int
+    irradiance: NDArray[np.float64]  # merged irradiance in W·m⁻², shape of the region
+    merged_w: float  # its sum over pixels in W, background included
+    u_noise_w: float  # standard uncertainty of that sum due to noise in W
+    background_w: float  # flux of the background over the same pixels in W
+    u_background_w: float  # its standard uncertainty in W
+    background_source: str  # where the background comes from
+    clipped_everywhere: int  # pixels that clip in every frame
 
 
 def flux_scale(
@@ -87,7 +68,6 @@ def flux_scale(
     Args:
         camera: The camera.
         source: Its wavelength counts.
-        calibration: The camera's calibration.
         responsivity_u_rel: Relative standard uncertainty of η/c where it was measured; None takes 3 %.
 
     Raises:

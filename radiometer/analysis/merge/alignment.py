@@ -194,15 +194,10 @@ _SUPPORT_PX: Final = 2
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Movement:
-    """Place of a frame relative to the reference frame.
+    """Place of a frame relative to the reference frame."""
 
-    Attributes:
-        to_frame: Matrix, shape (2, 3), that takes a pixel (x, y, 1) of the reference to its place in the frame.
-        known: Whether the frames had enough in common to determine it.
-    """
-
-    to_frame: Array
-    known: bool = True
+    to_frame: Array  # matrix, shape (2, 3), that takes a pixel (x, y, 1) of the reference to its place in the frame
+    known: bool = True  # whether the frames had enough in common to determine it
 
     @property
     def rotation_deg(self) -> float:
@@ -222,17 +217,11 @@ class Movement:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Alignment:
-    """Where the frames of a bracket are relative to each other.
+    """Where the frames of a bracket are relative to each other."""
 
-    Attributes:
-        movements: One per frame, in the bracket's order.
-        reference: Index of the frame that stays.
-        shape: (height, width) in pixels.
-    """
-
-    movements: tuple[Movement, ...]
-    reference: int
-    shape: tuple[int, int]
+    movements: tuple[Movement, ...]  # one per frame, in the bracket's order
+    reference: int  # index of the frame that stays
+    shape: tuple[int, int]  # (height, width) in pixels
 
     @property
     def largest_px(self) -> float:
@@ -328,17 +317,11 @@ class _Pictures:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _PairMovement:
-    """The movement between two pictures.
+    """The movement between two pictures."""
 
-    Attributes:
-        to_frame: Matrix, shape (2, 3); no movement where it would improve nothing.
-        u_px: Standard uncertainty of a corner's place, in pixels of these pictures.
-        moved: Whether it improves anything.
-    """
-
-    to_frame: Array
-    u_px: float
-    moved: bool
+    to_frame: Array  # matrix, shape (2, 3); no movement where it would improve nothing
+    u_px: float  # standard uncertainty of a corner's place, in pixels of these pictures
+    moved: bool  # whether it improves anything
 
 
 def aligned(bracket: Bracket, alignment: Alignment) -> tuple[Bracket, list[NDArray[np.bool_]]]:
@@ -346,10 +329,6 @@ def aligned(bracket: Bracket, alignment: Alignment) -> tuple[Bracket, list[NDArr
 
     Values between pixels are read off cubic splines through them; where one of these clips and another does not, the
     value is unknown. Beyond a frame's edge stands its last row or column.
-
-    Args:
-        bracket: The frames, of any channel.
-        alignment: As found.
     """
     frames, absent = [], []
     for frame, movement in zip(bracket.light, alignment.movements, strict=True):

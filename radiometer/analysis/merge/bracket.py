@@ -23,7 +23,7 @@ from radiometer.analysis.merge.displaced import (
 from radiometer.analysis.merge.finish import finish
 from radiometer.analysis.merge.frames import FrameTerms, frame_terms
 from radiometer.analysis.merge.sums import (
-    FRAMES_PER_PLANE,
+    MANY,
     Images,
     MergeSample,
     MergeSums,
@@ -154,16 +154,11 @@ def merge(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Excused:
-    """Pixels where displacement explains how the frames disagree.
+    """Pixels where displacement explains how the frames disagree."""
 
-    Attributes:
-        pixels: Their indices.
-        excess: Their squared scatter over what noise and displacement together make.
-        shift: Relative change by a displacement at every pixel, flat; None where the frames are in one place.
-    """
-
-    pixels: NDArray[np.intp]
-    excess: NDArray[np.float64]
+    pixels: NDArray[np.intp]  # their indices
+    excess: NDArray[np.float64]  # their squared scatter over what noise and displacement together make
+    # Relative change by a displacement at every pixel, flat; None where the frames are in one place
     shift: NDArray[np.float32] | None
 
     @classmethod
@@ -215,7 +210,7 @@ class StreamingMerge:
             self._dark.append(frame)
             return
         self._pending.append(self._sample(frame))
-        if len(self._pending) >= self._batch_size(frame) or len(self._terms) % FRAMES_PER_PLANE == 0:
+        if len(self._pending) >= self._batch_size(frame) or len(self._terms) % MANY == 0:
             self._take_in()
 
     def result(self) -> RadianceMap:
@@ -270,7 +265,6 @@ class StreamingMerge:
         """Return the radiance map of a bracket in memory, every pixel's sums made and used up at once.
 
         Args:
-            bracket: The frames.
             absent: Where each light frame shows nothing, shape (height, width) each; empty where all show everything.
             without_ghosts: Leave out of every pixel the frames that contradict the others there.
             displacement_px: Standard deviation of a frame's displacement along any direction in pixels.
@@ -393,7 +387,7 @@ class StreamingMerge:
 
     def _batch_size(self, frame: Frame) -> int:
         """Return how many frames leave sums and batch under three planes of 32 bits beyond the result, at least 1."""
-        planes = (len(self._terms) - 1) // FRAMES_PER_PLANE + 1
+        planes = (len(self._terms) - 1) // MANY + 1
         room = 3 * 4 - 4 - 2 * planes  # bytes per pixel, less Σx² and the bits of the frames used
         return max(1, (room - 1) // frame.dn.itemsize)
 

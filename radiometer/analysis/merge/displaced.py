@@ -35,17 +35,12 @@ _PER_FOLD: Final = 16.0
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Strays:
-    """Which frames to leave out where.
+    """Which frames to leave out where."""
 
-    Attributes:
-        pixels: Indices of the pixels concerned, ascending.
-        left_out: Bits of the frames to leave out of each, those that show nothing there included, uint64.
-        alone: Whether no two frames bear out the value that is left.
-    """
-
-    pixels: NDArray[np.intp]
+    pixels: NDArray[np.intp]  # indices of the pixels concerned, ascending
+    # Bits of the frames to leave out of each, those that show nothing there included, uint64
     left_out: NDArray[np.uint64]
-    alone: NDArray[np.bool_]
+    alone: NDArray[np.bool_]  # whether no two frames bear out the value that is left
 
 
 def find_strays(
@@ -58,7 +53,6 @@ def find_strays(
     """Return which frames to leave out at the pixels where frames contradict each other.
 
     Args:
-        samples: The frames.
         tables: As the last step of the merge uses them, for all frames.
         doubtful: Where frames disagree beyond their noise, shape (height, width).
         absent: Where each frame shows nothing, same shape; empty where all show everything.
@@ -131,7 +125,6 @@ def signals(
     """Return the signal of every frame at some pixels, whether it is one, and whether it clips.
 
     Args:
-        samples: The frames.
         pixels: Indices of the pixels.
         gone: Which frames show nothing there, shape (frames, pixels).
     """
@@ -170,15 +163,10 @@ def _agreement(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MeanDisplacement:
-    """√Σp² of the weights p of the frames, by the level of a pixel.
+    """√Σp² of the weights p of the frames, by the level of a pixel."""
 
-    Attributes:
-        lowest: ln of the lowest rate that it is given for.
-        factors: At steps of 1/`_PER_FOLD` from there, float64.
-    """
-
-    lowest: float
-    factors: Array
+    lowest: float  # ln of the lowest rate that it is given for
+    factors: Array  # at steps of 1/`_PER_FOLD` from there, float64
 
     @classmethod
     def of(cls, tables: MergeTables) -> MeanDisplacement:
@@ -258,18 +246,18 @@ def with_shift(
         per_unit: Radiance per rate, of every pixel or of all (size 1).
         mean: What the weights of the frames leave of it.
     """
-    _add_shift(radiance, u_radiance, shift, per_unit, mean.lowest, mean.factors, _PER_FOLD)
+    _add_shift(radiance, u_radiance, shift, per_unit, mean.lowest, mean.factors)
 
 
 @compiled
 def _add_shift(
-    radiance: Any, u_radiance: Any, shift: Any, per_unit: Any, lowest: float, factors: Any, per_fold: float
+    radiance: Any, u_radiance: Any, shift: Any, per_unit: Any, lowest: float, factors: Any
 ) -> None:  # pragma: no cover (compiled)
     step = 1 if per_unit.size > 1 else 0
     for i in range(radiance.size):
         if shift[i] <= 0.0 or radiance[i] <= 0.0:
             continue
-        place = (np.log(radiance[i] / per_unit[i * step]) - lowest) * per_fold
+        place = (np.log(radiance[i] / per_unit[i * step]) - lowest) * _PER_FOLD
         level = min(max(int(place + 0.5), 0), factors.size - 1)
         added = shift[i] * factors[level] * radiance[i]
         u_radiance[i] = np.sqrt(u_radiance[i] ** 2 + added * added)
@@ -288,7 +276,6 @@ def excess_scatter(
     A ratio of sums of squares: 1 is expected, and what `AGREEMENT_SIGMA` does not reach is a contradiction.
 
     Args:
-        samples: The frames.
         tables: As the last step of the merge uses them, for all frames.
         pixels: Indices of the pixels.
         rate: Merged rate of each.

@@ -21,33 +21,19 @@ _BLACK_HEADROOM_SIGMA = 4.0
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FrameTerms:
-    """One frame's constants.
+    """One frame's constants."""
 
-    Attributes:
-        settings: Of the frame.
-        exposure: Exposure time in s, times the lens factor in sr where that counts.
-        gain: Gain factor.
-        variance: Variance of x without light.
-        low_dn: Lowest digital number that is used.
-        high_dn: Digital number from which the frame clips.
-        clips_at: x at clipping.
-        sigma_clip: Standard deviation of x there.
-        dark: Dark signal x: of the whole frame (size 1) or of every pixel (flat).
-        u_dark: Uncertainty of the dark signal that all frames share.
-        black_dn: Black level in DN.
-    """
-
-    settings: FrameSettings
-    exposure: float
-    gain: float
-    variance: float
-    low_dn: int
-    high_dn: int
-    clips_at: float
-    sigma_clip: float
-    dark: NDArray[np.float32]
-    u_dark: float
-    black_dn: float
+    settings: FrameSettings  # of the frame
+    exposure: float  # exposure time in s, times the lens factor in sr where that counts
+    gain: float  # gain factor
+    variance: float  # variance of x without light
+    low_dn: int  # lowest digital number that is used
+    high_dn: int  # digital number from which the frame clips
+    clips_at: float  # x at clipping
+    sigma_clip: float  # standard deviation of x there
+    dark: NDArray[np.float32]  # dark signal x: of the whole frame (size 1) or of every pixel (flat)
+    u_dark: float  # uncertainty of the dark signal that all frames share
+    black_dn: float  # black level in DN
 
 
 def frame_terms(
@@ -61,7 +47,6 @@ def frame_terms(
     """Return the constants of a light frame.
 
     Args:
-        settings: Of the frame.
         situation: What the merge rests on.
         dark_frames: Frames with the shutter closed; those of the same exposure are taken off pixel by pixel.
         through_lens: Whether the exposure carries the lens factor of the frame's f-number.

@@ -21,48 +21,57 @@ from radiometer.compiled import compiled
 from radiometer.data.radiance_map import PixelMask
 
 CLIPPED_HIGH = np.uint8(PixelMask.SATURATED)
-MANY = 16  # frames that go through one call; those of one plane of bits
+MANY: Final = 16  # frames that go through one call; those of one plane of bits
 _RUN = 4096  # pixels: their sums and four frames of 16 bits are read from a core's nearest caches
 Images = tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.uint8]]
 
-FRAMES_PER_PLANE: Final = MANY
 _AT_ONCE: Final = 4  # frames that one pass over the sums takes in
 
 
 @compiled
-def add_linear_four(
-    dn_a: Any,
-    dn_b: Any,
-    dn_c: Any,
-    dn_d: Any,
-    constants: Any,
-    limits: Any,
-    bits_of: Any,
-    first: Any,
-    second: Any,
-    squares: Any,
-    bits: Any,
-    mask: Any,
+def add_many(
+    frames: Any, count: int, start: int, tables: Any, constants: Any, limits: Any, bits_of: Any, sums: Any
 ) -> None:  # pragma: no cover (compiled)
-    """Add four frames of a linear sensor in one pass over the sums, which is what takes the time.
+    """Add frames in fours, in runs of pixels whose sums stay in a core's first-level cache.
 
-    A frame's signal is x = (M − offset)/gain where low ≤ M < high.
+    A frame's signal is x = (M − offset)/gain where low ≤ M < high, or what its table gives at M.
 
     Args:
-        dn_a: Digital numbers of the first frame's block, uint8 or uint16.
-        dn_b: Of the second, of the same type; `dn_c` and `dn_d` likewise.
-        dn_c: Of the third.
-        dn_d: Of the fourth.
-        constants: Black level plus dark signal in DN, 1/gain, relative exposure t, and t to the power
-            `FIRST_POWER` of each, float32, shape (4, 4).
-        limits: Lowest digital number used and the one from which the frame clips, of the type of `dn_a`, shape (4, 2).
-        bits_of: Bits of the frames, of the type of `bits`, shape (4,).
-        first: Σw·x, float32, added to.
-        second: Σt·x, float32, added to.
-        squares: Σx², float32, added to.
-        bits: Frames used in each pixel, added to.
-        mask: Whether a frame was clipped at white in each pixel, added to.
+        frames: Digital numbers of `MANY` frames of one type, uint8 or uint16, whole pictures.
+        count: How many of them count: a multiple of four.
+        start: Their first pixel that the sums are of.
+        tables: x less its dark signal at every digital number of each frame, 0 where it is not used, float32; None for
+            a linear sensor (the loop is compiled for each).
+        constants: Black level plus dark signal in DN, 1/gain, relative exposure t, and t to the power `FIRST_POWER` of
+            each, float32, shape (count, 4).
+        limits: Lowest digital number used and the one from which the frame clips, of their type, shape (count, 2).
+        bits_of: Bits of the frames, of the type of the bits, shape (count,).
+        sums: Σw·x, Σt·x and Σx², float32, bits of the frames used, and whether a frame was clipped at white in each
+            pixel: all added to.
     """
+    first, second, squares, bits, mask = sums
+    for low in range(0, first.size, _RUN):
+        high = min(low + _RUN, first.size)
+        here, marks = slice(start + low, start + high), (bits[low:high], mask[low:high])
+        run = first[low:high], second[low:high], squares[low:high]
+        for k in range(0, count, 4):
+            four = frames[k][here], frames[k + 1][here], frames[k + 2][here], frames[k + 3][here]
+            if tables is None:
+                _add_four(four, None, constants[k : k + 4], limits[k : k + 4], run)
+            else:
+                of_four = tables[k], tables[k + 1], tables[k + 2], tables[k + 3]
+                _add_four(four, of_four, constants[k : k + 4], limits[k : k + 4], run)
+            _mark_four(four, limits[k : k + 4], bits_of[k : k + 4], marks)
+
+
+@compiled
+def _add_four(dn: Any, tables: Any, constants: Any, limits: Any, sums: Any) -> None:  # pragma: no cover (compiled)
+    """Add four frames in one pass over the sums, which is what takes the time; arguments as `add_many`.
+
+    Only loops without a look-up are vectorised: what is marked goes after what is summed.
+    """
+    dn_a, dn_b, dn_c, dn_d = dn
+    first, second, squares = sums
     offset_a, inverse_a, exposure_a, weight_a = constants[0]
     offset_b, inverse_b, exposure_b, weight_b = constants[1]
     offset_c, inverse_c, exposure_c, weight_c = constants[2]
@@ -72,70 +81,26 @@ def add_linear_four(
     zero = np.float32(0.0)
     for i in range(dn_a.size):
         a, b, c, d = dn_a[i], dn_b[i], dn_c[i], dn_d[i]
-        used_a, used_b = (a >= low_a) & (a < high_a), (b >= low_b) & (b < high_b)
-        used_c, used_d = (c >= low_c) & (c < high_c), (d >= low_d) & (d < high_d)
-        x_a = (np.float32(a) - offset_a) * inverse_a if used_a else zero
-        x_b = (np.float32(b) - offset_b) * inverse_b if used_b else zero
-        x_c = (np.float32(c) - offset_c) * inverse_c if used_c else zero
-        x_d = (np.float32(d) - offset_d) * inverse_d if used_d else zero
+        if tables is None:
+            x_a = (np.float32(a) - offset_a) * inverse_a if (a >= low_a) & (a < high_a) else zero
+            x_b = (np.float32(b) - offset_b) * inverse_b if (b >= low_b) & (b < high_b) else zero
+            x_c = (np.float32(c) - offset_c) * inverse_c if (c >= low_c) & (c < high_c) else zero
+            x_d = (np.float32(d) - offset_d) * inverse_d if (d >= low_d) & (d < high_d) else zero
+        else:
+            x_a, x_b, x_c, x_d = tables[0][a], tables[1][b], tables[2][c], tables[3][d]
         first[i] = (((first[i] + weight_a * x_a) + weight_b * x_b) + weight_c * x_c) + weight_d * x_d
         second[i] = (((second[i] + exposure_a * x_a) + exposure_b * x_b) + exposure_c * x_c) + exposure_d * x_d
         squares[i] = (((squares[i] + x_a * x_a) + x_b * x_b) + x_c * x_c) + x_d * x_d
-    _mark_four(dn_a, dn_b, dn_c, dn_d, limits, bits_of, bits, mask)
 
 
 @compiled
-def add_table_four(
-    dn_a: Any,
-    dn_b: Any,
-    dn_c: Any,
-    dn_d: Any,
-    tables: Any,
-    constants: Any,
-    limits: Any,
-    bits_of: Any,
-    first: Any,
-    second: Any,
-    squares: Any,
-    bits: Any,
-    mask: Any,
-) -> None:  # pragma: no cover (compiled)
-    """Add four frames through tables by digital number in one pass over the sums.
-
-    Only loops without a look-up are vectorised: what is marked goes after what is summed.
-
-    Args:
-        dn_a: Digital numbers of the first frame.
-        dn_b: Of the second, of the same type; `dn_c` and `dn_d` likewise.
-        dn_c: Of the third.
-        dn_d: Of the fourth.
-        tables: x less its dark signal at every digital number of each, 0 where it is not used, float32.
-        constants: Exposure and weight of each as in `add_linear_four`, float32, shape (4, 2).
-        limits: As in `add_linear_four`.
-        bits_of: Likewise.
-        first: As in `add_linear_four`; so are `second`, `squares`, `bits` and `mask`.
-    """
-    exposure_a, weight_a = constants[0]
-    exposure_b, weight_b = constants[1]
-    exposure_c, weight_c = constants[2]
-    exposure_d, weight_d = constants[3]
-    table_a, table_b, table_c, table_d = tables[0], tables[1], tables[2], tables[3]
-    for i in range(dn_a.size):
-        x_a, x_b, x_c, x_d = table_a[dn_a[i]], table_b[dn_b[i]], table_c[dn_c[i]], table_d[dn_d[i]]
-        first[i] = (((first[i] + weight_a * x_a) + weight_b * x_b) + weight_c * x_c) + weight_d * x_d
-        second[i] = (((second[i] + exposure_a * x_a) + exposure_b * x_b) + exposure_c * x_c) + exposure_d * x_d
-        squares[i] = (((squares[i] + x_a * x_a) + x_b * x_b) + x_c * x_c) + x_d * x_d
-    _mark_four(dn_a, dn_b, dn_c, dn_d, limits, bits_of, bits, mask)
-
-
-@compiled
-def _mark_four(
-    dn_a: Any, dn_b: Any, dn_c: Any, dn_d: Any, limits: Any, bits_of: Any, bits: Any, mask: Any
-) -> None:  # pragma: no cover (compiled)
-    """Mark which of four frames are used and which clip; arguments as `add_linear_four`.
+def _mark_four(dn: Any, limits: Any, bits_of: Any, marks: Any) -> None:  # pragma: no cover (compiled)
+    """Mark which of four frames are used and which clip; arguments as `add_many`.
 
     A loop for each: numbers of one width only are compared many at a time.
     """
+    dn_a, dn_b, dn_c, dn_d = dn
+    bits, mask = marks
     low_a, high_a, low_b, high_b = limits[0, 0], limits[0, 1], limits[1, 0], limits[1, 1]
     low_c, high_c, low_d, high_d = limits[2, 0], limits[2, 1], limits[3, 0], limits[3, 1]
     bit_a, bit_b, bit_c, bit_d, none = bits_of[0], bits_of[1], bits_of[2], bits_of[3], bits.dtype.type(0)
@@ -152,94 +117,22 @@ def _mark_four(
 
 
 @compiled
-def add_linear_many(
-    frames: Any,
-    count: int,
-    start: int,
-    constants: Any,
-    limits: Any,
-    bits_of: Any,
-    first: Any,
-    second: Any,
-    squares: Any,
-    bits: Any,
-    mask: Any,
+def _add_one(
+    dn: Any, table: Any, dark: Any, constants: Any, limits: Any, bit: Any, sums: Any
 ) -> None:  # pragma: no cover (compiled)
-    """Add frames of a linear sensor in fours, in runs of pixels whose sums stay in a core's first-level cache.
-
-    Args:
-        frames: Digital numbers of `MANY` frames of one type, whole pictures.
-        count: How many of them count: a multiple of four.
-        start: Their first pixel that the sums are of.
-        constants: As in `add_linear_four` for each frame; so are `limits` and `bits_of`.
-        limits: Likewise.
-        bits_of: Likewise.
-        first: As in `add_linear_four`; so are `second`, `squares`, `bits` and `mask`.
-    """
-    for low in range(0, first.size, _RUN):
-        high = min(low + _RUN, first.size)
-        here, sums = slice(start + low, start + high), (first[low:high], second[low:high], squares[low:high])
-        marks = bits[low:high], mask[low:high]
-        for k in range(0, count, 4):
-            four = frames[k][here], frames[k + 1][here], frames[k + 2][here], frames[k + 3][here]
-            add_linear_four(*four, constants[k : k + 4], limits[k : k + 4], bits_of[k : k + 4], *sums, *marks)
-
-
-@compiled
-def add_table_many(
-    frames: Any,
-    count: int,
-    start: int,
-    tables: Any,
-    constants: Any,
-    limits: Any,
-    bits_of: Any,
-    first: Any,
-    second: Any,
-    squares: Any,
-    bits: Any,
-    mask: Any,
-) -> None:  # pragma: no cover (compiled)
-    """Add frames through tables in fours; arguments as `add_linear_many`, `tables` and `constants` `add_table_four`."""
-    for low in range(0, first.size, _RUN):
-        high = min(low + _RUN, first.size)
-        here, sums = slice(start + low, start + high), (first[low:high], second[low:high], squares[low:high])
-        marks = bits[low:high], mask[low:high]
-        for k in range(0, count, 4):
-            four = frames[k][here], frames[k + 1][here], frames[k + 2][here], frames[k + 3][here]
-            of_four = tables[k], tables[k + 1], tables[k + 2], tables[k + 3]
-            add_table_four(*four, of_four, constants[k : k + 4], limits[k : k + 4], bits_of[k : k + 4], *sums, *marks)
-
-
-@compiled
-def add_table(
-    dn: Any,
-    table: Any,
-    dark: Any,
-    low: Any,
-    high: Any,
-    exposure: Any,
-    weight: Any,
-    bit: Any,
-    first: Any,
-    second: Any,
-    squares: Any,
-    bits: Any,
-    mask: Any,
-) -> None:  # pragma: no cover (compiled)
-    """Add one frame through a table of x by digital number, less a dark signal.
+    """Add one frame through a table of x by digital number, less the dark signal of every pixel.
 
     Args:
         dn: Digital numbers of the block.
         table: x at every digital number, float32.
         dark: Dark signal of every pixel of the block, float32.
-        low: Lowest digital number that is used.
-        high: Digital number from which the frame clips.
-        exposure: Relative exposure t, float32.
-        weight: t to the power `FIRST_POWER`, float32.
-        bit: Bit of this frame.
-        first: As in `add_linear_four`; so are `second`, `squares`, `bits` and `mask`.
+        constants: As in `add_many`, of this frame; so are `limits` and `bit`.
+        limits: Likewise.
+        bit: Likewise.
+        sums: As in `add_many`.
     """
+    first, second, squares, bits, mask = sums
+    low, high, exposure, weight = limits[0], limits[1], constants[2], constants[3]
     for i in range(dn.size):
         number = dn[i]
         if number >= high:
@@ -254,21 +147,15 @@ def add_table(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MergeSample:
-    """A frame on its way into the sums.
+    """A frame on its way into the sums."""
 
-    Attributes:
-        dn: Digital numbers, one-dimensional.
-        terms: The frame's constants.
-        table: x by digital number; None where the sensor is linear and the dark signal one number.
-        index: Place of the frame, from 0.
-        usable: x less the dark signal by digital number, 0 where it is not used; None without a table, or where the
-            dark signal is that of every pixel.
-    """
-
-    dn: NDArray[Any]
-    terms: FrameTerms
+    dn: NDArray[Any]  # digital numbers, one-dimensional
+    terms: FrameTerms  # the frame's constants
+    # x by digital number; None where the sensor is linear and the dark signal one number
     table: NDArray[np.float32] | None
-    index: int
+    index: int  # place of the frame, from 0
+    # x less the dark signal by digital number, 0 where it is not used; None without a table, or where the dark signal
+    # is that of every pixel
     usable: NDArray[np.float32] | None = None
 
     @classmethod
@@ -291,12 +178,12 @@ class MergeSample:
     @property
     def plane(self) -> int:
         """Return which plane of bits the frame's bit is in."""
-        return self.index // FRAMES_PER_PLANE
+        return self.index // MANY
 
     @property
     def bit(self) -> int:
         """Return the frame's bit in its plane."""
-        return 1 << (self.index % FRAMES_PER_PLANE)
+        return 1 << (self.index % MANY)
 
     def signal_at(self, pixels: NDArray[np.intp]) -> NDArray[np.float64]:
         """Return the signal x of some pixels, clipped or not."""
@@ -328,20 +215,13 @@ class MergeSample:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MergeSums:
-    """Sums of a run of pixels, one-dimensional and contiguous.
+    """Sums of a run of pixels, one-dimensional and contiguous."""
 
-    Attributes:
-        first: Σt^0.35·x, float32.
-        second: Σt·x, float32.
-        squares: Σx², float32.
-        mask: Whether a frame was clipped at white so far, as PixelMask bit, uint8.
-        planes: Bits of the frames used, uint16, a plane for every 16 frames.
-    """
-
-    first: NDArray[np.float32]
-    second: NDArray[np.float32]
-    squares: NDArray[np.float32]
-    mask: NDArray[np.uint8]
+    first: NDArray[np.float32]  # Σt^0.35·x, float32
+    second: NDArray[np.float32]  # Σt·x, float32
+    squares: NDArray[np.float32]  # Σx², float32
+    mask: NDArray[np.uint8]  # whether a frame was clipped at white so far, as PixelMask bit, uint8
+    # Bits of the frames used, uint16, a plane for every 16 frames
     planes: list[NDArray[np.uint16]] = field(default_factory=list)
 
     @classmethod
@@ -352,7 +232,7 @@ class MergeSums:
 
     def make_room(self, frames: int) -> None:
         """Make sure that the bits of `frames` frames can be kept."""
-        while len(self.planes) * FRAMES_PER_PLANE < frames:
+        while len(self.planes) * MANY < frames:
             self.planes.append(np.zeros(self.first.size, np.uint16))
 
     def part(self, start: int, stop: int) -> MergeSums:
@@ -367,7 +247,7 @@ class MergeSums:
             return self.planes[0]
         bits = self.planes[0].astype(np.uint64)
         for number, plane in enumerate(self.planes[1:], start=1):
-            bits |= plane.astype(np.uint64) << np.uint64(number * FRAMES_PER_PLANE)
+            bits |= plane.astype(np.uint64) << np.uint64(number * MANY)
         return bits
 
     def add(self, passes: Sequence[MergePass], start: int) -> None:
@@ -394,13 +274,12 @@ def merge_passes(samples: Sequence[MergeSample], reference: float) -> list[Merge
     What the compiled loops are given of the frames is made once, not for every block of pixels anew.
 
     Args:
-        samples: The frames.
         reference: Exposure that exposures are counted in.
     """
     passes, waiting = [], list(samples)
     while waiting:
         one = waiting[0]
-        alike = list(itertools.takewhile(one.is_like, waiting[:FRAMES_PER_PLANE])) or [one]
+        alike = list(itertools.takewhile(one.is_like, waiting[:MANY])) or [one]
         passes.append(_fours(alike, reference) if one.is_like(one) else _single(one, reference))
         waiting = waiting[len(alike) :]
     return passes
@@ -417,44 +296,34 @@ def _fours(alike: Sequence[MergeSample], reference: float) -> MergePass:
     limits, bits = np.full((filled, 2), last.limits[1], last.dn.dtype), np.zeros(filled, np.uint16)
     for k, one in enumerate(alike):
         constants[k], limits[k], bits[k] = one.constants(reference), one.limits, one.bit
-    if last.table is None:
-        return lambda sums, start: add_linear_many(dn, filled, start, constants, limits, bits, *sums.view(plane))
-    nothing = np.zeros_like(last.usable)
-    tables = tuple(alike[k].usable if k < count else nothing for k in range(MANY))
-    exposures = np.ascontiguousarray(constants[:, 2:])
-    return lambda sums, start: add_table_many(dn, filled, start, tables, exposures, limits, bits, *sums.view(plane))
+    tables = None
+    if last.usable is not None:
+        nothing = np.zeros_like(last.usable)
+        tables = tuple(alike[k].usable if k < count else nothing for k in range(MANY))
+    return lambda sums, start: add_many(dn, filled, start, tables, constants, limits, bits, sums.view(plane))
 
 
 def _single(one: MergeSample, reference: float) -> MergePass:
     """Return the pass of a frame whose dark signal is that of every pixel."""
-    low, high = (one.dn.dtype.type(limit) for limit in one.limits)
-    _, _, exposure, weight = (np.float32(value) for value in one.constants(reference))
-    bit, table = np.uint16(one.bit), one.table
+    limits, bit = np.array(one.limits, one.dn.dtype), np.uint16(one.bit)
+    constants, dark = np.array(one.constants(reference), np.float32), one.terms.dark
 
     def add(sums: MergeSums, start: int) -> None:
         here = slice(start, start + sums.first.size)
-        add_table(one.dn[here], table, one.terms.dark[here], low, high, exposure, weight, bit, *sums.view(one.plane))
+        _add_one(one.dn[here], one.table, dark[here], constants, limits, bit, sums.view(one.plane))
 
     return add
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ScratchSums:
-    """Sums of one block of pixels after another, each used up before the next: only the result is kept of all pixels.
+    """Sums of one block of pixels after another, each used up before the next: only the result is kept of all."""
 
-    Attributes:
-        first: Place of the radiance of all pixels, and of a block's Σt^0.35·x before.
-        second: Place of its uncertainty, and of a block's Σt·x before.
-        mask: Place of the mask, uint8.
-        squares: Σx² of a block.
-        planes: Bits of the frames used in a block.
-    """
-
-    first: NDArray[np.float32]
-    second: NDArray[np.float32]
-    mask: NDArray[np.uint8]
-    squares: NDArray[np.float32]
-    planes: list[NDArray[np.uint16]]
+    first: NDArray[np.float32]  # place of the radiance of all pixels, and of a block's Σt^0.35·x before
+    second: NDArray[np.float32]  # place of its uncertainty, and of a block's Σt·x before
+    mask: NDArray[np.uint8]  # place of the mask, uint8
+    squares: NDArray[np.float32]  # Σx² of a block
+    planes: list[NDArray[np.uint16]]  # bits of the frames used in a block
 
     @classmethod
     def of(cls, images: Images, most: int, frames: int) -> ScratchSums:

@@ -83,9 +83,6 @@ _AGREEMENT_ASSUMED_REL = 0.1
 def scatter_limit(freedom: float) -> float:  # pragma: no cover (compiled)
     """Return by how much Σ(x − E·t)² may exceed its expectation, at `AGREEMENT_SIGMA`.
 
-    Args:
-        freedom: Degrees of freedom.
-
     Source: Wilson and Hilferty 1931.
     """
     return float((1.0 - 2.0 / (9.0 * freedom) + AGREEMENT_SIGMA * math.sqrt(2.0 / (9.0 * freedom))) ** 3)
@@ -185,15 +182,13 @@ def moments(
 
 
 @compiled
-def mixture(
-    rate_a: float, rate_b: float, var_a: float, both: float, var_b: float
-) -> tuple[float, float, float]:  # pragma: no cover (compiled)
-    """Return (rate, share of the first, variance) of the mixture of two estimates with the least variance."""
+def mixture(var_a: float, both: float, var_b: float) -> tuple[float, float]:  # pragma: no cover (compiled)
+    """Return (share of the first, variance) of the mixture of two estimates with the least variance."""
     between = var_a + var_b - 2.0 * both
     if between <= 1e-9 * var_a:
-        return rate_a, 1.0, var_a
+        return 1.0, var_a
     share = (var_b - both) / between
-    return rate_b + share * (rate_a - rate_b), share, var_a - (var_a - both) ** 2 / between
+    return share, var_a - (var_a - both) ** 2 / between
 
 
 @compiled
@@ -238,34 +233,24 @@ def at_rate(
     """Return (share of the first estimate, variance of the mixture, Σv, Σv²) at a rate; arguments as `fill_levels`."""
     total, squares, var_a, both, var_b = moments(max(rate, 0.0), pattern, frames, gains, kappa, quantisation, top)
     inv1, inv2 = record[INV1], record[INV2]
-    _, share, variance = mixture(0.0, 0.0, var_a * inv1**2, both * inv1 * inv2, var_b * inv2**2)
+    share, variance = mixture(var_a * inv1**2, both * inv1 * inv2, var_b * inv2**2)
     return share, variance, total, squares
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MergeTables:
-    """What the merge's last step is given besides the pixels.
+    """What the merge's last step is given besides the pixels."""
 
-    Attributes:
-        frames: As in `records.fill_record`.
-        kappa: Shot noise variance per unit of x.
-        bounds: Rate that is the lower bound where all frames clip, the upper bound where all are black, and the
-            relative difference between frames that is never called inconsistent.
-        gains: Gain factor of every frame.
-        quantisation: Variance (dx/dM)²/12 over √x; None for a linear sensor.
-        curve: Relative standard uncertainty of x over √x; None for a linear sensor.
-        top: x of the last entry of both.
-        valid: Lowest and highest x times gain that the response curve has data for.
-    """
-
-    frames: Array
-    kappa: float
+    frames: Array  # as in `records.fill_record`
+    kappa: float  # shot noise variance per unit of x
+    # Rate that is the lower bound where all frames clip, the upper bound where all are black, and the relative
+    # difference between frames that is never called inconsistent
     bounds: Array
-    gains: Array
-    quantisation: Array | None
-    curve: Array | None
-    top: float
-    valid: Array
+    gains: Array  # gain factor of every frame
+    quantisation: Array | None  # variance (dx/dM)²/12 over √x; None for a linear sensor
+    curve: Array | None  # relative standard uncertainty of x over √x; None for a linear sensor
+    top: float  # x of the last entry of both
+    valid: Array  # lowest and highest x times gain that the response curve has data for
 
     @property
     def arguments(self) -> tuple[tuple[Any, ...], Array | None]:

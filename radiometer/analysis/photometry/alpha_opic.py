@@ -39,34 +39,22 @@ UNITS: Final = tuple(_FORMS)
 
 @dataclass(frozen=True, slots=True)
 class SpectrumDoubt:
-    """How well a spectrum is known.
+    """How well a spectrum is known."""
 
-    Attributes:
-        u_rel: Relative standard uncertainty of each of its entries, independent of the others.
-        wavelength_u_nm: Standard uncertainty of its wavelength scale in nm, the same for all entries.
-    """
-
-    u_rel: float = 0.0
-    wavelength_u_nm: float = 0.0
+    u_rel: float = 0.0  # relative standard uncertainty of each of its entries, independent of the others
+    wavelength_u_nm: float = 0.0  # standard uncertainty of its wavelength scale in nm, the same for all entries
 
 
 @dataclass(frozen=True, slots=True)
 class AlphaOpic:
-    """One α-opic quantity.
+    """One α-opic quantity."""
 
-    Attributes:
-        receptor: One of `RECEPTORS`.
-        quantity: α-opic radiance or irradiance in W·sr⁻¹·m⁻² or W·m⁻².
-        equivalent_daylight: Luminance in cd·m⁻², or illuminance in lx, of daylight D65 that has the same quantity.
-        efficacy_mw_lm: α-opic efficacy of luminous radiation in mW/lm.
-        daylight_ratio: α-opic daylight efficacy ratio, that efficacy over the one of D65.
-    """
-
-    receptor: str
-    quantity: Quantity
+    receptor: str  # one of `RECEPTORS`
+    quantity: Quantity  # α-opic radiance or irradiance in W·sr⁻¹·m⁻² or W·m⁻²
+    # Luminance in cd·m⁻², or illuminance in lx, of daylight D65 that has the same quantity
     equivalent_daylight: Quantity
-    efficacy_mw_lm: Quantity
-    daylight_ratio: Quantity
+    efficacy_mw_lm: Quantity  # α-opic efficacy of luminous radiation in mW/lm
+    daylight_ratio: Quantity  # α-opic daylight efficacy ratio, that efficacy over the one of D65
 
 
 def alpha_opic_quantities(

@@ -86,17 +86,11 @@ _HALF_WIDTH_NM: Final = 150.0  # assumed distance from the peak to half of it
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Spectrum:
-    """Relative spectral power of a source over a stated band.
+    """Relative spectral power of a source over a stated band."""
 
-    Attributes:
-        name: Name it is asked for by.
-        wavelength_nm: Ascending wavelengths in nm; a single one for a monochromatic line.
-        power: Relative power per nm at each, 0 or more.
-    """
-
-    name: str
-    wavelength_nm: NDArray[np.float64]
-    power: NDArray[np.float64]
+    name: str  # name it is asked for by
+    wavelength_nm: NDArray[np.float64]  # ascending wavelengths in nm; a single one for a monochromatic line
+    power: NDArray[np.float64]  # relative power per nm at each, 0 or more
 
     @property
     def band_nm(self) -> tuple[float, float]:

@@ -22,10 +22,6 @@ _LOWEST_PERCENT: Final = 1e-3  # what is less stands at the left edge of the pic
 def write_datasheet(path: Path, sheet: Datasheet) -> None:
     """Write the datasheet.
 
-    Args:
-        path: File to write.
-        sheet: What was found.
-
     Raises:
         OutputError: If the file cannot be written.
     """

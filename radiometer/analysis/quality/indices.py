@@ -29,23 +29,14 @@ _CORRELATED_NM: Final = 50.0
 
 @dataclass(frozen=True, slots=True)
 class Figure:
-    """What was found for one index.
+    """What was found for one index."""
 
-    Attributes:
-        value: The index; a ratio, or pixels where the unit says so.
-        u: Its standard uncertainty.
-        degrees_of_freedom: Effective ones.
-        unit: "1" or "px".
-        details: What it was found from.
-        remarks: What must be known of it.
-    """
-
-    value: float
-    u: float
-    degrees_of_freedom: float = math.inf
-    unit: str = "1"
-    details: tuple[Deviation, ...] = ()
-    remarks: tuple[str, ...] = ()
+    value: float  # the index; a ratio, or pixels where the unit says so
+    u: float  # its standard uncertainty
+    degrees_of_freedom: float = math.inf  # effective ones
+    unit: str = "1"  # "1" or "px"
+    details: tuple[Deviation, ...] = ()  # what it was found from
+    remarks: tuple[str, ...] = ()  # what must be known of it
 
 
 def worst_deviation(signals: Sequence[StepSignal], reference: StepSignal, source_u_rel: float) -> Figure:

@@ -30,36 +30,23 @@ _MIDDLE_SHARE: Final = 10  # the patch is a tenth of the picture where nobody sa
 
 @dataclass(frozen=True, slots=True)
 class Evaluation:
-    """What a session is read with.
+    """What a session is read with."""
 
-    Attributes:
-        calibration: The instrument's calibration: its corrections belong to the instrument; None reads raw ratios.
-        patch: Where to read; None takes each capture's own patch, else the middle.
-        source_u_rel: Relative standard uncertainty that the source's steadiness gives to each step.
-        response: Spectral response; None takes the calibration's.
-    """
-
+    # The instrument's calibration: its corrections belong to the instrument; None reads raw ratios
     calibration: Calibration | None = None
-    patch: Patch | None = None
-    source_u_rel: float = SOURCE_U_REL
-    response: SpectralResponse | None = None
+    patch: Patch | None = None  # where to read; None takes each capture's own patch, else the middle
+    source_u_rel: float = SOURCE_U_REL  # relative standard uncertainty that the source's steadiness gives to each step
+    response: SpectralResponse | None = None  # spectral response; None takes the calibration's
 
 
 @dataclass(frozen=True, slots=True)
 class Index:
-    """One line of the datasheet: a procedure with what was found, or why nothing was.
+    """One line of the datasheet: a procedure with what was found, or why nothing was."""
 
-    Attributes:
-        procedure: What was to be measured.
-        figure: What was found; None where not measured.
-        reason: Why not, or the error; empty where measured.
-        steps: Names of the captures used.
-    """
-
-    procedure: Procedure
-    figure: Figure | None = None
-    reason: str = ""
-    steps: tuple[str, ...] = ()
+    procedure: Procedure  # what was to be measured
+    figure: Figure | None = None  # what was found; None where not measured
+    reason: str = ""  # why not, or the error; empty where measured
+    steps: tuple[str, ...] = ()  # names of the captures used
 
     def to_mapping(self) -> dict[str, Any]:
         """Return the plain mapping for programs."""
@@ -90,21 +77,13 @@ class Index:
 
 @dataclass(frozen=True, slots=True)
 class Datasheet:
-    """The instrument's quality indices.
+    """The instrument's quality indices."""
 
-    Attributes:
-        camera: The camera that was measured.
-        lens: Its lens in a few words.
-        indices: One per procedure, in their order.
-        assumptions: What was assumed.
-        created: Time, UTC.
-    """
-
-    camera: CameraDescription | None
-    lens: str
-    indices: tuple[Index, ...]
-    assumptions: tuple[str, ...]
-    created: str
+    camera: CameraDescription | None  # the camera that was measured
+    lens: str  # its lens in a few words
+    indices: tuple[Index, ...]  # one per procedure, in their order
+    assumptions: tuple[str, ...]  # what was assumed
+    created: str  # time, UTC
 
     def to_mapping(self) -> dict[str, Any]:
         """Return the plain mapping for programs."""

@@ -28,42 +28,26 @@ _OWN = frozenset({"repeatability", "source fluctuation"})
 
 @dataclass(frozen=True, slots=True)
 class StepSignal:
-    """The instrument's reading in one step, in radiance or in its unit.
+    """The instrument's reading in one step, in radiance or in its unit."""
 
-    Attributes:
-        name: Of the step.
-        value: Reading Y, unflagged ones only.
-        terms: Contributions that are this step's own, in the unit of Y.
-        dark: Change of Y for one standard deviation of the dark level that all steps share.
-        timing: Change of Y for one standard deviation of what all real exposure times differ by from the stated ones.
-        temperature_c: Mean temperature of the frames; None where a frame does not state it.
-        frames: Number of light frames used.
-    """
-
-    name: str
-    value: float
-    terms: tuple[Term, ...]
-    dark: float
+    name: str  # of the step
+    value: float  # reading Y, unflagged ones only
+    terms: tuple[Term, ...]  # contributions that are this step's own, in the unit of Y
+    dark: float  # change of Y for one standard deviation of the dark level that all steps share
+    # Change of Y for one standard deviation of what all real exposure times differ by from the stated ones
     timing: float
-    temperature_c: float | None
-    frames: int
+    temperature_c: float | None  # mean temperature of the frames; None where a frame does not state it
+    frames: int  # number of light frames used
 
 
 @dataclass(frozen=True, slots=True)
 class Deviation:
-    """A relative deviation with its uncertainty.
+    """A relative deviation with its uncertainty."""
 
-    Attributes:
-        label: What deviates.
-        value: Y/Y_reference − 1, or another figure of that kind.
-        u: Its standard uncertainty.
-        degrees_of_freedom: Effective ones.
-    """
-
-    label: str
-    value: float
-    u: float
-    degrees_of_freedom: float = math.inf
+    label: str  # what deviates
+    value: float  # Y/Y_reference − 1, or another figure of that kind
+    u: float  # its standard uncertainty
+    degrees_of_freedom: float = math.inf  # effective ones
 
     @property
     def coverage_factor(self) -> float:
@@ -102,14 +86,14 @@ def step_signal(
         patch,
         Setup(header.camera, header.lens, calibration, header.source),
     )
-    if not situation.frames[0].unclipped:
+    if not situation.shown.frames[0].unclipped:
         raise MeasurementError(f"{capture.path}: the patch clips in every frame; capture shorter exposures")
     unit = _unit(situation)
     own = tuple(_in_unit(term, unit) for term in budget_terms(situation) if term.name in _OWN)
-    dark = situation.estimate.coefficients @ [level.u_common for level in situation.dark]
-    alone = situation.estimate.coefficients * [level.u_independent for level in situation.dark]
+    dark = situation.shown.estimate.coefficients @ [level.u_common for level in situation.shown.dark]
+    alone = situation.shown.estimate.coefficients * [level.u_independent for level in situation.shown.dark]
     own += (Term("dark frames", unit * situation.scale * float(np.sqrt(np.sum(alone**2)))),)
-    temperatures = [one.settings.temperature_c for one in situation.frames]
+    temperatures = [one.settings.temperature_c for one in situation.shown.frames]
     known = [value for value in temperatures if value is not None]
     return StepSignal(
         name,
@@ -118,7 +102,7 @@ def step_signal(
         unit * situation.scale * float(dark),
         unit * situation.value * situation.stated.exposure_u_s * situation.conditions.inverse_exposure_per_s,
         float(np.mean(known)) if known and len(known) == len(temperatures) else None,
-        len(situation.frames),
+        len(situation.shown.frames),
     )
 
 
@@ -130,7 +114,7 @@ def _unit(situation: PatchSituation) -> float:
     """Return what makes relative readings of several captures comparable: they count from their first frame's lens."""
     if situation.calibration is not None and situation.calibration.absolute:
         return 1.0
-    first = situation.frames[0].settings
+    first = situation.shown.frames[0].settings
     return 1.0 / lens_factor_sr(situation.lens, first.f_number or situation.lens.f_number)
 
 

@@ -75,24 +75,15 @@ FILTER_U_REL: Final = 0.1 / math.sqrt(3.0)
 
 @dataclass(frozen=True, slots=True)
 class Term:
-    """One contribution in the unit of the value.
+    """One contribution in the unit of the value."""
 
-    Attributes:
-        name: What the uncertainty comes from.
-        u: Standard uncertainty of the value due to it, in the value's unit, 0 or more.
-        kind: "A" (from repeated observation) or "B" (from anything else).
-        degrees_of_freedom: Of the estimate; infinite where taken as exactly known.
-        correlated: True where two readings made with one calibration share it.
-        note: Where the figure comes from.
-        flag: Raised where the contribution dominates a reading; None for one that needs no separate word.
-    """
-
-    name: str
-    u: float
-    kind: str = "B"
-    degrees_of_freedom: float = math.inf
-    correlated: bool = False
-    note: str = ""
+    name: str  # what the uncertainty comes from
+    u: float  # standard uncertainty of the value due to it, in the value's unit, 0 or more
+    kind: str = "B"  # "A" (from repeated observation) or "B" (from anything else)
+    degrees_of_freedom: float = math.inf  # of the estimate; infinite where taken as exactly known
+    correlated: bool = False  # true where two readings made with one calibration share it
+    note: str = ""  # where the figure comes from
+    # Raised where the contribution dominates a reading; None for one that needs no separate word
     flag: Flag | None = None
 
     def contribution(self, value: float) -> Contribution:
@@ -201,15 +192,10 @@ def mean(readings: Sequence[Reading]) -> Quantity:
 
 @dataclass(frozen=True, slots=True)
 class Surround:
-    """The light of the whole picture.
+    """The light of the whole picture."""
 
-    Attributes:
-        rate: Its mean in the unit of the estimate.
-        clipped: Part of the picture that clips even in the frame that shows it best; the mean is too low then.
-    """
-
-    rate: float
-    clipped: float
+    rate: float  # its mean in the unit of the estimate
+    clipped: float  # part of the picture that clips even in the frame that shows it best; the mean is too low then
 
 
 @dataclass(frozen=True, slots=True)
@@ -270,7 +256,6 @@ def outside_terms(
         value: The radiance.
         here: Conditions of the reading.
         calibration: The calibration, with the conditions of its scale.
-        lens: The lens in use.
         falloff: What is known of the sensitivity over the picture.
         linear: Whether the sensor is taken as linear.
         now: Time of the reading, with time zone.
@@ -303,7 +288,6 @@ def frame_u_rel(
 
     Args:
         calibration: The calibration.
-        lens: The lens in use.
         numbers: f-numbers of the frames.
         settings: Of the frames.
         now: Time that the calibration's age is counted to, with time zone; None for the present.
@@ -412,75 +396,28 @@ def _polarisation(size: float, here: ScaleConditions, there: ScaleConditions, st
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Shown:
-    """What the frames show of a patch.
+    """What the frames show of a patch."""
 
-    Attributes:
-        estimate: Estimate over the used frames.
-        frames: Used frames.
-        dark: Dark level of each.
-        exposures: Exposure time of each in s, times the lens factor in sr.
-        good: Pixels used.
-        light_frames: Number of light frames seen.
-        unsteady: Whether a frame clips that was exposed no longer than one that does not: the light changes.
-    """
-
-    estimate: PatchEstimate
-    frames: tuple[PatchFrame, ...]
-    dark: tuple[DarkLevel, ...]
-    exposures: NDArray[np.float64]
-    good: NDArray[np.bool_]
-    light_frames: int
-    unsteady: bool
+    estimate: PatchEstimate  # estimate over the used frames
+    frames: tuple[PatchFrame, ...]  # used frames
+    dark: tuple[DarkLevel, ...]  # dark level of each
+    good: NDArray[np.bool_]  # pixels used
+    light_frames: int  # number of light frames seen
+    unsteady: bool  # whether a frame clips that was exposed no longer than one that does not: the light changes
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PatchSituation:
-    """Everything a budget is made up from.
+    """Everything a budget is made up from."""
 
-    Attributes:
-        settled: The setup, and what a measurement with it rests on.
-        shown: What the frames show of the patch: estimate, usable frames, their dark levels.
-        scale: Radiance per unit of the estimate.
-        conditions: What the reading was made under, in the form that a scale keeps.
-        surround: Light of the whole picture.
-        falloff: What is known of the sensitivity over the picture.
-        now: Time of the reading, with time zone.
-        stray: Radiance that is taken off for known veiling glare.
-    """
-
-    settled: Situation
-    shown: Shown
-    scale: float
-    conditions: ScaleConditions
-    surround: Surround
-    falloff: Falloff
-    now: dt.datetime
-    stray: float = 0.0
-
-    @property
-    def estimate(self) -> PatchEstimate:
-        """Return the estimate over the used frames."""
-        return self.shown.estimate
-
-    @property
-    def frames(self) -> tuple[PatchFrame, ...]:
-        """Return the used frames."""
-        return self.shown.frames
-
-    @property
-    def dark(self) -> tuple[DarkLevel, ...]:
-        """Return the dark level of each used frame."""
-        return self.shown.dark
-
-    @property
-    def exposures(self) -> NDArray[np.float64]:
-        """Return the exposure time of each used frame in s, times the lens factor in sr."""
-        return self.shown.exposures
-
-    @property
-    def good(self) -> NDArray[np.bool_]:
-        """Return the pixels that are used."""
-        return self.shown.good
+    settled: Situation  # the setup, and what a measurement with it rests on
+    shown: Shown  # what the frames show of the patch: estimate, usable frames, their dark levels
+    scale: float  # radiance per unit of the estimate
+    conditions: ScaleConditions  # what the reading was made under, in the form that a scale keeps
+    surround: Surround  # light of the whole picture
+    falloff: Falloff  # what is known of the sensitivity over the picture
+    now: dt.datetime  # time of the reading, with time zone
+    stray: float = 0.0  # radiance that is taken off for known veiling glare
 
     @property
     def model(self) -> SignalModel:
@@ -503,14 +440,9 @@ class PatchSituation:
         return self.settled.lens
 
     @property
-    def spectrum_stated(self) -> bool:
-        """Return whether somebody states the light's spectrum."""
-        return self.settled.setup.spectrum_stated
-
-    @property
     def value(self) -> float:
         """Return the radiance, or the relative value."""
-        return self.scale * self.estimate.rate - self.stray
+        return self.scale * self.shown.estimate.rate - self.stray
 
     @property
     def shares_level(self) -> bool:
@@ -547,8 +479,8 @@ def local_scatter(pixels: NDArray[np.float64], good: NDArray[np.bool_]) -> tuple
 
 def _observed(situation: PatchSituation) -> list[Term]:
     """Return repeatability, fixed pattern and source fluctuation."""
-    estimate, count = situation.estimate, int(situation.good.sum())
-    frames = len(situation.frames)
+    estimate, count = situation.shown.estimate, int(situation.shown.good.sum())
+    frames = len(situation.shown.frames)
     return [
         Term(
             "repeatability", situation.scale * estimate.u_noise, "A", note=f"noise of {count} pixels in {frames} frames"
@@ -566,8 +498,8 @@ def _observed(situation: PatchSituation) -> list[Term]:
 
 def _pattern(situation: PatchSituation, count: int) -> Term:
     """Return what responsivity differs by from pixel to pixel: as the patch shows it, as stated where it is small."""
-    estimate = situation.estimate
-    scatter, _ = local_scatter(estimate.pixel_rates, situation.good)
+    estimate = situation.shown.estimate
+    scatter, _ = local_scatter(estimate.pixel_rates, situation.shown.good)
     seen = math.sqrt(max(0.0, scatter**2 - estimate.u_pixel**2))
     if count >= _FEWEST_PIXELS_FOR_SCATTER:
         note = "scatter between pixels beyond the noise model"
@@ -579,10 +511,10 @@ def _pattern(situation: PatchSituation, count: int) -> Term:
 
 
 def _response(situation: PatchSituation) -> Term:
-    estimate = situation.estimate
+    estimate = situation.shown.estimate
     each = [
         abs(c) * situation.model.curve_u_rel(x, frame.settings) * abs(x)
-        for c, frame, x in zip(estimate.coefficients, situation.frames, estimate.expected, strict=True)
+        for c, frame, x in zip(estimate.coefficients, situation.shown.frames, estimate.expected, strict=True)
     ]
     note = "stated linearity" if situation.model.linear else "uncertainty of the response curve"
     if situation.shares_level:
@@ -591,10 +523,10 @@ def _response(situation: PatchSituation) -> Term:
 
 
 def _dark(situation: PatchSituation) -> list[Term]:
-    c = situation.estimate.coefficients
-    own = float(np.sqrt(np.sum((c * [d.u_independent for d in situation.dark]) ** 2)))
-    common = float(abs(c @ [d.u_common for d in situation.dark]))
-    source = ", ".join(sorted({d.source for d in situation.dark}))
+    c = situation.shown.estimate.coefficients
+    own = float(np.sqrt(np.sum((c * [d.u_independent for d in situation.shown.dark]) ** 2)))
+    common = float(abs(c @ [d.u_common for d in situation.shown.dark]))
+    source = ", ".join(sorted({d.source for d in situation.shown.dark}))
     u = situation.scale * math.hypot(own, common)
     return [Term("dark and black level", u, note=source, flag=None if source in _MEASURED else Flag.DARK_ASSUMED)]
 
@@ -641,7 +573,7 @@ def _stated(situation: PatchSituation) -> list[Term]:
 
 def _spectrum(situation: PatchSituation, value: float) -> Term:
     assert situation.calibration is not None
-    known, name = situation.spectrum_stated, situation.calibration.spectrum
+    known, name = situation.settled.setup.spectrum_stated, situation.calibration.spectrum
     u_rel = spectral_u_rel(situation.calibration, situation.stated, spectrum_stated=known)
     by = "as stated" if situation.stated.spectral_u_rel > 0.0 else f"spread of {', '.join(KINDS)}"
     note = name if known else f"the light's spectrum is unknown: treated as {name}, {by}"
@@ -668,7 +600,7 @@ def _outside(situation: PatchSituation) -> list[Term]:
 
 
 def _f_number(situation: PatchSituation, value: float) -> Term:
-    numbers = {frame.settings.f_number or situation.lens.f_number for frame in situation.frames}
+    numbers = {frame.settings.f_number or situation.lens.f_number for frame in situation.shown.frames}
     u_rel, note = f_number_u_rel(situation.calibration, situation.stated, numbers)
     return Term("f-number", value * u_rel, correlated=True, note=note)
 
@@ -684,21 +616,16 @@ def _magnification(situation: PatchSituation, value: float) -> Term:
 
 
 def _clipped(situation: PatchSituation) -> list[Term]:
-    if situation.frames[0].unclipped:
+    if situation.shown.frames[0].unclipped:
         return []
     return [Term("clipping", abs(situation.value), note="clips in the shortest exposure: the value is a lower bound")]
 
 
 def reading_flags(situation: PatchSituation, terms: Sequence[Term]) -> tuple[Flag, ...]:
-    """Return the flags of a reading, sorted by name.
-
-    Args:
-        situation: What the reading was made from.
-        terms: Its budget.
-    """
-    calibration, estimate, now = situation.calibration, situation.estimate, situation.now
+    """Return the flags of a reading, sorted by name."""
+    calibration, estimate, now = situation.calibration, situation.shown.estimate, situation.now
     found = {
-        Flag.SATURATED: not situation.frames[0].unclipped,
+        Flag.SATURATED: not situation.shown.frames[0].unclipped,
         Flag.BELOW_NOISE: situation.value < _NOISE_FLOOR_SIGMA * _floor(terms),
         Flag.EXTRAPOLATED: _extrapolates(situation),
         Flag.NONUNIFORM: _is_nonuniform(situation),
@@ -735,8 +662,8 @@ def _dominant(value: float, terms: Sequence[Term]) -> set[Flag]:
 
 def _too_few_frames(situation: PatchSituation) -> bool:
     """Return whether the frames are too few to show that the light is steady."""
-    longest = max(frame.settings.exposure_s for frame in situation.frames)
-    return len(situation.frames) < (FEWEST_FRAMES if longest >= SHORT_FRAME_S else FEWEST_SHORT_FRAMES)
+    longest = max(frame.settings.exposure_s for frame in situation.shown.frames)
+    return len(situation.shown.frames) < (FEWEST_FRAMES if longest >= SHORT_FRAME_S else FEWEST_SHORT_FRAMES)
 
 
 def _extrapolates(situation: PatchSituation) -> bool:
@@ -744,22 +671,22 @@ def _extrapolates(situation: PatchSituation) -> bool:
     if situation.model.linear:
         return False
     low, high = situation.model.valid_dn
-    share = situation.estimate.coefficients * situation.estimate.expected
-    means = np.array([float(np.mean(frame.dn[situation.good])) for frame in situation.frames])
+    share = situation.shown.estimate.coefficients * situation.shown.estimate.expected
+    means = np.array([float(np.mean(frame.dn[situation.shown.good])) for frame in situation.shown.frames])
     outside = (means < low) | (means > high)
     return bool(np.abs(share[outside]).sum() > 0.5 * np.abs(share).sum())
 
 
 def _is_nonuniform(situation: PatchSituation) -> bool:
     """Return whether radiance changes over the patch by more than noise and 5 %."""
-    pixels, good = situation.estimate.pixel_rates, situation.good
+    pixels, good = situation.shown.estimate.pixel_rates, situation.shown.good
     scatter, pairs = local_scatter(pixels, good)
     if pairs < 8:
         return False
-    noise = max(scatter, situation.estimate.u_pixel) ** 2
+    noise = max(scatter, situation.shown.estimate.u_pixel) ** 2
     slow = float(np.var(pixels[good])) - noise * (1.0 + 6.0 * np.sqrt(3.0 / good.sum()))
-    structure = max(slow, scatter**2 - situation.estimate.u_pixel**2 * (1.0 + 6.0 * np.sqrt(3.0 / good.sum())))
-    return bool(structure > (_NONUNIFORM_REL * situation.estimate.rate) ** 2)
+    structure = max(slow, scatter**2 - situation.shown.estimate.u_pixel**2 * (1.0 + 6.0 * np.sqrt(3.0 / good.sum())))
+    return bool(structure > (_NONUNIFORM_REL * situation.shown.estimate.rate) ** 2)
 
 
 def spectral_u_rel(calibration: Calibration, stated: StatedUncertainties, *, spectrum_stated: bool = True) -> float:
@@ -867,11 +794,7 @@ def magnification_u_rel(calibration: Calibration | None, lens: LensDescription) 
 
 
 def common_u_rel(situation: Situation) -> float:
-    """Return the relative standard uncertainty that all pixels of a radiance map share, whatever its frames.
-
-    Args:
-        situation: What the map rests on.
-    """
+    """Return the relative standard uncertainty that all pixels of a radiance map share, whatever its frames."""
     stated, calibration = situation.stated, situation.calibration
     linearity = stated.linearity_u_rel if situation.model.linear else 0.0
     parts = [stated.exposure_u_rel, linearity]

@@ -19,29 +19,17 @@ _FLUCTUATION_GRID = np.concatenate([[0.0], np.geomspace(1e-5, 1.0, 101)])
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PatchEstimate:
-    """Linear signal per exposure (unit of x per s, or per s·sr where exposures carry the lens factor).
+    """Linear signal per exposure (unit of x per s, or per s·sr where exposures carry the lens factor)."""
 
-    Attributes:
-        rate: Estimate.
-        coefficients: c_i of rate = Σ c_i·(x_i − dark_i).
-        expected: Expected signal of every frame.
-        u_noise: Standard uncertainty from the noise model.
-        u_fluctuation: Standard uncertainty from what frames differ beyond their noise.
-        fluctuation_rel: Relative standard deviation of that difference.
-        evidence: Twice the gain in log-likelihood that this difference brings.
-        pixel_rates: The same estimate for every pixel, shape of the patch.
-        u_pixel: Standard uncertainty of one pixel's rate from the noise model.
-    """
-
-    rate: float
-    coefficients: NDArray[np.float64]
-    expected: NDArray[np.float64]
-    u_noise: float
-    u_fluctuation: float
-    fluctuation_rel: float
-    evidence: float
-    pixel_rates: NDArray[np.float64]
-    u_pixel: float
+    rate: float  # estimate
+    coefficients: NDArray[np.float64]  # c_i of rate = Σ c_i·(x_i − dark_i)
+    expected: NDArray[np.float64]  # expected signal of every frame
+    u_noise: float  # standard uncertainty from the noise model
+    u_fluctuation: float  # standard uncertainty from what frames differ beyond their noise
+    fluctuation_rel: float  # relative standard deviation of that difference
+    evidence: float  # twice the gain in log-likelihood that this difference brings
+    pixel_rates: NDArray[np.float64]  # the same estimate for every pixel, shape of the patch
+    u_pixel: float  # standard uncertainty of one pixel's rate from the noise model
 
     @property
     def degrees_of_freedom(self) -> int:
@@ -72,7 +60,6 @@ def estimate_patch(
         dark: Dark level of each.
         exposures: Exposure time of each in s, times the lens factor in sr where requested.
         good: Pixels to use, shape of the patch.
-        model: Signal model of the camera.
 
     Source: iteratively reweighted least squares, Charnes, Frome and Yu 1976, JASA 71, 169.
     """

@@ -17,28 +17,18 @@ _DRAWN_ENDS = 0.05
 
 @dataclass(frozen=True, slots=True)
 class Distribution:
-    """What is known of a value after all inputs were drawn many times.
+    """What is known of a value after all inputs were drawn many times."""
 
-    Attributes:
-        mean: Mean.
-        u: Standard deviation.
-        low: Lower end of the shortest interval that holds 95.45 %.
-        high: Its upper end.
-    """
-
-    mean: float
-    u: float
-    low: float
-    high: float
+    mean: float  # mean
+    u: float  # standard deviation
+    low: float  # lower end of the shortest interval that holds 95.45 %
+    high: float  # its upper end
 
     def to_mapping(self, reading: Reading) -> dict[str, Any]:
         """Compare the distribution with a reading's interval: whether their ends agree to 5 % of u.
 
         Ends of a shortest interval from 100 000 draws scatter by some 2 % of u: less than 5 % shows no difference.
         The source allows at most half of u's second digit, which is between 0.5 % and 5 % of u.
-
-        Args:
-            reading: Its linear counterpart, with its coverage factor.
 
         Source: JCGM 101:2008, section 8.1.
         """
@@ -72,11 +62,6 @@ def propagate_distributions(situation: PatchSituation, rng: np.random.Generator,
     The equation is L = s·Σ c_i·(x_i·(1 + curve_i) − d_i)·Π(1 + factor)/Π(1 + divisor)·(1 + stop)² + stray light:
     quotients and powers as they stand. Inputs from few observations are drawn from Student's t.
 
-    Args:
-        situation: What the reading was made from.
-        rng: Source of the draws.
-        trials: Number of draws.
-
     Source: JCGM 101:2008, sections 5.9 to 7.7.
     """
     value = situation.scale * _rates(situation, rng, trials) - situation.stray
@@ -97,15 +82,15 @@ def propagate_distributions(situation: PatchSituation, rng: np.random.Generator,
 
 def _rates(situation: PatchSituation, rng: np.random.Generator, trials: int) -> Array:
     """Return drawn estimates: means of every frame with noise, pattern and fluctuation, through curve and dark."""
-    estimate, count = situation.estimate, int(situation.good.sum())
+    estimate, count = situation.shown.estimate, int(situation.shown.good.sum())
     rates = np.zeros(trials)
     curve_counts = not situation.shares_level  # at the calibration's level its error drops out
     curve = rng.standard_normal(trials)  # one draw: the curve's error is taken as the same at all its numbers
     common_dark = rng.standard_normal(trials)
     for c, frame, dark, expected in zip(
-        estimate.coefficients, situation.frames, situation.dark, estimate.expected, strict=True
+        estimate.coefficients, situation.shown.frames, situation.shown.dark, estimate.expected, strict=True
     ):
-        mean = float(frame.signal[situation.good].mean())
+        mean = float(frame.signal[situation.shown.good].mean())
         noise = np.sqrt(float(situation.model.variance(expected, frame.settings)) / count)
         fluctuation = estimate.fluctuation_rel * expected
         drawn = mean + noise * rng.standard_normal(trials)

@@ -125,7 +125,7 @@ def patch_situation(
     field = _field(camera, settled.lens, shape, patch)
     conditions = _conditions(estimate, chosen, settled, surround, place, field)
     scale, stray = _corrected_scale(settled.scale, surround, conditions, calibration)
-    shown = Shown(estimate, tuple(chosen), tuple(dark), exposures, good, len(light), _unsteady(light))
+    shown = Shown(estimate, tuple(chosen), tuple(dark), good, len(light), _unsteady(light))
     falloff = _falloff(calibration, camera, settled.lens, chosen, place)
     return PatchSituation(settled, shown, scale, conditions, surround, falloff, now or dt.datetime.now(dt.UTC), stray)
 
@@ -257,7 +257,7 @@ def _lens_factors(
 
 def _reading(situation: PatchSituation, patch: Patch, sequence: int) -> Reading:
     settled, camera = situation.settled, situation.settled.setup.camera
-    calibration, estimate = situation.calibration, situation.estimate
+    calibration, estimate = situation.calibration, situation.shown.estimate
     value = situation.value
     terms = budget_terms(situation)
     absolute = calibration is not None and calibration.absolute
@@ -267,7 +267,7 @@ def _reading(situation: PatchSituation, patch: Patch, sequence: int) -> Reading:
         patch=patch,
         instrument=camera.serial or camera.model or "unknown",
         flags=reading_flags(situation, terms),
-        exposures_s=tuple(sorted({one.settings.exposure_s for one in situation.frames})),
+        exposures_s=tuple(sorted({one.settings.exposure_s for one in situation.shown.frames})),
         budget=tuple(term.contribution(value) for term in terms),
         sequence=sequence,
         coverage_factor=coverage_factor(freedom),
@@ -277,11 +277,11 @@ def _reading(situation: PatchSituation, patch: Patch, sequence: int) -> Reading:
             "maximum-likelihood patch estimate",
             assumptions=(
                 *settled.assumptions,
-                *white_level_notes(one.settings.white_level for one in situation.frames),
+                *white_level_notes(one.settings.white_level for one in situation.shown.frames),
             ),
             parameters={
                 "frames": situation.shown.light_frames,
-                "frames_used": len(situation.frames),
+                "frames_used": len(situation.shown.frames),
                 "fluctuation_rel": estimate.fluctuation_rel,
             },
         ),

@@ -20,31 +20,18 @@ Projection = Literal["equidistant", "equisolid", "orthographic", "stereographic"
 
 @dataclass(frozen=True, slots=True)
 class RegionFigures:
-    """Figures of one region; units are the map's.
+    """Figures of one region; units are the map's."""
 
-    Attributes:
-        name: Its name.
-        patch: Where it is.
-        mean: Mean of the good pixels.
-        median: Median of them.
-        lowest: Least mean over a box.
-        highest: Greatest mean over a box.
-        deviation: Standard deviation over the pixels, their noise taken off.
-        uniformity: Lowest over highest.
-        good_share: Share of pixels with a value.
-        flags: What makes a figure doubtful, a sentence each.
-    """
-
-    name: str
-    patch: Patch
-    mean: Quantity
-    median: Quantity
-    lowest: Quantity
-    highest: Quantity
-    deviation: Quantity
-    uniformity: Quantity
-    good_share: float
-    flags: tuple[str, ...] = ()
+    name: str  # its name
+    patch: Patch  # where it is
+    mean: Quantity  # mean of the good pixels
+    median: Quantity  # median of them
+    lowest: Quantity  # least mean over a box
+    highest: Quantity  # greatest mean over a box
+    deviation: Quantity  # standard deviation over the pixels, their noise taken off
+    uniformity: Quantity  # lowest over highest
+    good_share: float  # share of pixels with a value
+    flags: tuple[str, ...] = ()  # what makes a figure doubtful, a sentence each
 
 
 def region_figures(found: RadianceMap, name: str, patch: Patch, box_px: int = 5) -> RegionFigures:

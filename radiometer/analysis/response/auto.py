@@ -49,17 +49,11 @@ _LEAST_GAIN_OF_TIMES = 0.9
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Judged:
-    """A fit and its rivals.
+    """A fit and its rivals."""
 
-    Attributes:
-        best: The fit that predicts best.
-        other_smoothness: Fits with another λ that predict as well.
-        other_labels: Fits with another label freed that predict as well.
-    """
-
-    best: FittedResponse
-    other_smoothness: tuple[FittedResponse, ...] = ()
-    other_labels: tuple[FittedResponse, ...] = ()
+    best: FittedResponse  # the fit that predicts best
+    other_smoothness: tuple[FittedResponse, ...] = ()  # fits with another λ that predict as well
+    other_labels: tuple[FittedResponse, ...] = ()  # fits with another label freed that predict as well
 
     def u_among(self, rivals: tuple[FittedResponse, ...]) -> Array:
         """Return the rms distance of g − g(M_mid) of the best and its rivals from the best: any of them may be true."""
@@ -104,12 +98,7 @@ def judge_by_prediction(
 
 
 def without_frames(samples: ResponseSamples, found: FittedResponse) -> Iterator[tuple[int, FittedResponse]]:
-    """Yield every n-th frame's fold and the fit without it, for each n-th.
-
-    Args:
-        samples: The rows.
-        found: The fit to all of them.
-    """
+    """Yield every n-th frame's fold and the fit without it, for each n-th."""
     folds = frame_folds(samples)
     for fold in range(folds if samples.frame_log_time.size > 2 else 0):
         keep = samples.frame % folds != fold
@@ -182,7 +171,7 @@ def recover_response_auto(brackets: Bracket | Sequence[Bracket]) -> ResponseEsti
 
     Source: restricted likelihood of smoothing, Wood 2011, J. R. Stat. Soc. B 73, 3–36; noise after EMVA 1288.
     """
-    return solve_auto(gather_samples(brackets))
+    return solve_colours_auto([gather_samples(brackets)])[0]
 
 
 def recover_colours_auto(colours: Sequence[Bracket | Sequence[Bracket]]) -> list[ResponseEstimate]:
@@ -211,11 +200,6 @@ def solve_colours_auto(samples: Sequence[ResponseSamples]) -> list[ResponseEstim
     # A colour by itself finds its labels again; several hold each other to what they found together.
     known = tuple(label.log_ratio for label in found.wrong) if len(planes) > 1 else ()
     return [_estimate(plane, found, known) for plane in planes]
-
-
-def solve_auto(samples: ResponseSamples) -> ResponseEstimate:
-    """Recover the response from gathered samples; see `recover_response_auto`."""
-    return solve_colours_auto([samples])[0]
 
 
 def _estimate(plane: Plane, exposures: Exposures, known: tuple[tuple[float, float], ...]) -> ResponseEstimate:

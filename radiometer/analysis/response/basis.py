@@ -33,14 +33,10 @@ class ValueBasis:
     Cubic B-splines on u(M) = ln[(M − M_min + a)/(M_max − M + a)]: over this u, g is nearly straight for gamma, linear
     and sigmoid responses alike. The knots are where ln H bends, close to black and to saturation. The number of
     unknowns is the same at 8 and at 16 bits.
-
-    Attributes:
-        bit_depth: Bits per digital number.
-        limits: Black and saturation level.
     """
 
-    bit_depth: int
-    limits: ValueLimits
+    bit_depth: int  # bits per digital number
+    limits: ValueLimits  # black and saturation level
 
     @property
     def size(self) -> int:

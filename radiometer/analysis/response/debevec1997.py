@@ -23,9 +23,8 @@ METHOD = "debevec1997"
 _CLEAR_HAT = 0.08
 
 
-def recover_response_debevec1997(
-    brackets: Bracket | Sequence[Bracket], *, smoothing: float | None = None
-) -> ResponseEstimate:
+@on_one_blas_thread
+def recover_response_debevec1997(brackets: Bracket | Sequence[Bracket]) -> ResponseEstimate:
     """Recover g(M) = ln f⁻¹(M) with its standard uncertainty by Debevec and Malik's method.
 
     Minimises Σ_p Σ_i { w(M_pi) [ g(M_pi) − ln E_p − ln t_i ] }² + λ Σ_m [ w(m) g''(m) ]², g(M_mid) = 0, with the
@@ -38,7 +37,6 @@ def recover_response_debevec1997(
 
     Args:
         brackets: One bracket or several taken with the same response, 8 to 16 bits.
-        smoothing: λ relative to tr(N)/tr(P), dimensionless, above 0; None to have it chosen.
 
     Returns:
         The curve, relative, with g(M_mid) = 0, and its diagnostics.
@@ -49,14 +47,9 @@ def recover_response_debevec1997(
 
     Source: P. Debevec, J. Malik, SIGGRAPH 97, equations (3) and (4).
     """
-    return solve_debevec1997(gather_samples(brackets), smoothing=smoothing)
-
-
-@on_one_blas_thread
-def solve_debevec1997(samples: ResponseSamples, *, smoothing: float | None = None) -> ResponseEstimate:
-    """Recover the response from gathered samples; see `recover_response_debevec1997`."""
+    samples = gather_samples(brackets)
     samples = without_noise_shift(samples, curve_debevec1997(samples))
-    curve, normal, solution = _solve(samples, smoothing)
+    curve, normal, solution = _solve(samples, None)
     parts = [samples.third(k) for k in range(3)] if samples.group_count >= 60 else []
     thirds = [_solve(part, solution.smoothing, of_pixels=True)[0] for part in parts]
     residual = normal.residuals(solution.coefficients)
@@ -74,6 +67,7 @@ def solve_debevec1997(samples: ResponseSamples, *, smoothing: float | None = Non
 def curve_debevec1997(samples: ResponseSamples, *, smoothing: float | None = None) -> ResponseCurve:
     """Return the curve alone, for methods that start from it: from values clear of black and saturation.
 
+    λ, relative to tr(N)/tr(P), may be given.
     A plateau close to white (film, some tone curves) would bend the whole curve by a wave of one stop's period.
     """
     try:
@@ -83,12 +77,7 @@ def curve_debevec1997(samples: ResponseSamples, *, smoothing: float | None = Non
 
 
 def without_noise_shift(samples: ResponseSamples, first: ResponseCurve) -> ResponseSamples:
-    """Return the samples with every mean digital number replaced by that of the mean exposure.
-
-    Args:
-        samples: The rows.
-        first: A first estimate of the curve.
-    """
+    """Return the samples with every mean digital number replaced by that of the mean exposure."""
     shifted = mean_exposure_dn(samples.dn, samples.variance, first.log_exposure, samples.limits)
     return replace(samples, dn=np.clip(shifted, samples.limits.black_dn, samples.limits.saturated_dn))
 

@@ -28,42 +28,26 @@ _LEAST_DISTANCE: Final = 0.2
 
 @dataclass(frozen=True, slots=True)
 class RangePoint:
-    """A region brought to the reference value.
+    """A region brought to the reference value."""
 
-    Attributes:
-        dn: Its digital number in the reference photograph; may be a mean over the region.
-        exposure_s: Time t' in s of the photograph that shows it at the reference value.
-        landed_dn: Digital number that it came out at there; None where that is the reference value itself.
-    """
-
-    dn: float
-    exposure_s: float
+    dn: float  # its digital number in the reference photograph; may be a mean over the region
+    exposure_s: float  # time t' in s of the photograph that shows it at the reference value
+    # Digital number that it came out at there; None where that is the reference value itself
     landed_dn: float | None = None
 
 
 @dataclass(frozen=True, slots=True)
 class DynamicRange:
-    """What the regions say of a curve.
+    """What the regions say of a curve."""
 
-    Attributes:
-        exponent: γ by which ln H of the curve is to be multiplied.
-        u_exponent: Its standard uncertainty.
-        points: The regions.
-        reference_dn: Reference value M_ref.
-        reference_s: Exposure time of the reference photograph in s.
-        log_steps: ln(t/t') of every region: ln H(M) − ln H_ref.
-        u_log_steps: Standard uncertainty of ln H(M) − ln H_ref, from reading both digital numbers.
-        reduced_chi2: Scatter of the regions' own exponents about γ; None for a single one.
-    """
-
-    exponent: float
-    u_exponent: float
-    points: tuple[RangePoint, ...]
-    reference_dn: float
-    reference_s: float
-    log_steps: tuple[float, ...]
-    u_log_steps: tuple[float, ...]
-    reduced_chi2: float | None
+    exponent: float  # γ by which ln H of the curve is to be multiplied
+    u_exponent: float  # its standard uncertainty
+    points: tuple[RangePoint, ...]  # the regions
+    reference_dn: float  # reference value M_ref
+    reference_s: float  # exposure time of the reference photograph in s
+    log_steps: tuple[float, ...]  # ln(t/t') of every region: ln H(M) − ln H_ref
+    u_log_steps: tuple[float, ...]  # standard uncertainty of ln H(M) − ln H_ref, from reading both digital numbers
+    reduced_chi2: float | None  # scatter of the regions' own exponents about γ; None for a single one
 
     def to_mapping(self) -> dict[str, Any]:
         """Return plain values for JSON and provenance."""

@@ -22,80 +22,46 @@ _NARROW_STOPS = 3.0
 
 @dataclass(frozen=True, slots=True)
 class Stability:
-    """How far curves from disjoint thirds of the pixels differ.
+    """How far curves from disjoint thirds of the pixels differ."""
 
-    Attributes:
-        rms_log: Root mean square difference of ln H over 5–95 % of the valid digital numbers.
-        largest_log: Largest difference there.
-        reduced_chi2: Mean squared difference in units of the stated uncertainties; about 1 where these are honest.
-    """
-
-    rms_log: float
-    largest_log: float
-    reduced_chi2: float
+    rms_log: float  # root mean square difference of ln H over 5–95 % of the valid digital numbers
+    largest_log: float  # largest difference there
+    reduced_chi2: float  # mean squared difference in units of the stated uncertainties; about 1 where these are honest
 
 
 @dataclass(frozen=True, slots=True)
 class Agreement:
-    """How far the curves from separate parts of the data differ.
+    """How far the curves from separate parts of the data differ."""
 
-    Attributes:
-        quadrants_rms_log: Root mean square distance, in ln H over 5–95 % of the valid digital numbers, of the curves
-            without one quadrant of the picture from their mean. It is scaled to what a quarter of the picture alone
-            would show.
-        frames_rms_log: The same for the curves without one frame (or some).
-    """
-
+    # Root mean square distance, in ln H over 5–95 % of the valid digital numbers, of the curves without one quadrant of
+    # the picture from their mean. It is scaled to what a quarter of the picture alone would show.
     quadrants_rms_log: float
-    frames_rms_log: float
+    frames_rms_log: float  # the same for the curves without one frame (or some)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ResponseEstimate:
-    """A recovered response with its diagnostics.
+    """A recovered response with its diagnostics."""
 
-    Attributes:
-        curve: The curve, gauge g(M_mid) = 0.
-        method: Name in the registry.
-        pixel_count: Pixels that were used.
-        group_count: Sets of equally bright pixels that they were gathered into.
-        sample_count: Unclipped values (pixels × frames) behind the curve.
-        residual_rms_log: Root mean square of ln H residuals, weighted as the method weights them.
-        smoothing: The λ (or order) that was chosen; its meaning is the method's own.
-        stability: Agreement of disjoint thirds of the pixels; None where there were too few.
-        exposure_ratios: Exposure of every frame relative to the one before, as recovered.
-        u_exposure_ratios: Standard uncertainty of these ratios; 0 where they were taken as given.
-        gauge: What the data could not fix and how it was fixed.
-        notes: Things a user must know, in plain sentences.
-        details: Further figures of the method.
-        agreement: Agreement of parts of the picture and of the frames; None where there were too few.
-    """
-
-    curve: ResponseCurve
-    method: str
-    pixel_count: int
-    group_count: int
-    sample_count: int
-    residual_rms_log: float
-    smoothing: float
-    stability: Stability | None
-    exposure_ratios: NDArray[np.float64]
-    u_exposure_ratios: NDArray[np.float64]
-    gauge: str = "g(M_mid) = 0; exposure ratios as given"
-    notes: tuple[str, ...] = ()
-    details: dict[str, Any] = field(default_factory=dict)
+    curve: ResponseCurve  # the curve, gauge g(M_mid) = 0
+    method: str  # name in the registry
+    pixel_count: int  # pixels that were used
+    group_count: int  # sets of equally bright pixels that they were gathered into
+    sample_count: int  # unclipped values (pixels × frames) behind the curve
+    residual_rms_log: float  # root mean square of ln H residuals, weighted as the method weights them
+    smoothing: float  # the λ (or order) that was chosen; its meaning is the method's own
+    stability: Stability | None  # agreement of disjoint thirds of the pixels; None where there were too few
+    exposure_ratios: NDArray[np.float64]  # exposure of every frame relative to the one before, as recovered
+    u_exposure_ratios: NDArray[np.float64]  # standard uncertainty of these ratios; 0 where they were taken as given
+    gauge: str = "g(M_mid) = 0; exposure ratios as given"  # what the data could not fix and how it was fixed
+    notes: tuple[str, ...] = ()  # things a user must know, in plain sentences
+    details: dict[str, Any] = field(default_factory=dict)  # further figures of the method
+    # Agreement of parts of the picture and of the frames; None where there were too few
     agreement: Agreement | None = None
 
     @classmethod
     def of(cls, samples: ResponseSamples, curve: ResponseCurve, method: str, **more: Any) -> ResponseEstimate:
-        """Return what a method recovered from samples, with their exposure ratios as given unless it says otherwise.
-
-        Args:
-            samples: All rows behind the curve.
-            curve: The curve.
-            method: Name in the registry.
-            more: The other attributes.
-        """
+        """Return what a method recovered from samples, with their exposure ratios as given unless it says otherwise."""
         times = samples.frame_log_time
         counted: dict[str, Any] = {
             "pixel_count": samples.pixel_count,

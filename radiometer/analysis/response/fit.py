@@ -36,27 +36,16 @@ _UNDETERMINED = (
 
 @dataclass(frozen=True, slots=True, eq=False)
 class NormalEquations:
-    """Normal equations N·c = q of Σ w (X·c − y − e_group)² with every e_group at its best value.
+    """Normal equations N·c = q of Σ w (X·c − y − e_group)² with every e_group at its best value."""
 
-    Attributes:
-        matrix: N, shape (k, k).
-        right: q, shape (k,).
-        square: Σ w (y − ȳ_group)².
-        freedom: Rows minus groups.
-        centred: X with its weighted group means taken away, shape (rows, k): the rows that remain.
-        target: y with its weighted group mean taken away, shape (rows,).
-        weight: w, shape (rows,).
-        group: Group of every row, ascending.
-    """
-
-    matrix: Array
-    right: Array
-    square: float
-    freedom: int
-    centred: Array
-    target: Array
-    weight: Array
-    group: NDArray[np.intp]
+    matrix: Array  # N, shape (k, k)
+    right: Array  # q, shape (k,)
+    square: float  # Σ w (y − ȳ_group)²
+    freedom: int  # rows minus groups
+    centred: Array  # X with its weighted group means taken away, shape (rows, k): the rows that remain
+    target: Array  # y with its weighted group mean taken away, shape (rows,)
+    weight: Array  # w, shape (rows,)
+    group: NDArray[np.intp]  # group of every row, ascending
 
     def residuals(self, solution: Array) -> Array:
         """Return y − X·c + e of every row at a solution, each group's e at its best value."""
@@ -107,21 +96,13 @@ def eliminate_groups(design: sp.csr_array, target: Array, weight: Array, group: 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PenalisedSolution:
-    """Solution of (N + λP)·c = q under the gauge b·c = 0.
+    """Solution of (N + λP)·c = q under the gauge b·c = 0."""
 
-    Attributes:
-        coefficients: c, shape (k,).
-        inverse: (N + λP + gauge)⁻¹, shape (k, k).
-        smoothing: λ.
-        residual_variance: Weighted residual variance with the effective number of parameters taken off.
-        effective_parameters: Trace of the smoother.
-    """
-
-    coefficients: Array
-    inverse: Array
-    smoothing: float
-    residual_variance: float
-    effective_parameters: float
+    coefficients: Array  # c, shape (k,)
+    inverse: Array  # (N + λP + gauge)⁻¹, shape (k, k)
+    smoothing: float  # λ
+    residual_variance: float  # weighted residual variance with the effective number of parameters taken off
+    effective_parameters: float  # trace of the smoother
 
 
 def solve_penalised(
@@ -187,30 +168,18 @@ def _finish(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ResponseFit:
-    """A fitted response.
+    """A fitted response."""
 
-    Attributes:
-        coefficients: Of the basis.
-        inverse: Posterior covariance of the coefficients (and time errors), shape (k, k).
-        normal: The normal equations that were solved.
-        smoothing: λ relative to tr(N)/tr(P).
-        time_spread: Relative standard deviation of the exposure times that was assumed; 0 where taken as exact.
-        time_modes: Amplitudes of the patterns in the exposure times; empty where exact.
-        patterns: ln of true over stated time that one unit of each amplitude makes in every frame, shape
-            (frames, modes).
-        basis_size: Number of coefficients that belong to the curve.
-        reduced_chi2: Of the residuals.
-    """
-
-    coefficients: Array
-    inverse: Array
-    normal: NormalEquations
-    smoothing: float
-    time_spread: float
-    time_modes: Array
+    coefficients: Array  # of the basis
+    inverse: Array  # posterior covariance of the coefficients (and time errors), shape (k, k)
+    normal: NormalEquations  # the normal equations that were solved
+    smoothing: float  # λ relative to tr(N)/tr(P)
+    time_spread: float  # relative standard deviation of the exposure times that was assumed; 0 where taken as exact
+    time_modes: Array  # amplitudes of the patterns in the exposure times; empty where exact
+    # Ln of true over stated time that one unit of each amplitude makes in every frame, shape (frames, modes)
     patterns: Array
-    basis_size: int
-    reduced_chi2: float
+    basis_size: int  # number of coefficients that belong to the curve
+    reduced_chi2: float  # of the residuals
 
     @property
     def log_time_errors(self) -> Array:
@@ -285,7 +254,6 @@ def fit_response(
     λ and, where the data call for it, the spread of the exposure times maximise the restricted likelihood.
 
     Args:
-        samples: The rows.
         dn: Their digital numbers (of the mean exposure), shape (rows,).
         variance: Variance of ln H of every row, shape (rows,).
         time_spread: Relative standard deviation of the exposure times; 0 for exact ones, None to decide by the data.

@@ -127,11 +127,7 @@ def exposure_label(bracket: Bracket, index: int) -> str:
 
 
 def exposure_labels(bracket: Bracket) -> list[str]:
-    """Return what a user knows every exposure by: as it is stated, and its file where it has one.
-
-    Args:
-        bracket: The frames.
-    """
+    """Return what a user knows every exposure by: as it is stated, and its file where it has one."""
     files = [f" ({frame.extra['file']})" if "file" in frame.extra else "" for frame in bracket.light]
     return [exposure_label(bracket, index) + file for index, file in enumerate(files)]
 

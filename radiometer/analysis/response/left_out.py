@@ -50,12 +50,7 @@ def error_dn(errors: Array) -> float:
 
 
 def dial_step_dn(samples: ResponseSamples, log_exposure: Array) -> float:
-    """Return by how many DN a third of a stop more would change the rows, in the mean.
-
-    Args:
-        samples: The rows.
-        log_exposure: g at every digital number.
-    """
+    """Return by how many DN a third of a stop more would change the rows, in the mean."""
     brighter = dn_at(log_exposure, value_at(log_exposure, samples.dn) + _DIAL_STEP)
     return float(np.mean(np.abs(brighter - samples.dn)))
 
@@ -65,7 +60,6 @@ def follow_no_curve(error: float, samples: ResponseSamples, log_exposure: Array)
 
     Args:
         error: Mean size in DN of the error with which rows are predicted from other frames.
-        samples: The rows.
         log_exposure: g at every digital number.
     """
     noise_dn = float(np.mean(np.sqrt(samples.variance / samples.pixels)))

@@ -32,15 +32,10 @@ _PIXELS: Final = 50_000  # so many show the ends of a histogram; more cost time 
 
 @dataclass(frozen=True, slots=True)
 class ValueLimits:
-    """Digital numbers that carry no information.
+    """Digital numbers that carry no information."""
 
-    Attributes:
-        black_dn: Values at or below are black (clipped, or the black level itself).
-        saturated_dn: Values at or above are saturated.
-    """
-
-    black_dn: int
-    saturated_dn: int
+    black_dn: int  # values at or below are black (clipped, or the black level itself)
+    saturated_dn: int  # values at or above are saturated
 
 
 def find_limits(brackets: Sequence[Bracket]) -> ValueLimits:

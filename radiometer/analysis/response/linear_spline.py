@@ -29,6 +29,7 @@ _NEARLY_LINEAR = 0.005
 _LEAST_U_LOG = 1e-4
 
 
+@on_one_blas_thread
 def recover_response_linear_spline(brackets: Bracket | Sequence[Bracket]) -> ResponseEstimate:
     """Recover g(M) = ln(M − M_black) + s(M) with a cubic spline s that is zero unless the data call for it.
 
@@ -47,12 +48,7 @@ def recover_response_linear_spline(brackets: Bracket | Sequence[Bracket]) -> Res
 
     Source: own; the penalised spline after Eilers & Marx 1996, Stat. Sci. 11, 89–121.
     """
-    return solve_linear_spline(gather_samples(brackets))
-
-
-@on_one_blas_thread
-def solve_linear_spline(samples: ResponseSamples) -> ResponseEstimate:
-    """Recover the response from gathered samples; see `recover_response_linear_spline`."""
+    samples = gather_samples(brackets)
     black = _black(samples)
     finer = curve_debevec1997(samples)
     curve, normal, solution = _solve(samples, black, finer=finer)

@@ -46,23 +46,14 @@ def method_names(choice: str) -> list[str]:
 
 @dataclass(frozen=True, slots=True)
 class Disagreement:
-    """The difference of two curves over 5–95 % of the values that both support, a common offset taken out.
+    """The difference of two curves over 5–95 % of the values that both support, a common offset taken out."""
 
-    Attributes:
-        first: Method of the one curve.
-        second: Method of the other.
-        channel: Colour channel.
-        rms_log: Root mean square difference of ln H.
-        largest_sigma: Largest difference in units of both uncertainties together.
-        at_dn: Digital number of that largest difference.
-    """
-
-    first: str
-    second: str
-    channel: str
-    rms_log: float
-    largest_sigma: float
-    at_dn: int
+    first: str  # method of the one curve
+    second: str  # method of the other
+    channel: str  # colour channel
+    rms_log: float  # root mean square difference of ln H
+    largest_sigma: float  # largest difference in units of both uncertainties together
+    at_dn: int  # digital number of that largest difference
 
     def to_mapping(self) -> dict[str, Any]:
         """Return the plain mapping for JSON."""

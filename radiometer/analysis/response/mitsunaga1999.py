@@ -45,32 +45,21 @@ _GOOD_FIT = 0.01
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Pairs:
-    """Groups seen in two frames that follow one another, one row each.
+    """Groups seen in two frames that follow one another, one row each."""
 
-    Attributes:
-        shorter: Digital number of the mean exposure in the shorter frame, shape (rows,).
-        longer: In the longer frame.
-        pair: Index of the pair among `frames`.
-        sigma: Standard deviation of the difference of ln H.
-        group: Group of pixels.
-        nominal_log_ratio: ln of longer over shorter stated exposure of every pair, shape (pairs,).
-        frames: Index of every pair's shorter frame.
-    """
-
-    shorter: Array
-    longer: Array
-    pair: NDArray[np.intp]
-    sigma: Array
-    group: NDArray[np.intp]
-    nominal_log_ratio: Array
-    frames: NDArray[np.intp]
+    shorter: Array  # digital number of the mean exposure in the shorter frame, shape (rows,)
+    longer: Array  # in the longer frame
+    pair: NDArray[np.intp]  # index of the pair among `frames`
+    sigma: Array  # standard deviation of the difference of ln H
+    group: NDArray[np.intp]  # group of pixels
+    nominal_log_ratio: Array  # ln of longer over shorter stated exposure of every pair, shape (pairs,)
+    frames: NDArray[np.intp]  # index of every pair's shorter frame
 
     @classmethod
     def of(cls, samples: ResponseSamples, start: Array, frames: NDArray[np.intp] | None = None) -> Pairs:
         """Return the pairs of a set of samples.
 
         Args:
-            samples: The rows.
             start: A first estimate of g at every digital number.
             frames: Shorter frames of the requested pairs; None for all that occur.
         """
@@ -115,17 +104,11 @@ class Pairs:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Gauge:
-    """What fixes the exponent γ of curve and ratios.
+    """What fixes the exponent γ of curve and ratios."""
 
-    Attributes:
-        held: ln ratio of the pairs that are known, by their position.
-        total: Sum of all ln ratios that is held; None where ratios are known.
-        text: The same in words.
-    """
-
-    held: dict[int, float]
-    total: float | None
-    text: str
+    held: dict[int, float]  # ln ratio of the pairs that are known, by their position
+    total: float | None  # sum of all ln ratios that is held; None where ratios are known
+    text: str  # the same in words
 
     @classmethod
     def of(cls, pairs: Pairs, known: Mapping[int, float] | None) -> Gauge:
@@ -159,13 +142,7 @@ class Gauge:
 
 
 def with_log_ratios(samples: ResponseSamples, pairs: Pairs, log_ratios: Array) -> ResponseSamples:
-    """Return the samples with exposure times that have these ratios; the first of every bracket stays.
-
-    Args:
-        samples: The rows.
-        pairs: Their pairs.
-        log_ratios: ln ratio of every pair.
-    """
+    """Return the samples with exposure times that have these ratios; the first of every bracket stays."""
     step = np.diff(samples.frame_log_time)
     step[pairs.frames] = log_ratios
     times = samples.frame_log_time[0] + np.concatenate([[0.0], np.cumsum(step)])
@@ -174,21 +151,13 @@ def with_log_ratios(samples: ResponseSamples, pairs: Pairs, log_ratios: Array) -
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Polynomial:
-    """f = 1 + Σ c_n (T_n(2x − 1) − T_n(2x_mid − 1)) and its exposure ratios.
+    """f = 1 + Σ c_n (T_n(2x − 1) − T_n(2x_mid − 1)) and its exposure ratios."""
 
-    Attributes:
-        argument: x at every digital number, rising from 0 to 1.
-        coefficients: c_n for n = 1 … order.
-        log_ratios: ln of longer over shorter exposure of every pair.
-        residual_rms: Root mean square of the residuals in ln H, weighted by their noise.
-        reduced_chi2: Of the residuals.
-    """
-
-    argument: Array
-    coefficients: Array
-    log_ratios: Array
-    residual_rms: float = float("nan")
-    reduced_chi2: float = float("nan")
+    argument: Array  # x at every digital number, rising from 0 to 1
+    coefficients: Array  # c_n for n = 1 … order
+    log_ratios: Array  # ln of longer over shorter exposure of every pair
+    residual_rms: float = float("nan")  # root mean square of the residuals in ln H, weighted by their noise
+    reduced_chi2: float = float("nan")  # of the residuals
 
     def values(self, dn: Array) -> Array:
         """Return f at digital numbers, whole or not."""
@@ -327,6 +296,7 @@ def _like(argument: Array, order: int, start: Array, pairs: Pairs) -> Array:
     return solve(rows, (np.exp(g) - 1.0) * shrink)
 
 
+@on_one_blas_thread
 def recover_response_mitsunaga1999(
     brackets: Bracket | Sequence[Bracket], *, known_ratios: Mapping[int, float] | None = None
 ) -> ResponseEstimate:
@@ -357,19 +327,7 @@ def recover_response_mitsunaga1999(
 
     Source: T. Mitsunaga, S. K. Nayar, CVPR 1999, equations (5)–(10).
     """
-    return solve_mitsunaga1999(gather_samples(brackets), known_ratios=known_ratios)
-
-
-@on_one_blas_thread
-def solve_mitsunaga1999(
-    samples: ResponseSamples, *, known_ratios: Mapping[int, float] | None = None
-) -> ResponseEstimate:
-    """Recover the response from gathered samples; see `recover_response_mitsunaga1999`.
-
-    Raises:
-        MeasurementError: If no order gives a rising curve.
-        UsageError: If a known ratio names no pair or is not above 1.
-    """
+    samples = gather_samples(brackets)
     situation = _settled(samples, known_ratios)
     argument, order = _best(situation)
     here = situation.fit(argument, order)

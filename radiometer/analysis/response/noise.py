@@ -28,18 +28,12 @@ class LogNoise:
 
     A mean of n pixels has 1/n of that, plus (q + d)·g'² that does not average. Here q is the rounding error where the
     noise does not dither it. d is any other common error (misregistration, compression).
-
-    Attributes:
-        shot: a, the inverse number of electrons at H = 1.
-        read: b, the read noise at H = 1, squared.
-        digital: c in DN², noise that arises after the response curve, rounding left out.
-        common: d in DN².
     """
 
-    shot: float
-    read: float
-    digital: float
-    common: float
+    shot: float  # a, the inverse number of electrons at H = 1
+    read: float  # b, the read noise at H = 1, squared
+    digital: float  # c in DN², noise that arises after the response curve, rounding left out
+    common: float  # d in DN²
 
     def variance(self, log_exposure: Array, slope: Array, pixels: Array) -> Array:
         """Return the variance of ln H of group means.
@@ -138,7 +132,6 @@ def noise_of(samples: ResponseSamples, dn: Array, log_exposure: Array) -> LogNoi
     """Return the noise behind the residuals of a first curve, every group's ln E at its hat-weighted mean.
 
     Args:
-        samples: The rows.
         dn: Their digital numbers (of the mean exposure), shape (rows,).
         log_exposure: The first curve, g at every digital number.
     """
@@ -157,7 +150,6 @@ def group_residual(samples: ResponseSamples, log_exposure: Array, weight: Array)
     """Return ln H − ln t − ln E of every row, and the row's share in its group's ln E.
 
     Args:
-        samples: The rows.
         log_exposure: ln H of every row, shape (rows,).
         weight: Weight of every row, shape (rows,).
     """
@@ -175,7 +167,6 @@ def row_variance(samples: ResponseSamples, dn: Array, log_exposure: Array, noise
     describes: rows fade out there. Nowhere is a mean trusted beyond the truth of the spline itself.
 
     Args:
-        samples: The rows.
         dn: Their digital numbers (of the mean exposure), shape (rows,).
         log_exposure: g at every digital number.
         noise: Noise of the stack.

@@ -32,21 +32,13 @@ _ALIKE: Final = 1e-13
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SinglePixels:
-    """Some thousand pixels evenly over the picture, each with its rows by frame.
+    """Some thousand pixels evenly over the picture, each with its rows by frame."""
 
-    Attributes:
-        samples: One group per pixel.
-        row: Row of the picture of every group, shape (groups,).
-        column: Column of every group.
-        log_h: g at the rows' digital numbers, shape (rows,).
-        slope: g' in 1/DN there.
-    """
-
-    samples: ResponseSamples
-    row: NDArray[np.intp]
-    column: NDArray[np.intp]
-    log_h: Array
-    slope: Array
+    samples: ResponseSamples  # one group per pixel
+    row: NDArray[np.intp]  # row of the picture of every group, shape (groups,)
+    column: NDArray[np.intp]  # column of every group
+    log_h: Array  # g at the rows' digital numbers, shape (rows,)
+    slope: Array  # g' in 1/DN there
 
     @classmethod
     def of(cls, bracket: Bracket, curve: ResponseCurve) -> SinglePixels:
@@ -69,17 +61,11 @@ class SinglePixels:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TermsFit:
-    """Amplitudes of terms of the variance, fitted to squared residuals.
+    """Amplitudes of terms of the variance, fitted to squared residuals."""
 
-    Attributes:
-        amplitudes: At or above 0, shape (terms,).
-        information: Weighted normal matrix, shape (terms, terms).
-        score: Each row's part in the normal equations at the solution, shape (rows, terms).
-    """
-
-    amplitudes: Array
-    information: Array
-    score: Array
+    amplitudes: Array  # at or above 0, shape (terms,)
+    information: Array  # weighted normal matrix, shape (terms, terms)
+    score: Array  # each row's part in the normal equations at the solution, shape (rows, terms)
 
     def covariance(self, part: NDArray[np.intp]) -> Array:
         """Return the covariance of the amplitudes from how far parts of the picture are from it.

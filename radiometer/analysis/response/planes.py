@@ -20,30 +20,19 @@ _FEWEST_ROWS: Final = 4
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Plane:
-    """One colour of the photographs.
+    """One colour of the photographs."""
 
-    Attributes:
-        samples: Its rows, with their quadrants.
-        start: A first estimate of g at every digital number, rising.
-    """
-
-    samples: ResponseSamples
-    start: Array
+    samples: ResponseSamples  # its rows, with their quadrants
+    start: Array  # a first estimate of g at every digital number, rising
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class JointFit:
-    """A curve for every plane under exposures that all of them share.
+    """A curve for every plane under exposures that all of them share."""
 
-    Attributes:
-        fits: The fits, each at the shared exposures of the freed labels.
-        log_ratios: ln of real over stated exposure of the freed labels.
-        u_log_ratios: Their standard uncertainties, from the fits and from how far the planes disagree.
-    """
-
-    fits: tuple[FittedResponse, ...]
-    log_ratios: Array
-    u_log_ratios: Array
+    fits: tuple[FittedResponse, ...]  # the fits, each at the shared exposures of the freed labels
+    log_ratios: Array  # ln of real over stated exposure of the freed labels
+    u_log_ratios: Array  # their standard uncertainties, from the fits and from how far the planes disagree
 
     @classmethod
     def of(cls, fits: Sequence[FittedResponse]) -> JointFit:
@@ -75,9 +64,6 @@ def determines_labels(fitted: FittedResponse) -> bool:
     The curve and the exposures may both be multiplied by any power: what holds the exponent are pixels that two frames
     with trusted labels show. Where hardly any are, least squares takes a flat curve and makes all exposures equal, sure
     of it. A row or two of the freed frame itself may be strays.
-
-    Args:
-        fitted: A fit with freed labels.
     """
     rows, freed = fitted.samples, np.array(fitted.choices.free)
     trusted = ~np.isin(rows.frame, freed)
@@ -110,15 +96,11 @@ def without_shares(planes: Sequence[Plane], joint: JointFit) -> list[JointFit]:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LeftOut:
-    """How well the digital numbers of each share are predicted by fits that have not seen it.
+    """How well the digital numbers of each share are predicted by fits that have not seen it."""
 
-    Attributes:
-        error_dn: Sum of the sizes of the errors of each share's rows by frame, over all planes, shape (shares, frames).
-        rows: How many rows these are, likewise.
-    """
-
+    # Sum of the sizes of the errors of each share's rows by frame, over all planes, shape (shares, frames)
     error_dn: Array
-    rows: Array
+    rows: Array  # how many rows these are, likewise
 
     @classmethod
     def of(cls, planes: Sequence[Plane], parts: Sequence[JointFit]) -> LeftOut:

@@ -25,6 +25,7 @@ _STILL = 1e-3
 _LEAST_WEIGHT = float(np.exp(-4.0)) * (1.0 - 1e-3)
 
 
+@on_one_blas_thread
 def recover_response_robertson1999(brackets: Bracket | Sequence[Bracket]) -> ResponseEstimate:
     """Recover I(M), the exposure behind every digital number, from all pixels by Robertson's iteration.
 
@@ -46,12 +47,7 @@ def recover_response_robertson1999(brackets: Bracket | Sequence[Bracket]) -> Res
 
     Source: M. Robertson, S. Borman, R. Stevenson, ICIP 1999, section 3, and J. Electron. Imaging 12 (2003) 219.
     """
-    return solve_robertson1999(gather_samples(brackets))
-
-
-@on_one_blas_thread
-def solve_robertson1999(samples: ResponseSamples) -> ResponseEstimate:
-    """Recover the response from gathered samples; see `recover_response_robertson1999`."""
+    samples = gather_samples(brackets)
     first = curve_debevec1997(samples)
     samples = without_noise_shift(samples, first)
     guess = np.exp(np.interp(_nodes(samples), np.arange(first.log_exposure.size), first.log_exposure))

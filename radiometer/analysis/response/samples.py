@@ -42,50 +42,33 @@ _MIDDLE_TONES, _LEAST_RISE, _LEAST_GROWTH = (0.25, 0.9), 0.02, 4.0
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ResponseSamples:
-    """Group means in long form: one row per group and frame in which the group does not clip.
+    """Group means in long form: one row per group and frame in which the group does not clip."""
 
-    Attributes:
-        dn: Mean digital number, shape (rows,).
-        log_time: ln of the effective exposure in s of the row's frame, shape (rows,).
-        group: Index of the group, ascending, shape (rows,).
-        frame: Index of the frame over all brackets, shape (rows,).
-        pixels: Pixels behind the row's mean, shape (rows,).
-        variance: Variance in DN² of the pixels within the group in that frame, shape (rows,).
-        bit_depth: Bits per digital number.
-        limits: Digital numbers between which a value is neither black nor saturated.
-        frame_log_time: ln of the effective exposure of every frame, shape (frames,).
-        frame_bracket: Index of every frame's bracket, shape (frames,).
-        pixel_count: Pixels of all brackets.
-        channel: Colour channel.
-        edge_scatter: Variance of equally bright pixels at edges over that on even ground where those at edges were left
-            out for it; 0 where all pixels count.
-        without_quadrant: The same rows four times, each without the pixels of one quadrant of the picture; empty for
-            samples that were themselves cut from others.
-        quadrants: The rows of each quadrant's own pixels, likewise.
-        without_share: The same rows four times, each without every fourth cell of a grid over the picture, likewise.
-        shares: The rows of these cells alone, likewise.
-        frame_labels: What every frame's exposure is called: stated time, speed and file; empty for cut samples.
-        frame_log_gain: ln of every frame's gain factor, which its effective exposure holds, shape (frames,) or (1,).
-    """
-
-    dn: NDArray[np.float64]
-    log_time: NDArray[np.float64]
-    group: NDArray[np.intp]
-    frame: NDArray[np.intp]
-    pixels: NDArray[np.float64]
-    variance: NDArray[np.float64]
-    bit_depth: int
-    limits: ValueLimits
-    frame_log_time: NDArray[np.float64]
-    frame_bracket: NDArray[np.intp]
-    pixel_count: int
-    channel: str = "mono"
+    dn: NDArray[np.float64]  # mean digital number, shape (rows,)
+    log_time: NDArray[np.float64]  # ln of the effective exposure in s of the row's frame, shape (rows,)
+    group: NDArray[np.intp]  # index of the group, ascending, shape (rows,)
+    frame: NDArray[np.intp]  # index of the frame over all brackets, shape (rows,)
+    pixels: NDArray[np.float64]  # pixels behind the row's mean, shape (rows,)
+    variance: NDArray[np.float64]  # variance in DN² of the pixels within the group in that frame, shape (rows,)
+    bit_depth: int  # bits per digital number
+    limits: ValueLimits  # digital numbers between which a value is neither black nor saturated
+    frame_log_time: NDArray[np.float64]  # ln of the effective exposure of every frame, shape (frames,)
+    frame_bracket: NDArray[np.intp]  # index of every frame's bracket, shape (frames,)
+    pixel_count: int  # pixels of all brackets
+    channel: str = "mono"  # colour channel
+    # Variance of equally bright pixels at edges over that on even ground where those at edges were left out for it; 0
+    # where all pixels count
     edge_scatter: float = 0.0
+    # The same rows four times, each without the pixels of one quadrant of the picture; empty for samples that were
+    # themselves cut from others
     without_quadrant: tuple[ResponseSamples, ...] = ()
-    quadrants: tuple[ResponseSamples, ...] = ()
+    quadrants: tuple[ResponseSamples, ...] = ()  # the rows of each quadrant's own pixels, likewise
+    # The same rows four times, each without every fourth cell of a grid over the picture, likewise
     without_share: tuple[ResponseSamples, ...] = ()
-    shares: tuple[ResponseSamples, ...] = ()
+    shares: tuple[ResponseSamples, ...] = ()  # the rows of these cells alone, likewise
+    # What every frame's exposure is called: stated time, speed and file; empty for cut samples
     frame_labels: tuple[str, ...] = ()
+    # Ln of every frame's gain factor, which its effective exposure holds, shape (frames,) or (1,)
     frame_log_gain: NDArray[np.float64] = field(default_factory=lambda: np.zeros(1))
 
     @property

@@ -99,45 +99,27 @@ def places_as_one(between: Array, expected: Array) -> float:
 
 @dataclass(frozen=True, slots=True)
 class Choices:
-    """What a fit takes as given.
+    """What a fit takes as given."""
 
-    Attributes:
-        inflation: How many neighbouring groups count as one; variances are multiplied by it.
-        smoothing: λ relative to tr(N)/tr(P); None to choose it by the restricted likelihood.
-        time_spread: Relative standard deviation of the exposure times; None to choose it.
-        free: Frames whose exposure is not taken from their label.
-        known: What other data say of these, as in `fit_response`.
-        noise: Noise of the stack; None to take it from the residuals.
-        u_offset_s: Standard deviation in s of a time that all exposures share beyond their labels, as in
-            `fit_response`; 0 for none.
-    """
-
-    inflation: float = 1.0
-    smoothing: float | None = None
-    time_spread: float | None = 0.0
-    free: tuple[int, ...] = ()
-    known: tuple[tuple[float, float], ...] = ()
-    noise: LogNoise | None = None
+    inflation: float = 1.0  # how many neighbouring groups count as one; variances are multiplied by it
+    smoothing: float | None = None  # λ relative to tr(N)/tr(P); None to choose it by the restricted likelihood
+    time_spread: float | None = 0.0  # relative standard deviation of the exposure times; None to choose it
+    free: tuple[int, ...] = ()  # frames whose exposure is not taken from their label
+    known: tuple[tuple[float, float], ...] = ()  # what other data say of these, as in `fit_response`
+    noise: LogNoise | None = None  # noise of the stack; None to take it from the residuals
+    # Standard deviation in s of a time that all exposures share beyond their labels, as in `fit_response`; 0 for none
     u_offset_s: float = 0.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FittedResponse:
-    """A fit with its curve.
+    """A fit with its curve."""
 
-    Attributes:
-        samples: The rows that were used.
-        dn: Their digital numbers (of the mean exposure).
-        fit: The fit.
-        choices: What it took as given or settled on.
-        log_exposure: g at every digital number, rising, free offset.
-    """
-
-    samples: ResponseSamples
-    dn: Array
-    fit: ResponseFit
-    choices: Choices
-    log_exposure: Array
+    samples: ResponseSamples  # the rows that were used
+    dn: Array  # their digital numbers (of the mean exposure)
+    fit: ResponseFit  # the fit
+    choices: Choices  # what it took as given or settled on
+    log_exposure: Array  # g at every digital number, rising, free offset
 
     @property
     def noise(self) -> LogNoise:
@@ -190,7 +172,6 @@ def fit_with(samples: ResponseSamples, start: Array, choices: Choices) -> Fitted
     """Return the fit under given choices.
 
     Args:
-        samples: The rows.
         start: A first estimate of g at every digital number, rising.
         choices: What to take as given.
     """

@@ -53,17 +53,12 @@ _SETTLED: Final = 0.05
 
 @dataclass(frozen=True, slots=True)
 class ShutterOffset:
-    """The time by which all exposures of a bracket are longer than their labels.
+    """The time by which all exposures of a bracket are longer than their labels."""
 
-    Attributes:
-        seconds: The time in s; negative for shorter exposures.
-        u_seconds: Its standard uncertainty in s, from the fit, from shares of the picture and from exposures left out.
-        gain: Mean error of left-out exposures that it moves, over that with the labels as they are.
-    """
-
-    seconds: float
+    seconds: float  # the time in s; negative for shorter exposures
+    # Its standard uncertainty in s, from the fit, from shares of the picture and from exposures left out
     u_seconds: float
-    gain: float
+    gain: float  # mean error of left-out exposures that it moves, over that with the labels as they are
 
     def in_words(self) -> str:
         """Return the time in words: "29.6 ± 4.8 µs longer"."""
@@ -77,15 +72,10 @@ class ShutterOffset:
 
 @dataclass(frozen=True, slots=True)
 class Exposures:
-    """What photographs say of their exposures together.
+    """What photographs say of their exposures together."""
 
-    Attributes:
-        offset: The shutter's offset; None where none was taken.
-        wrong: Labels that are wrong, their ratios to what the label and the offset make together.
-    """
-
-    offset: ShutterOffset | None
-    wrong: tuple[WrongLabel, ...]
+    offset: ShutterOffset | None  # the shutter's offset; None where none was taken
+    wrong: tuple[WrongLabel, ...]  # labels that are wrong, their ratios to what the label and the offset make together
 
     @property
     def stated(self) -> str:
@@ -181,21 +171,13 @@ def _settled(plane: Plane, wrong: Sequence[int]) -> list[tuple[Plane, FittedResp
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Told:
-    """What planes show of the offset.
+    """What planes show of the offset."""
 
-    Attributes:
-        planes: The planes, exposures as labelled.
-        plain: Their fits with these.
-        free: Their fits with the offset free, about its value.
-        seconds: The offset in s.
-        u_fit: Its standard uncertainty in s by the fit.
-    """
-
-    planes: Sequence[Plane]
-    plain: Sequence[FittedResponse]
-    free: Sequence[FittedResponse]
-    seconds: float
-    u_fit: float
+    planes: Sequence[Plane]  # the planes, exposures as labelled
+    plain: Sequence[FittedResponse]  # their fits with these
+    free: Sequence[FittedResponse]  # their fits with the offset free, about its value
+    seconds: float  # the offset in s
+    u_fit: float  # its standard uncertainty in s by the fit
 
     @classmethod
     def of(cls, planes: Sequence[Plane], plain: Sequence[FittedResponse]) -> _Told | None:
@@ -217,11 +199,7 @@ class _Told:
         return cls(planes, plain, fits, seconds, u)
 
     def offset(self, short: NDArray[np.intp]) -> ShutterOffset | None:
-        """Return the offset where it is to be taken.
-
-        Args:
-            short: Frames that may show it.
-        """
+        """Return the offset where it is to be taken."""
         if abs(self.seconds) < _SIGMA * self.u_fit:
             return None
         left = [(frame, self._without(int(frame))) for frame in short]

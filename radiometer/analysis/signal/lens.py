@@ -20,10 +20,6 @@ def lens_in_use(calibration: Calibration, lens: LensDescription) -> LensDescript
     Where the lens in use says nothing of transmittance and magnification it is as it was at calibration. An f-number
     that it does not state stays unknown: it changes from picture to picture.
 
-    Args:
-        calibration: The camera's calibration.
-        lens: The lens in use.
-
     Raises:
         CalibrationError: If it states a transmittance and the calibration none, so that they cannot be compared.
     """
@@ -45,8 +41,6 @@ def known_f_number(calibration: Calibration | None, settings: FrameSettings, len
 
     Args:
         calibration: The camera's calibration; None for relative values.
-        settings: Of the frame.
-        lens: The lens in use.
 
     Raises:
         CalibrationError: If frame or calibration do not say, and a radiance rests on it.

@@ -50,29 +50,18 @@ _PIXELS_OF_THE_WHOLE = 4096
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SignalModel:
-    """The linear signal x = f(M) behind every digital number M, zero at the black level, at gain 0 dB.
+    """The linear signal x = f(M) behind every digital number M, zero at the black level, at gain 0 dB."""
 
-    Attributes:
-        signal: x, shape (2**bit_depth,): exp(g) with a response curve, M − black without; negative below black.
-        slope: dx/dM, same shape.
-        u_rel: Relative standard uncertainty of x, same shape.
-        valid_dn: Digital numbers inside which x rests on data.
-        black_dn: Black level in DN that the table holds for.
-        electrons_per_unit: Electrons per unit of x.
-        noise: Noise model of the sensor.
-        linear: True without a response curve.
-        saturation_known: Whether the full well is known rather than typical.
-    """
-
+    # x, shape (2**bit_depth,): exp(g) with a response curve, M − black without; negative below black
     signal: NDArray[np.float64]
-    slope: NDArray[np.float64]
-    u_rel: NDArray[np.float64]
-    valid_dn: tuple[int, int]
-    black_dn: float
-    electrons_per_unit: float
-    noise: SensorNoise
-    linear: bool
-    saturation_known: bool
+    slope: NDArray[np.float64]  # dx/dM, same shape
+    u_rel: NDArray[np.float64]  # relative standard uncertainty of x, same shape
+    valid_dn: tuple[int, int]  # digital numbers inside which x rests on data
+    black_dn: float  # black level in DN that the table holds for
+    electrons_per_unit: float  # electrons per unit of x
+    noise: SensorNoise  # noise model of the sensor
+    linear: bool  # true without a response curve
+    saturation_known: bool  # whether the full well is known rather than typical
 
     @property
     def full_scale_dn(self) -> int:
@@ -83,7 +72,6 @@ class SignalModel:
         """Return the digital number from which a frame clips: its white level, or the full well's end if lower.
 
         Args:
-            settings: Of the frame.
             within_data: Count numbers above those that the response curve has data for as clipped too.
         """
         white = settings.white_level
@@ -130,7 +118,6 @@ class SignalModel:
 
         Args:
             signal: Expected x at 0 dB from light, any shape; below 0 counts as 0.
-            settings: Of the frame.
 
         Source: EMVA Standard 1288, release 4.0, equations (6)–(13), carried through the response to x.
         """
@@ -227,19 +214,12 @@ def _through_black(
 
 @dataclass(frozen=True, slots=True)
 class DarkLevel:
-    """Dark signal of one light frame in the unit of x at 0 dB.
+    """Dark signal of one light frame in the unit of x at 0 dB."""
 
-    Attributes:
-        signal: Expected dark signal.
-        u_independent: Standard uncertainty that this frame's dark level has for itself.
-        u_common: Standard uncertainty shared with all other frames.
-        source: "dark frames", "masked pixels" or "black level".
-    """
-
-    signal: float
-    u_independent: float
-    u_common: float
-    source: str
+    signal: float  # expected dark signal
+    u_independent: float  # standard uncertainty that this frame's dark level has for itself
+    u_common: float  # standard uncertainty shared with all other frames
+    source: str  # "dark frames", "masked pixels" or "black level"
 
 
 def dark_levels(
@@ -258,7 +238,6 @@ def dark_levels(
     Args:
         settings: Of the light frames.
         dark_frames: Frames with the shutter closed.
-        model: Signal model of the camera.
         black: Black level of the calibration, with its uncertainty.
         masked_dn: What masked pixels read in every light frame in DN, where known.
     """
@@ -504,29 +483,17 @@ def without_glare(glare: float, surround_at_calibration: float) -> tuple[float, 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PatchFrame:
-    """The patch in one frame.
+    """The patch in one frame."""
 
-    Attributes:
-        settings: Of the frame.
-        dn: Digital numbers, shape of the patch.
-        signal: Linear signal x at 0 dB, same shape, dark level not yet taken off.
-        usable: Whether no part of the patch clips or leaves the data of the response curve at the bright end.
-        unclipped: Whether no part of the patch clips.
-        clipped: Pixels at or above clipping, same shape.
-        whole: Mean signal x of the whole picture, dark level not yet taken off.
-        whole_clipped: Part of the whole picture that clips; the mean is too low then.
-        masked_dn: What the sensor's masked pixels read, in DN; None where it is not stated.
-    """
-
-    settings: FrameSettings
-    dn: DigitalNumbers
-    signal: NDArray[np.float64]
-    usable: bool
-    unclipped: bool
-    clipped: NDArray[np.bool_]
-    whole: float
-    whole_clipped: float
-    masked_dn: float | None = None
+    settings: FrameSettings  # of the frame
+    dn: DigitalNumbers  # digital numbers, shape of the patch
+    signal: NDArray[np.float64]  # linear signal x at 0 dB, same shape, dark level not yet taken off
+    usable: bool  # whether no part of the patch clips or leaves the data of the response curve at the bright end
+    unclipped: bool  # whether no part of the patch clips
+    clipped: NDArray[np.bool_]  # pixels at or above clipping, same shape
+    whole: float  # mean signal x of the whole picture, dark level not yet taken off
+    whole_clipped: float  # part of the whole picture that clips; the mean is too low then
+    masked_dn: float | None = None  # what the sensor's masked pixels read, in DN; None where it is not stated
 
 
 def crop_frames(

@@ -27,25 +27,15 @@ from radiometer.errors import CalibrationError
 
 @dataclass(frozen=True, slots=True)
 class Situation:
-    """What a measurement with a setup rests on: signal model, black level, stated uncertainties and scale.
+    """What a measurement with a setup rests on: signal model, black level, stated uncertainties and scale."""
 
-    Attributes:
-        setup: Camera, lens and calibration in use, and the light.
-        model: Signal model of the camera.
-        black: Black level and its uncertainty.
-        stated: Stated uncertainties.
-        scale: Radiance per unit of x per s and sr of the lens; 1 without a calibration.
-        lens: The lens in use, with the transmittance that is part of the scale.
-        assumptions: What was assumed rather than measured.
-    """
-
-    setup: Setup
-    model: SignalModel
-    black: BlackLevel
-    stated: StatedUncertainties
-    scale: float
-    lens: LensDescription
-    assumptions: tuple[str, ...]
+    setup: Setup  # camera, lens and calibration in use, and the light
+    model: SignalModel  # signal model of the camera
+    black: BlackLevel  # black level and its uncertainty
+    stated: StatedUncertainties  # stated uncertainties
+    scale: float  # radiance per unit of x per s and sr of the lens; 1 without a calibration
+    lens: LensDescription  # the lens in use, with the transmittance that is part of the scale
+    assumptions: tuple[str, ...]  # what was assumed rather than measured
 
     @property
     def calibration(self) -> Calibration | None:

@@ -25,9 +25,9 @@ from radiometer.reconciliation.fit.state import FitState, with_effects, with_ter
 from radiometer.reconciliation.measure.design import BRIGHT_SURROUND, DARK_SURROUND, Design
 from radiometer.reconciliation.measure.reduce import PatternImages
 from radiometer.reconciliation.model.tile_model import TileModel
-from radiometer.reconciliation.prediction import Prediction
 from radiometer.reconciliation.result import Limit, ReconcileResult
 from radiometer.reconciliation.search.screening import best_start
+from radiometer.reconciliation.statistics import Prediction
 from radiometer.typing import Array
 from simulators.effects.catalogue import CatalogueEffect
 from simulators.effects.context import ExposureContext
@@ -44,17 +44,11 @@ _REACH: Final = 2.0  # … within twice its half-width
 
 @dataclass(frozen=True, eq=False)
 class CapturePool:
-    """Captures to choose from.
+    """Captures to choose from."""
 
-    Attributes:
-        design: One capture for each.
-        images: Mean picture of each pattern, those of other surrounds made up.
-        state: The fitted model that says what to expect.
-    """
-
-    design: Design
-    images: PatternImages
-    state: FitState
+    design: Design  # one capture for each
+    images: PatternImages  # mean picture of each pattern, those of other surrounds made up
+    state: FitState  # the fitted model that says what to expect
 
     @classmethod
     def of(cls, state: FitState) -> CapturePool:
@@ -219,7 +213,7 @@ def separating_capture(
         effect: The effect at some size.
         others: The others at the sizes that look the same.
     """
-    first, *models = (_held(state, entry) for entry in (effect, *others))
+    first, *models = (beside(state, entry, iterations=_REFITS) for entry in (effect, *others))
     pool = CapturePool.of(state)
     expected = pool.predicted(first)
     apart = np.nan_to_num(np.stack([pool.separation(expected, pool.predicted(model)) for model in models]))
@@ -228,11 +222,6 @@ def separating_capture(
     if not names:
         return None
     return _advice(pool.frame(index), f"separates {effect.name} from {', '.join(names)}") | {"separates": names}
-
-
-def _held(state: FitState, effect: CatalogueEffect) -> FitState:
-    """Return the model with an effect as it is, all else following."""
-    return beside(state, effect, iterations=_REFITS)
 
 
 def propose_for_unnamed(
@@ -244,7 +233,6 @@ def propose_for_unnamed(
     predicted by the others, so that a new setting is asked for: there the entries, and no effect at all, must differ.
 
     Args:
-        state: The fitted model.
         catalogue: Entries, by name.
         places: Covariate and statistic of what has no name, the first first.
 
@@ -293,7 +281,6 @@ def propose_for_blind(
     show in the new capture.
 
     Args:
-        state: The fitted model.
         catalogue: Entries, by name.
         limits: What these data would have shown.
 
@@ -305,7 +292,7 @@ def propose_for_blind(
     for name, limit in limits.items():
         starts = catalogue[name].starts(state.model.context) if name in catalogue else ()
         if starts and catalogue[name].usable(able) and not _would_show(limit, starts[0]):
-            models[name] = _held(state, starts[0])
+            models[name] = beside(state, starts[0], iterations=_REFITS)
     told = _best(state, models)
     if told is None:
         return None
@@ -332,7 +319,8 @@ def _best(
     expected = pool.predicted(state)
     apart = np.stack([pool.separation(expected, pool.predicted(model)) for model in models.values()])
     apart = np.nan_to_num(apart)
-    weight = np.array([_weight_unseen(name, model) for name, model in models.items()])
+    own = ([effect for effect in model.effects if effect.name == name] for name, model in models.items())
+    weight = np.array([several[0].weight_unseen if several else 1.0 for several in own])
     worth = weight @ np.minimum(apart, _TOLD_CHI2)
     index = int(np.lexsort((apart.min(axis=0), worth))[-1])
     told: Array = apart[:, index]
@@ -340,10 +328,6 @@ def _best(
     if not names:
         return None
     return pool.frame(index), names, float(min(chi2 for chi2 in told if chi2 >= enough))
-
-
-def _weight_unseen(name: str, model: FitState) -> float:
-    return next((effect.weight_unseen for effect in model.effects if effect.name == name), 1.0)
 
 
 def _advice(frame: FrameEntry, purpose: str) -> dict[str, Any]:
@@ -363,11 +347,6 @@ def _said(frame: FrameEntry) -> str:
 
 def write_plan(path: Path, result: ReconcileResult, design: Design) -> bool:
     """Write the captures of this set and the next one as a plan, so that its frames can be reconciled by themselves.
-
-    Args:
-        path: File to write.
-        result: What was found.
-        design: The captures as they were.
 
     Returns:
         Whether there was anything to plan; without a proposal no file is written.

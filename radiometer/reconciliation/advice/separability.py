@@ -24,10 +24,9 @@ from radiometer.reconciliation.advice.sizes import SHOWN, Asked, mildest
 from radiometer.reconciliation.fit.candidate_fit import Candidate, fit_candidate
 from radiometer.reconciliation.fit.comparison import Comparison
 from radiometer.reconciliation.fit.descent import refit
-from radiometer.reconciliation.fit.models import ModelFit, ModelList
-from radiometer.reconciliation.fit.state import FitState, with_effects
-from radiometer.reconciliation.prediction import Prediction
+from radiometer.reconciliation.fit.state import FitState, ModelFit, ModelList, with_effects
 from radiometer.reconciliation.search.screening import AT_ONCE, changes_where_possible, directions_of_each
+from radiometer.reconciliation.statistics import Prediction
 from radiometer.reconciliation.thresholds import PARAMETER_NATS, RIVAL_NATS
 from radiometer.typing import Array
 from simulators.effects.catalogue import CatalogueEffect
@@ -57,24 +56,17 @@ class _Form:
 
 @dataclass(frozen=True, eq=False)
 class Directions:
-    """Changes that entries make in the statistics of a plan, freed of its nuisances.
+    """Changes that entries make in the statistics of a plan, freed of its nuisances."""
 
-    Attributes:
-        state: The model that they are added to.
-        forms: Starts of each entry by name.
-        products: Inner products of all columns, freed of what nuisances and other effects explain.
-    """
-
-    state: FitState
-    forms: Mapping[str, tuple[_Form, ...]]
-    products: Array
+    state: FitState  # the model that they are added to
+    forms: Mapping[str, tuple[_Form, ...]]  # starts of each entry by name
+    products: Array  # inner products of all columns, freed of what nuisances and other effects explain
 
     @classmethod
     def of(cls, state: FitState, entries: Mapping[str, Sequence[CatalogueEffect]]) -> Directions:
         """Return the directions of the starts of entries.
 
         Args:
-            state: The model that they are added to.
             entries: Starts by name.
         """
         columns, forms, at = list[Array](), dict[str, tuple[_Form, ...]](), 0
@@ -119,12 +111,7 @@ class Directions:
         return left, np.concatenate([[1.0], taken])
 
     def near(self, target: _Form, name: str) -> tuple[CatalogueEffect, ...]:
-        """Return the forms of an entry that follow another's start for the most part, at their size, the best first.
-
-        Args:
-            target: The other's start.
-            name: The entry.
-        """
+        """Return the forms of an entry that follow another's start for the most part, at their size, the best first."""
         rated = [(*self.left(target, form), form) for form in self.forms[name]]
         follow = [entry for entry in rated if entry[0] < (1.0 - _WORTH_A_FIT) * self.shown(target)]
         sized = (_times(form.effect, amount) for _, amount, form in sorted(follow, key=lambda entry: entry[0]))
@@ -205,13 +192,9 @@ def _exchanged(state: FitState, chosen: CatalogueEffect, other: CatalogueEffect,
 
 @dataclass(frozen=True, eq=False)
 class Noiseless(Comparison):
-    """A comparison whose measured statistics are those that a model expects.
+    """A comparison whose measured statistics are those that a model expects."""
 
-    Attributes:
-        offset: Residual of the real data under that model.
-    """
-
-    offset: Array = field(default_factory=lambda: np.zeros(0))
+    offset: Array = field(default_factory=lambda: np.zeros(0))  # residual of the real data under that model
 
     def residual(self, prediction: Prediction) -> Array:
         """Return expected minus predicted, whitened, (entries,) or (entries, models)."""
@@ -252,14 +235,10 @@ class ConfusablePair:
 
     Derivatives show where one entry may imitate the other. They do not reach far enough to prove it: a change
     that is a small difference of large ones, or bends, is no such sum. Only what follows for the most part is fitted.
-
-    Attributes:
-        directions: Of the starts of all entries.
-        target: The other's start.
     """
 
-    directions: Directions
-    target: _Form
+    directions: Directions  # of the starts of all entries
+    target: _Form  # the other's start
 
     @cached_property
     def _exact(self) -> FitState:
@@ -271,11 +250,7 @@ class ConfusablePair:
         return _refitted_cost(self._exact, self.target.effect)
 
     def fitted(self, name: str) -> tuple[CatalogueEffect, float] | None:
-        """Return an entry that fits the noiseless data, and the χ² that it leaves; None where captures separate them.
-
-        Args:
-            name: The entry.
-        """
+        """Return an entry that fits the noiseless data, and the χ² that it leaves; None where they are separable."""
         context, gains = self._exact.model.context, list[float]()
         for near in self.directions.near(self.target, name)[:_FITTED]:  # a limit that hardly acts shows no way on
             start = Candidate(near, self.directions.shown(self.target), max(len(near.free()), 1))
@@ -296,17 +271,11 @@ def _spread(starts: Sequence[CatalogueEffect]) -> tuple[CatalogueEffect, ...]:
 
 @dataclass(frozen=True, slots=True)
 class Together:
-    """Names that a plan cannot separate.
+    """Names that a plan cannot separate."""
 
-    Attributes:
-        name: An entry.
-        others: Entries that could show the same.
-        capture: The capture that would separate them; None where none of the rig's would.
-    """
-
-    name: str
-    others: tuple[str, ...]
-    capture: Mapping[str, Any] | None
+    name: str  # an entry
+    others: tuple[str, ...]  # entries that could show the same
+    capture: Mapping[str, Any] | None  # the capture that would separate them; None where none of the rig's would
 
     def to_mapping(self) -> dict[str, Any]:
         """Return the mapping of the JSON form."""
@@ -315,15 +284,10 @@ class Together:
 
 @dataclass(frozen=True, slots=True)
 class Separability:
-    """The entries that a plan can and cannot separate.
+    """The entries that a plan can and cannot separate."""
 
-    Attributes:
-        together: Names that stand together, each set once.
-        blind: Entries that do not show at any sensible size, nuisances following.
-    """
-
-    together: tuple[Together, ...]
-    blind: tuple[str, ...]
+    together: tuple[Together, ...]  # names that stand together, each set once
+    blind: tuple[str, ...]  # entries that do not show at any sensible size, nuisances following
 
     def to_mapping(self) -> dict[str, Any]:
         """Return the mapping of the JSON form."""

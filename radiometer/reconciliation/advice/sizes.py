@@ -28,15 +28,10 @@ _NOTHING: Final = 1e-6  # a χ² that stands for none
 
 @dataclass(frozen=True, slots=True)
 class Asked:
-    """The detection that is asked for.
+    """The detection that is asked for."""
 
-    Attributes:
-        chi2: χ² by which an effect is to stand out, all nuisances and other effects following.
-        largest_factor: Times the size of its start, beyond which it would be absurd.
-    """
-
-    chi2: float
-    largest_factor: float
+    chi2: float  # χ² by which an effect is to stand out, all nuisances and other effects following
+    largest_factor: float  # times the size of its start, beyond which it would be absurd
 
 
 def mildest(state: FitState, starts: Sequence[CatalogueEffect], asked: Asked) -> dict[str, Grown]:
@@ -45,7 +40,6 @@ def mildest(state: FitState, starts: Sequence[CatalogueEffect], asked: Asked) ->
     All starts take one look after the other side by side: what many change is projected at once.
 
     Args:
-        state: The model that they are added to.
         starts: Starts of any entries.
         asked: By how much they are to stand out.
     """
@@ -67,7 +61,6 @@ def grown(state: FitState, effects: Sequence[CatalogueEffect], asked: Asked) -> 
     """Return effects as they are, with the χ² by which each alone stands out.
 
     Args:
-        state: The model that they are added to.
         effects: Any effects.
         asked: By how much they are to stand out.
     """
@@ -81,21 +74,13 @@ def grown(state: FitState, effects: Sequence[CatalogueEffect], asked: Asked) -> 
 
 @dataclass(frozen=True, eq=False)
 class Grown:
-    """An effect at one size, and the χ² by which it would stand out there.
+    """An effect at one size, and the χ² by which it would stand out there."""
 
-    Attributes:
-        effect: The effect.
-        parameter: The parameter that is its size.
-        unit: Its unit.
-        information: χ² that it would bring, all nuisances and other effects following.
-        asked: The χ² that it is to bring.
-    """
-
-    effect: CatalogueEffect
-    parameter: str
-    unit: str
-    information: float
-    asked: Asked
+    effect: CatalogueEffect  # the effect
+    parameter: str  # the parameter that is its size
+    unit: str  # its unit
+    information: float  # χ² that it would bring, all nuisances and other effects following
+    asked: Asked  # the χ² that it is to bring
 
     @property
     def size(self) -> float:
@@ -136,19 +121,12 @@ class Grown:
 
 @dataclass(frozen=True, eq=False)
 class _Search:
-    """Search for the size that is asked for.
+    """Search for the size that is asked for."""
 
-    Attributes:
-        first: Size of the start.
-        near: The last look.
-        below: The last look that did not show.
-        above: The last one that did.
-    """
-
-    first: float
-    near: Grown
-    below: Grown | None = None
-    above: Grown | None = None
+    first: float  # size of the start
+    near: Grown  # the last look
+    below: Grown | None = None  # the last look that did not show
+    above: Grown | None = None  # the last one that did
 
     def narrowed(self) -> _Search:
         """Return the search with the last look as one of its ends."""
@@ -194,7 +172,6 @@ def main_parameter(kind: type[CatalogueEffect], start: CatalogueEffect | None) -
     """Return the parameter that is an entry's size, and its unit.
 
     Args:
-        kind: The entry.
         start: One form of it; None for the usual one.
     """
     names = start.free() if start is not None else kind.fitted

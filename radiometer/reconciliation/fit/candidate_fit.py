@@ -11,8 +11,7 @@ import numpy as np
 from radiometer.reconciliation.fit.comparison import FAMILY
 from radiometer.reconciliation.fit.held_out import leave_one_group_out
 from radiometer.reconciliation.fit.linear import descended
-from radiometer.reconciliation.fit.models import ModelFit
-from radiometer.reconciliation.fit.state import FitState
+from radiometer.reconciliation.fit.state import FitState, ModelFit
 from radiometer.typing import Array
 from simulators.effects.catalogue import CatalogueEffect
 
@@ -25,54 +24,31 @@ _PROFILE_SPANS: Final = (0.002, 0.0002)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Candidate:
-    """One start of one entry.
+    """One start of one entry."""
 
-    Attributes:
-        effect: The effect at its start.
-        gain: χ² that it would explain if it acted linearly.
-        parameters: Number of its fitted parameters (one more where it acts without any).
-        flexible: Whether it is a cover, a flexible form that takes up any equation of the effect.
-        others: Further starts that did about as well.
-        tries: Number of starts that the entry had: the more, the likelier one fits by chance.
-    """
-
-    effect: CatalogueEffect
-    gain: float
-    parameters: int
-    flexible: bool = False
-    others: tuple[CatalogueEffect, ...] = ()
-    tries: int = 1
+    effect: CatalogueEffect  # the effect at its start
+    gain: float  # χ² that it would explain if it acted linearly
+    parameters: int  # number of its fitted parameters (one more where it acts without any)
+    flexible: bool = False  # whether it is a cover, a flexible form that takes up any equation of the effect
+    others: tuple[CatalogueEffect, ...] = ()  # further starts that did about as well
+    tries: int = 1  # number of starts that the entry had: the more, the likelier one fits by chance
 
 
 @dataclass(frozen=True, eq=False)
 class FittedCandidate:
-    """An effect at its best parameters.
+    """An effect at its best parameters."""
 
-    Attributes:
-        effect: The effect.
-        gain: χ² that it explains.
-        evidence: χ² that it explains in the statistics that must show it.
-        parameters: Number of fitted parameters.
-        flexible: Whether it is a flexible form.
-        residual: Whitened residual with the effect, nuisances where they were; prior rows included.
-        columns: −d(residual)/d(scaled parameter of the effect), prior rows included.
-        tries: Number of starts that the entry had.
-        stated: χ² that it explains in the stated radiances alone.
-        overrated: Nats that the scores of few frames' variances promise beyond their exact likelihood.
-        forms: The best of each variant: where to begin with another model.
-    """
-
-    effect: CatalogueEffect
-    gain: float
-    evidence: float
-    parameters: int
-    flexible: bool
-    residual: Array
-    columns: Array
-    tries: int = 1
-    stated: float = 0.0
-    overrated: float = 0.0
-    forms: tuple[CatalogueEffect, ...] = ()
+    effect: CatalogueEffect  # the effect
+    gain: float  # χ² that it explains
+    evidence: float  # χ² that it explains in the statistics that must show it
+    parameters: int  # number of fitted parameters
+    flexible: bool  # whether it is a flexible form
+    residual: Array  # whitened residual with the effect, nuisances where they were; prior rows included
+    columns: Array  # −d(residual)/d(scaled parameter of the effect), prior rows included
+    tries: int = 1  # number of starts that the entry had
+    stated: float = 0.0  # χ² that it explains in the stated radiances alone
+    overrated: float = 0.0  # nats that the scores of few frames' variances promise beyond their exact likelihood
+    forms: tuple[CatalogueEffect, ...] = ()  # the best of each variant: where to begin with another model
 
     @property
     def name(self) -> str:

@@ -39,10 +39,10 @@ from radiometer.reconciliation.noise.shared_errors import (
     whiteners,
     with_heavy_rows,
 )
-from radiometer.reconciliation.prediction import Prediction
 from radiometer.reconciliation.statistics import (
     STATISTICS,
     Given,
+    Prediction,
     Scale,
     Scatter,
     family_of,
@@ -63,36 +63,22 @@ _FALSE_OUTLIERS: Final = 0.02  # expected in a capture without hot pixels; keeps
 
 @dataclass(frozen=True, eq=False)
 class Comparison:
-    """Measured statistics with their fixed weights.
+    """Measured statistics with their fixed weights."""
 
-    Attributes:
-        design: Captures and tiles.
-        seen: What was measured.
-        usable: Which entries of each block count.
-        deviation: Standard uncertainty of each entry (of its logarithm for variances).
-        whiteners: Of the statistics whose entries share errors: (captures, entries, entries) inverse Cholesky factor of
-            the covariance.
-        cuts: Rows of each block in the vector.
-        flicker2: (captures,) relative variance from frame to frame of the accepted effects, of a whole frame.
-        wander2: The same of the source itself, whatever the exposure, up to what its stated reproducibility allows.
-        rows2: (captures,) row noise of the accepted effects in DN².
-        common_of_rows: (captures,) what 1 DN² of row noise adds to the ratio of the frame-common fluctuation.
-        bands2: (captures,) relative variance of the accepted effects' wave along the rows.
-        band_frequency: Periods of that wave per row.
-    """
-
-    design: Design
-    seen: CaptureStatistics
-    usable: Mapping[str, Mask]
-    deviation: Mapping[str, Array]
+    design: Design  # captures and tiles
+    seen: CaptureStatistics  # what was measured
+    usable: Mapping[str, Mask]  # which entries of each block count
+    deviation: Mapping[str, Array]  # standard uncertainty of each entry (of its logarithm for variances)
+    # Of the statistics whose entries share errors: (captures, entries, entries) inverse Cholesky factor of the
+    # covariance
     whiteners: Mapping[str, Array]
-    cuts: Mapping[str, slice]
-    flicker2: Array
-    wander2: float
-    rows2: Array
-    common_of_rows: Array
-    bands2: Array
-    band_frequency: float
+    cuts: Mapping[str, slice]  # rows of each block in the vector
+    flicker2: Array  # (captures,) relative variance from frame to frame of the accepted effects, of a whole frame
+    wander2: float  # the same of the source itself, whatever the exposure, up to what its stated reproducibility allows
+    rows2: Array  # (captures,) row noise of the accepted effects in DN²
+    common_of_rows: Array  # (captures,) what 1 DN² of row noise adds to the ratio of the frame-common fluctuation
+    bands2: Array  # (captures,) relative variance of the accepted effects' wave along the rows
+    band_frequency: float  # periods of that wave per row
 
     @property
     def size(self) -> int:
@@ -339,8 +325,6 @@ def compare(
     """Return the measured statistics with weights.
 
     Args:
-        design: Captures and tiles.
-        seen: What was measured.
         base: Prediction that shows which entries are free of clipping and how far means respond to light.
         sensitivity: (captures, tiles) d(mean)/d(log light) in DN, model-predicted.
         repeatability: Capture-to-capture and frame-to-frame scatter.

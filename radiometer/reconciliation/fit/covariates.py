@@ -11,7 +11,7 @@ from numpy.polynomial import legendre
 from radiometer.reconciliation.chances import ranks
 from radiometer.reconciliation.measure.design import Design
 from radiometer.reconciliation.model.tile_model import TileModel
-from radiometer.reconciliation.prediction import Prediction
+from radiometer.reconciliation.statistics import Prediction
 from radiometer.typing import Array
 
 DEGREE: Final = 4

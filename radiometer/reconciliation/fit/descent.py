@@ -39,9 +39,7 @@ def first_state(
     """Return the starting camera fitted to the statistics: nuisances only.
 
     Args:
-        design: Captures and tiles.
         seen: Measured statistics.
-        images: Mean picture of each pattern.
         given: Effects that the starting model adds to the ideal chain; they are not fitted.
     """
     model = replace(TileModel.of(design, images), given=given, passes_well=_passes_well(design, seen))

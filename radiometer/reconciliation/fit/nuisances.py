@@ -13,8 +13,7 @@ from radiometer.reconciliation.fit.comparison import Comparison
 from radiometer.reconciliation.fit.linear import RowBlock
 from radiometer.reconciliation.measure.design import Design
 from radiometer.reconciliation.model.tile_model import Nuisance
-from radiometer.reconciliation.prediction import Prediction
-from radiometer.reconciliation.statistics import STATISTICS
+from radiometer.reconciliation.statistics import STATISTICS, Prediction
 from radiometer.typing import Array
 
 _FREE_LOG: Final = 5.0  # prior standard deviation of the logarithm of what is unknown: e^±5
@@ -46,23 +45,14 @@ class Change:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class NuisanceLayout:
-    """The fitted nuisances with their order and priors.
+    """The fitted nuisances with their order and priors."""
 
-    Attributes:
-        scalars: Names of scalar nuisances.
-        patterns: Patterns that were seen in light.
-        tiles: Number of tiles.
-        shared: (patterns, tiles) number of the error that each radiance has in common with others.
-        free_scene: Whether slope and texture of every tile are fitted too.
-        prior: Prior standard deviation of each parameter.
-    """
-
-    scalars: tuple[str, ...]
-    patterns: tuple[int, ...]
-    tiles: int
-    shared: NDArray[np.intp]
-    free_scene: bool
-    prior: Array
+    scalars: tuple[str, ...]  # names of scalar nuisances
+    patterns: tuple[int, ...]  # patterns that were seen in light
+    tiles: int  # number of tiles
+    shared: NDArray[np.intp]  # (patterns, tiles) number of the error that each radiance has in common with others
+    free_scene: bool  # whether slope and texture of every tile are fitted too
+    prior: Array  # prior standard deviation of each parameter
 
     @classmethod
     def of(cls, design: Design) -> NuisanceLayout:
@@ -136,11 +126,6 @@ class NuisanceLayout:
         they follow it.
 
         The latter do not say how much light there is (see `_only_means`), but the light says how large they are.
-
-        Args:
-            comparison: The weights.
-            changes: What each of `moves` changes.
-            values: The parameters.
 
         Returns:
             (entries, parameters) of the former, and of the latter.

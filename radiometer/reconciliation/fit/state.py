@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Final
@@ -12,14 +12,12 @@ import numpy as np
 from radiometer.reconciliation.fit.comparison import Comparison, compare
 from radiometer.reconciliation.fit.held_out import Groups, HeldOut, leave_one_group_out
 from radiometer.reconciliation.fit.linear import LinearFit, RowBlock
-from radiometer.reconciliation.fit.models import ModelFit, ModelList
 from radiometer.reconciliation.fit.nuisances import Change, NuisanceLayout
-from radiometer.reconciliation.fit.terms import LinearTerm, inverse, prior_residual
 from radiometer.reconciliation.measure.design import Design
 from radiometer.reconciliation.measure.seen import CaptureStatistics
 from radiometer.reconciliation.model.parameters import EffectParameters
 from radiometer.reconciliation.model.tile_model import Nuisance, TileModel, Trace, predict_several
-from radiometer.reconciliation.noise.fixed_patterns import error_of_borders, fixed_errors
+from radiometer.reconciliation.noise.fixed_patterns import FixedError, error_of_borders, fixed_errors
 from radiometer.reconciliation.noise.repeatability import capture_scale, estimate_tau
 from radiometer.reconciliation.noise.shared_errors import (
     Repeatability,
@@ -29,10 +27,87 @@ from radiometer.reconciliation.noise.shared_errors import (
     relative_bands,
     relative_flicker,
 )
-from radiometer.reconciliation.prediction import Prediction
-from radiometer.reconciliation.statistics import usable_entries
+from radiometer.reconciliation.statistics import Prediction, usable_entries
 from radiometer.typing import Array
 from simulators.effects.catalogue import CatalogueEffect
+
+ColumnBuilder = Callable[[Comparison, Prediction, Array], Array]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LinearTerm:
+    """Something that adds to the statistics in proportion to its coefficients."""
+
+    name: str  # what it is, for messages
+    # Gives its whitened columns, (entries, coefficients), for a comparison, prediction and sensitivity
+    build: ColumnBuilder
+    prior: Array  # (coefficients,) prior standard deviation; infinite for none
+    block: str = ""  # statistic that it acts on
+    where: str = ""  # covariate along which it acts
+    form: str = ""  # multiplicative, additive, or additive × gain
+
+    @classmethod
+    def of(cls, error: FixedError) -> LinearTerm:
+        """Return the term that fits an error which is the same in all captures."""
+
+        def build(comparison: Comparison, prediction: Prediction, sensitivity: Array) -> Array:
+            columns = np.zeros((comparison.size, error.sigma.size))
+            for name, part in error.parts(prediction).items():
+                columns[comparison.cuts[name]] = comparison.whitened(name, part)
+            return columns
+
+        return cls(error.name, build, error.sigma)
+
+    @property
+    def size(self) -> int:
+        """Return the number of coefficients."""
+        return int(self.prior.size)
+
+    @property
+    def is_smooth(self) -> bool:
+        """Return whether it is an unnamed empirical term (and not a realisation of an accepted effect)."""
+        return bool(self.where)
+
+
+def inverse(prior: Array) -> Array:
+    """Return 1/σ of parameters' priors; 0 for infinite ones."""
+    return np.where(np.isfinite(prior), 1.0 / np.where(np.isfinite(prior), prior, 1.0), 0.0)
+
+
+def prior_residual(prior: Array, values: Array) -> Array:
+    """Return the residual of the priors' rows: each is an observation that its parameter is nothing."""
+    return np.asarray(-values * inverse(prior))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ModelFit:
+    """One fitted model."""
+
+    effects: tuple[CatalogueEffect, ...]  # its effects at their fitted parameters
+    curves: int  # number of columns of its curves without a name
+    # (groups,) held-out log density of settings and stated values, determinants of the weights included
+    log_density: Array
+    parameters: int  # number of fitted parameters, columns of curves included
+    gap: float = np.nan  # reduced χ² of held-out settings; NaN where the nuisances followed linearly
+    # Standard uncertainty of each fitted parameter by effect and name; empty where the gap is NaN
+    u: dict[tuple[str, str], float] = field(default_factory=dict)
+
+    @property
+    def is_full(self) -> bool:
+        """Return whether nuisances, weights and all effects were fitted together."""
+        return bool(np.isfinite(self.gap))
+
+
+@dataclass(slots=True, eq=False)
+class ModelList:
+    """The models fitted to one capture set, in the order of their fits."""
+
+    fits: list[ModelFit] = field(default_factory=list)
+
+    def add(self, fit: ModelFit) -> None:
+        """Append a model."""
+        self.fits.append(fit)
+
 
 # What of a state was worked out and hangs on the model and the nuisances alone, whatever is frozen or fitted.
 _OF_THE_MODEL: Final = ("nuisance", "trace", "prediction", "sensitivity", "parameters")
@@ -45,33 +120,21 @@ _OF_THE_POINT: Final = (
 
 @dataclass(frozen=True, eq=False)
 class FitState:
-    """One fitted model of one capture set.
+    """One fitted model of one capture set."""
 
-    Attributes:
-        seen: Measured statistics.
-        model: The camera with its effects.
-        layout: Which nuisances are fitted.
-        values: Nuisance parameters.
-        terms: Smooth unnamed terms that were added.
-        weights: Their coefficients and those of the realisations, in order.
-        comparison: Measured against predicted, with weights.
-        tau: Capture-to-capture repeatability.
-        frozen: Positions of the effect parameters that are not fitted.
-        held_terms: The terms' whitened columns while a fit moves the parameters: like all weights they come from the
-            model before it. None where they are to be worked out.
-        models: The models fitted to these data so far; all states of one search share the list.
-    """
-
-    seen: CaptureStatistics
-    model: TileModel
-    layout: NuisanceLayout
-    values: Array
-    terms: tuple[LinearTerm, ...]
-    weights: Array
-    comparison: Comparison
-    tau: float
-    frozen: frozenset[int] = field(default_factory=frozenset)
+    seen: CaptureStatistics  # measured statistics
+    model: TileModel  # the camera with its effects
+    layout: NuisanceLayout  # which nuisances are fitted
+    values: Array  # nuisance parameters
+    terms: tuple[LinearTerm, ...]  # smooth unnamed terms that were added
+    weights: Array  # their coefficients and those of the realisations, in order
+    comparison: Comparison  # measured against predicted, with weights
+    tau: float  # capture-to-capture repeatability
+    frozen: frozenset[int] = field(default_factory=frozenset)  # positions of the effect parameters that are not fitted
+    # The terms' whitened columns while a fit moves the parameters: like all weights they come from the model before it.
+    # None where they are to be worked out.
     held_terms: RowBlock | None = None
+    # The models fitted to these data so far; all states of one search share the list
     models: ModelList = field(default_factory=ModelList)
 
     @property
@@ -194,9 +257,6 @@ class FitState:
         """Return what sets of effects change of the whitened prediction of the data, (entries, sets).
 
         Nuisances stay as they are.
-
-        Args:
-            several: Effects to have instead of the model's.
         """
         models = [(self.model.with_effects(effects), self.trace.nuisance) for effects in several]
         moved = np.empty((len(several), self.comparison.size))
@@ -356,7 +416,6 @@ def weighted(
 
     Args:
         seen: Measured statistics.
-        model: The camera with its effects.
         layout: Which nuisances are fitted.
         values: Nuisance parameters.
         terms: Unnamed terms and realisations, all of weight 0.

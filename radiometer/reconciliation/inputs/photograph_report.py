@@ -30,34 +30,23 @@ _TOLERATED: Final = 0.08
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FrameFinding:
-    """One photograph compared with the others.
+    """One photograph compared with the others."""
 
-    Attributes:
-        name: Of its file.
-        stated_s: Exposure on its label in s.
-        taken_s: Exposure that it was taken to have in the end in s.
-        ratio: Exposure that the others say over that of the label.
-        u_ratio: Its standard uncertainty, the curve that the others leave open included; infinite where too few pixels
-            show the frame.
-        named_from: Real exposure over that of label and offset, or its inverse, from which the label would be named;
-            infinite where none.
-        wrong: Whether the label was found wrong.
-        dn: Digital numbers of the frame, shape (rows,).
-        error_dn: Predicted from the others minus found, same shape; NaN where no other frame shows it.
-        error_as_printed_dn: The same with all labels as printed.
-        expected: What the label and the shutter's offset make together, over the label; 1 where no offset was taken.
-    """
-
-    name: str
-    stated_s: float
-    taken_s: float
-    ratio: float
+    name: str  # of its file
+    stated_s: float  # exposure on its label in s
+    taken_s: float  # exposure that it was taken to have in the end in s
+    ratio: float  # exposure that the others say over that of the label
+    # Its standard uncertainty, the curve that the others leave open included; infinite where too few pixels show the
+    # frame
     u_ratio: float
+    # Real exposure over that of label and offset, or its inverse, from which the label would be named; infinite where
+    # none
     named_from: float
-    wrong: bool
-    dn: Array
-    error_dn: Array
-    error_as_printed_dn: Array
+    wrong: bool  # whether the label was found wrong
+    dn: Array  # digital numbers of the frame, shape (rows,)
+    error_dn: Array  # predicted from the others minus found, same shape; NaN where no other frame shows it
+    error_as_printed_dn: Array  # the same with all labels as printed
+    # What the label and the shutter's offset make together, over the label; 1 where no offset was taken
     expected: float = 1.0
 
 

@@ -59,24 +59,16 @@ _ENOUGH_PIXELS: Final = 1_000_000
 
 @dataclass(frozen=True, slots=True)
 class PhotographsReconciled:
-    """The result for a stack of photographs, with the exposures found.
+    """The result for a stack of photographs, with the exposures found."""
 
-    Attributes:
-        result: The verdict and what was found.
-        exposures_s: Exposure of each photograph in s, as it agrees with the others.
-        u_rel: Relative standard uncertainty of those that were not taken from their label; 0 for the others. That of
-            the shutter's offset is one error, which all share.
-        findings: What the others say of each photograph.
-        sentence: How well left-out parts are predicted, in a sentence.
-        origin: Where they came from.
-    """
-
-    result: ReconcileResult
-    exposures_s: dict[str, float]
+    result: ReconcileResult  # the verdict and what was found
+    exposures_s: dict[str, float]  # exposure of each photograph in s, as it agrees with the others
+    # Relative standard uncertainty of those that were not taken from their label; 0 for the others. That of the
+    # shutter's offset is one error, which all share.
     u_rel: dict[str, float]
-    findings: tuple[FrameFinding, ...]
-    sentence: str
-    origin: str
+    findings: tuple[FrameFinding, ...]  # what the others say of each photograph
+    sentence: str  # how well left-out parts are predicted, in a sentence
+    origin: str  # where they came from
 
     def write_model(self, path: Path, *, provisional: bool = False) -> str:
         """Write the exposures that agree with each other, in the form that photograph folders take."""

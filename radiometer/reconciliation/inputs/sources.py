@@ -11,9 +11,10 @@ from radiometer.data import CaptureSet, Frame
 from radiometer.data.capture_set import read_header
 from radiometer.errors import CaptureError, OutputError
 from radiometer.importing import imported_of, is_foreign, open_capture, statistics_of
-from radiometer.reconciliation.engine import Progress, Say, examine, whole_catalogue
+from radiometer.reconciliation.engine import Say, examine, whole_catalogue
 from radiometer.reconciliation.inputs.light_meter import reconcile_meter_table
 from radiometer.reconciliation.inputs.photographs import reconcile_photographs
+from radiometer.reconciliation.measure.reduce import Progress
 from radiometer.reconciliation.propose import Proposal
 from radiometer.reconciliation.result import ReconcileResult
 from radiometer.reconciliation.search.outcome import Reconciled

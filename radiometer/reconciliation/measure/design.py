@@ -36,27 +36,16 @@ _SAME_TEMPERATURE_K: Final = 2.0  # width of a step of temperature within which 
 
 @dataclass(frozen=True, slots=True)
 class Tile:
-    """A rectangle of pixels that is treated as one sample of the scene, with what is known of its radiance.
+    """A rectangle of pixels that is treated as one sample of the scene, with what is known of its radiance."""
 
-    Attributes:
-        name: Name of the patch, or of the grid cell.
-        x: Left edge of the interior in pixels.
-        y: Top edge of the interior.
-        width: Width of the interior.
-        height: Height of the interior.
-        margin: Pixels between the interior and the patch's edge; 0 for a grid cell.
-        radiance: Known radiance in W·sr⁻¹·m⁻² by pattern; None where unknown.
-        u_rel: Relative standard uncertainty of the known radiance.
-    """
-
-    name: str
-    x: int
-    y: int
-    width: int
-    height: int
-    margin: int
-    radiance: tuple[float | None, ...]
-    u_rel: float | None = None
+    name: str  # name of the patch, or of the grid cell
+    x: int  # left edge of the interior in pixels
+    y: int  # top edge of the interior
+    width: int  # width of the interior
+    height: int  # height of the interior
+    margin: int  # pixels between the interior and the patch's edge; 0 for a grid cell
+    radiance: tuple[float | None, ...]  # known radiance in W·sr⁻¹·m⁻² by pattern; None where unknown
+    u_rel: float | None = None  # relative standard uncertainty of the known radiance
 
     @property
     def slices(self) -> tuple[slice, slice]:
@@ -66,45 +55,31 @@ class Tile:
 
 @dataclass(frozen=True, slots=True)
 class Capture:
-    """Frames taken one after the other under one setting.
+    """Frames taken one after the other under one setting."""
 
-    Attributes:
-        frames: Their positions in the header, in order.
-        settings: The common setting; time and temperature are means.
-    """
-
-    frames: tuple[int, ...]
-    settings: FrameSettings
+    frames: tuple[int, ...]  # their positions in the header, in order
+    settings: FrameSettings  # the common setting; time and temperature are means
 
 
 @dataclass(frozen=True, eq=False)
 class Design:
-    """Plan of a capture set: settings per capture and the tiles, without any pixel.
+    """Plan of a capture set: settings per capture and the tiles, without any pixel."""
 
-    Attributes:
-        header: What `capture.yaml` says, with a stand-in for exposures of 0 s and one temperature for readings in turn.
-        shape: (height, width) of the frames in pixels.
-        captures: Captures in the order taken.
-        tiles: Tiles of the picture.
-        uniform: Whether the tiles are known patches (uniform by design) rather than cells of an unknown scene.
-        reading_u_k: Standard uncertainty of a temperature reading in K; 0 where readings do not come in steps.
-        jumps: Positions of frames at which a long series of equal ones jumps; captures begin there.
-    """
-
+    # What `capture.yaml` says, with a stand-in for exposures of 0 s and one temperature for readings in turn
     header: CaptureHeader
-    shape: tuple[int, int]
-    captures: tuple[Capture, ...]
-    tiles: tuple[Tile, ...]
-    uniform: bool
+    shape: tuple[int, int]  # (height, width) of the frames in pixels
+    captures: tuple[Capture, ...]  # captures in the order taken
+    tiles: tuple[Tile, ...]  # tiles of the picture
+    uniform: bool  # whether the tiles are known patches (uniform by design) rather than cells of an unknown scene
+    # Standard uncertainty of a temperature reading in K; 0 where readings do not come in steps
     reading_u_k: float = 0.0
-    jumps: tuple[int, ...] = ()
+    jumps: tuple[int, ...] = ()  # positions of frames at which a long series of equal ones jumps; captures begin there
 
     @classmethod
     def of(cls, header: CaptureHeader, shape: tuple[int, int], jumps: Collection[int] = ()) -> Design:
         """Return the design of a capture set whose frames have the given (height, width).
 
         Args:
-            header: What `capture.yaml` says.
             shape: Height and width.
             jumps: Positions of frames at which a long series of equal ones is cut.
 
@@ -375,7 +350,6 @@ def group_captures(header: CaptureHeader, jumps: Collection[int] = ()) -> tuple[
     time.
 
     Args:
-        header: What `capture.yaml` says.
         jumps: Positions of frames at which a long series is cut.
     """
     runs = _runs(header)
@@ -503,27 +477,17 @@ LINES: Final = 7  # from one line inside a patch's stated border to five lines o
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TileGroup:
-    """All tiles of one size.
+    """All tiles of one size."""
 
-    Attributes:
-        index: Their positions in the design.
-        tiles: The tiles.
-        height: Height of each in pixels.
-        width: Width of each in pixels.
-        trend: Orthonormal basis of the smooth shapes 1, u, v, u², uv, v² in a tile, shape (height × width, 6).
-        slope_norm: Length of u and v over the tile; a coefficient divided by it is the rise from centre to edge.
-        rows: Sensor row of each tile row, shape (tiles, height).
-        columns: Sensor column of each tile column, shape (tiles, width).
-    """
-
-    index: NDArray[np.intp]
-    tiles: tuple[Tile, ...]
-    height: int
-    width: int
-    trend: Array
+    index: NDArray[np.intp]  # their positions in the design
+    tiles: tuple[Tile, ...]  # the tiles
+    height: int  # height of each in pixels
+    width: int  # width of each in pixels
+    trend: Array  # orthonormal basis of the smooth shapes 1, u, v, u², uv, v² in a tile, shape (height × width, 6)
+    # Length of u and v over the tile; a coefficient divided by it is the rise from centre to edge
     slope_norm: tuple[float, float]
-    rows: NDArray[np.intp]
-    columns: NDArray[np.intp]
+    rows: NDArray[np.intp]  # sensor row of each tile row, shape (tiles, height)
+    columns: NDArray[np.intp]  # sensor column of each tile column, shape (tiles, width)
 
     def cut(self, image: NDArray[np.generic]) -> Array:
         """Return the tiles' pixels, shape (tiles, height, width), as float64."""
@@ -572,17 +536,11 @@ def _centred(count: int) -> Array:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PatchSides:
-    """The sides of all patches as lines of pixels, from just inside the patch outwards.
+    """The sides of all patches as lines of pixels, from just inside the patch outwards."""
 
-    Attributes:
-        tile: Tile of each side.
-        rows: Sensor row of every pixel, shape (sides, lines, pixels).
-        columns: Sensor column of every pixel, same shape.
-    """
-
-    tile: NDArray[np.intp]
-    rows: NDArray[np.intp]
-    columns: NDArray[np.intp]
+    tile: NDArray[np.intp]  # tile of each side
+    rows: NDArray[np.intp]  # sensor row of every pixel, shape (sides, lines, pixels)
+    columns: NDArray[np.intp]  # sensor column of every pixel, same shape
 
     def pixels(self, image: NDArray[np.generic]) -> Array:
         """Return the pixels of every line, (sides, lines, pixels), as float64."""

@@ -108,21 +108,13 @@ def _pixel_noise(lines: Array, mean: Array, spatial: Array, tile: NDArray[np.int
 
 @dataclass(frozen=True, slots=True)
 class _Straightness:
-    """Statistics that show whether borders run along their lines.
+    """Statistics that show whether borders run along their lines."""
 
-    Attributes:
-        step: (captures, sides, lines) deviation of each line from the patch in DN.
-        uneven: Variance along each in DN².
-        noise: What pixel noise adds to it.
-        clipped: (captures, sides) whether anything clips.
-        pixels: (sides,) pixels in a line.
-    """
-
-    step: Array
-    uneven: Array
-    noise: Array
-    clipped: NDArray[np.bool_]
-    pixels: NDArray[np.intp]
+    step: Array  # (captures, sides, lines) deviation of each line from the patch in DN
+    uneven: Array  # variance along each in DN²
+    noise: Array  # what pixel noise adds to it
+    clipped: NDArray[np.bool_]  # (captures, sides) whether anything clips
+    pixels: NDArray[np.intp]  # (sides,) pixels in a line
 
     def of(self, shown: NDArray[np.bool_], line: NDArray[np.intp], sides: int) -> NDArray[np.bool_]:
         """Return it for the borders behind a line each, from all captures that are shown.

@@ -16,10 +16,9 @@ from radiometer.data import Frame
 from radiometer.errors import CaptureError
 from radiometer.reconciliation.measure.design import Design, patch_sides, tile_groups
 from radiometer.reconciliation.measure.edges import edge_shares
-from radiometer.reconciliation.measure.kernels import coarse_cells
 from radiometer.reconciliation.measure.row_bands import RowBins
 from radiometer.reconciliation.measure.seen import CaptureStatistics
-from radiometer.reconciliation.measure.sums import CaptureSums
+from radiometer.reconciliation.measure.sums import CaptureSums, coarse_cells
 from radiometer.typing import Array
 from radiometer.units import gain_factor
 
@@ -74,7 +73,7 @@ def _coarse(frame: Frame, cell: int, shape: tuple[int, ...]) -> tuple[Array, NDA
 _AHEAD: Final = 2  # frames that are read before they are wanted
 
 FrameReader = Callable[[int], Frame]
-Progress = Callable[[int], None]
+Progress = Callable[[int, int], None]
 
 
 def reduce_frames(
@@ -85,9 +84,8 @@ def reduce_frames(
     Dark captures come first, so that their outlying pixels (defects) are left out everywhere.
 
     Args:
-        design: Captures and tiles.
         read: Gives the frame at a position of the header.
-        progress: Called with the number of frames done.
+        progress: Called with frames done and frames in all.
 
     Raises:
         CaptureError: If a frame's size differs from the design's.
@@ -112,7 +110,7 @@ def reduce_frames(
                 first.add(frame)
             done += 1
             if progress is not None:
-                progress(done)
+                progress(done, len(design.header.frames))
         structured = not design.uniform and design.source_level[number] > 0
         stated = float(design.black_level_dn[number])
         black_dn = stated if np.isfinite(stated) or design.closed[number] else darkest

@@ -26,17 +26,11 @@ _INDEPENDENT: Final = 0.05  # share of a function that the lower ones must leave
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RowBins:
-    """The rows that tiles cover, gathered to a few hundred at most.
+    """The rows that tiles cover, gathered to a few hundred at most."""
 
-    Attributes:
-        step: Rows in each.
-        number: Number of bins over the whole frame.
-        orders: Number of smooth functions, the constant left out.
-    """
-
-    step: int
-    number: int
-    orders: int
+    step: int  # rows in each
+    number: int  # number of bins over the whole frame
+    orders: int  # number of smooth functions, the constant left out
 
     @classmethod
     def of(cls, design: Design) -> RowBins:
@@ -162,27 +156,16 @@ def wave_power(bins: RowBins, basis: Array, frequency: float) -> tuple[Array, Ar
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TileBands:
-    """Trace of a wave along the rows in each tile, (tiles,), amplitudes or shares of the wave's variance.
+    """Trace of a wave along the rows in each tile, (tiles,), amplitudes or shares of the wave's variance."""
 
-    Attributes:
-        mean: Amplitude of the tile's mean.
-        rise: Amplitude of its rise from the centre to the bottom edge.
-        within: Variance from row to row about the mean.
-        rough: The same about a quadratic.
-        lag: Covariance of neighbouring rows about the mean.
-        even: Part of `within` that is even about the tile's middle.
-        middle: Middle row.
-        frequency: Periods per row.
-    """
-
-    mean: Array
-    rise: Array
-    within: Array
-    rough: Array
-    lag: Array
-    even: Array
-    middle: Array
-    frequency: float
+    mean: Array  # amplitude of the tile's mean
+    rise: Array  # amplitude of its rise from the centre to the bottom edge
+    within: Array  # variance from row to row about the mean
+    rough: Array  # the same about a quadratic
+    lag: Array  # covariance of neighbouring rows about the mean
+    even: Array  # part of `within` that is even about the tile's middle
+    middle: Array  # middle row
+    frequency: float  # periods per row
 
     @classmethod
     def of(cls, design: Design, frequency: float) -> TileBands:

@@ -5,18 +5,129 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
+from radiometer.compiled import compiled
 from radiometer.data import Frame
 from radiometer.reconciliation.measure.design import PatchSides, TileGroup
-from radiometer.reconciliation.measure.kernels import add_tiles
 from radiometer.reconciliation.measure.row_bands import RowBins, row_light
 from radiometer.reconciliation.measure.seen import COMB_PERIODS
 from radiometer.statistics.scale import MAD_TO_SIGMA, TWENTIETH_TO_SIGMA
 from radiometer.typing import Array, Mask
+
+Corners = NDArray[np.intp]
+
+
+# The inner loops hold no lock, so that other threads read the next frames meanwhile.
+
+
+@compiled
+def add_tiles(
+    dn: NDArray[Any],
+    good: NDArray[np.bool_],
+    top: Corners,
+    left: Corners,
+    nearly_full: float,
+    comb_mad_dn: float,
+    total: Array,
+    square: Array,
+    pair_x: Array,
+    pair_y: Array,
+    histogram: Array,
+    occurring: NDArray[np.bool_],
+) -> tuple[Array, Array, Array, Array]:
+    """Add one frame to the sums of all tiles of one size.
+
+    Args:
+        dn: The frame in DN, (rows, columns).
+        good: Pixels that count for a tile's mean, same shape.
+        top: (tiles,) first row of each tile.
+        left: (tiles,) first column of each tile.
+        nearly_full: Digital number from which a sample counts as clipped.
+        comb_mad_dn: Median absolute deviation above which a tile's histogram must be smooth, in DN.
+        total: (tiles, height, width) sum of deviations from the tile's mean in DN; this frame is added.
+        square: Same shape, sum of their squares; this frame is added.
+        pair_x: Same shape, sum of products with the left neighbour in DN²; this frame is added.
+        pair_y: The same with the upper neighbour.
+        histogram: Counts of digital numbers over smooth tiles, longer than the largest one; this frame is added.
+        occurring: Digital numbers that occur in any tile, as long; this frame is added.
+
+    Returns:
+        (tiles,) mean in DN, share at 0, share clipped, and (tiles, height) sum of deviations along each row of the
+        pixels that count.
+    """
+    tiles, height, width = total.shape
+    mean, low, high = np.zeros(tiles), np.zeros(tiles), np.zeros(tiles)
+    rows = np.zeros((tiles, height))
+    counts = np.zeros(histogram.size, np.int64)
+    for k in range(tiles):
+        y0, x0 = top[k], left[k]
+        light, number, dark, full = 0.0, 0, 0, 0
+        smallest, largest = histogram.size, 0
+        for i in range(height):
+            for j in range(width):
+                value = int(dn[y0 + i, x0 + j])
+                counts[value] += 1
+                smallest = min(smallest, value)
+                largest = max(largest, value)
+                dark += int(value <= 0)
+                full += int(value >= nearly_full)
+                if good[y0 + i, x0 + j]:
+                    light += value
+                    number += 1
+        middle = light / number if number else np.nan
+        mean[k], low[k], high[k] = middle, dark / (height * width), full / (height * width)
+        for i in range(height):
+            along = 0.0
+            before = 0.0
+            for j in range(width):
+                deviation = dn[y0 + i, x0 + j] - middle
+                total[k, i, j] += deviation
+                square[k, i, j] += deviation * deviation
+                along += deviation * good[y0 + i, x0 + j]
+                pair_x[k, i, j] += deviation * before
+                before = deviation
+            rows[k, i] = along
+        for i in range(1, height):
+            for j in range(width):
+                pair_y[k, i, j] += (dn[y0 + i, x0 + j] - middle) * (dn[y0 + i - 1, x0 + j] - middle)
+        smooth = dark == 0 and full == 0 and _within(counts, middle, comb_mad_dn) * 2 < height * width
+        for code in range(smallest, largest + 1):
+            if smooth:
+                histogram[code] += counts[code]
+            occurring[code] |= counts[code] > 0
+            counts[code] = 0
+    return mean, low, high, rows
+
+
+@compiled
+def _within(counts: NDArray[np.int64], middle: float, distance: float) -> int:
+    """Return how many samples are within a distance of the middle."""
+    first = max(int(np.ceil(middle - distance)), 0)
+    last = min(int(np.floor(middle + distance)), counts.size - 1)
+    return int(counts[first : last + 1].sum())
+
+
+@compiled
+def coarse_cells(dn: NDArray[Any], cell: int, rows: int, columns: int) -> tuple[Array, Array]:
+    """Return the mean of each cell of `cell` × `cell` pixels in DN, and its largest value.
+
+    Args:
+        dn: The frame in DN.
+        cell: Edge of a cell in pixels.
+    """
+    mean, largest = np.zeros((rows, columns)), np.zeros((rows, columns))
+    for i in range(rows * cell):
+        for j in range(columns * cell):
+            value = int(dn[i, j])
+            mean[i // cell, j // cell] += value
+            if value > largest[i // cell, j // cell]:
+                largest[i // cell, j // cell] = value
+    return mean / (cell * cell), largest
+
 
 _TREND_TERMS_PER_AXIS = 3  # constant, slope and curvature of each tile are taken out of its profile
 
@@ -113,39 +224,23 @@ _CUT_OFF: Final = 1.0 / 3.0  # of a darker tile's noise, below which light is cu
 
 @dataclass(slots=True, eq=False)
 class CaptureSums:
-    """Running sums over the frames of one capture.
+    """Running sums over the frames of one capture."""
 
-    Attributes:
-        groups: Tiles by size.
-        sides: Sides of the patches.
-        defects: Pixels that are left out.
-        frame_means: Per frame, (tiles,) mean of each tile's good pixels in DN.
-        total: Per group, sum of pixels minus their tile's mean, (tiles, height, width).
-        square: The same of squares.
-        pair_x: Per group, sum of products of each pixel's deviation with its left neighbour's in DN², as `total`.
-        pair_y: The same with its upper neighbour's.
-        row_sums: Per group and frame, sums of deviations along each tile row.
-        low: (tiles,) sum of the shares of samples at 0 DN.
-        high: (tiles,) the same at full scale.
-        side_pixels: (sides, lines, pixels) sum of the pixels of the lines across each patch's side.
-        histogram: Counts of digital numbers over the tiles whose histogram must be smooth.
-        occurring: Digital numbers that occur in any tile.
-    """
-
-    groups: Sequence[TileGroup]
-    sides: PatchSides
-    defects: Mask
-    frame_means: list[Array]
-    total: list[Array]
-    square: list[Array]
+    groups: Sequence[TileGroup]  # tiles by size
+    sides: PatchSides  # sides of the patches
+    defects: Mask  # pixels that are left out
+    frame_means: list[Array]  # per frame, (tiles,) mean of each tile's good pixels in DN
+    total: list[Array]  # per group, sum of pixels minus their tile's mean, (tiles, height, width)
+    square: list[Array]  # the same of squares
+    # Per group, sum of products of each pixel's deviation with its left neighbour's in DN², as `total`
     pair_x: list[Array]
-    pair_y: list[Array]
-    row_sums: list[list[Array]]
-    low: Array
-    high: Array
-    side_pixels: Array
-    histogram: Array
-    occurring: Mask
+    pair_y: list[Array]  # the same with its upper neighbour's
+    row_sums: list[list[Array]]  # per group and frame, sums of deviations along each tile row
+    low: Array  # (tiles,) sum of the shares of samples at 0 DN
+    high: Array  # (tiles,) the same at full scale
+    side_pixels: Array  # (sides, lines, pixels) sum of the pixels of the lines across each patch's side
+    histogram: Array  # counts of digital numbers over the tiles whose histogram must be smooth
+    occurring: Mask  # digital numbers that occur in any tile
 
     @classmethod
     def start(cls, groups: Sequence[TileGroup], sides: PatchSides, tiles: int, defects: Mask) -> CaptureSums:
@@ -202,11 +297,7 @@ class CaptureSums:
             self.occurring = np.pad(self.occurring, (0, more))
 
     def without(self, first: CaptureSums) -> CaptureSums:
-        """Return the sums over the frames but the first; the histogram stays that of all.
-
-        Args:
-            first: Sums over the first frame alone.
-        """
+        """Return the sums over the frames but the first; the histogram stays that of all."""
         return replace(
             self,
             frame_means=self.frame_means[1:],

@@ -79,17 +79,11 @@ class FrameTimes:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CapturesPast:
-    """The earlier frames of each capture, as some of its frames see them.
+    """The earlier frames of each capture, as some of its frames see them."""
 
-    Attributes:
-        times: When the frames were taken.
-        held_e: (captures, tiles) electrons in each frame of a capture.
-        part: The frames that look back.
-    """
-
-    times: FrameTimes
-    held_e: Array
-    part: Part = "all"
+    times: FrameTimes  # when the frames were taken
+    held_e: Array  # (captures, tiles) electrons in each frame of a capture
+    part: Part = "all"  # the frames that look back
 
     def faded(self, tau_s: float) -> Array:
         """Return the sum of what all earlier frames held, each times exp(−age/τ), (captures, tiles, 1) in electrons."""
@@ -330,12 +324,7 @@ def _dense_points(design: Design) -> tuple[Array, Array]:
 
 
 def tile_context(design: Design, images: PatternImages) -> TileContext:
-    """Return the context of all captures of a design.
-
-    Args:
-        design: Captures and tiles.
-        images: Mean picture of each pattern.
-    """
+    """Return the context of all captures of a design."""
     camera, lens = design.header.camera, design.header.lens
     geometry, grid = (
         FrameGeometry(

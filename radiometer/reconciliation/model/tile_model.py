@@ -16,7 +16,7 @@ from radiometer.reconciliation.measure.design import Design
 from radiometer.reconciliation.measure.reduce import PatternImages
 from radiometer.reconciliation.measure.row_bands import TileBands
 from radiometer.reconciliation.model.tile_context import TileContext, rise_of, scene_radiance, tile_context, tilt_of
-from radiometer.reconciliation.prediction import Prediction, of_tiles
+from radiometer.reconciliation.statistics import Prediction, of_tiles
 from radiometer.typing import Array
 from simulators.chain.stages import in_order, place_for
 from simulators.chain.undeclared import Undeclared, undeclared_chain
@@ -30,16 +30,11 @@ _SMALLEST_VARIANCE_DN2: Final = 1e-3  # a value that always rounds or clips to o
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Nuisance:
-    """Parameters that are fitted with the effects and never named.
+    """Parameters that are fitted with the effects and never named."""
 
-    Attributes:
-        off: What the camera's description leaves out.
-        log_radiance: Natural logarithm of each patch's radiance over the stated one, (patterns, tiles).
-        slope: Rise of each tile's radiance from centre to edge, relative, (patterns, 2, tiles); unknown scenes only.
-    """
-
-    off: Undeclared
-    log_radiance: Array
+    off: Undeclared  # what the camera's description leaves out
+    log_radiance: Array  # natural logarithm of each patch's radiance over the stated one, (patterns, tiles)
+    # Rise of each tile's radiance from centre to edge, relative, (patterns, 2, tiles); unknown scenes only
     slope: Array
 
     @classmethod
@@ -56,25 +51,15 @@ class Nuisance:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TileModel:
-    """The ideal camera of a capture header with effects added to it, evaluated on tiles.
+    """The ideal camera of a capture header with effects added to it, evaluated on tiles."""
 
-    Attributes:
-        design: Captures and tiles.
-        context: The captures as the effects see them.
-        radiance: (patterns, tiles) radiance in W·sr⁻¹·m⁻².
-        images: Mean picture of each pattern.
-        effects: Effects added to the ideal chain, to be fitted.
-        given: Effects that the starting model holds already.
-        passes_well: Whether the data pass the declared full well, which then limits nothing.
-    """
-
-    design: Design
-    context: TileContext
-    radiance: Array
-    images: PatternImages
-    effects: tuple[CatalogueEffect, ...] = ()
-    given: tuple[CatalogueEffect, ...] = ()
-    passes_well: bool = False
+    design: Design  # captures and tiles
+    context: TileContext  # the captures as the effects see them
+    radiance: Array  # (patterns, tiles) radiance in W·sr⁻¹·m⁻²
+    images: PatternImages  # mean picture of each pattern
+    effects: tuple[CatalogueEffect, ...] = ()  # effects added to the ideal chain, to be fitted
+    given: tuple[CatalogueEffect, ...] = ()  # effects that the starting model holds already
+    passes_well: bool = False  # whether the data pass the declared full well, which then limits nothing
 
     @classmethod
     def of(cls, design: Design, images: PatternImages) -> TileModel:
@@ -277,20 +262,13 @@ class TileModel:
 
 @dataclass(frozen=True, eq=False)
 class Walk:
-    """The chain as far as it was walked.
+    """The chain as far as it was walked."""
 
-    Attributes:
-        nuisance: The nuisances.
-        taken: Factor by which effects lower the responsivity.
-        links: The links of the declared camera.
-        chain: These and the effects, in the order of the light.
-        passed: Moments in front of each step that was reached; behind the last one too where all were taken.
-    """
-
-    nuisance: Nuisance
-    taken: float
-    links: tuple[Effect, ...]
-    chain: tuple[Effect, ...]
+    nuisance: Nuisance  # the nuisances
+    taken: float  # factor by which effects lower the responsivity
+    links: tuple[Effect, ...]  # the links of the declared camera
+    chain: tuple[Effect, ...]  # these and the effects, in the order of the light
+    # Moments in front of each step that was reached; behind the last one too where all were taken
     passed: tuple[TileMoments, ...]
 
     def in_front(self, place: int) -> TileMoments:
@@ -308,13 +286,9 @@ class Walk:
 
 @dataclass(frozen=True, eq=False)
 class Trace(Walk):
-    """The chain as it ran once.
+    """The chain as it ran once."""
 
-    Attributes:
-        prediction: The expected statistics.
-    """
-
-    prediction: Prediction
+    prediction: Prediction  # the expected statistics
 
 
 def looks_back(step: Effect) -> bool:
@@ -374,19 +348,12 @@ def predict_several(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Apart:
-    """A model after the steps in which it differs.
+    """A model after the steps in which it differs."""
 
-    Attributes:
-        number: Its number.
-        model: The model.
-        walk: The chain so far.
-        joins: Number of the step of the known chain from which on it has no others.
-    """
-
-    number: int
-    model: TileModel
-    walk: Walk
-    joins: int
+    number: int  # its number
+    model: TileModel  # the model
+    walk: Walk  # the chain so far
+    joins: int  # number of the step of the known chain from which on it has no others
 
     @classmethod
     def of(cls, number: int, model: TileModel, nuisance: Nuisance, like: Trace) -> Self:

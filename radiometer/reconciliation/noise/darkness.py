@@ -22,20 +22,14 @@ _MOST_SHARE: Final = 0.3  # of a pixel's own noise: a black level that differs b
 
 @dataclass(frozen=True, slots=True)
 class Darkness:
-    """Uncertainty of a frame's darkness in addition to the noise of its pixels.
+    """Uncertainty of a frame's darkness in addition to the noise of its pixels."""
 
-    Attributes:
-        black_dn: Standard deviation by which the black level wanders from frame to frame, in DN.
-        drift_dn: Standard deviation of half a wave down the rows by which it moves while a frame is read, in DN.
-        temperature_k: Standard uncertainty of a temperature reading, in K.
-        warmth: (captures, tiles) change of the means in DN per kelvin.
-        swelling: The same of ln of variances, by statistic: leaks that differ do so the more the warmer it is.
-    """
-
-    black_dn: float
-    temperature_k: float
-    warmth: Array
+    black_dn: float  # standard deviation by which the black level wanders from frame to frame, in DN
+    temperature_k: float  # standard uncertainty of a temperature reading, in K
+    warmth: Array  # (captures, tiles) change of the means in DN per kelvin
+    # The same of ln of variances, by statistic: leaks that differ do so the more the warmer it is
     swelling: Mapping[str, Array] = field(default_factory=dict)
+    # Standard deviation of half a wave down the rows by which it moves while a frame is read, in DN
     drift_dn: float = 0.0
 
 
@@ -46,9 +40,6 @@ def black_by_noise(design: Design, seen: CaptureStatistics) -> float | None:
     exposures, levels or darks. The noise follows a line: σ² = K·(y − y₀) + what has no light. With nothing for the
     latter y₀ is as high as can be. Where noise does not rise with the light beyond chance, it is undetermined and set
     to 0.
-
-    Args:
-        seen: What was measured.
     """
     alike = np.unique(np.column_stack([design.exposure_s, design.gain_db, design.source_level]), axis=0).shape[0] == 1
     dark = design.closed | ~(design.source_level > 0)
@@ -72,9 +63,6 @@ def wander_of_black(design: Design, seen: CaptureStatistics) -> float:
 
     Frames of one setting show it: what all tiles of a frame share beyond what pixels and rows give by chance. It is
     pooled over the dark captures, and at most 0.3 of a pixel's own noise.
-
-    Args:
-        seen: What was measured.
     """
     return _wander("black", design, seen)
 
@@ -83,9 +71,6 @@ def drift_of_black(design: Design, seen: CaptureStatistics) -> float:
     """Return the standard deviation in DN of half a wave down the rows by which dark frames differ; 0 where none need.
 
     Rows are read one after the other: what wanders from frame to frame moves within one, too.
-
-    Args:
-        seen: What was measured.
     """
     return _wander("drift", design, seen)
 

@@ -18,7 +18,7 @@ from radiometer.reconciliation.measure.design import Design, slope_lengths
 from radiometer.reconciliation.measure.edges import SHARPEST
 from radiometer.reconciliation.measure.seen import CaptureStatistics
 from radiometer.reconciliation.noise.shared_errors import Part
-from radiometer.reconciliation.prediction import Prediction
+from radiometer.reconciliation.statistics import Prediction
 from radiometer.typing import Array
 from simulators.effects.catalogue import CatalogueEffect
 from simulators.effects.context import ExposureContext
@@ -32,17 +32,12 @@ _FIXED: Final = ("spatial", "columns", "rows")
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FixedError:
-    """One source of error whose z are the same in all captures: y = f(θ) + B·z, fitted with its variance as prior.
+    """One source of error whose z are the same in all captures: y = f(θ) + B·z, fitted with its variance as prior."""
 
-    Attributes:
-        name: What it is.
-        parts: Gives what a unit of each z does, by statistic, for a prediction.
-        sigma: (n,) standard deviation of each z.
-    """
-
-    name: str
+    name: str  # what it is
+    # Gives what a unit of each z does, by statistic, for a prediction
     parts: Callable[[Prediction], Mapping[str, Part]]
-    sigma: Array
+    sigma: Array  # (n,) standard deviation of each z
 
 
 Unit = Callable[[Prediction], Array]
@@ -55,15 +50,7 @@ def fixed_errors(
     design: Design,
     context: ExposureContext,
 ) -> tuple[FixedError, ...]:
-    """Return what the fixed patterns of the accepted effects do.
-
-    Args:
-        effects: The accepted effects.
-        prediction: Expected statistics with them.
-        seen: What was measured.
-        design: Captures and tiles.
-        context: The captures as the effects see them.
-    """
+    """Return what the fixed patterns of the accepted effects do."""
     patterns = [effect for effect in effects if effect.block in _FIXED]
     limited = bool(prediction.limit_variance.any())
     if not patterns and not limited:
@@ -108,11 +95,6 @@ def renewed_patterns(design: Design, seen: CaptureStatistics, prediction: Predic
 
     The m captures of one setting have the same pattern: each counts as if it were √m times as uncertain, so that
     together they weigh as much as one of them.
-
-    Args:
-        design: Captures and tiles.
-        seen: What was measured.
-        prediction: Expected statistics.
     """
     pattern2 = prediction.renewed_variance
     if not pattern2.any():
@@ -155,7 +137,6 @@ def _offset_terms(
         white: (tiles,) variance from pixel to pixel in squared units.
         lines: Variance of rows and of columns in squared units.
         pixels: (tiles,) pixels that count.
-        design: Captures and tiles.
     """
     (rows_e2, columns_e2), white = lines, np.maximum(white, 1e-14)
     rows, columns = shared_lines(design)

@@ -23,22 +23,16 @@ from radiometer.reconciliation.measure.row_bands import RowBins, TileBands
 from radiometer.reconciliation.measure.seen import CaptureStatistics
 from radiometer.reconciliation.model.tile_model import TileModel, Trace
 from radiometer.reconciliation.noise.darkness import Darkness, drift_of_black, wander_of_black
-from radiometer.reconciliation.prediction import Prediction
-from radiometer.reconciliation.statistics import STATISTICS, Scale
+from radiometer.reconciliation.statistics import STATISTICS, Prediction, Scale
 from radiometer.typing import Array, Mask
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Part:
-    """Change of one statistic by a shared error: amplitude · basis · z.
+    """Change of one statistic by a shared error: amplitude · basis · z."""
 
-    Attributes:
-        amplitude: (captures, entries) in the statistic's own scale; 0 where an entry does not count.
-        basis: (entries, n) or (captures, entries, n).
-    """
-
-    amplitude: Array
-    basis: Array
+    amplitude: Array  # (captures, entries) in the statistic's own scale; 0 where an entry does not count
+    basis: Array  # (entries, n) or (captures, entries, n)
 
     @property
     def columns(self) -> Array:
@@ -48,18 +42,12 @@ class Part:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SharedError:
-    """One source of error whose z are drawn anew in each capture.
+    """One source of error whose z are drawn anew in each capture."""
 
-    Attributes:
-        name: What it is.
-        parts: What it does, by statistic.
-        variance: (captures,) variance of each z, or (captures, n).
-        within: Whether the statistic's own standard uncertainty holds it already, so that it correlates entries only.
-    """
-
-    name: str
-    parts: Mapping[str, Part]
-    variance: Array
+    name: str  # what it is
+    parts: Mapping[str, Part]  # what it does, by statistic
+    variance: Array  # (captures,) variance of each z, or (captures, n)
+    # Whether the statistic's own standard uncertainty holds it already, so that it correlates entries only
     within: bool = False
 
     def covariance(self, name: str) -> Array:
@@ -103,21 +91,13 @@ _TOGETHER: Final = 0.85  # of the correlation of one wave's scores that is trust
 
 @dataclass(frozen=True, slots=True)
 class Repeatability:
-    """Scatter of the light from one capture to the next, and from one frame to the next.
+    """Scatter of the light from one capture to the next, and from one frame to the next."""
 
-    Attributes:
-        tau: Relative standard deviation from capture to capture.
-        flicker2: (captures,) relative variance from frame to frame that an accepted effect predicts.
-        row_variance: (captures,) row noise that an accepted effect predicts, in DN².
-        bands2: (captures,) relative variance of light that goes as a wave along the rows.
-        band_frequency: Periods of that wave per row.
-    """
-
-    tau: float
-    flicker2: Array
-    row_variance: Array
-    bands2: Array
-    band_frequency: float
+    tau: float  # relative standard deviation from capture to capture
+    flicker2: Array  # (captures,) relative variance from frame to frame that an accepted effect predicts
+    row_variance: Array  # (captures,) row noise that an accepted effect predicts, in DN²
+    bands2: Array  # (captures,) relative variance of light that goes as a wave along the rows
+    band_frequency: float  # periods of that wave per row
 
 
 def shared_errors(
@@ -131,9 +111,7 @@ def shared_errors(
     """Return the sources that the weights of means, slopes and variances hold.
 
     Args:
-        design: Captures and tiles.
         base: Prediction of what is accepted.
-        usable: Which entries of each statistic count.
         sensitivity: (captures, tiles) d(mean)/d(log light) in DN.
         repeatability: Capture-to-capture and frame-to-frame scatter, the source's own wander included.
         noise_response: (captures, tiles) how far the statistics of a tile's noise follow its log light, by statistic.
@@ -228,7 +206,6 @@ def phases_of_wave(design: Design, basis: Array, usable: Mask, share: Array, fre
     2ρ²/(n − 1) − (½ + ρ²)/n in units of their means.
 
     Args:
-        design: Captures and tiles.
         basis: (captures, 1 + orders, bins) functions of the rows.
         usable: (captures, orders) which scores count.
         share: (captures, orders) share of the wave in each ratio.
@@ -271,8 +248,6 @@ def chances_of_rows(
     First what differs from frame to frame, then what remains in the mean of the frames; the two are independent.
 
     Args:
-        design: Captures and tiles.
-        seen: What was measured.
         base: The prediction, row noise included.
         band_freedom: (captures, orders) degrees of freedom of the bands.
     """
@@ -313,9 +288,6 @@ def line_excess(design: Design, seen: CaptureStatistics, prediction: Prediction,
     of a capture but stays in their mean.
 
     Args:
-        design: Captures and tiles.
-        seen: What was measured.
-        prediction: Expected statistics.
         name: row_temporal, rows or columns.
     """
     rows, columns = prediction.row_variance, prediction.fixed_column_variance
@@ -340,8 +312,6 @@ def mixing_of_lines(prediction: Prediction, design: Design, name: str) -> Array:
     1 + 2ρ·(1 − 1/w) times that of white noise. A fixed profile holds the noise that the mean of the frames leaves.
 
     Args:
-        prediction: Expected statistics.
-        design: Captures and tiles.
         name: row_temporal, rows or columns.
     """
     length = design.tile_height if name == "columns" else design.tile_width
@@ -457,8 +427,6 @@ def common_of_rows(design: Design, seen: CaptureStatistics, light: Array) -> Arr
     """Return w·O·w / (w·s) for the weights w = s·n/σ² of the tiles' light s and the overlap O of their rows.
 
     Args:
-        design: Captures and tiles.
-        seen: What was measured.
         light: (captures, tiles) d(mean)/d(log light) in DN, 0 where a tile does not count.
     """
     light = np.where(np.nan_to_num(seen.variance) > 0, light, 0.0)
@@ -522,11 +490,6 @@ def errors_of_darkness(design: Design, usable: Mapping[str, Mask], darkness: Dar
 
     Repeated frames do not average it out: they follow one another, and the black level has its way from one series to
     the next.
-
-    Args:
-        design: Captures and tiles.
-        usable: Which entries of each statistic count.
-        darkness: How far darkness differs.
     """
     first = 1.0 + 1.0 / np.maximum(design.frame_count - 1.0, 1.0)
     every, one = np.ones(len(design.captures)), np.ones((len(design.tiles), 1))

@@ -99,21 +99,13 @@ _FRAMES: Final = range(2, 13)  # from one frame to the next of its kind
 
 @dataclass(frozen=True, slots=True)
 class Covariate:
-    """A variable on which a disagreement may depend.
+    """A variable on which a disagreement may depend."""
 
-    Attributes:
-        name: Its name in results.
-        tag: What its parameters are called by.
-        unit: Its unit; "1" for a pure number.
-        code: How an effect finds it, in terms of `context` and `signal`.
-        words: What people call it.
-    """
-
-    name: str
-    tag: str
-    unit: str
-    code: str
-    words: str
+    name: str  # its name in results
+    tag: str  # what its parameters are called by
+    unit: str  # its unit; "1" for a pure number
+    code: str  # how an effect finds it, in terms of `context` and `signal`
+    words: str  # what people call it
 
     @property
     def suffix(self) -> str:
@@ -178,23 +170,15 @@ PER_FRAME: Final = (
 
 @dataclass(frozen=True, slots=True)
 class Form:
-    """A function of one covariate (or of the place, or of row and exposure).
+    """A function of one covariate (or of the place, or of row and exposure)."""
 
-    Attributes:
-        name: Its name.
-        code: A line of NumPy with the covariate as `{u}` and parameters as `{their role}`.
-        roles: Parameters without the amplitude: role and whether they have the covariate's unit.
-        fixed: Roles that the fit leaves where they are, for the prediction jumps in them.
-        words: Its words, with `{covariate}`.
-        is_steep: Whether it changes along a place as no quadratic surface does.
-    """
-
-    name: str
-    code: str
+    name: str  # its name
+    code: str  # a line of NumPy with the covariate as `{u}` and parameters as `{their role}`
+    # Parameters without the amplitude: role and whether they have the covariate's unit
     roles: tuple[tuple[str, bool], ...]
-    words: str
-    fixed: tuple[str, ...] = ()
-    is_steep: bool = False
+    words: str  # its words, with `{covariate}`
+    fixed: tuple[str, ...] = ()  # roles that the fit leaves where they are, for the prediction jumps in them
+    is_steep: bool = False  # whether it changes along a place as no quadratic surface does
 
     @property
     def formula(self) -> Formula:
@@ -291,19 +275,12 @@ FORMS: Final = {
 
 @dataclass(frozen=True, slots=True)
 class Term:
-    """A form of a covariate at certain parameters.
+    """A form of a covariate at certain parameters."""
 
-    Attributes:
-        form: Name of the form.
-        covariate: Name of its covariate; a spot stands under `image_x`.
-        constants: Numbers in the formula itself: reference, end.
-        values: Parameters by role.
-    """
-
-    form: str
-    covariate: str
-    constants: Mapping[str, float]
-    values: Mapping[str, float]
+    form: str  # name of the form
+    covariate: str  # name of its covariate; a spot stands under `image_x`
+    constants: Mapping[str, float]  # numbers in the formula itself: reference, end
+    values: Mapping[str, float]  # parameters by role
 
     @property
     def covariates(self) -> tuple[str, ...]:

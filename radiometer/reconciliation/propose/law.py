@@ -215,15 +215,10 @@ _LOOKED_UP: Final = {
 
 
 class LawEffect(CatalogueEffect):
-    """What all laws share: the amplitude times the terms.
+    """What all laws share: the amplitude times the terms."""
 
-    Class attributes:
-        of_law: The law; its parameters' values are the effect's own.
-        link: The link of the chain at which it acts.
-    """
-
-    of_law: ClassVar[Law]
-    link: ClassVar[Link]
+    of_law: ClassVar[Law]  # the law; its parameters' values are the effect's own
+    link: ClassVar[Link]  # the link of the chain at which it acts
     settles = "another session that goes beyond the ranges of the first"
 
     def law(self, signal: Any, context: ExposureContext) -> Any:

@@ -3,33 +3,283 @@
 First all laws of the grammar are tested on the tiles' means, slopes and first frames, linearised about the starting
 camera with all nuisances following. The best of each kind are then fitted to all statistics as effects, and judged as
 names are. Source of the score: docs/decisions/0011.
+
+Statistics that follow the light of a tile move with the law as well: the nuisances take them along. A law that left
+them in place would seem to disagree with them as soon as a radiance adapts to it.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
-from dataclasses import replace
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
 from itertools import islice
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
+from scipy.special import ndtr
 
 from radiometer.errors import ConfigurationError, MeasurementError
 from radiometer.one_thread import on_one_blas_thread
 from radiometer.reconciliation.fit.candidate_fit import Candidate, FittedCandidate, fit_candidate, judged_gain
-from radiometer.reconciliation.fit.covariance import fitted_parameters, is_far
+from radiometer.reconciliation.fit.covariance import fitted_parameters, is_far, scatter_of
 from radiometer.reconciliation.fit.full_fit import FullFits, UnfitError, contenders_of, included
+from radiometer.reconciliation.fit.linear import LinearFit
 from radiometer.reconciliation.fit.state import FitState
-from radiometer.reconciliation.propose.first_look import Screened, known_values, screened
-from radiometer.reconciliation.propose.grammar import PLACES, finer, terms_of
+from radiometer.reconciliation.model.tile_context import from_grid, rise_of
+from radiometer.reconciliation.posterior import posterior_of
+from radiometer.reconciliation.propose.grammar import FORMS, PER_FRAME, PLACES, Term, finer, terms_of
 from radiometer.reconciliation.propose.law import Law, effect_of, round_to
 from radiometer.reconciliation.propose.proposal import Proposal, Rival
-from radiometer.reconciliation.search.free_laws import free_forms
+from radiometer.reconciliation.search.localise import localise, significant
+from radiometer.reconciliation.search.moves import free_forms, in_a_looser_form, nowhere_near
+from radiometer.reconciliation.search.outcome import Search, Step
 from radiometer.reconciliation.search.score import worth
 from radiometer.reconciliation.search.screening import best_start
-from radiometer.reconciliation.thresholds import NAMED_NATS, PARAMETER_NATS, RIVAL_NATS
+from radiometer.reconciliation.statistics import STATISTICS
+from radiometer.reconciliation.thresholds import NAMED_NATS, PARAMETER_NATS, RIVAL_NATS, SMOOTH_SHARE
+from radiometer.reconciliation.verdict import acting_as_others, doubts_of, leaves_structure
+from radiometer.typing import Array
 from simulators.chain.law_stages import LINKS
 from simulators.effects.catalogue import CatalogueEffect
+from simulators.effects.free_law import FreeLaw
+from simulators.effects.surroundings import column_light, picture_mean
+
+_AT_ONCE: Final = 64  # laws that are projected together
+_FAINT: Final = 1e-9
+_FOLLOWING: Final = ("mean", *(name for name, row in STATISTICS.items() if row.follows_light))
+
+
+@dataclass(frozen=True)
+class Screened:
+    """A law as the means alone show it: best amplitude, χ² that it would explain, and starts that do about as well."""
+
+    law: Law
+    amplitude: float
+    gain: float
+    others: tuple[Screened, ...] = ()
+
+    @cached_property
+    def score(self) -> float:
+        """Return nats less what the parameters cost."""
+        return 0.5 * self.gain - PARAMETER_NATS * self.law.size
+
+
+def screened(state: FitState, laws: Iterable[Law]) -> list[Screened]:
+    """Return the laws with the amplitude and the χ² that the tile means alone give them, nuisances following."""
+    look, terms = _Look(state), _Terms(state)
+    waiting, found, laws = list[Law](), list[Screened](), iter(laws)
+    while waiting := list(islice(laws, _AT_ONCE)):
+        found += look.gains(waiting, [terms.of_law(law) for law in waiting])
+    return found
+
+
+@dataclass(frozen=True, slots=True)
+class _Values:
+    """Values of a law of amplitude 1 in the tiles, broadcasting to (captures, tiles)."""
+
+    mean: Array  # its mean in a tile, over the frames of a capture
+    rises: tuple[Array, Array] | None  # from centre to right and to bottom edge; None where it is even within all tiles
+    first: Array | None  # in the first frame of a capture less the others; None where frames are alike
+
+    @classmethod
+    def of(cls, values: Array, frames: Array) -> _Values:
+        """Return those of a law's values.
+
+        Args:
+            values: As `values_of` gives them.
+            frames: (captures, 1, 1) number of frames.
+        """
+        first, others = np.nan_to_num(values[[0, -1]])
+        alike = values.shape[0] == 1
+        average = first if alike else (first + (frames - 1.0) * others) / frames
+        even = average.shape[-1] == 1
+        rises = None if even else rise_of(np.broadcast_to(average, (*average.shape[:-1], 4)))
+        return cls(average.mean(axis=-1), rises, None if alike else (first - others).mean(axis=-1))
+
+
+class _Look:
+    """Changes that laws make in the tested statistics, and how much of the residual they would take up."""
+
+    def __init__(self, state: FitState) -> None:
+        self._state = state
+        self._response = {key: _response(state, key) for key, link in LINKS.items() if not link.is_noise}
+        self._parts: dict[tuple[str, ...], tuple[dict[str, slice], LinearFit, Array]] = {}
+
+    def gains(self, laws: Sequence[Law], shown: Sequence[Sequence[_Values]]) -> list[Screened]:
+        """Return laws, of one column each or (a wave) of two, with amplitude and χ²."""
+        columns = [(values, self._response[law.link]) for law, own in zip(laws, shown, strict=True) for values in own]
+        blocks = list(_FOLLOWING)
+        blocks += ["slope_x", "slope_y"] if any(values.rises for values, _ in columns) else []
+        blocks += ["first"] if any(values.first is not None for values, _ in columns) else []
+        cuts, fit, projected = self._part(tuple(blocks))
+        changes = np.zeros((fit.residual.size, len(columns)))
+        for block, cut in cuts.items():
+            own = self._changes(block, columns)
+            if own.any():
+                changes[cut] = self._state.comparison.whiten(block, np.moveaxis(own, 0, -1)).reshape(-1, len(columns))
+        followed, part = fit.followed_with_half(changes)
+        slope = followed.T @ projected
+        squares, rows = np.einsum("ij,ij->j", changes, changes), np.ascontiguousarray(followed.T)
+        found, at = [], 0
+        for law, pair in zip(laws, shown, strict=True):
+            mine = slice(at, at := at + len(pair))
+            curvature = rows[mine] @ rows[mine].T - part[:, mine].T @ part[:, mine]
+            whole = float(squares[mine].sum())
+            if whole < _FAINT or float(np.linalg.eigvalsh(curvature)[0]) < 1e-6 * whole:
+                continue  # nothing of it is left beside the nuisances
+            best = np.linalg.solve(curvature, slope[mine])
+            found.append(_turned(law, np.asarray(best), float(best @ slope[mine])))
+        return found
+
+    def _changes(self, block: str, columns: Sequence[tuple[_Values, Mapping[str, Array]]]) -> Array:
+        """Return what columns change of a statistic, (columns, captures, tiles)."""
+        found = np.zeros((len(columns), *columns[0][1]["mean"].shape))
+        for own, (values, response) in zip(found, columns, strict=True):
+            if block == "first":
+                factor = values.first
+            elif block in ("slope_x", "slope_y"):
+                factor = values.rises and values.rises[block == "slope_y"]
+            else:
+                factor = values.mean
+            if factor is not None:
+                np.multiply(factor, response.get(block, response["mean"]), out=own)
+        return found
+
+    def _part(self, blocks: tuple[str, ...]) -> tuple[dict[str, slice], LinearFit, Array]:
+        """Return some statistics' places among theirs alone, the fit in these, and the residual that is left there."""
+        if blocks not in self._parts:
+            whole, cuts, at = self._state.comparison.cuts, dict[str, slice](), 0
+            for block in blocks:
+                cuts[block] = slice(at, at := at + whole[block].stop - whole[block].start)
+            rows = np.concatenate([np.arange(whole[block].start, whole[block].stop) for block in blocks])
+            fit = self._state.fit
+            self._parts[blocks] = cuts, fit.within(rows), fit.projected[rows]
+        return self._parts[blocks]
+
+
+def known_values(state: FitState) -> dict[str, Array]:
+    """Return the covariates that vary within a capture set, by name, each broadcasting to captures × tiles × points.
+
+    What differs between the first frame of a series and the others has an axis in front: first, others.
+    """
+    context, design = state.model.context, state.design
+    side = max(design.shape)
+    settings: Any = context.settings
+    signal = state.prediction.signal[:, :, None]
+    found = {
+        "exposure_s": settings.exposure_s,
+        "timestamp_s": np.stack([settings.timestamp_s] * 2),
+        "temperature_C": settings.temperature_c,
+        "gain_db": settings.gain_db,
+        "f_number": settings.f_number,
+        "source_level": settings.source_level,
+        "image_x": context.geometry.x_px / side,
+        "image_y": context.geometry.y_px / side,
+        "signal": signal,
+        "value": signal * state.prediction.gain[:, None, None],
+        "column_light": column_light(np.repeat(signal, 4, axis=2), context),
+    }
+    parts = (context.first_frame, context.later_frames)
+    if design.has_timestamps and None not in parts:
+        found["timestamp_s"] = np.stack([np.asarray(part.settings.timestamp_s) for part in parts if part])
+        found["since_frame_s"] = np.stack([np.asarray(part.since_frame_s) for part in parts if part])
+    lit = design.source_level > 0  # a closed shutter is no level of the source
+    if not lit.any() or not _varies(design.source_level[lit]):
+        del found["source_level"]
+    shown = picture_mean(state.model.radiance[design.pattern_index][:, :, None] * settings.source_level, context)
+    if lit.any() and _varies(shown[lit]):
+        found["picture_mean"] = shown
+    known = {name: np.asarray(v, dtype=np.float64) for name, v in found.items() if _varies(np.asarray(v))}
+    return known | ({} if None in parts else {"frame": np.stack([part.frame_numbers for part in parts if part])})
+
+
+def _varies(values: Array) -> bool:
+    finite = values[np.isfinite(values)]
+    return finite.size > 0 and not np.isnan(values).any() and float(np.ptp(finite)) > 1e-9 * float(np.abs(finite).max())
+
+
+def _response(state: FitState, link: str) -> dict[str, Array]:
+    """Return the change by a unit of a constant law in means and in statistics of the light, (captures, tiles) each."""
+    exposure = state.design.exposure_s
+    step = {
+        "1": 1e-3,
+        "s": 1e-3 * float(np.median(exposure)),
+        "e-": 1.0,
+        "e- s-1": 1.0 / float(exposure.max()),
+        "DN": 0.1,
+        "W m-2": 1e-3 * np.pi * state.model.context.peak_radiance / 64.0,
+    }[LINKS[link].unit]
+    moved = state.comparison.expected(state.predicted_with((*state.effects, effect_of(Law(link), step))))
+    base = state.comparison.expected(state.prediction)
+    return {name: np.asarray((moved[name] - base[name]) / step) for name in _FOLLOWING}
+
+
+class _Terms:
+    """The values of laws in one state; what those at several places of the chain share is worked out once."""
+
+    def __init__(self, state: FitState) -> None:
+        self._state, self._known = state, known_values(state)
+        self._frames = state.design.frame_count[:, None, None]
+        self._found: dict[tuple[object, ...], Array] = {}
+        self._shown: dict[tuple[object, ...], _Values] = {}
+
+    def of_law(self, law: Law) -> list[_Values]:
+        """Return the values of a law of amplitude 1, and of a wave those of a quarter period later too."""
+        found = [self._product(law.terms)]
+        if any("phase" in term.values for term in law.terms):
+            found.append(self._product([_ahead(term) for term in law.terms]))
+        return found
+
+    def _product(self, terms: Sequence[Term]) -> _Values:
+        keys = tuple((term.form, term.covariate, *term.constants.items(), *term.values.items()) for term in terms)
+        if keys not in self._shown:
+            product: Array = np.ones((1, 1, 1, 1))
+            for key, term in zip(keys, terms, strict=True):
+                if key not in self._found:
+                    self._found[key] = values_of(self._state, term, self._known)
+                product = product * self._found[key]
+            self._shown[keys] = _Values.of(product, self._frames)
+        return self._shown[keys]
+
+
+def _ahead(term: Term) -> Term:
+    """Return a wave a quarter of a period later; anything else as it is."""
+    later = {name: value + 0.5 * np.pi for name, value in term.values.items() if name == "phase"}
+    return replace(term, values={**term.values, **later})
+
+
+def values_of(state: FitState, term: Term, known: Mapping[str, Array]) -> Array:
+    """Return a term's values, broadcasting to frames × captures × tiles × points.
+
+    Frames are the first of each capture and the others where these differ, else one for all.
+    """
+    own = {name: known[name] for name in term.covariates}
+    if term.form == "step" and term.covariate in ("signal", "value"):
+        noise = np.sqrt(state.prediction.variance) / (
+            1.0 if term.covariate == "value" else state.prediction.gain[:, None]
+        )
+        share = ndtr((own[term.covariate] - term.values["at"]) / noise[:, :, None])  # of pixels beyond it
+        return np.asarray(share[None])
+    grid = state.model.context.grid
+    if grid is not None and FORMS[term.form].is_steep and set(term.covariates) & set(PLACES):
+        side = max(state.design.shape)
+        fine = {"image_x": grid.x_px / side, "image_y": grid.y_px / side}
+        points, _ = from_grid(term.evaluated(own | {name: fine[name] for name in own if name in fine}))
+        return np.asarray(points[None])
+    frames = (0, 1) if set(own) & set(PER_FRAME) else (0,)
+    parts = [term.evaluated({n: v[i] if n in PER_FRAME else v for n, v in own.items()}) for i in frames]
+    return np.stack(parts)
+
+
+def _turned(law: Law, best: Array, gain: float) -> Screened:
+    """Return the law with the amplitude, and of a wave with the phase, that two columns gave."""
+    if best.size == 1:
+        return Screened(law, float(best[0]), gain)
+    phase = float(np.arctan2(best[1], best[0]))
+    terms = tuple(replace(t, values={**t.values, "phase": phase}) if "phase" in t.values else t for t in law.terms)
+    return Screened(Law(law.link, terms), float(np.hypot(*best)), gain)
+
 
 _NOISES: Final = {"1": (0.002, 0.01), "DN": (0.5, 3.0)}  # standard deviations that laws of noise start from, by unit
 _OF_NOISE: Final = ("power", "step")  # forms that are nowhere below 0
@@ -47,25 +297,19 @@ _PLACES: Final = 60  # where a law of a sharp place starts: the means alone hard
 _REFINED: Final = (("step", "border"), ("step",))  # in two turns: a border is found to half a pixel in the first
 _FINER: Final = 6  # laws of a sharp place that are refined
 
-Say = Callable[[str], None]
-
 
 @on_one_blas_thread
-def propose_law(
-    state: FitState, say: Say = lambda line: None, along: Collection[str] = (), most: float = np.inf
-) -> Proposal | None:
+def propose_law(state: FitState, along: Collection[str] = (), most: float = np.inf) -> Proposal | None:
     """Return the law that explains best what a starting camera lacks; None where none is beyond chance.
 
     Args:
         state: The starting camera fitted, without any effect that was named.
-        say: Told what happens, line by line.
         along: Covariates to which laws are confined, of one term then; by default all, and products of two terms.
         most: χ² under the weights of the starting camera that a law may leave at best.
     """
     singles = screened(state, (law for law in _singles(state) if not along or set(law.covariates) <= set(along)))
     for forms in _REFINED:
         singles += screened(state, _finer(state, singles, forms))
-    say(f"{len(singles)} laws of one term looked at")
     plain = {_formula(entry.law): entry.score for entry in sorted(singles, key=lambda entry: entry.score)}
     products = [
         entry
@@ -73,7 +317,7 @@ def propose_law(
         if entry.score > plain.get(_formula(entry.law)[:1], 0.0) + NAMED_NATS
     ]
     fits = FullFits(state, most)
-    judged = _judged(fits, _chosen([*singles, *products, *_noises(state, along)]), say)
+    judged = _judged(fits, _chosen([*singles, *products, *_noises(state, along)]))
     if not judged:
         return None
     best = _without_its_second(fits, _plainest(judged), judged)
@@ -204,7 +448,7 @@ def _chosen(entries: Iterable[Screened]) -> list[Screened]:
 _JudgedLaw = tuple[Law, FittedCandidate, float]
 
 
-def _judged(fits: FullFits, chosen: list[Screened], say: Say) -> list[_JudgedLaw]:
+def _judged(fits: FullFits, chosen: list[Screened]) -> list[_JudgedLaw]:
     """Return the laws fitted to all statistics, with the nats that they improve held-out settings by.
 
     Those that leave too much though the nuisances follow are not among them; where entries are far off, these follow
@@ -226,10 +470,7 @@ def _judged(fits: FullFits, chosen: list[Screened], say: Say) -> list[_JudgedLaw
     fitted.sort(key=lambda pair: -pair[1].gain + 2.0 * PARAMETER_NATS * pair[0].size)
     rated = [(f, judged_gain(state, f)) for _, f in fitted[:_JUDGED]]
     laws = {id(f): law for law, f in fitted}
-    contenders = _fitted_in_full(fits, rated)
-    for f, nats in contenders:
-        say(f"{f.name}: {nats:.0f} nats")
-    return [(laws[id(f)], f, nats) for f, nats in contenders]
+    return [(laws[id(f)], f, nats) for f, nats in _fitted_in_full(fits, rated)]
 
 
 def _fitted_in_full(fits: FullFits, rated: list[tuple[FittedCandidate, float]]) -> list[tuple[FittedCandidate, float]]:
@@ -284,3 +525,152 @@ def _score(entry: _JudgedLaw) -> float:
     """Return the nats of a law less what its parameters cost, and what a second factor does."""
     law, _, nats = entry
     return nats - PARAMETER_NATS * law.size - NAMED_NATS * (len(law.terms) - 1)
+
+
+# ---- names against laws ---------------------------------------------------------------------------------------------
+# A search can only say names that it knows. Where its names leave something, are several, or are doubted, another
+# cause is a hypothesis too: names that one law outdoes by far are none. A single name that leaves
+# nothing is compared with the laws along its own covariate: where one of them predicts better, the name is provisional,
+# or none where it brings far less. A name that had to be bent to the data is provisional where a law predicts as well.
+# What is known of a name beforehand is its own equation: a table or a curve would follow any law. What names
+# bring is therefore what their own equations bring, without the curves that represent no cause. A name by another
+# equation than the catalogue's is not meant by this: its own brings most of what any law along its covariate brings.
+
+
+def held_to_laws(
+    outcome: Search,
+    catalogue: Mapping[str, type[CatalogueEffect]],
+    say: Callable[[str], None] = lambda line: None,
+) -> Search:
+    """Return the outcome with what laws of no entry say of its names: nothing, a doubt, or that they are none.
+
+    Args:
+        catalogue: The entries, one of which may hold the law in a looser form.
+        say: Told what happens.
+    """
+    effects = outcome.state.effects
+    if not effects:
+        return outcome
+    stays = (
+        len(effects) > 1
+        or leaves_structure(outcome)
+        or bool(doubts_of(outcome, posterior_of(outcome.state, catalogue)))
+    )
+    along = () if stays else own_covariates(effects[0])
+    law = propose_law(outcome.start, along=along, most=nowhere_near(outcome.start, outcome.state))
+    if law is None:
+        return outcome
+    if lead_nats(outcome, law) <= NAMED_NATS:
+        bent = [effect.name for effect in effects if is_bent(effect, outcome)]
+        if not bent or lead_nats(outcome, law) <= -RIVAL_NATS:
+            return outcome
+        remark = (
+            f"{' and '.join(bent)} does not follow its catalogue equation, "
+            f"and {law.name}, a law outside the catalogue, predicts as well"
+        )
+        say(remark)
+        return replace(outcome, remarks=(*outcome.remarks, remark))
+    named = " and ".join(step.name for step in outcome.steps if step.name != "unnamed")
+    remark = f"{law.name}, a law outside the catalogue, predicts better than {named}"
+    if brings_most(outcome, law):
+        say(remark)
+        return replace(outcome, remarks=(*outcome.remarks, remark))
+    near = nowhere_near(outcome.start, law.after)
+    form = in_a_looser_form(outcome.start, worth(law.after) - RIVAL_NATS, catalogue, near)
+    if form is not None:
+        say(f"{form.effects[0].name} in a more flexible form explains what {law.name} explains, in place of {named}")
+        return by_one_form(outcome, form, law)
+    say(remark)
+    return without_names(outcome, law, f"{remark} (gap {law.after.gap:.3g}), which is therefore not named")
+
+
+def by_one_form(outcome: Search, state: FitState, law: Proposal) -> Search:
+    """Return the outcome in which one entry in a looser form replaces all names; it is provisional."""
+    (effect,) = state.effects
+    nats, tests = state.evidence - outcome.start.evidence, localise(state)
+    step = Step(effect.name, effect.where, nats, outcome.start.gap, state.gap)
+    remark = (
+        f"{effect.name} follows a more flexible form of its equation, and {law.name}, a law of the grammar, "
+        "predicts as well"
+    )
+    return replace(outcome, state=state, steps=(step,), left=significant(tests), tests=tests, remarks=(remark,))
+
+
+def own_covariates(effect: CatalogueEffect) -> tuple[str, ...]:
+    """Return the covariates of laws that an entry may follow; a place of screen or lens is one of the picture."""
+    found = list[str]()
+    for where in type(effect).law_along or (effect.where,):
+        is_place = where in ("field_radius", "screen_x", "screen_y", *PLACES)
+        found += PLACES if is_place else ("signal", "value") if where == "signal" else (where,)
+    return tuple(dict.fromkeys(found))
+
+
+def lead_nats(outcome: Search, law: Proposal) -> float:
+    """Return by how many nats a law predicts better than what was found, each parameter paid for.
+
+    An entry by its own equation is known beforehand, a law is not: it must lead by the odds of a name. An entry that
+    had to be bent has that no more; a rival is as good.
+    """
+    return (worth(law.after) - worth(outcome.state)) / scatter_of(outcome.state)
+
+
+def brings_most(outcome: Search, law: Proposal) -> bool:
+    """Return whether names stand though a law predicts better: it is their own law, by an equation unlike theirs.
+
+    Their own equations need to bring most of what the law brings and to leave nothing, unless the law depends on the
+    covariate of the only name. One that acts as other causes would has brought nothing new.
+    """
+    if acting_as_others(outcome.state):
+        return False
+    base = worth(outcome.start)
+    if worth(by_own_equations(outcome)) - base < SMOOTH_SHARE * (worth(law.after) - base):
+        return False
+    effects = outcome.state.effects
+    own = len(effects) == 1 and set(law.law.covariates) <= set(own_covariates(effects[0]))
+    return own or not leaves_structure(outcome)
+
+
+def is_bent(effect: CatalogueEffect, outcome: Search) -> bool:
+    """Return whether an effect took a form with parameters that its own equation has not, or a free law."""
+    return own_equation(effect, outcome) is not effect
+
+
+def own_equation(effect: CatalogueEffect, outcome: Search) -> CatalogueEffect:
+    """Return an effect by its own equation, at the parameters that it shares with the form that it took."""
+    own = effect.own if isinstance(effect, FreeLaw) else effect
+    plain = min(type(own).starts(outcome.start.model.context), key=lambda start: len(start.free()))
+    if set(own.free()) <= set(plain.free()):
+        return own
+    shared = (name for name in plain.free() if "[" not in name)
+    return plain.with_parameters(**{name: getattr(own, name) for name in shared})
+
+
+def by_own_equations(outcome: Search) -> FitState:
+    """Return the model with the names by their own equations, fitted anew, without any unnamed curve."""
+    state = outcome.state
+    if not any(is_bent(effect, outcome) for effect in state.effects) and not any(t.is_smooth for t in state.terms):
+        return state
+    plain = outcome.start
+    try:
+        for effect in state.effects:
+            plain = included(plain, own_equation(effect, outcome), far=True)
+    except (UnfitError, np.linalg.LinAlgError, ConfigurationError):  # they bring what those bring that can be fitted
+        pass
+    return plain
+
+
+def without_names(outcome: Search, law: Proposal, remark: str) -> Search:
+    """Return the outcome in which all that disagrees is one entry without a name, placed as the law is."""
+    named = [step for step in outcome.steps if step.name != "unnamed"]
+    nearest = max(named, key=lambda step: step.gain_nats)
+    step = Step(
+        "unnamed",
+        law.law.where,
+        law.nats,
+        outcome.start.gap,
+        law.after.gap,
+        closest=(nearest.name, min(nearest.gain_nats / law.nats, 1.0)),
+        block="mean",
+    )
+    tests = outcome.first_tests
+    return replace(outcome, state=outcome.start, steps=(step,), left=significant(tests), tests=tests, remarks=(remark,))

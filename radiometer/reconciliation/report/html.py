@@ -25,7 +25,6 @@ def write_report(path: Path, reconciled: Reconciled, title: str, facts: Sequence
     """Write the report as one HTML file that needs nothing else.
 
     Args:
-        path: File to write.
         reconciled: What was found.
         title: Name of the capture set.
         facts: Camera, lens, date and whatever else is known of the data, as names and values.

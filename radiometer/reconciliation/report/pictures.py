@@ -9,11 +9,10 @@ import numpy as np
 from radiometer.reconciliation.fit.comparison import FAMILY
 from radiometer.reconciliation.fit.covariates import covariates
 from radiometer.reconciliation.fit.state import FitState
-from radiometer.reconciliation.prediction import Prediction
 from radiometer.reconciliation.report.words import AXES, axis_label
 from radiometer.reconciliation.result import Verdict
 from radiometer.reconciliation.search.outcome import Reconciled
-from radiometer.reconciliation.statistics import STATISTICS
+from radiometer.reconciliation.statistics import STATISTICS, Prediction
 from radiometer.reporting.pictures import BEFORE, RULE, SEEN, dress, label, legend, picture, shortened
 from radiometer.reporting.pictures import MODEL as AFTER
 from radiometer.typing import Array

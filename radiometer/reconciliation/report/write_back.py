@@ -28,9 +28,6 @@ def reconciled_model(
     """Return the camera model with the found effects, the fitted responsivity and whatever no datasheet declared.
 
     Effects of an incomplete result are written switched off, for their names may still change.
-
-    Args:
-        reconciled: What was found.
     """
     state = reconciled.outcome.state
     found = {effect.name: effect for effect in reconciled.result.effects}

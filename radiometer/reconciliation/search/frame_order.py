@@ -109,9 +109,6 @@ def steadied(design: Design, light: FrameLight, seen: CaptureStatistics, again: 
 
     A known dependence on the order of the frames would look like flicker and like a first frame that differs. Means
     stay as they are: the noise of the frames is that of the light that they had.
-
-    Args:
-        light: The light of each frame.
     """
     found = {name: getattr(seen, name).copy() for name in ("first", "common", "common_unit")}
     level = np.array(again.levels)

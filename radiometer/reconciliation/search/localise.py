@@ -19,10 +19,8 @@ from radiometer.reconciliation.chances import chi2_beyond
 from radiometer.reconciliation.fit.comparison import CAPTURE_BLOCKS, FAMILY, Comparison
 from radiometer.reconciliation.fit.covariates import Covariate, covariates
 from radiometer.reconciliation.fit.linear import LinearFit
-from radiometer.reconciliation.fit.state import FitState
-from radiometer.reconciliation.fit.terms import LinearTerm
-from radiometer.reconciliation.prediction import Prediction
-from radiometer.reconciliation.statistics import ADDITIVE, MULTIPLICATIVE, STATISTICS
+from radiometer.reconciliation.fit.state import FitState, LinearTerm
+from radiometer.reconciliation.statistics import ADDITIVE, MULTIPLICATIVE, STATISTICS, Prediction
 from radiometer.reconciliation.thresholds import OWN_SIGNIFICANCE, SIGNIFICANCE
 from radiometer.typing import Array
 from simulators.effects.catalogue import CatalogueEffect

@@ -13,68 +13,43 @@ from simulators.effects.catalogue import CatalogueEffect
 
 @dataclass(frozen=True, slots=True)
 class Step:
-    """One effect (or unnamed term) as it was added.
+    """One effect (or unnamed term) as it was added."""
 
-    Attributes:
-        name: Name of the effect, or `unnamed`.
-        where: Covariate along which the disagreement lay.
-        gain_nats: Improvement of the held-out log density.
-        gap_before: Reduced χ² of held-out settings before.
-        gap_after: The same after.
-        rivals: Effects within 5 nats.
-        closest: For an unnamed term, the closest entry and the share of it that it explains.
-        block: For an unnamed term, the statistic that shows it.
-        outperformed: Whether a plain trend of fewer parameters along the same covariate, or another entry, predicts
-            better than the effect.
-    """
-
-    name: str
-    where: str
-    gain_nats: float
-    gap_before: float
-    gap_after: float
-    rivals: tuple[CatalogueEffect, ...] = ()
+    name: str  # name of the effect, or `unnamed`
+    where: str  # covariate along which the disagreement lay
+    gain_nats: float  # improvement of the held-out log density
+    gap_before: float  # reduced χ² of held-out settings before
+    gap_after: float  # the same after
+    rivals: tuple[CatalogueEffect, ...] = ()  # effects within 5 nats
+    # For an unnamed term, the closest entry and the share of it that it explains
     closest: tuple[str, float] | None = None
-    block: str = ""
+    block: str = ""  # for an unnamed term, the statistic that shows it
+    # Whether a plain trend of fewer parameters along the same covariate, or another entry, predicts better than the
+    # effect
     outperformed: bool = False
 
 
 @dataclass(frozen=True, eq=False)
 class Search:
-    """The outcome.
+    """The outcome."""
 
-    Attributes:
-        state: The fitted model.
-        start: The ideal camera fitted.
-        steps: What was added and stayed, in order.
-        left: Disagreements that stay significant.
-        tests: All tests of the final model.
-        first_tests: All tests of the ideal camera.
-        remarks: Further remarks on how it came about.
-    """
-
-    state: FitState
-    start: FitState
-    steps: tuple[Step, ...]
-    left: tuple[Disagreement, ...]
-    tests: tuple[Disagreement, ...]
-    first_tests: tuple[Disagreement, ...]
-    remarks: tuple[str, ...] = ()
+    state: FitState  # the fitted model
+    start: FitState  # the ideal camera fitted
+    steps: tuple[Step, ...]  # what was added and stayed, in order
+    left: tuple[Disagreement, ...]  # disagreements that stay significant
+    tests: tuple[Disagreement, ...]  # all tests of the final model
+    first_tests: tuple[Disagreement, ...]  # all tests of the ideal camera
+    remarks: tuple[str, ...] = ()  # further remarks on how it came about
 
 
 @dataclass(frozen=True, eq=False)
 class Reconciled:
-    """A result with what it was drawn from, for the model file and the report.
+    """A result with what it was drawn from, for the model file and the report."""
 
-    Attributes:
-        result: The result.
-        outcome: The search behind it.
-        taken: Fits the starting camera to the frames as they were taken, where the search had them with light that
-            comes back every so many of them taken out.
-    """
-
-    result: ReconcileResult
-    outcome: Search
+    result: ReconcileResult  # the result
+    outcome: Search  # the search behind it
+    # Fits the starting camera to the frames as they were taken, where the search had them with light that comes back
+    # every so many of them taken out
     taken: Callable[[], FitState] | None = None
 
     @property

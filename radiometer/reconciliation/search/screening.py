@@ -41,12 +41,7 @@ class StartPool:
         self._moves: dict[str, Array] = {}
 
     def likeliest(self, state: FitState, kind: type[CatalogueEffect]) -> Starts:
-        """Return the starts of an entry; of many only those that explain most at first sight.
-
-        Args:
-            state: The fitted model.
-            kind: The entry.
-        """
+        """Return the starts of an entry; of many only those that explain most at first sight."""
         if kind.name not in self._starts:
             self._starts[kind.name] = kind.starts(state.model.context)
         starts = self._starts[kind.name]
@@ -110,7 +105,6 @@ def _of_all_captures(state: FitState, unit: Array) -> tuple[Array, Array]:
     """Return the Gram matrix and the slope of χ² for changes of each capture's means, nuisances following.
 
     Args:
-        state: The fitted model.
         unit: What a change of 1 moves of means in DN, (captures, tiles).
     """
     captures, tiles = unit.shape
@@ -242,15 +236,10 @@ def usable_catalogue(
 
 @dataclass(frozen=True, slots=True)
 class Before:
-    """Results of another model's screening, by which this one tests the likeliest entries first.
+    """Results of another model's screening, by which this one tests the likeliest entries first."""
 
-    Attributes:
-        candidates: Its candidates.
-        needed: How many of the best are needed now.
-    """
-
-    candidates: Sequence[Candidate] = ()
-    needed: int = 0
+    candidates: Sequence[Candidate] = ()  # its candidates
+    needed: int = 0  # how many of the best are needed now
 
 
 def screen(
@@ -266,7 +255,6 @@ def screen(
     model. The rest come as they were, behind these.
 
     Args:
-        state: The fitted model.
         catalogue: Entries to try, by name.
         pool: Their starts, where they were made before.
         before: What a smaller model's screening found.
@@ -309,12 +297,7 @@ def _screened(state: FitState, kinds: Sequence[type[CatalogueEffect]], pool: Sta
 
 
 def of_seen_codes(seen: CaptureStatistics, starts: tuple[CatalogueEffect, ...]) -> tuple[CatalogueEffect, ...]:
-    """Return the starts that leave no gaps where codes occur: a coarse step may compensate another effect.
-
-    Args:
-        seen: What was measured.
-        starts: Starts of one entry.
-    """
+    """Return the starts that leave no gaps where codes occur: a coarse step may compensate another effect."""
     step = seen_step(seen)
     if step == 1:  # nothing tells
         return starts
@@ -337,10 +320,6 @@ def _best(candidates: Sequence[Candidate]) -> list[Candidate]:
 def changes_with(state: FitState, several: Sequence[Sequence[CatalogueEffect]]) -> Array:
     """Return what sets of effects change in the whitened data residual (minus the residual's change), (entries, sets).
 
-    Args:
-        state: The fitted model.
-        several: The sets.
-
     Raises:
         MeasurementError: If the prediction with one of them is not finite.
     """
@@ -352,12 +331,7 @@ def changes_with(state: FitState, several: Sequence[Sequence[CatalogueEffect]]) 
 
 
 def changes_where_possible(state: FitState, several: Sequence[Sequence[CatalogueEffect]]) -> Array:
-    """Return the same; numbers that are none for sets with which the model predicts what no camera does.
-
-    Args:
-        state: The fitted model.
-        several: The sets.
-    """
+    """Return the same; numbers that are none for sets with which the model predicts what no camera does."""
     try:
         return changes_with(state, several)
     except (MeasurementError, ConfigurationError):
@@ -365,15 +339,6 @@ def changes_where_possible(state: FitState, several: Sequence[Sequence[Catalogue
             return np.full((state.comparison.size, 1), np.nan)
     half = len(several) // 2
     return np.hstack([changes_where_possible(state, part) for part in (several[:half], several[half:])])
-
-
-def changes_of(state: FitState, effects: Sequence[CatalogueEffect]) -> Array:
-    """Return what each of some further effects alone changes, (entries, effects).
-
-    Raises:
-        MeasurementError: If the prediction with one of them is not finite.
-    """
-    return changes_with(state, [(*state.effects, effect) for effect in effects])
 
 
 def _rigid(state: FitState, starts: Sequence[CatalogueEffect]) -> list[Candidate]:
@@ -384,7 +349,7 @@ def _rigid(state: FitState, starts: Sequence[CatalogueEffect]) -> list[Candidate
 def _rigid_batch(state: FitState, starts: Sequence[CatalogueEffect]) -> list[Candidate]:
     rows = state.comparison.size
     fit = state.fit
-    changes, part = fit.followed_with_half(changes_of(state, starts))
+    changes, part = fit.followed_with_half(changes_with(state, [(*state.effects, start) for start in starts]))
     whole = np.einsum("ij,ij->j", changes, changes)
     curvature = whole - np.einsum("ij,ij->j", part, part)
     slope = changes.T @ fit.projected[:rows]
@@ -434,19 +399,17 @@ def _flexible_batch(state: FitState, covers: Sequence[tuple[CatalogueEffect, Arr
     return found
 
 
-def directions_of(state: FitState, effects: Sequence[CatalogueEffect], index: int, first: int = 0) -> Array:
+def directions_of(state: FitState, effects: Sequence[CatalogueEffect], index: int) -> Array:
     """Return what a set of effects changes in the residual, and what the parameters of one of them do then.
 
     Args:
-        state: The fitted model.
         effects: The effects to have instead of the model's.
         index: Position of the one whose parameters are moved.
-        first: The first of its parameters that is moved.
 
     Returns:
         (entries, 1 + parameters).
     """
-    return next(iter(directions_of_each(state, [(effects, index, first)])))
+    return next(iter(directions_of_each(state, [(effects, index, 0)])))
 
 
 _Changes = Callable[[FitState, Sequence[Sequence[CatalogueEffect]]], Array]
@@ -458,7 +421,6 @@ def directions_of_each(
     """Yield the same of several sets of effects; their chains run together.
 
     Args:
-        state: The fitted model.
         entries: Each set, the position of the one whose parameters are moved, and the first of these.
         changes: Gives what sets change.
     """

@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from radiometer.data.provenance import Provenance
+from radiometer.data.provenance import Provenance, source_hash
 from radiometer.errors import InputError
 
 
@@ -44,3 +44,9 @@ def test_another_shape_is_refused_by_name(stated: Any, named: str) -> None:
     """The message says which file and which key."""
     with pytest.raises(InputError, match=f"cal.yaml: {named}"):
         Provenance.from_mapping(stated, "cal.yaml")
+
+
+def test_a_hash_over_no_source_is_refused() -> None:
+    """A folder that was renamed has no source: its hash would never change, and stored results would never age."""
+    with pytest.raises(ValueError, match="no source"):
+        source_hash("analysis", "no_such_room")

@@ -62,18 +62,6 @@ def test_a_csv_that_is_no_curve_is_refused(tmp_path, text):
         ResponseCurve.read(tmp_path / "c.csv")
 
 
-def test_a_curve_moved_by_a_factor_is_as_well_known_as_before():
-    """ln 1000 more everywhere, what says nothing still nothing; back again it is what it was."""
-    there = curve().shifted(np.log(1000.0), absolute=True)
-    assert np.diff(there.log_exposure[1:]) == pytest.approx(np.diff(curve().log_exposure[1:]), abs=1e-12)
-    assert np.exp(there.log_exposure[[128, 255]]) == pytest.approx(1000.0 * np.exp(curve().log_exposure[[128, 255]]))
-    assert there.log_exposure[0] == -np.inf
-    assert (there.absolute, there.u_log_exposure.tolist()) == (True, curve().u_log_exposure.tolist())
-    back = there.shifted(-np.log(1000.0), absolute=False)
-    assert back.log_exposure[1:] == pytest.approx(curve().log_exposure[1:], abs=1e-12)
-    assert not back.absolute
-
-
 @pytest.mark.parametrize(("size", "bits"), [(2, 1), (4, 2), (256, 8), (65536, 16)])
 def test_a_curve_has_a_value_for_every_number_of_its_bits(size, bits):
     """Powers of two from 2 to 65536; the middle one is that above half of them."""

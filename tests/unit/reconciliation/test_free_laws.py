@@ -15,7 +15,7 @@ from radiometer.reconciliation.fit.state import FitState, with_effects
 from radiometer.reconciliation.measure.design import Design
 from radiometer.reconciliation.measure.reduce import frame_reader, reduce_frames
 from radiometer.reconciliation.result import FittedParameter, LawCurve
-from radiometer.reconciliation.search.free_laws import by_a_free_law, free_forms
+from radiometer.reconciliation.search.moves import by_a_free_law, free_forms
 from radiometer.reconciliation.search.score import worth
 from radiometer.reconciliation.search.screening import best_start
 from radiometer.reconciliation.verdict import sizes_by_own_law

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from radiometer.reconciliation.fit.models import ModelFit
+from radiometer.reconciliation.fit.state import ModelFit
 from radiometer.reconciliation.posterior import UNNAMED, posterior, pseudo_bma
 from radiometer.reconciliation.result import FoundEffect
 from simulators.effects.black_level_offset import BlackLevelOffset

@@ -15,7 +15,7 @@ from radiometer.reconciliation.fit.state import FitState, with_effects
 from radiometer.reconciliation.measure.design import Design
 from radiometer.reconciliation.measure.reduce import frame_reader, reduce_frames
 from radiometer.reconciliation.model.tile_model import predict_several
-from radiometer.reconciliation.prediction import Prediction
+from radiometer.reconciliation.statistics import Prediction
 from simulators.effects.brighter_fatter import BrighterFatter
 from simulators.effects.dark_current import DarkCurrent
 from simulators.effects.exposure_time_offset import ExposureTimeOffset

@@ -17,8 +17,7 @@ from radiometer.reconciliation.noise.shared_errors import (
     shared_errors,
     whiteners,
 )
-from radiometer.reconciliation.prediction import Prediction
-from radiometer.reconciliation.statistics import STATISTICS, Given, family_of
+from radiometer.reconciliation.statistics import STATISTICS, Given, Prediction, family_of
 
 
 @pytest.fixture

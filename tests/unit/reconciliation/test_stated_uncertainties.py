@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from radiometer.reconciliation.fit.terms import inverse, prior_residual
+from radiometer.reconciliation.fit.state import inverse, prior_residual
 
 
 def test_a_prior_is_an_observation_that_the_parameter_is_nothing() -> None:

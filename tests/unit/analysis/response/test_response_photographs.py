@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from radiometer.analysis.response.auto import Judged, judge_by_prediction, solve_auto
+from radiometer.analysis.response.auto import Judged, judge_by_prediction, recover_response_auto
 from radiometer.analysis.response.debevec1997 import curve_debevec1997
 from radiometer.analysis.response.estimate import ResponseEstimate
 from radiometer.analysis.response.planes import Plane
@@ -63,7 +63,7 @@ TIMES = tuple(0.25 * 1.7**k for k in range(7))
 
 @pytest.fixture(scope="module")
 def moved() -> ResponseEstimate:
-    return solve_auto(gather_samples(photographs(TIMES, (0, 1, -1, 2, 0, -2, 1))))
+    return recover_response_auto(photographs(TIMES, (0, 1, -1, 2, 0, -2, 1)))
 
 
 @pytest.mark.slow
@@ -90,7 +90,7 @@ def test_a_linear_camera_stays_linear_beyond_its_brightest_value() -> None:
     for seconds in TIMES:
         values = 12.0 * light * seconds + 0.4 * rng.standard_normal(light.shape)
         frames.append(Frame(np.round(np.maximum(values, 0.0)).astype(np.uint8), 8, FrameSettings(seconds)))
-    estimate = solve_auto(gather_samples(Bracket.from_frames(frames)))
+    estimate = recover_response_auto(Bracket.from_frames(frames))
     assert (estimate.curve.valid_dn or (0, 255))[1] < 90
     g = estimate.curve.log_exposure
     assert g[242] - g[40] == pytest.approx(np.log(242 / 40), abs=0.25)

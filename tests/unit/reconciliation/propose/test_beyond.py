@@ -10,12 +10,9 @@ from radiometer.reconciliation.fit.descent import first_state, refit
 from radiometer.reconciliation.fit.state import with_effects
 from radiometer.reconciliation.measure.design import Design
 from radiometer.reconciliation.measure.reduce import frame_reader, reduce_frames
-from radiometer.reconciliation.propose.beyond import (
-    in_a_looser_form,
-    own_covariates,
-)
+from radiometer.reconciliation.propose.search import own_covariates
 from radiometer.reconciliation.result import Verdict
-from radiometer.reconciliation.search.free_laws import in_place_of_all
+from radiometer.reconciliation.search.moves import in_a_looser_form, in_place_of_all
 from radiometer.reconciliation.search.score import worth
 from simulators.effects.black_level_offset import BlackLevelOffset
 from simulators.effects.dark_current import DarkCurrent
