@@ -79,7 +79,7 @@ def record_of(asked: Asked) -> Record:
     begun = time.process_time()
     try:
         done, truth, kept["hidden"] = _run(asked)
-    except Exception as error:  # noqa: BLE001  (a crash of the finder is a failed run, not the end of the benchmark)
+    except Exception as error:  # noqa: BLE001 (a crash of the finder is a failed run, not the end of the benchmark)
         where = traceback.extract_tb(error.__traceback__)[-1]
         return kept | {"error": f"{type(error).__name__}: {error} ({Path(where.filename).name}:{where.lineno})"}
     return kept | {"cpu_s": round(time.process_time() - begun, 2), "truth": truth} | _answer(done)

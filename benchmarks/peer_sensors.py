@@ -56,7 +56,7 @@ def run(python: str, case: str, seed: int) -> dict[str, Any]:
         begun = time.process_time()
         try:
             told = reconcile_capture(path).result.to_mapping()
-        except Exception as error:  # noqa: BLE001  (a crash of the finder is a failed run, not the end of the benchmark)
+        except Exception as error:  # noqa: BLE001 (a crash of the finder is a failed run, not the end of the benchmark)
             return kept | {"error": f"{type(error).__name__}: {error}"}
     said = [{key: effect[key] for key in ("name", "where", "alternatives", "parameters")} for effect in told["effects"]]
     return kept | {

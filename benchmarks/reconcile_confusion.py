@@ -38,7 +38,7 @@ def run_task(task: Task) -> dict[str, Any]:
     kept = {"key": task.key, **task.to_mapping()}
     try:
         kept |= _run(task)
-    except Exception as error:  # noqa: BLE001  (a crash of the finder is a failed run, not the end of the benchmark)
+    except Exception as error:  # noqa: BLE001 (a crash of the finder is a failed run, not the end of the benchmark)
         where = traceback.extract_tb(error.__traceback__)[-1]
         kept["error"] = f"{type(error).__name__}: {error} ({Path(where.filename).name}:{where.lineno})"
     kept["seconds"] = round(time.perf_counter() - begun, 2)

@@ -78,7 +78,7 @@ def run(generator: int, kind: str, seed: int, name: str | None = None) -> dict[s
             "effects": [{key: effect[key] for key in TOLD} for effect in answer["effects"]],
             "places": [f"{p['block']}|{p['covariate']}" for p in answer["localisation"][:3]],
         }  # fmt: skip
-    except Exception as error:  # noqa: BLE001  (a crash of the finder is a failed run, not the end of the benchmark)
+    except Exception as error:  # noqa: BLE001 (a crash of the finder is a failed run, not the end of the benchmark)
         where = traceback.extract_tb(error.__traceback__)[-1]
         kept["error"] = f"{type(error).__name__}: {error} ({Path(where.filename).name}:{where.lineno})"
     return kept | {"seconds": round(time.perf_counter() - begun, 1)}

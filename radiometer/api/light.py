@@ -369,9 +369,11 @@ class ExposureAccount(Result):
 
     Attributes:
         reports: One per box and eye.
+        notes: What is wrong with the account's file, and what follows.
     """
 
     reports: tuple[ExposureReport, ...]
+    notes: tuple[str, ...] = ()
 
     def to_json(self) -> str:
         """Return the documented JSON form: a list."""
@@ -422,7 +424,10 @@ def light_account(box: str | None = None, *, confirm_unexposed: bool = False) ->
         box = require_known_box(box)
     if confirm_unexposed:
         confirm_no_exposure(box or "")
-    return ExposureAccount(tuple(one for one in exposure_reports() if box is None or one.name == f"box {box}"))
+    reports, wrong = exposure_reports()
+    consequence = "what it held is lost; each box counts as used up for 10⁴ s from its next opening"
+    notes = (f"{wrong}; {consequence}: radiometer light status",) if wrong else ()
+    return ExposureAccount(tuple(one for one in reports if box is None or one.name == f"box {box}"), notes)
 
 
 @dataclass(frozen=True, repr=False)

@@ -24,7 +24,7 @@ from radiometer.data.guards import safe_file_name
 from radiometer.data.light_calibration import LightCalibration
 from radiometer.data.storage import read_yaml, state_folder
 from radiometer.data.validation import ConfigSection, validate
-from radiometer.devices.exposure_account import ANY_EYE, AccountStore, FileStore, MemoryStore
+from radiometer.devices.exposure_account import ANY_EYE, NO_HISTORY, AccountStore, FileStore, MemoryStore
 from radiometer.devices.exposure_ledger import ExposureLedger
 from radiometer.devices.light_box import LightBoxIdentity
 from radiometer.devices.retinal_safety import BLUE_WINDOW_S, DEFAULT_FRACTION, ChannelOptics, FlashLight
@@ -101,7 +101,7 @@ class LightBoxConfig(ConfigSection):
 
     format: Literal["radiometer-light-box/1"] = "radiometer-light-box/1"
     name: str = "light box"
-    allowed_fraction: float = Field(DEFAULT_FRACTION, gt=0, le=1)
+    allowed_fraction: float = Field(DEFAULT_FRACTION, gt=0, le=DEFAULT_FRACTION)  # a preset may only allow less
     channels: dict[str, ChannelConfig]
     flash: FlashConfig | None = None
 
@@ -324,8 +324,12 @@ class ExposureReport:
     unknown_for_s: float
 
 
-def exposure_reports() -> list[ExposureReport]:
-    """Return what the account holds of every box and eye. Raises UnsafeStimulus if it cannot be read."""
+def exposure_reports() -> tuple[list[ExposureReport], str]:
+    """Return what the account holds of every box and eye, and what is wrong with its file: "" for nothing.
+
+    Raises:
+        UnsafeStimulus: If the account cannot be read.
+    """
     account = exposure_store().look()
     names = {*account.given, *(key for planned in account.planned.values() for key in planned.keys)}
     reports = []
@@ -337,7 +341,7 @@ def exposure_reports() -> list[ExposureReport]:
         unknown_s = account.assumed.get(name, (account.now_s, ""))[0] - account.now_s
         frees_in_s = BLUE_WINDOW_S if open_blue else max(frees_s, 0.0)
         reports.append(ExposureReport(name, sum(map(account.blue, keys)) + open_blue, frees_in_s, unknown_s))
-    return reports
+    return reports, "" if account.reason == NO_HISTORY else account.reason
 
 
 @contextmanager

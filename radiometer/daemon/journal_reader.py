@@ -16,6 +16,7 @@ from urllib.parse import quote
 from radiometer.daemon.journal import APPLICATION_ID, MINUTE_US
 from radiometer.daemon.timestamps import iso_time
 from radiometer.data.json_text import parsed_json
+from radiometer.data.reader_limits import refuse_endless
 from radiometer.errors import InputError
 from radiometer.reporting.plain_text import spreadsheet_cell
 
@@ -179,6 +180,7 @@ class JournalReader:
     @contextmanager
     def _connect(self) -> Iterator[sqlite3.Connection]:
         if not self._path.is_file():
+            refuse_endless(self._path)
             raise InputError(
                 f"there is no journal {self._path}; `radiometer serve` writes one, --journal names another"
             )

@@ -114,7 +114,9 @@ class ReplyBudget:
 
 
 def check_token(token: str) -> str:
-    """Return a token for HTTP that is long enough not to be guessed. Raises UsageError."""
+    """Return a token for HTTP that is long enough not to be guessed and can be sent. Raises UsageError."""
+    if not all(sign.isprintable() and not sign.isspace() for sign in token):  # a file of zero bytes is no secret
+        raise UsageError("the token for HTTP holds blanks or invisible characters; make another: openssl rand -hex 24")
     if len(token) < _SHORTEST_TOKEN:
         raise UsageError(
             f"the token for HTTP has {len(token)} characters; use {_SHORTEST_TOKEN} or more: openssl rand -hex 24"

@@ -159,7 +159,8 @@ class CaptureSet:
             CaptureError: If the folder is missing, unfinished, or `capture.yaml` is wrong or names absent files.
         """
         if not path.is_dir():
-            raise CaptureError(f"{path} is not a folder; a capture set is a folder that holds {HEADER_NAME}")
+            what = "is not a folder" if path.exists() else "does not exist"
+            raise CaptureError(f"{path} {what}; a capture set is a folder that holds {HEADER_NAME}")
         header_path = path / HEADER_NAME
         if not header_path.exists():
             said = f"{path} holds no {HEADER_NAME}"

@@ -105,6 +105,7 @@ def write_bytes_atomic(path: Path, content: bytes, *, rescue: bool = True) -> No
     """Write bytes so that the file is either whole or absent, and on the disk.
 
     A link is followed. A file that is replaced keeps its mode; a new one has the mode that the user's mask gives.
+    A device, pipe or socket is never replaced, whatever link leads to it.
 
     Args:
         path: Final name. Its folder must exist.
@@ -126,13 +127,16 @@ def write_bytes_atomic(path: Path, content: bytes, *, rescue: bool = True) -> No
 
 
 def _write_whole(target: Path, content: bytes) -> None:
+    mode = target.stat().st_mode if target.exists() else None
+    if mode is not None and not stat.S_ISREG(mode):  # a rename over /dev/null by its administrator stops a machine
+        raise OSError(f"{target} is no regular file")
     temporary = target.with_name(f".radiometer-{secrets.token_hex(8)}.part")
     # Created by open, not by tempfile: the system applies the user's mask, and no thread has to change it to learn it.
     handle = os.open(temporary, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o666)
     try:
         with os.fdopen(handle, "wb") as stream:
-            if target.exists():
-                os.fchmod(stream.fileno(), stat.S_IMODE(target.stat().st_mode))
+            if mode is not None:
+                os.fchmod(stream.fileno(), stat.S_IMODE(mode))
             stream.write(content)
             stream.flush()
             os.fsync(stream.fileno())

@@ -2,23 +2,36 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Mapping
-from typing import Any, TypeVar
+from typing import Any, TypeVar, get_args
 
-from pydantic import BaseModel, ConfigDict, ValidationError
+from pydantic import BaseModel, ConfigDict, ValidationError, model_validator
 
 from radiometer.errors import RadiometerError
 
 ModelT = TypeVar("ModelT", bound=BaseModel)
 
 
-class FileSection(BaseModel):
+class _Section(BaseModel):
+    """A section of a file, whose `true` is no number: pydantic would take it as 1."""
+
+    @model_validator(mode="before")
+    @classmethod
+    def _true_is_no_number(cls, mapping: Any) -> Any:
+        for key, value in mapping.items() if isinstance(mapping, Mapping) else ():
+            if _holds_truth(value) and key in cls.model_fields and not _takes_truth(cls, key):
+                raise ValueError(f"{key} = {value}: true and false are no numbers; state the number")
+        return mapping
+
+
+class FileSection(_Section):
     """A section of an exchange file: frozen; keys that other programs added are kept."""
 
     model_config = ConfigDict(frozen=True, extra="allow", allow_inf_nan=False)
 
 
-class ConfigSection(BaseModel):
+class ConfigSection(_Section):
     """A section of a configuration file: frozen; an unknown key is an error."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
@@ -60,6 +73,19 @@ def _keys_at(model: type[BaseModel], path: tuple[Any, ...]) -> list[str]:
             return []
         model = inner[0]
     return list(model.model_fields)
+
+
+def _holds_truth(value: Any) -> bool:
+    return isinstance(value, bool) or (isinstance(value, list | tuple) and any(map(_holds_truth, value)))
+
+
+@functools.cache
+def _takes_truth(model: type[BaseModel], name: str) -> bool:
+    """Return whether a field may hold true or false: where nothing that it takes is a number, its type decides."""
+    kinds = [model.model_fields[name].annotation]
+    for kind in kinds:
+        kinds.extend(get_args(kind))
+    return bool in kinds or not {int, float} & {kind for kind in kinds if isinstance(kind, type)}
 
 
 def _is_model(candidate: Any) -> bool:

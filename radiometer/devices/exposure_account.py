@@ -7,6 +7,7 @@ program that ends at any point leaves an account that is never below what an eye
 from __future__ import annotations
 
 import contextlib
+import errno
 import fcntl
 import hashlib
 import math
@@ -22,7 +23,7 @@ from pathlib import Path
 from typing import Any, Final, Protocol
 
 from radiometer.data.json_text import json_text, parsed_json
-from radiometer.data.storage import write_text_atomic
+from radiometer.data.storage import write_bytes_atomic
 from radiometer.devices.retinal_safety import BLUE_WINDOW_S
 from radiometer.errors import OutputError, UnsafeStimulus, UsageError
 
@@ -33,12 +34,15 @@ MOST_BYTES: Final = 4_000_000  # a thousand boxes and eyes with full histories t
 LOCK_PATIENCE_S: Final = 0.5  # below the box's dead-man time: a wait for the lock darkens no other channel
 LOCK_LOOK_S: Final = 0.005  # the account is held for some ms
 EYES: Final = ("right", "left")
+NO_HISTORY: Final = "this computer has no account of its light"
 LONGEST_NAME: Final = 64  # characters of a pseudonym, as a test allows: thousands of eyes fit into MOST_BYTES
 NO_EYE: Final = ""  # in place of whose eye looks: a person states that none does
+_BLANK_LETTERS: Final = "\u115f\u1160"  # Hangul fillers: letters by their category, and invisible
 ANY_EYE: Final = "any eye"  # the account of light that no eye was named for; no subject's key begins like it
 # Steps of the wall clock below this at a restart are corrections of a drifting clock; time counts as standing still.
 CLOCK_STEP_S: Final = 60.0
 _BOOT_ID: Final = Path("/proc/sys/kernel/random/boot_id")
+_TIME_NAMESPACE: Final = Path("/proc/self/ns/time")  # time_namespaces(7)
 _MACHINE_ID: Final = Path("/etc/machine-id")
 _UNKNOWN_BOOT: Final = uuid.uuid4().hex  # where the system names no boot, each program counts as a new one
 
@@ -47,7 +51,7 @@ _UNKNOWN_BOOT: Final = uuid.uuid4().hex  # where the system names no boot, each 
 class Moment:
     """A time by the two clocks of a machine."""
 
-    boot: str  # which start of the machine `uptime_s` counts from
+    boot: str  # which start of the machine, and which clock of the system, `uptime_s` counts from
     uptime_s: float  # time since that start in s, also while the machine slept; it cannot be set
     wall_s: float  # time of day as Unix time in s; may be set to anything
     machine: str = ""  # which computer it is
@@ -59,6 +63,9 @@ def machine_moment() -> Moment:
         boot = _BOOT_ID.read_text(encoding="ascii").strip()
     except OSError:
         boot = _UNKNOWN_BOOT
+    # Any user may start programs whose uptime is shifted: to the account that is another start of the machine.
+    with contextlib.suppress(OSError):  # systems before Linux 5.6 shift no uptime
+        boot = f"{boot} {_TIME_NAMESPACE.readlink()}"
     try:
         machine = _MACHINE_ID.read_text(encoding="ascii", errors="replace").strip()
     except OSError:
@@ -137,15 +144,19 @@ def name_of_eye(subject: str | None, eye: str | None, *, no_eye: bool = False) -
     """Return whose eye looks, in one spelling: "s07 right"; None where that is not known, NO_EYE where none does.
 
     Args:
-        subject: Pseudonym of the subject. Case and blanks make no other subject.
+        subject: Pseudonym of the subject. Only its letters and digits count. Case, blanks, accents, punctuation and
+            invisible characters make no other subject: a name that is written in two ways has one account.
         eye: "right" or "left".
         no_eye: State that no eye looks.
 
     Raises:
         UsageError: If a subject has no eye, an eye no subject, somebody looks although no eye does, or a name is too
-            long.
+            long or without letters and digits.
     """
-    name = " ".join(unicodedata.normalize("NFKC", subject or "").casefold().split())
+    spelt = unicodedata.normalize("NFKD", unicodedata.normalize("NFKD", subject or "").casefold())
+    name = "".join(sign for sign in spelt if unicodedata.category(sign)[0] in "LN" and sign not in _BLANK_LETTERS)
+    if subject and subject.strip() and not name:
+        raise UsageError(f"--subject {subject!r:.80} has no letter and no digit; name the subject by some")
     if len(name) > LONGEST_NAME:
         raise UsageError(f"--subject has {len(name)} characters; a pseudonym has {LONGEST_NAME} at most")
     if no_eye and (name or eye):
@@ -168,7 +179,7 @@ class Account:
     assumed: dict[str, tuple[float, str]] = field(default_factory=dict)
     planned: dict[str, Planned] = field(default_factory=dict)  # what is open, by its name
     # Why the history of a box that it does not know is unknown
-    reason: str = "this computer has no account of its light"
+    reason: str = NO_HISTORY
 
     @property
     def now_s(self) -> float:
@@ -387,11 +398,16 @@ class FileStore:
     def _read(self) -> Account:
         try:
             # Without waiting: a pipe in its place would hold this program, and the lock, for ever.
-            with os.fdopen(os.open(self.path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC), "rb") as stream:
-                content = stream.read(MOST_BYTES + 1) if stat.S_ISREG(os.fstat(stream.fileno()).st_mode) else b""
+            how = os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC | os.O_NOFOLLOW
+            with os.fdopen(os.open(self.path, how), "rb") as stream:
+                if not stat.S_ISREG(os.fstat(stream.fileno()).st_mode):
+                    raise self._no_file("no regular file")
+                content = stream.read(MOST_BYTES + 1)
         except FileNotFoundError:
             return Account(self.moment())
         except OSError as error:
+            if error.errno == errno.ELOOP:  # each folder has its own lock: through a link, two programs would write
+                raise self._no_file("a symbolic link") from error
             raise self._unusable(error) from error
         moment = self.moment()  # after the reading: else what was written meanwhile would be from the future
         account = parse_account(content)
@@ -403,10 +419,16 @@ class FileStore:
 
     def _write(self, account: Account, folder: int) -> None:
         try:
-            write_text_atomic(self.path, render_account(account))
+            write_bytes_atomic(self.path, render_account(account).encode("ascii"), rescue=False)
             os.fsync(folder)
         except (OSError, OutputError) as error:
             raise self._unusable(error) from error
+
+    def _no_file(self, what: str) -> UnsafeStimulus:
+        return UnsafeStimulus(
+            f"the exposure account {self.path} is {what}, so no light is given; move the account itself there, or link"
+            " its whole folder"
+        )
 
     def _unusable(self, error: Exception) -> UnsafeStimulus:
         reason = getattr(error, "strerror", None) or error

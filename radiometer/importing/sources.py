@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from radiometer.data import CaptureHeader, CaptureSet, CaptureSetWriter, FrameSettings
 from radiometer.data.capture_set import HEADER_NAME, read_digital_numbers, read_header
 from radiometer.data.frame import DigitalNumbers
+from radiometer.data.reader_limits import refuse_endless
 from radiometer.data.statements import StatementMap
 from radiometer.data.storage import write_yaml_atomic
 from radiometer.errors import (
@@ -330,6 +331,7 @@ def _listed(path: Path) -> list[Path]:
         return [path]
     if any(sign in str(path) for sign in _WILDCARDS):
         return [file for found in _matching(path) for file in _listed(found)]
+    refuse_endless(path, CaptureError)
     raise CaptureError(f"{path} does not exist; name a file, a folder or a pattern")
 
 

@@ -479,7 +479,7 @@ def _optional_step(what: str, work: Callable[[], _T], failed: list[str]) -> _T |
     """
     try:
         return work()
-    except Exception as error:  # noqa: BLE001  (whatever it is: minutes of fitting are not thrown away for a hint)
+    except Exception as error:  # noqa: BLE001 (whatever it is: minutes of fitting are not thrown away for a hint)
         at = traceback.extract_tb(error.__traceback__)[-1]
         _log.error("advice failed", what=what, error=repr(error), at=f"{Path(at.filename).name}:{at.lineno}")
         _log.debug("advice failed", trace=traceback.format_exc())

@@ -161,10 +161,24 @@ def test_light_of_separate_commands_adds_up_until_it_is_refused(served, capsys, 
     assert report["blue_light"] == pytest.approx(2 * 0.406 * 6500 * 30000 / 65535 * 4.0 / 1e6, rel=0.05)
 
 
+@pytest.mark.parametrize("allowed", ["0.101", "1", "true", "0", "-0.1", ".nan"])
+def test_a_preset_cannot_allow_more_than_a_tenth(capsys, tmp_path, project_root, allowed):
+    """Less than a tenth of the limit is the owner's choice, more is refused by the key; so is what is no number."""
+    preset = tmp_path / "box.yaml"
+    shipped = (project_root / "configs/light_boxes/reference.yaml").read_text(encoding="utf-8")
+    preset.write_text(shipped.replace("allowed_fraction: 0.1 ", f"allowed_fraction: {allowed} "), encoding="utf-8")
+    light = ["light", "pulse", "spot", "--level", "9", "--duration", "0.1", "--box", "sim", "--preset", str(preset)]
+    assert run(light) == 2
+    assert "allowed_fraction" in capsys.readouterr().err
+
+
 def test_a_lost_account_stops_light_until_it_is_confirmed(served, capsys):
     """The message gives the command that confirms; with it the same light is given; darkness needs none."""
     account = Path(os.environ["RADIOMETER_STATE"]) / "exposure-account.json"
     account.write_bytes(account.read_bytes()[:-9])
+    assert run(["light", "account"]) == 0
+    shown = capsys.readouterr()
+    assert ("was damaged" in shown.err, shown.out) == (True, "")
     light = ["light", "set", "spot", "--level", "100", "--for", "0.1", "--box", served]
     assert run(light) == 1
     error = capsys.readouterr().err

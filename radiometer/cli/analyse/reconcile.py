@@ -106,7 +106,7 @@ class _Files:
         """Return what writing a file gives; None where it fails."""
         try:
             return file()
-        except Exception as error:  # noqa: BLE001 - reported by `raise_first`, once the answer is printed
+        except Exception as error:  # noqa: BLE001 (reported by `raise_first`, once the answer is printed)
             self.failed.append(error)
             return None
 

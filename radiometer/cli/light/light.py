@@ -208,10 +208,12 @@ def account(
     damaged or from the future. That ends after 10⁴ s, or with --confirm-no-exposure.
     """
     found = rm.light_account(box, confirm_unexposed=confirm_no_exposure)
+    for text in found.notes:
+        note(text)
     if json:
         print(found.to_json())
         return
-    for line in found.lines() or ["no light box was opened on this computer yet"]:
+    for line in found.lines() or ([] if found.notes else ["no light box was opened on this computer yet"]):
         console().print(line)
 
 

@@ -23,7 +23,7 @@ _Model = TypeVar("_Model", bound=BaseModel)
 class PatchBody(BaseModel):
     """A region of the picture in pixels."""
 
-    model_config = ConfigDict(extra="forbid", strict=True)
+    model_config = ConfigDict(extra="forbid")
     x: int
     y: int
     width: int
@@ -104,7 +104,7 @@ async def read_body(request: web.Request, model: type[_Model]) -> _Model:
         except RepeatedKey as error:
             raise UsageError(str(error)) from error
     try:
-        return model.model_validate_json(content.strip() or b"{}")
+        return model.model_validate_json(content.strip() or b"{}", strict=True)  # "1" and true are no numbers
     except ValidationError as error:
         first = error.errors(include_url=False, include_input=False)[0]
         where = ".".join(map(str, first["loc"])) or "the body"

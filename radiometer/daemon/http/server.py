@@ -122,8 +122,9 @@ class HttpServer:
 
     def _admit(self, peer: str) -> web.RequestHandler | None:
         """Return the handler of a new connection; None where it is refused."""
-        assert self._runner.server is not None
-        for gone in self._places.connections() - set(self._runner.server.connections):
+        if (server := self._runner.server) is None:  # connected while the daemon ends
+            return None
+        for gone in self._places.connections() - set(server.connections):
             self._places.leave(gone)
         if (displaced := self._places.make_room()) is not None:
             self._end(displaced)
@@ -131,15 +132,15 @@ class HttpServer:
         if reason:
             self._station.metrics.refused.labels("http", reason).inc()
             return None
-        handler = self._runner.server()
+        handler = server()
         self._places.enter(handler, peer)
         asyncio.get_running_loop().call_later(self._limits.head_s, self._look_at_head, handler)
         return handler
 
     def _look_at_head(self, handler: web.RequestHandler) -> None:
         """End a connection whose first request head has not come in time."""
-        assert self._runner.server is not None
-        if handler in self._runner.server.connections and not self._places.is_known(handler):
+        server = self._runner.server  # None once the daemon has ended, which has ended all connections
+        if server is not None and handler in server.connections and not self._places.is_known(handler):
             self._end(handler)
 
     def _end(self, handler: web.RequestHandler) -> None:

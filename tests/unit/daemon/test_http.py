@@ -8,11 +8,12 @@ import logging
 from collections.abc import AsyncIterator, Awaitable, Callable
 from logging.handlers import BufferingHandler
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import aiohttp
 import numpy as np
 import pytest
+from pydantic import BaseModel
 
 from radiometer.daemon.http.openapi import description
 from radiometer.daemon.http.server import ROUTES, HttpServer
@@ -137,6 +138,33 @@ async def test_wrong_bodies_are_refused_and_change_nothing(
             assert reply.status == status, await reply.text()
     assert station.settings == before
     assert station.shown.latest is None
+
+
+def _numbers(model: type[BaseModel]) -> dict[str, Any]:
+    """Return the fields of a body that take numbers and no text, with those of its parts, as the body's keys."""
+    found: dict[str, Any] = {}
+    for name, field in model.model_fields.items():
+        kinds = get_args(field.annotation) or (field.annotation,)
+        parts = [kind for kind in kinds if isinstance(kind, type) and issubclass(kind, BaseModel)]
+        found |= {f"{name}.{key}": kind for part in parts for key, kind in _numbers(part).items()}
+        found |= {name: field.annotation} if {int, float} & set(kinds) else {}
+    return found
+
+
+@pytest.mark.parametrize("wrong", ["0.5", "1", "NaN", "", True, False, [1], {"value": 1}])
+@pytest.mark.parametrize(
+    ("path", "key"), [(one.path, key) for one in ROUTES if one.body is not None for key in _numbers(one.body)]
+)
+async def test_what_is_no_number_is_refused_in_every_body(
+    base: str, session: aiohttp.ClientSession, path: str, key: str, wrong: Any
+) -> None:
+    """Text, truth values and lists in place of each number of each request: 400, and the key is named."""
+    outer, _, inner = key.partition(".")
+    async with session.post(base + path, json={outer: {inner: wrong} if inner else wrong}) as reply:
+        assert reply.status == 400
+        assert (
+            "number" in await reply.text() or "integer" in await reply.text() or "Field required" in await reply.text()
+        )
 
 
 async def test_the_stream_replays_and_follows_without_gap(
@@ -304,6 +332,21 @@ async def test_rates_and_connections_are_limited(serve: Any, session: aiohttp.Cl
     assert b"503" in (await asyncio.wait_for(streams[-1][0].read(), within(20.0))).split(b"\r\n")[0]
     for _, writer in streams:
         writer.close()
+
+
+async def test_the_end_with_a_silent_client_is_no_error(station: Station) -> None:
+    """A connection without a request is ended with the daemon; nothing is reported when its time is over."""
+    errors: list[dict[str, Any]] = []
+    asyncio.get_running_loop().set_exception_handler(lambda loop, context: errors.append(context))
+    server = HttpServer(station, limits=Limits(head_s=0.2))
+    reader, writer = await asyncio.open_connection("127.0.0.1", await server.listen("127.0.0.1", 0))
+    await asyncio.sleep(0.05)  # until it is accepted
+    await server.close()
+    async with asyncio.timeout(within(10.0)):
+        assert await reader.read() == b""
+    await asyncio.sleep(0.3)
+    writer.close()
+    assert errors == []
 
 
 async def test_listeners_are_limited(serve: Any, session: aiohttp.ClientSession, station: Station) -> None:

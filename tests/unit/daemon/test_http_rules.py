@@ -31,6 +31,14 @@ HEADERS = {"X-Content-Type-Options": "nosniff", "Referrer-Policy": "no-referrer"
 octets = st.integers(0, 255)
 
 
+@pytest.mark.parametrize("sign", ["\0", "\t", " ", "\u00a0", "\u200b", "\u202e", "\ufeff", "\ue000", "\ud800"])
+@pytest.mark.parametrize("visible", ["", "a-token-so-long-as-it"])
+def test_a_token_of_what_cannot_be_seen_is_refused(station: Station, sign: str, visible: str) -> None:
+    """Zero bytes, blanks, marks of no width, private and half characters, alone or at the end of a good token."""
+    with pytest.raises(UsageError, match=r"invisible characters.*openssl"):
+        HttpServer(station, token=visible + sign * 20)
+
+
 @pytest.mark.parametrize(
     "sent", [b"Bearer \xff\xfe", b"Bearer \xed\xa0\x80", "Bearer schlüssel-zum-haus".encode("latin-1")]
 )

@@ -118,7 +118,7 @@ def test_colour_frames_are_refused(capture):
     ("remove", "message"),
     [
         (("capture.yaml", "frames"), "it is no capture set"),
-        (("capture.yaml", "frames", ""), "is not a folder"),
+        (("capture.yaml", "frames", ""), "does not exist"),
         (("frames/0002.png",), r"0002\.png' does not exist; the capture set is incomplete"),
     ],
 )

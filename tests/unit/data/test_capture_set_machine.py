@@ -124,7 +124,7 @@ class CaptureMachine(RuleBasedStateMachine):
     def the_folder_is_what_it_says(self) -> None:
         """Absent or unfinished it is refused with that reason; finished it holds every frame in its order."""
         if self.state != "finished":
-            said = "not a folder" if self.state == "absent" else "not finished"
+            said = "does not exist" if self.state == "absent" else "not finished"
             with pytest.raises(CaptureError, match=said):
                 CaptureSet.read(self.folder)
             assert self.folder.exists() == (self.state == "unfinished")

@@ -93,6 +93,17 @@ def test_what_exists_is_taken(model: type[BaseModel], fields: dict[str, object])
     assert {name: getattr(made, name) for name in fields} == fields
 
 
+@pytest.mark.parametrize(
+    "model", sorted({*models(FileSection), *models(ConfigSection)}, key=lambda one: one.__qualname__)
+)
+def test_true_is_no_number(model: type[BaseModel]) -> None:
+    """A level, bound or share that a file states as `true` is refused by its key: it would be 1."""
+    for name, field in model.model_fields.items():
+        if field.annotation in (int, float, int | None, float | None):
+            with pytest.raises(ValidationError, match=rf"{name} = True: true and false are no numbers"):
+                model.model_validate({name: True})
+
+
 def test_a_simulated_lens_may_be_nearly_opaque() -> None:
     """1 % is a lens behind a grey filter of density 2, for the sun."""
     assert Lens(transmittance=0.01).transmittance == 0.01

@@ -6,6 +6,7 @@ import contextlib
 import errno
 import os
 import re
+import socket
 import stat
 from pathlib import Path
 
@@ -108,6 +109,27 @@ def test_a_replaced_file_keeps_its_mode_and_its_link(tmp_path):
     finally:
         os.umask(before)
     assert (link.is_symlink(), target.read_text(), target.stat().st_mode & 0o777) == (True, "2", 0o604)
+
+
+def make_socket(path):
+    """Leave the name of a socket that no program listens on."""
+    with socket.socket(socket.AF_UNIX) as one:
+        one.bind(str(path))
+
+
+@pytest.mark.parametrize("linked", [False, True])
+@pytest.mark.parametrize("make", [os.mkfifo, make_socket, os.mkdir])
+def test_only_a_file_is_replaced(tmp_path, monkeypatch, make, linked):
+    """A pipe, socket or folder stays what it is, also behind a link: so does a device, as /dev/null."""
+    monkeypatch.chdir(tmp_path)  # the path of a socket has 108 bytes at most
+    make(Path("there"))
+    before = Path("there").stat()
+    if linked:
+        Path("link").symlink_to("there")
+    with pytest.raises(OutputError, match=r"cannot write .*no regular file"):
+        storage.write_bytes_atomic(Path("link" if linked else "there"), b"1", rescue=False)
+    assert Path("there").stat().st_ino == before.st_ino
+    assert {path.name for path in tmp_path.iterdir()} == {"there"} | ({"link"} if linked else set())
 
 
 def test_text_is_read_without_an_editor_s_mark(tmp_path):

@@ -6,6 +6,8 @@ import fcntl
 import math
 import multiprocessing
 import os
+import subprocess
+import sys
 from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
@@ -157,9 +159,6 @@ def harm(desk: Desk, kind: str) -> None:
         desk.file.write_bytes(content[:-20])
     elif kind == "edited":
         desk.file.write_bytes(content.replace(b"1000.0", b"0010.0").replace(b"0.001", b"0.000"))
-    elif kind == "a pipe":
-        desk.file.unlink()
-        os.mkfifo(desk.file)
     elif kind == "endless":
         desk.file.write_bytes(b"x" * 5_000_000)
     elif kind == "from the future":
@@ -180,7 +179,6 @@ def harm(desk: Desk, kind: str) -> None:
         "cut",
         "edited",
         "endless",
-        "a pipe",
         "from the future",
         "of another boot, from the future",
         "of another computer",
@@ -250,14 +248,30 @@ def test_light_without_a_named_eye_counts_for_every_eye(desk, first, second, ref
 
 
 def test_a_subject_has_one_account_however_the_name_is_written():
-    """Case, blanks and Unicode's wide forms make no other eye; half a statement is no statement."""
-    assert {name_of_eye(name, "right") for name in ("S07", " s07 ", "Ｓ07")} == {"s07 right"}
+    """What a reader may overlook makes no other eye; half a statement, or a name of marks alone, is no statement."""
+    for name in (
+        "S07",
+        " s07 ",
+        "Ｓ07",
+        "S 07",
+        "S-07",
+        "s_07.",
+        "S\u200b07",
+        "S07\u0301",
+        "S07\0",
+        "\u3164S07",
+        "Š07",
+    ):
+        assert name_of_eye(name, "right") == "s07 right", name
+    assert len({name_of_eye(name, "left") for name in ("S07", "S08", "S070", "T07", "7")}) == 5
     assert (name_of_eye(None, None), name_of_eye(None, None, no_eye=True)) == (None, NO_EYE)
     for wrong in (
         {"subject": "S07", "eye": None},
         {"subject": None, "eye": "left"},
         {"subject": "S07", "eye": "both"},
         {"subject": "S" * 65, "eye": "left"},
+        {"subject": "\u200b", "eye": "left"},
+        {"subject": "--", "eye": "left"},
     ):
         with pytest.raises(UsageError):
             name_of_eye(**wrong)
@@ -304,6 +318,30 @@ def test_what_still_shines_counts_to_its_planned_end(desk):
         ledger.refuse_unsafe("a", 1000.0, 89.0)
 
 
+def test_a_program_whose_uptime_is_shifted_does_not_free_the_account(tmp_path, project_root):
+    """time_namespaces(7): any user may shift the uptime of a program, here by 5.6 h; 8 % given stay given."""
+    store = FileStore(tmp_path)
+    with store.change() as account:
+        account.begin("LB000001")
+    ledger = ExposureLedger({"a": BLUE}, store)
+    ledger.open("LB000001")
+    ledger.begun(ledger.reserve(Stimulus("a", 1000.0, 80.0, 80.0)))
+    look = f"""if True:
+        from pathlib import Path
+        from radiometer.devices.exposure_account import FileStore
+        with FileStore(Path({str(tmp_path)!r})).change() as account:
+            given = account.blue("any eye") + sum(one.blue() for one in account.planned.values())
+            print("given", given, account.reason)"""
+    shift = ["unshare", "-r", "-T", "--boottime", "20000", "--monotonic", "20000"]
+    try:
+        looked = subprocess.run([*shift, sys.executable, "-c", look], cwd=project_root, capture_output=True, text=True)
+    except FileNotFoundError:
+        pytest.skip("util-linux has no unshare here")
+    if "given" not in looked.stdout:
+        pytest.skip(f"this system makes no time namespaces: {looked.stderr[-200:]}")
+    assert float(looked.stdout.split()[1]) >= 0.08
+
+
 def test_another_program_that_holds_the_account_stops_light_within_a_second_and_never_darkness(desk):
     """The way out is named; the wait is shorter than the box's dead-man time; what ended meanwhile is stored later."""
     ledger = desk.open()
@@ -328,6 +366,38 @@ def test_a_folder_that_takes_no_file_stops_light_and_never_darkness(tmp_path):
     ledger.darken()
     with pytest.raises(UnsafeStimulus, match=r"exposure-account.json cannot be kept .* RADIOMETER_STATE"):
         ledger.reserve(Stimulus("a", 1.0, 1.0, 1.0))
+
+
+@pytest.mark.parametrize("kind", ["file", "nothing", "pipe", "itself", None])
+def test_an_account_that_is_no_file_stops_light_and_stays(desk, tmp_path_factory, kind):
+    """A pipe, or a link to a file, nothing, a pipe or itself: two folders with one account exclude no program."""
+    other = tmp_path_factory.mktemp("other") / "account"
+    if kind == "file":
+        desk.file.rename(other)
+    elif kind == "pipe":
+        os.mkfifo(other)
+    desk.file.unlink(missing_ok=True)
+    if kind is None:
+        os.mkfifo(desk.file)
+    else:
+        desk.file.symlink_to(desk.file if kind == "itself" else other)
+    before = desk.file.lstat(), other.lstat() if other.exists() else None
+    with pytest.raises(UnsafeStimulus, match=r"is (a symbolic link|no regular file), .* link its whole folder"):
+        desk.pulse(desk.open(), 1.0)
+    assert (desk.file.lstat(), other.lstat() if other.exists() else None) == before
+
+
+def test_a_linked_folder_holds_the_same_account(desk, tmp_path_factory):
+    """9 % by one name and 3 % by the other are refused: one file, one lock."""
+    ledger = desk.open()
+    ledger.begun(ledger.reserve(Stimulus("a", 1000.0, 88.0, 88.0)))
+    desk.clock.wait(100.0)
+    ledger.settle()
+    desk.folder.rename(moved := tmp_path_factory.mktemp("other") / "state")
+    desk.folder.symlink_to(moved)
+    with pytest.raises(UnsafeStimulus, match="blue-light"):
+        desk.pulse(desk.open(), 30.0)
+    desk.pulse(desk.open(), 5.0)
 
 
 def _take_three_percent(folder: Path, start: object, taken: object) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import gzip
 import json
+import os
 
 import numpy as np
 import pytest
@@ -117,6 +118,20 @@ def test_several_files_of_which_none_is_read_are_one_line(tmp_path, said):
     assert "(and 1 more)" in err
     code, _, err = said("passport", tmp_path)
     assert (code, "holds no capture set" in err) == (1, True)
+
+
+@pytest.mark.parametrize("there", [True, False])
+@pytest.mark.parametrize("command", ["import", "response", "reconcile", "characterise", "merge", "log", "log-fit"])
+def test_a_pipe_is_not_called_missing_and_what_is_missing_is(command, there, tmp_path, said):
+    """The line names what stands at the path; nothing waits for its content."""
+    path = tmp_path / "pipe"
+    if there:
+        os.mkfifo(path)
+    code, _, err = said(command, path, *(["-o", tmp_path / "out.tiff"] if command in ("import", "merge") else []))
+    assert code == 1
+    missing = any(words in err for words in ("does not exist", "there is no journal", "No such file"))
+    assert missing is not there
+    assert ("no regular file" in err or "is not a folder" in err) is there
 
 
 @pytest.mark.parametrize(("codes", "step"), [(1, None), (9, None), (10, 16), (400, 16)])
