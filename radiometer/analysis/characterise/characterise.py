@@ -162,6 +162,12 @@ def _at_gain(gain_db: float, bright: list[GroupStatistics], dark: list[GroupStat
     )
 
 
+def _least_e(saturation: Saturation, K: Quantity) -> float:
+    """Return the electrons that the brightest step shows, less twice their standard uncertainty."""
+    shown = propagated(lambda dn, k: dn / k, "e-", Quantity(saturation.signal_dn, saturation.u_signal_dn, "DN"), K)
+    return shown.value - 2.0 * shown.u
+
+
 @dataclass(frozen=True, slots=True)
 class _Work:
     """Makes the result of one gain."""
@@ -240,7 +246,8 @@ class _Work:
         if not saturation.reached:
             notes.append(
                 "saturation was not reached: saturation capacity, SNR_max, DR and linearity are left out or hold up to "
-                f"{saturation.signal_dn:.0f} DN only; take longer exposures"
+                f"{saturation.signal_dn:.0f} DN only. The saturation capacity is above {_least_e(saturation, K):.3g} e- "
+                "(97.7 %); take longer exposures"
             )
             keep = {"sigma_y_dark", "sigma_d", "mu_e_min", "mu_p_min"}
             found = {name: q for name, q in found.items() if name in keep}

@@ -23,6 +23,7 @@ class Saturation:
 
     Attributes:
         signal_dn: μ_y − μ_y.dark of that step in DN.
+        u_signal_dn: Its standard uncertainty.
         light: Its light (photons per pixel, or exposure × level).
         u_light_rel: Relative standard uncertainty that the spacing of the steps leaves.
         linear_signal_dn: Signal that this light would give without compression, from the line below 70 %.
@@ -34,6 +35,7 @@ class Saturation:
     """
 
     signal_dn: float
+    u_signal_dn: float
     light: float
     u_light_rel: float
     linear_signal_dn: float
@@ -62,6 +64,7 @@ def find_saturation(steps: Sequence[SignalStep]) -> Saturation:
     linear = slope * float(light[top])
     return Saturation(
         signal_dn=steps[top].signal_dn,
+        u_signal_dn=steps[top].u_signal_dn,
         light=float(light[top]),
         u_light_rel=u_light_rel,
         linear_signal_dn=linear,

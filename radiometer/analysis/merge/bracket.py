@@ -34,7 +34,7 @@ from radiometer.analysis.merge.tables import merge_tables
 from radiometer.analysis.photometry.photometry import KINDS
 from radiometer.analysis.reading.budget import common_u_rel, frame_u_rel, unstated_u_rel
 from radiometer.analysis.signal.lens import falloff_known, known_f_number, lens_factor_sr, relative_sensitivity
-from radiometer.analysis.signal.model import corrected_settings, temperature_factor
+from radiometer.analysis.signal.model import corrected_settings, darkest_signal, temperature_factor
 from radiometer.analysis.signal.situation import flat_field_for, situation_of
 from radiometer.data import (
     Bracket,
@@ -413,6 +413,7 @@ class StreamingMerge:
             self._dark,
             through_lens=self._through_lens,
             masked_dn=frame.masked_dn,
+            darkest=darkest_signal(frame, self._situation.model),
         )
         if self._terms and frame.settings.source_level != self._terms[0].settings.source_level:
             raise MeasurementError("the frames were taken at different source levels; merge those of one level")

@@ -57,6 +57,7 @@ def frame_terms(
     *,
     through_lens: bool,
     masked_dn: float | None = None,
+    darkest: float = math.inf,
 ) -> FrameTerms:
     """Return the constants of a light frame.
 
@@ -66,10 +67,11 @@ def frame_terms(
         dark_frames: Frames with the shutter closed; those of the same exposure are taken off pixel by pixel.
         through_lens: Whether the exposure carries the lens factor of the frame's f-number.
         masked_dn: What masked pixels of the frame read in DN; None where it is not stated.
+        darkest: Signal x of its darkest pixels; inf where it is not known.
     """
     model = situation.model
     gain = gain_factor(settings.gain_db)
-    level = dark_levels([settings], dark_frames, model, situation.black, masked_dn=(masked_dn,))[0]
+    level = dark_levels([settings], dark_frames, model, situation.black, masked_dn=(masked_dn,), darkest=(darkest,))[0]
     dark, extra = _dark_map(settings, dark_frames, model, level.signal)
     high = math.ceil(model.saturation_dn(settings))
     clips_at = float(model.at_dn(model.table(settings), high - 0.5)) - level.signal
