@@ -78,7 +78,11 @@ class ShownWell:
     def as_effect(self, gap: float) -> FoundEffect:
         """Return the finding that the full well is another one, at a gap that it leaves as it is."""
         sigmas = (self.shown_e - self.declared_e) / self.u_e
-        size = FittedParameter(self.least_e, None, "e-") if self.is_least else FittedParameter(self.shown_e, self.u_e, "e-")
+        size = (
+            FittedParameter(self.least_e, None, "e-")
+            if self.is_least
+            else FittedParameter(self.shown_e, self.u_e, "e-")
+        )
         well = limit_at(Stage.WELL)
         rivals = (limit_at(Stage.DIGITAL).name,) if self.may_be_converter else ()
         (name,) = well.fitted

@@ -401,7 +401,8 @@ def _white_levels(groups: Sequence[FrameGroup], camera: CameraDescription) -> di
     lit = [one for one in groups if not one.settings.is_dark and one.settings.exposure_s > 0 and one.photons]
     # Only groups of one photon flux may be compared over exposure; descriptors round both.
     settings = [
-        replace(one.settings, source_level=float(f"{(one.photons or 0.0) / one.settings.exposure_s:.3g}")) for one in lit
+        replace(one.settings, source_level=float(f"{(one.photons or 0.0) / one.settings.exposure_s:.3g}"))
+        for one in lit
     ]
 
     def read(number: int) -> Frame:

@@ -277,5 +277,6 @@ def _averaging_warnings(waveform: Waveform, period: Period | None, shape: ShapeM
     if shape.is_series and kept >= LEAST_KEPT:
         return [
             f"{averaged}modulation depth, flicker index and SVM are corrected for it; faster light may be "
-            "hidden, so take a shorter exposure"]
+            "hidden, so take a shorter exposure"
+        ]
     return [f"{averaged}modulation depth and flicker index are lower bounds; take a shorter exposure"]

@@ -216,29 +216,47 @@ def _columns(phase: Array, order: int) -> Array:
 
 def _fitted(fold: _Fold, order: int) -> _Series:
     """Return the series of an order that the phases determine, by least squares."""
-    columns = _columns(fold.phase, order)
-    weighted = columns * fold.count[:, None]
-    inverse = np.linalg.inv(columns.T @ weighted)
-    factors = inverse @ (weighted.T @ fold.light)
-    residual = fold.light - columns @ factors
-    freedom = max(fold.phase.size - factors.size, 1)
-    return _Series(factors, inverse * (float(fold.count @ residual**2) / freedom), residual)
+    return _Equations(fold, order).series(order)
 
 
-def _is_determined(fold: _Fold, order: int) -> bool:
-    """Return whether the phases determine a series and leave two of them to check it by."""
-    unknowns = 2 * order + 1
-    if fold.count.sum() < _SAMPLES_PER_FACTOR * unknowns:
-        return False
-    apart = 1.0 / (4 * unknowns)
-    distinct, at = 0, 0
-    while at < fold.phase.size and fold.phase[at] < fold.phase[0] + 1.0 - apart / 2.0:
-        distinct += 1
-        at = int(np.searchsorted(fold.phase, fold.phase[at] + apart))
-    if distinct < unknowns + 2:
-        return False
-    columns = _columns(fold.phase, order) * np.sqrt(fold.count / fold.count.sum())[:, None]
-    return bool(np.linalg.cond(columns.T @ columns) < _WORST_CONDITION)
+class _Equations:
+    """The least squares of series up to an order: columns and products are made once for all of them."""
+
+    def __init__(self, fold: _Fold, most: int) -> None:
+        self.fold, self.most = fold, most
+        self._columns = _columns(fold.phase, most)
+        weighted = self._columns * fold.count[:, None]
+        self._products, self._moments = self._columns.T @ weighted, weighted.T @ fold.light
+
+    def _of(self, order: int) -> Array:
+        """Return which columns a series of an order has."""
+        harmonics = np.arange(1, order + 1)
+        return np.concatenate([[0], harmonics, self.most + harmonics])
+
+    def series(self, order: int) -> _Series:
+        """Return a series."""
+        own = self._of(order)
+        inverse = np.linalg.inv(self._products[np.ix_(own, own)])
+        factors = inverse @ self._moments[own]
+        residual = self.fold.light - self._columns[:, own] @ factors
+        freedom = max(self.fold.phase.size - factors.size, 1)
+        return _Series(factors, inverse * (float(self.fold.count @ residual**2) / freedom), residual)
+
+    def determine(self, order: int) -> bool:
+        """Return whether the phases determine a series and leave two of them to check it by."""
+        if order > self.most:
+            return False
+        unknowns = 2 * order + 1
+        apart = 1.0 / (4 * unknowns)
+        distinct, at, phase = 0, 0, self.fold.phase
+        while at < phase.size and phase[at] < phase[0] + 1.0 - apart / 2.0:
+            distinct += 1
+            at = int(np.searchsorted(phase, phase[at] + apart))
+        if distinct < unknowns + 2:
+            return False
+        own = self._of(order)
+        sizes = np.linalg.eigvalsh(self._products[np.ix_(own, own)])
+        return bool(sizes[0] * _WORST_CONDITION > sizes[-1])
 
 
 def _supported_order(fold: _Fold) -> int | None:
@@ -247,12 +265,13 @@ def _supported_order(fold: _Fold) -> int | None:
     Harmonics above the light's own must be insignificant, and the residuals must not follow the phase.
     """
     noise = _noise(fold)
+    enough = int((float(fold.count.sum()) / _SAMPLES_PER_FACTOR - 1.0) / 2.0)
+    equations = _Equations(fold, min(_ORDERS[-1] + _TAIL, max(enough, 1)))
     for order in _ORDERS:
-        if not _is_determined(fold, order):
+        if not equations.determine(order):
             return None
-        tails = [tail for tail in range(_TAIL, 0, -1) if _is_determined(fold, order + tail)]
-        last = order + (tails[0] if tails else 0)
-        series = _fitted(fold, last)
+        last = max(one for one in range(order, order + _TAIL + 1) if equations.determine(one))
+        series = equations.series(last)
         least = _NEGLIGIBLE * max(series.amplitude(n) for n in range(1, last + 1))
         ends = all(
             series.amplitude(n) < max(least, math.sqrt(_SIGNIFICANT * series.variance(n)))
@@ -338,12 +357,12 @@ def _of_neighbours(fold: _Fold, sigma: float, wide: int, gap: float) -> tuple[Ar
         )
     gaps = np.diff(fold.phase, append=fold.phase[0] + 1.0)
     share = (gaps + np.roll(gaps, 1)) / 2.0
-    mean = float(share @ light)
-    index = float(share @ np.maximum(light - mean, 0.0)) / mean
-    steps = np.diff(light, append=light[0]) * gaps  # a step may lie anywhere between two samples
-    near = float(share[np.abs(light - mean) < 2.0 * sigma_mean].sum())  # noise is rectified where light is the mean
+    mean = float(share @ fold.light)
+    index = float(share @ np.maximum(fold.light - mean, 0.0)) / mean
+    steps = np.diff(fold.light, append=fold.light[0]) * gaps  # a step may lie anywhere between two samples
+    near = float(share[np.abs(fold.light - mean) < 2.0 * sigma].sum())  # noise is rectified where light is the mean
     u_index = [
-        float(np.linalg.norm(steps)) / math.sqrt(12.0), 0.4 * near * sigma_mean,
+        float(np.linalg.norm(steps)) / math.sqrt(12.0), 0.4 * near * sigma,
         sigma / math.sqrt(float(fold.count.sum())),
     ]  # fmt: skip
     u_depth = [missed, added / math.sqrt(12.0) / middle, sigma_mean * slopes, flattened]
@@ -373,8 +392,10 @@ def _running_mean(fold: _Fold, wide: int) -> tuple[Array, float]:
     """Return the means over some neighbouring phases, around the period's end, and the fewest samples in one."""
     if wide < 2:
         return fold.light, float(np.median(fold.count))
-    ring: Callable[[Array], Array] = lambda values: np.convolve(  # noqa: E731
-        np.concatenate([values, values[: wide - 1]]), np.ones(wide), "valid"
+    ring: Callable[[Array], Array] = (
+        lambda values: np.convolve(  # noqa: E731
+            np.concatenate([values, values[: wide - 1]]), np.ones(wide), "valid"
+        )
     )
     samples = ring(fold.count)
     return ring(fold.light * fold.count) / samples, float(np.median(samples))

@@ -349,7 +349,11 @@ def _from_other_exposures(
     dark = model.modelled_dark(settings)
     u_rate = black.dark_u_rel * abs(dark - float(np.mean(modelled)))
     if "dark_current_e_per_s" in model.noise.assumed:
-        u_rate = _unknown_dark_u(settings, model, darkest - offset) * abs(here - float(times.mean())) / here
+        apart_s = here - float(times.mean())
+        # Shorter dark frames lack dark signal, up to all that the darkest pixels show; longer ones have too much, up to
+        # all of theirs. Where they are brighter than the darkest pixels they do not belong to the frame.
+        most = (darkest - offset) * apart_s / here if apart_s > 0 else offset if darkest > offset else 0.0
+        u_rate = _unknown_dark_u(replace(settings, exposure_s=abs(apart_s)), model, most)
     return DarkLevel(dark + offset, 0.0, float(np.hypot(noise, u_rate)), _OTHER)
 
 
@@ -421,8 +425,9 @@ def _unknown_dark_u(settings: FrameSettings, model: SignalModel, darkest: float)
     if settings.iso is not None:
         return _UNKNOWN_OF_PHOTOGRAPHS_E_PER_S * settings.exposure_s / model.electrons_per_unit
     most = _MOST_DARK_E_PER_S * settings.exposure_s / model.electrons_per_unit
-    noise = math.sqrt(float(model.variance(0.0, settings)))
-    return min(most, max(darkest, 0.0) + 2.0 * noise) / 2.0
+    lowest = min(max(darkest, 0.0), most)
+    noise = math.sqrt(float(model.variance(lowest, settings)))  # a low percentile is that far below its level
+    return min(most, lowest + 2.0 * noise) / 2.0
 
 
 def darkest_signal(frame: Frame, model: SignalModel) -> float:

@@ -187,7 +187,7 @@ IMAGES: dict[str, tuple[Any, Facts, str]] = {
     "OME SignificantBits": (in_ome('ExposureTime="0.5"', 'SignificantBits="12"'), {"bits": 12}, ""),
     "OME DetectorSettings": (in_ome('ExposureTime="0.5"', "", GAIN), {"dB": 0.0}, "gain is 100"),
     "macro-consortium/pyscope/issues/125": (in_fits({"EXPTIME": None, "SUBEXP": None}), {}, "refused: exposure"),
-    "WorldWideTelescope/wwt-web-client/issues/210": (scaled_integers, {}, "refused: BSCALE"),
+    "WorldWideTelescope/wwt-web-client/issues/210": (scaled_integers, {}, "refused: full scale"),
     "astropy/astropy/issues/5999": (compressed_unsigned, {"last": 40_000.0}, ""),
     "RawTherapee/RawTherapee/issues/6443": (black_levels_of_previews, {"black": 256.0, "last": float(LEVEL)}, ""),
     "PHPExif/php-exif/pull/43": (in_tiff(seconds=(0, 1)), {}, "refused: exposure"),
@@ -346,7 +346,7 @@ TABLES: dict[str, tuple[Any, str, Facts, str]] = {
         {}, "refused: Average, Red"),
     "PMassicotte/eemR/issues/45": (
         read_spectrum, spectrum(lambda n, p: f"{n},{p},{p / 2},{p / 3}", '"EM Wavelength/EX Wavelength",200,205,210'),
-        {}, "refused: "),
+        {}, "refused: 4 columns"),
     "mm2/Little-CMS/issues/250": (read_screen, ti3('"NORMALIZED_TO_Y_100  ""NO"""', 1.0), {}, "refused: absolute"),
     "dgbowl/yadg/issues/95": (
         read_screen, ti3(f'{WHITE.replace(".", ",")}\nNORMALIZED_TO_Y_100 "YES"', 100 / 230.2), {}, "refused: 230,2"),

@@ -297,10 +297,13 @@ def test_bias_frames_say_nothing_of_a_dark_current_that_no_file_states(dark_rate
     )
     imported(inputs.fits_series(tmp_path / "in", shots), tmp_path / "set")
     found = rm.merge(tmp_path / "set").map
-    value, u = float(np.median(found.radiance)), float(np.median(found.u))
+    value, u = float(np.median(found.radiance)), float(np.median(found.u_radiance))
     assert abs(value - 1000.0) <= 2.0 * u + 10.0
     assert "no dark current" in " ".join(found.provenance.assumptions)
-    assert run(["measure", "--photographs", str(tmp_path / "set"), "--patch", "10,10,20,20", "--json"]) == 0
+    assert (
+        run(["measure", "--photographs", str(tmp_path / "set"), "--patch", "10,10,20,20", "--uncalibrated", "--json"])
+        == 0
+    )
     reading = json.loads(capsys.readouterr().out)
     assert "dark_assumed" in reading["flags"]
 

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import Phase, given, settings
+from hypothesis import Phase, assume, given, settings
 from hypothesis import strategies as st
 from scipy.signal import butter, freqs
 
@@ -129,12 +129,14 @@ def test_coarse_samples_of_a_rectangle_do_not_ring(
 ) -> None:
     """A Fourier series of a step overshoots by 9 %; the levels themselves are what was sampled."""
     samples = float(round(samples)) if whole else samples
+    assume(1.2 / samples < duty < 1.0 - 1.2 / samples)  # a pulse between two samples is not seen
     low = (1.0 - depth) / (1.0 + depth)
     at = (np.arange(int(40 * samples)) / samples + phase) % 1.0
     found = measure_flicker(Waveform(np.where(at < duty, 1.0, low), 10.0 * samples, "pwm"))
     mean = duty + (1.0 - duty) * low
     assert abs(found.modulation_depth.value - depth) <= 2.0 * found.modulation_depth.u
-    assert abs(found.flicker_index.value - duty * (1.0 - mean) / mean) <= 2.0 * found.flicker_index.u
+    # Each edge lies anywhere between two samples: two rectangular distributions end √6 u away.
+    assert abs(found.flicker_index.value - duty * (1.0 - mean) / mean) <= 2.5 * found.flicker_index.u
 
 
 @pytest.mark.parametrize("second_hz", [130.0, 137.3, 218.0])
