@@ -8,7 +8,6 @@ more harmonics than samples support, so there the extremes are those of neighbou
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Final
 
@@ -167,7 +166,7 @@ def _folds(waveform: Waveform, period: Period) -> tuple[_Fold, list[_Fold]]:
     cycles = np.arange(size) * period.frequency_hz / waveform.rate_hz
     periods = int(size * period.frequency_hz / waveform.rate_hz + 1e-6)
     blocks = min(_MOST_BLOCKS, periods) if periods > 1 else 1
-    phase = cycles % 1.0
+    phase: Array = np.asarray(cycles % 1.0, np.float64)
     if size > _MOST_POINTS:
         point, points = (phase * _MOST_POINTS).astype(np.intp), _MOST_POINTS
     else:
@@ -392,10 +391,10 @@ def _running_mean(fold: _Fold, wide: int) -> tuple[Array, float]:
     """Return the means over some neighbouring phases, around the period's end, and the fewest samples in one."""
     if wide < 2:
         return fold.light, float(np.median(fold.count))
-    ring: Callable[[Array], Array] = (
-        lambda values: np.convolve(  # noqa: E731
-            np.concatenate([values, values[: wide - 1]]), np.ones(wide), "valid"
-        )
-    )
+    kernel = np.ones(wide)
+
+    def ring(values: Array) -> Array:
+        return np.convolve(np.concatenate([values, values[: wide - 1]]), kernel, "valid")
+
     samples = ring(fold.count)
     return ring(fold.light * fold.count) / samples, float(np.median(samples))

@@ -33,7 +33,8 @@ class FrameTerms:
         clips_at: x at clipping.
         sigma_clip: Standard deviation of x there.
         dark: Dark signal x: of the whole frame (size 1) or of every pixel (flat).
-        u_dark: Uncertainty of the dark signal that all frames share.
+        u_dark: Uncertainty of the dark signal that all frames share, but for `u_unstated`.
+        u_unstated: Standard uncertainty of the signal of a dark current that nothing states.
         black_dn: Black level in DN.
     """
 
@@ -48,6 +49,7 @@ class FrameTerms:
     dark: NDArray[np.float32]
     u_dark: float
     black_dn: float
+    u_unstated: float = 0.0
 
 
 def frame_terms(
@@ -85,8 +87,9 @@ def frame_terms(
         clips_at,
         float(np.sqrt(model.variance(clips_at, settings))),
         dark,
-        level.u_common,
+        math.sqrt(max(level.u_common**2 - level.u_unstated**2, 0.0)),
         model.black_of(settings),
+        level.u_unstated,
     )
 
 

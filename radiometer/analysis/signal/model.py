@@ -237,12 +237,14 @@ class DarkLevel:
         u_independent: Standard uncertainty that this frame's dark level has for itself.
         u_common: Standard uncertainty shared with all other frames.
         source: "dark frames", "masked pixels" or "black level".
+        u_unstated: Part of `u_common` that a dark current makes which nothing states.
     """
 
     signal: float
     u_independent: float
     u_common: float
     source: str
+    u_unstated: float = 0.0
 
 
 def dark_levels(
@@ -347,14 +349,14 @@ def _from_other_exposures(
     modelled = [model.modelled_dark(frame.settings) for frame in frames]
     offset = float(np.mean(signals - np.array(modelled)))
     dark = model.modelled_dark(settings)
-    u_rate = black.dark_u_rel * abs(dark - float(np.mean(modelled)))
+    u_rate, u_unstated = black.dark_u_rel * abs(dark - float(np.mean(modelled))), 0.0
     if "dark_current_e_per_s" in model.noise.assumed:
         apart_s = here - float(times.mean())
         # Shorter dark frames lack dark signal, up to all that the darkest pixels show; longer ones have too much, up to
         # all of theirs. Where they are brighter than the darkest pixels they do not belong to the frame.
         most = (darkest - offset) * apart_s / here if apart_s > 0 else offset if darkest > offset else 0.0
-        u_rate = _unknown_dark_u(replace(settings, exposure_s=abs(apart_s)), model, most)
-    return DarkLevel(dark + offset, 0.0, float(np.hypot(noise, u_rate)), _OTHER)
+        u_rate = u_unstated = _unknown_dark_u(replace(settings, exposure_s=abs(apart_s)), model, most)
+    return DarkLevel(dark + offset, 0.0, float(np.hypot(noise, u_rate)), _OTHER, u_unstated)
 
 
 def _seconds_at_reference(settings: FrameSettings, model: SignalModel) -> float:
@@ -375,8 +377,10 @@ def _u_seconds(settings: FrameSettings, frames: Sequence[Frame], model: SignalMo
 def _from_model(settings: FrameSettings, model: SignalModel, black: BlackLevel, darkest: float) -> DarkLevel:
     dark = model.modelled_dark(settings)
     slope = float(model.at_dn(model.slope, model.black_dn))
-    u_common = float(np.hypot(black.u_dn * slope, _modelled_u(settings, model, black, darkest)))
-    return DarkLevel(dark, 0.0, u_common, "black level")
+    unstated = "dark_current_e_per_s" in model.noise.assumed
+    u_dark = _unknown_dark_u(settings, model, darkest) if unstated else black.dark_u_rel * dark
+    u_common = math.hypot(black.u_dn * slope, u_dark)
+    return DarkLevel(dark, 0.0, u_common, "black level", u_dark if unstated else 0.0)
 
 
 def black_from_darks(dark_frames: Sequence[Frame], calibration: Calibration) -> BlackLevel | None:
@@ -405,13 +409,6 @@ def black_from_darks(dark_frames: Sequence[Frame], calibration: Calibration) -> 
     u_dark = math.hypot(gain * unknown_e * float(times[0]), own.dark_u_rel * float(modelled[0]))
     start = float(np.mean(means - modelled))
     return own.model_copy(update={"dn": max(start, 0.0), "u_dn": math.hypot(own.u_dn, u_dark)})
-
-
-def _modelled_u(settings: FrameSettings, model: SignalModel, black: BlackLevel, darkest: float) -> float:
-    """Return the standard uncertainty of a modelled dark signal."""
-    if "dark_current_e_per_s" in model.noise.assumed:
-        return _unknown_dark_u(settings, model, darkest)
-    return black.dark_u_rel * model.modelled_dark(settings)
 
 
 def _unknown_dark_u(settings: FrameSettings, model: SignalModel, darkest: float) -> float:

@@ -325,7 +325,7 @@ def test_a_sensor_is_characterised_up_to_where_its_pixels_pile_up(top, tmp_path)
 
 
 def test_linear_files_of_12_bits_are_shown_the_way_out(tmp_path, capsys):
-    """Numbers of a sensor in files of 16 bits, as photographs: a curve does not follow from them, --linear reads them."""
+    """Numbers of a sensor in files of 16 bits, as photographs: no curve follows from them, --linear reads them."""
     rng = np.random.default_rng(2)
     ramp = np.linspace(0.05, 0.9, 96)[None, :] * np.ones((64, 1))
     for n, seconds in enumerate((0.01, 0.02)):

@@ -306,7 +306,7 @@ def test_the_data_sheet_s_dark_current_may_be_three_times_as_much(rig):
 
 
 def test_an_unknown_dark_current_is_in_doubt(rig):
-    """An even picture may be dark signal as a whole: k = 2 covers that, and a photograph's black level ends most of it."""
+    """An even picture may be dark signal as a whole, and k = 2 covers that."""
     camera = rig.description.model_copy(update={"dark_current_e_per_s": None})
     base = calibrated(rig, black_level=BlackLevel(dn=64.0, u_dn=0.0))
     scene = np.full((12, 12), 0.01 * rig.radiance_of_full_scale(1.0))
