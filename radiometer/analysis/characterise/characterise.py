@@ -246,8 +246,8 @@ class _Work:
         if not saturation.reached:
             notes.append(
                 "saturation was not reached: saturation capacity, SNR_max, DR and linearity are left out or hold up to "
-                f"{saturation.signal_dn:.0f} DN only. The saturation capacity is above {_least_e(saturation, K):.3g} e- "
-                "(97.7 %); take longer exposures"
+                f"{saturation.signal_dn:.0f} DN only. The saturation capacity is above "
+                f"{_least_e(saturation, K):.3g} e- (97.7 %); take longer exposures"
             )
             keep = {"sigma_y_dark", "sigma_d", "mu_e_min", "mu_p_min"}
             found = {name: q for name, q in found.items() if name in keep}

@@ -65,7 +65,9 @@ _SIGNED: Final = {"LE_min", "LE_max", "mu_y_dark"}  # zero is a value like any o
 
 
 def upper_limit(name: str, figure: Quantity) -> float | None:
-    """Return the value that a figure is below (97.7 %, 2 standard deviations), where its U (k = 2) exceeds 100 %; None where it is determined.
+    """Return the value that a figure is below with 97.7 % (2 standard deviations); None where it is determined.
+
+    A figure whose U (k = 2) exceeds 100 % is not determined.
 
     Args:
         name: Key of the figure in `SYMBOLS`.
