@@ -18,7 +18,7 @@ from radiometer.analysis.flicker.waveform import Period, Waveform
 from radiometer.data import Quantity
 from radiometer.typing import Array
 
-_MOST_POINTS: Final = 4096  # phases that are told apart: a mean over one keeps 1 − 1e-7 of a sinusoid
+_MOST_POINTS: Final = 4096  # phases that are kept apart: a mean over one keeps 1 − 1e-7 of a sinusoid
 _MOST_BLOCKS: Final = 16  # of periods, of which the scatter is taken
 _GRID: Final = 2880  # phases at which a series is evaluated
 _ORDERS: Final = (1, 2, 3, 4, 6, 8, 12, 16, 24, 32)
@@ -28,7 +28,7 @@ _STRUCTURED_SIGMAS: Final = 3.0
 _MOST_OF_NOISE: Final = 1.5  # the trimmed noise of 32 points scatters by 18 %
 _SAMPLES_PER_FACTOR: Final = 4  # of a series: fewer leave too few residuals to judge it by
 _NEGLIGIBLE: Final = 1e-4  # of the fundamental's amplitude
-_WORST_CONDITION: Final = 100.0  # of the normal equations: beyond it phases do not tell harmonics apart
+_WORST_CONDITION: Final = 100.0  # of the normal equations: beyond it phases do not separate harmonics
 LEAST_KEPT: Final = 0.2  # of an amplitude that an exposure keeps; below, the correction would amplify noise
 _WINDOW: Final = 1 / 200  # of a period: mean over it before extremes of noisy phases are taken
 _NOISELESS: Final = 1e-3  # of the range: noise below it needs no means
@@ -339,7 +339,7 @@ def _of_neighbours(fold: _Fold, sigma: float, wide: int, gap: float) -> tuple[Ar
         fold: The points.
         sigma: Standard deviation of a sample.
         wide: Points in a mean.
-        gap: Distance of samples in periods, which an extreme may lie between.
+        gap: Distance of samples in periods, between which an extreme may be.
     """
     size = fold.phase.size
     light, samples = _running_mean(fold, wide)
@@ -358,7 +358,7 @@ def _of_neighbours(fold: _Fold, sigma: float, wide: int, gap: float) -> tuple[Ar
     share = (gaps + np.roll(gaps, 1)) / 2.0
     mean = float(share @ fold.light)
     index = float(share @ np.maximum(fold.light - mean, 0.0)) / mean
-    steps = np.diff(fold.light, append=fold.light[0]) * gaps  # a step may lie anywhere between two samples
+    steps = np.diff(fold.light, append=fold.light[0]) * gaps  # a step may be anywhere between two samples
     near = float(share[np.abs(fold.light - mean) < 2.0 * sigma].sum())  # noise is rectified where light is the mean
     u_index = [
         float(np.linalg.norm(steps)) / math.sqrt(12.0), 0.4 * near * sigma,

@@ -135,7 +135,7 @@ def test_coarse_samples_of_a_rectangle_do_not_ring(
     found = measure_flicker(Waveform(np.where(at < duty, 1.0, low), 10.0 * samples, "pwm"))
     mean = duty + (1.0 - duty) * low
     assert abs(found.modulation_depth.value - depth) <= 2.0 * found.modulation_depth.u
-    # Each edge lies anywhere between two samples: two rectangular distributions end √6 u away.
+    # Each edge is anywhere between two samples: two rectangular distributions end √6 u away.
     assert abs(found.flicker_index.value - duty * (1.0 - mean) / mean) <= 2.5 * found.flicker_index.u
 
 
