@@ -212,8 +212,14 @@ class _Work:
             notes=tuple(notes),
             provenance=Provenance("EMVA 1288 release 4.0, linear", (self.subject.origin,), tuple(notes)),
             reference_temperature_c=own[1].temperature_c,
-            limited_by=self.at.saturation.limited_by,
+            limited_by=self._limited_by(),
         )
+
+    def _limited_by(self) -> str:
+        """Return what ends the signal: pixels that pile up below the converter's end show the full well."""
+        white = self.subject.white_levels.get(self.at.gain_db)
+        is_below = white is not None and white.basis == "measured" and white.disagrees
+        return "full well" if is_below else self.at.saturation.limited_by
 
     def _bright_temperature(self) -> float | None:
         return self.at.bright[0].settings.temperature_c

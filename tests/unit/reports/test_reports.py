@@ -320,7 +320,8 @@ def test_a_sensor_is_characterised_up_to_where_its_pixels_pile_up(top, tmp_path)
     )
     found = rm.characterise(inputs.fits_series(tmp_path / "in", shots))
     assert abs(found["K"].value - 0.5) <= 2.0 * found["K"].u
-    assert found.characterisation.limited_by == "converter"
+    assert found.characterisation.limited_by == "full well"
+    assert max(step.bright.clipped_share for step in found.characterisation.steps) > 0.5
     assert any(f"white level {top} DN" in note for note in found.characterisation.notes)
 
 
