@@ -135,7 +135,7 @@ def flicker(
         mapped: Of a table: where time and light are, such as "timestamp=T:ms" and "number=CH1".
         row_time: Of a frame: time between the starts of two rows in s.
         known_frequency: Of a frame: frequency of the light in Hz, from which the row time is found.
-        exposure: Of a frame: exposure time in s.
+        exposure: Exposure time of a frame in s, or the time over which each sample of a table averages.
         black_level: Of a frame: black level in DN.
         flat: Of a frame: frame of the same field under steady light, which takes the fall-off away.
         patch: Of a frame: region of an even field, all by default.
@@ -148,15 +148,17 @@ def flicker(
     """
     path = Path(source)
     of_frame = {
-        "--row-time": row_time, "--known-frequency": known_frequency, "--exposure": exposure,
-        "--black-level": black_level, "--flat": flat, "--patch": patch,
+        "--row-time": row_time, "--known-frequency": known_frequency, "--black-level": black_level,
+        "--flat": flat, "--patch": patch,
     }  # fmt: skip
     if path.suffix.lower() in _TABLES:
         given = [name for name, value in of_frame.items() if value is not None]
         if given:
             raise UsageError(f"{', '.join(given)}: of a frame only; {path} is a table")
+        if exposure is not None and not exposure > 0.0:
+            raise UsageError(f"--exposure {exposure:g}: must be above 0 s")
         known = mapped if isinstance(mapped, StatementMap) else StatementMap.parse(mapped)
-        waveform, reported = read_waveform(path, dark, u_dark, known)
+        waveform, reported = read_waveform(path, dark, u_dark, known, exposure or 0.0)
         for line in reported:
             notice(f"{path.name}: {line}")
         return FlickerReport(waveform, measure_flicker(waveform))

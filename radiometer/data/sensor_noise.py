@@ -34,6 +34,17 @@ class SensorNoise:
     post_curve_dn2: float = 0.0
 
     @property
+    def assumptions(self) -> tuple[str, ...]:
+        """Return in words what the figures that were not known are replaced by."""
+        return tuple(
+            "the camera states no dark current: none is taken off, and u holds what the darkest pixels allow; take "
+            "dark frames of the same exposures"
+            if name == "dark_current_e_per_s"
+            else f"typical {name}"
+            for name in self.assumed
+        )
+
+    @property
     def code_variance_dn2(self) -> float:
         """Return the variance in DN² of rounding and of what else arises behind the response curve."""
         return 1.0 / 12.0 + self.post_curve_dn2

@@ -9,7 +9,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from radiometer.errors import InputError
+from radiometer.errors import InputError, MeasurementError
 
 if TYPE_CHECKING:
     from radiometer.analysis.response.displacement import Displacement
@@ -26,6 +26,7 @@ _BEYOND_THE_CONVERTER = 1.1
 # A power of growth with exposure that differs from 1 by more is no linear camera's: seven sets of JPEG and film have
 # 0.41 to 0.69, the linear Flea3 0.96 to 1.00.
 _NOT_LINEAR = 0.1
+_BITS_OF_PICTURES = 8  # files of more bits often hold numbers that no curve has changed
 _JPEG_SUFFIXES = frozenset({".jpg", ".jpeg"})
 _UNDISPLACED = "frames are assumed to be aligned: too few pixels are usable in two of them to measure a displacement"
 
@@ -109,6 +110,23 @@ def linear_doubt(bracket: Bracket) -> str | None:
     return None
 
 
+def _if_linear(bracket: Bracket) -> str:
+    """Return the way out for photographs whose numbers may be proportional to light; "" where nothing says so.
+
+    Args:
+        bracket: Photographs that show no response.
+    """
+    from radiometer.analysis.response.limits import growth_power
+
+    way = "add --linear, or read them by radiometer import"
+    power = growth_power(bracket, bracket.light[0].settings.black_level_dn or 0.0)
+    if power is not None and abs(power - 1.0) <= _NOT_LINEAR:
+        return f". Twice the exposure makes numbers {2.0**power:.2f} times as large, as linear files do: {way}"
+    if bracket.light[0].bit_depth > _BITS_OF_PICTURES:
+        return f". Where these {bracket.light[0].bit_depth}-bit files hold the sensor's own numbers: {way}"
+    return ""
+
+
 def _recovered(brackets: Mapping[str, Bracket], key: str, say: Callable[[str], None]) -> dict[str, ResponseCurve]:
     """Return the response of every colour, their labels judged by all of them, with the photographs' fingerprint."""
     from radiometer.analysis.response.auto import recover_colours_auto
@@ -118,10 +136,14 @@ def _recovered(brackets: Mapping[str, Bracket], key: str, say: Callable[[str], N
 
     for bracket in brackets.values():
         reject_inconsistent_exposures(bracket)
-    curves, found = {}, recover_colours_auto(list(brackets.values()))
-    of_colours: dict[str, list[str]] = {}
-    for (channel, bracket), estimate in zip(brackets.items(), found, strict=True):
-        telling(estimate, f"{bracket.origin}, {channel}" if len(brackets) > 1 else bracket.origin)
+    curves, of_colours = {}, dict[str, list[str]]()
+    try:
+        found = recover_colours_auto(list(brackets.values()))
+        for (channel, bracket), estimate in zip(brackets.items(), found, strict=True):
+            telling(estimate, f"{bracket.origin}, {channel}" if len(brackets) > 1 else bracket.origin)
+    except MeasurementError as error:
+        raise MeasurementError(f"{error}{_if_linear(next(iter(brackets.values())))}") from error
+    for channel, estimate in zip(brackets, found, strict=True):
         for text in estimate.notes:
             of_colours.setdefault(text, []).append(channel)
     for text, channels in of_colours.items():

@@ -44,6 +44,11 @@ class ShownWell:
     may_be_converter: bool  # whether one gain alone shows the pile: a converter may end there
 
     @property
+    def least_e(self) -> float:
+        """Return the electrons that pixels hold at least, with a probability of 97.7 % (2 standard deviations)."""
+        return self.shown_e - 2.0 * self.u_e
+
+    @property
     def contradicts(self) -> bool:
         """Return whether the declared full well is wrong."""
         off = self.shown_e - self.declared_e
@@ -54,7 +59,7 @@ class ShownWell:
     def remark(self) -> str:
         """Return what a user must know of the full well; nothing where pixels gather where it is declared."""
         if self.contradicts:
-            shown = f"at least {self.shown_e:.4g}" if self.is_least else f"{self.shown_e:.4g} ± {self.u_e:.2g}"
+            shown = f"at least {self.least_e:.4g} (97.7 %)" if self.is_least else f"{self.shown_e:.4g} ± {self.u_e:.2g}"
             return f"full well: stated {self.declared_e:.4g} e-, the brightest pixels show {shown} e-"
         if self.is_least and self.shown_e < (1.0 - _AS_DECLARED) * self.declared_e:
             return (
@@ -66,7 +71,11 @@ class ShownWell:
     def as_effect(self, gap: float) -> FoundEffect:
         """Return the finding that the full well is another one, at a gap that it leaves as it is."""
         sigmas = (self.shown_e - self.declared_e) / self.u_e
-        size = FittedParameter(self.shown_e, None if self.is_least else self.u_e, "e-")
+        size = (
+            FittedParameter(self.least_e, None, "e-")
+            if self.is_least
+            else FittedParameter(self.shown_e, self.u_e, "e-")
+        )
         well = limit_at(Stage.WELL)
         rivals = (limit_at(Stage.DIGITAL).name,) if self.may_be_converter else ()
         (name,) = well.fitted

@@ -161,6 +161,12 @@ def _at_gain(gain_db: float, bright: list[GroupStatistics], dark: list[GroupStat
     )
 
 
+def _least_e(saturation: Saturation, K: Quantity) -> float:
+    """Return the electrons that the brightest step shows, less twice their standard uncertainty."""
+    shown = propagated(lambda dn, k: dn / k, "e-", Quantity(saturation.signal_dn, saturation.u_signal_dn, "DN"), K)
+    return shown.value - 2.0 * shown.u
+
+
 @dataclass(frozen=True, slots=True)
 class _Work:
     """Makes the result of one gain."""
@@ -205,8 +211,14 @@ class _Work:
             notes=tuple(notes),
             provenance=Provenance("EMVA 1288 release 4.0, linear", (self.subject.origin,), tuple(notes)),
             reference_temperature_c=own[1].temperature_c,
-            limited_by=self.at.saturation.limited_by,
+            limited_by=self._limited_by(),
         )
+
+    def _limited_by(self) -> str:
+        """Return what ends the signal: pixels that pile up below the converter's end show the full well."""
+        white = self.subject.white_levels.get(self.at.gain_db)
+        is_below = white is not None and white.basis == "measured" and white.disagrees
+        return "full well" if is_below else self.at.saturation.limited_by
 
     def _bright_temperature(self) -> float | None:
         return self.at.bright[0].settings.temperature_c
@@ -239,7 +251,8 @@ class _Work:
         if not saturation.reached:
             notes.append(
                 "saturation was not reached: saturation capacity, SNR_max, DR and linearity are left out or hold up to "
-                f"{saturation.signal_dn:.0f} DN only; take longer exposures"
+                f"{saturation.signal_dn:.0f} DN only. The saturation capacity is above "
+                f"{_least_e(saturation, K):.3g} e- (97.7 %); take longer exposures"
             )
             keep = {"sigma_y_dark", "sigma_d", "mu_e_min", "mu_p_min"}
             found = {name: q for name, q in found.items() if name in keep}

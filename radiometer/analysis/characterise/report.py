@@ -301,7 +301,7 @@ def _dark(current: Quantity | None, read: Quantity | None) -> str:
         return ""
     limit = upper_limit("mu_I_mean", current)
     if limit is not None:
-        return f"No dark current is seen: it is below {limit:.2g} {unit_text(current.unit)} (95 %)."
+        return f"No dark current is seen: it is below {limit:.2g} {unit_text(current.unit)} (97.7 %)."
     when = f"; its noise reaches the read noise at {read.value**2 / current.value:.3g} s" if read is not None else ""
     return f"Every pixel gathers {_with_u(current)} in the dark{when}. Take darks at the exposures of long frames."
 

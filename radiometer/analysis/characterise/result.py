@@ -65,7 +65,9 @@ _SIGNED: Final = {"LE_min", "LE_max", "mu_y_dark"}  # zero is a value like any o
 
 
 def upper_limit(name: str, figure: Quantity) -> float | None:
-    """Return the value that a figure is below (95 %), where its U (k = 2) exceeds 100 %; None where it is determined.
+    """Return the value that a figure is below with 97.7 % (2 standard deviations); None where it is determined.
+
+    A figure whose U (k = 2) exceeds 100 % is not determined.
 
     Args:
         name: Key of the figure in `SYMBOLS`.
@@ -79,7 +81,7 @@ def upper_limit(name: str, figure: Quantity) -> float | None:
 def as_printed(name: str, figure: Quantity) -> tuple[str, str]:
     """Return a figure and its U (k = 2) as texts; "not determined" with the upper limit where U exceeds 100 %."""
     limit = upper_limit(name, figure)
-    return rounded(figure.value, 2 * figure.u) if limit is None else ("not determined", f"below {limit:.2g}")
+    return rounded(figure.value, 2 * figure.u) if limit is None else ("not determined", f"below {limit:.2g} (97.7 %)")
 
 
 @dataclass(frozen=True, slots=True)

@@ -22,6 +22,7 @@ class Saturation:
     """The saturation point by the standard: the step with the largest temporal variance."""
 
     signal_dn: float  # μ_y − μ_y.dark of that step in DN
+    u_signal_dn: float  # its standard uncertainty
     light: float  # its light (photons per pixel, or exposure × level)
     u_light_rel: float  # relative standard uncertainty that the spacing of the steps leaves
     linear_signal_dn: float  # signal that this light would give without compression, from the line below 70 %
@@ -52,6 +53,7 @@ def find_saturation(steps: Sequence[SignalStep]) -> Saturation:
     linear = slope * float(light[top])
     return Saturation(
         signal_dn=steps[top].signal_dn,
+        u_signal_dn=steps[top].u_signal_dn,
         light=float(light[top]),
         u_light_rel=u_light_rel,
         linear_signal_dn=linear,

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -16,6 +16,7 @@ from radiometer.data import (
     CameraDescription,
     CaptureHeader,
     CaptureSet,
+    Frame,
     FrameSettings,
     LensDescription,
     Patch,
@@ -194,6 +195,8 @@ class Subject:
     notes: tuple[str, ...] = ()  # what the user must know of how they were chosen
     given: tuple[GroupStatistics, ...] = ()  # statistics that are known without pictures; they replace all groups
     masked_dn: tuple[float, ...] = ()  # what masked rows read in DN, frame by frame, where files state it
+    # From which digital number pixels are saturated, by gain in dB, as the frames show it
+    white_levels: Mapping[float, WhiteLevel] = field(default_factory=dict)
 
     @property
     def photons_u_rel(self) -> float:
@@ -212,9 +215,9 @@ class Subject:
         found: list[GroupStatistics] = []
         for group in self.groups:
             frames = group.read(self.camera.full_scale_dn)
-            for one in statistics_of_group(
-                frames, group.settings, self.regions, self.camera.saturated_dn, group.photons
-            ):
+            white = self.white_levels.get(group.settings.gain_db)
+            saturated_dn = self.camera.saturated_dn if white is None else white.saturated_dn
+            for one in statistics_of_group(frames, group.settings, self.regions, saturated_dn, group.photons):
                 found.append(self._with_photons(one))
         return found
 
@@ -263,7 +266,8 @@ def subject_of_capture(capture: CaptureSet, region: Patch | None = None) -> Subj
     notes += [*(f"left out: {line}" for line in record.left_out), *record.doubts]
     kept = [g for g in groups if g.settings.is_dark or (g.settings.f_number, g.settings.pattern) == (f_number, pattern)]
     kept, more = _with_dark(kept)
-    white = white_level_notes(_shown(capture))
+    levels = white_levels_of([entry.settings for entry in header.frames], capture.read_frame)
+    white = white_level_notes(level for level in levels.values() if level.disagrees)
     patches = _chosen_patches(header.patches, region)
     shape = capture.read_frame(0).shape
     fluxes = [photon_flux(p, pattern, header.camera, header.lens, header.source, f_number, shape) for p in patches]
@@ -282,13 +286,8 @@ def subject_of_capture(capture: CaptureSet, region: Patch | None = None) -> Subj
             for entry in header.frames
             if entry.model_extra and "masked_rows_dn" in entry.model_extra
         ),
+        white_levels=levels,
     )
-
-
-def _shown(capture: CaptureSet) -> list[WhiteLevel]:
-    """Return the white levels that the frames show against what is stated."""
-    levels = white_levels_of([entry.settings for entry in capture.header.frames], capture.read_frame)
-    return [level for level in levels.values() if level.disagrees]
 
 
 def _most_frequent(light: list[FrameGroup]) -> tuple[tuple[float | None, str], list[str]]:
@@ -358,7 +357,26 @@ def _of_descriptor(path: Path, region: Patch | None) -> Subject:
     if not 1 <= descriptor.bit_depth <= 16:
         raise MeasurementError(f"{path}: {descriptor.bit_depth} bits per pixel; 1 to 16 can be read")
     camera = CameraDescription(bit_depth=descriptor.bit_depth)
-    return Subject(str(path), camera, LensDescription(), descriptor.groups, (region,), (None,))
+    levels = _white_levels(descriptor.groups, camera)
+    notes = white_level_notes(level for level in levels.values() if level.disagrees)
+    return Subject(
+        str(path), camera, LensDescription(), descriptor.groups, (region,), (None,), notes, white_levels=levels
+    )
+
+
+def _white_levels(groups: Sequence[FrameGroup], camera: CameraDescription) -> dict[float, WhiteLevel]:
+    """Return the white levels that the first images of the groups show."""
+    lit = [one for one in groups if not one.settings.is_dark and one.settings.exposure_s > 0 and one.photons]
+    # Only groups of one photon flux may be compared over exposure; descriptors round both.
+    settings = [
+        replace(one.settings, source_level=float(f"{(one.photons or 0.0) / one.settings.exposure_s:.3g}"))
+        for one in lit
+    ]
+
+    def read(number: int) -> Frame:
+        return Frame(next(lit[number].read(camera.full_scale_dn)), camera.bit_depth, settings[number])
+
+    return white_levels_of(settings, read)
 
 
 def with_known_radiance(

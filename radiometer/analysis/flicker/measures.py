@@ -8,16 +8,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
 from scipy.fft import irfft, rfft, rfftfreq
-from scipy.ndimage import uniform_filter1d
 from scipy.signal import bilinear, butter, lfilter, resample_poly
-from scipy.stats import chi2
 from scipy.stats import t as student_t
 
+from radiometer.analysis.flicker.shape import LEAST_KEPT, ShapeMeasures, measure_record, measure_shape, other_line
 from radiometer.analysis.flicker.waveform import Period, Waveform, find_period, whole_periods
 from radiometer.data import Quantity
 from radiometer.errors import MeasurementError
@@ -44,7 +43,6 @@ _PST_TRANSIENT_S: Final = 20.0  # that the filters need to settle; left out (IEC
 _PST_REPEATED_S: Final = 5.0  # behind the transient, of a periodic record: its sensation repeats with it
 _PST_RATE_HZ: Final = 2000.0  # the least that the filters are specified for
 _MOST_BLOCKS: Final = 16  # of whole periods, of which the scatter is taken
-_SMOOTHED_SHARE: Final = 1 / 200  # of a period: mean over it before extremes are taken
 _COVERAGE: Final = 0.9545  # of the expanded uncertainty
 
 
@@ -85,27 +83,17 @@ def measure_flicker(waveform: Waveform) -> Flicker:
     part, periods = whole_periods(waveform, period)
     blocks = max(2, min(_MOST_BLOCKS, periods)) if periods > 1 else 0
     assumptions, warnings = list(waveform.assumptions), list[str]()
-    if not periods or period is None:
-        warnings.append("no repetition was found beyond noise: the measures are of the whole record")
-    else:
-        assumptions.append(
-            f"modulation depth and flicker index are of the mean of {periods} periods: light that does not repeat with "
-            "them is averaged out"
-        )
+    shape, remark = _shape(waveform, period if periods else None)
+    (assumptions if shape.blocks else warnings).append(remark.format(periods=periods))
     u_dark_rel = waveform.u_dark / mean
 
-    def with_u(of: Callable[[Waveform, Period | None], float]) -> Quantity:
-        value = of(part, period)
-        scatter = _jackknife(of, part, period, blocks, periods)
-        return Quantity(value, math.hypot(scatter, abs(value) * u_dark_rel), "1")
+    def with_dark(one: Quantity) -> Quantity:
+        return Quantity(one.value, math.hypot(one.u, abs(one.value) * u_dark_rel), "1")
 
-    depth = with_u(modulation_depth)
-    # Of a sinusoid of n samples a period, samples miss an extreme by up to 1 − cos(π/n), and straight lines between
-    # them keep sinc²(1/n) of the amplitude.
-    step = periods / part.light.size
-    coarse = (1.0 - math.cos(math.pi * step)) + (1.0 - float(np.sinc(step)) ** 2)
-    missed = abs(depth.value) * coarse / 2.0  # k = 2 covers all of it
-    depth = Quantity(depth.value, math.hypot(depth.u, missed, _extreme_bias(part, period) / math.sqrt(12.0)), "1")
+    def with_u(of: Callable[[Waveform, Period | None], float]) -> Quantity:
+        return with_dark(Quantity(of(part, period), _jackknife(of, part, period, blocks, periods), "1"))
+
+    depth, index = with_dark(shape.modulation_depth), with_dark(shape.flicker_index)
     if depth.value - 2.0 * depth.u > 1.0:
         warnings.append("the light falls below the value of darkness: state that value by --dark")
     svm = pst = None
@@ -116,6 +104,10 @@ def measure_flicker(waveform: Waveform) -> Flicker:
         )
     else:
         svm = with_u(stroboscopic_visibility)
+        other = stroboscopic_visibility(part, period, tn006_threshold)
+        assumptions.append(
+            f"SVM: weighted by the thresholds of Perz et al. 2018; those of CIE TN 006:2016 give {other:.3g}"
+        )
         if waveform.duration_s < 1.0:
             assumptions.append(f"SVM: the light goes on after {waveform.duration_s:.3g} s as it did before")
     if waveform.rate_hz < _PST_RATE_HZ:
@@ -128,26 +120,40 @@ def measure_flicker(waveform: Waveform) -> Flicker:
         pst = with_u(short_term_severity)
         if waveform.duration_s < 3 * _PST_TRANSIENT_S:
             assumptions.append(f"PstLM: the light goes on after {waveform.duration_s:.3g} s as it did before")
-    warnings += _averaging_warnings(waveform, period)
+    warnings += _averaging_warnings(waveform, period, shape)
     frequency = None if period is None else Quantity(period.frequency_hz, period.u_hz, "Hz")
     k = float(student_t.ppf(0.5 + _COVERAGE / 2.0, blocks - 1)) if blocks else 2.0
-    return Flicker(frequency, depth, with_u(flicker_index), svm, pst, k, periods, tuple(assumptions), tuple(warnings))
+    return Flicker(frequency, depth, index, svm, pst, k, periods, tuple(assumptions), tuple(warnings))
 
 
-def modulation_depth(waveform: Waveform, period: Period | None = None) -> float:
-    """Return (max − min)/(max + min) of the mean period, or of the record where there is no period.
-
-    Extremes are of means over a two-hundredth of a period. Half of what noise adds to them is taken off.
-    """
-    shape = _smooth(_periods(waveform, period)).mean(axis=0)
-    high, low = float(shape.max()), float(shape.min())
-    return (high - low) / (high + low) - _extreme_bias(waveform, period) / 2.0
-
-
-def flicker_index(waveform: Waveform, period: Period | None = None) -> float:
-    """Return the area above the mean over the whole area of the mean period, 0 to 1."""
-    shape = _periods(waveform, period).mean(axis=0)
-    return float(np.maximum(shape - shape.mean(), 0.0).sum() / shape.sum())
+def _shape(waveform: Waveform, period: Period | None) -> tuple[ShapeMeasures, str]:
+    """Return the shape of the period, or of the whole record where a period does not describe it, with a remark."""
+    if period is None:
+        line = other_line(waveform)
+        return measure_record(waveform, 0.0 if line is None else line[0]), (
+            "no repetition was found beyond noise: the measures are of the whole record"
+        )
+    shape = measure_shape(waveform, period)
+    line = other_line(waveform, period, shape)
+    if line is None:
+        return shape, (
+            "modulation depth and flicker index are of the mean of {periods} periods: light that does not repeat with "
+            "them is averaged out"
+        )
+    other_hz, amplitude = line[0], line[1] / float(waveform.light.mean())
+    found = (
+        f"light of {other_hz:.4g} Hz, {100 * amplitude:.2g} % of the mean, does not repeat with "
+        f"{period.frequency_hz:.4g} Hz: "
+    )
+    record = measure_record(waveform, max(other_hz, period.frequency_hz))
+    widened = [
+        Quantity(one.value, math.hypot(one.u, amplitude), "1") for one in (shape.modulation_depth, shape.flicker_index)
+    ]
+    if record.modulation_depth.u < widened[0].u:
+        return record, f"{found}modulation depth and flicker index are of the whole record"
+    return replace(shape, modulation_depth=widened[0], flicker_index=widened[1]), (
+        f"{found}modulation depth and flicker index are of the mean of {{periods}} periods, and their u covers it"
+    )
 
 
 def svm_threshold(frequency_hz: Array) -> Array:
@@ -156,12 +162,29 @@ def svm_threshold(frequency_hz: Array) -> Array:
     Args:
         frequency_hz: Frequencies, any shape.
 
-    Source: IEC TR 63158:2018; Perz et al. 2018, J. Opt. Soc. Am. A 35, 309: T = 2.865e-5·(f/Hz)^1.543 + 0.225.
+    Source: Perz et al. 2018, J. Opt. Soc. Am. A 35, 309: T = 2.865e-5·(f/Hz)^1.543 + 0.225. Its constants were not
+    compared with the text of IEC TR 63158:2018, which is not public.
     """
     return np.asarray(2.865e-5 * np.power(frequency_hz, 1.543) + 0.225)
 
 
-def stroboscopic_visibility(waveform: Waveform, period: Period | None = None) -> float:
+def tn006_threshold(frequency_hz: Array) -> Array:
+    """Return the earlier fit of the same thresholds: 1.4 % below at 100 Hz, 19 % above at 400 Hz, 1 at most.
+
+    Args:
+        frequency_hz: Frequencies, any shape.
+
+    Source: CIE TN 006:2016; with these constants in github.com/MantelV/Aalto-implementations-for-flickermeter-and-
+    SVM-meter (Aalto University, MIT): T = 1/(1 + exp(−0.00518·(f/Hz − 306.6))) + 20·exp(−f/10 Hz).
+    """
+    return np.asarray(
+        1.0 / (1.0 + np.exp(-0.00518 * (frequency_hz - 306.6))) + 20.0 * np.exp(-np.asarray(frequency_hz) / 10.0)
+    )
+
+
+def stroboscopic_visibility(
+    waveform: Waveform, period: Period | None = None, threshold: Callable[[Array], Array] = svm_threshold
+) -> float:
     """Return the stroboscopic visibility measure, (Σ (C_m/T_m)^3.7)^(1/3.7) over the components from 80 Hz to 2 kHz.
 
     C_m is the amplitude of a Fourier component over the mean, T_m the threshold of a sinusoid of its frequency. An
@@ -173,8 +196,8 @@ def stroboscopic_visibility(waveform: Waveform, period: Period | None = None) ->
     frequency_hz = rfftfreq(light.size, 1.0 / part.rate_hz)
     within = (frequency_hz >= _SVM_BAND_HZ[0]) & (frequency_hz <= _SVM_BAND_HZ[1])
     kept = np.abs(np.sinc(frequency_hz[within] * part.averaged_s))  # numpy's sinc holds the π
-    seen = amplitude[within] / np.maximum(kept, _LEAST_KEPT)
-    return float(np.sum((seen / svm_threshold(frequency_hz[within])) ** _SVM_EXPONENT) ** (1.0 / _SVM_EXPONENT))
+    seen = amplitude[within] / np.maximum(kept, LEAST_KEPT)
+    return float(np.sum((seen / threshold(frequency_hz[within])) ** _SVM_EXPONENT) ** (1.0 / _SVM_EXPONENT))
 
 
 def short_term_severity(waveform: Waveform, period: Period | None = None) -> float:
@@ -199,9 +222,6 @@ def short_term_severity(waveform: Waveform, period: Period | None = None) -> flo
     return math.sqrt(max(total, 0.0))
 
 
-_LEAST_KEPT: Final = 0.2  # of an amplitude that an exposure keeps; below, the correction would amplify noise
-
-
 def _for_severity(waveform: Waveform, period: Period | None) -> tuple[Array, float]:
     """Return light and rate in Hz, at 2 to 4 kHz: long enough, repeated by whole periods where the record is short."""
     if waveform.duration_s >= 3 * _PST_TRANSIENT_S:
@@ -218,39 +238,6 @@ def _for_severity(waveform: Waveform, period: Period | None) -> tuple[Array, flo
     return np.tile(once, repeats), size / part.duration_s
 
 
-def _periods(waveform: Waveform, period: Period | None) -> Array:
-    """Return every whole period by itself, shape (periods, samples); the record as one where there is no period."""
-    part, count = whole_periods(waveform, period)
-    if not count:
-        return part.light[None, :]
-    samples = max(2, part.light.size // count)
-    at = np.arange(count * samples) * part.light.size / (count * samples)
-    return np.interp(at, np.arange(part.light.size), part.light).reshape(count, samples)
-
-
-def _smooth(shapes: Array) -> Array:
-    """Return means over a two-hundredth of a period, around its end."""
-    over = max(1, round(shapes.shape[1] * _SMOOTHED_SHARE))
-    return shapes if shapes.shape[0] < 2 or over < 2 else uniform_filter1d(shapes, over, axis=1, mode="wrap")
-
-
-def _extreme_bias(waveform: Waveform, period: Period | None) -> float:
-    """Return by how much noise raises the modulation depth at most: that of a flat top and a flat bottom.
-
-    The extreme of n independent values of noise is about √(2·ln n) standard deviations off. The standard deviation is
-    that of the mean period, from the scatter of the periods.
-    """
-    shapes = _periods(waveform, period)
-    if shapes.shape[0] < 2:
-        return 0.0
-    smooth = _smooth(shapes)
-    # The median over the phases, for steep edges scatter by the steps of time; χ² has its median below its mean.
-    freedom = shapes.shape[0] - 1
-    variance = float(np.median(np.var(smooth, axis=0, ddof=1))) * freedom / float(chi2.median(freedom))
-    sigma = math.sqrt(variance / shapes.shape[0])
-    return sigma / float(shapes.mean()) * math.sqrt(2.0 * math.log(1.0 / _SMOOTHED_SHARE))
-
-
 def _jackknife(
     of: Callable[[Waveform, Period | None], float], part: Waveform, period: Period | None, blocks: int, periods: int
 ) -> float:
@@ -265,14 +252,20 @@ def _jackknife(
     return float(np.sqrt((blocks - 1) * np.var(values)))
 
 
-def _averaging_warnings(waveform: Waveform, period: Period | None) -> list[str]:
+def _averaging_warnings(waveform: Waveform, period: Period | None, shape: ShapeMeasures) -> list[str]:
     """Return what averaging over the exposure of each sample hides."""
     if period is None or waveform.averaged_s <= 0.0:
         return []
     kept = abs(float(np.sinc(period.frequency_hz * waveform.averaged_s)))
     if kept > 0.99:
         return []
-    return [
+    averaged = (
         f"each sample averages over {1e3 * waveform.averaged_s:.3g} ms and keeps {100 * kept:.0f} % of the amplitude "
-        f"at {period.frequency_hz:.4g} Hz: modulation depth and flicker index are lower bounds; take a shorter exposure"
-    ]
+        f"at {period.frequency_hz:.4g} Hz: "
+    )
+    if shape.is_series and kept >= LEAST_KEPT:
+        return [
+            f"{averaged}modulation depth, flicker index and SVM are corrected for it; faster light may be "
+            "hidden, so take a shorter exposure"
+        ]
+    return [f"{averaged}modulation depth and flicker index are lower bounds; take a shorter exposure"]

@@ -27,6 +27,7 @@ _MOST_HARMONICS: Final = 12  # that take part in finding the period; further one
 # A period is accepted where its harmonics hold so much of the modulation that noise or chance cannot.
 _PERIODIC_SHARE: Final = 0.5
 _LEAST_SHARE: Final = 1e-6  # of the variance that a longer period must explain: more than rounding
+_FREQUENCY_TOLERANCE: Final = 1e-6  # of a line's width, at which the search for the frequency ends
 _MOST_SAMPLES: Final = 10_000  # to find the period of: some 200 periods, which give it to parts in 100,000
 
 
@@ -52,7 +53,11 @@ class Waveform:
 
 
 def read_waveform(
-    path: Path, dark: float | None = None, u_dark: float = 0.0, mapped: StatementMap | None = None
+    path: Path,
+    dark: float | None = None,
+    u_dark: float = 0.0,
+    mapped: StatementMap | None = None,
+    averaged_s: float = 0.0,
 ) -> tuple[Waveform, tuple[str, ...]]:
     """Return the waveform in a table of time and light, and what is reported about the reading.
 
@@ -61,6 +66,7 @@ def read_waveform(
         dark: Value that the light's column has in darkness; None: 0 is assumed.
         u_dark: Its standard uncertainty.
         mapped: Where the user states time and light: `timestamp` and `number`.
+        averaged_s: Time over which each sample averages, in s.
 
     Raises:
         InputError: If the table cannot be read, or its times do not rise in equal steps.
@@ -90,7 +96,7 @@ def read_waveform(
     light = np.array(finite(_proportional(table, at_light), table, at_light))
     rate_hz = _rate_hz(path, time_s)
     assumptions = () if dark is not None else ("the value 0 is darkness; --dark VALUE states another",)
-    return Waveform(light - (dark or 0.0), rate_hz, str(path), u_dark, 0.0, assumptions), tuple(doubts)
+    return Waveform(light - (dark or 0.0), rate_hz, str(path), u_dark, averaged_s, assumptions), tuple(doubts)
 
 
 def _proportional(table: TextTable, at: int) -> list[float | None]:
@@ -203,7 +209,8 @@ def find_period(waveform: Waveform) -> Period | None:
     if share < _PERIODIC_SHARE:
         return None
     noise_2 = max(1.0 - share, 1e-18)  # both over the variance
-    u_hz = math.sqrt(6.0 * noise_2 * rate_hz**2 / (math.pi**2 * 2.0 * share * light.size**3))
+    bound_hz = math.sqrt(6.0 * noise_2 * rate_hz**2 / (math.pi**2 * 2.0 * share * light.size**3))
+    u_hz = math.hypot(bound_hz, _FREQUENCY_TOLERANCE * rate_hz / light.size)
     return Period(best_hz, u_hz, share)
 
 
@@ -240,7 +247,7 @@ def _refined(light: Array, rate_hz: float, near_hz: float) -> tuple[float, float
     width_hz = rate_hz / light.size
     found = minimize_scalar(
         unexplained, bounds=(near_hz - 0.5 * width_hz, near_hz + 0.5 * width_hz), method="bounded",
-        options={"xatol": 1e-6 * width_hz},
+        options={"xatol": _FREQUENCY_TOLERANCE * width_hz},
     )  # fmt: skip
     return float(found.x), max(0.0, 1.0 - float(found.fun))
 

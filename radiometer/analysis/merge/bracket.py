@@ -34,7 +34,7 @@ from radiometer.analysis.merge.tables import merge_tables
 from radiometer.analysis.photometry.photometry import KINDS
 from radiometer.analysis.reading.budget import common_u_rel, frame_u_rel, unstated_u_rel
 from radiometer.analysis.signal.lens import falloff_known, known_f_number, lens_factor_sr, relative_sensitivity
-from radiometer.analysis.signal.model import corrected_settings, temperature_factor
+from radiometer.analysis.signal.model import corrected_settings, darkest_signal, temperature_factor
 from radiometer.analysis.signal.situation import flat_field_for, situation_of
 from radiometer.data import (
     Bracket,
@@ -407,6 +407,7 @@ class StreamingMerge:
             self._dark,
             through_lens=self._through_lens,
             masked_dn=frame.masked_dn,
+            darkest=darkest_signal(frame, self._situation.model),
         )
         if self._terms and frame.settings.source_level != self._terms[0].settings.source_level:
             raise MeasurementError("the frames were taken at different source levels; merge those of one level")
@@ -506,6 +507,16 @@ class StreamingMerge:
         doubt = calibration.uncertainties.falloff_u_rel * lost * radiance
         np.hypot(u_radiance, doubt.astype(np.float32), out=u_radiance)
 
+    def _doubt_dark_current(self, u_radiance: NDArray[np.float32]) -> None:
+        """Add to the uncertainty of every pixel that of a dark current that nothing states: the frame that limits it.
+
+        It is not noise: a pixel that it may explain is still above the noise.
+        """
+        u_rate = min(terms.u_unstated / terms.exposure for terms in self._terms)
+        if u_rate > 0.0:
+            on_axis = self._on_axis() * self._terms[0].exposure
+            np.hypot(u_radiance, np.float32(u_rate * on_axis), out=u_radiance)
+
     def _stray_light(self, radiance: NDArray[np.float32]) -> tuple[str, ...]:
         """Return what to say of the light that the lens spreads over the picture, which no pixel's u holds."""
         calibration = self._calibration
@@ -583,6 +594,7 @@ class StreamingMerge:
         numbers = {terms.settings.f_number or self._situation.lens.f_number for terms in self._terms}
         white = white_level_notes(terms.settings.white_level for terms in self._terms)
         self._doubt_exposures(*images[:2])
+        self._doubt_dark_current(images[1])
         of_time = self._exposure_offset()
         in_u = of_time if self._exposures_in_u else ()
         of_light = self._stray_light(images[0])

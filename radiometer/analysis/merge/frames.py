@@ -34,6 +34,7 @@ class FrameTerms:
     dark: NDArray[np.float32]  # dark signal x: of the whole frame (size 1) or of every pixel (flat)
     u_dark: float  # uncertainty of the dark signal that all frames share
     black_dn: float  # black level in DN
+    u_unstated: float = 0.0  # standard uncertainty of the signal of a dark current that nothing states
 
 
 def frame_terms(
@@ -43,6 +44,7 @@ def frame_terms(
     *,
     through_lens: bool,
     masked_dn: float | None = None,
+    darkest: float = math.inf,
 ) -> FrameTerms:
     """Return the constants of a light frame.
 
@@ -51,10 +53,11 @@ def frame_terms(
         dark_frames: Frames with the shutter closed; those of the same exposure are taken off pixel by pixel.
         through_lens: Whether the exposure carries the lens factor of the frame's f-number.
         masked_dn: What masked pixels of the frame read in DN; None where it is not stated.
+        darkest: Signal x of its darkest pixels; inf where it is not known.
     """
     model = situation.model
     gain = gain_factor(settings.gain_db)
-    level = dark_levels([settings], dark_frames, model, situation.black, masked_dn=(masked_dn,))[0]
+    level = dark_levels([settings], dark_frames, model, situation.black, masked_dn=(masked_dn,), darkest=(darkest,))[0]
     dark, extra = _dark_map(settings, dark_frames, model, level.signal)
     high = math.ceil(model.saturation_dn(settings))
     clips_at = float(model.at_dn(model.table(settings), high - 0.5)) - level.signal
@@ -68,8 +71,9 @@ def frame_terms(
         clips_at,
         float(np.sqrt(model.variance(clips_at, settings))),
         dark,
-        level.u_common,
+        math.sqrt(max(level.u_common**2 - level.u_unstated**2, 0.0)),
         model.black_of(settings),
+        level.u_unstated,
     )
 
 

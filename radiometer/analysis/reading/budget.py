@@ -637,14 +637,14 @@ def reading_flags(situation: PatchSituation, terms: Sequence[Term]) -> tuple[Fla
         found[Flag.FEW_FRAMES] = _too_few_frames(situation)
         found[Flag.STRAY_LIGHT] = situation.surround.clipped > _SURROUND_CLIPS
     raised = {flag for flag, here in found.items() if here} | _dominant(situation.value, terms)
-    if Flag.BELOW_NOISE in raised:
-        raised.discard(Flag.DARK_ASSUMED)  # noise and dark level are what it is below
+    if situation.value < _NOISE_FLOOR_SIGMA * _floor(terms, "repeatability"):
+        raised.discard(Flag.DARK_ASSUMED)  # dark frames would not help: it is below the noise as well
     return tuple(sorted(raised))
 
 
-def _floor(terms: Sequence[Term]) -> float:
+def _floor(terms: Sequence[Term], *named: str) -> float:
     """Return the standard uncertainty that is left without light: noise and dark level, in the reading's unit."""
-    named = ("repeatability", "dark and black level")
+    named = named or ("repeatability", "dark and black level")
     return combined_u(term for term in terms if term.name in named)
 
 

@@ -114,7 +114,10 @@ def patch_situation(
     good = ~np.any([one.clipped for one in chosen], axis=0) if chosen[0].usable else np.ones(chosen[0].dn.shape, bool)
     good = _without_defects(good, calibration, patch)
     masked = [one.masked_dn for one in chosen]
-    dark = dark_levels([one.settings for one in chosen], dark_frames, settled.model, settled.black, masked_dn=masked)
+    dark = dark_levels(
+        [one.settings for one in chosen], dark_frames, settled.model, settled.black, masked_dn=masked,
+        darkest=[one.darkest for one in chosen],
+    )  # fmt: skip
     place = _sensitivity(calibration, camera, settled.lens, shape, patch)
     factors = float(place.mean()) * _lens_factors(light, calibration, settled.lens)
     surround = _surround(light, factors, settled)

@@ -33,8 +33,11 @@ _OTHER_EXPOSURE_REL = 0.05  # dark frames that differ by less say nothing of the
 _AS_WARM_K = 3.0  # a third more dark current, or a third less
 _U_DOUBLING_K = 1.0  # dark currents in silicon double within 6 to 8 K
 _OTHER = "dark frames of other exposures"
-# Dark current of machine-vision sensors near 40 °C where a data sheet says nothing: 0 to some 20 e⁻/s.
-UNKNOWN_DARK_E_PER_S = 10.0
+# Photographs end their dark signal at their black level; what it misses of a dark current near 40 °C: 0 to 20 e⁻/s.
+_UNKNOWN_OF_PHOTOGRAPHS_E_PER_S = 10.0
+# Most dark current of a camera that states none: 1 nA/cm² at 25 °C in pixels of 24 µm (CCDs without inversion), warm.
+_MOST_DARK_E_PER_S = 1e5
+_DARKEST_PERCENTILE = 5.0  # of a frame: its dark signal is not above that of its darkest pixels, hot ones left out
 # Masked pixels against those next to them: half a digital number (a rectangle), and a tenth of the modelled dark
 # signal.
 _MASKED_U_DN = 0.29
@@ -220,6 +223,7 @@ class DarkLevel:
     u_independent: float  # standard uncertainty that this frame's dark level has for itself
     u_common: float  # standard uncertainty shared with all other frames
     source: str  # "dark frames", "masked pixels" or "black level"
+    u_unstated: float = 0.0  # part of `u_common` that a dark current makes which nothing states
 
 
 def dark_levels(
@@ -228,6 +232,7 @@ def dark_levels(
     model: SignalModel,
     black: BlackLevel,
     masked_dn: Sequence[float | None] = (),
+    darkest: Sequence[float] = (),
 ) -> list[DarkLevel]:
     """Return the dark level of every light frame.
 
@@ -240,9 +245,12 @@ def dark_levels(
         dark_frames: Frames with the shutter closed.
         black: Black level of the calibration, with its uncertainty.
         masked_dn: What masked pixels read in every light frame in DN, where known.
+        darkest: Signal x of the darkest pixels of every light frame: no dark signal is above it.
     """
-    masked = masked_dn or (None,) * len(settings)
-    return [_level(one, dark_frames, model, black, dn) for one, dn in zip(settings, masked, strict=True)]
+    masked, most = masked_dn or (None,) * len(settings), darkest or (math.inf,) * len(settings)
+    return [
+        _level(one, dark_frames, model, black, dn, least) for one, dn, least in zip(settings, masked, most, strict=True)
+    ]
 
 
 def _level(
@@ -251,14 +259,15 @@ def _level(
     model: SignalModel,
     black: BlackLevel,
     masked_dn: float | None,
+    darkest: float,
 ) -> DarkLevel:
     if matching := matching_darks(settings, dark_frames):
         return _from_frames(settings, matching, model)
     if masked_dn is not None:
         return _from_masked(settings, masked_dn, model)
     if same_gain := [frame for frame in dark_frames if frame.settings.gain_db == settings.gain_db]:
-        return _from_other_exposures(settings, same_gain, model, black)
-    return _from_model(settings, model, black)
+        return _from_other_exposures(settings, same_gain, model, black, darkest)
+    return _from_model(settings, model, black, darkest)
 
 
 def matching_darks(settings: FrameSettings, dark_frames: Sequence[Frame]) -> list[Frame]:
@@ -295,7 +304,7 @@ def _from_masked(settings: FrameSettings, masked_dn: float, model: SignalModel) 
 
 
 def _from_other_exposures(
-    settings: FrameSettings, frames: list[Frame], model: SignalModel, black: BlackLevel
+    settings: FrameSettings, frames: list[Frame], model: SignalModel, black: BlackLevel, darkest: float
 ) -> DarkLevel:
     """Return the dark signal that dark frames of other exposures or temperatures show.
 
@@ -318,10 +327,14 @@ def _from_other_exposures(
     modelled = [model.modelled_dark(frame.settings) for frame in frames]
     offset = float(np.mean(signals - np.array(modelled)))
     dark = model.modelled_dark(settings)
-    u_rate = black.dark_u_rel * abs(dark - float(np.mean(modelled)))
+    u_rate, u_unstated = black.dark_u_rel * abs(dark - float(np.mean(modelled))), 0.0
     if "dark_current_e_per_s" in model.noise.assumed:
-        u_rate = UNKNOWN_DARK_E_PER_S * abs(here - float(times.mean())) / model.electrons_per_unit
-    return DarkLevel(dark + offset, 0.0, float(np.hypot(noise, u_rate)), _OTHER)
+        apart_s = here - float(times.mean())
+        # Shorter dark frames lack dark signal, up to all that the darkest pixels show; longer ones have too much, up to
+        # all of theirs. Where they are brighter than the darkest pixels they do not belong to the frame.
+        most = (darkest - offset) * apart_s / here if apart_s > 0 else offset if darkest > offset else 0.0
+        u_rate = u_unstated = _unknown_dark_u(replace(settings, exposure_s=abs(apart_s)), model, most)
+    return DarkLevel(dark + offset, 0.0, float(np.hypot(noise, u_rate)), _OTHER, u_unstated)
 
 
 def _seconds_at_reference(settings: FrameSettings, model: SignalModel) -> float:
@@ -339,11 +352,13 @@ def _u_seconds(settings: FrameSettings, frames: Sequence[Frame], model: SignalMo
     return relative * _seconds_at_reference(settings, model)
 
 
-def _from_model(settings: FrameSettings, model: SignalModel, black: BlackLevel) -> DarkLevel:
+def _from_model(settings: FrameSettings, model: SignalModel, black: BlackLevel, darkest: float) -> DarkLevel:
     dark = model.modelled_dark(settings)
     slope = float(model.at_dn(model.slope, model.black_dn))
-    u_common = float(np.hypot(black.u_dn * slope, dark_u(settings, model, black)))
-    return DarkLevel(dark, 0.0, u_common, "black level")
+    unstated = "dark_current_e_per_s" in model.noise.assumed
+    u_dark = _unknown_dark_u(settings, model, darkest) if unstated else black.dark_u_rel * dark
+    u_common = math.hypot(black.u_dn * slope, u_dark)
+    return DarkLevel(dark, 0.0, u_common, "black level", u_dark if unstated else 0.0)
 
 
 def black_from_darks(dark_frames: Sequence[Frame], calibration: Calibration) -> BlackLevel | None:
@@ -368,17 +383,32 @@ def black_from_darks(dark_frames: Sequence[Frame], calibration: Calibration) -> 
         start = float(np.polynomial.polynomial.polyfit(times, means, 1)[0])
         return own.model_copy(update={"dn": max(start, 0.0)})
     modelled = gain * np.array([noise.dark_e(f.settings.exposure_s, f.settings.temperature_c) for f in used])
-    unknown_e = UNKNOWN_DARK_E_PER_S if "dark_current_e_per_s" in noise.assumed else 0.0
+    unknown_e = _UNKNOWN_OF_PHOTOGRAPHS_E_PER_S if "dark_current_e_per_s" in noise.assumed else 0.0
     u_dark = math.hypot(gain * unknown_e * float(times[0]), own.dark_u_rel * float(modelled[0]))
     start = float(np.mean(means - modelled))
     return own.model_copy(update={"dn": max(start, 0.0), "u_dn": math.hypot(own.u_dn, u_dark)})
 
 
-def dark_u(settings: FrameSettings, model: SignalModel, black: BlackLevel) -> float:
-    """Return the standard uncertainty of a modelled dark signal; an unstated dark current may be some e⁻/s."""
-    if "dark_current_e_per_s" in model.noise.assumed:
-        return UNKNOWN_DARK_E_PER_S * settings.exposure_s / model.electrons_per_unit
-    return black.dark_u_rel * model.modelled_dark(settings)
+def _unknown_dark_u(settings: FrameSettings, model: SignalModel, darkest: float) -> float:
+    """Return the standard uncertainty of the signal x of a dark current that nothing states: k = 2 covers the most.
+
+    Args:
+        settings: Of the light frame.
+        model: Signal model of the camera.
+        darkest: Signal x of the frame's darkest pixels; inf where it is not known.
+    """
+    if settings.iso is not None:
+        return _UNKNOWN_OF_PHOTOGRAPHS_E_PER_S * settings.exposure_s / model.electrons_per_unit
+    most = _MOST_DARK_E_PER_S * settings.exposure_s / model.electrons_per_unit
+    lowest = min(max(darkest, 0.0), most)
+    noise = math.sqrt(float(model.variance(lowest, settings)))  # a low percentile is that far below its level
+    return min(most, lowest + 2.0 * noise) / 2.0
+
+
+def darkest_signal(frame: Frame, model: SignalModel) -> float:
+    """Return the signal x of a frame's darkest pixels, from pixels evenly over it."""
+    step = max(1, math.isqrt(frame.dn.size // _PIXELS_OF_THE_WHOLE))
+    return float(model.table(frame.settings)[int(np.percentile(frame.dn[::step, ::step], _DARKEST_PERCENTILE))])
 
 
 def corrected_settings(settings: FrameSettings, found: FoundEffects, black_dn: float) -> FrameSettings:
@@ -494,6 +524,7 @@ class PatchFrame:
     whole: float  # mean signal x of the whole picture, dark level not yet taken off
     whole_clipped: float  # part of the whole picture that clips; the mean is too low then
     masked_dn: float | None = None  # what the sensor's masked pixels read, in DN; None where it is not stated
+    darkest: float = math.inf  # signal x of the darkest pixels of the whole picture, dark level not yet taken off
 
 
 def crop_frames(
@@ -562,7 +593,10 @@ def _crop(frame: Frame, patch: Patch, model: SignalModel) -> PatchFrame:
     step = max(1, math.isqrt(frame.dn.size // _PIXELS_OF_THE_WHOLE))
     few_of_all = frame.dn[::step, ::step]
     whole, whole_clipped = float(expected[few_of_all].mean()), float(np.mean(few_of_all >= end))
-    return PatchFrame(frame.settings, dn, signal, usable, unclipped, clipped, whole, whole_clipped, frame.masked_dn)
+    darkest = darkest_signal(frame, model)
+    return PatchFrame(
+        frame.settings, dn, signal, usable, unclipped, clipped, whole, whole_clipped, frame.masked_dn, darkest
+    )
 
 
 def _brightest_part(dn: DigitalNumbers) -> float:

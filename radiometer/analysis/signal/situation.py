@@ -57,7 +57,7 @@ def situation_of(setup: Setup) -> Situation:
         noise, black = SensorNoise.of(camera), BlackLevel(dn=camera.black_level_dn or 0.0)
         stated = StatedUncertainties()
         model = signal_model(camera, None, noise, black.dn, stated.linearity_u_rel)
-        assumed = ("response taken as linear", *(f"typical {name}" for name in noise.assumed))
+        assumed = ("response taken as linear", *noise.assumptions)
         return Situation(setup, model, black, stated, 1.0, lens, assumed)
     require_camera(calibration, camera)
     require_lens(calibration, lens)
@@ -65,7 +65,7 @@ def situation_of(setup: Setup) -> Situation:
     model = signal_model(calibration.camera, calibration.response, calibration.noise, black.dn, stated.linearity_u_rel)
     of_source = (f"spectrum {calibration.spectrum}",) if calibration.absolute else ()
     factor, correction = spectral_correction(calibration)
-    assumed = (*of_source, *correction, *(f"typical {name}" for name in calibration.noise.assumed))
+    assumed = (*of_source, *correction, *calibration.noise.assumptions)
     scale, used = calibration.scale.value * factor, lens_in_use(calibration, lens)
     return Situation(setup, model, black, stated, scale, used, assumed)
 

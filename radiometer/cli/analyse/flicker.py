@@ -36,7 +36,7 @@ def command(
         float | None, typer.Option(min=0.0, help="Of a frame: frequency of the light in Hz, to find the row time.")
     ] = None,
     exposure: Annotated[
-        str | None, typer.Option(metavar="S", help="Of a frame: exposure time, such as 1/5000.")
+        str | None, typer.Option(metavar="S", help="Exposure time of a frame or of each sample, such as 1/5000.")
     ] = None,
     black_level: Annotated[float | None, typer.Option(min=0.0, help="Of a frame: black level in DN.")] = None,
     flat: Annotated[

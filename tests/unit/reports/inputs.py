@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -147,6 +147,16 @@ def ramp_bracket(folder: Path, top: int, step: int = 1, **cards: Any) -> Path:
             unit = fits.PrimaryHDU((np.floor(dn / step) * step).clip(0, 65_535).astype(np.uint16))
             unit.header.update(EXPTIME=seconds, IMAGETYP=kind, **cards)
             unit.writeto(folder / f"{kind}{n}.fits")
+    return folder
+
+
+def fits_series(folder: Path, shots: Iterable[tuple[str, float, Any]]) -> Path:
+    """Write FITS frames of kind, exposure in s and digital numbers, shape (height, width)."""
+    folder.mkdir()
+    for n, (kind, seconds, dn) in enumerate(shots):
+        unit = fits.PrimaryHDU(np.rint(dn).clip(0, 65_535).astype(np.uint16))
+        unit.header.update({"EXPTIME": seconds, "IMAGETYP": kind})
+        unit.writeto(folder / f"{n:02d}.fits")
     return folder
 
 

@@ -89,6 +89,36 @@ def in_ome(plane: str, pixels: str = "", channel: str = "") -> Callable[[Path], 
     return make
 
 
+def scaled_integers(folder: Path) -> Path:
+    """Write 16-bit numbers that the header scales by two."""
+    unit = fits.PrimaryHDU(flat(np.int16))
+    unit.header.update({"IMAGETYP": "Light", "EXPTIME": 1.0})
+    unit.scale("int16", bscale=2.0, bzero=100.0)
+    unit.writeto(folder / "a.fits")
+    return folder / "a.fits"
+
+
+def compressed_unsigned(folder: Path) -> Path:
+    """Write unsigned numbers in a compressed extension."""
+    unit = fits.CompImageHDU(flat(level=40_000))
+    unit.header.update({"IMAGETYP": "Light", "EXPTIME": 1.0})
+    fits.HDUList([fits.PrimaryHDU(), unit]).writeto(folder / "a.fits")
+    return folder / "a.fits"
+
+
+def black_levels_of_previews(folder: Path) -> Path:
+    """Write a small picture, the sensor's one and a preview behind it, which have other black levels."""
+    path = folder / "a.tif"
+    exposure = (33434, "2I", 1, (8, 1000), True)
+    with tifffile.TiffWriter(path) as writer:
+        small = np.zeros((8, 12, 3), np.uint8)
+        writer.write(small, photometric="rgb", subfiletype=1, subifds=2, metadata=None, extratags=[exposure])
+        for picture, kind, black in ((flat(), 0, 256), (np.zeros((4, 6), np.uint8), 1, 0)):
+            level = [(50714, "H", 1, black, True)]
+            writer.write(picture, photometric="minisblack", subfiletype=kind, metadata=None, extratags=level)
+    return path
+
+
 def read_image(path: Path) -> tuple[Facts, str]:
     """Return facts of the first frame, and doubts."""
     header = import_sources([path])[0].header
@@ -156,6 +186,13 @@ IMAGES: dict[str, tuple[Any, Facts, str]] = {
     "ilastik/ilastik/pull/3093": (in_ome('ExposureTime="2" ExposureTimeUnit="frame"'), {}, "refused: frame"),
     "OME SignificantBits": (in_ome('ExposureTime="0.5"', 'SignificantBits="12"'), {"bits": 12}, ""),
     "OME DetectorSettings": (in_ome('ExposureTime="0.5"', "", GAIN), {"dB": 0.0}, "gain is 100"),
+    "macro-consortium/pyscope/issues/125": (in_fits({"EXPTIME": None, "SUBEXP": None}), {}, "refused: exposure"),
+    "WorldWideTelescope/wwt-web-client/issues/210": (scaled_integers, {}, "refused: full scale"),
+    "astropy/astropy/issues/5999": (compressed_unsigned, {"last": 40_000.0}, ""),
+    "RawTherapee/RawTherapee/issues/6443": (black_levels_of_previews, {"black": 256.0, "last": float(LEVEL)}, ""),
+    "PHPExif/php-exif/pull/43": (in_tiff(seconds=(0, 1)), {}, "refused: exposure"),
+    "LuminanceHDR/LuminanceHDR/issues/177": (
+        in_tiff((37380, "2i", 1, (-2, 1), True), seconds=None), {}, "refused: exposure"),
     "OME DeltaT is no exposure": (in_ome('DeltaT="0.5"'), {}, "refused: exposure"),
 }  # fmt: skip
 
@@ -296,6 +333,27 @@ TABLES: dict[str, tuple[Any, str, Facts, str]] = {
         read_spectrum, spectrum(lambda n, p: f"{n},{p * n * n}", "nm,power per cm-1"), {}, "refused: per cm-1"),
     "kriswiner/AS7265X/issues/5": (
         read_spectrum, spectrum(lambda n, p: f"{n},{p * n}", "nm,flux (umol/m2/s/nm)"), {}, "refused: umol"),
+    "Ehlmann-research-group/WISER/issues/725": (
+        read_spectrum, spectrum(lambda n, p: f"{n / 1e3},{p:.6f},,,,", "Wavelength_um,ARKSAW_18_G,,,,"), NM_MEAN, ""),
+    "bryanhanson/ChemoSpec/issues/14": (
+        read_spectrum, spectrum(lambda n, p: f"{n},{p:.6f}", "freq,data"), {}, "refused: freq"),
+    "ngscopeclient/scopehal-apps/issues/720": (
+        read_spectrum, spectrum(lambda n, p: f"{n:.6E},{1e6 * p:.6E}"), NM_MEAN, ""),
+    "publiclab/spectral-workbench/issues/140": (
+        read_spectrum, spectrum(lambda n, p: f"0,{p:.6f}"), {}, "refused: wavelength"),
+    "publiclab/spectral-workbench/issues/4": (
+        read_spectrum, spectrum(lambda n, p: f"{n},{p},{p / 2},{p / 3},{p / 4}", "Wavelength,Average,Red,Green,Blue"),
+        {}, "refused: Average, Red"),
+    "PMassicotte/eemR/issues/45": (
+        read_spectrum, spectrum(lambda n, p: f"{n},{p},{p / 2},{p / 3}", '"EM Wavelength/EX Wavelength",200,205,210'),
+        {}, "refused: 4 columns"),
+    "mm2/Little-CMS/issues/250": (read_screen, ti3('"NORMALIZED_TO_Y_100  ""NO"""', 1.0), {}, "refused: absolute"),
+    "dgbowl/yadg/issues/95": (
+        read_screen, ti3(f'{WHITE.replace(".", ",")}\nNORMALIZED_TO_Y_100 "YES"', 100 / 230.2), {}, "refused: 230,2"),
+    "eoyilmaz/displaycal-py3/issues/443": (
+        read_screen, ti3('NORMALIZED_TO_Y_100 "NO"', 1.0).replace("230.20000", "-nan(ind)"), {}, "refused: nan"),
+    "ZEISS/czicompress/issues/39": (
+        read_screen, levels("level,Lv", lambda n, v: f"{n},{v:.2f}".replace(".", ",")), {}, "refused: decimal"),
     "Argyll relative": (read_screen, ti3(f'{WHITE}\nNORMALIZED_TO_Y_100 "YES"', 100 / 230.2), SCREEN, ""),
     "Argyll absolute": (read_screen, ti3('NORMALIZED_TO_Y_100 "NO"', 1.0), SCREEN, ""),
     "old Argyll, relative": (read_screen, ti3(WHITE, 100 / 230.2), SCREEN, ""),

@@ -5,6 +5,7 @@ Values are those the input was made with. A refusal is right where the file leav
 
 from __future__ import annotations
 
+import json
 import re
 from pathlib import Path
 
@@ -13,6 +14,7 @@ import numpy as np
 import pytest
 import tifffile
 
+import radiometer as rm
 from radiometer.cli.main import run
 from radiometer.data import CaptureSet, ResponseCurve
 from radiometer.screen.calibration import LUMINANCE, ScreenCalibration
@@ -282,3 +284,55 @@ def test_dark_frames_are_used_for_the_exposure_and_temperature_they_have(seconds
         return
     found = tifffile.imread(tmp_path / "o.tiff", key=0).mean(axis=0)
     assert found == pytest.approx(1e4 * np.linspace(0.1, 1.0, 64), rel=0.03)
+
+
+@pytest.mark.parametrize("dark_rate", [0.0, 300.0, 8000.0])
+def test_bias_frames_say_nothing_of_a_dark_current_that_no_file_states(dark_rate, tmp_path, capsys):
+    """1000 DN/s of light: what u says covers it, however much of the picture is dark current."""
+    rng = np.random.default_rng(9)
+    lights = [("Light", t, (1000.0 + dark_rate) * t) for t in (0.5, 1.0, 2.0)]
+    shots = (
+        (kind, seconds, 500 + rng.normal(signal, np.sqrt(0.5 * signal + 9), (48, 64)))
+        for kind, seconds, signal in (*lights, *[("Bias", 0.0, 0.0)] * 3)
+    )
+    imported(inputs.fits_series(tmp_path / "in", shots), tmp_path / "set")
+    found = rm.merge(tmp_path / "set").map
+    value, u = float(np.median(found.radiance)), float(np.median(found.u_radiance))
+    assert abs(value - 1000.0) <= 2.0 * u + 10.0
+    assert "no dark current" in " ".join(found.provenance.assumptions)
+    assert (
+        run(["measure", "--photographs", str(tmp_path / "set"), "--patch", "10,10,20,20", "--uncalibrated", "--json"])
+        == 0
+    )
+    reading = json.loads(capsys.readouterr().out)
+    assert "dark_assumed" in reading["flags"]
+
+
+@pytest.mark.parametrize("top", [50_000, 30_001])
+def test_a_sensor_is_characterised_up_to_where_its_pixels_pile_up(top, tmp_path):
+    """K is 0.5 DN/e-, and pixels at the pile count as clipped, although 16 bits go further."""
+    rng = np.random.default_rng(4)
+    kinds = [("Light", 2e5)] * 2 + [("Dark", 0.0)] * 2
+    shots = (
+        (kind, s, np.minimum(500 + 0.5 * rng.poisson(rate * s, (64, 64)) + rng.normal(0, 3, (64, 64)), top))
+        for s in np.linspace(0.05, 0.7, 14)
+        for kind, rate in kinds
+    )
+    found = rm.characterise(inputs.fits_series(tmp_path / "in", shots))
+    assert abs(found["K"].value - 0.5) <= 2.0 * found["K"].u
+    assert found.characterisation.limited_by == "full well"
+    assert max(step.bright.clipped_share for step in found.characterisation.steps) > 0.5
+    assert any(f"white level {top} DN" in note for note in found.characterisation.notes)
+
+
+def test_linear_files_of_12_bits_are_shown_the_way_out(tmp_path, capsys):
+    """Numbers of a sensor in files of 16 bits, as photographs: no curve follows from them, --linear reads them."""
+    rng = np.random.default_rng(2)
+    ramp = np.linspace(0.05, 0.9, 96)[None, :] * np.ones((64, 1))
+    for n, seconds in enumerate((0.01, 0.02)):
+        dn = np.rint(np.minimum(64 + 4e4 * ramp * seconds + rng.normal(0, 2, ramp.shape), 4095))
+        inputs.tiff(tmp_path / "p" / f"{n}.tif", [dn], [[inputs.exposure_tag(seconds)]])
+    code = run(["merge", str(tmp_path / "p"), "-o", str(tmp_path / "o.tiff")])
+    shown = capsys.readouterr().err.replace("\n", " ")
+    assert code == 0 or "--linear" in shown
+    assert run(["merge", str(tmp_path / "p"), "--linear", "-o", str(tmp_path / "l.tiff")]) == 0
