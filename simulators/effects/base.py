@@ -98,7 +98,7 @@ def parameter(default: Any, unit: str, low: float, high: float, *, source: str, 
 class Effect(ABC):
     """One entry of the forward model.
 
-    Class attributes:
+    Attributes:
         name: Canonical snake_case name.
         stage: Where in the chain it acts.
         unit_in: Unit of the signal it takes.

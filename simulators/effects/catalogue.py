@@ -35,8 +35,9 @@ _NORMAL: Final = _PIXELS / _PIXELS.std()  # what pixels scatter by, in standard 
 class CatalogueEffect(Effect):
     """An effect that reconcile tries.
 
-    Class attributes:
-        where: Covariate along which it shows, by its name in result files.
+    Attributes:
+        where: Covariate along which it shows, by its name in result files: exposure_s, gain_db, f_number, temperature_C,
+            source_level, timestamp_s, signal, patch_level, field_radius, image_x, image_y, screen_x or previous_frame.
         block: Statistic that must improve when the effect is there: mean, slope, variance, spatial, neighbour,
             first, common, bands, row_temporal, columns, rows, edge, outliers or comb.
         also: Further statistics that count as its evidence.
@@ -46,7 +47,11 @@ class CatalogueEffect(Effect):
             fitted where any differs from its default.
         varies: Setting that must differ between captures: `f_number`, `gain_db` or `temperature_C`.
         settles: The capture that separates the effect from its likenesses, as advice to the user.
-        essential: Parameters without which it is not this effect, however well the others fit.
+        essential: Parameters without which it is not this effect, however well the others fit; by default the first
+            fitted one.
+        profiled: Parameter that is searched on a dense grid, for the prediction jumps in it.
+        repeats: Whether it may act more than once, as several wrong labels do; `joined` makes one effect of two.
+        proportional: Whether a fixed pattern grows with the light.
         stands_for: Other entries that may together be equivalent to this one.
         endless: Parameters whose range ends in a form of the effect as good as any, not where physics ends.
         log_prior_odds: Natural logarithm of how likely the effect is before any data, against a usual one; added to
@@ -80,9 +85,9 @@ class CatalogueEffect(Effect):
     essential: ClassVar[tuple[str, ...]] = ()
     stands_for: ClassVar[tuple[str, ...]] = ()
     endless: ClassVar[tuple[str, ...]] = ()
-    profiled: ClassVar[str] = ""  # a parameter that is searched on a dense grid, for the fit is not smooth in it
-    repeats: ClassVar[bool] = False  # whether it may act more than once (several wrong labels); `joined` makes it one
-    proportional: ClassVar[bool] = False  # whether a fixed pattern grows with the light
+    profiled: ClassVar[str] = ""
+    repeats: ClassVar[bool] = False
+    proportional: ClassVar[bool] = False
     log_prior_odds: ClassVar[float] = 0.0
     prior_reason: ClassVar[str] = ""
     weight_unseen: ClassVar[float] = 1.0
@@ -132,7 +137,12 @@ class CatalogueEffect(Effect):
 
     @classmethod
     def covers(cls, context: ExposureContext) -> tuple[Self, ...]:
-        """Return flexible forms of the effect that cover other equations of it; none by default."""
+        """Return flexible forms of the effect that cover other equations of it; none by default.
+
+        Examples are a table over the gains in use, or a second exponential. They keep the name of the effect. The plain
+        form is preferred unless the flexible one predicts held-out settings better by 5 nats more than its parameters
+        cost.
+        """
         return ()
 
     @classmethod
@@ -174,7 +184,10 @@ class CatalogueEffect(Effect):
         return cls()
 
     def loosened(self, context: ExposureContext) -> tuple[Self, ...]:
-        """Return more flexible forms that start from this one; tried where structure stays.
+        """Return more flexible forms that start from this one, tried where structure remains.
+
+        They must bring 8 nats beyond 3 for each further parameter. Extra parameters default to the plain form, so that
+        older model files load unchanged.
 
         By default those of `further`, or else the covers that have more free parameters, with this one's values where
         they share them: a parameter that was fitted and is then fixed would cost nothing.
