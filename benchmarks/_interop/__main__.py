@@ -6,7 +6,7 @@ import importlib
 import sys
 from pathlib import Path
 
-PAGE = Path(__file__).resolve().parents[2] / "docs" / "reference" / "interoperability.md"
+PAGE = Path(__file__).resolve().parents[2] / "docs" / "benchmarks" / "interoperability.md"
 
 
 def main(name: str) -> None:

@@ -1,6 +1,6 @@
 """Logs of an all-sky camera beside a sky meter: each planted term is named with its size, and nothing where nothing is.
 
-The offline count of false alarms stands in docs/reference/log-fit.md.
+The offline count of false alarms is in docs/benchmarks/reconcile.md.
 """
 
 from __future__ import annotations
