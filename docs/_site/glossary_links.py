@@ -1,7 +1,7 @@
 """Link the first use of each term of the glossary on a page, with its meaning as a tooltip.
 
-A page that links to a section of the glossary uses the terms of that section in their defined sense. Each of them is then
-linked where it first occurs in running text. A link that a page has already is pointed at its term.
+A page that links to a section of the glossary uses the terms of that section in their defined sense. Each of them is
+then linked where it first occurs in running text. A link that a page has already is pointed at its term.
 """
 
 from __future__ import annotations
@@ -31,7 +31,10 @@ def _terms() -> dict[str, tuple[str, str]]:
         if line.startswith("## "):
             section = line[3:].lower().replace(" ", "-")
         elif row := _ROW.match(line):
-            found[re.sub(r" \*?\(?[\w]+\)?\*?$", "", row[1]) if re.search(r"[*(]", row[1]) else row[1]] = section, row[2]
+            found[re.sub(r" \*?\(?[\w]+\)?\*?$", "", row[1]) if re.search(r"[*(]", row[1]) else row[1]] = (
+                section,
+                row[2],
+            )
     return dict(sorted(found.items(), key=lambda entry: -len(entry[0])))
 
 

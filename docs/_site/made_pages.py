@@ -98,8 +98,8 @@ def effects() -> str:
             if kind.stage is stage:
                 parts.append("\n\n".join(_effect(name, kind)))
     parts.append(
-        "## Members of an effect\n\nAn effect must state `name`, `stage`, `unit_in`, `unit_out`, `where`, `trials` and `fitted`, "
-        "and must have `mean`. Everything else has a default."
+        "## Members of an effect\n\nAn effect must state `name`, `stage`, `unit_in`, `unit_out`, `where`, `trials` and "
+        "`fitted`, and must have `mean`. Everything else has a default."
     )
     for kind_path in ("simulators.effects.base.Effect", "simulators.effects.catalogue.CatalogueEffect"):
         parts.append(f"::: {kind_path}\n    options:\n      heading_level: 3")
@@ -110,10 +110,10 @@ def thresholds() -> str:
     """Return the table of the thresholds that decide about names, with value, reason and measurement."""
     from radiometer.reconciliation.thresholds import TABLE
 
-    rows = [
-        f"| `{row.name}` | {row.value:g}{'' if row.unit == '1' else f' {row.unit}'} | {_cell(row.reason)} | {_cell(row.measured)} |"
-        for row in TABLE
-    ]
+    rows = []
+    for row in TABLE:
+        value = f"{row.value:g}" if row.unit == "1" else f"{row.value:g} {row.unit}"
+        rows.append(f"| `{row.name}` | {value} | {_cell(row.reason)} | {_cell(row.measured)} |")
     return (
         "# Thresholds of reconcile\n\nEvery threshold that decides about a name, made from the program. "
         "[How reconcile decides](../decisions/0011-how-reconcile-decides.md) shows where each acts.\n\n"

@@ -225,7 +225,7 @@ def _declared(kind: type[Effect]) -> tuple[Parameter, ...]:
 
 def _refuse_out_of_bounds(effect: str, known: Parameter, value: Any) -> None:
     if type(value) is float and known.low <= value <= known.high and math.isfinite(value):
-        return  # the usual case, told quickly
+        return  # the usual case, decided quickly
     try:
         numbers = np.atleast_1d(np.asarray(value, dtype=np.float64))
     except (TypeError, ValueError) as error:

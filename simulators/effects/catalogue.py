@@ -24,7 +24,7 @@ from simulators.effects.tile_moments import TileMoments
 # Where the description of the dark current says neither, as in the ideal chain.
 _DARK_REFERENCE_C: Final = 25.0
 _DARK_DOUBLING_K: Final = 7.0  # silicon: 6 to 8 K
-_TOLD_RATIO: Final = 2.0  # of the longest dark exposure to the shortest
+_VARYING_RATIO: Final = 2.0  # of the longest dark exposure to the shortest
 _COMPARABLE_K: Final = 10.0  # one doubling to two of a dark current in silicon
 _WANDER_K: Final = 2.0  # engineering prior: what an uncooled sensor wanders by within a session
 _PIXELS: Final = ndtri((np.arange(64) + 0.5) / 64.0)
@@ -36,8 +36,9 @@ class CatalogueEffect(Effect):
     """An effect that reconcile tries.
 
     Attributes:
-        where: Covariate along which it shows, by its name in result files: exposure_s, gain_db, f_number, temperature_C,
-            source_level, timestamp_s, signal, patch_level, field_radius, image_x, image_y, screen_x or previous_frame.
+        where: Covariate along which it shows, by its name in result files: exposure_s, gain_db, f_number,
+            temperature_C, source_level, timestamp_s, signal, patch_level, field_radius, image_x, image_y, screen_x or
+            previous_frame.
         block: Statistic that must improve when the effect is there: mean, slope, variance, spatial, neighbour,
             first, common, bands, row_temporal, columns, rows, edge, outliers or comb.
         also: Further statistics that count as its evidence.
@@ -250,7 +251,7 @@ class CatalogueEffect(Effect):
             return after
         signal: Any = before.mean.mean(axis=-1, keepdims=True)
         scale: Any = 1.0
-        if self.signal_power is not None:  # one signal tells of all, and the grid is that of one capture, mostly
+        if self.signal_power is not None:  # one signal represents all, and the grid is that of one capture, mostly
             signal, scale = np.full((1, 1, 1), float(self.signal_power)), signal**self.signal_power
         points, left = context.within_tiles(lambda at: self.mean(signal, at) - signal)
         more = scale * (points - (self.mean(signal, context) - signal))
@@ -363,7 +364,7 @@ def dark_exposures_vary(context: ExposureContext) -> bool:
     settings: Any = context.settings
     dark = np.asarray(settings.is_dark)
     known = np.broadcast_to(settings.exposure_s, dark.shape)[dark]
-    return bool(known.size and known.max() >= _TOLD_RATIO * known.min())
+    return bool(known.size and known.max() >= _VARYING_RATIO * known.min())
 
 
 def nearest_temperature_c(context: ExposureContext, usual_c: float) -> float:

@@ -108,11 +108,11 @@ class Record:
         return set().union(*(ran.get(line, set()) for line in lines))
 
     def _naming(self, name: str) -> set[str]:
-        said = re.compile(rf"\b{re.escape(name)}\b")
+        message = re.compile(rf"\b{re.escape(name)}\b")
         found: set[str] = set()
         for file in self.tests_of:
             lines = (harness.ROOT / file).read_text(encoding="utf-8").splitlines()
-            found |= self._ran(file, [k for k, text in enumerate(lines, 1) if said.search(text)])
+            found |= self._ran(file, [k for k, text in enumerate(lines, 1) if message.search(text)])
         return found
 
     def _beside(self, file: str) -> set[str]:

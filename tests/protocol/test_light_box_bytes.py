@@ -303,7 +303,7 @@ def test_flashes_are_counted_and_spaced(twin):
     assert b"OK 0 5000" in twin.ask("#A2 FL")
 
 
-def test_flash_waits_for_nobody_who_is_silent(talker):
+def test_flash_waits_for_no_subject_who_is_silent(talker):
     """After the dead man's second no flash can be fired without a new session."""
     talker.ask(HELLO_2)
     talker.run(1.1)

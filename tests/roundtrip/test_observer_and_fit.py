@@ -73,13 +73,13 @@ def test_short_bleach_leaves_one_branch():
 
 
 @pytest.mark.parametrize(
-    ("habits", "said"),
+    ("habits", "message"),
     [
         (Habits(lapses=1.0, false_alarms=0.0), "never, or always"),
         (Habits(lapses=0.0, false_alarms=1.0), "no recovery|never, or always"),
     ],
 )
-def test_subject_who_never_or_always_presses_gets_a_verdict(habits, said):
+def test_subject_who_never_or_always_presses_gets_a_verdict(habits, message):
     """No curve is made of what is none."""
     observer = Observer(Eye(), habits, np.random.default_rng(4))
     if habits.false_alarms:
@@ -89,7 +89,7 @@ def test_subject_who_never_or_always_presses_gets_a_verdict(habits, said):
     else:
         series = limits_run(observer, 453.0, 10.0)
         series = ThresholdSeries(series.time_min, np.minimum(series.log_threshold, 5.0).round(6))
-    with pytest.raises(MeasurementError, match=said):
+    with pytest.raises(MeasurementError, match=message):
         fit_adaptation(series, QUICK, np.random.default_rng(0))
 
 

@@ -36,9 +36,9 @@ def test_a_field_cut_by_another_law_takes_a_free_one() -> None:
     assert "mechanical_vignetting" in (found.name, *found.alternatives)
     assert found.curve is not None
     assert list(found.curve.along) == ["field_radius", "f_number"]
-    told = found.to_mapping()
-    assert told["law"] == "other than the catalogue's"
-    assert len(told["curve"]["factor"]) == len(told["curve"]["u"]) == 6 * 4
+    mapping = found.to_mapping()
+    assert mapping["law"] == "other than the catalogue's"
+    assert len(mapping["curve"]["factor"]) == len(mapping["curve"]["u"]) == 6 * 4
     assert result.gap_after < 1.02
 
 

@@ -68,8 +68,8 @@ def test_a_place_in_firmware_has_room_for_these():
 @pytest.mark.slow
 def test_a_seed_draws_the_same_of_an_area_whatever_else_is_drawn():
     """No place is drawn twice, every file is a source of its area, and another seed draws others."""
-    alone, beside = draw(1, ["flux"], 30), draw(1, ["http", "flux"], 30)
-    assert [one for one in beside if one.area == "flux"] == alone
+    alone, neighbour = draw(1, ["flux"], 30), draw(1, ["http", "flux"], 30)
+    assert [one for one in neighbour if one.area == "flux"] == alone
     assert len({(one.file, one.mistake.start, one.mistake.end) for one in alone}) == len(alone) == 30
     assert {one.file for one in alone} <= set(sources_of(AREAS["flux"]))
     assert draw(2, ["flux"], 30) != alone
@@ -136,7 +136,7 @@ def test_a_mistake_that_never_ends_is_ended(monkeypatch, never_ends):
 
 
 @pytest.mark.slow
-def test_a_mistake_that_ends_tells_how():
+def test_a_mistake_that_ends_reports_how():
     """Its code is pytest's, or nothing where a signal ended it."""
     for code in (0, 1, 5):
         if (child := os.fork()) == 0:

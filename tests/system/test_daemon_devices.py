@@ -21,7 +21,7 @@ def test_a_camera_on_the_wire_is_lost_and_found() -> None:
     """One cycle here, twenty and their times in the benchmark: every client is told, and readings come again."""
     pytest.importorskip("gi")
     result = daemon_loss.run(1)
-    assert len(result.told_s) == len(result.recovered_s) == 1
+    assert len(result.reported_s) == len(result.recovered_s) == 1
 
 
 async def test_the_light_box_is_set_through_its_driver(tmp_path: Path) -> None:

@@ -138,7 +138,7 @@ def test_log_without_a_journal_says_so(tmp_path: Path) -> None:
     assert "radiometer serve" in done.stderr
 
 
-def test_systemd_is_told(tmp_path: Path) -> None:
+def test_systemd_is_notified(tmp_path: Path) -> None:
     """READY, the watchdog, and STOPPING arrive at the notification socket."""
     path = tmp_path / "notify"
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as channel:

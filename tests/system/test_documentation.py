@@ -106,11 +106,11 @@ class _Loaded(HTMLParser):
 
     def handle_starttag(self, tag, attrs):
         """Note scripts, pictures, styles and icons."""
-        told = dict(attrs)
-        if tag in ("script", "img", "iframe", "source") and told.get("src"):
-            self.fetched.append(told["src"])
-        if tag == "link" and told.get("rel") not in ("canonical", "prev", "next") and told.get("href"):
-            self.fetched.append(told["href"])
+        reported = dict(attrs)
+        if tag in ("script", "img", "iframe", "source") and reported.get("src"):
+            self.fetched.append(reported["src"])
+        if tag == "link" and reported.get("rel") not in ("canonical", "prev", "next") and reported.get("href"):
+            self.fetched.append(reported["href"])
 
 
 @pytest.fixture(scope="module")

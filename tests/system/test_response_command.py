@@ -118,10 +118,10 @@ def test_bad_input_is_one_clear_line(tmp_path, capsys, make, message):
     """Unusable input gives one line on standard error that names the trouble, and exit code 1."""
     make(tmp_path / "p")
     assert run(["response", str(tmp_path / "p"), "-o", str(tmp_path / "curve.csv")]) == 1
-    said = capsys.readouterr().err
-    assert said.startswith("error: ")
-    assert message in said
-    assert said.count("\n") == 1
+    printed = capsys.readouterr().err
+    assert printed.startswith("error: ")
+    assert message in printed
+    assert printed.count("\n") == 1
     assert not (tmp_path / "curve.csv").exists()
 
 

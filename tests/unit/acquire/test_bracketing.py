@@ -139,7 +139,7 @@ def test_a_region_needs_only_its_own_exposures():
     assert len(plan.exposures_s) == 2
 
 
-def test_what_is_too_bright_is_said_with_its_place():
+def test_what_is_too_bright_is_reported_with_its_place():
     """A patch that clips at the shortest exposure is named by number and region."""
     patch = {"name": "sun", "x": 10, "y": 5, "width": 20, "height": 10, "drive": 1.0}
     scene = {"kind": "screen", "peak_radiance_W_per_sr_m2": 1e5, "gamma": 2.2, "background": 0.001, "patches": [patch]}

@@ -182,12 +182,12 @@ def points_of(box):
 
 def test_the_reference_is_read_before_every_sixth_level_and_at_the_end():
     """A quarter of the highest level stands among the levels, so that a lamp's drift is known; progress counts."""
-    told, box = [], SlowBox()
+    reported, box = [], SlowBox()
     survey = survey_of(box)
-    survey.progress = lambda *what: told.append(what)
+    survey.progress = lambda *what: reported.append(what)
     survey.survey("spot", SpectralCorrection())
     levels = len(plan_levels(CHANNEL, 1.0))
-    assert told == [("spot", number, levels) for number in range(1, levels + 1)]
+    assert reported == [("spot", number, levels) for number in range(1, levels + 1)]
     reference = [place for place, (drive, _) in enumerate(box.lit) if drive == DriveLevel(7500)]
     assert reference == [*range(0, len(box.lit) - 1, 7), len(box.lit) - 1]
 

@@ -132,10 +132,10 @@ def test_dark_room_is_measured_by_the_camera(quick: AdaptationProtocol) -> None:
     assert lit.facts["luminance_cd_m2"] == pytest.approx(0.01, abs=3 * lit.facts["u_cd_m2"] + 0.0001)
 
 
-@pytest.mark.parametrize(("value", "u", "said"), [(2e-3, 1e-5, "darken it"), (5e-4, 1e-3, "does not show")])
-def test_room_must_be_shown_to_be_dark(quick: AdaptationProtocol, value: float, u: float, said: str) -> None:
+@pytest.mark.parametrize(("value", "u", "message"), [(2e-3, 1e-5, "darken it"), (5e-4, 1e-3, "does not show")])
+def test_room_must_be_shown_to_be_dark(quick: AdaptationProtocol, value: float, u: float, message: str) -> None:
     """Too bright, and not known well enough, are told apart."""
-    assert said in str(judge_room(value, u, quick).refusal)
+    assert message in str(judge_room(value, u, quick).refusal)
 
 
 def test_simulated_subject_sits_before_the_simulated_box_only(quick: AdaptationProtocol) -> None:

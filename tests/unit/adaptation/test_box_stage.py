@@ -92,7 +92,7 @@ def test_resuming_counts_on_with_the_mark_lit(stage: BoxStage, box: RecordingBox
     assert box.asked == [("fixation", 1e-4)]
 
 
-def test_long_press_is_told_once_and_a_short_one_never(stage: BoxStage, box: RecordingBox) -> None:
+def test_long_press_is_reported_once_and_a_short_one_never(stage: BoxStage, box: RecordingBox) -> None:
     """Presses of 0.1 s are answers; one that is held is told with its beginning, on the stage's clock."""
     box.presses = [100.4]
     stage.blink(-3.0, 0, 0)

@@ -13,13 +13,13 @@ from radiometer.errors import DeviceError, MeasurementError, MissingLibrary
 class Told:
     """A source that gives the same reading again and again."""
 
-    origin = "radiometer:told"
+    origin = "radiometer:stated"
 
     def __init__(self, luminance: Quantity | None) -> None:
         self.luminance = luminance
 
     def measure(self) -> Reading:
-        return Reading(Quantity(0.5, 0.01, "W sr-1 m-2"), Patch(0, 0, 4, 4), "told", self.luminance)
+        return Reading(Quantity(0.5, 0.01, "W sr-1 m-2"), Patch(0, 0, 4, 4), "stated", self.luminance)
 
 
 def test_photometer_answers_as_psychopy_asks():
@@ -33,7 +33,7 @@ def test_photometer_answers_as_psychopy_asks():
     assert photometer.lastReading.luminance.u == 3.0
     assert photometer.OK
     assert photometer.type == "radiometer"
-    assert "radiometer:told" in photometer.getInfo()
+    assert "radiometer:stated" in photometer.getInfo()
 
 
 def test_without_a_spectrum_there_is_no_luminance():

@@ -162,7 +162,7 @@ def test_a_response_is_recovered_drawn_and_written(tmp_path):
     assert response._repr_html_().startswith('<figure><img alt="&lt;Response by linear_spline')
 
 
-def test_a_sensor_tells_its_figures_with_unit_and_uncertainty(stack, capture):
+def test_a_sensor_reports_its_figures_with_unit_and_uncertainty(stack, capture):
     """Black level and dark noise of the simulated camera, by hand from its description; single lit frames give no K."""
     sensor = rm.characterise(capture)
     about = stack.camera
@@ -174,7 +174,7 @@ def test_a_sensor_tells_its_figures_with_unit_and_uncertainty(stack, capture):
     assert "<td>mu_y_dark</td><td>64.0" in sensor._repr_html_()
 
 
-def test_a_reconciliation_tells_verdict_and_names(tmp_path):
+def test_a_reconciliation_reports_verdict_and_names(tmp_path):
     """A light-meter table of printed stops: the name, the gap and the table that a notebook shows."""
     table = tmp_path / "meter.csv"
     rows = [f"screen,{luminance},16,{time},100" for luminance, time in ((250, "1/60"), (500, "1/125"), (1000, "1/250"))]

@@ -29,9 +29,9 @@ def test_a_missing_library_is_a_fault_with_exit_code_1(hidden_library, capsys):
 def test_json_holds_every_finding_with_its_cure(hidden_library, capsys):
     """Programs get one object: sound or not, and the findings."""
     assert run(["doctor", "--json"]) == 1
-    told = json.loads(capsys.readouterr().out)
-    assert told["sound"] is False
-    assert {"check", "health", "message", "cure"} == set(told["findings"][0])
+    printed = json.loads(capsys.readouterr().out)
+    assert printed["sound"] is False
+    assert {"check", "health", "message", "cure"} == set(printed["findings"][0])
 
 
 def test_a_camera_that_is_not_there_is_a_fault(hidden_library, capsys):

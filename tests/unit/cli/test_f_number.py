@@ -62,7 +62,7 @@ def test_photographs_have_a_drawn_interval_too(folder, capsys):
     assert calibrate(folder, "--f-number", "16") == 0
     capsys.readouterr()
     assert measure(folder, "--f-number", "8", "--monte-carlo") == 0
-    said = json.loads(capsys.readouterr().out)
-    drawn, u = said["monte_carlo"], said["radiance"]["u"]
+    printed = json.loads(capsys.readouterr().out)
+    drawn, u = printed["monte_carlo"], printed["radiance"]["u"]
     assert drawn["u"] == pytest.approx(u, rel=0.02)
-    assert drawn["high"] - drawn["low"] == pytest.approx(2.0 * said["coverage_factor"] * u, rel=0.05)
+    assert drawn["high"] - drawn["low"] == pytest.approx(2.0 * printed["coverage_factor"] * u, rel=0.05)

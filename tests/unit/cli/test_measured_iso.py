@@ -111,7 +111,7 @@ def test_speeds_that_mean_nothing_are_a_misuse(tmp_path, capsys, word):
     photograph(tmp_path / "one", "a.jpg", 0.3, 1 / 8, 200, 136)
     photograph(tmp_path / "one", "b.jpg", 0.3, 1 / 4, 200, 136)
     assert run(["response", str(tmp_path / "one"), "--measured-iso", word]) == 2
-    assert "ISO 250" in (said := capsys.readouterr().err) or "STATED=REAL" in said
+    assert "ISO 250" in (printed := capsys.readouterr().err) or "STATED=REAL" in printed
 
 
 @pytest.mark.parametrize(

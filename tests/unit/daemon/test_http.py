@@ -490,7 +490,7 @@ async def test_a_stream_of_an_unknown_form_is_refused(base: str, session: aiohtt
         assert events.content_type == "text/event-stream"
 
 
-async def test_a_method_that_a_place_does_not_have_is_told_of_those_that_it_has(
+async def test_a_method_that_a_place_does_not_have_is_refused_with_those_that_it_has(
     base: str, session: aiohttp.ClientSession
 ) -> None:
     """Status 405 with the header that the standard asks for (RFC 9110, 15.5.6)."""
@@ -516,7 +516,7 @@ async def test_a_bug_is_one_request_s_error_without_its_particulars(
         assert reply.status == 200
 
 
-async def test_a_port_that_is_taken_is_told(base: str, serve: Any, station: Station) -> None:
+async def test_a_port_that_is_taken_is_reported(base: str, serve: Any, station: Station) -> None:
     """By its number, as a mistake of who starts the daemon."""
     taken = int(base.rpartition(":")[2])
     with pytest.raises(OutputError, match=f"cannot listen for HTTP on 127.0.0.1:{taken}"):
@@ -555,9 +555,9 @@ async def test_the_form_of_a_history_is_asked_for(
 
 async def test_health_is_503_while_an_alarm_is_up(base: str, session: aiohttp.ClientSession, station: Station) -> None:
     """What a watchdog looks at: 200 and ok, or 503 and the names."""
-    for status, said in ((200, {"status": "ok", "alarms": []}), (503, {"status": "alarm", "alarms": ["disk"]})):
+    for status, text in ((200, {"status": "ok", "alarms": []}), (503, {"status": "alarm", "alarms": ["disk"]})):
         async with session.get(f"{base}/healthz") as reply:
-            assert (reply.status, await reply.json()) == (status, said)
+            assert (reply.status, await reply.json()) == (status, text)
         station.alarms.put_up("disk", "full")
 
 
@@ -594,7 +594,7 @@ async def test_a_trend_is_in_seconds_and_with_twice_the_standard_uncertainty(
     assert shown["time"] == [pytest.approx(at + 600, abs=1.8)]  # the middle of a thousandth of the hour, 3.6 s
 
 
-async def test_a_remark_is_said_back_in_its_own_letters(base: str, session: aiohttp.ClientSession) -> None:
+async def test_a_remark_is_repeated_in_its_own_letters(base: str, session: aiohttp.ClientSession) -> None:
     """Blanks put in order, letters as they are: no client has to undo escapes to read them."""
     async with session.post(f"{base}/events", json={"message": " Lampe  geändert: 3 °C "}) as reply:
         text = await reply.text()

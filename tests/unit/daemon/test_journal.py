@@ -58,8 +58,8 @@ def test_filters_select_by_time_flag_and_number(tmp_path: Path, make_reading: Ma
         )
     reader = JournalReader(tmp_path / "j.sqlite")
 
-    def numbers(wanted: ReadingFilter) -> list[int]:
-        return [json.loads(line)["sequence"] for line in reader.lines(wanted)]
+    def numbers(expected: ReadingFilter) -> list[int]:
+        return [json.loads(line)["sequence"] for line in reader.lines(expected)]
 
     assert numbers(ReadingFilter(since_us=microseconds("2026-01-02T00:00:00Z"))) == [2, 3]
     assert numbers(ReadingFilter(until_us=microseconds("2026-01-02T00:00:00Z"))) == [1]
@@ -93,20 +93,20 @@ def test_every_cell_of_a_row_is_what_its_heading_says(tmp_path: Path, make_readi
     with Journal(tmp_path / "j.sqlite") as journal:
         (kept,) = journal.append([full])
     (row,) = csv.DictReader(io.StringIO(to_csv(JournalReader(tmp_path / "j.sqlite").lines(ReadingFilter()))))
-    told = json.loads(kept.to_json())
+    result = json.loads(kept.to_json())
     assert row == {
         "sequence": "1",
         "time": kept.time,
-        "instrument": told["instrument"],
+        "instrument": result["instrument"],
         "radiance": str(full.radiance.value),
         "u_radiance": str(full.radiance.u),
         "radiance_unit": full.radiance.unit,
         "luminance": "683.0",
         "u_luminance": "7.0",
         "luminance_unit": "cd m-2",
-        "U_rel": str(told["U_rel"]),
+        "U_rel": str(result["U_rel"]),
         "coverage_factor": "2.5",
-        "flags": " ".join(told["flags"]),
+        "flags": " ".join(result["flags"]),
         "x": "5",
         "y": "6",
         "width": "7",

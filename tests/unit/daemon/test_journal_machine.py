@@ -116,8 +116,8 @@ class JournalMachine(RuleBasedStateMachine):
     def ask(self, since, until, after, limit, flag, clean, newest, stream):
         """A filter gives exactly what a list comprehension gives."""
         since_us, until_us = (None if hour is None else START_US + hour * HOUR_US for hour in (since, until))
-        wanted = ReadingFilter(since_us, until_us, after, flag, clean, limit, newest, stream)
-        found = [json.loads(line)["sequence"] for line in JournalReader(self.path).lines(wanted)]
+        row_filter = ReadingFilter(since_us, until_us, after, flag, clean, limit, newest, stream)
+        found = [json.loads(line)["sequence"] for line in JournalReader(self.path).lines(row_filter)]
         expected = [
             number
             for number, at_us, _, which, where in self.kept

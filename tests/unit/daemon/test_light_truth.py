@@ -89,14 +89,14 @@ async def test_the_level_of_a_lost_box_is_unconfirmed(
         assert (await client.ask("SYST:ERR?")).startswith("-230")
 
 
-async def test_the_journal_tells_when_light_went_on_and_off(station: Station, eventually: Eventually) -> None:
+async def test_the_journal_reports_when_light_went_on_and_off(station: Station, eventually: Eventually) -> None:
     """Each change between dark and lit is one event; a change of level is none."""
     for level in (0.25, 0.5, 0.0, 0.0):
         await station.light.set_level("red", level)
     reader = JournalReader(station.journal_path)
     await eventually(lambda: len([e for e in reader.events() if e["kind"] == "light"]) >= 2)
-    told = [event["message"] for event in reader.events() if event["kind"] == "light"]
-    assert told == ["red lit at 0.25", "red switched off"]
+    reported = [event["message"] for event in reader.events() if event["kind"] == "light"]
+    assert reported == ["red lit at 0.25", "red switched off"]
 
 
 async def test_scpi_switches_all_off(client: Any, box: Any) -> None:

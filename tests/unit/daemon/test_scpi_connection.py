@@ -83,7 +83,7 @@ class Scripted:
         self.at: list[float] = []
         self.status = Status()
         self.event = asyncio.Event()
-        self.closed = self.told = 0
+        self.closed = self.notified = 0
 
     def execute(self, message: str) -> str | Coroutine[Any, Any, str | None] | None:
         self.heard.append(message)
@@ -102,7 +102,7 @@ class Scripted:
         return "waited"
 
     def state_changed(self) -> None:
-        self.told += 1
+        self.notified += 1
 
     def close(self) -> None:
         self.closed += 1
@@ -430,8 +430,8 @@ async def test_an_idle_session_is_warned_once_and_ended():
     await asyncio.sleep(899.0)
     assert session.status.error_count == 0
     await asyncio.sleep(2.0)
-    told = "this session has sent nothing for 900 s and is ended after 1000 s"
-    assert errors(session) == [f'-200,"Execution error;{told}"']
+    notified = "this session has sent nothing for 900 s and is ended after 1000 s"
+    assert errors(session) == [f'-200,"Execution error;{notified}"']
     connection.data_received(b"x\n")
     await asyncio.sleep(950.0)
     assert len(errors(session)) == 1
@@ -564,7 +564,7 @@ async def test_every_session_hears_of_a_change():
     of.station.on_change[0]()
     one.connection_lost(None)
     of.station.on_change[0]()
-    assert (hears.told, too.told) == (1, 2)
+    assert (hears.notified, too.notified) == (1, 2)
     await of.close()
     assert wire.closed
 

@@ -384,7 +384,7 @@ async def test_reset_gives_back_every_setting_that_can_be_asked(station: Any) ->
 
 
 @pytest.mark.parametrize(
-    ("message", "number", "said"),
+    ("message", "number", "text"),
     [
         ("SENS:GAIN 1 2", -103, "expected at character 13"),
         ('SYST:ERR? "a" "b"', -103, "expected at character 15"),
@@ -403,12 +403,12 @@ async def test_reset_gives_back_every_setting_that_can_be_asked(station: Any) ->
     ],
 )
 async def test_what_is_wrong_is_named_by_the_standard_s_number(
-    station: Any, message: str, number: int, said: str
+    station: Any, message: str, number: int, text: str
 ) -> None:
     """SCPI-99, 21.8: separators, missing and unknown parameters, a suffix of a header beyond the channels, no data."""
     session = Session(station, TABLE)
     reply = session.execute(message)
     assert (await reply if asyncio.iscoroutine(reply) else reply) is None
     entry = session.status.next_error()
-    assert (int(entry.split(",")[0]), said in entry) == (number, True), entry
+    assert (int(entry.split(",")[0]), text in entry) == (number, True), entry
     assert session.status.error_count == 0

@@ -247,7 +247,7 @@ async def test_a_quantity_is_chosen_with_its_patch_or_without(session, quantity)
     assert await errors(session) == ["0"]
 
 
-async def test_who_waits_for_a_measurement_that_is_given_up_is_told(session):
+async def test_who_waits_for_a_measurement_that_is_given_up_is_reported(session):
     """READ? ends with −230 when its measurement is aborted, and the session goes on."""
     waiting = asyncio.ensure_future(ask(session, "READ?"))
     while session.pending is None:

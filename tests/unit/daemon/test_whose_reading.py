@@ -86,9 +86,9 @@ async def test_a_one_off_stays_out_of_history_and_stream_of_http(station: Statio
 
 async def test_two_that_ask_for_one_patch_share_the_measurement(station: Station, instrument: Any) -> None:
     """The reading names both, and no third one."""
-    wanted = station.settings.__class__(patch=Patch(OTHER_X, 1, 2, 3))
+    expected = station.settings.__class__(patch=Patch(OTHER_X, 1, 2, 3))
     first, second = await asyncio.gather(
-        station.acquisition.measure(wanted, session="a"), station.acquisition.measure(wanted, session="b")
+        station.acquisition.measure(expected, session="a"), station.acquisition.measure(expected, session="b")
     )
     assert (first, first.session, len(instrument.measured)) == (second, "a,b", 1)
 

@@ -124,8 +124,8 @@ class CaptureMachine(RuleBasedStateMachine):
     def the_folder_is_what_it_says(self) -> None:
         """Absent or unfinished it is refused with that reason; finished it holds every frame in its order."""
         if self.state != "finished":
-            said = "not a folder" if self.state == "absent" else "not finished"
-            with pytest.raises(CaptureError, match=said):
+            sentence = "not a folder" if self.state == "absent" else "not finished"
+            with pytest.raises(CaptureError, match=sentence):
                 CaptureSet.read(self.folder)
             assert self.folder.exists() == (self.state == "unfinished")
             return

@@ -26,10 +26,10 @@ def test_a_header_becomes_settings(write_fits):
     assert np.array_equal(capture.read_frame(0).dn, PICTURE + np.uint16(40_000))
 
 
-@pytest.mark.parametrize("said", ["Bias Frame", "DARK", "zero", "Dark Frame          "])
-def test_darkness_is_told_by_imagetyp(write_fits, said):
+@pytest.mark.parametrize("message", ["Bias Frame", "DARK", "zero", "Dark Frame          "])
+def test_darkness_is_recognised_by_imagetyp(write_fits, message):
     """Bias and dark frames have a closed shutter, a bias frame an exposure of 0 s."""
-    entry = open_capture(write_fits("a.fit", PICTURE, EXPTIME=0.0, IMAGETYP=said)).header.frames[0]
+    entry = open_capture(write_fits("a.fit", PICTURE, EXPTIME=0.0, IMAGETYP=message)).header.frames[0]
     assert (entry.shutter, entry.exposure_s) == ("closed", 0.0)
 
 
@@ -65,9 +65,9 @@ def test_processing_is_doubted(write_fits):
     path = write_fits(
         "a.fits", PICTURE, ("Dark Subtract with m.fits",), EXPTIME=1.0, IMAGETYP="light", NCOMBINE=5
     )  # fmt: skip
-    said = " ".join(imported_of(open_capture(path)).doubts)
-    assert "dark subtract" in said
-    assert "5 frames" in said
+    doubts_found = " ".join(imported_of(open_capture(path)).doubts)
+    assert "dark subtract" in doubts_found
+    assert "5 frames" in doubts_found
 
 
 def test_the_cooler_that_had_not_settled_is_doubted(write_fits):
@@ -132,7 +132,7 @@ def test_padded_codes_are_named(write_fits):
     assert any("12 bits written in 16" in line for line in imported_of(capture).doubts)
 
 
-def test_fewer_bits_are_told_by_where_pixels_pile_up(write_fits):
+def test_fewer_bits_are_recognised_by_where_pixels_pile_up(write_fits):
     """Pixels that pile up at 4095 tell a 12-bit converter in a 16-bit file."""
     capture = open_capture(write_fits("t.fits", np.minimum(PICTURE + 2000, 4095).astype(np.uint16), EXPTIME=1.0))
     assert capture.header.camera.bit_depth == 12

@@ -132,9 +132,9 @@ def test_a_speed_that_one_side_does_not_state_is_assumed_or_refused(tmp_path, ca
     stated = rm.measure_photographs(silent, (4, 4, 50, 30), calibration=calibrated, iso=100, spectrum="equal_energy")
     assert stated.radiance.value == pytest.approx(0.2, rel=0.03)
     unknown = replace(calibrated, scale=calibrated.scale.model_copy(update={"iso": None}))
-    told = photographs(tmp_path / "told", np.full((40, 60), 0.2), times_s=TIMES_S[1:4])
+    reported = photographs(tmp_path / "stated", np.full((40, 60), 0.2), times_s=TIMES_S[1:4])
     with pytest.raises(CalibrationError, match="does not say at which ISO speed"):
-        rm.measure_photographs(told, (4, 4, 50, 30), calibration=unknown)
+        rm.measure_photographs(reported, (4, 4, 50, 30), calibration=unknown)
 
 
 def test_a_calibration_of_one_colour_reads_no_other(tmp_path, curve):
@@ -170,16 +170,16 @@ def test_photographs_from_the_hand_are_aligned_in_python_too(tmp_path):
     assert np.array_equal(found.value, rm.merge(folder).value)
 
 
-def test_the_offset_of_a_shutter_that_the_response_tells_counts_in_python(tmp_path, curve):
+def test_the_offset_of_a_shutter_that_the_response_reports_counts_in_python(tmp_path, curve):
     """Exposures 60 µs longer than their labels: the map by a response that says so is right to a third of the error."""
     light = scene()
     folder = photographs(tmp_path / "p", 60 * light, times_s=tuple(2.0**-k for k in (12, 11, 10, 9, 8)), late_s=6e-5)
     offset = {"shutter_offset_s": 6e-5, "u_shutter_offset_s": 5e-6}
-    told = replace(curve, provenance=replace(curve.provenance, parameters=offset))
+    reported = replace(curve, provenance=replace(curve.provenance, parameters=offset))
     stack = rm.read_photographs(folder)
-    right, wrong = (rms_rel(rm.merge(stack, one), light) for one in (told, curve))
+    right, wrong = (rms_rel(rm.merge(stack, one), light) for one in (reported, curve))
     assert right < 0.35 * wrong
-    assert any("shutter's offset" in text for text in rm.merge(stack, told).assumptions)
+    assert any("shutter's offset" in text for text in rm.merge(stack, reported).assumptions)
 
 
 def test_exposures_that_nothing_confirms_are_assumed_and_count_in_u(tmp_path, curve):

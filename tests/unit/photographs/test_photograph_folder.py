@@ -263,7 +263,7 @@ def test_a_file_named_twice_is_refused(tmp_path):
         read_list(tmp_path / "exposures.txt")
 
 
-def test_files_that_a_list_names_and_that_are_not_there_are_told(tmp_path):
+def test_files_that_a_list_names_and_that_are_not_there_are_reported(tmp_path):
     """Each is named, and one that differs in capital letters alone is told as it is called."""
     _grey(tmp_path, "IMG_1.png", 100)
     (tmp_path / "exposures.txt").write_text("IMG_1.png 1\nb.png 2\nc.png 4\n")
@@ -276,15 +276,15 @@ def test_files_that_a_list_names_and_that_are_not_there_are_told(tmp_path):
         read_photographs(tmp_path)
 
 
-def test_photographs_that_a_list_does_not_name_are_said_to_be_left_out(tmp_path, capsys):
+def test_photographs_that_a_list_does_not_name_are_reported_to_be_left_out(tmp_path, capsys):
     """A list of two of three photographs uses these two, and says on standard error which it leaves."""
     for name in ("a.png", "b.png", "c.png"):
         _grey(tmp_path, name, 100 + ord(name[0]))
     (tmp_path / "exposures.txt").write_text("a.png 1\nc.png 4\n")
     assert len(read_photographs(tmp_path)[0].light) == 2
-    said = capsys.readouterr().err
-    assert "b.png" in said
-    assert "a.png" not in said
+    printed = capsys.readouterr().err
+    assert "b.png" in printed
+    assert "a.png" not in printed
 
 
 def test_umlauts_are_one_letter_or_two_marks(tmp_path):
@@ -297,7 +297,7 @@ def test_umlauts_are_one_letter_or_two_marks(tmp_path):
 
 
 @pytest.mark.parametrize("encoding", ["cp1252", "utf-16"])
-def test_a_list_that_is_not_utf_8_is_told_with_the_way_out(tmp_path, encoding):
+def test_a_list_that_is_not_utf_8_is_reported_with_the_way_out(tmp_path, encoding):
     """What Windows' own programs write in other encodings is refused in words, not by a codec's."""
     (tmp_path / "exposures.txt").write_bytes("Küche.png 1\n".encode(encoding))
     with pytest.raises(CaptureError, match=r"is not UTF-8\); save the list as plain text in UTF-8"):

@@ -88,7 +88,7 @@ def test_what_the_parameters_explain_already_scores_nothing():
 
 @quick
 @given(seeds)
-def test_more_effects_stand_beside_those_before(seed):
+def test_more_effects_join_those_before(seed):
     """Extended by columns, and by another residual, it is the fit of all of them."""
     fit, jacobian, _, rng = fit_of(seed)
     more, other = rng.standard_normal((40, 2)), rng.standard_normal(40)
@@ -106,7 +106,7 @@ def test_a_block_keeps_the_rows_that_hold_something(seed):
     one, two = rng.standard_normal((30, 2)), rng.standard_normal((30, 3))
     one[3:7], two[3:9], one[12:], two[20:] = 0.0, 0.0, 0.0, 0.0
     priors = rng.standard_normal(5)
-    block = RowBlock.of(one).beside(RowBlock.of(two), 30, priors)
+    block = RowBlock.of(one).joined_with(RowBlock.of(two), 30, priors)
     whole = np.block([[one, two], [np.diag(priors)]])
     rebuilt = np.zeros_like(whole)
     rebuilt[block.rows] = block.values

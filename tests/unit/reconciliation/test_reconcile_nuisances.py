@@ -50,7 +50,7 @@ def test_number_stated_twice_was_measured_once() -> None:
     assert len({*chart.tolist()}) == 3
 
 
-def test_number_that_two_patches_share_tells_nothing() -> None:
+def test_number_that_two_patches_share_shows_nothing() -> None:
     """Two patches of one stated value may be two measurements: their errors go with the place."""
     chart, turned = _layout([(1.0, 2.0), (1.0, 3.0), (2.0, 1.0)]).shared
     assert chart.tolist() != [chart[0]] * 3

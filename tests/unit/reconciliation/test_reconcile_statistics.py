@@ -98,8 +98,8 @@ def test_compiled_sums_agree_with_numpy() -> None:
             np.mean(tile >= 4000),
             (deviation * counted).sum(axis=1),
         )
-        for value, wanted in zip(found, expected, strict=True):
-            np.testing.assert_allclose(value[k], wanted, rtol=1e-9, atol=1e-9)
+        for value, required in zip(found, expected, strict=True):
+            np.testing.assert_allclose(value[k], required, rtol=1e-9, atol=1e-9)
         np.testing.assert_allclose(total[k], deviation, atol=1e-9)
         np.testing.assert_allclose(square[k], deviation**2, rtol=1e-9)
         np.testing.assert_allclose(pair_x[k, :, 1:], deviation[:, 1:] * deviation[:, :-1], rtol=1e-9, atol=1e-9)
@@ -138,7 +138,7 @@ def test_dark_gap_before_a_bright_neighbour_is_no_blur() -> None:
     assert np.isfinite(u).all()
 
 
-def test_sharpest_stop_tells_where_borders_lie() -> None:
+def test_sharpest_stop_shows_where_borders_lie() -> None:
     """Borders before a gap of four lines: at f/4 a disc of 2.26 px hides them, at f/11 one of 0.82 px does not.
 
     The share at f/4 is that of the disc then; a pattern that is seen at f/4 alone tells nothing.

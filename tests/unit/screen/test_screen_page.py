@@ -77,7 +77,7 @@ def test_patch_reaches_the_page_as_codes(shown: tuple[BrowserDisplay, FakePage])
     assert (order["width"], order["height"]) == (0.5, 0.25)
 
 
-def test_leaving_tells_the_page_that_it_is_over(shown: tuple[BrowserDisplay, FakePage]) -> None:
+def test_leaving_reports_the_page_that_it_is_over(shown: tuple[BrowserDisplay, FakePage]) -> None:
     """The last order is the end."""
     display, page = shown
     display.close()
@@ -196,7 +196,7 @@ async def test_lights_off_of_a_screen_page_darkens_the_box() -> None:
         async with aiohttp.ClientSession() as session, session.ws_connect(address) as socket:
             await socket.send_json({"kind": "lights_off"})
             assert json.loads((await socket.receive(timeout=within(20))).data) == {
-                "kind": "told",
+                "kind": "outcome",
                 "text": "dark: light box AAAA0001",
             }
         assert asked.is_set()

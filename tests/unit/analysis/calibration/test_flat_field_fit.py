@@ -174,7 +174,7 @@ def test_a_flat_field_of_another_size_is_refused(rig):
         merge(frames, Setup(rig.description, rig.lens, rig.calibration(flat_field=flat)))
 
 
-def test_coefficients_are_told_at_half_the_diagonal(rig):
+def test_coefficients_are_reported_at_half_the_diagonal(rig):
     """Without noise they are those of the lens, in powers of the distance over that of a corner: 100 pixels here."""
     camera, lens = wide(rig)
     flat = fit_flat_field(even_map(falloff(), 1e-7), camera, lens)

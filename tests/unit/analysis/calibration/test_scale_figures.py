@@ -234,7 +234,7 @@ def test_a_scale_from_a_known_radiance():
 
 
 @pytest.mark.parametrize(
-    ("rows", "said"),
+    ("rows", "message"),
     [
         ("400,1\n500,2\n", None),
         ("nm;power\n400;1\n500;2\n", None),
@@ -253,14 +253,14 @@ def test_a_scale_from_a_known_radiance():
         ("", "empty"),
     ],
 )
-def test_a_spectrum_in_a_file_is_in_nanometres_and_rises(tmp_path, rows, said):
+def test_a_spectrum_in_a_file_is_in_nanometres_and_rises(tmp_path, rows, message):
     """100 to 5000 nm, each above the one before, powers 0 or more and not all 0; else told why."""
     path = tmp_path / "light.csv"
     path.write_text(rows, encoding="utf-8")
-    if said is None:
+    if message is None:
         assert spectrum_from_csv(path).power.tolist() == [1.0, 2.0]
     else:
-        with pytest.raises(InputError, match=said):
+        with pytest.raises(InputError, match=message):
             spectrum_from_csv(path)
 
 
@@ -291,7 +291,7 @@ def test_a_spectral_response_rises_along_its_wavelengths(wavelength_nm, relative
 
 
 @pytest.mark.parametrize(
-    ("camera", "lens", "said"),
+    ("camera", "lens", "message"),
     [
         ({"read_noise_e": None}, {}, "typical values for read_noise_e"),
         ({}, {}, "response taken as linear above the black level"),
@@ -299,7 +299,7 @@ def test_a_spectral_response_rises_along_its_wavelengths(wavelength_nm, relative
         ({}, {"transmittance": None}, "lens transmittance 1"),
     ],
 )
-def test_a_calibration_says_what_it_assumes(rig, camera, lens, said):
+def test_a_calibration_says_what_it_assumes(rig, camera, lens, message):
     """What nobody measured and what the meter cannot know is among the assumptions; what is stated is not."""
     known = {"transmittance": 0.9}
 
@@ -313,6 +313,6 @@ def test_a_calibration_says_what_it_assumes(rig, camera, lens, said):
         scale = scale_by_meter(base, MeterReading(12.5, MeterSettings(1 / 60, 5.6, 100.0), 2000.0))
         return scaled_calibration(base, scale, ("a",)).provenance.assumptions
 
-    assert any(one.startswith(said) for one in assumed(camera, lens))
+    assert any(one.startswith(message) for one in assumed(camera, lens))
     if camera or lens:
-        assert not any(one.startswith(said) for one in assumed({}, {}))
+        assert not any(one.startswith(message) for one in assumed({}, {}))

@@ -151,7 +151,7 @@ def test_gain_from_single_dark_frames():
     assert found.line.intercept + found.line.slope * BLACK_DN == pytest.approx(read_noise_dn2, abs=2.0)
 
 
-def test_no_dark_current_tells_no_gain():
+def test_no_dark_current_shows_no_gain():
     """Frames that differ by read noise alone give none."""
     assert dark_transfer(dark_frames(np.zeros((120, 120)), EXPOSURES_S)) is None
 
@@ -190,7 +190,7 @@ def picture(row_sd, column_sd, pixel_sd, shape=(300, 400), seed=5):
     return 500.0 + rows + columns + rng.normal(0, pixel_sd, shape)
 
 
-def test_rows_columns_and_pixels_are_told_apart():
+def test_rows_columns_and_pixels_are_distinguished():
     """Each part comes out within 4 of its standard uncertainties, and the parts do not mix."""
     found = split_spatial_variance(picture(1.5, 0.7, 2.5), NoiseLeft(0.0, 0.0, 0.0))
     assert found.row_dn2 == pytest.approx(2.25, abs=4 * found.u_row_dn2)

@@ -79,8 +79,8 @@ def test_what_we_write_for_others_we_read_back(tmp_path, ending):
     found = read_curves(tmp_path / f"c{ending}")
     assert list(found) == ["red", "green", "blue"]
     for name, curve in found.items():
-        wanted = curves[name].log_exposure
-        assert np.max(np.abs(curve.log_exposure[60:250] - wanted[60:250])) < 0.02
+        expected = curves[name].log_exposure
+        assert np.max(np.abs(curve.log_exposure[60:250] - expected[60:250])) < 0.02
         assert curve.log_exposure[128] == 0.0
         assert np.median(curve.u_log_exposure[10:250]) == pytest.approx(0.03)
         assert "states none" in curve.provenance.assumptions[0]

@@ -53,9 +53,9 @@ def _photograph(waves, place, seconds, rng=None):
     return Frame(np.clip(np.rint(dn), 0, 255).astype(np.uint8), 8, FrameSettings(float(seconds)))
 
 
-def _corner_gap(found, wanted):
+def _corner_gap(found, expected):
     corners = np.array([(0, 0), (WIDTH - 1, 0), (0, HEIGHT - 1), (WIDTH - 1, HEIGHT - 1)], float)
-    gap = corners @ (found[:, :2] - wanted[:, :2]).T + found[:, 2] - wanted[:, 2]
+    gap = corners @ (found[:, :2] - expected[:, :2]).T + found[:, 2] - expected[:, 2]
     return float(np.linalg.norm(gap, axis=1).max())
 
 

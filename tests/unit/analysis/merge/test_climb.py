@@ -74,7 +74,7 @@ def test_a_start_is_left_as_it_is():
 
 
 @pytest.mark.parametrize("way", ["flat", "opposite", "nothing shown"])
-def test_pictures_that_are_not_alike_are_told(way):
+def test_pictures_that_are_not_alike_are_reported(way):
     """One without structure, one whose bright is the other's dark, and two of which nothing is shown."""
     here = scene()
     there = {"flat": np.full_like(here, 80.0), "opposite": 200.0 - here, "nothing shown": here}[way]

@@ -202,7 +202,7 @@ def test_two_frames_behind_a_curve_are_weighed_by_its_slope():
     assert found.u_radiance[0, 0] == pytest.approx(expected, rel=5e-3)
 
 
-def test_white_and_black_behind_a_curve_are_told_apart():
+def test_white_and_black_behind_a_curve_are_distinguished():
     """255 in every frame is SATURATED, with the least that it can be; 0 is BELOW_NOISE."""
     camera, calibration = behind_a_curve()
     numbers = np.array([[255, 0, 128]], np.uint8)

@@ -284,7 +284,7 @@ def test_a_line_is_not_a_band():
 
 
 @pytest.mark.parametrize(("name", "visible"), [("line:555", True), ("line:780", True), ("line:850", False)])
-def test_what_has_a_luminance_is_told(name, visible):
+def test_what_has_a_luminance_is_reported(name, visible):
     """The red end is seen a little; 850 nm is not."""
     assert photometry.holds_visible_light(spectrum(name)) is visible
 

@@ -124,7 +124,7 @@ def spectral_line(found):
     return next(one for one in found.budget if one.name == "spectral assumption")
 
 
-def test_light_that_nobody_states_the_spectrum_of_may_be_of_any_kind(rig):
+def test_light_of_unknown_spectrum_may_be_of_any_kind(rig):
     """White LED assumed, camera unknown: 20 % for the radiance, 36 % for the luminance; the budget says from what."""
     base = rig.calibration(spectrum="white_led", u_rel=0.0, uncertainties=StatedUncertainties())
     found, known = unstated(rig, base), unstated(rig, base, spectrum_stated=True)

@@ -186,7 +186,7 @@ def test_a_wrong_label_is_found_with_its_size(make_stack, inner_error):
 
 
 @pytest.mark.slow
-def test_frames_that_no_curve_joins_are_said_to_be_so(make_stack):
+def test_frames_that_no_curve_joins_are_reported_to_be_so(make_stack):
     """Of three frames the middle one's time is 1.5 times too long: the curve is not to be relied on, and says so."""
     bracket = make_stack("gamma", bit_depth=8)
     three = list(bracket.light[2:8:2])

@@ -39,8 +39,8 @@ def camera(*, hygiene=(), notes=(), gige=False, packet=1400, believed=0, **featu
     return SimpleNamespace(session=session)
 
 
-def found(name, **told):
-    return [f for f in check_features(camera(**told)) if f.check == name]
+def found(name, **reported):
+    return [f for f in check_features(camera(**reported)) if f.check == name]
 
 
 def test_what_falsifies_and_could_not_be_switched_off_is_a_fault():

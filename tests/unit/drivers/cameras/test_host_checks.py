@@ -34,7 +34,7 @@ def test_a_missing_library_is_a_fault_with_its_packages():
     assert "gir1.2-aravis-0.8" in finding.cure
 
 
-def test_the_version_of_the_library_is_told():
+def test_the_version_of_the_library_is_reported():
     """A library that loads is named with its version."""
     assert host_checks.check_library(lambda: SimpleNamespace(version="0.8")).message == "Aravis 0.8"
 

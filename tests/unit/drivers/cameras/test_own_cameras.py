@@ -201,7 +201,7 @@ def test_a_pis_frame_says_what_it_was_taken_with(pi):
     assert int(frame.dn[0, 0]) == 256 + 400
 
 
-def test_a_pis_frames_of_the_settings_before_are_told_by_their_metadata(pi):
+def test_a_pis_frames_of_the_settings_before_are_recognised_by_their_metadata(pi):
     """However many are in flight, the first that is taken has the exposure in force."""
     device, camera = pi
     device.stale = 7
@@ -390,8 +390,8 @@ VIRTUAL = """
     print([one.device_id for one in listed()[0]])
     with open_own("gphoto2:") as camera:
         print(camera.identity.vendor, camera.identity.model)
-        for wanted in (0.001, 0.1):
-            settings = camera.configure(CameraSettings(wanted, 0.0, 64.0, "Mono12"))
+        for exposure_s in (0.001, 0.1):
+            settings = camera.configure(CameraSettings(exposure_s, 0.0, 64.0, "Mono12"))
             frame = camera.capture(1)[0]
             print(round(settings.exposure_s, 5), frame.bit_depth, frame.dn[0, 0], frame.settings.f_number)
 """

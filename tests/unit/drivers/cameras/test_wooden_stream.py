@@ -299,7 +299,7 @@ def test_a_new_exposure_of_30_s_is_not_waited_for_thrice(fresh):
     assert tally.extra["stale_discarded"] == 0
 
 
-def test_a_change_that_no_chunk_tells_is_waited_for_by_number(fresh):
+def test_a_change_that_no_chunk_states_is_waited_for_by_number(fresh):
     """The black level has no chunk here: that the exposure's agrees says nothing of it."""
     frames, tally = fresh([frame(n, NEW) for n in range(1, 5)], discard=2, shown=True)
     frames.settings_changed(CameraSettings(exposure_s=0.005, black_level_dn=5.1, pixel_format="Mono8"))
@@ -315,10 +315,12 @@ def test_a_black_level_is_confirmed_by_its_chunk(fresh, percent, taken):
     assert frames.next().frame_id == taken
 
 
-@pytest.mark.parametrize(("said", "taken"), [((2.0, 2.0, 2.0, 0.0), 4), ((2.0,) * 6, 5), ((7.0,) * 6, 3)])
-def test_a_late_frame_of_the_black_level_before_is_thrown_away(fresh, said, taken):
+@pytest.mark.parametrize(("message", "taken"), [((2.0, 2.0, 2.0, 0.0), 4), ((2.0,) * 6, 5), ((7.0,) * 6, 3)])
+def test_a_late_frame_of_the_black_level_before_is_thrown_away(fresh, message, taken):
     """Three say the old level where two are known of: the fourth is taken. As many again at most, and what says it."""
-    frames, _ = fresh([frame(n, NEW, BlackLevel=level) for n, level in enumerate(said, start=1)], discard=2, shown=True)
+    frames, _ = fresh(
+        [frame(n, NEW, BlackLevel=level) for n, level in enumerate(message, start=1)], discard=2, shown=True
+    )
     frames.settings_changed(CameraSettings(exposure_s=0.005, black_level_dn=5.1, pixel_format="Mono8"))  # 2.0 percent
     assert frames.next().frame_id == taken
 

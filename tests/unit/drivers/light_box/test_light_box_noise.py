@@ -76,7 +76,7 @@ def test_other_damage_is_survived_too(faults):
         assert twin.channels[1].driven_level == level
 
 
-def test_restart_is_noticed_and_said():
+def test_restart_is_noticed_and_reported():
     """A box that restarts while lit: the next command says so, and opening again gives a dark box."""
     twin, line, box = bench(14)
     box.open()

@@ -142,9 +142,9 @@ def test_a_photograph_of_another_scene_is_no_agreement() -> None:
     done = reconcile_photographs(frames)
     assert done.result.verdict is Verdict.UNNAMED
     assert not done.result.effects
-    (said,) = done.result.extra["remarks"]
-    assert "follow no single tone curve" in said
-    assert "turned.jpg by far worst" in said
+    (text,) = done.result.extra["remarks"]
+    assert "follow no single tone curve" in text
+    assert "turned.jpg by far worst" in text
 
 
 @pytest.mark.slow
@@ -181,7 +181,7 @@ def test_one_of_four_labels_may_lie() -> None:
 
 
 @pytest.mark.slow
-def test_report_of_photographs_tells_the_story(tmp_path: Path) -> None:
+def test_report_of_photographs_reports_the_story(tmp_path: Path) -> None:
     """One sentence with the factor and its U, both plots, what to do, and the others' exposures beside their labels."""
     real = [EXACT[6], EXACT[5], EXACT[4], EXACT[4] * 1.6, EXACT[3] * 2.0]
     done = reconcile_photographs(_photographs([*real[:3], EXACT[3], real[4]], real))
@@ -210,7 +210,7 @@ def _named(monkeypatch: pytest.MonkeyPatch, *rivals: tuple[int, float]) -> Photo
     return reconcile_photographs(_photographs([EXACT[3], EXACT[2], EXACT[1] / 0.8, EXACT[0]], EXACT[3::-1]))
 
 
-def test_a_label_has_one_size_wherever_it_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_label_has_one_size_wherever_it_is_reported(monkeypatch: pytest.MonkeyPatch) -> None:
     """What all colours found, 0.8 ± 0.016, is in entry, sentence, finding and exposure; its nats are of that width."""
     done = _named(monkeypatch)
     (effect,) = done.result.effects
@@ -225,15 +225,18 @@ def test_a_label_has_one_size_wherever_it_is_told(monkeypatch: pytest.MonkeyPatc
     assert outcome(done.result, done.findings).endswith("of its printed exposure (k = 2); the others agree.")
 
 
-def test_labels_that_may_be_meant_instead_are_told(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_labels_that_may_be_meant_instead_are_reported(monkeypatch: pytest.MonkeyPatch) -> None:
     """Where other labels predict left-out parts nearly as well, entry, sentence and report name them beside it."""
     done = _named(monkeypatch, (0, 0.9), (3, 1.1))
     (effect,) = done.result.effects
     names = [one.name for one in done.findings]
-    told = (f"exposure_label_error of {names[0]} (ratio 0.900)", f"exposure_label_error of {names[3]} (ratio 1.100)")
-    assert effect.alternatives == told
+    reported = (
+        f"exposure_label_error of {names[0]} (ratio 0.900)",
+        f"exposure_label_error of {names[3]} (ratio 1.100)",
+    )
+    assert effect.alternatives == reported
     assert f", or {names[0]} 0.900, or {names[3]} 1.100: these cannot show which." in (done.result.extra["remarks"][0])
-    assert outcome(done.result, done.findings).endswith(f"cannot decide, {' or '.join(told)} instead.")
+    assert outcome(done.result, done.findings).endswith(f"cannot decide, {' or '.join(reported)} instead.")
 
 
 def test_emva_descriptor_becomes_a_capture_set(shared_data: Path) -> None:

@@ -106,11 +106,11 @@ def own_registry(monkeypatch):
     monkeypatch.setattr(registry, "EFFECTS", dict(registry.EFFECTS))
 
 
-@pytest.mark.parametrize(("form", "covariate", "constants", "values", "known", "wanted"), WORKED)
-def test_a_form_has_the_value_worked_out_by_hand(form, covariate, constants, values, known, wanted):
+@pytest.mark.parametrize(("form", "covariate", "constants", "values", "known", "expected"), WORKED)
+def test_a_form_has_the_value_worked_out_by_hand(form, covariate, constants, values, known, expected):
     """Each line of the grammar is the function that its name says."""
     found = Term(form, covariate, constants, values).evaluated({name: np.array(v) for name, v in known.items()})
-    assert float(found) == pytest.approx(wanted, abs=1e-12)
+    assert float(found) == pytest.approx(expected, abs=1e-12)
 
 
 def test_every_form_was_worked_out():

@@ -62,9 +62,9 @@ def test_excess_kurtosis_is_that_of_rounded_samples(phase: float, noise: float) 
     """Noise of 0.31 DN at the middle of a code has 6, at its border −2; from 0.6 DN on nothing is asked."""
     codes = np.rint(17.0 + phase + noise * np.random.default_rng(3).standard_normal(1_000_000))
     apart = codes - codes.mean()
-    wanted = 0.0 if noise > 0.6 else float(np.mean(apart**4) / np.mean(apart**2) ** 2 - 3.0)
+    predicted = 0.0 if noise > 0.6 else float(np.mean(apart**4) / np.mean(apart**2) ** 2 - 3.0)
     found = excess_kurtosis(_moments(17.0 + phase, noise, 0.0))
-    assert np.asarray(found).ravel()[0] == pytest.approx(wanted, abs=0.1)
+    assert np.asarray(found).ravel()[0] == pytest.approx(predicted, abs=0.1)
 
 
 def _tiles(mean: float, noise: float, shared: float) -> TileMoments:

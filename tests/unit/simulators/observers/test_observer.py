@@ -65,7 +65,7 @@ def test_scotopic_ratio_is_high_in_the_blue_and_low_in_the_red():
     assert scotopic_per_photopic(640.0) < 0.1
 
 
-def test_drawn_eyes_have_their_break_where_it_was_wanted():
+def test_drawn_eyes_have_their_break_where_it_was_requested():
     """The crossing of the drawn branches lies in the wanted range."""
     rng = np.random.default_rng(1)
     breaks = [drawn_eye(rng).break_min(453.0) for _ in range(10)]
