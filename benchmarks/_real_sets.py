@@ -47,7 +47,7 @@ class RealSet:
 
 _OWN: str = "clipped means of the frames (PROVENANCE)"
 _FRAMES: str = "measured directly on these frames"
-# Beside what is documented, by plain statistics of the frames: medians of columns fall from 17 DN to 0 within 256
+# Next to what is documented, by plain statistics of the frames: medians of columns fall from 17 DN to 0 within 256
 # columns of every dark frame; column profiles of two halves of a set correlate by 0.88 to 0.92 (0.4 to 0.5 DN); in
 # differences of frames row means scatter 1.3 to 2.5 times as much as their pixels allow, and neighbours in a row
 # correlate by −0.05 to −0.08; biases rise down their rows by 1.5 to 3 DN.

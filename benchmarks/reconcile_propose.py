@@ -2,7 +2,7 @@
 
     python -m benchmarks reconcile_propose --sets 24 --first-seed 1000 [--find 4]
 
-The outsiders of generators 2 and 3, or with --own those of the tests' own, are hidden one by one, in random order. Told
+The outsiders of generators 2 and 3, or with --own those of the tests, are hidden one by one, in random order. Shown
 are: whether the stage is right (or stands among those that the law's rivals have), whether a true covariate is there,
 and what share of the excess the written effect file closes in another session of the rig, its parameters as written.
 The excess is what the gap lies above that of the same session with nothing hidden. With --find the effect file is given

@@ -85,7 +85,7 @@ class Teller:
 
 
 class Reader:
-    """Tells the reports that another process has written so far."""
+    """Reports the reports that another process has written so far."""
 
     def __init__(self, config: pytest.Config, stream: IO[bytes]) -> None:
         self.config, self.stream, self.at, self.rest = config, stream, 0, b""

@@ -86,7 +86,7 @@ def laws_left_out(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.fixture
 def unrendered(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Leave figures as they are drawn, without a picture of them: for those who read the words beside."""
+    """Leave figures as they are drawn, without a picture of them: for those who read the text alone."""
     from matplotlib.figure import Figure
 
     monkeypatch.setattr(Figure, "savefig", lambda figure, stream, **_: stream.write(b"<svg/>"))

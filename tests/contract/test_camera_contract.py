@@ -1,4 +1,4 @@
-"""What every camera must do, real or simulated: above the device layer they cannot be told apart."""
+"""What every camera must do, real or simulated: above the device layer they cannot be distinguished."""
 
 from __future__ import annotations
 

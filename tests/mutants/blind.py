@@ -1,4 +1,4 @@
-"""Draws mistakes at random, which nobody chose, and counts which the fast tests notice.
+"""Draws mistakes at random, which no one chose, and counts which the fast tests notice.
 
     python -m tests.mutants --record                        once, and after the source or the tests changed
     python -m tests.mutants --blind SEED [AREA ...] [--each 8] [--report FILE]
@@ -171,7 +171,7 @@ def draw(seed: int, areas: list[str], each: int) -> list[Drawn]:
 
 
 def judged(one: Drawn, record: Record, copy: Path, unsound: Container[str] = ()) -> Drawn:
-    """Return a mistake with its fate; it is made in a copy of the sources and mended again.
+    """Return a mistake with its fate; it is made in a copy of the sources and corrected again.
 
     Args:
         one: The mistake.

@@ -208,7 +208,7 @@ def test_press_and_release_are_events(talker):
 
 
 def test_lost_event_can_be_had_again(talker):
-    """EV tells a kept event once more, in the same words."""
+    """EV reports a kept event once more, in the same words."""
     talker.button(True)
     talker.run(0.03)
     event = re.fullmatch(rb"!02 (BT D [0-9.]+)\*[0-9A-F]{8}\n", talker.take())

@@ -117,7 +117,7 @@ def test_a_wrong_name_without_the_right_one_is_confidently_wrong():
 
 
 def test_anything_more_than_the_name_is_not_exact():
-    """An unnamed rest beside the right name is first, and not exact."""
+    """An unnamed rest next to the right name is first, and not exact."""
     reported = judge(answer("incomplete", effect("veiling_glare"), effect("unnamed")), VEIL)
     assert reported["first"]
     assert not reported["exact"]

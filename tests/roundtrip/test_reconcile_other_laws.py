@@ -1,4 +1,4 @@
-"""The right name where the catalogue's equation is wrong, and nothing beside it that only mends the equation."""
+"""The right name where the catalogue's equation is wrong, and nothing else that only mends the equation."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ def test_chopped_light_is_a_flicker() -> None:
 
 
 def test_every_fifth_frame_dim_is_no_flicker() -> None:
-    """What comes back in the order of the frames stands alone: no name beside it."""
+    """What comes back in the order of the frames stands alone: no name next to it."""
     (found,) = _asked("fifth", 1).effects
     assert (found.name, found.where) == ("unnamed", "frame")
     assert found.parameters["period_frames"].value == 5.0

@@ -110,7 +110,7 @@ def test_short_bleach_leaves_the_rod_branch_alone(tmp_path: Path) -> None:
 def test_subject_who_never_or_always_presses_gets_a_verdict(
     tmp_path: Path, subject: str | None, verdict: Verdict
 ) -> None:
-    """And nobody before the box is as one who never presses."""
+    """And no one before the box is as one who never presses."""
     outcome, _ = run(tmp_path / "j", protocol(7.0, bleach_s=10.0), subject)
     assert outcome.verdict is verdict
     assert not outcome.can_be_fitted

@@ -85,7 +85,7 @@ def test_every_pattern_of_an_area_finds_sources_and_every_source_has_an_area():
 
 
 def test_the_nearest_tests_of_a_line_come_first():
-    """Those of the folder beside, of these what ran least; what is made at import asks the lines that name it."""
+    """Those of the nearest folder, of these what ran least; what is made at import asks the lines that name it."""
     line = next(
         k
         for k, text in enumerate((ROOT / "radiometer/analysis/flux/sensor.py").read_text().splitlines(), 1)
@@ -104,7 +104,7 @@ def test_the_nearest_tests_of_a_line_come_first():
 
 
 def test_every_mistake_has_a_time_of_its_own(tmp_path, monkeypatch):
-    """Two of one size in one file would run as the first, whose bytecode is kept; the mended file has its old time."""
+    """Two of one size in one file would run as the first, whose bytecode is kept; the corrected file keeps the time."""
     file, seen = tmp_path / "a.py", []
     file.write_text("x = 1\n", encoding="utf-8")
     sound = file.stat()

@@ -1,4 +1,4 @@
-"""What is shipped beside the code: the manual page says what the commands say, and the container file holds together.
+"""What is shipped next to the code: the manual page says what the commands say, and the container file holds together.
 
 No container can be built in the tests, so the file is read: stages, copied paths, user, health check, commands.
 """
@@ -120,7 +120,7 @@ def test_the_container_runs_a_command_that_exists_as_an_ordinary_user():
 @pytest.mark.parametrize(("status", "healthy"), [(200, True), (503, False)])
 @pytest.mark.slow
 def test_the_health_check_asks_the_daemon(status, healthy):
-    """It passes on 200 and fails on 503, and where nobody answers."""
+    """It passes on 200 and fails on 503, and without an answer."""
 
     class Answer(http.server.BaseHTTPRequestHandler):
         def do_GET(self):

@@ -1,4 +1,4 @@
-"""Tests in several processes are told as those of one, whatever becomes of them."""
+"""Tests in several processes are reported as those of one, whatever becomes of them."""
 
 from __future__ import annotations
 
@@ -103,7 +103,7 @@ def test_reasons_of_the_second_process_are_reported_as_those_of_the_first(tmp_pa
 
 
 def test_a_process_that_dies_is_a_failure(tmp_path: Path) -> None:
-    """Where the other processes are killed no success is told, though every test that was told of passed."""
+    """Where the other processes are killed no success is reported, though every test that was reported of passed."""
     code, text = ran(tmp_path, {f"test_{k}.py": DEADLY + LATE for k in range(6)})
     assert code == 1
     assert "another process of tests ended with -9" in text

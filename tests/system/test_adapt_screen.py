@@ -158,7 +158,7 @@ def test_command_runs_it_and_journals_the_prompts(oled: Path, tmp_path: Path, pr
 
 
 def test_what_does_not_go_together_is_refused(oled: Path, tmp_path: Path) -> None:
-    """No calibration, an old one, no subject, a subject before a real page, a criterion out of reach: each is said."""
+    """No calibration, an old one, no subject, a subject before a real page, a criterion out of reach: all stated."""
     protocol = read_protocol("screen-only")
     old = tmp_path / "old.yaml"
     old.write_text(oled.read_text().replace(ScreenCalibration.read(oled).created, "2020-01-01T00:00:00Z"))
@@ -231,7 +231,7 @@ async def _tapping(browser: Browser) -> None:
 
 @pytest.mark.slow
 async def test_browser_blinks_and_records_the_key(shown: tuple[BrowserStimulus, Browser]) -> None:
-    """Presses during a blink come back from its onset, none is invented; a key held down is told as a hold."""
+    """Presses during a blink come back from its onset, none is invented; a key held down is reported as a hold."""
     screen, browser = shown
     lit, rest = ScreenPicture(shapes=(MARK, VIEWING.ellipse(4.0, 1.5, (0, 0, 90)))), ScreenPicture(shapes=(MARK,))
     await asyncio.to_thread(screen.show, rest)

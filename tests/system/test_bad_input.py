@@ -15,7 +15,7 @@ from radiometer.data.config_files import shipped_config
 
 @pytest.fixture
 def run_failing(capsys):
-    """Return a function that runs the command line and returns exit code and what it said on standard error."""
+    """Return a function that runs the command line and returns exit code and what it stated on standard error."""
 
     def call(*words):
         code = run([str(word) for word in words])

@@ -106,7 +106,7 @@ async def _json(browser: Browser, expression: str) -> Any:
 
 
 async def test_the_page_fits_and_can_be_read_at_three_sizes(daemon: DaemonProcess, tmp_path: Path) -> None:
-    """Nothing beside or below the window, contrast AA in every theme, name and size of every control."""
+    """Nothing next to or below the window, contrast AA in every theme, name and size of every control."""
     async with headless(tmp_path / "profile") as browser:
         for size in SIZES:
             await _shown(browser, daemon, size)
@@ -224,7 +224,7 @@ async def test_the_tab_key_goes_through_the_page_as_it_is_seen(daemon: DaemonPro
 
 
 async def test_seven_patches_are_one_glance(daemon: DaemonProcess, tmp_path: Path) -> None:
-    """At 1440 × 900 each of seven patches has its panel in the window, and an event under the pointer is told."""
+    """At 1440 × 900 each of seven patches has its panel in the window, and an event under the pointer is reported."""
     names = [f"lamp {number}" for number in range(5)]
     for number, name in enumerate(names):
         daemon.post("/patches", {"name": name, "patch": {"x": 95 + 10 * number, "y": 80, "width": 8, "height": 8}})

@@ -28,7 +28,7 @@ def test_a_signal_ends_it_cleanly(tmp_path: Path, number: int) -> None:
 
 
 def test_it_says_at_start_that_scpi_has_no_authentication(tmp_path: Path) -> None:
-    """Addresses and who may connect are told on standard error."""
+    """Addresses and who may connect are reported on standard error."""
     with DaemonProcess(tmp_path) as daemon:
         assert any(line.startswith("SCPI on") and "no authentication" in line for line in daemon.lines)
 
@@ -46,7 +46,7 @@ def test_it_says_at_start_that_scpi_has_no_authentication(tmp_path: Path) -> Non
     ],
 )
 def test_wrong_options_are_refused(arguments: list[str], code: int, message: str, tmp_path: Path) -> None:
-    """One line says what is wrong; the exit code tells misuse from failure."""
+    """One line says what is wrong; the exit code distinguishes misuse and failure."""
     command = [sys.executable, "-m", "radiometer", "serve", "--journal", str(tmp_path / "j.sqlite"), "--scpi-port", "0",
                "--http-port", "0", *arguments]  # fmt: skip
     done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=within(60))

@@ -43,7 +43,7 @@ def test_a_black_patch_is_reported_to_be_below_the_noise(capsys):
 
 
 def test_without_a_calibration_values_are_relative_and_flagged(capsys):
-    """Nobody may take a relative value for a radiance."""
+    """No one may take a relative value for a radiance."""
     assert run(["measure", "--json", "--uncalibrated"]) == 0
     reading = json.loads(capsys.readouterr().out)
     assert reading["flags"] == ["uncalibrated"]

@@ -116,7 +116,7 @@ def test_a_survey_begins_and_ends_in_the_dark():
 
 
 def test_a_channel_that_the_box_ended_is_no_level():
-    """Its energy budget is used up: what was read is no light of that level, and the way out is told."""
+    """Its energy budget is used up: what was read is no light of that level, and the way out is reported."""
     with pytest.raises(MeasurementError, match="ten minutes"):
         survey_of(LinearBox(ChannelMode.OFF)).survey("spot", SpectralCorrection())
 

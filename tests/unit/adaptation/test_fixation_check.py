@@ -97,7 +97,7 @@ def test_light_that_is_always_seen_leaves_nothing_to_be_fitted(tmp_path: Path, s
 def test_loss_is_announced_when_two_of_three_are_seen_and_counted_anew_then(
     tmp_path: Path, short: AdaptationProtocol
 ) -> None:
-    """Seen at the 2nd, 4th, 5th and 6th: told after the 4th (2, 4 of 2–4) and after the 6th (5, 6 of 5–6)."""
+    """Seen at the 2nd, 4th, 5th and 6th: reported after the 4th (2, 4 of 2–4) and after the 6th (5, 6 of 5–6)."""
     outcome, journal = _run(tmp_path / "j", StageWithBlindSpot(lambda n: n in (2, 4, 5, 6), short))
     checks = [t["sequence"] for t in journal.of_kind("trial") if t.get("of") == "blind_spot"]
     reported = journal.of_kind("fixation")

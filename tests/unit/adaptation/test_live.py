@@ -78,7 +78,7 @@ def test_trial_that_a_long_press_voided_is_taken_back(state: LiveState) -> None:
 
 
 def test_running_fit_finds_the_break_and_says_why_there_is_none() -> None:
-    """Too few thresholds and a flat curve are said so; a whole curve with 0.05 log10 of noise has its break at 9 min.
+    """Too few thresholds and a flat curve are stated so; a whole curve with 0.05 log10 of noise has its break at 9 min.
 
     The break of 70 thresholds is known to about 0.3 min (`benchmarks/adaptation_cohort`); 4 sigmas are allowed.
     """

@@ -46,7 +46,7 @@ async def _until(socket: aiohttp.ClientWebSocketResponse, key: str, expected: ob
 
 
 async def test_every_browser_gets_the_whole_state_and_what_follows(page: LivePage) -> None:
-    """Two browsers, one of them late, see the same; one that goes away is missed by nobody."""
+    """Two browsers, one of them late, see the same; one that goes away is missed by no one."""
     address = page.url.replace("/?", "/socket?")
     async with aiohttp.ClientSession() as session, session.ws_connect(address) as first:
         await _until(first, "phase", "fixation")
@@ -65,7 +65,7 @@ async def test_every_browser_gets_the_whole_state_and_what_follows(page: LivePag
 
 
 async def test_prompts_are_reported_as_they_come_and_not_again(page: LivePage) -> None:
-    """A browser that comes later is not told the old ones."""
+    """A browser that comes later does not get the old ones."""
     async with aiohttp.ClientSession() as session, session.ws_connect(page.url.replace("/?", "/socket?")) as socket:
         await _until(socket, "phase", "fixation")
         page.tell({"sequence": 9, "kind": "prompt", "time_s": 121.0, "say": "threshold"})
@@ -132,7 +132,7 @@ async def test_lights_off_darkens_the_box_and_ends_the_test() -> None:
 
 
 async def test_a_box_that_cannot_be_darkened_is_reported_to_be_lit() -> None:
-    """The page tells why and how else; the server goes on."""
+    """The page shows why and how else; the server goes on."""
 
     def stuck() -> str:
         raise DeviceInUse("process 7 holds light box AAAA0001 and does not darken it; hold its button for 3 s")

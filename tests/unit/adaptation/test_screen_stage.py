@@ -33,7 +33,7 @@ def screen() -> ScreenCalibration:
 
 
 class RecordingScreen:
-    """A screen that notes what it is asked, on a clock of its own, and presses as it is told to."""
+    """A screen that notes what it is asked, on a clock of its own, and presses as it is asked to."""
 
     def __init__(self) -> None:
         self.time, self.size = 50.0, (1920, 1080)
@@ -134,7 +134,7 @@ def test_bleach_is_the_protocols_luminance_or_refused(screen: ScreenCalibration)
 
 
 def test_mark_is_red_and_dim(screen: ScreenCalibration) -> None:
-    """0.1 cd/m² above black by the red primary; by a share of grey, and said so, where red was not measured."""
+    """0.1 cd/m² above black by the red primary; by a share of grey, and stated so, where red was not measured."""
     rgb, measured = mark_code(screen, 0.1)
     red = screen.channel("red")
     assert rgb[1:] == (0, 0)
@@ -187,7 +187,7 @@ def test_bleach_fills_the_screen_for_its_time_and_leaves_the_mark(stage: ScreenS
 
 
 def test_long_press_is_reported_once_with_its_beginning(stage: ScreenStage, watched: RecordingScreen) -> None:
-    """A press that has lasted 2.5 s and goes on is told as begun 2.5 s ago, and not again while it lasts."""
+    """A press that has lasted 2.5 s and goes on is reported as begun 2.5 s ago, and not again while it lasts."""
     watched.hold = Hold(1.0, 1.0)
     stage.rest(1.0)
     assert stage.long_press(2.0) is None
@@ -203,7 +203,7 @@ def test_long_press_is_reported_once_with_its_beginning(stage: ScreenStage, watc
 def test_beginnings_close_together_are_one_press(
     stage: ScreenStage, watched: RecordingScreen, later_s: float, reported: bool
 ) -> None:
-    """A page's times scatter: what seems to begin 0.2 s after a press that was told is that press, later another."""
+    """A page's times scatter: what seems to begin 0.2 s after a reported press is that press, later another."""
     watched.hold = Hold(2.5, 2.5)
     stage.rest(2.5)
     begun_s = stage.long_press(2.0)

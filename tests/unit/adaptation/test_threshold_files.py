@@ -68,7 +68,7 @@ def test_sigma_follows_the_unit(tmp_path):
 
 
 def test_it_says_what_it_took(tmp_path):
-    """Form, unit of time, unit of thresholds and rows left out are told; facts are kept."""
+    """Form, unit of time, unit of thresholds and rows left out are reported; facts are kept."""
     file = tmp_path / "run.csv"
     file.write_text("# protocol: rapid\nt;threshold (dB)\n30;-10\n60;NA\n600;30\n")
     found = read_table(file)

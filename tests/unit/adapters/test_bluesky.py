@@ -23,7 +23,7 @@ from radiometer.errors import DeviceError, UsageError
 
 
 class Told:
-    """A source whose readings are told beforehand."""
+    """A source whose readings are reported beforehand."""
 
     origin = "radiometer:stated"
 

@@ -23,7 +23,7 @@ class Told:
 
 
 def test_photometer_answers_as_psychopy_asks():
-    """getLum returns cd/m² and leaves it in lastLum; the response is kept, with its uncertainty beside it."""
+    """getLum returns cd/m² and leaves it in lastLum; the response is kept, with its uncertainty next to it."""
     photometer = RadiometerPhotometer(source=Told(Quantity(160.0, 3.0, "cd m-2")))
     assert photometer.getLum() == photometer.lastLum == 160.0
     assert photometer.getResponse().value == 160.0
@@ -54,7 +54,7 @@ def test_photometer_of_a_camera_reads_what_the_bench_shows():
 
 
 def test_the_device_managers_profile_makes_the_device(monkeypatch):
-    """The profile names the address of the environment, and tells the device by it."""
+    """The profile names the address of the environment, and reports the device by it."""
     monkeypatch.setenv(ADDRESS_VARIABLE, "sim")
     (profile,) = RadiometerPhotometer.getAvailableDevices()
     assert profile["address"] == "sim"

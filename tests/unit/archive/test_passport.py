@@ -163,7 +163,7 @@ def test_a_lamp_that_jumped_within_a_session():
 
 
 def test_a_lamp_that_wanders_and_one_that_is_steady():
-    """Scatter of 0.4 % is said as such; 0.02 % is nothing."""
+    """Scatter of 0.4 % is stated as such; 0.02 % is nothing."""
     rng = np.random.default_rng(4)
     assert "wandered" in light_line("a", series(1000.0 * (1 + rng.normal(0, 4e-3, 8))))
     assert light_line("a", series(1000.0 * (1 + rng.normal(0, 2e-4, 8)))) is None

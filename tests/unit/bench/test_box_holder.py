@@ -77,7 +77,7 @@ def test_light_off_asks_only_the_holder_of_the_box_named(capsys: pytest.CaptureF
 
 
 def test_what_answers_otherwise_is_no_box() -> None:
-    """Whoever tells no number of a process is passed over, and the boxes beside it are found."""
+    """Whoever shows no number of a process is passed over, and the boxes next to it are found."""
     with holding("who is", "/dev/a", lambda: None), holding("BBBB0001", "/dev/b", lambda: None):
         assert [(box.serial, box.pid) for box in held_boxes()] == [("BBBB0001", os.getpid())]
 
@@ -118,7 +118,7 @@ def test_pages_darken_every_box_that_is_held() -> None:
 
 
 def test_what_a_killed_holder_left_behind_is_removed(tmp_path: Path) -> None:
-    """A socket that nobody serves is no holder."""
+    """A socket without a server is no holder."""
     import socket
 
     left = runtime_folder("radiometer-held-boxes") / "left"

@@ -1,4 +1,4 @@
-"""`radiometer adapt bleach`, `protocols`, `retest` and what `fit` tells of the subject."""
+"""`radiometer adapt bleach`, `protocols`, `retest` and what `fit` reports of the subject."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A real camera named without a bench file: what nobody said of it stays unknown, and it may come and go."""
+"""A real camera named without a bench file: what no one stated of it stays unknown, and it may come and go."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ SCENE = {"kind": "screen", "peak_radiance_W_per_sr_m2": 2.0, "gamma": 2.2, "back
 
 
 class RealCamera(SimulatedCamera):
-    """Stands in for the driver's camera: behind a lens, but told only what the bench told it."""
+    """Stands in for the driver's camera: behind a lens, knowing only what the bench states."""
 
     def __init__(self, lens: LensDescription) -> None:
         model = CameraModel.ideal(CameraPreset.shipped("BFS-U3-19S4M").camera, LensDescription(f_number=4.0))
@@ -89,7 +89,7 @@ def test_a_reading_without_a_bench_is_not_calibrated_by_the_simulated_one(real, 
 
 
 def test_a_bracket_of_a_patch_speaks_of_the_patch_only(real, tmp_path, capsys):
-    """Pixels outside the patch, which nobody asked for, are neither counted nor complained of."""
+    """Pixels outside the patch, which no one asked for, are neither counted nor complained of."""
     words = ["bracket", str(tmp_path / "set"), "--camera", "20497219", "--patch", "42,22,8,6"]
     assert run([*words, "--json"]) == 0
     stated = json.loads(capsys.readouterr().out)
@@ -102,7 +102,7 @@ def test_a_bracket_of_a_patch_speaks_of_the_patch_only(real, tmp_path, capsys):
 
 
 def test_what_a_patch_lacks_is_named_in_the_frames_pixels(real, tmp_path, capsys):
-    """A dark patch is said to be dark, with the place it has in the frame."""
+    """A dark patch is reported to be dark, with the place it has in the frame."""
     words = ["bracket", str(tmp_path / "set"), "--camera", "20497219", "--patch", "2,40,6,4"]
     assert run([*words, "--from", "100us", "--to", "200us"]) == 0
     assert "24 of 24 pixels stay under the noise floor" in (printed := capsys.readouterr().err)
@@ -140,7 +140,7 @@ def test_without_watch_a_lost_camera_is_an_error(real, monkeypatch, capsys):
 
 
 def test_a_camera_is_waited_for_as_long_as_it_takes():
-    """Every reason is told once, pauses lie between the tries, and the settings are in force afterwards."""
+    """Every reason is reported once, pauses lie between the tries, and the settings are in force afterwards."""
     camera, reasons, pauses = RealCamera(LensDescription()), [], []
     errors = [DeviceNotFound("absent"), DeviceNotFound("absent"), DeviceLost("gone again")]
     real_open = camera.open

@@ -35,7 +35,7 @@ def test_json_holds_every_finding_with_its_cure(hidden_library, capsys):
 
 
 def test_a_camera_that_is_not_there_is_a_fault(hidden_library, capsys):
-    """A camera that cannot be opened is told among the findings."""
+    """A camera that cannot be opened is reported among the findings."""
     assert run(["doctor", "--camera", "4711", "--json"]) == 1
     last = json.loads(capsys.readouterr().out)["findings"][-1]
     assert (last["check"], last["health"]) == ("camera", "fault")

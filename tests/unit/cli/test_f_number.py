@@ -16,7 +16,7 @@ PATCH = "2,2,20,20"
 
 @pytest.fixture
 def folder(tmp_path):
-    """Return a folder of photographs of an even surface whose times stand in a list, a curve beside it."""
+    """Return a folder of photographs of an even surface whose times stand in a list, a curve next to it."""
     dn = np.arange(256.0)
     ResponseCurve(np.log(np.maximum(dn, 0.25) / 128), np.full(256, 1e-4), valid_dn=(1, 254)).write(tmp_path / "c.yaml")
     (tmp_path / "photos").mkdir()

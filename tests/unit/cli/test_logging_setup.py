@@ -47,7 +47,7 @@ def test_an_event_without_an_error_says_nothing_of_one(capsys):
 
 
 def test_what_a_library_says_of_a_damaged_file_is_for_who_asks_for_everything(capsys):
-    """Ours is the one line; what tifffile logs beside it comes at DEBUG alone."""
+    """Ours is the one line; what tifffile logs next to it comes at DEBUG alone."""
     for verbosity, lines in ((0, []), (1, []), (2, ["invalid value offset"]), (0, [])):
         configure_logging(verbosity)
         logging.getLogger("tifffile").error("invalid value offset")

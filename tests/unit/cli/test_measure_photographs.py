@@ -145,7 +145,7 @@ def test_linear_belongs_to_uncalibrated_photographs(words, capsys):
 
 @pytest.mark.parametrize("command", ["response", "merge", "reconcile"])
 def test_folders_of_photographs_within_a_folder_are_named(chart, tmp_path, capsys, command):
-    """A folder of folders holds no photographs itself: those of its folders that do are said."""
+    """A folder of folders holds no photographs itself: those of its folders that do are stated."""
     for name in ("before", "after"):
         (tmp_path / "day" / name).mkdir(parents=True)
         for file in ("p0.png", "p1.png"):

@@ -1,4 +1,4 @@
-"""Linear photographs merged as they are: the values of a raw file, and 16-bit pictures that are said to be linear."""
+"""Linear photographs merged as they are: the values of a raw file, and 16-bit pictures that are stated as linear."""
 
 from __future__ import annotations
 
@@ -74,7 +74,7 @@ def _reported(folder: Path, target: Path, capsys, *words):
 
 
 def test_how_far_frames_lie_apart_is_reported_with_its_uncertainty(tmp_path, capsys):
-    """Frames in turn 0.2 pixels to either side along the waves are told as displaced by 0.2 within 2 u."""
+    """Frames in turn 0.2 pixels to either side along the waves are reported as displaced by 0.2 within 2 u."""
     folder, target = _waves(tmp_path / "apart", (0.2, -0.2, 0.2, -0.2)), tmp_path / "map.exr"
     result = json.loads(_reported(folder, target, capsys, "--json"))
     assert abs(result["displacement_px"] - 0.2) < 2.0 * result["displacement_u_px"]
@@ -102,7 +102,7 @@ def test_frames_that_cannot_tell_a_displacement_are_assumed_to_have_none(tmp_pat
 
 
 def test_raw_files_need_no_response(tmp_path, capsys):
-    """Each colour of a DNG bracket is merged in proportion to light, its noise told from the frames themselves."""
+    """Each colour of a DNG bracket is merged in proportion to light, its noise found from the frames themselves."""
     pytest.importorskip("rawpy")
     rng = np.random.default_rng(1)
     radiance = np.kron(_scene(rng), np.ones((2, 2)))
@@ -143,7 +143,7 @@ def test_sixteen_bit_pictures_are_linear_where_that_is_stated(tmp_path, capsys, 
 @pytest.mark.slow
 @pytest.mark.parametrize(("gamma", "grows"), [(1.0, None), (2.2, "1.37")])
 def test_photographs_that_are_not_linear_are_reported(tmp_path, capsys, gamma, grows):
-    """Behind a gamma of 1/2.2 twice the exposure makes numbers 2^(1/2.2) as large: said beside map and in it."""
+    """Behind a gamma of 1/2.2 twice the exposure makes numbers 2^(1/2.2) as large: stated next to map and in it."""
     rng, folder = np.random.default_rng(6), tmp_path / "p"
     radiance = _scene(rng)
     folder.mkdir()
@@ -164,7 +164,7 @@ def test_photographs_that_are_not_linear_are_reported(tmp_path, capsys, gamma, g
 
 @pytest.mark.slow
 def test_jpeg_files_that_cannot_tell_are_reported(tmp_path, capsys):
-    """Of two JPEG files without a pixel in common no growth is known: that JPEG is not linear is said all the same."""
+    """Of two JPEG files without a pixel in common no growth is known: that JPEG is not linear is still stated."""
     folder, rng = tmp_path / "p", np.random.default_rng(7)
     folder.mkdir()
     cv2.imwrite(str(folder / "a.jpg"), rng.normal(120.0, 9.0, (48, 64)).astype(np.uint8))
@@ -175,7 +175,7 @@ def test_jpeg_files_that_cannot_tell_are_reported(tmp_path, capsys):
 
 
 def test_linear_photographs_take_no_response(tmp_path, capsys):
-    """--linear beside --response is misuse, said in one line."""
+    """--linear next to --response is misuse, stated in one line."""
     words = ["merge", str(tmp_path), "--linear", "--response", "c.csv", "-o", str(tmp_path / "a.exr")]
     assert run(words) == 2
     assert "leave --response out" in capsys.readouterr().err

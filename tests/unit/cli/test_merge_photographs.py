@@ -1,4 +1,4 @@
-"""Photographs from the hand, on the command line: aligned, what moved left out, and said."""
+"""Photographs from the hand, on the command line: aligned, what moved left out, and stated."""
 
 from __future__ import annotations
 
@@ -80,7 +80,7 @@ def test_shifted_photographs_give_the_scene(folder, tmp_path, capsys):
 
 @pytest.mark.slow
 def test_alignment_off_leaves_them_where_they_are(folder, tmp_path, capsys):
-    """Without alignment nothing is said of it, and the frames tell that they agree less with each other."""
+    """Without alignment nothing is stated of it, and the frames tell that they agree less with each other."""
     _merged(folder, tmp_path / "on.tiff", "--json")
     on = json.loads(capsys.readouterr().out)
     _merged(folder, tmp_path / "off.tiff", "--align", "off", "--keep-ghosts", "--json")
@@ -182,7 +182,7 @@ def test_a_file_in_place_of_a_folder_is_reported_to_be_one(tmp_path, capsys):
     ],
 )
 def test_a_displacement_that_frames_cannot_determine_is_not_reported_as_zero(px, u_px, message):
-    """A bound of 0 pixels is no bound; others are told with as many digits as are known."""
+    """A bound of 0 pixels is no bound; others are reported with as many digits as are known."""
     assert message in displacement_in_words(px, u_px)
 
 
@@ -216,7 +216,7 @@ def few_colours(tmp_path, monkeypatch):
 
 @pytest.mark.slow
 def test_a_kept_response_is_taken_up_as_long_as_photographs_and_recovery_stay(few_colours, capsys, monkeypatch):
-    """Merged again, the response comes from beside the map; by another version of the recovery it is recovered anew."""
+    """Merged again, the response next to the map is used; by another version of the recovery it is recovered anew."""
     folder, recovered = few_colours
     words = ["merge", "--force", str(folder), "-o", str(folder / "out.exr"), "--align", "off", "--channel", "each"]
     for _ in range(2):

@@ -84,7 +84,7 @@ def merged(folder, response, capsys) -> tuple[dict, str]:
 
 
 def test_exif_times_are_lengthened_by_it_which_is_reported(photographs, capsys):
-    """The map is that of exposures listed as label and offset, and tells it among its assumptions."""
+    """The map is that of exposures listed as label and offset, and reports it among its assumptions."""
     found, text = merged(photographs, "offset.yaml", capsys)
     assert f"{SAID}\n" in text
     assert SAID in found["assumptions"]
@@ -150,7 +150,7 @@ def test_a_model_that_holds_an_offset_takes_its_own():
 
 
 def test_every_exposure_is_longer_by_it():
-    """Frames keep their numbers, dark ones their times, and what is said says how much."""
+    """Frames keep their numbers, dark ones their times, and what is stated says how much."""
     timed, text, taken = with_offset_of_response(bracket(*LABELS_S), of_offset(), None)
     assert [frame.settings.exposure_s for frame in timed.light] == [label + OFFSET_S for label in sorted(LABELS_S)]
     assert [frame.settings.exposure_s for frame in timed.dark] == [1.0]
@@ -159,7 +159,7 @@ def test_every_exposure_is_longer_by_it():
 
 
 def test_it_is_not_taken_where_it_is_half_of_the_shortest_exposure():
-    """Then the response is of another kind of shutter: labels stay, which is said."""
+    """Then the response is of another kind of shutter: labels stay, which is stated."""
     short = bracket(6e-5, 1e-3)
     timed, text, taken = with_offset_of_response(short, of_offset(), None)
     assert timed is short
@@ -200,7 +200,7 @@ def test_without_a_response_nothing_changes():
 
 
 def test_a_response_of_the_same_photographs_reports_it_in_the_map():
-    """Shorter exposures are said to be shorter."""
+    """Shorter exposures are reported to be shorter."""
     sentence = "all exposures 30.0 ± 4.0 µs {} than their labels, the shutter's offset"
     assert offset_in_words(of_offset()) == sentence.format("longer")
     assert offset_in_words(of_offset(-OFFSET_S)) == sentence.format("shorter")

@@ -100,7 +100,7 @@ def test_unknown_names_are_misuse(words, message, tmp_path, capsys):
 
 
 def test_a_step_is_not_taken_twice(bench, tmp_path, capsys):
-    """A capture that is there is left alone, and said."""
+    """A capture that is there is left alone, and stated."""
     words = ["quality", "take", str(tmp_path / "s"), "focus", "far", "--bench", str(bench)]
     assert main(words) == 0
     written = (tmp_path / "s" / "focus" / "far" / "capture.yaml").stat().st_mtime_ns

@@ -55,7 +55,7 @@ def test_only_a_simulated_bench_can_be_served(tmp_path):
 
 @pytest.mark.parametrize("kind", ["uniform", "screen", "led"])
 def test_a_kind_of_scene_can_be_named(kind):
-    """A scene that needs nothing told is named by its kind."""
+    """A scene that needs nothing reported is named by its kind."""
     assert served_camera(scene=kind, serial="5").label == "simulated camera FLIR BFS-U3-19S4M 5"
 
 

@@ -30,7 +30,7 @@ LAMP = Patch(5, 6, 7, 8)
 
 @dataclass
 class World:
-    """A station and what it stands on, to be broken and mended."""
+    """A station and what it stands on, to be broken and corrected."""
 
     station: Station
     instrument: Any

@@ -93,7 +93,7 @@ def test_five_seconds_are_a_jump_and_less_is_not(by_us: int, reported: bool) -> 
 
 
 async def test_the_clock_is_looked_at_every_second() -> None:
-    """A jump is told at the next look, after a second at most; a day without one tells nothing."""
+    """A jump is reported at the next look, after a second at most; a day without one shows nothing."""
     clocks, reported, pauses = Clocks(), list[Jump](), list[float]()
     watch = ClockWatch(reported.append, *clocks.both)
 

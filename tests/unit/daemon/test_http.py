@@ -187,7 +187,7 @@ async def test_the_stream_as_json_lines(base: str, session: aiohttp.ClientSessio
 async def test_a_loss_is_pushed_to_listeners(
     base: str, session: aiohttp.ClientSession, station: Station, instrument: Any
 ) -> None:
-    """An event named status tells of the alarm; health turns 503; metrics say 0."""
+    """An event named status reports the alarm; health turns 503; metrics say 0."""
     async with session.get(f"{base}/readings/stream") as stream:
         instrument.unplugged = True
         async with asyncio.timeout(within(20.0)):

@@ -90,7 +90,7 @@ def test_who_is_on_the_list_may_connect(peer: str, allowed: bool) -> None:
 
 
 def test_the_machine_itself_needs_no_list() -> None:
-    """Without a network nobody else may connect."""
+    """Without a network no one else may connect."""
     assert [is_allowed(peer, ()) for peer in ("127.0.0.1", "::1", "10.0.0.1", "::")] == [True, True, False, False]
     assert parse_networks(["10.0.0.7"])[0].num_addresses == 1
 

@@ -85,7 +85,7 @@ def test_csv_has_a_header_and_one_row_per_reading(tmp_path: Path, make_reading: 
 
 
 def test_every_cell_of_a_row_is_what_its_heading_says(tmp_path: Path, make_reading: Make) -> None:
-    """Names of columns are those of the reading's own fields; units stand beside both values."""
+    """Names of columns are those of the reading's own fields; units is next to both values."""
     full = make_reading(
         luminance=Quantity(683.0, 7.0, "cd m-2"), patch=Patch(5, 6, 7, 8), name="lamp", session="web",
         exposures_s=(0.25,), coverage_factor=2.5,
@@ -168,7 +168,7 @@ def test_a_file_that_is_no_journal_is_refused(tmp_path: Path, content: bytes) ->
 
 
 def test_a_place_that_cannot_be_written_is_refused(tmp_path: Path) -> None:
-    """A wrong path is a mistake to be told at once, not a trouble that passes."""
+    """A wrong path is a mistake to be reported at once, not a trouble that passes."""
     (tmp_path / "file").touch()
     with pytest.raises(OutputError, match="--journal") as caught:
         Journal(tmp_path / "file" / "j.sqlite").open()

@@ -282,7 +282,7 @@ def test_a_journal_is_recognised_by_its_first_bytes(tmp_path: Path, make_reading
 
 
 async def test_a_patch_is_kept_although_nothing_else_is_to_be_written(tmp_path: Path) -> None:
-    """What is queued of patches alone is committed at the end; the last said of each counts; a forgotten one goes."""
+    """What is queued of patches alone is committed at the end; the last stated of each counts; a forgotten one goes."""
     writer = JournalWriter(Journal(tmp_path / "j.sqlite"), Alarms(lambda *_: None), lambda *_: None)
     await writer.open()
     writer.keep_patch("lamp", "first")
@@ -319,7 +319,7 @@ def test_what_sqlite_refuses_is_reported_with_its_way_out(
 
 
 def test_a_journal_opens_itself_where_it_is_written_to(tmp_path: Path, make_reading: Make) -> None:
-    """Nobody has to have opened it, at first and after it was closed; the numbers go on."""
+    """No one has to have opened it, at first and after it was closed; the numbers go on."""
     journal = Journal(tmp_path / "j.sqlite")
     for number in (1, 2):
         assert [reading.sequence for reading in journal.append([make_reading()])] == [number]

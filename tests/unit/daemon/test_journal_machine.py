@@ -201,7 +201,7 @@ def test_an_undefined_radiance_is_not_drawn(tmp_path, make_reading):
 
 
 async def test_what_cannot_be_deleted_is_an_alarm(tmp_path, make_reading, monkeypatch):
-    """A journal that grows because nothing can be deleted must be told."""
+    """A journal that grows because nothing can be deleted must be reported."""
     alarms = Alarms(lambda *_: None)
     journal = Journal(tmp_path / "j.sqlite")
     writer = JournalWriter(journal, alarms, lambda *_: None, keep_days=1.0)

@@ -157,7 +157,7 @@ async def test_one_that_opens_and_does_not_answer_is_lost_too() -> None:
     ],
 )  # fmt: skip
 async def test_which_errors_are_a_loss(error: Exception, lost: bool) -> None:
-    """What says that the device is gone; a wrong setting or a dark scene does not; a bug is told as a loss."""
+    """What says that the device is gone; a wrong setting or a dark scene does not; a bug is reported as a loss."""
     bench = Bench(Device())
     await bench.keeper.open_once()
     bug = isinstance(error, OSError | ValueError) and not isinstance(error, DeviceError | MeasurementError)

@@ -100,7 +100,7 @@ async def test_the_journal_reports_when_light_went_on_and_off(station: Station, 
 
 
 async def test_scpi_switches_all_off(client: Any, box: Any) -> None:
-    """OUTP:ALL OFF darkens every channel; ON has no meaning and is refused; the query tells."""
+    """OUTP:ALL OFF darkens every channel; ON has no meaning and is refused; the query reports."""
     assert float(await client.ask("SOUR:LED2:LEV 0.5;:SOUR:LED1:LEV 0.5;LEV?")) == 0.5
     assert await client.ask("OUTP:ALL?") == "1"
     await client.send("OUTP:ALL ON")
@@ -131,7 +131,7 @@ async def test_http_switches_all_off(station: Station, box: Any) -> None:
 
 
 async def test_a_channel_that_fails_does_not_keep_the_next_one_lit(station: Station, box: Any) -> None:
-    """All channels are tried, then the failure is told."""
+    """All channels are tried, then the failure is reported."""
     await station.light.set_level("red", 0.5)
     whole = box.set_level
 

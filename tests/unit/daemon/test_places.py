@@ -1,4 +1,4 @@
-"""Slow, idle and noisy clients lock nobody out."""
+"""Slow, idle and noisy clients lock no client out."""
 
 from __future__ import annotations
 
@@ -163,7 +163,7 @@ async def test_noisy_new_connections_wait_and_others_get_their_turn(station: Sta
 async def test_idle_scpi_sessions_make_room(
     station: Station, opened: Any, monkeypatch: pytest.MonkeyPatch, eventually: Eventually
 ) -> None:
-    """256 sessions that never say a thing keep nobody out, and one that works stays."""
+    """256 sessions that never say a thing keep no client out, and one that works stays."""
     server = ScpiServer(station, limits=Limits(scpi_connections=20))
     port = await server.listen_tcp("127.0.0.1", 0)
     reader, writer = await opened(port)

@@ -215,7 +215,7 @@ def test_the_error_queue_keeps_the_oldest() -> None:
 
 
 def test_our_errors_have_the_standard_s_numbers() -> None:
-    """Each kind of error by its number; what nobody foresaw is −310."""
+    """Each kind of error by its number; what no one foresaw is −310."""
     expected = {
         SettingOutOfRange("camera", "gain", 1.0, 0.0, 0.5, "dB"): -222,
         UnsafeStimulus("too bright"): -222,
@@ -266,7 +266,7 @@ class Clock:
 @settings(max_examples=60)
 @given(st.floats(1.0, 1000.0), st.lists(st.floats(0.0, 0.5), min_size=1, max_size=40))
 def test_no_more_than_rate_and_burst_is_let_through(per_s: float, pauses: list[float]) -> None:
-    """In any time at most a burst of one second and the rate; whoever waits as told is let through next."""
+    """In any time at most a burst of one second and the rate; whoever waits as reported is let through next."""
     clock = Clock()
     bucket, taken, start = TokenBucket(per_s, clock), int(per_s), clock.now_s
     assert bucket.is_full

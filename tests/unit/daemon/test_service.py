@@ -117,7 +117,7 @@ async def asked(path: Path, message: bytes) -> bytes:
 
 
 async def test_a_service_listens_reloads_and_ends_as_signals_say(tmp_path: Path, eventually: Eventually) -> None:
-    """It says where it listens, is ready, reloads by SIGHUP for better or worse, tells its state, and ends by SIGTERM.
+    """It says where it listens, is ready, reloads by SIGHUP for better or worse, shows its state, and ends by SIGTERM.
 
     The socket opens to user and group alone, and one that a killed daemon left behind is no obstacle.
     """
@@ -206,7 +206,7 @@ async def test_a_service_that_listens_nowhere_only_keeps_its_journal(tmp_path: P
 
 
 async def test_a_service_that_cannot_listen_ends_with_all_that_it_began(tmp_path: Path) -> None:
-    """A taken port is an error that names it; what was started before is stopped, and systemd is told."""
+    """A taken port is an error that names it; what was started before is stopped, and systemd is notified."""
     taken = await asyncio.start_server(lambda reader, writer: None, "127.0.0.1", 0)
     port = taken.sockets[0].getsockname()[1]
     one = fresh(tmp_path, http_address=None, scpi_port=port)

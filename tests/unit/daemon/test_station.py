@@ -131,7 +131,7 @@ async def test_a_late_camera_that_turns_out_lost_is_announced_again(
 
 
 async def test_an_idle_camera_is_missed_too(station: Station, instrument: Any, eventually: Eventually) -> None:
-    """Nobody measures, yet the loss is noticed."""
+    """No one measures, yet the loss is noticed."""
     instrument.unplugged = True
     await eventually(lambda: station.camera.state is DeviceState.LOST)
 

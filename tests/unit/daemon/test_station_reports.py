@@ -1,4 +1,4 @@
-"""Whoever listens is told of every change at once, and what is at a limit is still allowed."""
+"""Whoever listens is notified of every change at once, and what is at a limit is still allowed."""
 
 from __future__ import annotations
 

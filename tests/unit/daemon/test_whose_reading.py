@@ -1,4 +1,4 @@
-"""A reading is of one patch and belongs to one client, or to all: nobody is served another's."""
+"""A reading is of one patch and belongs to one client, or to all: no one is served another's."""
 
 from __future__ import annotations
 
@@ -116,7 +116,7 @@ async def test_a_moved_patch_has_no_reading_yet(client: Any, station: Station) -
 async def test_a_patch_moved_while_measuring_is_not_believed(
     station: Station, instrument: Any, eventually: Eventually
 ) -> None:
-    """The reading in hand when the patch moves is kept, but is nobody's latest."""
+    """The reading in hand when the patch moves is kept, but is no one's latest."""
     instrument.let_go = threading.Event()
     begun = asyncio.create_task(station.acquisition.measure())
     await eventually(lambda: station.acquisition.busy)

@@ -52,7 +52,7 @@ def test_digital_numbers_and_settings_survive_the_disk(capture):
 
 
 def test_a_bracket_is_sorted_and_keeps_the_darks_apart(capture):
-    """Light frames ascend in exposure; dark frames stand beside them."""
+    """Light frames ascend in exposure; dark frames are next to them."""
     bracket = CaptureSet.read(capture).bracket()
     assert bracket.effective_exposures_s.tolist() == [0.01, 0.02, 0.04]
     assert len(bracket.dark) == 1
@@ -85,7 +85,7 @@ def test_an_error_while_capturing_leaves_nothing_behind(tmp_path):
 
 
 def test_a_capture_without_a_frame_leaves_no_folder_that_the_next_one_would_be_refused(tmp_path):
-    """Nobody has to remove an empty folder by hand before capturing again."""
+    """No one has to remove an empty folder by hand before capturing again."""
     with pytest.raises(OutputError, match="no frame was captured"), CaptureSetWriter(tmp_path / "capture", CAMERA):
         pass
     assert not (tmp_path / "capture").exists()
@@ -181,7 +181,7 @@ def test_the_content_hash_notices_one_changed_pixel(capture):
     ],
 )
 def test_a_folder_that_lacks_something_is_refused(capture, remove, message):
-    """Nothing of a capture, no folder at all, one frame less: each is said, and none is read as fewer frames."""
+    """Nothing of a capture, no folder at all, one frame less: each is stated, and none is read as fewer frames."""
     for name in remove:
         target = capture / name
         shutil.rmtree(target) if target.is_dir() else target.unlink()
@@ -204,7 +204,7 @@ def test_a_bias_frame_needs_no_time(capture):
 
 
 def test_a_file_that_is_no_picture_is_refused(capture):
-    """Damaged and missing files are told apart, each by its name."""
+    """Damaged and missing files are distinguished, each by its name."""
     (capture / "frames" / "0001.png").write_bytes(b"\x89PNG" + bytes(200) + b"IEND")
     read = CaptureSet.read(capture)
     with pytest.raises(CaptureError, match=r"0001\.png: .*damaged"):

@@ -108,7 +108,7 @@ def test_a_curve_says_something_of_two_numbers_at_least(known, taken):
 
 
 def test_a_file_keeps_all_that_is_known_of_a_curve(tmp_path):
-    """Range, channel, gauge and where it is from; a table tells by its middle whether it is absolute."""
+    """Range, channel, gauge and where it is from; a table reports by its middle whether it is absolute."""
     whole = ResponseCurve(
         np.arange(4.0), np.full(4, 0.1), absolute=True, valid_dn=(1, 2), channel="red",
         provenance=Provenance("by hand", ("a.png",), ("none",), {"x": 1}),

@@ -1,4 +1,4 @@
-"""Files are whole or absent, and a failure is said in one line."""
+"""Files are whole or absent, and a failure is stated in one line."""
 
 from __future__ import annotations
 
@@ -111,7 +111,7 @@ def test_a_replaced_file_keeps_its_mode_and_its_link(tmp_path):
 
 
 def test_text_is_read_without_an_editor_s_mark(tmp_path):
-    """A byte order mark is no part of the first word; what is no text is told by the place of its first wrong byte."""
+    """A byte order mark is no part of the first word; no text is reported with its first wrong byte."""
     path = tmp_path / "t.csv"
     path.write_bytes(b"\xef\xbb\xbfwavelength_nm,W\n")
     assert read_text(path) == "wavelength_nm,W\n"

@@ -1,4 +1,4 @@
-"""A value out of range is told with as many digits as show that it is."""
+"""A value out of range is reported with as many digits as show that it is."""
 
 from __future__ import annotations
 

@@ -71,7 +71,7 @@ def test_processing_is_doubted(write_fits):
 
 
 def test_the_cooler_that_had_not_settled_is_doubted(write_fits):
-    """A sensor 3 K off the wanted temperature is named; 0.2 K is not."""
+    """A sensor 3 K off the requested temperature is named; 0.2 K is not."""
     warm = open_capture(write_fits("a.fits", PICTURE, EXPTIME=1.0, IMAGETYP="dark", CCD_TEMP=-7.0, SET_TEMP=-10.0))
     fine = open_capture(write_fits("b.fits", PICTURE, EXPTIME=1.0, IMAGETYP="dark", CCD_TEMP=-9.8, SET_TEMP=-10.0))
     assert "-7.0" in imported_of(warm).doubts[0]
@@ -126,7 +126,7 @@ def test_negative_numbers_need_a_pedestal(write_fits):
 
 
 def test_padded_codes_are_named(write_fits):
-    """Twelve bits written in sixteen are told by their step of 16."""
+    """Twelve bits written in sixteen are recognised by their step of 16."""
     capture = open_capture(write_fits("p.fits", (PICTURE % 4096) * np.uint16(16), EXPTIME=1.0))
     assert capture.header.camera.code_step_dn == 16
     assert any("12 bits written in 16" in line for line in imported_of(capture).doubts)

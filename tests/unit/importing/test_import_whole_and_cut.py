@@ -130,7 +130,7 @@ def test_few_codes_tell_no_padding(codes, step, write_fits):
 
 @pytest.mark.parametrize("command", ["characterise", "reconcile"])
 def test_what_is_no_picture_is_refused_in_words(command, tmp_path, run_command):
-    """A spreadsheet, and a folder of them, are told apart from a capture that was not finished."""
+    """A spreadsheet, and a folder of them, are distinguished from a capture that was not finished."""
     book = tmp_path / "book.xls"
     book.write_bytes(b"\xd0\xcf\x11\xe0" * 400)
     code, _, err = run_command(command, book)

@@ -66,7 +66,7 @@ def test_radiance_of_a_stack_follows_its_exposures(tmp_path, capsys):
 
 
 def test_image_sequence_of_pymmcore_plus_is_read():
-    """The JSON beside the pictures holds their exposures."""
+    """The JSON next to the pictures holds their exposures."""
     assert is_foreign(RECORDED / "sequence")
     capture = open_capture(RECORDED / "sequence")
     assert [entry.exposure_s for entry in capture.header.frames] == [0.005, 0.01]
@@ -117,7 +117,7 @@ def test_metadata_text_next_to_single_pictures_is_read(tmp_path):
 
 
 def test_damaged_metadata_is_as_none(tmp_path):
-    """A JSON file that is cut short leaves the pictures without exposure, which is said in one line."""
+    """A JSON file that is cut short leaves the pictures without exposure, which is stated in one line."""
     shutil.copytree(RECORDED / "sequence", tmp_path / "s")
     (tmp_path / "s" / "_frame_metadata.json").write_text('{"00000_.tif": {')
     with pytest.raises(CaptureError, match="exposure"):

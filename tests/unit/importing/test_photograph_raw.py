@@ -39,7 +39,7 @@ def _write_dng(path: Path, scale: float = 1.0, white: int = 4095, black: int = 6
 
 
 def test_raw_file_gives_the_sensors_values(tmp_path):
-    """Each colour of the mosaic comes out unscaled at half size, 12 bits, black level beside it."""
+    """Each colour of the mosaic comes out unscaled at half size, 12 bits, black level next to it."""
     pytest.importorskip("rawpy")
     _write_dng(tmp_path / "a.dng")
     (tmp_path / "exposures.txt").write_text("a.dng 0.5\n")

@@ -36,7 +36,7 @@ def test_list_gives_times_with_fractions(tmp_path):
 
 
 def test_names_with_blanks_are_those_of_files_that_lie_there(tmp_path):
-    """A blank belongs to a name where a file of that name lies beside the list; quotes around it do not."""
+    """A blank belongs to a name where a file of that name is next to the list; quotes around it do not."""
     for name in ("day 1.png", "day 2, noon.png", "c.png"):
         _grey(tmp_path, name, 100)
     (tmp_path / "exposures.csv").write_text('day 1.png,1/125\n"day 2, noon.png" 0.5\nc.png, 2\n')
@@ -68,7 +68,7 @@ def test_line_without_a_time_names_file_and_line(tmp_path, line):
 
 
 def test_exif_dial_times_become_exact_stops(tmp_path):
-    """EXIF 1/60 s is 2⁻⁶ s and f/5.6 is 2^2.5; the printed time stays beside it."""
+    """EXIF 1/60 s is 2⁻⁶ s and f/5.6 is 2^2.5; the printed time stays next to it."""
     _jpeg(tmp_path, "a.jpg", 50, time=1 / 60, f_number=5.6)
     _jpeg(tmp_path, "b.jpg", 100, time=1 / 30, f_number=5.6)
     bracket = read_photographs(tmp_path, "red")[0]
@@ -257,14 +257,14 @@ def test_further_columns_are_no_decimals(tmp_path, line):
 
 
 def test_a_file_named_twice_is_refused(tmp_path):
-    """Two lines for one photograph: the second would silently win; both lines are told."""
+    """Two lines for one photograph: the second would silently win; both lines are reported."""
     (tmp_path / "exposures.txt").write_text("a.png 1\nb.png 2\na.png 4\n")
     with pytest.raises(CaptureError, match=r"line 3: names 'a\.png' again \(as line 1 does\)"):
         read_list(tmp_path / "exposures.txt")
 
 
 def test_files_that_a_list_names_and_that_are_not_there_are_reported(tmp_path):
-    """Each is named, and one that differs in capital letters alone is told as it is called."""
+    """Each is named, and one that differs in capital letters alone is reported as it is called."""
     _grey(tmp_path, "IMG_1.png", 100)
     (tmp_path / "exposures.txt").write_text("IMG_1.png 1\nb.png 2\nc.png 4\n")
     with pytest.raises(CaptureError, match=r"names 'b\.png', 'c\.png', 2 files that are not in the folder; correct"):
@@ -318,7 +318,7 @@ def test_a_copy_of_a_photograph_is_refused(tmp_path):
 
 
 def test_times_of_a_camera_without_a_dial_stand_for_no_stops(tmp_path):
-    """A telephone's 1/60 s beside 1/3021 s is 1/60 s, not the 1/64 s of a dial; times by hand (90 s) change nothing."""
+    """A telephone's 1/60 s with 1/3021 s is 1/60 s, not the 1/64 s of a dial; times by hand (90 s) change nothing."""
     for folder, other, expected in (("phone", 1 / 3021, 1 / 60), ("dial", 90.0, 2.0**-6)):
         (tmp_path / folder).mkdir()
         _jpeg(tmp_path / folder, "a.jpg", 50, time=1 / 60)

@@ -88,7 +88,7 @@ def test_a_curve_stands_in_json_with_its_band(late: FitState) -> None:
 
 
 def test_the_size_of_another_law_is_reported_with_its_u(late: FitState) -> None:
-    """Exposures 8 to 24 µs too long: a law about 12 µs tells these, as uncertain as the own equation's size is off."""
+    """Exposures 8 to 24 µs too long: a law about 12 µs gives these, as uncertain as the own equation's size is off."""
     form = free_forms(late, ExposureTimeOffset(12e-6))[0]
     reported = sizes_by_own_law(with_effects(late, [form]), form)["offset_s"]
     plain = refit(with_effects(late, [ExposureTimeOffset(12e-6)])).effects[0]

@@ -132,7 +132,7 @@ def test_a_lamp_that_jumps_within_a_series_is_named() -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("known", [True, False])
 def test_a_quiet_series_agrees(known: bool) -> None:
-    """Also where nobody states the camera: its black level is taken from the noise, and that is said."""
+    """Also without a statement of the camera: its black level is taken from the noise, and that is stated."""
     found = asked(header(120, known=known), series(lambda t: 900.0, 120, offset=lambda t: 0.0, seed=43))
     assert str(found.verdict) == "agrees"
     assert any("noise of the light extrapolates" in line for line in found.assumptions) is not known

@@ -89,7 +89,7 @@ def test_charge_that_neighbours_exchange_stays_in_the_means_of_lines(make_captur
 
 @pytest.mark.slow
 def test_charge_that_is_pushed_far_stays_in_the_means_of_lines(make_capture: Callable[..., Any]) -> None:
-    """Flats with covariances of many lags: rows, columns, bands of rows and tiles scatter as told, to 4 sigma."""
+    """Flats with covariances of many lags: rows, columns, bands of rows and tiles scatter as stated, to 4 sigma."""
     state = _state(make_capture(6))
     height, width = state.design.tiles[0].height, state.design.tiles[0].width
     push = push_of(8, 0.56, 0.45)
@@ -163,7 +163,7 @@ class _Impossible(Scaling):
 
 @pytest.mark.slow
 def test_effect_that_cannot_be_is_refused_by_name(make_capture: Callable[..., Any]) -> None:
-    """Where an effect leads to what no camera does, the search is told which it was, and goes on without it."""
+    """Where an effect leads to what no camera does, the search reports which it was, and goes on without it."""
     state = _state(make_capture(6))
     with pytest.raises(UnfitError, match="impossible"):
         included(state, _Impossible(0.5), far=False)

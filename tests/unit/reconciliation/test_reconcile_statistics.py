@@ -141,7 +141,7 @@ def test_dark_gap_before_a_bright_neighbour_is_no_blur() -> None:
 def test_sharpest_stop_shows_where_borders_lie() -> None:
     """Borders before a gap of four lines: at f/4 a disc of 2.26 px hides them, at f/11 one of 0.82 px does not.
 
-    The share at f/4 is that of the disc then; a pattern that is seen at f/4 alone tells nothing.
+    The share at f/4 is that of the disc then; a pattern that is seen at f/4 alone shows nothing.
     """
     scene = np.array([0.0] * 12 + [-300.0] * 4 + [400.0] * 10)
 

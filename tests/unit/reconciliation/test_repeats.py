@@ -1,4 +1,4 @@
-"""What equal frames differ by is told: how far they scatter, which first frames and which frames stick out."""
+"""What equal frames differ by is reported: how far they scatter, which first frames and which frames stick out."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ SERIES, FRAMES = 6, 5
 def _reported(
     apart_dn: np.ndarray, *, light_dn: float = 0.0, seed: int = 1, tiles: int | None = None, first_dn: float = 0.0
 ) -> tuple[Repeats, ...]:
-    """Return what is told of series of frames that lie so far from 1000 DN (dark) or from a light, each.
+    """Return what is reported of series of frames that lie so far from 1000 DN (dark) or from a light, each.
 
     Args:
         apart_dn: (series, frames) how far.
@@ -45,7 +45,7 @@ def _reported(
 
 
 def test_the_scatter_of_dark_frames_is_reported_in_dn() -> None:
-    """Frames of 0.4 DN scatter are told 0.4 DN within three of the u that 24 degrees of freedom give."""
+    """Frames of 0.4 DN scatter are reported 0.4 DN within three of the u that 24 degrees of freedom give."""
     (dark,) = _reported(np.random.default_rng(2).normal(0.0, 0.4, (SERIES, FRAMES)))
     assert dark.scatter.u == pytest.approx(dark.scatter.value / np.sqrt(2 * SERIES * (FRAMES - 1)), rel=0.01)
     assert dark.scatter.value == pytest.approx(0.4, abs=3 * float(dark.scatter.u or 0))
@@ -60,7 +60,7 @@ def test_the_scatter_of_a_lamp_is_reported_relative_to_its_light() -> None:
 
 
 def test_a_first_frame_is_reported_with_the_scatter_of_its_tiles() -> None:
-    """A first frame 3 DN above the others is told so, within three u; u is the tiles' scatter over √24."""
+    """A first frame 3 DN above the others is reported so, within three u; u is the tiles' scatter over √24."""
     apart = np.zeros((SERIES, FRAMES))
     apart[2, 0] = 3.0
     (dark,) = _reported(apart)
@@ -81,7 +81,7 @@ def test_equal_frames_seldom_stand_out() -> None:
 
 
 def test_what_tiles_scatter_by_is_no_wander() -> None:
-    """Frames that differ by their pixels alone: no scatter beyond two u in nine of ten sets, and nothing said of it."""
+    """Frames that differ by their pixels alone: no scatter beyond two u in nine of ten sets, and nothing stated."""
     reported = [_reported(np.zeros((SERIES, FRAMES)), seed=n)[0] for n in range(40)]
     printed = [dark for dark in reported if dark.scatter.value > 2.0 * float(dark.scatter.u or 0.0)]
     assert len(printed) <= 4 + 3 * 2
@@ -92,7 +92,7 @@ def test_what_tiles_scatter_by_is_no_wander() -> None:
 
 
 def test_single_frames_tell_nothing() -> None:
-    """Without repeats nothing is said."""
+    """Without repeats nothing is stated."""
     entries = tuple(FrameEntry.of(f"{n}.tif", FrameSettings(1.0 + n, shutter="closed")) for n in range(4))
     design = Design.of(CaptureHeader(camera=CameraDescription(bit_depth=16), frames=entries), SIZE)
     shape = (len(design.captures), len(design.tiles))
@@ -111,13 +111,13 @@ def test_what_is_reported_stands_in_json() -> None:
 
 @pytest.mark.parametrize("tiles", [1, 3])
 def test_frames_of_too_few_tiles_tell_nothing(tiles: int) -> None:
-    """One tile has no scatter to say how well a frame's offset is known: nothing is said, and never ± 0."""
+    """One tile has no scatter to say how well a frame's offset is known: nothing is stated, and never ± 0."""
     apart = np.random.default_rng(4).normal(0.0, 0.4, (SERIES, FRAMES))
     assert _reported(apart, tiles=tiles) == ()
 
 
 def test_four_tiles_tell_a_frame_with_a_u() -> None:
-    """Of four tiles a frame 3 DN off is told within five of its u, and the u is that of tiles of 0.02 DN."""
+    """Of four tiles a frame 3 DN off is reported within five of its u, and the u is that of tiles of 0.02 DN."""
     apart = np.zeros((SERIES, FRAMES))
     apart[2, 0] = 3.0
     (dark,) = _reported(apart, tiles=4)

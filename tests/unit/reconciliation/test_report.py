@@ -1,4 +1,4 @@
-"""The report tells the story: verdict, gap by steps, each name with what it is and what shows it, the rest, tables."""
+"""The report shows the story: verdict, gap by steps, each name with what it is and what shows it, the rest, tables."""
 
 from __future__ import annotations
 

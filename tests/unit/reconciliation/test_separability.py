@@ -70,7 +70,7 @@ def _sets(found: Separability) -> list[set[str]]:
 
 @pytest.mark.slow
 def test_bracket_of_one_chart_cannot_tell_stray_light_apart(separated: Separability) -> None:
-    """A veil, light from the room and a black that glows stand together, and a capture is asked for that tells more."""
+    """A veil, light from the room and a black that glows stand together, and a capture is asked for that shows more."""
     entry = next(entry for entry in separated.together if {entry.name, *entry.others} >= STRAY)
     assert entry.capture is not None
     assert entry.capture["frames"][0]["shutter"] == "open"
@@ -85,7 +85,7 @@ def test_short_exposures_do_not_tell_one_flicker_from_another(separated: Separab
 
 @pytest.mark.slow
 def test_stated_radiances_count_against_a_name(make_capture: Callable[..., Any]) -> None:
-    """Beside a bright surround, light from the room leaves hundreds of χ² of a veil: of what is stated, too."""
+    """Next to a bright surround, light from the room leaves hundreds of χ² of a veil: of what is stated, too."""
     state, veil = _state(make_capture, [*BRACKET, *DARKS, OTHERS[0]]), VeilingGlare(0.02)
     left, _ = left_by_fit(noiseless(state, veil), veil, Candidate(AmbientLightLeak(0.01), 0.0, 1))
     assert left > 100.0

@@ -237,7 +237,7 @@ def test_above_black_the_straight_line_is_as_likely_as_the_power_law() -> None:
 
 
 def test_command_imports_and_says_what_it_took(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """The calibration is written; form, meter's scale and spectra are told; colours without spectra are left out."""
+    """The calibration is written; form, meter's scale, spectra are reported; colours without spectra are left out."""
     file, out = tmp_path / "a.ti3", tmp_path / "s.yaml"
     file.write_text(TI3)
     assert run(["screen", "import", str(file), "-o", str(out)]) == 0

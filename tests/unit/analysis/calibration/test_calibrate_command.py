@@ -69,7 +69,7 @@ def test_the_meter_puts_the_reference_pixel_at_its_exposure(curve, tmp_path, cap
 
 
 def test_the_stated_uncertainty_of_the_constant_counts(curve, tmp_path, capsys):
-    """K known to 3 %: beside the meter's sixth of a stop and the curve's 0.5 %, in the scale and in the luminance."""
+    """K known to 3 %: next to the meter's sixth of a stop and the curve's 0.5 %, in the scale and in the luminance."""
     command = ["calibrate", "--response", str(curve), *METER, "--k-u-rel", "0.03", "--reference-dn", "127", "--json"]
     assert run([*command, "-o", str(tmp_path / "cal.yaml")]) == 0
     meter = math.log(2) / 6 / math.sqrt(3)
@@ -202,7 +202,7 @@ def test_the_meter_alone_needs_no_patch(rig, tmp_path):
 
 @pytest.mark.parametrize(("words", "u_rel"), [([], 0.43), (["--spectrum", "white_led"], 0.0)])
 def test_a_spectrum_without_a_statement_is_known_to_43_percent(capture, tmp_path, words, u_rel):
-    """Said among the assumptions; a stated spectrum carries none of it."""
+    """Stated among the assumptions; a stated spectrum carries none of it."""
     folder, _ = capture
     assert run(["calibrate", str(folder), *words, "-o", str(tmp_path / "cal.yaml")]) == 0
     calibration = Calibration.read(tmp_path / "cal.yaml")

@@ -74,7 +74,7 @@ def test_its_stated_uncertainty_is_that_of_the_correction(rig):
 
 
 def test_noise_is_no_falloff(rig):
-    """Of eight even maps without any falloff beside cos⁴ six at least are given none: terms must earn their place."""
+    """Of eight even maps without any falloff next to cos⁴ six at least are given none: terms must earn their place."""
     camera, lens = wide(rig)
     found = [fit_flat_field(even_map(falloff(0.0, 0.0), 0.01, seed), camera, lens) for seed in range(8)]
     assert sum(flat.coefficients == (0.0, 0.0, 0.0) for flat in found) >= 6

@@ -102,7 +102,7 @@ def test_a_camera_that_sees_a_colour_better_needs_less_of_it(used, factor):
 
 
 def test_what_a_spectral_correction_is_doubted_by():
-    """The response's own 2 %; unknown as much as cameras differ there; beside what is stated, in squares."""
+    """The response's own 2 %; unknown as much as cameras differ there; next to what is stated, in squares."""
     stated = NOTHING.model_copy(update={"spectral_u_rel": 0.03, "efficacy_u_rel": 0.04})
     unknown = budget.unknown_mismatch_u_rel("line:650", "line:450")
     assert unknown > 0.1
@@ -254,7 +254,7 @@ def test_a_scale_from_a_known_radiance():
     ],
 )
 def test_a_spectrum_in_a_file_is_in_nanometres_and_rises(tmp_path, rows, message):
-    """100 to 5000 nm, each above the one before, powers 0 or more and not all 0; else told why."""
+    """100 to 5000 nm, each above the one before, powers 0 or more and not all 0; else reported why."""
     path = tmp_path / "light.csv"
     path.write_text(rows, encoding="utf-8")
     if message is None:
@@ -300,7 +300,7 @@ def test_a_spectral_response_rises_along_its_wavelengths(wavelength_nm, relative
     ],
 )
 def test_a_calibration_says_what_it_assumes(rig, camera, lens, message):
-    """What nobody measured and what the meter cannot know is among the assumptions; what is stated is not."""
+    """What no one measured and what the meter cannot know is among the assumptions; what is stated is not."""
     known = {"transmittance": 0.9}
 
     def assumed(camera_changes, lens_changes):

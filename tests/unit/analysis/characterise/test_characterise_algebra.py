@@ -299,7 +299,7 @@ def test_a_thermometer_s_step_is_a_rectangle():
     ("slope", "wrong_dn", "named"), [(50.0, 0.0, 0), (50.0, 120.0, 1), (50.0, -120.0, 1), (0.0, 120.0, 1)]
 )
 def test_a_dark_group_off_the_line_of_the_others_is_named(slope, wrong_dn, named):
-    """On a dark current of 50 DN/s none is; one that is 120 DN off it is told with what the others say there."""
+    """On a dark current of 50 DN/s none is; one that is 120 DN off it is reported with what the others say there."""
     times = np.array([0.5, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0])
     means = BLACK_DN + slope * times
     means[3] += wrong_dn
@@ -500,7 +500,7 @@ def test_pixels_at_full_scale_say_that_the_converter_saturates(clipped, by):
 
 @pytest.mark.parametrize(("off", "named"), [((4,), 1), ((2, 7, 12), 3), ((2, 5, 8, 12), 0)])
 def test_up_to_a_fifth_of_the_steps_are_exceptions(off, named):
-    """Of 16 steps three that show half of what their light says are named; of four nobody knows which are right."""
+    """Of 16 steps three that show half of what their light says are named; of four no one knows which are right."""
     shown = SIGNALS.copy()
     shown[list(off)] *= 0.5
     bright = [group(BLACK_DN + s, 100.0, photons=2.0 * light) for s, light in zip(shown, SIGNALS, strict=True)]

@@ -1,4 +1,4 @@
-"""The real CCD of the EMVA 1288 reference measurements beside the `emva1288` package's figures on the same files."""
+"""The real CCD of the EMVA 1288 reference measurements next to the `emva1288` package's figures on the same files."""
 
 from __future__ import annotations
 

@@ -243,7 +243,7 @@ def test_a_gain_from_darks_needs_two_dn_of_dark_signal_at_three_exposures(span_d
 
 
 def test_plateaus_of_darks_that_disagree_widen_their_mean(monkeypatch):
-    """0.5 and 0.6 ± 0.01 DN/e⁻: 0.55 with their scatter of 0.05 beside the better u; one alone keeps its own."""
+    """0.5 and 0.6 ± 0.01 DN/e⁻: 0.55 with their scatter of 0.05 next to the better u; one alone keeps its own."""
     module = "radiometer.analysis.characterise.dark_signal"
     gains = []
     monkeypatch.setattr(f"{module}._frames", lambda *_: [])
@@ -302,7 +302,7 @@ def test_a_typical_pixel_is_no_hot_one():
 
 @pytest.mark.parametrize(("part", "count", "named"), [(0.89, 16, 1), (0.91, 16, 0), (0.5, 6, 1), (0.5, 5, 0)])
 def test_a_step_contradicts_its_neighbours_from_a_tenth_on(part, count, named):
-    """A step at 89 % of what its light says is named, at 91 % not; of five steps nobody can tell."""
+    """A step at 89 % of what its light says is named, at 91 % not; of five steps no one can tell."""
     signals = SIGNALS[:count].copy()
     signals[count // 2] *= part
     bright = [group(BLACK_DN + s, 100.0, photons=2.0 * x) for s, x in zip(signals, SIGNALS, strict=False)]
@@ -337,7 +337,7 @@ def test_a_stated_gain_is_doubted_beyond_twice_what_is_known(stated, gain_db, re
 
 @pytest.mark.parametrize("straight", [True, False])
 def test_a_desk_s_picture_has_a_panel_next_to_the_first_for_each_other(straight, monkeypatch):
-    """Photon transfer over the whole height on the left; linearity, where it is told, above the SNR on the right."""
+    """Photon transfer over the whole height on the left; linearity, where reported, above the SNR on the right."""
     figure = Figure()
     monkeypatch.setattr(report, "picture", lambda draw, *_: draw(figure, False) or "")
     bright = [group(BLACK_DN + s, 40.0 + 0.5 * s, s / 6000.0) for s in SIGNALS]

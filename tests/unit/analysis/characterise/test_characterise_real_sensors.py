@@ -142,7 +142,7 @@ def rates():
 
 
 def test_gain_from_single_dark_frames():
-    """One frame per exposure tells K by the dark current's shot noise, within 3 u and 3 %, u being 6 % at most."""
+    """One frame per exposure shows K by the dark current's shot noise, within 3 u and 3 %, u being 6 % at most."""
     found = dark_transfer(dark_frames(rates(), EXPOSURES_S))
     assert found.K.value == pytest.approx(K_DN_PER_E, abs=3 * found.K.u)
     assert found.K.value == pytest.approx(K_DN_PER_E, rel=0.03)

@@ -1,4 +1,4 @@
-"""Exports: other programs read the numbers back, with unit and uncertainty, and no header tells on its maker."""
+"""Exports: other programs read the numbers back, with unit and uncertainty, and no header reports on its maker."""
 
 from __future__ import annotations
 

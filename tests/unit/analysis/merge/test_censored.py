@@ -43,7 +43,7 @@ def test_the_estimate_is_the_likeliest_and_its_variance_the_curvature(rate, vari
 
 
 def test_shot_noise_makes_a_clipped_frame_say_less():
-    """Noise that grows with the light, κ·x·t beside the rest: the same as that noise stated beforehand."""
+    """Noise that grows with the light, κ·x·t next to the rest: the same as that noise stated beforehand."""
     plain = FRAMES[1:2].copy()
     found = with_censored(104.0, 4.0, np.uint64(0), FRAMES, 1, 2, 0.8)
     plain[0, 5] += 0.8 * 2.0 * found[0]

@@ -183,7 +183,7 @@ def test_rounding_behind_a_curve_is_the_scatter_that_u_states(gain_db):
 
 
 def test_the_curve_s_own_uncertainty_is_in_every_pixel():
-    """3 % of the curve, beside rounding of some per mille."""
+    """3 % of the curve, next to rounding of some per mille."""
     for u, expected in ((1e-6, 0.0), (0.03, 0.03)):
         camera, calibration = behind_a_curve(u)
         found = merge([Frame(np.full((4, 4), 200, np.uint8), 8, FrameSettings(1.0))], Setup(camera, LENS, calibration))
@@ -226,7 +226,7 @@ def test_what_no_frame_shows_is_as_doubtful_as_large():
 
 
 def test_a_frame_that_clips_near_its_end_raises_the_value():
-    """Beside a frame just below clipping at 1 s, one that clips at 1.05 s says "at least so much", never less."""
+    """Next to a frame just below clipping at 1 s, one that clips at 1.05 s says "at least so much", never less."""
     lone = merge([frame(3900)], Setup(CAMERA, LENS, CALIBRATION)).radiance[0, 0]
     heard = merge([frame(3900), frame(4095, 1.05)], Setup(CAMERA, LENS, CALIBRATION)).radiance[0, 0]
     assert lone < heard < lone * 1.02

@@ -138,7 +138,7 @@ def test_dark_signal_takes_room_below_clipping():
 
 
 def test_a_wide_ladder_of_dim_frames_is_weighed_as_it_should_be():
-    """30 electrons a second for 1 to 30 s beside 5 of reading: scatter and u are those of the best weights."""
+    """30 electrons a second for 1 to 30 s next to 5 of reading: scatter and u are those of the best weights."""
     rng = np.random.default_rng(9)
     times, several = (1.0, 3.0, 30.0), []
     for time in times:

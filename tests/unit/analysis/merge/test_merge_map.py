@@ -465,7 +465,7 @@ def test_a_pixel_s_uncertainty_is_that_of_its_electrons(rig, dark_e):
 
 
 def test_the_black_level_s_uncertainty_is_in_every_pixel(rig):
-    """2 DN beside 200 DN of light add 1 % to the noise, in quadrature."""
+    """2 DN next to 200 DN of light add 1 % to the noise, in quadrature."""
     frame = Frame(np.full((4, 4), 264, np.uint16), 12, FrameSettings(1e-3, 0.0, 4.0, 64.0, 25.0))
     known, doubted = (
         merge([frame], Setup(rig.description, rig.lens, rig.calibration(black_level=BlackLevel(dn=64.0, u_dn=u))))

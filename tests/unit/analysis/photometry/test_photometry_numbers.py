@@ -1,4 +1,4 @@
-"""The numbers of the thesis, to the digits given, and the right conversions beside them."""
+"""The numbers of the thesis, to the digits given, and the right conversions next to them."""
 
 from __future__ import annotations
 
@@ -279,7 +279,7 @@ def test_a_coarse_table_integrates_as_its_fine_copy():
 
 
 def test_a_line_is_not_a_band():
-    """Its integral is its power, whatever lies beside it."""
+    """Its integral is its power, whatever is next to it."""
     assert Spectrum("x", np.array([550.0]), np.array([2.0])).integral() == 2.0
 
 

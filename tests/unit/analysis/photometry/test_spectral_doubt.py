@@ -97,7 +97,7 @@ def test_a_reading_states_the_band_that_its_radiance_counts(rig, name, band):
 
 @pytest.mark.parametrize(("source", "u_rel"), [("line:600", 0.03), ("line:500.1", None)])
 def test_a_known_response_costs_no_more_than_an_unknown_one(rig, source, u_rel):
-    """Its own u far from the calibration's spectrum; beside it, where every plausible camera agrees, less."""
+    """Its own u far from the calibration's spectrum; next to it, where every plausible camera agrees, less."""
     response = SpectralResponse(wavelength_nm=(300.0, 1100.0), relative=(300.0, 1100.0), u_rel=0.03, source="a test")
     base = replace(rig.calibration(spectrum=source), spectral_response=response)
     of_500 = replace(base, scale=base.scale.model_copy(update={"spectrum": "line:500"}))

@@ -213,6 +213,6 @@ def test_both_ends_of_the_interval_must_agree(low, high, validates, unit):
     ("value", "u", "u_rel"), [(-2.0, 0.5, 0.25), (0.0, 0.5, 1.0), (0.0, 0.0, 0.0), (4.0, 0.0, 0.0)]
 )
 def test_a_line_of_the_budget_is_relative_to_the_value_s_size(value, u, u_rel):
-    """To its own u where the value is nothing, so that it stays a number; all else is told as it stands."""
+    """To its own u where the value is nothing, so that it stays a number; all else is reported as it stands."""
     term = Term("lamp", u, "A", 7.0, correlated=True, note="of 8 readings")
     assert term.contribution(value) == Contribution("lamp", u_rel, "A", 7.0, True, "of 8 readings")

@@ -179,7 +179,7 @@ def test_a_surround_that_clips_everywhere_is_flagged(rig):
 
 
 def test_polarised_light_counts_where_the_calibration_s_was_not(rig):
-    """A screen is polarised unless said otherwise."""
+    """A screen is polarised unless stated otherwise."""
     calibration = calibrated(rig, uncertainties=only(polarisation_u_rel=0.004))
     screen, other = (SourceDescription(kind="screen", polarised=word) for word in (None, False))
     assert line(read(rig, calibration, source=screen), "polarisation") == pytest.approx(0.004)
@@ -351,7 +351,7 @@ def test_luminance_carries_the_radiance_s_uncertainty(rig):
 
 
 def test_the_dark_current_s_noise_is_in_the_repeatability(rig):
-    """1000 dark electrons beside 100 of light: the noise of a pixel is that of 1100 electrons and reading."""
+    """1000 dark electrons next to 100 of light: the noise of a pixel is that of 1100 electrons and reading."""
     camera = CameraDescription(**{**rig.description.model_dump(), "dark_current_e_per_s": 1000.0})
     calibration = replace(calibrated(rig), camera=camera, noise=SensorNoise.of(camera))
     expected = (100.0 + 1000.0) / rig.gain_e_per_dn + 64.0
@@ -413,7 +413,7 @@ def test_scatter_of_neighbours_leaves_out_whatever_touches_a_bad_pixel():
 
 
 def test_stray_light_is_recognised_by_what_surrounds_the_patch():
-    """A picture of 3 around a patch of 2: 1.5 times as bright, beside 0.5 times at calibration; g·|3 − 1|."""
+    """A picture of 3 around a patch of 2: 1.5 times as bright, next to 0.5 times at calibration; g·|3 − 1|."""
 
     class Made:
         class scale:  # noqa: N801
@@ -429,7 +429,7 @@ def test_stray_light_is_recognised_by_what_surrounds_the_patch():
 
 @pytest.mark.parametrize(("doubt", "reported"), [(0.0015, False), (0.003, True)])
 def test_a_falloff_that_was_assumed_is_reported_from_two_thousandths_on(rig, doubt, reported):
-    """0.3 % of doubt because nobody measured the fall-off is flagged though it rules nothing; 0.15 % is not."""
+    """0.3 % of doubt because no one measured the fall-off is flagged though it rules nothing; 0.15 % is not."""
     stated = only(falloff_u_rel=doubt / 0.36)
     found = read(rig, calibrated(rig, uncertainties=stated), patch=Patch(11, 11, 1, 1))
     assert line(found, "fall-off") == pytest.approx(doubt)
@@ -460,7 +460,7 @@ def test_frames_that_do_not_belong_together_are_refused(rig):
 
 
 def test_what_all_pixels_share_grows_with_the_calibration_s_age(rig):
-    """1 %/year after 3 years is 3 %, beside what else is shared in quadrature; before the calibration it is nothing."""
+    """1 %/year after 3 years is 3 %, with what else is shared in quadrature; before the calibration it is nothing."""
     calibration = calibrated(rig, uncertainties=only(drift_u_rel_per_year=0.01))
     settings = [FrameSettings(1e-3, temperature_c=25.0)]
 

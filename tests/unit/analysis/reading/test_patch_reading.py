@@ -107,7 +107,7 @@ def test_a_clipped_patch_is_a_flagged_lower_bound(rig):
 
 
 def test_frames_that_clip_leave_no_trace(rig):
-    """A long clipped exposure beside good ones changes neither value nor flags."""
+    """A long clipped exposure next to good ones changes neither value nor flags."""
     truth = 0.5 * rig.radiance_of_full_scale(1e-3)
     frames = rig.frames(uniform(truth), np.random.default_rng(4), (1e-3,) * 5 + (4e-3,))
     both, without = (read(rig, chosen, rig.calibration()) for chosen in (frames, frames[:5]))

@@ -219,7 +219,7 @@ def test_a_pattern_in_the_patch_is_reported_as_well(rig, amplitude, raised):
 
 
 def usable(rig, dn, full_well_e=1e6, **changes):
-    """Return what is said of one frame: whether it may be used, and whether it clips."""
+    """Return what is stated of one frame: whether it may be used, and whether it clips."""
     calibration = exact(rig)
     known = replace(calibration, noise=replace(calibration.noise, full_well_e=full_well_e))
     model = situation_of(Setup(rig.description, rig.lens, known)).model
@@ -359,7 +359,7 @@ def test_the_surround_is_the_mean_of_the_picture(rig):
 
 
 def test_frames_of_different_light_are_not_read_together(rig):
-    """The number of source levels is told."""
+    """The number of source levels is reported."""
     frames = [flat(1000, source_level=0.5), flat(1000, source_level=1.0)]
     with pytest.raises(MeasurementError, match="2 different source levels"):
         read(rig, frames)

@@ -52,7 +52,7 @@ def _bracket(rng, shifts, *, scene=None):
 def test_known_shifts_come_back(shift, seed):
     """Frames in turn on the corners of a square of side 2δ: δ comes back within twice its u, a quarter at most.
 
-    The noise beside it is that which was put in, to 15 %: shifts do not pass for noise.
+    The noise next to it is that which was put in, to 15 %: shifts do not pass for noise.
     """
     corners = shift * np.array([(1, 1), (-1, -1), (1, -1), (-1, 1)] * 3)
     found = find_displacement(_bracket(np.random.default_rng(seed), corners), _curve())

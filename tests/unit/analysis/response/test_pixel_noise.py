@@ -94,7 +94,7 @@ def _photographs(folder, rng, *, dn_noise=2.0):
 def test_one_command_from_photographs_to_a_colour_map(tmp_path, capsys):
     """`merge PHOTOS -o map.tiff` finds the response: radiance in proportion to the truth, errors as u says.
 
-    The curves are kept beside the map and taken up again, unless the photographs change.
+    The curves are kept next to the map and taken up again, unless the photographs change.
     """
     import tifffile
 

@@ -68,7 +68,7 @@ def moved() -> ResponseEstimate:
 
 @pytest.mark.slow
 def test_edges_that_moved_do_not_bend_the_curve(moved: ResponseEstimate) -> None:
-    """Frames shifted by a pixel or two give the curve of the even patches: within 1 % of the truth, and it is said."""
+    """Frames shifted by a pixel or two give the curve of the even patches: within 1 % of the truth, as stated."""
     assert rms_of(moved) < 0.01
     assert any("edges" in note for note in moved.notes)
 

@@ -143,7 +143,7 @@ def last_label_off(*, lowest: int = 0, more: int = 0) -> Plane:
 
     Args:
         lowest: The first frame of which all groups are seen, 4 at most.
-        more: How many groups of the frame before are seen beside, of those that frame 4 shows.
+        more: How many groups of the frame before are also seen, of those that frame 4 shows.
     """
     samples = rows_of()
     log_time = samples.frame_log_time - 0.2 * (np.arange(6) == 5)

@@ -65,7 +65,7 @@ def test_right_labels_of_frames_that_show_one_corner_are_left_alone() -> None:
 
 @pytest.mark.slow
 def test_each_label_is_what_the_other_frames_say_of_it() -> None:
-    """With its u: right ones beside a wrong one, and that of a frame in the dark not at all."""
+    """With its u: right ones next to a wrong one, and that of a frame in the dark not at all."""
     plane = church(5, 1.35)
     dark = replace(plane, samples=plane.samples.changed(lambda one: one.kept(one.frame != 0)))
     reported = freed_one_by_one([dark], (5,))

@@ -32,14 +32,14 @@ def library_to_be_loaded(monkeypatch):
 
 
 def test_without_pygobject_the_message_names_the_packages(library_to_be_loaded):
-    """A hidden library is told by the packages that bring it, and importing the driver still works."""
+    """A hidden library is reported with the packages that bring it, and importing the driver still works."""
     library_to_be_loaded.setitem(sys.modules, "gi", None)
     with pytest.raises(MissingLibrary, match=r"pip install 'radiometer\[genicam\]'"):
         aravis_camera.discover()
 
 
 def test_without_aravis_the_message_names_the_debian_package(library_to_be_loaded):
-    """PyGObject without Aravis's description is told by its Debian package."""
+    """PyGObject without Aravis's description is reported with its Debian package."""
 
     def require_version(name: str, version: str) -> None:
         raise ValueError(f"Namespace {name} not available for version {version}")

@@ -112,7 +112,7 @@ def test_a_camera_without_chunks_needs_no_note(wooden_camera):
 
 
 def test_what_was_changed_says_which_chunks_must_agree():
-    """Each of the three settings that a chunk tells names its chunk; a region names none."""
+    """Each of the three settings that a chunk reports names its chunk; a region names none."""
     before = CameraSettings(exposure_s=0.01, gain_db=0.0, black_level_dn=64.0)
     assert changed_chunks(before, before) == frozenset()
     assert changed_chunks(before, CameraSettings(0.02, 0.0, 64.0, binning=2)) == {"ExposureTime"}

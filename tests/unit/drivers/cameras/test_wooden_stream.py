@@ -326,7 +326,7 @@ def test_a_late_frame_of_the_black_level_before_is_thrown_away(fresh, message, t
 
 
 def test_a_frame_still_in_the_format_before_is_thrown_away(fresh):
-    """No chunk tells a format, but the frame itself does: two of Mono10p pass by, a third would be an error."""
+    """No chunk reports a format, but the frame itself does: two of Mono10p pass by, a third would be an error."""
     stale = [replace(frame(n, NEW), format_code=0x010A0046) for n in (1, 2, 3)]
     frames, tally = fresh([*stale[:2], frame(3, NEW)], discard=2, shown=True)
     frames.settings_changed(replace(BEFORE, exposure_s=0.005, pixel_format="Mono10p"))
@@ -396,7 +396,7 @@ def test_a_camera_that_sends_too_fast_is_slowed_down(monkeypatch, possible, star
 
 
 def test_a_camera_that_keeps_its_old_exposure_is_an_error(fresh):
-    """If the chunks never agree with the settings, that is told instead of waiting for ever."""
+    """If the chunks never agree with the settings, that is reported instead of waiting for ever."""
     frames, _ = fresh([frame(n, 9000.0) for n in range(1, 40)], discard=1)
     with pytest.raises(DeviceTimeout, match="exposed under other settings"):
         frames.next()

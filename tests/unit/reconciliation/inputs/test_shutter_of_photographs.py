@@ -1,4 +1,4 @@
-"""Photographs whose shutter exposes longer by one time: told, written and drawn; labels are held against both."""
+"""Photographs whose shutter exposes longer by one time: reported, written and drawn; labels are held against both."""
 
 from __future__ import annotations
 

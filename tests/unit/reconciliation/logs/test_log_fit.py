@@ -1,4 +1,4 @@
-"""Logs of an all-sky camera beside a sky meter: each planted term is named with its size, and nothing where nothing is.
+"""Logs of an all-sky camera and a sky meter: each planted term is named with its size, and nothing where nothing is.
 
 The offline count of false alarms is in docs/benchmarks/reconcile.md.
 """
@@ -52,7 +52,7 @@ def test_planted_term_is_named_with_its_size(tmp_path, camera, name, parameter, 
 
 @pytest.mark.slow
 def test_bent_response_is_found_or_reported_as_the_rival(tmp_path):
-    """Automatic exposure hardly moves the signal: a bend may look like a black level, and is then named beside it."""
+    """Automatic exposure hardly moves the signal: a bend may look like a black level, and is then named next to it."""
     effect = _fitted(tmp_path, Camera(bends_at_dn=6000.0)).result.effects[0]
     assert "response_nonlinearity" in (effect.name, *effect.alternatives)
 

@@ -71,7 +71,7 @@ def test_a_ramp_that_is_nothing_in_the_middle_is_an_offset_s_looser_form(make_ca
 
 
 def test_of_models_that_predict_as_well_the_one_of_a_single_cause_is_reported(make_capture):
-    """A ramp stands in place of two names that do not explain it, of the ramp beside an idle name, and of no single
+    """A ramp stands in place of two names that do not explain it, of the ramp next to an idle name, and of no single
     name."""
     start, entries = ramp(make_capture), {"black_level_offset": BlackLevelOffset}
     tilted = in_a_looser_form(start, worth(start), entries)

@@ -1,4 +1,4 @@
-"""Charge that moves the borders of pixels: by hand, by draws, and beside what two CCDs were measured to do."""
+"""Charge that moves the borders of pixels: by hand, by draws, and next to what two CCDs were measured to do."""
 
 from __future__ import annotations
 
@@ -130,7 +130,7 @@ def test_the_nearest_borders_alone_leave_little_beyond() -> None:
 
 @pytest.mark.slow
 def test_noise_gathers_while_borders_move() -> None:
-    """Charge that comes in 150 steps, each moved by what has come, has the variance that is told, to 5 sigma.
+    """Charge that comes in 150 steps, each moved by what has come, has the variance that is reported, to 5 sigma.
 
     A push of all charge at the end would leave 5 % less.
     """

@@ -362,7 +362,7 @@ def test_noise_from_before_passes_by_the_slope(name: str) -> None:
 def test_the_slope_is_that_of_the_mean(name: str) -> None:
     """The derivative of what an effect makes of an even signal, by differences, over all pixels.
 
-    Glare goes by the mean of the frame, and what is told of it is one pixel's part.
+    Glare goes by the mean of the frame, and what is reported of it is one pixel's part.
     """
     effect, context = starts_of(CATALOGUE[name], effect_context())[0], effect_context()
     for signal in (40.0, 900.0, 3000.0):

@@ -118,7 +118,7 @@ def test_a_model_s_frames_are_those_of_its_moments() -> None:
 
 @pytest.mark.parametrize("lacking", ["conversion_gain_e_per_dn", "read_noise_e", "black_level_dn"])
 def test_what_a_dark_holds_must_be_stated(lacking: str) -> None:
-    """Without gain, read noise or black level nobody says what a dark frame holds."""
+    """Without gain, read noise or black level no one says what a dark frame holds."""
     context = _setting()
     assert DarkFrameSubtracted.usable(context)
     if lacking == "black_level_dn":

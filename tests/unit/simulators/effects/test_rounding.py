@@ -131,7 +131,7 @@ def test_what_lines_share_spreads_pixels_over_the_codes(mean: float, columns: fl
 
 
 def test_many_signals_are_rounded_as_each_by_itself() -> None:
-    """Coarse ones beside fine ones in one array come out as they do alone, whatever stands next to them."""
+    """Coarse ones next to fine ones in one array come out as they do alone, whatever stands next to them."""
     together = rounded(
         Moments(*(np.array(column) for column in zip(*((m, n**2, p**2, 1e-6) for m, n, p in CASES), strict=True)))
     )

@@ -1,4 +1,4 @@
-"""What an effect by itself draws, beside the moments that it predicts: every entry, every kind of form it may take."""
+"""What an effect by itself draws, next to the moments that it predicts: every entry, every kind of form it may take."""
 
 from __future__ import annotations
 

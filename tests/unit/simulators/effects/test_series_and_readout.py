@@ -92,7 +92,7 @@ def test_an_event_is_looked_for_in_front_of_captures() -> None:
 
 
 def test_an_event_that_does_not_relax_is_a_step_of_anything() -> None:
-    """Of captures up to 70 s, an event at 30 s relaxes within 40 s or is not told from another change."""
+    """Of captures up to 70 s, an event at 30 s relaxes within 40 s or is not distinguished from another change."""
     captures = _series(10.0 * np.arange(8))
     assert not EventOffset(offset_dn=2.0, tau_s=39.0, event_s=30.0).unlike_itself(captures)
     assert EventOffset(offset_dn=2.0, tau_s=41.0, event_s=30.0).unlike_itself(captures)
@@ -150,7 +150,7 @@ def test_a_rate_is_stated_at_a_temperature_of_the_session(warm_c: tuple[float, .
 
 
 def test_a_rate_is_stated_at_a_temperature_of_darks() -> None:
-    """Light at 25 and 45 °C beside darks at 40.2 °C alone: their very temperature, where no doubling matters."""
+    """Light at 25 and 45 °C next to darks at 40.2 °C alone: their very temperature, where no doubling matters."""
     session = _context(temperature_c=np.array([25.0, 40.2, 45.0]), shutter=np.array(["open", "closed", "open"]))
     assert {start.reference_C for start in DarkCurrent.starts(session)} == {40.2}
     assert "doubling_K" not in DarkCurrentNonuniformity.starts(session)[0].free()
@@ -236,7 +236,7 @@ def test_a_slow_part_is_tried_next_to_a_quick_one_only() -> None:
 
 @pytest.mark.parametrize("sign", [-1.0, 1.0])
 def test_successive_pixels_share_read_noise(sign: float) -> None:
-    """Frames of 2 e- have the variance 4 e-², neighbours in a line the covariance ±2 e-², others none: as told."""
+    """Frames of 2 e- have the variance 4 e-², neighbours in a line the covariance ±2 e-², others none: as reported."""
     effect = CorrelatedReadNoise(sigma_e=2.0, sign=sign)
     drawn = effect.sample(np.zeros((1000, 1000)), _context(), np.random.default_rng(4))
     before = TileMoments.exactly(np.zeros((1, 1, 1)))

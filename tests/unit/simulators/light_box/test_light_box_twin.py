@@ -57,7 +57,7 @@ def test_a_pulse_ends_in_the_light_too() -> None:
 
 
 def test_a_host_that_falls_silent_leaves_the_leds_dark() -> None:
-    """A second after its last word a steady light goes out, and the box tells that it did."""
+    """A second after its last word a steady light goes out, and the box shows that it did."""
     twin, commands = greeted()
     assert commands.run("SL 1 H 20000").startswith("OK")
     assert twin.emission("spot", twin.time_s + 0.9).radiance_w_sr_m2 > 0.0
