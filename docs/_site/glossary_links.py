@@ -90,7 +90,8 @@ def _with_links(text: str, left: list[str], to: str) -> str:
 
 
 def _pattern(term: str) -> re.Pattern[str]:
-    return re.compile(rf"(?<![\w-]){re.escape(term)}(?:s|es)?(?![\w-])", re.IGNORECASE)
+    initial = f"[{term[0].lower()}{term[0].upper()}]"  # not in capitals, as names of keywords are
+    return re.compile(rf"(?<![\w-]){initial}{re.escape(term[1:])}(?:s|es)?(?![\w-])")
 
 
 def _linked(text: str, term: str, to: str) -> str:
