@@ -211,10 +211,11 @@ async def test_a_blocked_journal_is_one_alarm_among_others(session, station, up,
     assert int(await ask(session, "STAT:QUES:COND?")) & (0b111 << 9 | 1 << 12) == bit
 
 
-async def test_what_is_aborted_does_not_go_on(session):
-    """ABORt ends the measurement itself, not only the waiting for it."""
+@pytest.mark.parametrize("command", ["ABOR", "*CLS", "*RST"])
+async def test_what_is_aborted_does_not_go_on(session, command):
+    """ABORt, *CLS and *RST end the measurement itself, not only the waiting for it."""
     task = session.start()
-    await ask(session, "ABOR")
+    await ask(session, command)
     assert session.pending is None
     with pytest.raises(asyncio.CancelledError):
         await task

@@ -198,17 +198,19 @@ def test_the_scale_of_a_description_is_four_photons_a_pixel() -> None:
 
 
 def test_what_misses_a_small_pupil_is_as_doubtful_as_twice_its_f_number():
-    """A pupil of 5 mm at 80 mm takes in a part that goes as 1/N²: 1 % of N are 2 % of the emitted flux."""
+    """A pupil of 5 mm at 80 mm takes in a part that goes as 1/N²: 2 % of N, taken unless told, are 4 % of the flux."""
     frames = [frame(rimmed(100, 100, 100, 100), 1e-3)]
     lens = LensDescription(focal_length_mm=20.0, f_number=4.0)
     emitter = Emitter(Quantity(60.0, 0.0, "°"), None, Quantity(80.0, 0.0, "mm"))
     found = [
-        led_flux(frames, flux_scale(CAMERA, SOURCE, None), lens, emitter, f_number_u_rel=u).emitted for u in (0.0, 0.01)
+        led_flux(frames, flux_scale(CAMERA, SOURCE, None), lens, emitter, **stated).emitted
+        for stated in ({"f_number_u_rel": 0.0}, {"f_number_u_rel": 0.01}, {})
     ]
-    sharp, doubtful = (one["fraction_through_pupil"] for one in found)
+    sharp, doubtful, untold = (one["fraction_through_pupil"] for one in found)
     assert doubtful.value == pytest.approx(sharp.value, rel=1e-12)
     added = math.sqrt(doubtful.u**2 - sharp.u**2) / doubtful.value
     assert added == pytest.approx(0.02, rel=0.01)
+    assert math.sqrt(untold.u**2 - sharp.u**2) / untold.value == pytest.approx(0.04, rel=0.01)
 
 
 @pytest.mark.parametrize(("side", "seen"), [(2, False), (3, True)])
