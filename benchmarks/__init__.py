@@ -1,1 +1,1 @@
-"""Long measurements of accuracy and speed, each beside a peer in the same run; never part of the test suite."""
+"""Long measurements of accuracy and speed, each next to a peer in the same run; never part of the test suite."""

@@ -27,14 +27,14 @@ def run() -> None:
     parser.add_argument("--list", action="store_true", help="list them")
     own = sys.argv[2:] if len(sys.argv) > 2 and not sys.argv[1].startswith("-") and sys.argv[2].startswith("-") else []
     own = [] if set(own) <= {"--soak", "--list"} else own
-    wanted = parser.parse_args(sys.argv[1:2] if own else None)
-    there = names(soak=wanted.soak)
-    unknown = sorted(set(wanted.names) - set(there))
+    options = parser.parse_args(sys.argv[1:2] if own else None)
+    there = names(soak=options.soak)
+    unknown = sorted(set(options.names) - set(there))
     if unknown:
         parser.error(f"no benchmark {unknown[0]!r}; there are: {', '.join(there)}")
-    for name in wanted.names or there:
-        print(name if wanted.list else f"== {name}", flush=True)
-        if not wanted.list:
+    for name in options.names or there:
+        print(name if options.list else f"== {name}", flush=True)
+        if not options.list:
             sys.argv = [name, *own]
             importlib.import_module(f"benchmarks.{name}").main()
 

@@ -32,7 +32,7 @@ class World:
         patch: (x, y, width, height) of it.
         responsivity: Relative responsivity of the camera.
         temperature_c: Of the sensor.
-        thermometer: Whether the camera tells that temperature.
+        thermometer: Whether the camera states that temperature.
         temperature_slope: Relative change of the responsivity per K from 40 °C.
         exposure_offset_s: Real exposure times beyond the stated ones.
         gain_error: Relative error of any gain but 0 dB.
@@ -168,8 +168,8 @@ class WorldCamera:
         gain = 10.0 ** (set_to.gain_db / 20.0) * (1.0 + w.gain_error * (set_to.gain_db > 0.0))
         dn = electrons * gain / GAIN_E_PER_DN + BLACK_DN + w.black_offset_dn
         self.clock_s += set_to.exposure_s + _READOUT_S * (1.0 + 0.2 * self.rng.random())
-        told_c = w.temperature_c if w.thermometer else None
-        stated = FrameSettings(set_to.exposure_s, set_to.gain_db, self.lens.f_number, BLACK_DN, told_c, self.clock_s)
+        stated_c = w.temperature_c if w.thermometer else None
+        stated = FrameSettings(set_to.exposure_s, set_to.gain_db, self.lens.f_number, BLACK_DN, stated_c, self.clock_s)
         return Frame(np.clip(np.rint(dn), 0, FULL_SCALE).astype(np.uint16), 12, stated)
 
     def _ripple(self, exposure_s: float) -> float:

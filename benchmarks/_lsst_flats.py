@@ -4,7 +4,7 @@ The table (C. Lage, Poisson_CCD: slopes of covariance over mean² to lag 8, in 1
 push each other here; nothing of this project's equations is in the frames. Its slopes are taken for those at no charge:
 how covariances bend as charge gathers follows from them alone (Astier et al. 2019, A&A 629 A36, with b = 0), wave by
 wave: (e^{2aμ} − 1)/(2aμ) times shot noise. There are as many frames as tell the ratio of the nearest neighbours to some
-3 %: four of 256 × 256 at each of nine levels told it to 16 % only.
+3 %: four of 256 × 256 at each of nine levels gave it to 16 % only.
 """
 
 from __future__ import annotations

@@ -21,8 +21,8 @@ _PLANTED_STOPS = (1 / 3, -1 / 3, 1 / 2, -1 / 2, 2 / 3)
 _LIES = 3
 # Frames that hold fewer rows than this part of the median say too little to plant a lie in.
 _LEAST_ROWS = 0.25
-# Two or three frames and an unknown curve have no label that could be told: a lie needs four frames that show
-# something, this part of the pixels of one colour between 5 and 95 % of the scale.
+# Two or three frames and an unknown curve have no label that could be found wrong: a wrong one needs four frames
+# that show something, this part of the pixels of one colour between 5 and 95 % of the scale.
 _LEAST_SHOWN, _FEWEST_SHOWING = 0.01, 4
 # Labels of this camera are wrong by themselves: its stacks are neither clean nor fit for planting.
 _REALLY_WRONG = "CanonPowerShotG9"
@@ -61,8 +61,8 @@ class Labels:
         together = exposures.wrong
         self.offsets += [f"{name} {exposures.offset.in_words()}"] if exposures.offset else []
         if colours[0].camera == _REALLY_WRONG:
-            told = "; ".join(_told(one) for one in together) or "none"
-            self.really.append(f"{name}: {told}")
+            labels_text = "; ".join(_in_words(one) for one in together) or "none"
+            self.really.append(f"{name}: {labels_text}")
             return
         for number, (_, plane) in enumerate(known):
             self.clean += 1
@@ -96,14 +96,14 @@ class Labels:
         tied = [one for one in found if not right and place in [frame for frame, _ in one.rivals]]
         off = abs(right[0].ratio / true - 1.0) if right else float("inf")
         self.planted += 1
-        told = f"{name} frame {place}, {stops:+.2f} stops"
+        label_text = f"{name} frame {place}, {stops:+.2f} stops"
         if tied:
-            self.ties.append(told)
+            self.ties.append(label_text)
         elif not right or off > max(3.0 * right[0].u_ratio / true, 0.05):
-            self.missed.append(told)
+            self.missed.append(label_text)
         self.others += [name] if len(found) > len(right) + len(tied) else []
 
-    def told(self) -> str:
+    def in_words(self) -> str:
         """Return the counts in a sentence each."""
         found = self.planted - len(self.missed) - len(self.ties)
         return (
@@ -122,7 +122,7 @@ class Labels:
         )
 
 
-def _told(label: WrongLabel) -> str:
+def _in_words(label: WrongLabel) -> str:
     rivals = "".join(f", or frame {frame} {ratio:.3f}" for frame, ratio in label.rivals)
     return f"frame {label.frame} has {label.ratio:.3f} ± {label.u_ratio:.3f}{rivals}"
 

@@ -26,7 +26,7 @@ _LEAST_RAW, _MOST_RAW = 16.0, 240.0
 
 
 def stacks_folder() -> Path | None:
-    """Return the folder of real stacks beside the checkout or a folder above it; None where there is none."""
+    """Return the folder of real stacks next to the checkout or a folder above it; None where there is none."""
     for parent in Path(__file__).resolve().parents[1:]:
         if (parent / "shared" / "data" / "stacks").is_dir():
             return parent / "shared" / "data" / "stacks"

@@ -15,15 +15,15 @@ class Documented:
         names: Entries that name it rightly.
         covariates: Covariates along which a disagreement points at it.
         by: Who says so.
-        told: Where it is no entry's law but how frames of one setting differ: of which frames, `dark` or `lit`, the
-            result must tell it.
+        repeats_of: Where it is no entry's law but how frames of one setting differ: of which frames, `dark` or `lit`,
+            the result must report it.
     """
 
     what: str
     names: tuple[str, ...]
     covariates: tuple[str, ...]
     by: str
-    told: str = ""
+    repeats_of: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,7 +35,7 @@ class RealSet:
         folder: Folder under the shared data, or a pattern in it.
         files: Pattern of the files to take; empty for the whole folder.
         documented: Its effects, the largest first; none for a set that must stay silent.
-        likely: Names that are so beside the documented ones, as independent measurements of the same frames show.
+        likely: Further names that are right, as independent measurements of the same frames show.
     """
 
     name: str
@@ -47,7 +47,7 @@ class RealSet:
 
 _OWN: str = "clipped means of the frames (PROVENANCE)"
 _FRAMES: str = "measured directly on these frames"
-# Beside what is documented, by plain statistics of the frames: medians of columns fall from 17 DN to 0 within 256
+# Next to what is documented, by plain statistics of the frames: medians of columns fall from 17 DN to 0 within 256
 # columns of every dark frame; column profiles of two halves of a set correlate by 0.88 to 0.92 (0.4 to 0.5 DN); in
 # differences of frames row means scatter 1.3 to 2.5 times as much as their pixels allow, and neighbours in a row
 # correlate by −0.05 to −0.08; biases rise down their rows by 1.5 to 3 DN.
@@ -82,14 +82,14 @@ SETS: tuple[RealSet, ...] = (
                 ("lamp_step", "source_warmup_drift"),
                 ("timestamp_s",),
                 _OWN,
-                told="lit",
+                repeats_of="lit",
             ),
             Documented(
                 "first bias of a series 0.4 DN low",
                 ("first_frame_offset",),
                 ("previous_frame", "timestamp_s"),
                 _OWN,
-                told="dark",
+                repeats_of="dark",
             ),
             Documented(
                 "hot pixels, 63 000 DN after 60 s",
@@ -161,7 +161,7 @@ SETS: tuple[RealSet, ...] = (
 
 
 def data_folder() -> Path | None:
-    """Return the folder of real measurements beside the checkout or a folder above it; None where there is none."""
+    """Return the folder of real measurements next to the checkout or a folder above it; None where there is none."""
     for parent in Path(__file__).resolve().parents[1:]:
         if (parent / "shared" / "data" / "sensors").is_dir():
             return parent / "shared" / "data"

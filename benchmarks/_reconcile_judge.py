@@ -63,7 +63,7 @@ PARAMETERS: dict[str, tuple[tuple[str, str, float], ...]] = {
     "source_not_proportional_to_exposure": (("settle_s", "tau_s", 1.0),),
     "pwm_flicker": (("depth", "modulation", 1.0), ("frequency_Hz", "frequency_hz", 1.0)),
     "gain_step_error": (("relative_error", "error_rel", 1.0),),
-    "mechanical_vignetting": (("depth", "strength", 1.4**2),),  # at f/2 what is said of f/2.8
+    "mechanical_vignetting": (("depth", "strength", 1.4**2),),  # at f/2 what holds at f/2.8
     "natural_vignetting": (("k4", "k4", 1.0),),
     "parasitic_light_sensitivity": (("leak", "leak_s", 0.02 * 95 / 96),),  # times the read-out, up to the last row
     "row_dependent_exposure": (("added_s", "added_s", 1.0), ("lost_share", "lost_share", 1.0)),
@@ -72,7 +72,7 @@ PARAMETERS: dict[str, tuple[tuple[str, str, float], ...]] = {
 }
 
 
-# What a limit is the size of: parameter of the truth and factor, beside the first of PARAMETERS.
+# What a limit is the size of: parameter of the truth and factor, next to the first of PARAMETERS.
 SIZES: dict[str, tuple[str, float]] = {name: (pairs[0][0], pairs[0][2]) for name, pairs in PARAMETERS.items()} | {
     "dark_current": ("rate_e_per_s", 1.0),
     "dark_current_clamped": ("rate_e_per_s", 1.0),
@@ -107,10 +107,10 @@ def judge(answer: dict[str, Any], hidden: tuple[str, ...], without: tuple[str, .
     """
     truths = [everything()[n] for n in hidden]
     names = [e["name"] for e in answer["effects"] if e["name"] != "unnamed"]
-    wanted = [_names(h) - set(without) for h in truths]
-    right = [n for n in names if any(n in w for w in wanted)]
+    expected = [_names(h) - set(without) for h in truths]
+    right = [n for n in names if any(n in w for w in expected)]
     wrong = [n for n in names if n not in right]
-    covered = [any(n in w for n in names) for w in wanted]
+    covered = [any(n in w for n in names) for w in expected]
     first = bool(names) and bool(right) and names[0] == right[0] and answer["effects"][0]["name"] == names[0]
     places = _places(answer)
     in_place = any(_same_place(p, truths) for p in places[:3])
@@ -155,8 +155,8 @@ def honesty(answer: dict[str, Any], hidden: str, truth: dict[str, Any]) -> str:
     right = _names(everything()[hidden])
     if all(effect["name"] in right for effect in effects):
         return "named"
-    told = all(right & {effect["name"], *effect["alternatives"]} for effect in effects)
-    return "rival" if told and len(effects) == 1 else "wrong"
+    reported = all(right & {effect["name"], *effect["alternatives"]} for effect in effects)
+    return "rival" if reported and len(effects) == 1 else "wrong"
 
 
 def _below(limit: float | None, hidden: str, truth: dict[str, Any], stated_c: float) -> str:

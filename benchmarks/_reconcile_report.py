@@ -63,9 +63,9 @@ def plain_report(results: list[Result]) -> str:
     for word, meaning in HONESTY.items():
         counts = [f"{sum(r['honesty'] == word for r in fine[k])}/{len(fine[k])}" for k in kinds]
         parts[-1] += f"\n| {meaning} | {counts[0]} | {counts[1]} |"
-    for k, said in zip(kinds, ("stated", "unknown"), strict=True):
-        listed = "; ".join(_told(r) for r in fine[k] if r["honesty"] not in ("named", "blind", "below"))
-        parts.append(f"Patches {said}, what was neither named nor beyond these data: {listed or 'nothing'}.")
+    for k, patches in zip(kinds, ("stated", "unknown"), strict=True):
+        listed = "; ".join(_in_words(r) for r in fine[k] if r["honesty"] not in ("named", "blind", "below"))
+        parts.append(f"Patches {patches}, what was neither named nor beyond these data: {listed or 'nothing'}.")
     z = np.array([abs(p["z"]) for k in kinds for r in fine[k] if r["judged"]["exact"] for p in r["parameters"]])
     if z.size:
         within = ", ".join(f"{int((z <= n).sum())}/{z.size} within {n}" for n in (1, 2, 3))
@@ -78,9 +78,9 @@ def plain_report(results: list[Result]) -> str:
     return "\n\n".join(parts)
 
 
-def _told(result: Result) -> str:
-    said = " + ".join(e["name"] if e["name"] != "unnamed" else f"? ({e['where']})" for e in result["effects"])
-    return f"{result['names'][0]} ({result['honesty']}: {said or 'agrees'})"
+def _in_words(result: Result) -> str:
+    answer = " + ".join(e["name"] if e["name"] != "unnamed" else f"? ({e['where']})" for e in result["effects"])
+    return f"{result['names'][0]} ({result['honesty']}: {answer or 'agrees'})"
 
 
 def other_equation(result: Result) -> bool:
@@ -149,11 +149,11 @@ def _measures(fine: dict[str, list[Result]]) -> list[tuple[str, str, list[Result
     ]  # fmt: skip
 
 
-def _row(name: str, wanted: str, results: list[Result], holds: Callable[[Result], bool]) -> str:
+def _row(name: str, required: str, results: list[Result], holds: Callable[[Result], bool]) -> str:
     if not results:
-        return f"| {name} | {wanted} | not run | |"
+        return f"| {name} | {required} | not run | |"
     hits = sum(map(holds, results))
-    return f"| {name} | {wanted} | {_share(hits, len(results))} |"
+    return f"| {name} | {required} | {_share(hits, len(results))} |"
 
 
 def _share(hits: int, total: int) -> str:
@@ -171,14 +171,14 @@ def _fresh(fine: dict[str, list[Result]]) -> str:
         "| measure | required | reached | 95 % interval |",
         "|---|---|---|---|",
     ]
-    said = []
+    text = []
     for kind, what in (("single", "one hidden"), ("variant", "another equation")):
         named = [r for r in fine[kind] if r.get("fresh") and r["judged"]["first"]]
         if named:
             before, after = (np.array([r["fresh"][k] for r in named]) for k in ("before", "after"))
             lines += _fresh_rows(what, before, after)
-            said.append(_fresh_text(what, named, before, after))
-    return "\n".join([*lines, "", *said]) if said else ""
+            text.append(_fresh_text(what, named, before, after))
+    return "\n".join([*lines, "", *text]) if text else ""
 
 
 def _fresh_rows(what: str, before: np.ndarray, after: np.ndarray) -> list[str]:
@@ -249,7 +249,7 @@ def _confusion(fine: dict[str, list[Result]]) -> str:
             total[hidden, kind] += 1
             good = r["judged"]["exact"] if kind != "null" else r["judged"]["verdict"] == "agrees"
             if not good and r["judged"]["verdict"] == "effects_found":
-                said = " + ".join(e["name"] if e["name"] != "unnamed" else f"? ({e['where']})" for e in r["effects"])
-                count[hidden, kind, f"{r['judged']['verdict']}: {said or '-'}"] += 1
-    lines += [f"| {h} | {k} | {said} | {n}/{total[h, k]} |" for (h, k, said), n in sorted(count.items())]
+                answer = " + ".join(e["name"] if e["name"] != "unnamed" else f"? ({e['where']})" for e in r["effects"])
+                count[hidden, kind, f"{r['judged']['verdict']}: {answer or '-'}"] += 1
+    lines += [f"| {h} | {k} | {answer} | {n}/{total[h, k]} |" for (h, k, answer), n in sorted(count.items())]
     return "\n".join(lines) if count else "Every answer to one hidden effect was exact."

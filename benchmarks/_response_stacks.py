@@ -59,8 +59,8 @@ def true_log_exposure(exposure: Array, brightness: Array, bit_depth: int) -> tup
     full_scale = 2**bit_depth - 1
     inner = slice(int(np.ceil(0.05 * full_scale)), int(0.95 * full_scale) + 1)
     rising = np.concatenate([[True], np.diff(brightness) > 0])
-    wanted = np.arange(full_scale + 1)[inner] / full_scale
-    return inner, np.log(np.interp(wanted, brightness[rising], exposure[rising]))
+    level = np.arange(full_scale + 1)[inner] / full_scale
+    return inner, np.log(np.interp(level, brightness[rising], exposure[rising]))
 
 
 def rms_error(log_exposure: Array, truth: Array) -> float:

@@ -38,7 +38,7 @@ class Fault:
 
 
 class Losses(threading.Thread):
-    """Takes one thing away and brings it back, every `every_s` on average, until told to stop."""
+    """Takes one thing away and brings it back, every `every_s` on average, until stopped."""
 
     def __init__(self, fault: Fault, every_s: float, seed: int) -> None:
         super().__init__(daemon=True, name=f"loss of {fault.name}")

@@ -89,12 +89,12 @@ def healthy_break(first_seed: int, subjects: int, minutes: float | None) -> str:
 
 
 def intercepts(first_seed: int, subjects: int) -> str:
-    """Return how near `rapid` comes to the rod intercept, and how well it tells healthy from AMD-like subjects."""
+    """Return how near `rapid` comes to the rod intercept, and how well it separates healthy and AMD-like subjects."""
     protocol = read_protocol("rapid")
     bias = method_bias(protocol.method)
     assert bias is not None
     rule = InterceptRule(INTERCEPT_LOG10, 6.5, bias.log10, bias.u_log10)
-    told: dict[str, list[float]] = {}
+    reported: dict[str, list[float]] = {}
     errors: dict[str, list[float]] = {}
     for name, draw in (("healthy", drawn_clinical_eye), ("AMD-like", drawn_amd_eye)):
         for seed in range(first_seed, first_seed + subjects):
@@ -102,15 +102,15 @@ def intercepts(first_seed: int, subjects: int) -> str:
             met = rod_intercept(found.series, rule)
             eye = found.eye
             truth_min = eye.s2_zero_min + (INTERCEPT_LOG10 - eye.rod_final_log10) / eye.s2_slope_per_min
-            told.setdefault(name, []).append(protocol.end.duration_min if met is None else met.time_min)
+            reported.setdefault(name, []).append(protocol.end.duration_min if met is None else met.time_min)
             errors.setdefault(name, []).append(math.inf if met is None else met.time_min - truth_min)
         first_seed += subjects
     rows = [
         f"| `rapid`, {subjects} {name} eyes | RIT within ±0.5 min | {share(np.abs(errors[name]) <= 0.5)} | "
         f"{spread(errors[name])} min |"
-        for name in told
+        for name in reported
     ]
-    healthy, ill = np.array(told["healthy"]), np.array(told["AMD-like"])
+    healthy, ill = np.array(reported["healthy"]), np.array(reported["AMD-like"])
     auc = float(np.mean((ill[:, None] > healthy) + 0.5 * (ill[:, None] == healthy)))
     rows.append(
         f"| | area under the ROC curve | {auc:.4f} | healthy {healthy.min():.1f} to {healthy.max():.1f} min, "
@@ -188,18 +188,18 @@ def spread(errors: Sequence[float]) -> str:
     return f"mean {known.mean():+.3f}, standard deviation {known.std(ddof=1):.3f}" if known.size > 1 else "none"
 
 
-def protocols_main(wanted: argparse.Namespace) -> None:
+def protocols_main(options: argparse.Namespace) -> None:
     parts = {
-        "classic": lambda: healthy_break(wanted.first_seed, wanted.subjects, wanted.minutes),
-        "rapid": lambda: intercepts(wanted.first_seed + 1000, wanted.subjects),
-        "one-branch": lambda: false_breaks(wanted.first_seed + 3000, wanted.subjects),
+        "classic": lambda: healthy_break(options.first_seed, options.subjects, options.minutes),
+        "rapid": lambda: intercepts(options.first_seed + 1000, options.subjects),
+        "one-branch": lambda: false_breaks(options.first_seed + 3000, options.subjects),
     }
-    rows = parts[wanted.part]()
-    body = f"Seeds from {wanted.first_seed} on.\n\n| what | required | reached | errors |\n|---|---|---|---|\n{rows}"
+    rows = parts[options.part]()
+    body = f"Seeds from {options.first_seed} on.\n\n| what | required | reached | errors |\n|---|---|---|---|\n{rows}"
     print(body)
-    name = f"adaptation_{wanted.part.replace('-', '_')}"
-    command = f"python -m benchmarks.adaptation_cohort --part {wanted.part} --subjects {wanted.subjects}"
-    write_section(name, TITLES[wanted.part], command, body)
+    name = f"adaptation_{options.part.replace('-', '_')}"
+    command = f"python -m benchmarks.adaptation_cohort --part {options.part} --subjects {options.subjects}"
+    write_section(name, TITLES[options.part], command, body)
 
 
 TITLES = {
@@ -216,14 +216,14 @@ def main() -> None:
     parser.add_argument("--part", choices=["fits", *TITLES], default="fits")
     parser.add_argument("--first-seed", type=int, default=71000)
     parser.add_argument("--minutes", type=float, help="of `classic`; the whole of it by default")
-    wanted = parser.parse_args()
-    if wanted.part != "fits":
-        protocols_main(wanted)
+    options = parser.parse_args()
+    if options.part != "fits":
+        protocols_main(options)
         return
-    rng = np.random.default_rng(wanted.seed)
+    rng = np.random.default_rng(options.seed)
     held: dict[str, list[bool]] = {}
     errors = []
-    for _ in range(wanted.subjects):
+    for _ in range(options.subjects):
         eye = drawn_eye(rng)
         first, truth = noisy_visit(eye, rng), truth_of(eye)
         for name, value in truth.items():
@@ -234,10 +234,10 @@ def main() -> None:
     rows = "\n".join(f"| {name} | {100 * np.mean(hits):.1f} % |" for name, hits in held.items())
     found = np.array(errors)[np.isfinite(errors)]
     limits_min = 1.96 * math.sqrt(2) * float(np.std(found))
-    chance = 100 * math.sqrt(0.95 * 0.05 / wanted.subjects)
+    chance = 100 * math.sqrt(0.95 * 0.05 / options.subjects)
     error_min = found.std() / math.sqrt(found.size)
     body = (
-        f"{wanted.subjects} subjects, break found in {found.size}. A share of 95 % has a standard error of "
+        f"{options.subjects} subjects, break found in {found.size}. A share of 95 % has a standard error of "
         f"{chance:.1f} % here.\n\n"
         f"| parameter | 95 % intervals that hold the truth |\n|---|---|\n{rows}\n\n"
         f"Break: bias {found.mean():+.3f} min (standard error {error_min:.3f}), retest limits ±{limits_min:.2f} min "

@@ -32,7 +32,7 @@ SERIAL = "22500077"
 class LossResult:
     """Times in s, one per cycle."""
 
-    told_s: list[float]
+    reported_s: list[float]
     recovered_s: list[float]
 
 
@@ -76,7 +76,7 @@ def wire_bench(folder: Path) -> Path:
 def run(cycles: int, seed: int = 1) -> LossResult:
     """Unplug and replug the camera; every interface is watched."""
     rng = random.Random(seed)
-    told, recovered = list[float](), list[float]()
+    reported, recovered = list[float](), list[float]()
     with tempfile.TemporaryDirectory() as name, only_camera():
         folder = Path(name)
         camera = WireCamera(folder)
@@ -90,7 +90,7 @@ def run(cycles: int, seed: int = 1) -> LossResult:
                     time.sleep(rng.uniform(1.5, 3.0))
                     # On a busy machine a frame may just be late: clients know of that already.
                     _time_until(lambda: daemon.get("/status")["alarms"] == [], lambda: None, [])
-                    told.append(_time_until(lambda: all(w.sees_alarm for w in watchers), camera.unplug, watchers))
+                    reported.append(_time_until(lambda: all(w.sees_alarm for w in watchers), camera.unplug, watchers))
                     time.sleep(rng.uniform(2.0, 5.0))
                     before = daemon.get("/status")["latest_sequence"]
                     camera.plug()
@@ -102,21 +102,21 @@ def run(cycles: int, seed: int = 1) -> LossResult:
             open_ends.close()
         finally:
             camera.unplug()
-    return LossResult(told, recovered)
+    return LossResult(reported, recovered)
 
 
 async def run_box(cycles: int) -> LossResult:
     """Unplug and replug the light box; the station in this process is watched."""
-    told, recovered = list[float](), list[float]()
+    reported, recovered = list[float](), list[float]()
     with tempfile.TemporaryDirectory() as name:
         async with box_station(Path(name)) as (station, server, _):
             for _ in range(cycles):
                 await station.light.set_level("fixation", 0.1)
                 server.unplug()
-                told.append(await seconds_until(lambda: bool(station.alarms.active)))
+                reported.append(await seconds_until(lambda: bool(station.alarms.active)))
                 server.plug()
                 recovered.append(await seconds_until(lambda: not station.alarms.active))
-    return LossResult(told, recovered)
+    return LossResult(reported, recovered)
 
 
 class _Watcher(threading.Thread):
@@ -189,9 +189,9 @@ def main() -> None:
     rows = [
         f"| {what} | {statistics.median(times):.2f} s | {max(times):.2f} s |\n"
         for what, times in (
-            ("camera unplugged until SCPI, event stream and health all report it", result.told_s),
+            ("camera unplugged until SCPI, event stream and health all report it", result.reported_s),
             ("camera replugged until the next reading, alarms clear", result.recovered_s),
-            ("light box unplugged until the alarm", box.told_s),
+            ("light box unplugged until the alarm", box.reported_s),
             ("light box replugged until the alarm clears", box.recovered_s),
         )
     ]

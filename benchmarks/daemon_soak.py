@@ -57,7 +57,7 @@ def run(seconds: float, *, warm_up_s: float, sample_s: float = 1.0) -> SoakResul
 
 
 class _User(threading.Thread):
-    """Does one thing again and again until told to stop."""
+    """Does one thing again and again until stopped."""
 
     def __init__(self, daemon: DaemonProcess, work: Callable[[DaemonProcess], object]) -> None:
         super().__init__(daemon=True)

@@ -4,7 +4,7 @@
 
 Frames are simulated from a known response and the exposure times as stated; what is added to each pixel is its own
 residual in the real frame, clear of the mean of its tones, with a random sign (the wild bootstrap of Wu 1986,
-Ann. Statist. 14, 1261). Each program's score then stands beside that of the truth and beside how far its curve is off.
+Ann. Statist. 14, 1261). Each program's score then is next to that of the truth and next to how far its curve is off.
 """
 
 from __future__ import annotations

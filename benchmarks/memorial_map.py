@@ -2,8 +2,8 @@
 
     python -m benchmarks memorial_map
 
-Where longer frames decide a pixel's value, the file tells the exposure behind a digital number of a shorter frame;
-where the longest frame alone decides, it tells what curve the file was made with. Both must be the same.
+Where longer frames decide a pixel's value, the file shows the exposure behind a digital number of a shorter frame;
+where the longest frame alone decides, it shows what curve the file was made with. Both must be the same.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from radiometer.data.setup import Setup
 from radiometer.photographs.response import recovered_curves, relative_calibration, with_found_times
 
 Array = NDArray[np.float64]
-# Digital numbers of film's toe that are looked at, and the one that they are told from.
+# Digital numbers of film's toe that are looked at, and the one that they are found from.
 _TOE_DN, _MIDDLE_DN = (40, 50), 128
 # Frames of 1/4 to 2 s: frames up to 32 s decide the values of what they show dark.
 _DECIDED_BY_OTHERS = slice(8, 12)
@@ -41,8 +41,8 @@ _LEAST_DN, _MOST_DN = 13, 242
 def maps(folder: Path) -> dict[str, tuple[Bracket, ResponseCurve, RadianceMap]]:
     """Return bracket, response and map by colour, nothing aligned: as the file's own frames lay."""
     brackets = open_source(folder, "each").brackets
-    with tempfile.TemporaryDirectory() as beside:
-        curves, _ = recovered_curves(brackets, Path(beside) / "map.exr", lambda _: None)
+    with tempfile.TemporaryDirectory() as neighbour:
+        curves, _ = recovered_curves(brackets, Path(neighbour) / "map.exr", lambda _: None)
     camera, lens, found = CameraDescription(bit_depth=8), LensDescription(), {}
     for raw in brackets:
         channel = str(raw.light[0].extra["channel"])
@@ -150,7 +150,7 @@ def by_hat(bracket: Bracket, curve: ResponseCurve) -> Array:
     return np.where(weights > 0.0, total / np.maximum(weights, 1e-9), np.nan)
 
 
-def _told(value: float) -> str:
+def _in_words(value: float) -> str:
     return f"{value:.2f}" if np.isfinite(value) else "–"
 
 
@@ -167,8 +167,8 @@ def row(
     most = np.sort(np.abs(inner))[: int(0.99 * inner.size)]
     middle = of_file(bracket, values, slice(8, None), _MIDDLE_DN)
     toe = [
-        f"{_told(of_file(bracket, values, _DECIDED_BY_OTHERS, dn) - middle)}, "
-        f"{_told(of_file(bracket, values, slice(-1, None), dn) - middle)}, "
+        f"{_in_words(of_file(bracket, values, _DECIDED_BY_OTHERS, dn) - middle)}, "
+        f"{_in_words(of_file(bracket, values, slice(-1, None), dn) - middle)}, "
         f"{curve.log_exposure[dn] - curve.log_exposure[_MIDDLE_DN]:.2f}"
         for dn in _TOE_DN
     ]

@@ -42,12 +42,12 @@ FIGURES = {  # of characterise, with what they ought to be by header and truth, 
 
 def cases_of(python: str) -> list[str]:
     """Return the names of the cases. Raises OSError or CalledProcessError where the peers are not installed."""
-    told = subprocess.run([python, str(MAKER), "--cases"], check=True, capture_output=True, text=True)
-    return told.stdout.split()
+    listed = subprocess.run([python, str(MAKER), "--cases"], check=True, capture_output=True, text=True)
+    return listed.stdout.split()
 
 
 def run(python: str, case: str, seed: int) -> dict[str, Any]:
-    """Return what is said of one session and whether it is right; a crash is an answer too."""
+    """Return what is reported of one session and whether it is right; a crash is an answer too."""
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "session"
         subprocess.run([python, str(MAKER), case, str(seed), str(path)], check=True, capture_output=True, text=True)
@@ -55,14 +55,16 @@ def run(python: str, case: str, seed: int) -> dict[str, Any]:
         kept = {"seed": seed, **truth}
         begun = time.process_time()
         try:
-            told = reconcile_capture(path).result.to_mapping()
+            reported = reconcile_capture(path).result.to_mapping()
         except Exception as error:  # noqa: BLE001 (a crash of the finder is a failed run, not the end of the benchmark)
             return kept | {"error": f"{type(error).__name__}: {error}"}
-    said = [{key: effect[key] for key in ("name", "where", "alternatives", "parameters")} for effect in told["effects"]]
+    effects = [
+        {key: effect[key] for key in ("name", "where", "alternatives", "parameters")} for effect in reported["effects"]
+    ]
     return kept | {
-        "verdict": told["verdict"],
-        "said": said,
-        "gap": [told["gap"]["before"], told["gap"]["after"]],
+        "verdict": reported["verdict"],
+        "reported": effects,
+        "gap": [reported["gap"]["before"], reported["gap"]["after"]],
         "cpu_s": round(time.process_time() - begun, 1),
     }
 
@@ -75,11 +77,11 @@ def pulls_of(python: str, case: str, seed: int) -> dict[str, list[float]]:
         drawn = yaml.safe_load(path.with_name("session.truth.yaml").read_text(encoding="utf-8"))["drawn"]
         camera = yaml.safe_load((path / "capture.yaml").read_text(encoding="utf-8"))["camera"]
         asked = [sys.executable, "-m", "radiometer", "characterise", str(path), "--json"]
-        told = json.loads(subprocess.run(asked, check=True, capture_output=True, text=True).stdout)["emva1288"][
+        figures = json.loads(subprocess.run(asked, check=True, capture_output=True, text=True).stdout)["emva1288"][
             "figures"
         ]
     return {
-        name: [told[name]["value"], told[name]["u"], truth(camera, drawn)]
+        name: [figures[name]["value"], figures[name]["u"], truth(camera, drawn)]
         for name, (truth, cases) in FIGURES.items()
         if case in cases
     }
@@ -108,11 +110,11 @@ def judged(result: dict[str, Any]) -> str:
     name with others, not sure. place: no name that is right, none sure. wrong: a name that is
     not right, and sure of it.
     """
-    right, said, sure = set(result["right"]), result["said"], result["verdict"] == "effects_found"
-    if not said:
+    right, reported, sure = set(result["right"]), result["reported"], result["verdict"] == "effects_found"
+    if not reported:
         return "silent" if result["kind"] == "null" else "missed"
-    names = {entry["name"] for entry in said}
-    strange = [e for e in said if e["name"] != "unnamed" and not right & {e["name"], *e["alternatives"]}]
+    names = {entry["name"] for entry in reported}
+    strange = [e for e in reported if e["name"] != "unnamed" and not right & {e["name"], *e["alternatives"]}]
     if strange:
         return "wrong" if sure else "partly" if right & names else "place"
     if names <= right:
@@ -121,16 +123,18 @@ def judged(result: dict[str, Any]) -> str:
 
 
 def page(results: Sequence[dict[str, Any]]) -> str:
-    """Return what was said case by case, in Markdown."""
+    """Return what was reported case by case, in Markdown."""
     lines = ["| case | sessions | judged | reported |", "|---|---|---|---|"]
     for case in sorted({result["case"] for result in results}):
         own = [result for result in results if result["case"] == case]
-        words = [judged(result) if "said" in result else "error" for result in own]
+        words = [judged(result) if "reported" in result else "error" for result in own]
         counts = ", ".join(f"{word} {words.count(word)}" for word in dict.fromkeys(words))
-        said = dict.fromkeys(
-            " + ".join(entry["name"] for entry in result["said"]) or "nothing" for result in own if "said" in result
+        reported = dict.fromkeys(
+            " + ".join(entry["name"] for entry in result["reported"]) or "nothing"
+            for result in own
+            if "reported" in result
         )
-        lines.append(f"| {case} ({own[0]['kind']}) | {len(own)} | {counts} | {'; '.join(said)} |")
+        lines.append(f"| {case} ({own[0]['kind']}) | {len(own)} | {counts} | {'; '.join(reported)} |")
     return "\n".join(lines)
 
 
@@ -169,11 +173,11 @@ def main() -> None:
                 with options.results.open("a", encoding="utf-8") as out:
                     out.write(json.dumps(done[case, seed]) + "\n")
             results.append(done[case, seed])
-            told = results[-1]
-            word = judged(told) if "said" in told else told["error"]
-            shown = [e["name"] for e in told.get("said", ())]
+            last = results[-1]
+            word = judged(last) if "reported" in last else last["error"]
+            shown = [e["name"] for e in last.get("reported", ())]
             print(
-                f"{len(results)}/{len(order)} {case} {seed}: {word}; {told.get('verdict')} {shown} {told['drawn']}",
+                f"{len(results)}/{len(order)} {case} {seed}: {word}; {last.get('verdict')} {shown} {last['drawn']}",
                 flush=True,
             )
     except KeyboardInterrupt:

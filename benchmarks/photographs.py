@@ -1,11 +1,11 @@
-"""Real photographs beside raw values of the same shots, and left-out frames in DN: this program and others.
+"""Real photographs next to raw values of the same shots, and left-out frames in DN: this program and others.
 
     python -m benchmarks.photographs [CAMERA…]
 
 Needs the real stacks in shared/data; says so and leaves where they are absent. Every program gets the same frames
 (every n-th pixel of large ones) and one stack per fit. Nothing is tuned to them: λ, times and labels are judged within
-each stack. `auto` tells a shutter's offset from the frames that it is given, never from the one left out, and exposures
-are then longer than their labels by it; no other program tells one, and theirs are as labelled.
+each stack. `auto` finds a shutter's offset from the frames that it is given, never from the one left out, and exposures
+are then longer than their labels by it; no other program finds one, and theirs are as labelled.
 """
 
 from __future__ import annotations
@@ -81,7 +81,7 @@ def of_other_samples(stack: RealStack) -> list[float]:
     return found
 
 
-def told_of_samples(by_camera: dict[str, list[list[float]]]) -> str:
+def sentence_on_samples(by_camera: dict[str, list[list[float]]]) -> str:
     """Return how much OpenCV's figure hangs on the number of its samples, camera by camera."""
     if not by_camera:
         return ""
@@ -219,7 +219,7 @@ def table(tallies: dict[str, Tally], what: str, cameras: list[str], scale: float
     return head + "\n" + "\n".join(rows)
 
 
-def told(
+def tables(
     tallies: dict[str, Tally], cameras: list[str], with_truth: list[str], labels: Labels, of_samples: str
 ) -> list[str]:
     """Return the tables of what was measured, each with its sentence."""
@@ -236,7 +236,7 @@ def told(
         "frames.",
         table({OURS: tallies[OURS]}, "z", with_truth, 1.0, "z from raw") if with_truth else "",
         table({OURS: tallies[OURS]}, "jackknife", cameras, 1.0, "z of odd against even frames"),
-        labels.told(),
+        labels.in_words(),
     ]
 
 
@@ -264,7 +264,7 @@ def main() -> None:
         labels.look_at(colours)
         cameras += [camera] if camera not in cameras else []
         with_truth += [camera] if colours[0].has_truth and camera not in with_truth else []
-    parts = told(tallies, cameras, with_truth, labels, told_of_samples(samples))
+    parts = tables(tallies, cameras, with_truth, labels, sentence_on_samples(samples))
     print("\n\n".join(parts))
     write_section(
         "photographs", "Real photographs", "OMP_NUM_THREADS=1 python -m benchmarks photographs", "\n\n".join(parts)

@@ -2,10 +2,10 @@
 
     python -m benchmarks real_sensors [--sets PART…]
 
-Needs the real sets in shared/data; says so and leaves where they are absent. Right is an effect that is named, or whose
-covariate comes first, or, of what equal frames differ by, one that is told with its size; partly one that shows only
-further down; wrong a name that neither its owner documents nor an independent measurement of the same frames shows. A
-provisional name is one that the verdict itself calls so.
+Needs the real sets in shared/data; says so and leaves where they are absent. Right is an effect that is named, or
+whose covariate comes first, or, of what equal frames differ by, one that is reported with its size. Partly is one
+that shows only further down; wrong a name that neither its owner documents nor an independent measurement of the same
+frames shows. A provisional name is one that the verdict itself calls so.
 """
 
 from __future__ import annotations
@@ -41,12 +41,12 @@ class Row:
     title: str
     documented: str
     by: str
-    said: str
+    result: str
     judged: str
     seconds: float
 
     def markdown(self) -> str:
-        cells = (self.title, self.documented, self.by, self.said, self.judged, f"{self.seconds:.1f} s")
+        cells = (self.title, self.documented, self.by, self.result, self.judged, f"{self.seconds:.1f} s")
         return "| " + " | ".join(cells) + " |"
 
 
@@ -54,7 +54,7 @@ def judged(effect: Documented, result: ReconcileResult) -> str:
     """Return whether a documented effect was named, only pointed at, or missed."""
     if any(found.name in effect.names for found in result.effects):
         return "right"
-    if said_of_frames(effect, result):
+    if reported_of_frames(effect, result):
         return "right: reported"
     places = [place.covariate for place in result.localisation]
     if any(where in effect.covariates for where in places[:_LEADING]):
@@ -63,10 +63,10 @@ def judged(effect: Documented, result: ReconcileResult) -> str:
     return "partly" if any(where in effect.covariates for where in shown) else "missed"
 
 
-def said_of_frames(effect: Documented, result: ReconcileResult) -> str:
-    """Return what the result tells of equal frames, where that is what is documented and its size is sure."""
-    said = [one for one in result.repeats if one.kind == effect.told]
-    sure = [one for one in said if one.scatter.u is not None and one.scatter.value > 3.0 * one.scatter.u]
+def reported_of_frames(effect: Documented, result: ReconcileResult) -> str:
+    """Return what the result reports of equal frames, where that is what is documented and its size is sure."""
+    matching = [one for one in result.repeats if one.kind == effect.repeats_of]
+    sure = [one for one in matching if one.scatter.u is not None and one.scatter.value > 3.0 * one.scatter.u]
     return "; ".join(text for one in sure for text in one.sentences())
 
 
@@ -84,14 +84,14 @@ def of_reconcile(known: RealSet, folder: Path) -> Iterator[Row]:
     seconds = time.process_time() - begun
     for effect in known.documented:
         named = [f for f in result.effects if f.name in effect.names]
-        said = "; ".join(_shown(f.name, f.parameters) for f in named) or said_of_frames(effect, result)
-        said = said or f"first along {_first(result)}"
-        yield Row(known.name, effect.what, effect.by, said, judged(effect, result), seconds)
+        result_text = "; ".join(_shown(f.name, f.parameters) for f in named) or reported_of_frames(effect, result)
+        result_text = result_text or f"first along {_first(result)}"
+        yield Row(known.name, effect.what, effect.by, result_text, judged(effect, result), seconds)
     wrong = wrong_names(known, result)
     provisional = "provisional " if result.verdict == "incomplete" else "confident "
-    said = f"{result.verdict}; " + (", ".join(found.name for found in result.effects) or "no name")
+    result_text = f"{result.verdict}; " + (", ".join(found.name for found in result.effects) or "no name")
     verdict = "wrong: " + provisional + ", ".join(wrong) if wrong else "right: no false name"
-    yield Row(known.name, "no other effect", "", said, verdict, seconds)
+    yield Row(known.name, "no other effect", "", result_text, verdict, seconds)
 
 
 def _first(result: ReconcileResult) -> str:
@@ -126,15 +126,17 @@ def of_multispectral(folder: Path) -> Iterator[Row]:
     yield Row(
         title, "black level tag 4800, masked rows 4899 to 5562", maker, span, "right" if named else "missed", seconds
     )
-    said = "codes in steps of " + " and ".join(f"{step} DN" for step in steps)
-    yield Row(title, "12 and 10 bits in 16", "all values", said, "right" if steps == [16, 64] else "missed", seconds)
+    result_text = "codes in steps of " + " and ".join(f"{step} DN" for step in steps)
+    yield Row(
+        title, "12 and 10 bits in 16", "all values", result_text, "right" if steps == [16, 64] else "missed", seconds
+    )
     for what, entry in (
         ("states row-dependent exposure", "row_dependent_exposure"),
         ("fall-off to the corners", "natural_vignetting"),
     ):
         sets = sum(any(entry in line for line in imported_of(capture).doubts) for capture in found)
-        said = f"`{entry}` read from the tags of {sets} bands, not found in the scenes"
-        yield Row(title, what, maker, said, _READ if sets else "missed", seconds)
+        result_text = f"`{entry}` read from the tags of {sets} bands, not found in the scenes"
+        yield Row(title, what, maker, result_text, _READ if sets else "missed", seconds)
 
 
 def of_clamped_pairs(folder: Path) -> Iterator[Row]:
@@ -180,13 +182,13 @@ def of_lenses(folder: Path) -> Iterator[Row]:
         fits = [least_squares(lambda p, c=curve: form(p) - c, s, max_nfev=60) for s in starts]
         within += min(float(np.sqrt(2.0 * fit.cost / r.size)) for fit in fits) < 0.01
     share = within / len(curves)
-    said = f"natural and mechanical vignetting hold {100 * share:.0f} % of {len(curves)} curves within 1 %"
+    result_text = f"natural and mechanical vignetting hold {100 * share:.0f} % of {len(curves)} curves within 1 %"
     verdict, seconds = "right" if share > 0.9 else "partly", time.process_time() - begun
-    yield Row("709 lenses, fall-off curves", "96 % of curves within 1 %", "lensfun", said, verdict, seconds)
+    yield Row("709 lenses, fall-off curves", "96 % of curves within 1 %", "lensfun", result_text, verdict, seconds)
 
 
 def of_covariances(folder: Path) -> Iterator[Row]:
-    """Yield what is said of flats that are drawn with the covariances of two CCDs, and what it predicts beyond."""
+    """Yield what is reported of flats that are drawn with the covariances of two CCDs, and what it predicts beyond."""
     from radiometer.reconciliation import reconcile_capture
     from simulators.effects.brighter_fatter import BrighterFatter
 
@@ -202,19 +204,19 @@ def of_covariances(folder: Path) -> Iterator[Row]:
         alone = bool(named) and len(result.effects) == 1 and result.verdict == "effects_found"
         u = u_of_slope()
         u_rel = float(np.hypot(u / slope[0, 1], u / slope[1, 0]))
-        said = f"{result.verdict}; " + ", ".join(found.name for found in result.effects)
+        result_text = f"{result.verdict}; " + ", ".join(found.name for found in result.effects)
         for effect in named:
             kernel = effect.slopes_per_e(WELL_E)
-            said += f"; C₀₀ {kernel[8, 8]:.3g}/e⁻, C₀₁/C₁₀ {kernel[8, 9] / kernel[9, 8]:.2f} (the "
-            said += f"frames determine it to ± {100 * u_rel:.1f} %), "
-            said += f"sum over all lags {abs(kernel.sum() / kernel[8, 8]):.0e} "
-            said += "of C₀₀, second neighbours "
-            said += f"{kernel[8, 10] + kernel[10, 8]:.2g}/e⁻ (measured {measured[0]:.2g} ± {measured[1]:.1g})"
+            result_text += f"; C₀₀ {kernel[8, 8]:.3g}/e⁻, C₀₁/C₁₀ {kernel[8, 9] / kernel[9, 8]:.2f} (the "
+            result_text += f"frames determine it to ± {100 * u_rel:.1f} %), "
+            result_text += f"sum over all lags {abs(kernel.sum() / kernel[8, 8]):.0e} "
+            result_text += "of C₀₀, second neighbours "
+            result_text += f"{kernel[8, 10] + kernel[10, 8]:.2g}/e⁻ (measured {measured[0]:.2g} ± {measured[1]:.1g})"
         yield Row(
             f"flats with the measured covariances of LSST's {sensor} CCD",
             f"brighter-fatter: C₀₀ {slope[0, 0]:.3g}/e⁻, C₀₁/C₁₀ {slope[0, 1] / slope[1, 0]:.2f}, and beyond",
             "C. Lage, Poisson_CCD",
-            said,
+            result_text,
             "right" if alone else "partly" if named else "missed",
             seconds,
         )
@@ -231,17 +233,17 @@ QUESTIONS: tuple[tuple[str, Callable[[Path], Iterator[Row]]], ...] = (
 def main() -> None:
     parser = argparse.ArgumentParser(prog="python -m benchmarks real_sensors")
     parser.add_argument("--sets", nargs="*", default=[], help="parts of the names of sets to take; all by default")
-    wanted = parser.parse_args().sets
+    chosen_sets = parser.parse_args().sets
     folder = data_folder()
     if folder is None:
         sys.exit("skipped: the real sets (../shared/data) are not on this machine")
     rows: list[Row] = []
     for known in SETS:
-        if not wanted or any(part in known.name for part in wanted):
-            rows += _told(of_reconcile(known, folder))
+        if not chosen_sets or any(part in known.name for part in chosen_sets):
+            rows += _printed(of_reconcile(known, folder))
     for name, question in QUESTIONS:
-        if not wanted or any(part in name for part in wanted):
-            rows += _told(question(folder))
+        if not chosen_sets or any(part in name for part in chosen_sets):
+            rows += _printed(question(folder))
     table = "| set | documented | by | result | judged | time |\n|---|---|---|---|---|---|\n"
     asked = [row for row in rows if row.by and row.judged != _READ]
     right = sum(row.judged in ("right", "right covariate", "right: reported") for row in asked)
@@ -251,15 +253,15 @@ def main() -> None:
     body += f"a reported size. {confident} sets have a confidently wrong name."
     body += " Time is processor time, reading included."
     print(body)
-    if not wanted:
+    if not chosen_sets:
         write_section("real-sensors", "Documented effects", "python -m benchmarks real_sensors", body)
 
 
-def _told(rows: Iterator[Row]) -> list[Row]:
-    told = list(rows)
-    for row in told:
+def _printed(rows: Iterator[Row]) -> list[Row]:
+    all_rows = list(rows)
+    for row in all_rows:
         print(row.markdown(), flush=True)
-    return told
+    return all_rows
 
 
 if __name__ == "__main__":

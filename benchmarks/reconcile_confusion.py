@@ -72,18 +72,18 @@ def _repeats(task: Task) -> bool:
     return all(everything()[n].entry != "exposure_label_error" for n in task.names)
 
 
-def run_all(wanted: list[Task], results: Path, jobs: int) -> None:
+def run_all(pending: list[Task], results: Path, jobs: int) -> None:
     """Run what is not in the results file yet and append it."""
     done = {r["key"] for r in read(results)}
-    left = [t for t in wanted if t.key not in done]
+    left = [t for t in pending if t.key not in done]
     results.parent.mkdir(parents=True, exist_ok=True)
     begun = time.perf_counter()
     with multiprocessing.get_context("spawn").Pool(jobs) as pool, results.open("a", encoding="utf-8") as out:
         for number, result in enumerate(pool.imap_unordered(run_task, left), 1):
             out.write(json.dumps(result) + "\n")
             out.flush()
-            said = result.get("error") or f"{result['judged']['verdict']} {result['judged']['names']}"
-            print(f"{number}/{len(left)} {time.perf_counter() - begun:.0f} s  {result['key']}: {said}", flush=True)
+            answer = result.get("error") or f"{result['judged']['verdict']} {result['judged']['names']}"
+            print(f"{number}/{len(left)} {time.perf_counter() - begun:.0f} s  {result['key']}: {answer}", flush=True)
 
 
 def read(results: Path) -> Iterator[dict[str, Any]]:
@@ -109,17 +109,17 @@ def main() -> None:
     options = parser.parse_args()
     kinds = tuple(options.kinds.split(","))
     plain = all(kind.startswith("plain") for kind in kinds)
-    wanted = list(tasks(kinds, options.seeds, first_seed=options.first_seed))
+    pending = list(tasks(kinds, options.seeds, first_seed=options.first_seed))
     if options.sample:
-        order = np.random.default_rng(options.first_seed).permutation(len(wanted))
-        wanted = [wanted[i] for i in order[: options.sample]]
+        order = np.random.default_rng(options.first_seed).permutation(len(pending))
+        pending = [pending[i] for i in order[: options.sample]]
     only = set(filter(None, options.only.split(",")))
-    wanted = [t for t in wanted if not only or only & {*t.names, *(n.partition(":")[0] for n in t.names)}]
+    pending = [t for t in pending if not only or only & {*t.names, *(n.partition(":")[0] for n in t.names)}]
     if not options.report_only:
-        run_all(wanted, options.results, options.jobs)
-    keys = {t.key for t in wanted}
+        run_all(pending, options.results, options.jobs)
+    keys = {t.key for t in pending}
     kept = [r for r in read(options.results) if r["key"] in keys]
-    page = f"{len(kept)} of {len(wanted)} runs are done.\n\n{plain_report(kept) if plain else report(kept)}"
+    page = f"{len(kept)} of {len(pending)} runs are done.\n\n{plain_report(kept) if plain else report(kept)}"
     print(page)
     if options.write:
         command = f"python -m benchmarks.reconcile_confusion --seeds {options.seeds} --first-seed {options.first_seed}"

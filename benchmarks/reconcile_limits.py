@@ -83,7 +83,7 @@ def main() -> None:
             for factor in FACTORS if limit.amplitude else ():
                 answer = answer_at(name, factor * float(limit.amplitude or 0.0), seed, options.plan)
                 row = {"name": name, "factor": factor, "limit": limit.amplitude, "unit": limit.unit, "seed": seed}
-                row |= {"named": is_named(name, answer), "said": [e.name for e in answer.effects]}
+                row |= {"named": is_named(name, answer), "reported": [e.name for e in answer.effects]}
                 rows.append(row)
                 print(row, flush=True)
     body = (

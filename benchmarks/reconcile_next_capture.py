@@ -3,7 +3,7 @@
     nice python -m benchmarks.reconcile_next_capture [--seeds 3] [--most 4] [--first-seed 40000]
 
 The start is a plain bracket: twelve exposures of one chart, twice each, and darks. What it asks for is added and the
-set is taken anew by the independent generator, until the hidden effect is named alone and nothing rivals it; beside
+set is taken anew by the independent generator, until the hidden effect is named alone and nothing rivals it; next to
 it the same with captures drawn at random from those that it chose from.
 """
 
@@ -31,8 +31,8 @@ Choice = Callable[[Reconciled], list[dict[str, Any]]]
 
 def asked(done: Reconciled) -> list[dict[str, Any]]:
     """Return the capture that the result asks for; none where it asks for none."""
-    wanted = [e.next_capture for e in done.result.effects if e.next_capture] + [done.result.next_capture]
-    return [frame for capture in wanted if capture for frame in capture["frames"]][:1]
+    proposed = [e.next_capture for e in done.result.effects if e.next_capture] + [done.result.next_capture]
+    return [frame for capture in proposed if capture for frame in capture["frames"]][:1]
 
 
 def drawn(rng: np.random.Generator) -> Choice:
@@ -49,18 +49,18 @@ def drawn(rng: np.random.Generator) -> Choice:
 def captures_needed(name: str, seed: int, choose: Choice, most: int, *, known: bool = True) -> tuple[int | None, str]:
     """Return how many captures more settle it (None: not within `most`) and the last answer."""
     added: list[Setting] = []
-    said = ""
+    answer = ""
     for number in range(most + 1):
         session = make_session(name, camera_seed=seed, plan=_bracket_and(tuple(added)), known_patches=known)
         frames = list(session.frames())
         done = examine(session.header, frame_reader(frames), frames[0].shape)
         result = done.result
-        said = " + ".join([str(result.verdict), *(effect.name for effect in result.effects)])
+        answer = " + ".join([str(result.verdict), *(effect.name for effect in result.effects)])
         named = [effect.name for effect in result.effects] == [name]
         if named and str(result.verdict) == "effects_found" and not result.effects[0].alternatives:
-            return number, said
+            return number, answer
         added += [as_setting(frame) for frame in choose(done)]
-    return None, said
+    return None, answer
 
 
 def _bracket_and(added: tuple[Setting, ...]) -> Callable[[np.random.Generator], list[Setting]]:
@@ -113,9 +113,9 @@ def main() -> None:
         for name in options.hidden.split(","):
             for seed in range(options.first_seed, options.first_seed + options.seeds):
                 row: dict[str, Any] = {"hidden": name, "known": known, "seed": seed}
-                row["asked"], row["said"] = captures_needed(name, seed, asked, options.most, known=known)
+                row["asked"], row["answer"] = captures_needed(name, seed, asked, options.most, known=known)
                 chance = drawn(np.random.default_rng([seed, 9]))
-                row["random"], row["said_random"] = captures_needed(name, seed, chance, options.most, known=known)
+                row["random"], row["answer_random"] = captures_needed(name, seed, chance, options.most, known=known)
                 rows.append(row)
                 print(row, flush=True)
     body = (

@@ -69,12 +69,14 @@ def page(records: list[Record]) -> str:
     named = [r for r in alarms if any(name != "unnamed" for name, *_ in r["effects"])]
     rows = ["| measure | required | reached | 95 % interval |", "|---|---|---|---|"]
     rows += [
-        f"| {what} | {wanted} | {_share(len(hits), len(records))} |"
-        for what, wanted, hits in (("false alarm", "≤ 2 %", alarms), ("false name", "≤ 1 %", named))
+        f"| {what} | {required} | {_share(len(hits), len(records))} |"
+        for what, required, hits in (("false alarm", "≤ 2 %", alarms), ("false name", "≤ 1 %", named))
     ]
     gaps = np.array([r["gap"] for r in records])
-    told = [f"seed {r['seed']}: {r['verdict']}, {', '.join(' | '.join(e) for e in r['effects'])}" for r in alarms]
-    listed = "Alarms: " + "; ".join(told) + "." if told else "No alarm."
+    alarms_text = [
+        f"seed {r['seed']}: {r['verdict']}, {', '.join(' | '.join(e) for e in r['effects'])}" for r in alarms
+    ]
+    listed = "Alarms: " + "; ".join(alarms_text) + "." if alarms_text else "No alarm."
     low, high = np.percentile(gaps, [2.5, 97.5])
     middle = f"Gap of the starting model: mean {gaps.mean():.4f}, 95 % of the sets {low:.3f} to {high:.3f}."
     cpu = f"Processor time of the finder: median {np.median([r['cpu_s'] for r in records]):.1f} s."

@@ -3,7 +3,7 @@
     python -m benchmarks reconcile_outsiders --generator 2 --kind single --sets 50 --first-seed 1000
 
 Each session is written as a capture set and read from disk like anybody's. Every run is one line of the results file;
-what stands there is not run again, so that a stopped run tells its part (also with --report-only). Seeds are drawn in
+what stands there is not run again, so that a stopped run reports its part (also with --report-only). Seeds are drawn in
 random order. A blind set is one whose seeds were never looked at in development.
 """
 
@@ -62,13 +62,13 @@ def run(generator: int, kind: str, seed: int, name: str | None = None) -> dict[s
     """Return the judged answer to one session; a crash is an answer too."""
     begun = time.perf_counter()
     session = session_of(generator, kind, seed, name)
-    told = plain(asdict(session.secret))
+    reported = plain(asdict(session.secret))
     kept = {
         "key": f"{generator}/{kind}/{name or '-'}/{seed}",
         "generator": generator,
         "kind": kind,
         "seed": seed,
-    } | told
+    } | reported
     try:
         with tempfile.TemporaryDirectory() as folder:
             answer = reconcile_capture(session.write(Path(folder) / "set")).result.to_mapping()
@@ -92,26 +92,26 @@ def read(results: Path) -> list[dict[str, Any]]:
 def run_all(options: argparse.Namespace) -> list[dict[str, Any]]:
     """Run what is not in the results file yet, in random order, and return all that was asked for."""
     seeds = range(options.first_seed, options.first_seed + options.sets)
-    wanted = [(g, k, s) for g in options.generator for k in options.kind for s in seeds]
-    order = np.random.default_rng(options.first_seed).permutation(len(wanted))
+    pending = [(g, k, s) for g in options.generator for k in options.kind for s in seeds]
+    order = np.random.default_rng(options.first_seed).permutation(len(pending))
     done = {result["key"]: result for result in read(options.results)}
-    told = []
+    judged = []
     options.results.parent.mkdir(parents=True, exist_ok=True)
     with options.results.open("a", encoding="utf-8") as out:
         try:
             for number, i in enumerate(order, 1):
-                generator, kind, seed = wanted[i]
+                generator, kind, seed = pending[i]
                 key = f"{generator}/{kind}/{options.name or '-'}/{seed}"
                 if key not in done and not options.report_only:
                     done[key] = run(generator, kind, seed, options.name)
                     out.write(json.dumps(done[key], ensure_ascii=False) + "\n")
                     out.flush()
                 if key in done:
-                    told.append(done[key])
+                    judged.append(done[key])
                     print(f"{number}/{len(order)} {line_of(done[key])}", flush=True)
         except KeyboardInterrupt:
-            print(f"stopped after {len(told)} of {len(order)}", file=sys.stderr)
-    return told
+            print(f"stopped after {len(judged)} of {len(order)}", file=sys.stderr)
+    return judged
 
 
 def line_of(result: dict[str, Any]) -> str:

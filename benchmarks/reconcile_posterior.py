@@ -92,25 +92,25 @@ def _dispersion(record: Record) -> float:
     return gap if gap > CLOSED_GAP else 1.0
 
 
-def judged(record: Record, said: Said) -> dict[str, bool]:
-    """Return what is right and wrong about what was said; of an outsider and a removed entry no name is right."""
-    truth, names = [set(right) for right in record["truth"]], set(said.names)
+def judged(record: Record, answer: Said) -> dict[str, bool]:
+    """Return what is right and wrong about what was reported; of an outsider and a removed entry no name is right."""
+    truth, names = [set(right) for right in record["truth"]], set(answer.names)
     wrong = {name for name in names if not any(name in right for right in truth)}
     named = all(right & names for right in truth if right)
-    rival = bool(wrong) and covered_by(said, truth)
+    rival = bool(wrong) and covered_by(answer, truth)
     return {
-        "exact": named and not wrong and said.is_silent is not bool(truth),
+        "exact": named and not wrong and answer.is_silent is not bool(truth),
         "inseparable": rival,
-        "missed": bool(truth) and said.is_silent,
+        "missed": bool(truth) and answer.is_silent,
         "wrong": bool(wrong) and not rival,
-        "sure_right": said.is_sure and bool(names) and not (wrong and not rival),
-        "sure_wrong": said.is_sure and bool(wrong) and not rival,
+        "sure_right": answer.is_sure and bool(names) and not (wrong and not rival),
+        "sure_wrong": answer.is_sure and bool(wrong) and not rival,
     }
 
 
-def covered_by(said: Said, truth: Sequence[set[str]]) -> bool:
+def covered_by(answer: Said, truth: Sequence[set[str]]) -> bool:
     """Return whether every name is right, or not separated from a right one."""
-    return all(any(right & {name, *said.alternatives} for right in truth) for name in said.names)
+    return all(any(right & {name, *answer.alternatives} for right in truth) for name in answer.names)
 
 
 def table(records: Iterable[Record]) -> str:
@@ -143,9 +143,9 @@ def reliability(records: Iterable[Record], decide: Callable[[Record], Said]) -> 
     """Return how often names of each probability are right, and the expected calibration error, in Markdown."""
     pairs = []
     for record in records:
-        said = decide(record)
-        for name, probability in said.names.items():
-            alike = {name, *said.alternatives}
+        answer = decide(record)
+        for name, probability in answer.names.items():
+            alike = {name, *answer.alternatives}
             pairs.append((probability, any(alike & set(right) for right in record["truth"])))
     if not pairs:
         return "No name was given."

@@ -2,12 +2,12 @@
 
     python -m benchmarks reconcile_propose --sets 24 --first-seed 1000 [--find 4]
 
-The outsiders of generators 2 and 3, or with --own those of the tests' own, are hidden one by one, in random order. Told
+The outsiders of generators 2 and 3, or with --own those of the tests, are hidden one by one, in random order. Shown
 are: whether the stage is right (or stands among those that the law's rivals have), whether a true covariate is there,
 and what share of the excess the written effect file closes in another session of the rig, its parameters as written.
 The excess is what the gap lies above that of the same session with nothing hidden. With --find the effect file is given
 to a reconciliation of a third session, the first so many times. With --files effect, test and plan of each law are
-kept as `radiometer reconcile --propose` writes them. A stopped run tells its part.
+kept as `radiometer reconcile --propose` writes them. A stopped run reports its part.
 """
 
 from __future__ import annotations
@@ -68,15 +68,15 @@ def run(generator: int, name: str, seed: int, *, find: bool, files: Path | None 
     session = hiding(generator, name, seed, plan)  # a plan that is drawn moves the rig, which further sessions share
     secret = session.secret
     proposal = propose_law(state_of(session))
-    told = {"generator": generator, "name": name, "seed": seed, "plan": plan, "stage": secret.stage}
-    told |= {"covariates": list(secret.covariates), "drawn": {k: float(v) for k, v in secret.drawn.items()}}
+    record = {"generator": generator, "name": name, "seed": seed, "plan": plan, "stage": secret.stage}
+    record |= {"covariates": list(secret.covariates), "drawn": {k: float(v) for k, v in secret.drawn.items()}}
     if proposal is None:
-        return told | {"proposed": None, "cpu_s": round(time.process_time() - begun, 1)}
+        return record | {"proposed": None, "cpu_s": round(time.process_time() - begun, 1)}
     if files is not None:
         write_files(proposal, files / f"{name}_{seed}", f"a session that hides {name}")
     effect = effect_of(proposal.law, round_to(proposal.amplitude))
     floor, before, after = np.mean([gaps_in(n, generator, name, seed, plan, effect) for n in FRESH], axis=0).tolist()
-    told |= {
+    record |= {
         "proposed": proposal.name,
         "their_stages": [proposal.stage, *proposal.stages_alike],
         "their_covariates": list(proposal.covariates),
@@ -91,7 +91,7 @@ def run(generator: int, name: str, seed: int, *, find: bool, files: Path | None 
         "rivals": [(rival.name, rival.behind_nats) for rival in proposal.rivals],
         "cpu_s": round(time.process_time() - begun, 1),
     }
-    return told | ({"found": found_again(generator, name, seed, plan, proposal)} if find else {})
+    return record | ({"found": found_again(generator, name, seed, plan, proposal)} if find else {})
 
 
 def gaps_in(

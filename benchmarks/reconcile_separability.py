@@ -4,7 +4,7 @@
 
 An entry at twenty sigma gives the statistics that the model expects with it, without noise; every other one is then
 fitted to them from its starts as the search would (where it explains half of it at first sight), nuisances following.
-Where less than 10 of χ² is left, each further parameter paid for, the two cannot be told apart. `reconcile --plan-only`
+Where less than 10 of χ² is left, each further parameter paid for, the two cannot be separated. `reconcile --plan-only`
 fits only what derivatives at a few starts show to be near. What only a varied setting would mark is not tried.
 """
 
@@ -99,35 +99,39 @@ def like(state: FitState, truth: CatalogueEffect, pool: StartPool) -> dict[str, 
     return {name: left for name, left in found.items() if left < 2.0 * RIVAL_NATS and name != truth.name}
 
 
-def told_by(found: Separability) -> dict[str, set[str]]:
-    """Return with which others each entry is said to stand together."""
-    told: dict[str, set[str]] = {}
+def reported_by(found: Separability) -> dict[str, set[str]]:
+    """Return with which others each entry is reported to be inseparable."""
+    reported: dict[str, set[str]] = {}
     for entry in found.together:
-        told.setdefault(entry.name, set()).update(entry.others)
-    return told
+        reported.setdefault(entry.name, set()).update(entry.others)
+    return reported
 
 
-def row_of(name: str, fitted: dict[str, float], told: set[str]) -> str:
-    """Return one line of the table: what fits, what is said, what is missed."""
+def row_of(name: str, fitted: dict[str, float], reported: set[str]) -> str:
+    """Return one line of the table: what fits, what is reported, what is missed."""
     alike = ", ".join(f"{other} ({left:.1f})" for other, left in sorted(fitted.items(), key=lambda item: item[1]))
-    missed = ", ".join(sorted(set(fitted) - told)) or "–"
-    more = ", ".join(sorted(told - set(fitted))) or "–"
+    missed = ", ".join(sorted(set(fitted) - reported)) or "–"
+    more = ", ".join(sorted(reported - set(fitted))) or "–"
     return f"| {name} | {alike or '–'} | {missed} | {more} |"
 
 
 def of_plan(plan: str, most: int) -> tuple[str, int, int, int]:
-    """Return the table of a plan, and how many pairs fit, are missed, and are said beyond those."""
+    """Return the table of a plan, and how many pairs fit, are missed, and are reported beyond those."""
     begun, state, pool = time.perf_counter(), start_of(plan), StartPool()
-    told = told_by(separability(state, whole_catalogue(), every=True))
+    reported = reported_by(separability(state, whole_catalogue(), every=True))
     sizes = asked_sizes(state, whole_catalogue())
     chosen = list(sizes)[:: max(1, -(-len(sizes) // most))] if most else list(sizes)
     lines, pairs, missed, more = [], 0, 0, 0
     for name in chosen:
-        fitted, said = like(state, sizes[name], pool), told.get(name, set())
-        pairs, missed, more = pairs + len(fitted), missed + len(set(fitted) - said), more + len(said - set(fitted))
-        print(plan, name, fitted, "said:", said, flush=True)
-        if fitted or said:
-            lines.append(row_of(name, fitted, said))
+        fitted, also_reported = like(state, sizes[name], pool), reported.get(name, set())
+        pairs, missed, more = (
+            pairs + len(fitted),
+            missed + len(set(fitted) - also_reported),
+            more + len(also_reported - set(fitted)),
+        )
+        print(plan, name, fitted, "reported:", also_reported, flush=True)
+        if fitted or also_reported:
+            lines.append(row_of(name, fitted, also_reported))
     silent = len(chosen) - len(lines)
     seconds = time.perf_counter() - begun
     head = f"**{plan}** ({PLANS[plan].__doc__}): {len(chosen)} of the {len(sizes)} entries that it shows, each against"

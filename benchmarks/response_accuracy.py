@@ -1,10 +1,10 @@
-"""Accuracy and speed of the response methods beside OpenCV, colour-hdri and pfstools, in one run on the same stacks.
+"""Accuracy and speed of the response methods next to OpenCV, colour-hdri and pfstools, in one run on the same stacks.
 
     python -m benchmarks response_accuracy
 
 Nine 8-bit frames one stop apart, 256 × 192 pixels, shot and read noise before the curve, one stack per response curve;
 then 12 bits, where no peer runs. RESPONSE_BENCH_EVERY=4 takes every fourth curve only.
-Peers that are not installed are left out and said to be.
+Peers that are not installed are left out and reported.
 """
 
 from __future__ import annotations

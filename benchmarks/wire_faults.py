@@ -54,7 +54,7 @@ def killed(folder: Path) -> str:
         running = bracket.poll() is None
         camera.kill()
         start = time.perf_counter()
-        _, said = bracket.communicate(timeout=60)
+        _, output = bracket.communicate(timeout=60)
         took_s = time.perf_counter() - start
     left = sorted(path.name for path in folder.iterdir())
     with served(radiometer("simulate", "camera", "--fast", "--serial", "KILLED")):
@@ -65,7 +65,7 @@ def killed(folder: Path) -> str:
         raise SystemExit(f"killed in mid-bracket: {running=} {bracket.returncode=} {left=} {again.stderr}")
     return (
         f"Killed 4 s into a bracket of 28 exposures: exit code {bracket.returncode} after {took_s:.1f} s with\n\n"
-        f"    {said.strip().splitlines()[-1]}\n\n"
+        f"    {output.strip().splitlines()[-1]}\n\n"
         f"and nothing left in the folder; the next `radiometer bracket` to the same place works."
     )
 

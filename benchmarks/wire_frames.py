@@ -1,4 +1,4 @@
-"""1,000 consecutive full frames of the simulated Blackfly over GigE Vision, beside Aravis's own camera test."""
+"""1,000 consecutive full frames of the simulated Blackfly over GigE Vision, next to Aravis's own camera test."""
 
 from __future__ import annotations
 

@@ -135,8 +135,8 @@ class SettingOutOfRange(DeviceError, ValueError):
 
 def _apart(value: float, *limits: float) -> str:
     """Return a value with as many digits as distinguish it from each limit."""
-    told = (f"{value:.{digits}g}" for digits in (6, 9, 12, 17))
-    return next((text for text in told if all(float(text) != float(f"{limit:g}") for limit in limits)), f"{value!r}")
+    forms = (f"{value:.{digits}g}" for digits in (6, 9, 12, 17))
+    return next((text for text in forms if all(float(text) != float(f"{limit:g}") for limit in limits)), f"{value!r}")
 
 
 class UnsafeStimulus(DeviceError):

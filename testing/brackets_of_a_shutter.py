@@ -38,7 +38,7 @@ def photographed(
     Args:
         offset_s: Real less stated exposure in s, of all frames.
         wrong: A frame whose real exposure is besides `ratio` times that.
-        ratio: As said.
+        ratio: As stated.
         labels_s: Stated exposures in s.
         gains: Gain factor of every frame; 1 where None.
         scatter: Standard deviation of ln of the real exposures about that.

@@ -23,9 +23,9 @@ def drawn_eye(rng: np.random.Generator, break_range_min: tuple[float, float] = (
         s2_slope_per_min=float(rng.normal(-0.24, 0.02)),
         s3_slope_per_min=float(rng.uniform(-0.05, -0.03)),
     )
-    wanted_min = float(rng.uniform(*break_range_min))
-    elevation = eye.cone_log10(wanted_min, 453.0) - eye.rod_final_log10
-    return replace(eye, s2_zero_min=wanted_min - elevation / eye.s2_slope_per_min)
+    break_min = float(rng.uniform(*break_range_min))
+    elevation = eye.cone_log10(break_min, 453.0) - eye.rod_final_log10
+    return replace(eye, s2_zero_min=break_min - elevation / eye.s2_slope_per_min)
 
 
 def drawn_full_bleach_eye(rng: np.random.Generator) -> Eye:
@@ -40,6 +40,6 @@ def drawn_full_bleach_eye(rng: np.random.Generator) -> Eye:
         s2_slope_per_min=float(rng.normal(-0.24, 0.02)),
         s3_slope_per_min=float(rng.uniform(-0.05, -0.03)),
     )
-    wanted_min = float(rng.uniform(7.0, 12.0))
+    break_min = float(rng.uniform(7.0, 12.0))
     elevation = eye.cone_plateau_log10 + math.log10(scotopic_per_photopic(505.0)) - eye.rod_final_log10
-    return replace(eye, full_bleach_min=wanted_min - elevation / eye.s2_slope_per_min)
+    return replace(eye, full_bleach_min=break_min - elevation / eye.s2_slope_per_min)

@@ -239,7 +239,7 @@ def dslr_settings() -> dict[str, tuple[str, list[str]]]:
 
 @dataclass(slots=True)
 class SimulatedTether(_Edge):
-    """A photographic camera on a cable: writes JPEG as it arrives, and a DNG with a Bayer mosaic once told raw."""
+    """A photographic camera on a cable: writes JPEG as it arrives, and a DNG with a Bayer mosaic once set to raw."""
 
     settings: dict[str, tuple[str, list[str]]] = field(default_factory=dslr_settings)
     black_dn: int = 512

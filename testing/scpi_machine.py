@@ -185,7 +185,7 @@ class ScpiMachine(RuleBasedStateMachine):
 
     @invariant()
     def all_is_well(self) -> None:
-        """No loop has ended, what is set lies within its limits, and the state can be told as JSON."""
+        """No loop has ended, what is set lies within its limits, and the state can be written as JSON."""
         if not self.sessions:
             return
         assert self.station.failed_task() is None, repr(self.station.failed_task())
@@ -247,7 +247,7 @@ _broken: Callable[..., Any] = lambda settings: 1 / 0  # noqa: E731
 
 
 def machine_settings(examples: int, *, derandomize: bool = True) -> settings:
-    """Return settings for a number of sequences of 40 steps; times vary, so a failing sequence is told unshrunk."""
+    """Return settings for a number of sequences of 40 steps; times vary, so a failing sequence is reported unshrunk."""
     return settings(
         max_examples=examples,
         stateful_step_count=40,

@@ -1,9 +1,9 @@
 """Runs tests in several processes that were collected once: `--processes=3`.
 
-pytest-xdist starts workers that import and collect everything each for itself, beside a third process that hands out
+pytest-xdist starts workers that import and collect everything each for itself, next to a third process that hands out
 the tests and unpacks three reports of each. Here pytest forks when all is collected. Each process takes the next group
 of tests from a pipe until it is empty; what a forked one has to report it writes to a file, from which the first
-process reads and tells it. One process more than there are cores works while others wait for an answer.
+process reads and reports it. One process more than there are cores works while others wait for an answer.
 """
 
 from __future__ import annotations
@@ -76,16 +76,16 @@ class Teller:
     def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
         """Write a report, of what passed no more than its name and time."""
         if report.passed and not report.sections:
-            told: Any = (report.nodeid, report.location, report.when, report.duration, report.start, report.stop)
+            outcome: Any = (report.nodeid, report.location, report.when, report.duration, report.start, report.stop)
         else:
-            told = self.config.hook.pytest_report_to_serializable(config=self.config, report=report)
-        written = pickle.dumps(told)
+            outcome = self.config.hook.pytest_report_to_serializable(config=self.config, report=report)
+        written = pickle.dumps(outcome)
         self.stream.write(len(written).to_bytes(LENGTH_BYTES, "big") + written)
         self.stream.flush()
 
 
 class Reader:
-    """Tells the reports that another process has written so far."""
+    """Reports the reports that another process has written so far."""
 
     def __init__(self, config: pytest.Config, stream: IO[bytes]) -> None:
         self.config, self.stream, self.at, self.rest = config, stream, 0, b""
@@ -103,18 +103,18 @@ class Reader:
             end = begin + int.from_bytes(self.rest[start:begin], "big")
             if end > len(self.rest):
                 break
-            self._tell(pickle.loads(self.rest[begin:end]))
+            self._report(pickle.loads(self.rest[begin:end]))
             start = end
         self.rest = self.rest[start:]
 
-    def _tell(self, told: Any) -> None:
-        if isinstance(told, tuple):
-            nodeid, location, when, duration, start, stop = told
+    def _report(self, outcome: Any) -> None:
+        if isinstance(outcome, tuple):
+            nodeid, location, when, duration, start, stop = outcome
             report = pytest.TestReport(
                 nodeid, location, {}, "passed", None, when, duration=duration, start=start, stop=stop
             )
         else:
-            report = self.config.hook.pytest_report_from_serializable(config=self.config, data=told)
+            report = self.config.hook.pytest_report_from_serializable(config=self.config, data=outcome)
         self.config.hook.pytest_runtest_logreport(report=report)
 
 

@@ -1,4 +1,4 @@
-"""Nights of an all-sky camera under auto exposure beside a sky meter, made electron by electron from other equations.
+"""Nights of an all-sky camera under auto exposure next to a sky meter, made electron by electron from other equations.
 
 The camera looks at a sky that darkens from twilight, with clouds and a moon; it chooses exposure and gain in its own
 steps. The meter counts in hundredths of a magnitude per square arcsecond. Nothing here is taken from the program.
@@ -17,7 +17,7 @@ BOLTZMANN_EV_PER_K = 8.617e-5
 
 @dataclass(frozen=True)
 class Camera:
-    """What may be wrong with the camera, or what it does beside the reading that is made of it."""
+    """What may be wrong with the camera, or what it does in addition to the reading that is made of it."""
 
     black_dn: float = 0.0
     magnitude_per_colour: float = 0.0
@@ -81,10 +81,10 @@ def _reading(wrong, rng, magnitude, colour, kelvin, seconds, haze):
     }
 
 
-def _chosen(wanted_s):
+def _chosen(exposure_at_0db_s):
     """Return exposure (in thirds of a stop, at most 15 s) and gain: the gain rises once the exposure is at its end."""
     for gain in GAINS_DB:
-        exposure = wanted_s / 10.0 ** (gain / 20.0)
+        exposure = exposure_at_0db_s / 10.0 ** (gain / 20.0)
         if exposure <= 15.0:
             break
     return float(round(min(15.0, 2.0 ** (np.floor(3 * np.log2(exposure)) / 3)), 5)), gain

@@ -23,7 +23,7 @@ _BELIEF_S = 3.0  # a level that the box does not have may be shown for so long: 
 
 
 class Client(threading.Thread):
-    """Does one thing again and again until told to stop; what is refused or broken off is counted."""
+    """Does one thing again and again until stopped; what is refused or broken off is counted."""
 
     def __init__(self, name: str, work: Callable[[], None], witness: Witness, pause_s: float) -> None:
         super().__init__(daemon=True, name=name)

@@ -27,7 +27,7 @@ class _Jumping(selectors.DefaultSelector):
 
 
 class VirtualLoop(asyncio.SelectorEventLoop):
-    """A loop without real time; nothing may run in threads beside it."""
+    """A loop without real time; nothing may run in threads next to it."""
 
     def __init__(self) -> None:
         self._jumping = _Jumping()

@@ -56,8 +56,8 @@ def project_root() -> Path:
 @pytest.fixture(scope="session")
 def shared_data() -> Path:
     """Return the folder of real measurements, or skip where it is absent."""
-    beside = [parent / "shared" / "data" for parent in (PROJECT_ROOT.parent, PROJECT_ROOT.parent.parent)]
-    folder = next((one for one in beside if one.is_dir()), None)
+    printed = [parent / "shared" / "data" for parent in (PROJECT_ROOT.parent, PROJECT_ROOT.parent.parent)]
+    folder = next((one for one in printed if one.is_dir()), None)
     if folder is None:
         pytest.skip("the real measurements (../shared/data) are not on this machine")
     return folder
@@ -86,20 +86,20 @@ def laws_left_out(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.fixture
 def unrendered(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Leave figures as they are drawn, without a picture of them: for those who read the words beside."""
+    """Leave figures as they are drawn, without a picture of them: for those who read the text alone."""
     from matplotlib.figure import Figure
 
     monkeypatch.setattr(Figure, "savefig", lambda figure, stream, **_: stream.write(b"<svg/>"))
 
 
-# What waits for real devices, ports or processes in real time is not run beside itself.
+# What waits for real devices, ports or processes in real time is not run in parallel.
 REAL_TIME = ("tests/contract", "tests/protocol")
 # What takes long to make and serves all files of a folder: the compiled firmware.
 TOGETHER = ("tests/unit/firmware",)
 # Folders whose tests need no process, no browser and no real time: the fast tier, less what is marked slow.
 FAST = ("tests/unit", "tests/style")
-# Whole round trips through simulated worlds: beside what is marked so (soaks, studies of coverage, documents followed
-# word by word) the slow tier.
+# Whole round trips through simulated sessions: in addition to what is marked so (soaks, studies of coverage,
+# documents followed word by word) the slow tier.
 LONG = ("tests/roundtrip",)
 
 

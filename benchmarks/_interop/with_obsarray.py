@@ -23,7 +23,7 @@ def _map() -> rm.Radiance:
 
 
 def main() -> list[str]:
-    """Return what obsarray takes for random, systematic and total, beside ours."""
+    """Return what obsarray takes for random, systematic and total, next to ours."""
     import importlib.metadata
 
     warnings.simplefilter("ignore")
@@ -37,9 +37,9 @@ def main() -> list[str]:
         with xarray.open_dataset(Path(folder) / "map.nc", engine="h5netcdf") as back:
             for title, dataset in (("made", made), ("from NetCDF", back)):
                 seen = dataset.unc["radiance"]
-                told = (seen.random_unc(), seen.systematic_unc(), seen.total_unc())
+                uncertainties = (seen.random_unc(), seen.systematic_unc(), seen.total_unc())
                 ours = (dataset.u_radiance, dataset.u_common, np.hypot(dataset.u_radiance, dataset.u_common))
-                pairs = zip(("random", "systematic", "total"), told, ours, strict=True)
-                said = ", ".join(f"{name} {float(a.mean()):.4g} (ours {float(b.mean()):.4g})" for name, a, b in pairs)
-                lines.append(f"  {title}: {said}")
+                pairs = zip(("random", "systematic", "total"), uncertainties, ours, strict=True)
+                text = ", ".join(f"{name} {float(a.mean()):.4g} (ours {float(b.mean()):.4g})" for name, a, b in pairs)
+                lines.append(f"  {title}: {text}")
     return lines

@@ -62,7 +62,7 @@ class _Patch:
 
 
 class _Text:
-    """A text that nobody sees."""
+    """A text that is not shown."""
 
     text = ""
 
@@ -104,7 +104,7 @@ def _stand_in(window: _Window) -> None:
 
 
 def main() -> list[str]:
-    """Return what PsychoPy fits, beside what it fits to the simulated display's true luminances."""
+    """Return what PsychoPy fits, next to what it fits to the simulated display's true luminances."""
     import psychopy
     from psychopy.hardware.photometer import BasePhotometerDevice
     from psychopy.monitors import DACrange, GammaCalculator

@@ -445,9 +445,9 @@ def chart(rig: Rig, dice: np.random.Generator, peak: float) -> tuple[np.ndarray,
         y = number // COLUMNS * step_y + (step_y - tall) // 2
         x = number % COLUMNS * step_x + (step_x - wide) // 2
         picture[y : y + tall, x : x + wide] = level
-        said = float(f"{level * (1 + 0.005 * dice.standard_normal()):.6g}")
+        text = float(f"{level * (1 + 0.005 * dice.standard_normal()):.6g}")
         stated.append({"name": f"p{number:02d}", "x": x + 3, "y": y + 3, "width": wide - 6, "height": tall - 6,
-                       "radiance_W_per_sr_m2": said, "u_rel": 0.005})  # fmt: skip
+                       "radiance_W_per_sr_m2": text, "u_rel": 0.005})  # fmt: skip
     return picture, stated
 
 

@@ -19,7 +19,7 @@ def judged(answer: Mapping[str, Any], truth: Mapping[str, Any]) -> dict[str, Any
         truth: Kind, and for each hidden thing the names that are right.
     """
     names, right = answer["names"], truth["right"]
-    wanted = [set(one) for one in right if one]
+    expected = [set(one) for one in right if one]
     hits = [any(name["name"] in one for one in right) for name in names]
     near = [bool({*name["alternatives"]} & {r for one in right for r in one}) for name in names]
     found = {next(n for n, one in enumerate(right) if name["name"] in one)
@@ -30,7 +30,7 @@ def judged(answer: Mapping[str, Any], truth: Mapping[str, Any]) -> dict[str, Any
     elif truth["kind"] == "outsider":
         exact = answer["something_missing"] and (not names or all(hits))
     else:
-        exact = bool(wanted) and complete and all(hits)
+        exact = bool(expected) and complete and all(hits)
     wrong = [name for name, hit, close in zip(names, hits, near, strict=True) if not hit and not close]
     return {
         "exact": exact,

@@ -21,7 +21,8 @@ ELSEWHERE = {"firmware.md": "drivers/firmware/light_box/README.md", "changelog.m
 def on_files(files: Files, config: Any) -> Files:
     """Add the pages that are made."""
     made: dict[str, Callable[[], str]] = {
-        "reference/commands.md": commands, "reference/effects.md": effects, "reference/python.md": python_names
+        "reference/commands.md": commands, "reference/effects.md": effects, "reference/python.md": python_names,
+        "reference/thresholds.md": thresholds
     }  # fmt: skip
     made |= {name: partial(_from_elsewhere, path) for name, path in ELSEWHERE.items()}
     for name, content in made.items():
@@ -96,7 +97,28 @@ def effects() -> str:
         for name, kind in sorted(EFFECTS.items()):
             if kind.stage is stage:
                 parts.append("\n\n".join(_effect(name, kind)))
+    parts.append(
+        "## Members of an effect\n\nAn effect must state `name`, `stage`, `unit_in`, `unit_out`, `where`, `trials` and "
+        "`fitted`, and must have `mean`. Everything else has a default."
+    )
+    for kind_path in ("simulators.effects.base.Effect", "simulators.effects.catalogue.CatalogueEffect"):
+        parts.append(f"::: {kind_path}\n    options:\n      heading_level: 3")
     return "\n\n".join(parts) + "\n"
+
+
+def thresholds() -> str:
+    """Return the table of the thresholds that decide about names, with value, reason and measurement."""
+    from radiometer.reconciliation.thresholds import TABLE
+
+    rows = []
+    for row in TABLE:
+        value = f"{row.value:g}" if row.unit == "1" else f"{row.value:g} {row.unit}"
+        rows.append(f"| `{row.name}` | {value} | {_cell(row.reason)} | {_cell(row.measured)} |")
+    return (
+        "# Thresholds of reconcile\n\nEvery threshold that decides about a name, made from the program. "
+        "[How reconcile decides](../decisions/0011-how-reconcile-decides.md) shows where each acts.\n\n"
+        "| name | value | protects from | measured by |\n|---|---|---|---|\n" + "\n".join(rows) + "\n"
+    )
 
 
 def _effect(name: str, kind: Any) -> Iterator[str]:

@@ -46,8 +46,8 @@ def find_camera(aravis: ModuleType, name: str | None, discover: Callable[[], lis
     there = ", ".join(f"{camera.device_id} (serial {serial_shown(camera.serial)})" for camera in cameras) or "none"
     if matching:
         raise DeviceNotFound(f"several cameras answer; name one of them: {there}")
-    wanted = f"camera {name}" if name else "camera"
-    raise DeviceNotFound(f"no {wanted} answers; those that do: {there}; check cable, power and address")
+    description = f"camera {name}" if name else "camera"
+    raise DeviceNotFound(f"no {description} answers; those that do: {there}; check cable, power and address")
 
 
 def _listed(aravis: ModuleType, index: int) -> CameraIdentity:

@@ -260,9 +260,9 @@ def _new_camera(aravis: Any, library_error: type[Exception], identity: CameraIde
 
 
 def _not_opened(error: Exception, identity: CameraIdentity) -> DeviceError:
-    told = translated(error, f"camera {identity.device_id}")
-    if isinstance(told, DeviceInUse):
-        return told
+    translated_error = translated(error, f"camera {identity.device_id}")
+    if isinstance(translated_error, DeviceInUse):
+        return translated_error
     return DeviceNotFound(
         f"camera {identity.device_id} does not answer ({getattr(error, 'message', error)}); "
         "check cable, power and address, `radiometer devices` lists those that do"

@@ -98,9 +98,9 @@ def determines_black(raw: RawFrame, black_level_dn: float, black_level_scale: fl
         black_level_dn: The black level in DN.
         black_level_scale: DN of a unit of the camera's black level.
     """
-    said = raw.chunks.get("BlackLevel")
+    chunk = raw.chunks.get("BlackLevel")
     tolerance_dn = max(_SAME_BLACK_DN, _SAME_BLACK_REL * full_scale_dn)
-    return said is not None and abs(said * black_level_scale - black_level_dn) <= tolerance_dn
+    return chunk is not None and abs(chunk * black_level_scale - black_level_dn) <= tolerance_dn
 
 
 def exposure_of(raw: RawFrame, settings: CameraSettings) -> float:

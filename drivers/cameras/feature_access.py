@@ -71,10 +71,10 @@ class FeatureAccess:
 
     def _noted(self, error: Exception) -> DeviceError:
         """Return the project's error, having taken note of a camera that is gone."""
-        told = translated(error, self._name)
-        if isinstance(told, DeviceLost):
+        translated_error = translated(error, self._name)
+        if isinstance(translated_error, DeviceLost):
             self.lost.set()
-        return told
+        return translated_error
 
     def has(self, feature: str) -> bool:
         """Tell whether a feature exists and can be used now."""

@@ -63,7 +63,7 @@ class FreshFrames:
                 pixel_bits = bit_depth_of(session.settings.pixel_format, session.quirks)
                 return assemble(raw, session.settings, session.quirks, pixel_bits, self._lens, session.temperature_c())
             self._tally.extra["stale_discarded"] += 1
-            self._tally.frames -= 1  # whole, but nobody gets it
+            self._tally.frames -= 1  # whole, but not delivered
         raise DeviceTimeout(f"{session.label}: keeps sending frames exposed under other settings; close and reopen it")
 
     def stop(self) -> None:

@@ -35,8 +35,8 @@ def is_controlled(address: str, attempts: int = 2, timeout_s: float = 0.4, port:
     packet = _answer(_ASK_CONTROL, _READ_MEMORY_ACK, address, attempts, timeout_s, port)
     if packet is None or len(packet) < _HEADER.size + 8:
         return False
-    (told_address, privilege) = struct.unpack_from(">II", packet, _HEADER.size)
-    return bool(told_address == _CONTROL_PRIVILEGE and privilege & 0x3)
+    (register_address, privilege) = struct.unpack_from(">II", packet, _HEADER.size)
+    return bool(register_address == _CONTROL_PRIVILEGE and privilege & 0x3)
 
 
 def name_at(address: str, attempts: int = 2, timeout_s: float = 0.4, port: int = GVCP_PORT) -> tuple[str, str, str]:
@@ -49,7 +49,7 @@ def name_at(address: str, attempts: int = 2, timeout_s: float = 0.4, port: int =
     return vendor, model, serial
 
 
-def _answer(command: bytes, wanted: int, address: str, attempts: int, timeout_s: float, port: int) -> bytes | None:
+def _answer(command: bytes, request_id: int, address: str, attempts: int, timeout_s: float, port: int) -> bytes | None:
     """Return the acknowledgement of a command; None where none comes."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as line:
         line.settimeout(timeout_s)
@@ -59,6 +59,6 @@ def _answer(command: bytes, wanted: int, address: str, attempts: int, timeout_s:
                 packet = line.recv(1024)
             except OSError:  # timed out, refused or unreachable: ask again, then take it for gone
                 continue
-            if len(packet) >= _HEADER.size and _HEADER.unpack_from(packet)[1] == wanted:
+            if len(packet) >= _HEADER.size and _HEADER.unpack_from(packet)[1] == request_id:
                 return packet
     return None

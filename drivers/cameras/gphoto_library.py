@@ -57,7 +57,7 @@ class GphotoLibrary:
                 camera.set_port_info(ports[ports.lookup_path(port)])
             camera.init()
         except library.GPhoto2Error as error:
-            raise _said(error, name) from error
+            raise _translated(error, name) from error
         return GphotoDevice(library, camera, name)
 
 
@@ -116,7 +116,7 @@ class GphotoDevice:
         try:
             return self._thread.run(method, *arguments)
         except self._library.GPhoto2Error as error:
-            raise _said(error, self._name) from error
+            raise _translated(error, self._name) from error
         except DeviceLost as error:
             raise DeviceTimeout(f"{self._name}: no answer within {deadline_s:g} s; switch it off and on") from error
 
@@ -130,7 +130,7 @@ def _leaves(widget: Any) -> Iterator[str]:
         yield from _leaves(part)
 
 
-def _said(error: Any, name: str) -> DeviceError:
+def _translated(error: Any, name: str) -> DeviceError:
     """Return the project's error for one of the library's."""
     code, text = int(error.code), str(error.string)
     if code in _NOT_FOUND:

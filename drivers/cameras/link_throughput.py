@@ -35,11 +35,11 @@ class LinkThroughput:
         Raises:
             DeviceLost: If the camera does not answer.
         """
-        wanted = max(self.lowest_bytes_s, int(_SLOWER * self.limit_bytes_s))
-        if wanted >= self.limit_bytes_s:
+        limit = max(self.lowest_bytes_s, int(_SLOWER * self.limit_bytes_s))
+        if limit >= self.limit_bytes_s:
             return False
         try:
-            now = int(self.features.write(LIMIT, wanted))
+            now = int(self.features.write(LIMIT, limit))
         except (DeviceLost, DeviceInUse):
             raise
         except DeviceError as error:
@@ -64,8 +64,8 @@ def choose_throughput(camera: Any, features: FeatureAccess, name: str, notes: li
         found = now = int(features.read(LIMIT, int))
         speed = features.read_if_there(SPEED, int)
         if speed is not None and 0 < int(speed) * _SHARE[bool(camera.is_gv_device())] < found:
-            wanted = min(max(int(int(speed) * _SHARE[bool(camera.is_gv_device())]), int(low)), int(high))
-            now = int(features.write(LIMIT, wanted))
+            limit = min(max(int(int(speed) * _SHARE[bool(camera.is_gv_device())]), int(low)), int(high))
+            now = int(features.write(LIMIT, limit))
     except (DeviceLost, DeviceInUse):
         raise
     except DeviceError as error:

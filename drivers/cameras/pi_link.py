@@ -155,22 +155,22 @@ class PiLink(LibraryLink[PiDevice]):
         )
 
     def _is_current(self, metadata: dict[str, Any]) -> bool:
-        wanted_us = self._settings.exposure_s * 1e6
-        off_us = abs(float(metadata["ExposureTime"]) - wanted_us)
+        set_us = self._settings.exposure_s * 1e6
+        off_us = abs(float(metadata["ExposureTime"]) - set_us)
         gain = float(metadata["AnalogueGain"]) / 10 ** (self._settings.gain_db / 20)
-        return off_us <= max(_SAME_EXPOSURE_US, _SAME_EXPOSURE_REL * wanted_us) and abs(gain - 1) <= _SAME_GAIN_REL
+        return off_us <= max(_SAME_EXPOSURE_US, _SAME_EXPOSURE_REL * set_us) and abs(gain - 1) <= _SAME_GAIN_REL
 
     def _grabbed(self, request: RawRequest) -> Grab:
-        told, bits = request.metadata, bits_of(self._settings.pixel_format)
-        levels = told.get("SensorBlackLevels") or (0,)
-        temperature_c = told.get("SensorTemperature")
+        reported, bits = request.metadata, bits_of(self._settings.pixel_format)
+        levels = reported.get("SensorBlackLevels") or (0,)
+        temperature_c = reported.get("SensorTemperature")
         return Grab(
             dn=green_of(request.numbers, self._mode.mosaic),
             bit_depth=bits,
-            exposure_s=float(told["ExposureTime"]) * 1e-6,
-            gain_db=round(20 * math.log10(float(told["AnalogueGain"])), 6),
+            exposure_s=float(reported["ExposureTime"]) * 1e-6,
+            gain_db=round(20 * math.log10(float(reported["AnalogueGain"])), 6),
             black_level_dn=float(np.mean(levels)) / 2 ** (_FULL_SCALE_16 - bits),
-            timestamp_s=float(told["SensorTimestamp"]) * 1e-9,
+            timestamp_s=float(reported["SensorTimestamp"]) * 1e-9,
             temperature_c=None if temperature_c is None else float(temperature_c),
         )
 

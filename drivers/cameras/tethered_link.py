@@ -208,12 +208,12 @@ def seconds_of(text: str) -> float | None:
 
 
 def _completed(identity: CameraIdentity, device: TetheredDevice, names: frozenset[str]) -> CameraIdentity:
-    told = {
+    controls = {
         key: device.read(name)
         for key, name in (("vendor", "manufacturer"), ("serial", "serialnumber"), ("firmware", "deviceversion"))
         if name in names
     }
-    return replace(identity, **told)
+    return replace(identity, **controls)
 
 
 def _number_of(text: str) -> float | None:
@@ -225,9 +225,9 @@ def _number_of(text: str) -> float | None:
 
 
 def _dial(
-    device: TetheredDevice, names: frozenset[str], wanted: Iterable[str], meaning: Callable[[str], float | None]
+    device: TetheredDevice, names: frozenset[str], candidates: Iterable[str], meaning: Callable[[str], float | None]
 ) -> _Dial:
-    for name in wanted:
+    for name in candidates:
         if name in names:
             found = {entry: meaning(entry) for entry in device.choices(name)}
             return _Dial(name, {entry: value for entry, value in found.items() if value is not None})
@@ -251,9 +251,9 @@ def _falsifiers(device: TetheredDevice, names: frozenset[str]) -> list[Finding]:
     for name, harmless, effect in _FALSIFIERS:
         if name not in names or device.read(name).lower() in harmless:
             continue
-        wanted = next((entry for entry in device.choices(name) if entry.lower() in harmless), None)
+        harmless_entry = next((entry for entry in device.choices(name) if entry.lower() in harmless), None)
         try:
-            now = device.write(name, wanted) if wanted else device.read(name)
+            now = device.write(name, harmless_entry) if harmless_entry else device.read(name)
         except DeviceLost:
             raise
         except DeviceError:

@@ -52,7 +52,7 @@ class LinuxpyVideo:
         try:
             device.open()
         except OSError as error:
-            raise _said(error, path) from error
+            raise _translated(error, path) from error
         return LinuxpyDevice(library, device, path)
 
 
@@ -94,7 +94,7 @@ class LinuxpyDevice:
             control.value = value
             return int(control.value)
         except OSError as error:
-            raise _said(error, self._path) from error
+            raise _translated(error, self._path) from error
         except (AttributeError, ValueError) as error:  # read-only, inactive or grabbed; not among its choices
             raise DeviceError(f"{self._path}: {error}") from error
 
@@ -108,7 +108,7 @@ class LinuxpyDevice:
             self._capture.open()
         except OSError as error:
             self._capture = None
-            raise _said(error, self._path) from error
+            raise _translated(error, self._path) from error
 
     def _require_format(self, now: Any, fourcc: str, width: int, height: int) -> None:
         """Raise DeviceError where the device gives another format than was set, or rows with a margin."""
@@ -129,7 +129,7 @@ class LinuxpyDevice:
         try:
             frame = thread.run(self._capture.buffer.read)
         except OSError as error:
-            raise _said(error, self._path) from error
+            raise _translated(error, self._path) from error
         except DeviceLost as error:
             if Path(self._path).exists():
                 raise DeviceTimeout(f"{self._path}: no frame within {deadline_s:.1f} s, though it is there") from error
@@ -155,7 +155,7 @@ def _fourcc(pixel_format: int) -> str:
     return int(pixel_format).to_bytes(4, "little").decode("ascii", "replace")
 
 
-def _said(error: OSError, path: str) -> DeviceError:
+def _translated(error: OSError, path: str) -> DeviceError:
     reason = error.strerror or str(error)
     if error.errno == errno.EBUSY:
         return DeviceInUse(f"{path} is in use by another program ({reason}); close that program and try again")

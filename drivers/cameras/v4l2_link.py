@@ -120,8 +120,8 @@ class V4l2Link(LibraryLink[VideoDevice]):
 
     def apply(self, settings: CameraSettings) -> CameraSettings:
         """Set exposure time and format, and return them as read back."""
-        wanted = round(settings.exposure_s / EXPOSURE_UNIT_S)
-        units = self._open.set_control(self._exposure_control, wanted)
+        control_value = round(settings.exposure_s / EXPOSURE_UNIT_S)
+        units = self._open.set_control(self._exposure_control, control_value)
         self._stale = _STALE_AFTER_CHANGE
         self._settings = CameraSettings(round(units * EXPOSURE_UNIT_S, 10), pixel_format=settings.pixel_format)
         return self._settings
@@ -222,12 +222,12 @@ def plain_numbers(payload: bytes, fourcc: str, width: int, height: int) -> Digit
 def _switched_off(device: VideoDevice) -> list[HygieneFinding]:
     found = []
     controls = device.controls()
-    wanted = (
+    control_value = (
         (*CONTROLS, ("gain", controls["gain"].minimum, "gain: its control has no unit"))
         if "gain" in controls
         else CONTROLS
     )
-    for name, harmless, effect in wanted:
+    for name, harmless, effect in control_value:
         if name in controls:
             control = controls[name]
             value = (
@@ -242,18 +242,18 @@ def _switched_off(device: VideoDevice) -> list[HygieneFinding]:
 
 
 def _set(device: VideoDevice, feature: FalsifyingFeature, control: Control) -> HygieneFinding:
-    wanted = int(feature.harmless)
-    if control.value == wanted:
+    harmless_value = int(feature.harmless)
+    if control.value == harmless_value:
         return HygieneFinding(feature, control.value, control.value, "off")
-    if not control.minimum <= wanted <= control.maximum:
+    if not control.minimum <= harmless_value <= control.maximum:
         reason = f"it goes from {control.minimum} to {control.maximum}"
         return HygieneFinding(feature, control.value, control.value, "still_on", reason)
     try:
-        now = device.set_control(feature.name, wanted)
+        now = device.set_control(feature.name, harmless_value)
     except DeviceLost:
         raise
     except DeviceError as error:
         return HygieneFinding(feature, control.value, control.value, "still_on", str(error))
-    if now == wanted:
+    if now == harmless_value:
         return HygieneFinding(feature, control.value, now, "switched_off")
     return HygieneFinding(feature, control.value, now, "still_on", "it took the write and kept its value")

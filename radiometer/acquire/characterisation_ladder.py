@@ -84,10 +84,10 @@ def saturating_exposure_s(camera: Camera, region: Patch) -> float:
                 break
             return found
         factor = _TOO_BRIGHT_FACTOR if signal > 0.8 * full else min(0.5 * full / max(signal, 1.0), 100.0)
-        wanted = min(max(exposure * factor, shortest), longest)
-        if wanted == exposure:
+        next_exposure = min(max(exposure * factor, shortest), longest)
+        if next_exposure == exposure:
             break
-        exposure = wanted
+        exposure = next_exposure
     raise MeasurementError(
         f"the light is too {'bright' if exposure <= shortest else 'dim'}: the region does not come to saturation "
         f"between {shortest:g} s and {longest:g} s; change the light, the aperture or the region (--patch)"

@@ -159,10 +159,10 @@ def steadied(plan: ExposurePlan, flicker_hz: float | None, time_limit_s: float) 
     periods = _MAINS_PERIODS_S if flicker_hz is None else (1.0 / flicker_hz,)
     times = [_whole_periods(t, periods) for t in plan.exposures_s]
     short = max(times, default=0.0) < periods[-1] * (1 - 1e-9)
-    wanted = STEADY_SHORT_FRAMES if short else STEADY_FRAMES
+    frame_count = STEADY_SHORT_FRAMES if short else STEADY_FRAMES
     total = sum(times)
-    for exposure in sorted(times, reverse=True) * wanted:  # the longest first: they weigh most
-        if len(times) >= wanted:
+    for exposure in sorted(times, reverse=True) * frame_count:  # the longest first: they weigh most
+        if len(times) >= frame_count:
             break
         if total + exposure <= time_limit_s:
             times.append(exposure)
@@ -247,7 +247,7 @@ def _greedy_cover(
         times.append(exposure)
         above = bins.lowest * exposure >= window.lowest_dn * _PLANNING_MARGIN
         gained = above & (bins.highest * exposure <= window.highest_dn * (1 + 1e-9))
-        # What the camera's limits keep from being covered as often as wanted must not hold the others up.
+        # What the camera's limits keep from being covered as often as intended must not hold the others up.
         gained[lacking[-1]] = True
         cover += gained
     return sorted(map(float, times))

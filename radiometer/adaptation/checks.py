@@ -38,8 +38,8 @@ def judge_age(
     try:
         age_days = (now - dt.datetime.fromisoformat(created)).total_seconds() / 86400.0
     except (ValueError, TypeError):
-        said = f"the calibration of {what} says {created!r} for when it was made; calibrate again"
-        return Finding("check", {"what": "calibration", "of": what}, CalibrationError(said))
+        message = f"the calibration of {what} says {created!r} for when it was made; calibrate again"
+        return Finding("check", {"what": "calibration", "of": what}, CalibrationError(message))
     limit_days = protocol.safety.calibration_days
     stale = age_days > limit_days
     facts = {"what": "calibration", "of": what, "age_days": round(age_days, 2), "limit_days": limit_days}
@@ -70,11 +70,11 @@ def judge_room(luminance_cd_m2: float, u_cd_m2: float, protocol: AdaptationProto
     if luminance_cd_m2 + COVERAGE * u_cd_m2 <= limit:
         return Finding("room", facts)
     if luminance_cd_m2 > limit:
-        said = f"the room has {reading}; protocol {protocol.name} needs less than {limit:.2g}: darken it"
+        message = f"the room has {reading}; protocol {protocol.name} needs less than {limit:.2g}: darken it"
     else:
-        said = (
+        message = (
             f"the camera reads {reading}: that does not show the room to be darker than the {limit:.2g} that "
             f"protocol {protocol.name} needs; open its aperture, give it more time (time_limit_s of the bench), or "
             "state another safety.darkest_room_cd_m2"
         )
-    return Finding("room", facts, MeasurementError(said))
+    return Finding("room", facts, MeasurementError(message))

@@ -121,9 +121,9 @@ def _held_linear(fit: BranchFit, column: int, value: float, start: Array) -> tup
         if not model.allowed(series.time_min, nonlinear):
             return 1e12
         basis = model.basis(series.time_min, nonlinear)
-        wanted = series.log_threshold - value * basis[:, column]
-        linear = solve(basis[:, free], wanted, weights)
-        return float(weights @ (wanted - basis[:, free] @ linear) ** 2)
+        target = series.log_threshold - value * basis[:, column]
+        linear = solve(basis[:, free], target, weights)
+        return float(weights @ (target - basis[:, free] @ linear) ** 2)
 
     return _minimum(cost, start)
 

@@ -57,7 +57,7 @@ class LivePage(Opened):
         self._controls, self._audio, self._health, self._clock = controls, audio, health, clock
         self._darken = darken
         self._state, self._fit = LiveState(protocol), RunningFit(0, "")
-        self._told_s, self._due = clock(), False
+        self._sent_s, self._due = clock(), False
         self._devices = self._ask_devices()
         self._sockets: set[web.WebSocketResponse] = set()
         self._tasks: set[asyncio.Task[None]] = set()
@@ -121,7 +121,7 @@ class LivePage(Opened):
     def _take(self, event: Event) -> None:
         known = len(self._state.points)
         self._state.take(event)
-        self._told_s = self._clock()
+        self._sent_s = self._clock()
         if event["kind"] == "prompt":
             self._send_all({"kind": "prompt", "say": event["say"]})
         if len(self._state.points) != known:
@@ -132,7 +132,7 @@ class LivePage(Opened):
         return {
             "kind": "state",
             **self._state.to_mapping(),
-            "age_s": round(self._clock() - self._told_s, 2),
+            "age_s": round(self._clock() - self._sent_s, 2),
             "fit": self._fit.to_mapping(),
             "devices": self._devices,
             "audio": self._audio,

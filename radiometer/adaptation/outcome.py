@@ -73,8 +73,8 @@ class Outcome:
         names = ["time_min", "log10_threshold", *(["u_log10_threshold"] if self.u_log10 else [])]
         columns = [self.times_min, self.thresholds_log10, *([self.u_log10] if self.u_log10 else [])]
         rows = [",".join([f"{row[0]:.5f}", *(f"{v:.4f}" for v in row[1:])]) for row in zip(*columns, strict=True)]
-        said = [f"# {name}: {value}" for name, value in (facts or {}).items()]
-        return "\n".join([*said, ",".join(names), *rows]) + "\n"
+        head = [f"# {name}: {value}" for name, value in (facts or {}).items()]
+        return "\n".join([*head, ",".join(names), *rows]) + "\n"
 
 
 def counting_trials(journal: RunJournal) -> list[Event]:

@@ -32,7 +32,7 @@ class Prompter:
     """Journals prompts and has them sounded."""
 
     journal: RunJournal  # the open journal of the test
-    sound: Callable[[Event], None]  # told every prompt, as an event of kind "prompt"
+    sound: Callable[[Event], None]  # called with every prompt, as an event of kind "prompt"
 
     def after(self, event: Event) -> None:
         """Give the prompts that an event calls for. Raises OutputError."""

@@ -54,8 +54,8 @@ def read_r_lists(path: Path) -> tuple[str, list[float], list[float]]:
         raise InputError(f"{path}: R's file cannot be read ({error}); write it as text there: {AS_TEXT}") from error
     found = list(_with_thresholds("", known))
     if len(found) != 1:
-        said = "no object with time and thrs" if not found else f"several objects: {', '.join(f[0] for f in found)}"
-        raise InputError(f"{path}: holds {said}; write one as text in R: {AS_TEXT}")
+        problem = "no object with time and thrs" if not found else f"several objects: {', '.join(f[0] for f in found)}"
+        raise InputError(f"{path}: holds {problem}; write one as text in R: {AS_TEXT}")
     name, times, thresholds = found[0]
     if len(times) != len(thresholds):
         raise InputError(f"{path}: its list has {len(times)} times and {len(thresholds)} thresholds")

@@ -139,6 +139,6 @@ def _rate(value: float, drawn: NDArray[np.float64], count: Count) -> Rate:
     return Rate(value, min(low, value), max(high, value), count)
 
 
-def _count(said: str) -> Count:
-    match = re.fullmatch(r"\s*(\d+)\s*/\s*(\d+)\s*", said)
+def _count(stated: str) -> Count:
+    match = re.fullmatch(r"\s*(\d+)\s*/\s*(\d+)\s*", stated)
     return Count(int(match.group(1)), int(match.group(2))) if match else Count()

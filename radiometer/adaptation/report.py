@@ -163,29 +163,29 @@ def meaning(fit: AdaptationFit) -> list[str]:
             f"The last threshold was taken after {last_min:.1f} min: a later break cannot be detected.",
         ]
     values = fit.chosen.values
-    said = [
+    sentences = [
         f"Cones alone set the threshold until {values['break_min']:.1f} min, and levelled off at "
         f"{_with_interval(fit, 'plateau', 'log10')}.",
         f"Then the rods took over: their threshold falls by one log10 unit in "
         f"{1.0 / -values['s2_slope_per_min']:.1f} min.",
     ]
     if "rod_rod_break_min" in values:
-        said.append(f"From {_with_interval(fit, 'rod_rod_break_min', 'min')} on it falls more slowly (S3).")
+        sentences.append(f"From {_with_interval(fit, 'rod_rod_break_min', 'min')} on it falls more slowly (S3).")
     interval = fit.estimates["break_min"].profile or fit.estimates["break_min"].bootstrap
     if interval is None or not np.isfinite([interval.low, interval.high]).all():
-        said.append("The break's interval is open at an end: more thresholds around it would close it.")
-    return said
+        sentences.append("The break's interval is open at an end: more thresholds around it would close it.")
+    return sentences
 
 
 def _remarks(fit: AdaptationFit) -> list[str]:
     series = fit.chosen.series
     light = np.count_nonzero(fit.chosen.weights < _HELD_WEIGHT * float(np.max(fit.chosen.weights)))
-    said = [f"Taken: {text}." for text in series.taken]
+    notes = [f"Taken: {text}." for text in series.taken]
     if light and series.sigma is None:
-        said.append(f"{light} of {series.time_min.size} thresholds are far from the curve and have little weight.")
+        notes.append(f"{light} of {series.time_min.size} thresholds are far from the curve and have little weight.")
     if not fit.request.stimulus_u_log10:
-        said.append("No uncertainty of the stimulus' calibration was given: levels in log10 units do not include it.")
-    return said
+        notes.append("No uncertainty of the stimulus' calibration was given: levels in log10 units do not include it.")
+    return notes
 
 
 def _assumptions(fit: AdaptationFit) -> list[str]:

@@ -82,15 +82,15 @@ def _break(axes: Axes, fit: AdaptationFit) -> None:
     end = fit.chosen.values.get("rod_rod_break_min", float(series.time_min[-1]))
     place = found.value + 0.6 * (end - found.value)
     level = float(fit.chosen.threshold(np.array([place]))[0])
-    said = f"S2 {short(fit, 's2_slope_per_min')}\nlog10 per min"
-    mark(axes, said, (place, level), (-8, -4), MODEL, ha="right", va="top")
+    label = f"S2 {short(fit, 's2_slope_per_min')}\nlog10 per min"
+    mark(axes, label, (place, level), (-8, -4), MODEL, ha="right", va="top")
 
 
 def _plateau(axes: Axes, fit: AdaptationFit) -> None:
     level = fit.chosen.values["plateau"]
     axes.axhline(level, color=BEFORE, lw=0.9, ls=":")
-    said = f"cone plateau {short(fit, 'plateau')}"
-    mark(axes, said, (1.0, level), (-4, 3), BEFORE, xycoords=("axes fraction", "data"), ha="right")
+    label = f"cone plateau {short(fit, 'plateau')}"
+    mark(axes, label, (1.0, level), (-4, 3), BEFORE, xycoords=("axes fraction", "data"), ha="right")
 
 
 def _unclaimed(axes: Axes, fit: AdaptationFit, grid: Array) -> None:
@@ -104,8 +104,8 @@ def _unclaimed(axes: Axes, fit: AdaptationFit, grid: Array) -> None:
     axes.axvline(when, color=DIMMED, lw=1.0, ls=":")
     deviance = fit.evidence.deviance
     weighed = f" ({deviance:.1f} of {fit.evidence.needed:g})" if np.isfinite(deviance) else ""
-    said = f"no break claimed{weighed}"
-    mark(axes, said, (when, 0.03), (4, 0), RULE, xycoords=("data", "axes fraction"))
+    text = f"no break claimed{weighed}"
+    mark(axes, text, (when, 0.03), (4, 0), RULE, xycoords=("data", "axes fraction"))
 
 
 def _criterion(axes: Axes, fit: AdaptationFit) -> None:
@@ -122,10 +122,10 @@ def _crossing(axes: Axes, level: float, fit: AdaptationFit, name: str, words: st
     met = name in fit.estimates and np.isfinite(fit.estimates[name].value)
     if met:
         axes.plot([fit.estimates[name].value], [level], "D", ms=7, color=RULE, zorder=4)
-        place, said = (fit.estimates[name].value, level), f"{words}\n{short(fit, name)} min"
+        place, label = (fit.estimates[name].value, level), f"{words}\n{short(fit, name)} min"
     else:
-        place, said = (float(fit.chosen.series.time_min[0]), level), f"{words}: not reached"
-    mark(axes, said, place, (8, 4), RULE)
+        place, label = (float(fit.chosen.series.time_min[0]), level), f"{words}: not reached"
+    mark(axes, label, place, (8, 4), RULE)
 
 
 def short(fit: AdaptationFit, name: str) -> str:

@@ -263,8 +263,8 @@ class _Run:
     def _tell_lost_fixation(self) -> None:
         """Journal that fixation is lost where enough of the latest lights in the blind spot were seen."""
         lost, of = LOST_OF
-        told = max((event["sequence"] for event in self.journal.of_kind("fixation")), default=-1)
-        checks = [t for t in self.journal.of_kind("trial") if t.get("of") == BLIND_SPOT and t["sequence"] > told]
+        announced = max((event["sequence"] for event in self.journal.of_kind("fixation")), default=-1)
+        checks = [t for t in self.journal.of_kind("trial") if t.get("of") == BLIND_SPOT and t["sequence"] > announced]
         seen = sum(bool(check["seen"]) for check in checks[-of:])
         if seen >= lost:
             self.note("fixation", lost=seen, of=len(checks[-of:]))

@@ -38,7 +38,7 @@ class ScreenStage:
     _spot: Shape = field(init=False)
     _blind_spot: Shape | None = field(default=None, init=False)
     _held: tuple[float, float] = field(default=(0.0, 0.0), init=False)
-    _told_s: float = field(default=-math.inf, init=False)
+    _reported_s: float = field(default=-math.inf, init=False)
     _last: Blink | None = field(default=None, init=False)
 
     def __post_init__(self) -> None:
@@ -114,8 +114,8 @@ class ScreenStage:
         }
 
     def _why_unchecked(self) -> str:
-        wanted = self.protocol.fixation_check is not None
-        return "the page has no room for the blind spot" if wanted else "the protocol has no fixation_check"
+        has_check = self.protocol.fixation_check is not None
+        return "the page has no room for the blind spot" if has_check else "the protocol has no fixation_check"
 
     def health(self) -> dict[str, str]:
         """Return how the screen is, for whoever watches."""
@@ -180,13 +180,13 @@ class ScreenStage:
         begun_s, lasted_s = self._held
         if lasted_s < at_least_s:
             return None
-        self._held, self._told_s = (0.0, 0.0), begun_s
+        self._held, self._reported_s = (0.0, 0.0), begun_s
         return begun_s
 
     def _note(self, hold: Hold) -> None:
         """Remember the longest press; one that was reported already may still go on."""
         begun_s = self.now_s() - hold.began_ago_s
-        if hold.lasted_s > self._held[1] and begun_s > self._told_s + _SAME_PRESS_S:
+        if hold.lasted_s > self._held[1] and begun_s > self._reported_s + _SAME_PRESS_S:
             self._held = (begun_s, hold.lasted_s)
 
     def shown_log10(self, log10_level: float) -> float:

@@ -161,12 +161,12 @@ def _taken(
     if seen is not None:
         return _of_trials(path, header, body, facts, how, seen)
     columns = _columns(path, header, body)
-    wanted = [column for column in columns if column is not None]
+    used = [column for column in columns if column is not None]
     rows, left_out = [], 0
     for number, row in body:
-        cells = [row[column] if column < len(row) else None for column in wanted]
+        cells = [row[column] if column < len(row) else None for column in used]
         if None in cells:
-            raise InputError(f"{path}, line {number}: {len(row)} columns, expected {max(wanted) + 1}")
+            raise InputError(f"{path}, line {number}: {len(row)} columns, expected {max(used) + 1}")
         values = [_number(str(cell)) for cell in cells]
         if any(v is None and str(c).lower() in MISSING for v, c in zip(values, cells, strict=True)):
             left_out += 1
@@ -179,17 +179,17 @@ def _taken(
     if not rows:
         raise InputError(f"{path} holds no thresholds")
     table = np.array(rows, dtype=np.float64)
-    time_word = header[wanted[0]] if header else ""
-    level_word = header[wanted[1]] if header else ""
-    minutes, said_time = _minutes(table[:, 0], time_word, facts)
+    time_word = header[used[0]] if header else ""
+    level_word = header[used[1]] if header else ""
+    minutes, time_note = _minutes(table[:, 0], time_word, facts)
     order = np.argsort(minutes, kind="stable")
-    levels, factor, said_level = _log10(path, table[order, 1], level_word, " ".join(header).lower(), facts)
+    levels, factor, level_note = _log10(path, table[order, 1], level_word, " ".join(header).lower(), facts)
     taken = [minutes[order], levels]
     if table.shape[1] == 3:
         if np.any(table[:, 2] <= 0):
             raise InputError(f"{path}: a standard deviation must be above 0")
         taken.append(_u_log10(table[order, 2], table[order, 1], factor))
-    return TakenTable(np.column_stack(taken), facts, (*how, said_time, said_level))
+    return TakenTable(np.column_stack(taken), facts, (*how, time_note, level_note))
 
 
 def _of_trials(
@@ -206,8 +206,8 @@ def _of_trials(
         raise InputError(f"{path}: a trial without time or level")
     order = np.argsort([float(row[when]) for _, row in body], kind="stable")
     rows = changes_of_answer(path, trials.rows, [body[at][1][seen] for at in order])
-    said = f"a list of {len(body)} trials: {len(rows)} thresholds where the answer changes, midway between its levels"
-    return TakenTable(rows, facts, (*trials.taken, said))
+    note = f"a list of {len(body)} trials: {len(rows)} thresholds where the answer changes, midway between its levels"
+    return TakenTable(rows, facts, (*trials.taken, note))
 
 
 def _columns(path: Path, header: list[str], body: list[tuple[int, list[str]]]) -> tuple[int | None, ...]:
@@ -248,8 +248,8 @@ def _minutes(times: np.ndarray, word: str, facts: dict[str, str]) -> tuple[np.nd
     stated = heading_parts(word, "exposure")[1]
     if stated is not None:
         return times * stated.to_base(1.0) / 60.0, f"time in {stated.name}, as its header states"
-    said = re.sub(r"[^a-z]+", " ", f"{word} {facts.get('time unit', facts.get('time', ''))}".lower()).split()
-    unit = next((unit for w in said if (unit := unit_of(w, "exposure")) is not None), None)
+    words_of_unit = re.sub(r"[^a-z]+", " ", f"{word} {facts.get('time unit', facts.get('time', ''))}".lower()).split()
+    unit = next((unit for w in words_of_unit if (unit := unit_of(w, "exposure")) is not None), None)
     if unit is not None:
         return times * unit.to_base(1.0) / 60.0, f"time in {unit.name}, as its header states"
     longest = float(times.max())
@@ -264,10 +264,10 @@ def _log10(
     path: Path, levels: np.ndarray, word: str, header: str, facts: dict[str, str]
 ) -> tuple[np.ndarray, float | None, str]:
     """Return log10 thresholds, log10 units per unit of the file (None where it is linear), and what was taken."""
-    said = f"{word} {facts.get('threshold unit', facts.get('unit', facts.get('units', '')))}".lower()
-    words = re.sub(r"[^a-z0-9]+", " ", said).split()
+    unit_text = f"{word} {facts.get('threshold unit', facts.get('unit', facts.get('units', '')))}".lower()
+    words = re.sub(r"[^a-z0-9]+", " ", unit_text).split()
     if any(w in ("db", "decibel", "decibels") for w in words):
-        return _from_db(levels, said, header, facts)
+        return _from_db(levels, unit_text, header, facts)
     unit = heading_parts(word, "luminance")[1]
     shift, of_unit = (0.0, "") if unit is None else (math.log10(unit.to_base(1.0)), f" of {unit.name}, given in cd/m²")
     if any(w in ("ln", "loge", "log_e") for w in words):
@@ -288,14 +288,16 @@ def _log10(
     return levels, 1.0, "thresholds in log10 units"
 
 
-def _from_db(levels: np.ndarray, said: str, header: str, facts: dict[str, str]) -> tuple[np.ndarray, float | None, str]:
+def _from_db(
+    levels: np.ndarray, unit_text: str, header: str, facts: dict[str, str]
+) -> tuple[np.ndarray, float | None, str]:
     """Return log10 thresholds of decibels: attenuation, or sensitivity, which rise while the threshold falls."""
     edge = max(1, levels.size // 4)
     rises = float(np.median(levels[-edge:])) > float(np.median(levels[:edge]))
     brightest = _number(facts.get("max_cd_m2", facts.get("0 db", "")).split(" ")[0])
     if brightest is None and ("opi" in " ".join([*facts, *facts.values()]).lower() or "opi" in header.split()):
         brightest = OPI_BRIGHTEST_CD_M2
-    if rises or brightest is not None or "sensitivity" in said or "attenuation" in said:
+    if rises or brightest is not None or "sensitivity" in unit_text or "attenuation" in unit_text:
         zero = 0.0 if brightest is None else math.log10(brightest)
         of = "relative to 0 dB" if brightest is None else f"0 dB = {brightest:.5g} cd·m⁻²"
         return (

@@ -76,7 +76,7 @@ class DaemonSource:
             with urllib.request.urlopen(request, timeout=self.timeout_s) as reply:
                 return reading_of(parsed_json(reply.read()))
         except urllib.error.HTTPError as error:
-            raise DeviceError(f"{self.origin} refuses: {_said(error)}") from error
+            raise DeviceError(f"{self.origin} refuses: {_reason(error)}") from error
         except (ValueError, RecursionError) as error:
             raise DeviceError(f"what {self.origin} answers is no reading: {error}") from error
         except OSError as error:
@@ -110,10 +110,10 @@ def _quantity(mapping: Mapping[str, Any]) -> Quantity:
     return Quantity(float(mapping["value"]), float("inf") if u is None else float(u), str(mapping["unit"]))
 
 
-def _said(error: urllib.error.HTTPError) -> str:
+def _reason(error: urllib.error.HTTPError) -> str:
     text = error.read().decode("utf-8", "replace").strip()
     try:
-        said = parsed_json(text)
+        answer = parsed_json(text)
     except ValueError:
         return text or str(error)
-    return str(said.get("error", text)) if isinstance(said, dict) else text
+    return str(answer.get("error", text)) if isinstance(answer, dict) else text

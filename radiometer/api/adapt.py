@@ -205,8 +205,8 @@ def adapt_run(
     ):
         watchers: list[Watcher] = [watch] if watch else []
         if page or page_port > 0:
-            told = held.enter_context(session.page(page_port, audio=audio, announce=lambda url: notice(_at(url))))
-            watchers.append(told)
+            reported = held.enter_context(session.page(page_port, audio=audio, announce=lambda url: notice(_at(url))))
+            watchers.append(reported)
         if view:
             watchers.append(held.enter_context(view(session)))
         tell = _all_of(watchers, slow_s)
@@ -352,16 +352,16 @@ class Retest(Result):
     def lines(self) -> Iterator[tuple[str, list[str]]]:
         """Yield for each quantity its heading and its lines."""
         for one in self.comparisons:
-            said = [f"{a:9.3f} then {b:9.3f}   difference {b - a:+.3f}" for a, b in one.visits]
-            said += [f"not in both visits of pair {', '.join(map(str, one.missing))}"] if one.missing else []
-            said.append(f"standard uncertainty of a difference by the fits alone: {one.u_fits:.3f}")
+            text = [f"{a:9.3f} then {b:9.3f}   difference {b - a:+.3f}" for a, b in one.visits]
+            text += [f"not in both visits of pair {', '.join(map(str, one.missing))}"] if one.missing else []
+            text.append(f"standard uncertainty of a difference by the fits alone: {one.u_fits:.3f}")
             limits = one.agreement
             if limits is None:
-                said.append(f"limits of agreement need {FEWEST_PAIRS} pairs")
+                text.append(f"limits of agreement need {FEWEST_PAIRS} pairs")
             else:
                 bounds = ("mean difference", limits.mean), ("lower limit", limits.lower), ("upper limit", limits.upper)
-                said += [f"{name:<16} {b.value:+.3f}   {b.low:+.3f} to {b.high:+.3f} (95 %)" for name, b in bounds]
-            yield f"{LABELS[one.name]} ({one.unit}), {len(one.visits)} pairs", said
+                text += [f"{name:<16} {b.value:+.3f}   {b.low:+.3f} to {b.high:+.3f} (95 %)" for name, b in bounds]
+            yield f"{LABELS[one.name]} ({one.unit}), {len(one.visits)} pairs", text
 
     def __str__(self) -> str:
         """Return the names of the quantities."""

@@ -91,11 +91,11 @@ class Passports(Result):
 
     def __str__(self) -> str:
         """Return each camera with what changed."""
-        said = []
+        lines = []
         for one in self.cameras:
             changed = ", ".join(change.quantity for change in one.changes if change.changed) or "nothing"
-            said.append(f"{' '.join(one.camera)}: {len(one.sessions)} sessions, changed: {changed}")
-        return "; ".join(said)
+            lines.append(f"{' '.join(one.camera)}: {len(one.sessions)} sessions, changed: {changed}")
+        return "; ".join(lines)
 
 
 def batch(

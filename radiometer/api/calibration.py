@@ -67,7 +67,7 @@ PatchLike = Patch | tuple[int, int, int, int]
 _TYPICAL_GAIN_DB: Final = 24.0
 _TYPICAL_WARMER_K: Final = 15.0
 _BLACK: Final = "black level"  # its uncertainty has a place of its own in a calibration
-_USUAL_WELL_E: Final = 10_000.0  # what the forward model takes where nobody states one
+_USUAL_WELL_E: Final = 10_000.0  # what the forward model takes where none is stated
 
 
 @dataclass(frozen=True, eq=False, repr=False)

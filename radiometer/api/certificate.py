@@ -122,14 +122,14 @@ def certificate(
     if not identifier.strip():
         raise UsageError("--identifier: a certificate needs a number")
     target = None if out is None else Path(out)
-    beside = None if target is None else target.with_suffix(".html")
-    check_outputs(*(file for file in (target, beside) if file is not None), force=force)
+    page = None if target is None else target.with_suffix(".html")
+    check_outputs(*(file for file in (target, page) if file is not None), force=force)
     known = Laboratory.read(Path(laboratory))
     content = _certified(source, known, identifier.strip())
-    made = Certificate(content, known, target, beside)
-    if target is not None and beside is not None:
+    made = Certificate(content, known, target, page)
+    if target is not None and page is not None:
         write_text_atomic(target, made.to_xml())
-        write_text_atomic(beside, made.to_html())
+        write_text_atomic(page, made.to_html())
     return made
 
 

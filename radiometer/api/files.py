@@ -105,11 +105,11 @@ class Stack:
         there = tuple(dict.fromkeys(one.light[0].settings.pattern for one in self.brackets.values()))
         if pattern is None and len(there) > 1:
             raise UsageError(f"{self.origin}: holds {len(there)} patterns ({', '.join(there)}): choose one")
-        wanted = there[0] if pattern is None else pattern
-        lit = [one for one in self.brackets.values() if one.light[0].settings.pattern == wanted]
+        expected = there[0] if pattern is None else pattern
+        lit = [one for one in self.brackets.values() if one.light[0].settings.pattern == expected]
         if not lit:
             raise CaptureError(
-                f"{self.origin}: holds no lit frame of pattern {wanted!r}; there are: {', '.join(sorted(there))}"
+                f"{self.origin}: holds no lit frame of pattern {expected!r}; there are: {', '.join(sorted(there))}"
             )
         levels = [one.light[0].settings.source_level for one in lit]
         if levels.count(max(levels)) > 1:

@@ -146,8 +146,8 @@ def _taken(
         frames = (*ready.only.dark, *ready.without_absent().light)
         return _Taken(frames, calibration.camera, calibration.lens, SourceDescription(), ready.notes)
     capture = open_capture(path)
-    wanted = capture.pattern_of()
-    frames = tuple(one for one in capture.frames() if one.settings.is_dark or one.settings.pattern == wanted)
+    chosen = capture.pattern_of()
+    frames = tuple(one for one in capture.frames() if one.settings.is_dark or one.settings.pattern == chosen)
     notes = tuple(f"{path.name}: {line}" for line in imported_of(capture).lines()) if capture.store is not None else ()
     header = capture.header
     return _Taken(frames, header.camera, header.lens, header.source, notes)

@@ -125,9 +125,9 @@ def light_set(
         UnsafeStimulus: If it is too much for the eye or the box.
         DeviceError: If the box fails or ends the light early.
     """
-    wanted, looks = _level(radiance, level, low=low), name_of_eye(subject, eye, no_eye=no_eye)
+    expected, looks = _level(radiance, level, low=low), name_of_eye(subject, eye, no_eye=no_eye)
     with _opened(box, calibration, preset, looks) as opened:
-        found = _found(opened, opened.box.set_level(channel, wanted), radiance)
+        found = _found(opened, opened.box.set_level(channel, expected), radiance)
         lit(found)
         _stay(opened, hold_s, channel if found.state.drive.level else None, notice)
     return found
@@ -163,9 +163,9 @@ def light_pulse(
     Raises:
         RadiometerError: As `light_set`.
     """
-    wanted, looks = _level(radiance, level, low=low), name_of_eye(subject, eye, no_eye=no_eye)
+    drive, looks = _level(radiance, level, low=low), name_of_eye(subject, eye, no_eye=no_eye)
     with _opened(box, calibration, preset, looks) as opened:
-        found = _found(opened, opened.box.pulse(channel, wanted, duration_s), radiance)
+        found = _found(opened, opened.box.pulse(channel, drive, duration_s), radiance)
         lit(found)
         _stay(opened, duration_s, None, notice)
     return found
@@ -207,10 +207,10 @@ def light_blink(
     Raises:
         RadiometerError: As `light_set`.
     """
-    wanted, looks = _level(radiance, level, low=low), name_of_eye(subject, eye, no_eye=no_eye)
+    drive, looks = _level(radiance, level, low=low), name_of_eye(subject, eye, no_eye=no_eye)
     lit_s = hold_s if hold_s is not None else (on_s + off_s) * count if count else None
     with _opened(box, calibration, preset, looks) as opened:
-        found = _found(opened, opened.box.blink(channel, wanted, on_s, off_s, count), radiance)
+        found = _found(opened, opened.box.blink(channel, drive, on_s, off_s, count), radiance)
         lit(found)
         _stay(opened, lit_s, channel if count == 0 else None, notice)
     return found
@@ -595,9 +595,9 @@ def _ended_early(opened: OpenedBox, channel: str, after_s: float, lit_s: float |
         if left < _BUDGET_USED_UP
         else "another program asked for darkness, or the button of the box was held"
     )
-    wanted = "" if lit_s is None else f" of {lit_s:g} s"
+    duration_text = "" if lit_s is None else f" of {lit_s:g} s"
     return DeviceError(
-        f"the light box ended the light of {channel} by itself after {after_s:.1f} s{wanted}"
+        f"the light box ended the light of {channel} by itself after {after_s:.1f} s{duration_text}"
         f" (known to {_LOOK_S:g} s): {reason}"
     )
 

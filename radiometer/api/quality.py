@@ -121,22 +121,22 @@ def quality_take(
         UsageError: If there is no such procedure or step.
         DeviceError: If the camera fails, or several steps are missing and `ask` is missing.
     """
-    wanted = procedure_named(procedure)
-    folder = Path(session) / wanted.name
-    missing = [one for one in chosen_steps(wanted, steps) if not (folder / one.name).exists()]
+    chosen = procedure_named(procedure)
+    folder = Path(session) / chosen.name
+    missing = [one for one in chosen_steps(chosen, steps) if not (folder / one.name).exists()]
     if len(missing) > 1 and ask is None:
         names = ", ".join(one.name for one in missing)
         raise DeviceError(f"the steps {names} need a hand in between; run at a terminal, or name one step at a time")
     for step in missing:
         if ask is not None:
-            ask(f"{wanted.title}, step {step.name}: {step.ask}")
+            ask(f"{chosen.title}, step {step.name}: {step.ask}")
 
         def taken(done: int, total: int, name: str = step.name) -> None:
             if progress:
                 progress(name, done, total)
 
         take_step(
-            folder / step.name, wanted, step, bench=Path(bench) if bench else None, name=camera, patch=as_patch(patch),
+            folder / step.name, chosen, step, bench=Path(bench) if bench else None, name=camera, patch=as_patch(patch),
             repeat=repeat, darks=darks, ask=ask, taken=taken,
         )  # fmt: skip
     return [folder / one.name for one in missing]

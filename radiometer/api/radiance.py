@@ -223,13 +223,13 @@ class Radiance(Result):
         """Return size, range and share of good pixels in one line."""
         height, width = self.picture.first.shape
         names = "" if len(self.maps) == 1 else f" of {', '.join(self.maps)}"
-        return f"<Radiance{names} {width} × {height} pixels in {self.unit}: {_told(self.picture.first)}>"
+        return f"<Radiance{names} {width} × {height} pixels in {self.unit}: {_summary(self.picture.first)}>"
 
     def _repr_html_(self) -> str:
         return picture(self.plot, repr(self))
 
 
-def _told(found: RadianceMap) -> str:
+def _summary(found: RadianceMap) -> str:
     good = found.mask == 0
     if not good.any():
         return "no good pixel"

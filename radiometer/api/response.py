@@ -134,13 +134,13 @@ class Response(Result):
 
     def __repr__(self) -> str:
         """Return method, depth, range and median uncertainty in one line."""
-        return f"<Response {'; '.join(map(_told, self.estimates))}>"
+        return f"<Response {'; '.join(map(_summary, self.estimates))}>"
 
     def _repr_html_(self) -> str:
         return picture(self.plot, repr(self))
 
 
-def _told(estimate: ResponseEstimate) -> str:
+def _summary(estimate: ResponseEstimate) -> str:
     curve = estimate.curve
     valid = curve.valid_dn or (0, curve.log_exposure.size - 1)
     return (

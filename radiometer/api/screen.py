@@ -485,8 +485,8 @@ def _kinds(names: Sequence[str]) -> list[str]:
     return list(names)
 
 
-def _exports(calibration: ScreenCalibration, kinds: list[str], beside: Path) -> list[Path]:
-    files = _export_files(kinds, beside)
+def _exports(calibration: ScreenCalibration, kinds: list[str], next_to: Path) -> list[Path]:
+    files = _export_files(kinds, next_to)
     for kind, path in zip(kinds, files, strict=True):
         write_export(calibration, kind, path)
     return files

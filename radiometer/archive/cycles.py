@@ -170,11 +170,11 @@ def cycle_columns(time_s: Array, period_s: float) -> Array:
     return np.stack([np.sin(phase), np.cos(phase)], axis=1)
 
 
-def _likelihoods(design: Array, told: Array, sigma: Array, time_s: Array, periods_s: Array) -> tuple[float, Array]:
+def _likelihoods(design: Array, observed: Array, sigma: Array, time_s: Array, periods_s: Array) -> tuple[float, Array]:
     """Return the log-likelihood without a cycle and with each, every one at its likeliest correlation time."""
-    gaps, freedom = np.diff(time_s), told.size - design.shape[1] - 2
+    gaps, freedom = np.diff(time_s), observed.size - design.shape[1] - 2
     trials = np.concatenate([cycle_columns(time_s, period) for period in periods_s], axis=1) / sigma[:, None]
-    rows = np.column_stack([design / sigma[:, None], told, trials])
+    rows = np.column_stack([design / sigma[:, None], observed, trials])
     without, gains = -math.inf, np.full(periods_s.size, -math.inf)
     for tau in (0.0, *(part * float(time_s[-1] - time_s[0]) for part in _TIMES_OF_SPAN)):
         phi = np.zeros_like(gaps) if tau == 0.0 else np.minimum(np.exp(-gaps / tau), _MOST_CORRELATED)

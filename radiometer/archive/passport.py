@@ -150,13 +150,13 @@ def _passport(camera: tuple[str, ...], sessions: Sequence[Session]) -> Passport:
     law = fit_dark_law(sessions)
     changes = [change for name in _COMPARED if (change := _compared(name, sessions)) is not None]
     if law is not None and len({point[0] for point in law.points}) > 1:
-        said = "one law" if law.is_one else "no one law"
+        verdict = "one law" if law.is_one else "no one law"
         apart = (
             ""
             if law.offset is None
             else f", a session off by {100 * law.offset.value:+.1f} ± {100 * law.offset.u:.1f} %"
         )
-        what = f"{said} over {len(law.points)} temperatures of {len({p[0] for p in law.points})} sessions{apart}"
+        what = f"{verdict} over {len(law.points)} temperatures of {len({p[0] for p in law.points})} sessions{apart}"
         changes.append(Change("dark current", not law.is_one, what))
     unchanged = not any(change.changed for change in changes if change.quantity in ("K", "dark current"))
     return Passport(
@@ -320,14 +320,14 @@ def _largest_offset(
 
 def _offset(law: _Fitted, own: Array, temperatures: Array, logs: Array, u: Array) -> Quantity | None:
     """Return the offset of one session's points, marked by ones, from the law of the others; None if unknown."""
-    shared, beside = law.derivatives(temperatures), (logs - law.log_rate(temperatures)) / u
+    shared, residual = law.derivatives(temperatures), (logs - law.log_rate(temperatures)) / u
     design = np.column_stack([shared / np.abs(shared).max(axis=0), own]) / u[:, None]
     if own.all() or np.linalg.matrix_rank(design) <= _PARAMETERS:
         return None
     normal = np.linalg.inv(design.T @ design)
-    solution = normal @ design.T @ beside
+    solution = normal @ design.T @ residual
     freedom = logs.size - _PARAMETERS - 1
-    scatter = float(np.linalg.norm(design @ solution - beside)) / math.sqrt(max(freedom, 1))
+    scatter = float(np.linalg.norm(design @ solution - residual)) / math.sqrt(max(freedom, 1))
     if scatter > 1.0:  # a u from the scatter of few points is itself hardly known: two u cover as Student's t does
         scatter *= float(stdtrit(freedom, _COVERED)) / _AGREE_SIGMAS
     return Quantity(float(solution[2]), math.sqrt(float(normal[2, 2])) * max(1.0, scatter), "1")
@@ -351,11 +351,11 @@ def _compared(name: str, sessions: Sequence[Session]) -> Change | None:
         for difference in [Quantity(other.value - one.value, math.hypot(one.u, other.u), one.unit)]
         if abs(difference.value) > max(limit_sigmas * difference.u, _repeatability(name, one.value))
     ]
-    said = ", ".join(with_u(q.value, 2.0 * q.u) for _, q in known) + f" {unit_text(known[0][1].unit)} (k = 2)"
+    text = ", ".join(with_u(q.value, 2.0 * q.u) for _, q in known) + f" {unit_text(known[0][1].unit)} (k = 2)"
     if not changed:
-        return Change(name, False, said)
+        return Change(name, False, text)
     degrees = _temperatures([s for s, _ in known])
-    return Change(name, True, f"{said}{degrees}: {max(changed)[1]}")
+    return Change(name, True, f"{text}{degrees}: {max(changed)[1]}")
 
 
 def _against(before: Session, after: Session, difference: Quantity) -> str:

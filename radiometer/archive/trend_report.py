@@ -109,32 +109,32 @@ def _straight(trend: Trend) -> str:
 
 def advice(ordered: Sequence[Trend]) -> list[str]:
     """Return what to do about the drifts, or what would show one."""
-    said = []
+    sentences = []
     for trend in ordered:
         stated = float(np.median(trend.u / trend.value))
         if trend.drifts:
             months = stated / abs(trend.drift_per_month)
-            said.append(
+            sentences.append(
                 f"{trend.patch}: in {months:.2g} months the drift is as large as the readings' own uncertainty "
                 f"({100 * stated:.2g} %, k = 1); calibrate it again before then."
             )
         elif trend.verdict == "season_or_drift":
-            said.append(
+            sentences.append(
                 f"{trend.patch}: measure until {_day(trend.decided_from_s)[:10]}, a year and a half after the "
                 "first one: "
                 "that separates a season from a drift. Or keep temperature and ambient light steady."
             )
         else:
-            said.append(
+            sentences.append(
                 f"{trend.patch}: a drift of {100 * _claimed_from(trend):.2g} % per month or more would have been "
                 "shown; to see less, go on measuring: the uncertainty of a drift falls with the span."
             )
         if trend.excess_rel > stated:
-            said.append(
+            sentences.append(
                 f"{trend.patch}: readings scatter by {100 * trend.excess_rel:.2g} % more than they state: something "
                 "that changes from one to the next (warm-up, place, ambient light) is not in their uncertainty."
             )
-    return said
+    return sentences
 
 
 def _per_month(trend: Trend) -> str:
@@ -263,8 +263,8 @@ def _history(axes: Axes, trend: Trend, *, narrow: bool) -> None:
     for side in (-3, 3):
         axes.plot(at, line + side * scatter, ":", color=DIMMED, lw=1.0)
     for number, change in enumerate(trend.changes_s):
-        said = "other calibration or settings" if not number else None
-        axes.axvline(_dates(np.array([change]))[0], color=MARK, lw=1.2, ls="--", label=said)
+        text = "other calibration or settings" if not number else None
+        axes.axvline(_dates(np.array([change]))[0], color=MARK, lw=1.2, ls="--", label=text)
     locator = AutoDateLocator(maxticks=5 if narrow else 10)  # type: ignore[no-untyped-call]
     axes.xaxis.set_major_locator(locator)
     axes.xaxis.set_major_formatter(ConciseDateFormatter(locator))  # type: ignore[no-untyped-call]

@@ -110,9 +110,9 @@ def calibration_path(config: BenchConfig, bench: Path | None) -> Path | None:
     """
     if config.calibration is None:
         return None
-    beside = (bench.parent if bench else Path()) / config.calibration
-    if bench and beside.is_file():
-        return beside
+    calibration_file = (bench.parent if bench else Path()) / config.calibration
+    if bench and calibration_file.is_file():
+        return calibration_file
     try:
         return shipped_config(config.calibration)
     except ConfigurationError as error:

@@ -28,9 +28,9 @@ def open_camera(config: BenchConfig, where: Path, name: str | None = None) -> Ca
     """
     camera = make_camera(config, where, name)
     camera.open()
-    wanted = config.camera
+    camera_config = config.camera
     try:
-        camera.configure(_first_settings(wanted, camera.capabilities))
+        camera.configure(_first_settings(camera_config, camera.capabilities))
     except BaseException:
         camera.close()
         raise
@@ -43,11 +43,11 @@ def make_camera(config: BenchConfig, where: Path, name: str | None = None) -> Ca
     Raises:
         ConfigurationError: If "sim" is asked of a bench without a simulated camera.
     """
-    wanted = config.camera
-    if name == SIMULATED or (name is None and isinstance(wanted, SimulatedCameraConfig)):
-        if not isinstance(wanted, SimulatedCameraConfig):
-            raise ConfigurationError(f"{where}: its camera is {wanted.kind}, so there is no 'sim'")
-        return _simulated(config, wanted, where)
+    camera_config = config.camera
+    if name == SIMULATED or (name is None and isinstance(camera_config, SimulatedCameraConfig)):
+        if not isinstance(camera_config, SimulatedCameraConfig):
+            raise ConfigurationError(f"{where}: its camera is {camera_config.kind}, so there is no 'sim'")
+        return _simulated(config, camera_config, where)
     return _real(config, name)
 
 
@@ -69,56 +69,60 @@ def list_cameras(config: BenchConfig, where: Path) -> tuple[list[CameraIdentity]
 
 def _real(config: BenchConfig, name: str | None) -> Camera:
     own = config.camera if isinstance(config.camera, GenicamCameraConfig) else None
-    wanted = name or (own.id if own else None)
+    camera_id = name or (own.id if own else None)
     if name is None and own and own.kind != "genicam":
-        wanted = f"{own.kind}:{(own.id or '').removeprefix(f'{own.kind}:')}"
-    if wanted is not None and wanted.partition(":")[0] in OWN_KINDS and ":" in wanted:
+        camera_id = f"{own.kind}:{(own.id or '').removeprefix(f'{own.kind}:')}"
+    if camera_id is not None and camera_id.partition(":")[0] in OWN_KINDS and ":" in camera_id:
         from drivers.cameras.own_cameras import open_own
 
         preset = CameraPreset.shipped(own.preset).camera if own and own.preset else None
-        return open_own(wanted, config.lens_description, preset)
+        return open_own(camera_id, config.lens_description, preset)
     from drivers.cameras.aravis_camera import open_camera as find
 
-    return find(wanted, preset=own.preset if own else None, lens=config.lens_description)
+    return find(camera_id, preset=own.preset if own else None, lens=config.lens_description)
 
 
-def _first_settings(wanted: CameraConfig, limits: CameraCapabilities) -> CameraSettings:
+def _first_settings(camera_config: CameraConfig, limits: CameraCapabilities) -> CameraSettings:
     """Return what a bench wants of a camera, in the nearest pixel format that it offers."""
     low, high = limits.black_level_dn
-    order = (wanted.pixel_format, *_NEAREST_FORMATS)
+    order = (camera_config.pixel_format, *_NEAREST_FORMATS)
     return CameraSettings(
         exposure_s=max(0.01, limits.exposure_s[0]),
-        gain_db=wanted.gain_db,
-        black_level_dn=low if low == high else wanted.black_level_dn,  # no black level to set on such a camera
-        pixel_format=next((name for name in order if name in limits.pixel_formats), wanted.pixel_format),
+        gain_db=camera_config.gain_db,
+        black_level_dn=low if low == high else camera_config.black_level_dn,  # no black level to set on such a camera
+        pixel_format=next((name for name in order if name in limits.pixel_formats), camera_config.pixel_format),
     )
 
 
-def _simulated(config: BenchConfig, wanted: SimulatedCameraConfig, where: Path) -> Camera:
+def _simulated(config: BenchConfig, camera_config: SimulatedCameraConfig, where: Path) -> Camera:
     from simulators.cameras.simulated_camera import SimulatedCamera
     from simulators.chain.camera_model import CameraModel
     from simulators.scenes import scene_from_mapping
 
     if config.scene is None:
         raise ConfigurationError(f"{where}: key 'scene' is missing; a simulated camera needs something to look at")
-    file = preset_path(wanted.preset, where)
+    file = preset_path(camera_config.preset, where)
     preset = CameraPreset.read(file)
     limits = preset.require_limits(str(file)).capabilities(has_shutter=True)
-    limits = replace(limits, width=wanted.width or limits.width, height=wanted.height or limits.height)
+    limits = replace(limits, width=camera_config.width or limits.width, height=camera_config.height or limits.height)
     lens = config.lens_description
-    model = CameraModel.read(where.parent / wanted.model) if wanted.model else CameraModel.ideal(preset.camera, lens)
+    model = (
+        CameraModel.read(where.parent / camera_config.model)
+        if camera_config.model
+        else CameraModel.ideal(preset.camera, lens)
+    )
     return SimulatedCamera(
         model,
         scene_from_mapping(config.scene, f"{where}: scene", where.parent),
-        seed=wanted.seed,
-        serial=wanted.serial,
+        seed=camera_config.seed,
+        serial=camera_config.serial,
         device_id=SIMULATED,
         limits=limits,
-        temperature_c=wanted.temperature_C,
+        temperature_c=camera_config.temperature_C,
     )
 
 
 def preset_path(name: str, where: Path) -> Path:
     """Return the file of a camera preset: next to the bench file, or one that comes with the product."""
-    beside = where.parent / "cameras" / f"{name}.yaml"
-    return beside if beside.is_file() else shipped_config(f"cameras/{name}.yaml")
+    camera_file = where.parent / "cameras" / f"{name}.yaml"
+    return camera_file if camera_file.is_file() else shipped_config(f"cameras/{name}.yaml")

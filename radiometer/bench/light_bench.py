@@ -144,19 +144,26 @@ def _simulated_instrument(
 ) -> Instrument:
     file = bench or shipped_config(BENCH)
     config, where = read_bench(file)
-    wanted, twin = config.camera, opened.twin
-    if not isinstance(wanted, SimulatedCameraConfig) or twin is None:
+    camera_config, twin = config.camera, opened.twin
+    if not isinstance(camera_config, SimulatedCameraConfig) or twin is None:
         raise UsageError(f"{where}: its camera is not simulated, the light box is; use a bench with a simulated camera")
-    preset = CameraPreset.shipped(wanted.preset)
-    limits = preset.require_limits(wanted.preset).capabilities(has_shutter=True)
-    limits = replace(limits, width=wanted.width or limits.width, height=wanted.height or limits.height)
+    preset = CameraPreset.shipped(camera_config.preset)
+    limits = preset.require_limits(camera_config.preset).capabilities(has_shutter=True)
+    limits = replace(limits, width=camera_config.width or limits.width, height=camera_config.height or limits.height)
     clock = HookedClock(opened.box.link.line.now, opened.wait)
     model = CameraModel.ideal(preset.camera, config.lens_description)
     camera = LightBoxCamera(
-        model, BoxView(twin, ambient_w_sr_m2), limits=limits, clock=clock, seed=wanted.seed, serial=wanted.serial
+        model,
+        BoxView(twin, ambient_w_sr_m2),
+        limits=limits,
+        clock=clock,
+        seed=camera_config.seed,
+        serial=camera_config.serial,
     )
     camera.open()
-    camera.configure(replace(camera.settings, black_level_dn=wanted.black_level_dn, gain_db=wanted.gain_db))
+    camera.configure(
+        replace(camera.settings, black_level_dn=camera_config.black_level_dn, gain_db=camera_config.gain_db)
+    )
     known = calibration or calibration_path(config, bench)
     area = patch or (config.patch.patch if config.patch else Patch(0, 0, limits.width, limits.height))
     return Instrument(

@@ -140,7 +140,7 @@ class LiveView:
         self._notice(written)
 
     def _say(self, text: str, *, failed: bool = False) -> None:
-        self._server.run(self._broadcast({"kind": "said", "text": text, "failed": failed}))
+        self._server.run(self._broadcast({"kind": "notice", "text": text, "failed": failed}))
 
     def _seen(self, frame: Frame) -> Message:
         """Return what the page shows of a frame."""

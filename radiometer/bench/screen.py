@@ -204,10 +204,12 @@ def _simulated_bench(name: str, bench: Path | None, calibration: Path | None, se
     from simulators.displays import DISPLAYS, SimulatedDisplay, WatchingCamera
 
     config, where = read_bench(bench)
-    wanted = config.camera
-    if not isinstance(wanted, SimulatedCameraConfig):
-        raise ConfigurationError(f"{where}: its camera is {wanted.kind}; a simulated display needs a simulated camera")
-    file = preset_path(wanted.preset, where)
+    camera_config = config.camera
+    if not isinstance(camera_config, SimulatedCameraConfig):
+        raise ConfigurationError(
+            f"{where}: its camera is {camera_config.kind}; a simulated display needs a simulated camera"
+        )
+    file = preset_path(camera_config.preset, where)
     preset = CameraPreset.read(file)
     limits = preset.require_limits(str(file)).capabilities(has_shutter=True)
     width, height = _SIMULATED_SIZE
@@ -216,13 +218,15 @@ def _simulated_bench(name: str, bench: Path | None, calibration: Path | None, se
         CameraModel.ideal(preset.camera, config.lens_description),
         display,
         seed=seed,
-        serial=wanted.serial,
+        serial=camera_config.serial,
         device_id=SIMULATED,
         limits=replace(limits, width=width, height=height),
-        temperature_c=wanted.temperature_C,
+        temperature_c=camera_config.temperature_C,
     )
     with camera, display:
-        camera.configure(CameraSettings(exposure_s=0.01, gain_db=wanted.gain_db, black_level_dn=wanted.black_level_dn))
+        camera.configure(
+            CameraSettings(exposure_s=0.01, gain_db=camera_config.gain_db, black_level_dn=camera_config.black_level_dn)
+        )
         patch = Patch(width // 2 - 12, height // 2 - 12, 24, 24)
         instrument = _instrument(camera, patch, calibration or calibration_path(config, bench), config)
         clock = display.clock

@@ -135,10 +135,10 @@ def serve_box(
     with made.server as server:
         ready(server.port)
         with contextlib.suppress(KeyboardInterrupt):
-            _tend(made, reset_every_s, press_every_s, entered or _nobody)
+            _tend(made, reset_every_s, press_every_s, entered or _no_visitor)
 
 
-def _nobody(seconds: float) -> bool:
+def _no_visitor(seconds: float) -> bool:
     time.sleep(seconds)
     return False
 

@@ -60,11 +60,11 @@ def served_camera(
         ConfigurationError: If the bench has no simulated camera, or a file holds something not allowed.
     """
     config, where = read_bench(bench)
-    wanted = config.camera
-    if not isinstance(wanted, SimulatedCameraConfig):
-        raise ConfigurationError(f"{where}: its camera is {wanted.kind}; only a simulated one can be served")
-    changed = {"serial": serial or wanted.serial, "seed": wanted.seed if seed is None else seed}
-    config = config.model_copy(update={"camera": wanted.model_copy(update=changed)})
+    camera_config = config.camera
+    if not isinstance(camera_config, SimulatedCameraConfig):
+        raise ConfigurationError(f"{where}: its camera is {camera_config.kind}; only a simulated one can be served")
+    changed = {"serial": serial or camera_config.serial, "seed": camera_config.seed if seed is None else seed}
+    config = config.model_copy(update={"camera": camera_config.model_copy(update=changed)})
     if scene is not None:
         mapping, where = _scene_of(scene)
         config = config.model_copy(update={"scene": mapping})
@@ -79,7 +79,7 @@ def served_camera(
             limits,
             serial=serial or AWKWARD_SERIAL,
             address=address,
-            temperature_c=wanted.temperature_C,
+            temperature_c=camera_config.temperature_C,
             real_time=real_time,
         )
     return BlackflyGige(
@@ -90,7 +90,7 @@ def served_camera(
         serial=camera.identity.serial,
         address=address,
         native_bit_depth=camera.model.camera.bit_depth,
-        temperature_c=wanted.temperature_C,
+        temperature_c=camera_config.temperature_C,
         real_time=real_time,
     )
 

@@ -48,7 +48,7 @@ class _ByHand:
                 "cover the lens" if planned.shutter == "closed" else "uncover the lens",
             ),
         )
-        todo = [words for wanted, now, words in wishes if wanted is not None and wanted != now]
+        todo = [words for requested, now, words in wishes if requested is not None and requested != now]
         if todo:
             self._ask(", ".join(todo))
         self._now = planned.model_copy(update={"f_number": planned.f_number or self._now.f_number})

@@ -12,7 +12,7 @@ from typing import Final
 import structlog
 from structlog.typing import EventDict, WrappedLogger
 
-# Libraries that write lines of their own about a damaged file; what is wrong with it is said in one line of ours.
+# Libraries that write separate lines about a damaged file; one line of ours reports what is wrong with it.
 _TALKATIVE: Final = ("tifffile",)
 _UNHEARD: Final = logging.NullHandler()
 

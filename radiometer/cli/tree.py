@@ -73,8 +73,8 @@ def command_tree() -> Iterator[CommandHelp]:
 def _below(command: Any, path: tuple[str, ...], parent: Any) -> Iterator[CommandHelp]:
     context = command.make_context(path[-1], [], parent=parent, resilient_parsing=True)
     records = [(one, *_record(one, context)) for one in command.params if one.name != "help"]
-    arguments = tuple((name, said) for one, name, said in records if one.param_type_name == "argument")
-    options = tuple((name, said) for one, name, said in records if one.param_type_name == "option")
+    arguments = tuple((name, help_text) for one, name, help_text in records if one.param_type_name == "argument")
+    options = tuple((name, help_text) for one, name, help_text in records if one.param_type_name == "option")
     text = inspect.cleandoc(command.help or command.short_help or "")
     inner = getattr(command, "commands", {})
     yield CommandHelp(path, text, arguments, options, tuple(inner))
@@ -86,5 +86,5 @@ def _record(one: Any, context: Any) -> tuple[str, str]:
     """Return how an argument or option is written and what it does, as its help prints both."""
     if one.param_type_name == "argument":
         return " ".join(one.get_usage_pieces(context)), " ".join((one.help or "").split())
-    name, said = one.get_help_record(context)
-    return name, " ".join(said.split())
+    name, help_text = one.get_help_record(context)
+    return name, " ".join(help_text.split())

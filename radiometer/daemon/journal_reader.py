@@ -97,25 +97,25 @@ class JournalReader:
     def __init__(self, path: Path, *, deadline_s: float = 60.0) -> None:
         self._path, self._deadline_s = path, deadline_s
 
-    def lines(self, wanted: ReadingFilter) -> list[str]:
+    def lines(self, row_filter: ReadingFilter) -> list[str]:
         """Return the JSON lines of the readings asked for, oldest first unless `newest_first`.
 
         Raises:
             InputError: If there is no journal, it cannot be read or the query takes too long.
         """
-        return list(self.iterate(wanted))
+        return list(self.iterate(row_filter))
 
-    def iterate(self, wanted: ReadingFilter) -> Iterator[str]:
+    def iterate(self, row_filter: ReadingFilter) -> Iterator[str]:
         """Yield the JSON lines of the readings asked for. Raises InputError."""
-        order = "DESC" if wanted.newest_first else "ASC"
-        limit = -1 if wanted.limit is None else wanted.limit
+        order = "DESC" if row_filter.newest_first else "ASC"
+        limit = -1 if row_filter.limit is None else row_filter.limit
         with self._connect() as connection:
             (version,) = connection.execute("PRAGMA user_version").fetchone()
             if version < 2:  # written before there were streams: all of it is the first
-                if wanted.stream:
+                if row_filter.stream:
                     return
-                wanted = replace(wanted, stream=None)
-            condition, values = wanted.where()
+                row_filter = replace(row_filter, stream=None)
+            condition, values = row_filter.where()
             rows = connection.execute(
                 f"SELECT json FROM readings WHERE {condition} ORDER BY sequence {order} LIMIT ?", [*values, limit]
             )

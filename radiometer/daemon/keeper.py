@@ -289,8 +289,8 @@ def _holding_nothing(call: Callable[..., _T], *arguments: object) -> _T:
     try:
         return call(*arguments)
     except BaseException as error:
-        told: BaseException | None = error
-        while told is not None:
-            traceback.clear_frames(told.__traceback__)
-            told = told.__cause__ or told.__context__
+        link: BaseException | None = error
+        while link is not None:
+            traceback.clear_frames(link.__traceback__)
+            link = link.__cause__ or link.__context__
         raise

@@ -120,10 +120,10 @@ class LoggedReadings(Result):
 
 def _place_name(key: tuple[Any, ...], all_places: Mapping[tuple[Any, ...], Sequence[Any]]) -> str:
     name, session, instrument, x, y, width, height, unit = key
-    said = name or f"patch {x},{y} {width} × {height}"
-    said += f" of session {session}" if session else ""
-    said += f" of {instrument}" if len({other[2] for other in all_places}) > 1 else ""
-    return said + (f" ({unit})" if len({other[-1] for other in all_places}) > 1 else "")
+    title = name or f"patch {x},{y} {width} × {height}"
+    title += f" of session {session}" if session else ""
+    title += f" of {instrument}" if len({other[2] for other in all_places}) > 1 else ""
+    return title + (f" ({unit})" if len({other[-1] for other in all_places}) > 1 else "")
 
 
 def _draw(axes: Axes, name: str, readings: Sequence[Mapping[str, Any]]) -> None:
@@ -169,9 +169,9 @@ def log(
         UsageError: If a time cannot be understood.
     """
     since_us, until_us = (parse_moment(moment) if moment else None for moment in (since, until))
-    wanted = ReadingFilter(since_us, until_us, after, flag, clean, limit, newest_first=limit is not None)
-    lines = _reader(journal).lines(wanted)
-    return LoggedReadings(tuple(reversed(lines)) if wanted.newest_first else tuple(lines))
+    row_filter = ReadingFilter(since_us, until_us, after, flag, clean, limit, newest_first=limit is not None)
+    lines = _reader(journal).lines(row_filter)
+    return LoggedReadings(tuple(reversed(lines)) if row_filter.newest_first else tuple(lines))
 
 
 def log_events(journal: PathLike | None = None, *, since: str | None = None, limit: int = 200) -> list[dict[str, str]]:

@@ -163,10 +163,10 @@ class CaptureSet:
             raise CaptureError(f"{path} {what}; a capture set is a folder that holds {HEADER_NAME}")
         header_path = path / HEADER_NAME
         if not header_path.exists():
-            said = f"{path} holds no {HEADER_NAME}"
+            problem = f"{path} holds no {HEADER_NAME}"
             if (path / "frames").is_dir():
-                raise CaptureError(f"{said}: the capture was not finished (it is written last); capture it again")
-            raise CaptureError(f"{said}, nor other frames that are read here: it is no capture set")
+                raise CaptureError(f"{problem}: the capture was not finished (it is written last); capture it again")
+            raise CaptureError(f"{problem}, nor other frames that are read here: it is no capture set")
         header = _checked_header(header_path)
         if not header.frames:
             raise CaptureError(
@@ -243,10 +243,10 @@ class CaptureSet:
         Raises:
             CaptureError: If there is no such frame.
         """
-        wanted = self.pattern_of(pattern)
-        chosen = [f for f in self.frames() if f.settings.is_dark or f.settings.pattern == wanted]
+        expected = self.pattern_of(pattern)
+        chosen = [f for f in self.frames() if f.settings.is_dark or f.settings.pattern == expected]
         if not any(not f.settings.is_dark for f in chosen):
-            raise CaptureError(f"{self.path}: holds no frame of pattern {wanted!r} with the shutter open")
+            raise CaptureError(f"{self.path}: holds no frame of pattern {expected!r} with the shutter open")
         return Bracket.from_frames(chosen, origin=str(self.path))
 
     def lit_indices(self, pattern: str | None = None) -> tuple[tuple[int, ...], tuple[int, ...]]:
@@ -259,12 +259,12 @@ class CaptureSet:
             CaptureError: If there is no lit frame of that pattern.
             UsageError: If there are several patterns to choose from.
         """
-        entries, wanted = self.header.frames, self.pattern_of(pattern)
+        entries, chosen = self.header.frames, self.pattern_of(pattern)
         dark = tuple(i for i, entry in enumerate(entries) if entry.shutter == "closed")
-        lit = [i for i, e in enumerate(entries) if e.shutter == "open" and e.pattern == wanted and e.source_level > 0]
+        lit = [i for i, e in enumerate(entries) if e.shutter == "open" and e.pattern == chosen and e.source_level > 0]
         if not lit:
             there = ", ".join(sorted({entry.pattern for entry in entries}))
-            raise CaptureError(f"{self.path}: holds no lit frame of pattern {wanted!r}; there are: {there}")
+            raise CaptureError(f"{self.path}: holds no lit frame of pattern {chosen!r}; there are: {there}")
         level = max(entries[i].source_level for i in lit)
         lit = [i for i in lit if entries[i].source_level == level]
         return dark, tuple(sorted(lit, key=lambda i: entries[i].settings.effective_exposure_s))

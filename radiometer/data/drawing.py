@@ -71,5 +71,5 @@ def picture(draw: Callable[[Axes], Axes], words: str) -> str:
     figure: Any = draw(own_axes()).figure
     figure.savefig(content, format="png", dpi=110)
     encoded = base64.b64encode(content.getvalue()).decode()
-    said = html.escape(words)
-    return f'<figure><img alt="{said}" src="data:image/png;base64,{encoded}"><figcaption>{said}</figcaption></figure>'
+    text = html.escape(words)
+    return f'<figure><img alt="{text}" src="data:image/png;base64,{encoded}"><figcaption>{text}</figcaption></figure>'

@@ -69,8 +69,8 @@ class Frame:
     @property
     def masked_dn(self) -> float | None:
         """Return what the sensor's masked pixels read in this frame, in DN; None where it is not stated."""
-        told = self.extra.get(MASKED_PIXELS)
-        return float(told) if isinstance(told, int | float) else None
+        masked = self.extra.get(MASKED_PIXELS)
+        return float(masked) if isinstance(masked, int | float) else None
 
     def __post_init__(self) -> None:
         if self.dn.ndim != 2 or self.dn.dtype not in (np.uint8, np.uint16):

@@ -69,9 +69,9 @@ def read_raw_colours(path: Path, *, interpolated: bool = False) -> RawColours:
             names = raw.color_desc.decode("ascii", "replace")
             developed = _developed(raw, rawpy) if interpolated and not grey else None
     except (rawpy.LibRawError, OSError) as error:
-        said = error.args[0] if error.args else error
-        told = said.decode("utf-8", "replace") if isinstance(said, bytes) else error
-        raise CaptureError(f"{path}: not a readable camera raw file: {told}") from error
+        reason = error.args[0] if error.args else error
+        reason_text = reason.decode("utf-8", "replace") if isinstance(reason, bytes) else error
+        raise CaptureError(f"{path}: not a readable camera raw file: {reason_text}") from error
     if not grey and pattern.shape not in _CELLS:
         raise CaptureError(f"{path}: its colour mosaic is neither Bayer's nor X-Trans; develop it to linear TIFF")
     bit_depth = max(9, min(16, int(np.ceil(np.log2(white + 1)))))

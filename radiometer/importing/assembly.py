@@ -287,9 +287,9 @@ def _black_by_gain(frames: Sequence[FoundFrame]) -> list[str]:
     offsets = {gain: float(np.mean(values)) for gain, values in sorted(by_gain.items())}
     if not offsets or max(map(abs, offsets.values())) < _MASKED_SAME_DN:
         return []
-    said = ", ".join(f"{offset:+.0f} DN at {gain:g} dB" for gain, offset in offsets.items())
+    offsets_text = ", ".join(f"{offset:+.0f} DN at {gain:g} dB" for gain, offset in offsets.items())
     kind = "black_level_offset and black_level_gain_slope" if len(offsets) > 1 else "black_level_offset"
-    return [f"masked rows differ from the black level tag by {said}: {kind}"]
+    return [f"masked rows differ from the black level tag by {offsets_text}: {kind}"]
 
 
 def _uncorrected(frames: Sequence[FoundFrame]) -> list[str]:

@@ -69,8 +69,8 @@ def looks_like_descriptor(path: Path) -> bool:
             head = [line.split() for line, _ in zip(stream, range(200), strict=False)]
     except (OSError, UnicodeDecodeError):
         return False
-    said = [words for words in head if words and not words[0].startswith("#")]
-    return bool(said) and all(words[0] in ("v", "n", "b", "d", "i") and len(words) > 1 for words in said[:4])
+    rows = [words for words in head if words and not words[0].startswith("#")]
+    return bool(rows) and all(words[0] in ("v", "n", "b", "d", "i") and len(words) > 1 for words in rows[:4])
 
 
 class _Parser:

@@ -400,8 +400,8 @@ def _is_dark(
 
 def _processing(header: Header, history: str) -> list[str]:
     found = []
-    said = history.lower()
-    words = [word for word in _PROCESSED_WORDS if word in said]
+    text = history.lower()
+    words = [word for word in _PROCESSED_WORDS if word in text]
     if words:
         found.append(f"HISTORY mentions processing ({', '.join(words)}): these may be no raw numbers")
     status = str(header["CALSTAT"].written).strip() if "CALSTAT" in header else ""
@@ -514,12 +514,12 @@ def _timestamp(header: Header, mapped: StatementMap, taken: dict[str, str]) -> f
     key = next((k for k in (*named, *_TIME) if k in header), None)
     if key is None:
         return None
-    said = str(header[key].written).strip()
+    text = str(header[key].written).strip()
     clock = next((str(header[k].written).strip() for k in ("TIME-OBS", "UT") if k in header), "")
-    if "T" not in said and clock:
-        said = f"{said}T{clock}"
+    if "T" not in text and clock:
+        text = f"{text}T{clock}"
     try:
-        moment = datetime.fromisoformat(said)
+        moment = datetime.fromisoformat(text)
     except ValueError:
         return None
     taken["timestamp_s"] = key

@@ -128,7 +128,7 @@ def read_log(path: Path, stated: LogColumns | None = None, reference: Path | Non
     taken += [f"not used: {line}" for line in table.not_used(list(places.values()))]
     found = _assembled(table, places, columns, stated, assumed)
     if reference is not None:
-        found, more = _beside(
+        found, more = _joined_by_time(
             found, columns, table, read_table(reference, "the times and readings of a reference meter", named=True)
         )
         taken += more
@@ -325,7 +325,7 @@ def _nights(names: Sequence[str] | None, times: Array | None, size: int, assumed
     return numbers
 
 
-def _beside(
+def _joined_by_time(
     log: LogTable, columns: Mapping[str, list[Any]], own: TextTable, other: TextTable
 ) -> tuple[LogTable, list[str]]:
     """Return the log with a reference from a separate file, interpolated in time, without rows that have none."""

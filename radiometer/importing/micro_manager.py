@@ -107,13 +107,13 @@ def _of_tag(page: Any, path: Path) -> PlaneFacts | None:
         return None
     page.parent.filehandle.seek(tag.valueoffset)  # tifffile's own value takes the last of a key that occurs twice
     text = page.parent.filehandle.read(tag.valuebytecount).decode("utf-8", "replace")
-    said = _json(text, f"{path}, tag {TAG}")
-    return _of_micro_manager(said, "tag MicroManagerMetadata") if isinstance(said, Mapping) else None
+    content = _json(text, f"{path}, tag {TAG}")
+    return _of_micro_manager(content, "tag MicroManagerMetadata") if isinstance(content, Mapping) else None
 
 
-def _of_micro_manager(said: Mapping[str, Any], source: str) -> PlaneFacts:
+def _of_micro_manager(content: Mapping[str, Any], source: str) -> PlaneFacts:
     """Return the facts of Micro-Manager's own keys, those of the device with its name before them."""
-    flat = _flattened(said)
+    flat = _flattened(content)
     camera = str(flat.get("Camera") or flat.get("Core-Camera") or "")
     device = {key.removeprefix(f"{camera}-"): value for key, value in flat.items() if key.startswith(f"{camera}-")}
     doubts = list[str]()
@@ -133,10 +133,10 @@ def _of_micro_manager(said: Mapping[str, Any], source: str) -> PlaneFacts:
     )
 
 
-def _flattened(said: Mapping[str, Any]) -> dict[str, Any]:
+def _flattened(content: Mapping[str, Any]) -> dict[str, Any]:
     """Return keys and plain values; Micro-Manager 2 wraps values, and keeps the devices' in a separate mapping."""
     flat: dict[str, Any] = {}
-    for key, value in said.items():
+    for key, value in content.items():
         if isinstance(value, Mapping) and "PropVal" in value:
             flat[key] = value["PropVal"]
         elif isinstance(value, Mapping) and key in ("UserData", "ScopeData", "PropertyValues"):
@@ -276,18 +276,18 @@ def _devices(root: Any, path: Path) -> tuple[dict[str, Any], str | None]:
 
 def _of_sidecar(path: Path) -> PlaneFacts | None:
     for name in _SIDECARS:
-        beside = path.parent / name
-        if not beside.is_file() or beside.stat().st_size > _LARGEST_TEXT:
+        json_file = path.parent / name
+        if not json_file.is_file() or json_file.stat().st_size > _LARGEST_TEXT:
             continue
-        said = _json(beside.read_text(encoding="utf-8", errors="replace"), str(beside))
-        found = _entry_of(said, path.name) if isinstance(said, Mapping) else None
+        content = _json(json_file.read_text(encoding="utf-8", errors="replace"), str(json_file))
+        found = _entry_of(content, path.name) if isinstance(content, Mapping) else None
         if found is not None:
             return _of_frame_dict(found) if "exposure_ms" in found else _of_micro_manager(found, name)
     return None
 
 
-def _entry_of(said: Mapping[str, Any], name: str) -> Mapping[str, Any] | None:
-    for key, entry in said.items():
+def _entry_of(content: Mapping[str, Any], name: str) -> Mapping[str, Any] | None:
+    for key, entry in content.items():
         if isinstance(entry, Mapping) and not key.startswith("Coords-"):
             own = str(entry.get("FileName", key)).rsplit("/", maxsplit=1)[-1]
             if own == name:
@@ -295,16 +295,16 @@ def _entry_of(said: Mapping[str, Any], name: str) -> Mapping[str, Any] | None:
     return None
 
 
-def _of_frame_dict(said: Mapping[str, Any]) -> PlaneFacts:
+def _of_frame_dict(content: Mapping[str, Any]) -> PlaneFacts:
     """Return the facts of pymmcore-plus's frame-dict."""
-    camera = str(said.get("camera_device") or "")
-    values = [v for v in said.get("property_values", ()) if isinstance(v, Mapping)]
+    camera = str(content.get("camera_device") or "")
+    values = [v for v in content.get("property_values", ()) if isinstance(v, Mapping)]
     device = {str(v.get("prop")): v.get("val") for v in values if v.get("dev") == camera}
     doubts = list[str]()
     return PlaneFacts(
         "_frame_metadata.json",
-        _value("exposure", said.get("exposure_ms"), "exposure_ms", doubts, "ms"),
-        _value("timestamp", said.get("runner_time_ms"), "runner_time_ms", doubts, "ms"),
+        _value("exposure", content.get("exposure_ms"), "exposure_ms", doubts, "ms"),
+        _value("timestamp", content.get("runner_time_ms"), "runner_time_ms", doubts, "ms"),
         *_gain(device, doubts),
         _text(device.get("Binning")),
         _bits(device.get("BitDepth")),

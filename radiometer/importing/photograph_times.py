@@ -113,7 +113,7 @@ def read_list(path: Path) -> dict[str, PhotographSettings]:
             and line.
     """
     lines = _lines(path)
-    reciprocal, unit, found, told_in = False, "", {}, dict[str, int]()
+    reciprocal, unit, found, line_of = False, "", {}, dict[str, int]()
     here = names_in(path.parent)
     for number, line in enumerate(lines, start=1):
         text = line.strip().strip("#").strip()
@@ -126,7 +126,7 @@ def read_list(path: Path) -> dict[str, PhotographSettings]:
             reciprocal |= is_reciprocal
             unit = _unit_of_heading(words, where, is_time=not is_reciprocal) or unit
             continue
-        if (before := told_in.setdefault(words[0], number)) != number:
+        if (before := line_of.setdefault(words[0], number)) != number:
             raise CaptureError(f"{where}: names {words[0]!r} again (as line {before} does); leave one of the lines out")
         _refuse_decimal_comma(text, words, where)
         found[words[0]] = _settings_of_line(words, reciprocal, unit, where)

@@ -331,9 +331,9 @@ def _temperature(
 
 def _timestamp(facts: _Facts, taken: dict[str, str]) -> float | None:
     header = facts.header
-    said = header["DateTimeOriginal"].written if "DateTimeOriginal" in header else facts.tags.get(_DATE_TIME)
+    text = header["DateTimeOriginal"].written if "DateTimeOriginal" in header else facts.tags.get(_DATE_TIME)
     try:
-        moment = datetime.strptime(str(said).strip(), "%Y:%m:%d %H:%M:%S").replace(tzinfo=UTC)
+        moment = datetime.strptime(str(text).strip(), "%Y:%m:%d %H:%M:%S").replace(tzinfo=UTC)
     except ValueError:
         return None
     taken["timestamp_s"] = "EXIF DateTimeOriginal"

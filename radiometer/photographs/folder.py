@@ -115,8 +115,8 @@ class PhotographFolder:
                 report(done, len(self.settings))
             # Each colour has its white level, of which a luma shows little.
             by_parts = channel == "luminance" and not photograph.is_grey and photograph.bit_depth > _BITS_OF_PICTURES
-            for wanted in _wanted(photograph, "each" if by_parts else channel):
-                frames.setdefault(wanted, []).append(self._frame(name, photograph, wanted))
+            for channel_name in _channels_of(photograph, "each" if by_parts else channel):
+                frames.setdefault(channel_name, []).append(self._frame(name, photograph, channel_name))
         _refuse_copies(self.path, frames)
         found = {name: with_white_levels(several) for name, several in frames.items()}
         if by_parts:
@@ -361,7 +361,7 @@ def _refuse_copies(folder: Path, frames: Mapping[str, Sequence[Frame]]) -> None:
             )
 
 
-def _wanted(photograph: Photograph, channel: str) -> tuple[str, ...]:
+def _channels_of(photograph: Photograph, channel: str) -> tuple[str, ...]:
     if photograph.is_grey:
         return ("mono",)
     return CHANNELS if channel == "each" else (channel,)

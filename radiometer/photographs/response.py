@@ -300,8 +300,8 @@ def with_displacement_stated(found: RadianceMap, displacement: Displacement | No
     if displacement is None:
         origin = replace(origin, assumptions=(*origin.assumptions, _UNDISPLACED))
     else:
-        told = {"displacement_px": displacement.px, "displacement_u_px": displacement.u_px}
-        origin = replace(origin, parameters={**origin.parameters, **told})
+        facts = {"displacement_px": displacement.px, "displacement_u_px": displacement.u_px}
+        origin = replace(origin, parameters={**origin.parameters, **facts})
     return replace(found, provenance=origin)
 
 

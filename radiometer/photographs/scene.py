@@ -222,8 +222,8 @@ def _recovered(photographs: Photographs, map_path: Path | None) -> Photographs:
     notes: list[str] = []
     curves, files = recovered_curves(list(photographs.common.values()), map_path, notes.append)
     brackets = {name: with_found_times(one, curves[name]) for name, one in photographs.brackets.items()}
-    told = {name: offset_in_words(curve) for name, curve in curves.items()}
-    assumed = {name: (text or times_as_stated(photographs),) for name, text in told.items()}
+    offsets = {name: offset_in_words(curve) for name, curve in curves.items()}
+    assumed = {name: (text or times_as_stated(photographs),) for name, text in offsets.items()}
     return replace(photographs, brackets=brackets, curves=curves, assumed=assumed, files=tuple(files)).noted(*notes)
 
 

@@ -69,7 +69,7 @@ from radiometer.reconciliation.verdict import (
 from radiometer.statistics.scale import robust_sigma
 from radiometer.typing import Array
 from simulators.chain.camera_model import CameraModel
-from simulators.chain.ideal_chain import beside_ideal
+from simulators.chain.ideal_chain import next_to_ideal
 from simulators.effects.catalogue import CatalogueEffect
 from simulators.effects.free_law import FreeLaw
 from simulators.effects.registry import all_effects
@@ -263,7 +263,7 @@ def _adopted(header: CaptureHeader, model: CameraModel | None) -> tuple[CaptureH
     """Return the header with a model's camera and lens, and the effects that it adds to the ideal chain."""
     if model is None:
         return header, ()
-    camera, further = beside_ideal(model.effects, model.camera, model.lens)
+    camera, further = next_to_ideal(model.effects, model.camera, model.lens)
     changed = header.model_copy(update={"camera": camera, "lens": model.lens})
     return changed, tuple(effect for effect in further if isinstance(effect, CatalogueEffect))
 
@@ -456,8 +456,8 @@ def _remarks(state: FitState, effects: Sequence[FoundEffect], well: ShownWell | 
     """Return what the named effects say against figures that the camera's description states."""
     named = {effect.name: {key: entry.u for key, entry in effect.parameters.items()} for effect in effects}
     camera = state.design.header.camera
-    told = [effect.remark(camera, named[effect.name]) for effect in state.effects if effect.name in named]
-    remarks = [remark for remark in told if remark]
+    all_remarks = [effect.remark(camera, named[effect.name]) for effect in state.effects if effect.name in named]
+    remarks = [remark for remark in all_remarks if remark]
     if well is not None and well.contradicts:
         remarks.append(well.remark)
     return {"remarks": remarks} if remarks else {}
@@ -522,13 +522,13 @@ def _found(
             what = f"the capture that separates {step.name} from its rivals"
             advice = _optional_step(what, partial(propose, state, own, rivals), failed)
             shown = replace(step, rivals=rivals)
-            told = dict(parameters[step.name])
+            fitted = dict(parameters[step.name])
             if isinstance(own, FreeLaw):
                 sizes = _optional_step(
                     f"how well the size of {step.name} is known", partial(sizes_by_own_law, state, own), failed
                 )
-                told |= {name: entry for name, entry in (sizes or {}).items() if told[name].u is None}
-            effect = _effect(shown, own, told, advice)
+                fitted |= {name: entry for name, entry in (sizes or {}).items() if fitted[name].u is None}
+            effect = _effect(shown, own, fitted, advice)
             other = size_of_rest(state, own.block) if own in others else None
             found.append(replace(effect, other_law=other, curve=LawCurve.of(own, parameters[step.name])))
     return (*found, rest) if rest is not None and rest not in found else tuple(found)
@@ -574,49 +574,49 @@ def _largest(tests: Sequence[Disagreement]) -> dict[str, float]:
 def _assumptions(outcome: Search, doubts: Sequence[str], well: ShownWell | None) -> tuple[str, ...]:
     state = outcome.state
     camera = state.design.header.camera
-    said = list(doubts)
+    notes = list(doubts)
     for key, text in (
         ("conversion_gain_e_per_dn", "the conversion gain is not declared: it was fitted from the noise"),
         ("read_noise_e", "the read noise is not declared: it was fitted"),
         ("full_well_e", "the full well is not declared: clipping alone limits the data"),
     ):
         if getattr(camera, key) is None:
-            said.append(text)
+            notes.append(text)
     if camera.dark_current_e_per_s is None:
         free = dark_current_is_free(state.design)
-        said.append(f"the dark current is not declared: {'it was fitted' if free else 'none is assumed'}")
+        notes.append(f"the dark current is not declared: {'it was fitted' if free else 'none is assumed'}")
     if well is not None and not well.contradicts and well.remark:
-        said.append(well.remark)
+        notes.append(well.remark)
     if state.model.passes_well and not (well is not None and well.contradicts):
-        said.append(
+        notes.append(
             "pixels hold more than the declared full well, with the noise of that charge: the declared "
             "value is not used as a limit"
         )
     if is_misfit(state):
-        said.append(f"structure remains (gap {state.gap:.3g}): it widens the uncertainties of all parameters")
+        notes.append(f"structure remains (gap {state.gap:.3g}): it widens the uncertainties of all parameters")
     if state.comparison.wander2:
-        said.append(
+        notes.append(
             f"the source wanders by {np.sqrt(state.comparison.wander2):.2g} from frame to frame: fitted as a "
             "nuisance, not named"
         )
     wander_dn = wander_of_black(state.design, state.seen)
     if wander_dn:
-        said.append(
+        notes.append(
             f"the black level wanders by {wander_dn:.2g} DN from frame to frame: fitted as a nuisance, not named"
         )
     drift_dn = drift_of_black(state.design, state.seen)
     if drift_dn:
-        said.append(
+        notes.append(
             f"the black level moves by {drift_dn:.2g} DN while a frame is read: fitted as a nuisance, not named"
         )
     reading_k = state.design.reading_u_k
     if reading_k:
-        said.append(f"temperatures are recorded in steps: each is known within {reading_k:.2g} K")
+        notes.append(f"temperatures are recorded in steps: each is known within {reading_k:.2g} K")
     if np.isnan(state.design.black_level_dn).any():
-        said.append("the black level is not declared: it was fitted")
+        notes.append("the black level is not declared: it was fitted")
     if not state.design.uniform:
-        said.append("no patches are given: the scene is unknown but constant, cut into a grid of tiles")
-        said.append("uneven tiles that reach the highest measured level are left out: only even tiles show saturation")
+        notes.append("no patches are given: the scene is unknown but constant, cut into a grid of tiles")
+        notes.append("uneven tiles that reach the highest measured level are left out: only even tiles show saturation")
     if not state.design.has_timestamps:
-        said.append("times are missing: captures are treated as taken in the order listed")
-    return tuple(said)
+        notes.append("times are missing: captures are treated as taken in the order listed")
+    return tuple(notes)

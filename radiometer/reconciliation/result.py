@@ -11,7 +11,7 @@ from radiometer.data.json_text import finite_or_null, json_text
 from simulators.effects.catalogue import CatalogueEffect
 from simulators.effects.free_law import FreeLaw
 
-_CLEAR_SIGMAS: Final = 5.0  # of the tiles' scatter, from which a first frame is said to differ
+_CLEAR_SIGMAS: Final = 5.0  # of the tiles' scatter, from which a first frame is reported to differ
 _MOST_SAID: Final = 6  # frames in a sentence
 SURE: Final = 0.95  # probability from which a name is almost certain: one in twenty such names may be wrong
 _LIKELY: Final = 2.0 / 3.0  # as the word is used in assessments: Mastrandrea et al. (2010), guidance note of the IPCC
@@ -40,8 +40,8 @@ class Limit:
 
     def parameter_mapping(self) -> dict[str, Any]:
         """Return what the amplitude is of, as JSON has it."""
-        told = {"parameter": self.parameter, "unit": self.unit}
-        return told if self.temperature_c is None else told | {"temperature_C": self.temperature_c}
+        content = {"parameter": self.parameter, "unit": self.unit}
+        return content if self.temperature_c is None else content | {"temperature_C": self.temperature_c}
 
 
 @dataclass(frozen=True, slots=True)
@@ -239,13 +239,15 @@ class Repeats:
         )
         begins = [one for one in self.series if len(one.frames) > 2 and abs(one.apart[0]) > _CLEAR_SIGMAS * one.u[0]]
         begins = sorted(begins, key=lambda one: -abs(one.apart[0]))[:_MOST_SAID]
-        said = [first] if self.scatter.u is not None and self.scatter.value > 2.0 * self.scatter.u else []
-        said += [f"first frame of a series less the others: {self._listed(begins)}"] if begins else []
+        text = [first] if self.scatter.u is not None and self.scatter.value > 2.0 * self.scatter.u else []
+        text += [f"first frame of a series less the others: {self._listed(begins)}"] if begins else []
         out = [(one, at) for one in self.series for at in one.standing_out]
         if out:
-            told = (f"frame {one.frames[at]} ({self._shown(one.apart[at], one.u[at])})" for one, at in out[:_MOST_SAID])
-            said.append(f"outside the scatter of the others: {', '.join(told)}")
-        return tuple(said)
+            outliers = (
+                f"frame {one.frames[at]} ({self._shown(one.apart[at], one.u[at])})" for one, at in out[:_MOST_SAID]
+            )
+            text.append(f"outside the scatter of the others: {', '.join(outliers)}")
+        return tuple(text)
 
     def _listed(self, series: Sequence[Series]) -> str:
         return ", ".join(f"{self._shown(one.apart[0], one.u[0])} {_taken_at(one)}" for one in series)

@@ -75,33 +75,35 @@ def doubts_of(
     alike: Mapping[str, Collection[str]] = alternatives or {
         step.name: [rival.name for rival in step.rivals] for step in outcome.steps
     }
-    said = [f"{name} is fitted at the end of its range: the data contain something else" for name in _at_bound(state)]
-    said += [
+    doubts = [f"{name} is fitted at the end of its range: the data contain something else" for name in _at_bound(state)]
+    doubts += [
         f"{name} has a probability of {probability:.2f}, its alternatives included: other models predict as well"
         for name, probability in uncertain([effect.name for effect in effects], weighed, alike).items()
     ]
-    said += [
+    doubts += [
         f"{name} is the likelier of two by its prior probability alone: the other predicts better"
         for name in outperformed(outcome.steps, effects)
     ]
-    said += [
+    doubts += [
         f"{name} fits by its secondary terms alone: its essential parameter is within three uncertainties of zero"
         for name in without_essential(outcome.steps, effects, fitted_parameters(state))
     ]
-    said += [f"{size}: smaller than this cause ever is, so another cause acts like it" for size in below_least(effects)]
-    said += [
+    doubts += [
+        f"{size}: smaller than this cause ever is, so another cause acts like it" for size in below_least(effects)
+    ]
+    doubts += [
         f"{name} with these parameters acts like other causes: no data are specific to it"
         for name in acting_as_others(state)
     ]
-    said += [
+    doubts += [
         f"{name} improves the prediction little; it may be another effect or the residual of one"
         for name in insignificant_next_to_others(outcome.steps, effects)
     ]
-    said += [
+    doubts += [
         f"{name} is not exactly the law that the data follow: a residual remains where it acts"
         for name in departing(outcome.tests, effects)
     ]
-    return said
+    return doubts
 
 
 def leaves_structure(outcome: Search) -> bool:
@@ -163,9 +165,9 @@ def with_other_functional_form(outcome: Search) -> tuple[CatalogueEffect, ...]:
     gains = {step.name: step.gain_nats for step in outcome.steps if step.name != "unnamed"}
     found = []
     for effect in outcome.state.effects:
-        beside = [s for s in outcome.steps if s.name == "unnamed" and _place_of(s) == own_place(effect)]
-        nats, more = gains.get(effect.name, 0.0), sum(step.gain_nats for step in beside)
-        stays = beside or effect.name in departed or isinstance(effect, FreeLaw)
+        unnamed_steps = [s for s in outcome.steps if s.name == "unnamed" and _place_of(s) == own_place(effect)]
+        nats, more = gains.get(effect.name, 0.0), sum(step.gain_nats for step in unnamed_steps)
+        stays = unnamed_steps or effect.name in departed or isinstance(effect, FreeLaw)
         if stays and effect.name not in weak and nats >= SMOOTH_SHARE * (nats + more):
             found.append(effect)
     return tuple(found)
@@ -188,14 +190,14 @@ def rest_of(outcome: Search, again: Periodic | None = None) -> FoundEffect | Non
         again: What comes back in the order of the frames.
     """
     state = outcome.state
-    told = {place for effect in with_other_functional_form(outcome) for place in _places_of_law(effect)}
-    steps = [step for step in outcome.steps if step.name == "unnamed" and _place_of(step) not in told]
+    explained = {place for effect in with_other_functional_form(outcome) for place in _places_of_law(effect)}
+    steps = [step for step in outcome.steps if step.name == "unnamed" and _place_of(step) not in explained]
     places = [_place_of(step) for step in steps]
     places += [(axis_of(test.where, test.block), test.family) for test in outcome.left]
-    places = [place for place in places if place not in told]
+    places = [place for place in places if place not in explained]
     weak = insignificant_names(outcome)
     places += [(step.where, "") for step in outcome.steps if step.name in weak]
-    if not places and not told and is_misfit(state):
+    if not places and not explained and is_misfit(state):
         block, where = place_of_scatter(state)
         places = [(where, block)]
     if again is not None:
@@ -224,8 +226,8 @@ def _named_alone(outcome: Search, weak: Collection[str]) -> FitState:
     """
     if not weak:
         return outcome.state
-    told = tuple(effect for effect in outcome.state.effects if effect.name not in weak)
-    return refit(with_effects(outcome.start, told), iterations=_REFITS)
+    kept = tuple(effect for effect in outcome.state.effects if effect.name not in weak)
+    return refit(with_effects(outcome.start, kept), iterations=_REFITS)
 
 
 def _period(again: Periodic) -> dict[str, FittedParameter]:

@@ -40,11 +40,11 @@ def picture(draw: Draw, caption: str, wide: tuple[float, float], narrow: tuple[f
         wide: Width and height in inches on a screen; 10 inches fill the page.
         narrow: The same on a phone; 4 inches fill it.
     """
-    said = prose(caption)
+    text = prose(caption)
     return (
         f"<figure><picture><source media='(max-width:{_NARROW_PX}px)' srcset='{_address(draw, narrow, narrow=True)}'>"
-        f"<img alt='{said}' src='{_address(draw, wide, narrow=False)}'></picture>"
-        f"<figcaption>{said}</figcaption></figure>"
+        f"<img alt='{text}' src='{_address(draw, wide, narrow=False)}'></picture>"
+        f"<figcaption>{text}</figcaption></figure>"
     )
 
 

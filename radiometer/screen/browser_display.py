@@ -25,15 +25,15 @@ class BrowserDisplay(BrowserPage):
             DeviceLost: If it was closed.
             DeviceError: If it shows another level than asked for.
         """
-        wanted = _codes(patch.rgb)
+        expected = _codes(patch.rgb)
         order = {
             "kind": "show",
-            "rgb": wanted,
+            "rgb": expected,
             "surround": _codes(patch.surround_rgb),
             "width": _fraction("width", patch.width_fraction),
             "height": _fraction("height", patch.height_fraction),
         }
-        require_shown(self._ask(order).get("rgb"), wanted)
+        require_shown(self._ask(order).get("rgb"), expected)
 
 
 def _codes(rgb: tuple[float, float, float]) -> list[int]:

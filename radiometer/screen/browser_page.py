@@ -97,10 +97,10 @@ def page_warnings(seen: Mapping[str, Any]) -> list[str]:
     return [text for wrong, text in checks if wrong]
 
 
-def require_shown(seen: object, wanted: object) -> None:
+def require_shown(seen: object, expected: object) -> None:
     """Raise DeviceError unless the page read back the levels that it was sent."""
-    if seen != wanted:
+    if seen != expected:
         raise DeviceError(
-            f"the browser shows {seen} where {wanted} was asked for; switch off colour filters, "
+            f"the browser shows {seen} where {expected} was asked for; switch off colour filters, "
             "dark-mode extensions and forced colours"
         )

@@ -35,9 +35,9 @@ def nothing_to_darken() -> str:
 async def darkened(darken: Darken) -> Message:
     """Darken the light box, however long it takes, and return the message for the page."""
     try:
-        return {"kind": "told", "text": await asyncio.to_thread(darken)}
+        return {"kind": "outcome", "text": await asyncio.to_thread(darken)}
     except RadiometerError as error:
-        return {"kind": "told", "text": f"not dark: {error}"}
+        return {"kind": "outcome", "text": f"not dark: {error}"}
 
 
 class Host(Protocol):

@@ -177,21 +177,21 @@ def _ti3(path: Path, text: str) -> ScreenReadings:
     if names is None or data is None:
         raise InputError(f"{path}: no table in this .ti3")
     columns = names.split()
-    wanted = ("RGB_R", "RGB_G", "RGB_B", "XYZ_Y")
-    if any(name not in columns for name in wanted):
-        raise InputError(f"{path}: needs the columns {', '.join(wanted)}; it has {', '.join(columns)}")
-    at = [columns.index(name) for name in wanted]
+    expected = ("RGB_R", "RGB_G", "RGB_B", "XYZ_Y")
+    if any(name not in columns for name in expected):
+        raise InputError(f"{path}: needs the columns {', '.join(expected)}; it has {', '.join(columns)}")
+    at = [columns.index(name) for name in expected]
     rows = [line.split() for line in data.splitlines() if line.strip()]
     patches = [tuple(float(row[n]) for n in at) for row in rows]
     if max(max(patch[:3]) for patch in patches) > _MOST_PERCENT:
         raise InputError(f"{path}: RGB go above 100; a .ti3 has them in per cent: divide them by 2.55")
-    scale, said = _ti3_scale(path, keys, max(patch[3] for patch in patches))
+    scale, note = _ti3_scale(path, keys, max(patch[3] for patch in patches))
     groups = {name: _grouped(patches, which, scale) for name, which in _AXES.items()}
     return ScreenReadings(
         path.stem,
         groups["grey"],
         {name: levels for name, levels in groups.items() if name != "grey" and len(levels) > 1},
-        taken=(f"ArgyllCMS .ti3, {len(patches)} patches, {said}", f"meter {keys.get('TARGET_INSTRUMENT', 'unknown')}"),
+        taken=(f"ArgyllCMS .ti3, {len(patches)} patches, {note}", f"meter {keys.get('TARGET_INSTRUMENT', 'unknown')}"),
     )
 
 
@@ -289,11 +289,11 @@ def _cal(path: Path, text: str, white_cd_m2: float | None, gamma: float) -> Scre
     if len(rows) < 3 or any(len(row) < 4 for row in rows):
         raise InputError(f"{path}: no table of RGB_I, RGB_R, RGB_G, RGB_B in this .cal")
     table = np.array(rows)
-    drive, wanted = table[:, 1:4].mean(axis=1), table[:, 0]
+    drive, level = table[:, 1:4].mean(axis=1), table[:, 0]
     rising = np.concatenate([[True], np.diff(drive) > 0])
     levels = np.arange(0, FULL + 1, 5)
     inside = levels[(levels >= drive[0] * FULL) & (levels <= drive[-1] * FULL)]
-    value = white_cd_m2 * np.interp(inside / FULL, drive[rising], wanted[rising]) ** gamma
+    value = white_cd_m2 * np.interp(inside / FULL, drive[rising], level[rising]) ** gamma
     return ScreenReadings(
         path.stem,
         {int(n): [float(v)] for n, v in zip(inside, value, strict=True)},

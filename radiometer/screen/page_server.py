@@ -122,9 +122,9 @@ class PageServer:
         await self._socket.send_json(message)
 
     async def _lights_off(self) -> None:
-        told = await darkened(self._darken)
+        outcome = await darkened(self._darken)
         with contextlib.suppress(DeviceLost, ConnectionError):
-            await self._send(told)
+            await self._send(outcome)
 
     async def _say_goodbye(self) -> None:
         if self._socket is not None and not self._socket.closed:

@@ -60,7 +60,7 @@ class AwkwardBlackfly(BlackflyGige):
         **options: Any,
     ) -> None:
         super().__init__(source, limits, **{"model": MODEL, **options}, serial=serial)
-        self._info = ""  # nothing tells it from a real one
+        self._info = ""  # nothing distinguishes it from a real one
         self._link_bytes_s, self._first_frame_id = link_bytes_s, first_frame_id
         self._pipeline: deque[PictureRequest] = deque()
         self._sender: GvspSender | None = None

@@ -34,8 +34,8 @@ def steered(setting: float, mean_dn: float, full_scale_dn: int, low: float, high
         setting: What the last frame was taken with, in any unit proportional to the signal.
         mean_dn: Mean of the last frame in DN.
     """
-    wanted = AUTO_TARGET * full_scale_dn / max(mean_dn, 1.0)
-    return min(max(setting * min(max(wanted, 1 / _AUTO_STEP), _AUTO_STEP), low), high)
+    factor = AUTO_TARGET * full_scale_dn / max(mean_dn, 1.0)
+    return min(max(setting * min(max(factor, 1 / _AUTO_STEP), _AUTO_STEP), low), high)
 
 
 def _like(dn: DigitalNumbers, exact: NDArray[np.floating[Any]]) -> DigitalNumbers:

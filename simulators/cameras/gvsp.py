@@ -13,7 +13,7 @@ from typing import Final
 _LEADER, _TRAILER, _PAYLOAD = 1, 2, 3  # GVSP packet formats
 _IMAGE: Final = 0x0001  # GVSP payload type
 _WITH_CHUNKS: Final = 0x4000  # bit of the payload type: chunks follow
-_PROTOCOL_BYTES: Final = 20 + 8 + 8  # IP, UDP and GVSP headers: what a packet size counts beside the picture
+_PROTOCOL_BYTES: Final = 20 + 8 + 8  # IP, UDP and GVSP headers: what a packet size counts in addition to the picture
 _LAST_FRAME_ID: Final = 65535  # 16 bits; 0 is reserved
 IMAGE_CHUNK: Final = 0x05040001  # identifier of the chunk that holds the picture
 

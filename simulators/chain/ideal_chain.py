@@ -54,7 +54,7 @@ def ideal_chain(camera: CameraDescription, lens: LensDescription) -> tuple[Effec
     return (*_light_path(lens), *_sensor(camera))
 
 
-def beside_ideal(
+def next_to_ideal(
     effects: Sequence[Effect], camera: CameraDescription, lens: LensDescription
 ) -> tuple[CameraDescription, tuple[Effect, ...]]:
     """Return the camera with the figures that a chain's ideal links hold, and the other effects.

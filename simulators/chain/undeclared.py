@@ -19,14 +19,14 @@ from simulators.effects.dark_current import DarkCurrent
 from simulators.effects.full_well_saturation import FullWellSaturation
 from simulators.effects.read_noise import ReadNoise
 
-# Stand in where a description says nothing; they are fitted then, and told as assumptions.
+# Stand in where a description says nothing; they are fitted then, and reported as assumptions.
 _TYPICAL: Final = {
     "conversion_gain_e_per_dn": 2.5,
     "read_noise_e": 5.0,
     "quantum_efficiency": 0.5,
     "pixel_pitch_um": 4.5,
 }
-_MARGIN_BITS: Final = 4.0  # stands for a full well that nobody declared: far above what the converter can show
+_MARGIN_BITS: Final = 4.0  # replaces a full well that is not declared: far above what the converter can show
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -96,16 +96,23 @@ def parameter(default: Any, unit: str, low: float, high: float, *, source: str, 
 
 @dataclass(frozen=True)
 class Effect(ABC):
-    """One entry of the forward model."""
+    """One entry of the forward model.
 
-    name: ClassVar[str]  # canonical snake_case name
-    stage: ClassVar[Stage]  # where in the chain it acts
-    unit_in: ClassVar[str]  # unit of the signal it takes
-    unit_out: ClassVar[str]  # unit of the signal it gives
-    # Name of an effect of the same stage that it is put in front of when added to a model; by default it is put as late
-    # in its stage as its unit fits
+    Attributes:
+        name: Canonical snake_case name.
+        stage: Where in the chain it acts.
+        unit_in: Unit of the signal it takes.
+        unit_out: Unit of the signal it gives.
+        before: Name of an effect of the same stage that it is put in front of when added to a model; by default it
+            is put as late in its stage as its unit fits.
+        last_in_place: Whether it acts on what all others that belong there bring, whichever was added first.
+    """
+
+    name: ClassVar[str]
+    stage: ClassVar[Stage]
+    unit_in: ClassVar[str]
+    unit_out: ClassVar[str]
     before: ClassVar[str | None] = None
-    # Whether it acts on what all others that belong there bring, whichever was added first
     last_in_place: ClassVar[bool] = False
 
     def __post_init__(self) -> None:
@@ -218,7 +225,7 @@ def _declared(kind: type[Effect]) -> tuple[Parameter, ...]:
 
 def _refuse_out_of_bounds(effect: str, known: Parameter, value: Any) -> None:
     if type(value) is float and known.low <= value <= known.high and math.isfinite(value):
-        return  # the usual case, told quickly
+        return  # the usual case, decided quickly
     try:
         numbers = np.atleast_1d(np.asarray(value, dtype=np.float64))
     except (TypeError, ValueError) as error:

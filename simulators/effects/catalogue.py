@@ -24,7 +24,7 @@ from simulators.effects.tile_moments import TileMoments
 # Where the description of the dark current says neither, as in the ideal chain.
 _DARK_REFERENCE_C: Final = 25.0
 _DARK_DOUBLING_K: Final = 7.0  # silicon: 6 to 8 K
-_TOLD_RATIO: Final = 2.0  # of the longest dark exposure to the shortest
+_VARYING_RATIO: Final = 2.0  # of the longest dark exposure to the shortest
 _COMPARABLE_K: Final = 10.0  # one doubling to two of a dark current in silicon
 _WANDER_K: Final = 2.0  # engineering prior: what an uncooled sensor wanders by within a session
 _PIXELS: Final = ndtri((np.arange(64) + 0.5) / 64.0)
@@ -33,55 +33,75 @@ _NORMAL: Final = _PIXELS / _PIXELS.std()  # what pixels scatter by, in standard 
 
 @dataclass(frozen=True)
 class CatalogueEffect(Effect):
-    """An effect that reconcile tries."""
+    """An effect that reconcile tries.
 
-    where: ClassVar[str]  # covariate along which it shows, by its name in result files
-    # Statistic that must improve when the effect is there: mean, slope, variance, spatial, neighbour, first, common,
-    # bands, row_temporal, columns, rows, edge, outliers or comb
+    Attributes:
+        where: Covariate along which it shows, by its name in result files: exposure_s, gain_db, f_number,
+            temperature_C, source_level, timestamp_s, signal, patch_level, field_radius, image_x, image_y, screen_x or
+            previous_frame.
+        block: Statistic that must improve when the effect is there: mean, slope, variance, spatial, neighbour,
+            first, common, bands, row_temporal, columns, rows, edge, outliers or comb.
+        also: Further statistics that count as its evidence.
+        trials: Sets of parameters from which the search starts, the likeliest first.
+        fitted: Parameters that are fitted; the others keep their trial's value.
+        further: Sets of further parameters, with the values from which a more flexible form starts; all of them are
+            fitted where any differs from its default.
+        varies: Setting that must differ between captures: `f_number`, `gain_db` or `temperature_C`.
+        settles: The capture that separates the effect from its likenesses, as advice to the user.
+        essential: Parameters without which it is not this effect, however well the others fit; by default the first
+            fitted one.
+        profiled: Parameter that is searched on a dense grid, for the prediction jumps in it.
+        repeats: Whether it may act more than once, as several wrong labels do; `joined` makes one effect of two.
+        proportional: Whether a fixed pattern grows with the light.
+        stands_for: Other entries that may together be equivalent to this one.
+        endless: Parameters whose range ends in a form of the effect as good as any, not where physics ends.
+        log_prior_odds: Natural logarithm of how likely the effect is before any data, against a usual one; added to
+            its score.
+        prior_reason: Why they are not even.
+        weight_unseen: How much more than others it is worth seeing where data are blind to it.
+        acts_by_square: Whether its first parameter is a standard deviation, whose square is what shows.
+        is_stepwise: Whether it does not grow from nothing with its first parameter; its limit is a form that shows.
+        saturates: `sharply` or `softly` for what limits the signal: the higher the limit the milder. Below a sharp one
+            nothing bends.
+        law_along: Covariates along which the data may follow another law than its equation; by default `where`.
+        neutral_at_one: Parameters that do nothing at 1, as others do at 0.
+        looks_back: Whether it acts by what the frame before held (`context.previous_e`).
+        is_steep: Whether it may change within a tile as no quadratic surface does: a step, a narrow spot or wave.
+        signal_power: Power of the signal with which a steep effect goes, where that is all: 0 for what is added, 1 for
+            a factor. The result for one signal on the grid in each tile then holds for all.
+        is_sudden: Whether it jumps along the signal: each pixel's noise decides on which side of the jump it is.
+        least: Least distance of a parameter from the value without effect where this is the cause, by its name.
+        heated: Parameter that doubles within `doubling_K` and is stated at `reference_C`; a search states it at the
+            temperature of the session that is nearest to the usual.
+    """
+
+    where: ClassVar[str]
     block: ClassVar[str] = "mean"
-    also: ClassVar[tuple[str, ...]] = ()  # further statistics that count as its evidence
-    # Sets of parameters from which the search starts, the likeliest first
+    also: ClassVar[tuple[str, ...]] = ()
     trials: ClassVar[tuple[Mapping[str, float], ...]]
-    fitted: ClassVar[tuple[str, ...]]  # parameters that are fitted; the others keep their trial's value
-    # Sets of further parameters, with the values from which a more flexible form starts; all of them are fitted where
-    # any differs from its default
+    fitted: ClassVar[tuple[str, ...]]
     further: ClassVar[tuple[Mapping[str, float], ...]] = ()
-    varies: ClassVar[str] = ""  # setting that must differ between captures: `f_number`, `gain_db` or `temperature_C`
-    settles: ClassVar[str] = ""  # the capture that separates the effect from its likenesses, as advice to the user
-    # Parameters without which it is not this effect, however well the others fit
+    varies: ClassVar[str] = ""
+    settles: ClassVar[str] = ""
     essential: ClassVar[tuple[str, ...]] = ()
-    stands_for: ClassVar[tuple[str, ...]] = ()  # other entries that may together be equivalent to this one
-    # Parameters whose range ends in a form of the effect as good as any, not where physics ends
+    stands_for: ClassVar[tuple[str, ...]] = ()
     endless: ClassVar[tuple[str, ...]] = ()
-    profiled: ClassVar[str] = ""  # a parameter that is searched on a dense grid, for the fit is not smooth in it
-    repeats: ClassVar[bool] = False  # whether it may act more than once (several wrong labels); `joined` makes it one
-    proportional: ClassVar[bool] = False  # whether a fixed pattern grows with the light
-    # Natural logarithm of how likely the effect is before any data, against a usual one; added to its score
+    profiled: ClassVar[str] = ""
+    repeats: ClassVar[bool] = False
+    proportional: ClassVar[bool] = False
     log_prior_odds: ClassVar[float] = 0.0
-    prior_reason: ClassVar[str] = ""  # why they are not even
-    weight_unseen: ClassVar[float] = 1.0  # how much more than others it is worth seeing where data are blind to it
-    # Whether its first parameter is a standard deviation, whose square is what shows
+    prior_reason: ClassVar[str] = ""
+    weight_unseen: ClassVar[float] = 1.0
     acts_by_square: ClassVar[bool] = False
-    # Whether it does not grow from nothing with its first parameter; its limit is a form that shows
     is_stepwise: ClassVar[bool] = False
-    # `sharply` or `softly` for what limits the signal: the higher the limit the milder. Below a sharp one nothing
-    # bends.
     saturates: ClassVar[Literal["", "softly", "sharply"]] = ""
-    # Covariates along which the data may follow another law than its equation; by default `where`
     law_along: ClassVar[tuple[str, ...]] = ()
-    neutral_at_one: ClassVar[tuple[str, ...]] = ()  # parameters that do nothing at 1, as others do at 0
-    looks_back: ClassVar[bool] = False  # whether it acts by what the frame before held (`context.previous_e`)
-    # Whether it may change within a tile as no quadratic surface does: a step, a narrow spot or wave
+    neutral_at_one: ClassVar[tuple[str, ...]] = ()
+    looks_back: ClassVar[bool] = False
     is_steep: ClassVar[bool] = False
-    # Whether it jumps along the signal: each pixel's noise decides on which side of the jump it is
     is_sudden: ClassVar[bool] = False
-    # Power of the signal with which a steep effect goes, where that is all: 0 for what is added, 1 for a factor. The
-    # result for one signal on the grid in each tile then holds for all.
     signal_power: ClassVar[int | None] = None
-    # Least distance of a parameter from the value without effect where this is the cause, by its name
     least: ClassVar[Mapping[str, float]] = MappingProxyType({})
-    # Parameter that doubles within `doubling_K` and is stated at `reference_C`; a search states it at the temperature
-    # of the session that is nearest to the usual
     heated: ClassVar[str] = ""
 
     @classmethod
@@ -118,7 +138,12 @@ class CatalogueEffect(Effect):
 
     @classmethod
     def covers(cls, context: ExposureContext) -> tuple[Self, ...]:
-        """Return flexible forms of the effect that cover other equations of it; none by default."""
+        """Return flexible forms of the effect that cover other equations of it; none by default.
+
+        Examples are a table over the gains in use, or a second exponential. They keep the name of the effect. The plain
+        form is preferred unless the flexible one predicts held-out settings better by 5 nats more than its parameters
+        cost.
+        """
         return ()
 
     @classmethod
@@ -160,7 +185,10 @@ class CatalogueEffect(Effect):
         return cls()
 
     def loosened(self, context: ExposureContext) -> tuple[Self, ...]:
-        """Return more flexible forms that start from this one; tried where structure stays.
+        """Return more flexible forms that start from this one, tried where structure remains.
+
+        They must bring 8 nats beyond 3 for each further parameter. Extra parameters default to the plain form, so that
+        older model files load unchanged.
 
         By default those of `further`, or else the covers that have more free parameters, with this one's values where
         they share them: a parameter that was fitted and is then fixed would cost nothing.
@@ -223,7 +251,7 @@ class CatalogueEffect(Effect):
             return after
         signal: Any = before.mean.mean(axis=-1, keepdims=True)
         scale: Any = 1.0
-        if self.signal_power is not None:  # one signal tells of all, and the grid is that of one capture, mostly
+        if self.signal_power is not None:  # one signal represents all, and the grid is that of one capture, mostly
             signal, scale = np.full((1, 1, 1), float(self.signal_power)), signal**self.signal_power
         points, left = context.within_tiles(lambda at: self.mean(signal, at) - signal)
         more = scale * (points - (self.mean(signal, context) - signal))
@@ -336,7 +364,7 @@ def dark_exposures_vary(context: ExposureContext) -> bool:
     settings: Any = context.settings
     dark = np.asarray(settings.is_dark)
     known = np.broadcast_to(settings.exposure_s, dark.shape)[dark]
-    return bool(known.size and known.max() >= _TOLD_RATIO * known.min())
+    return bool(known.size and known.max() >= _VARYING_RATIO * known.min())
 
 
 def nearest_temperature_c(context: ExposureContext, usual_c: float) -> float:

@@ -63,6 +63,6 @@ class ConversionGainError(CatalogueEffect):
         stated, relative = camera.conversion_gain_e_per_dn, u.get("error_rel")
         if stated is None or relative is None:
             return ""
-        told = stated / (1.0 + self.error_rel)
-        told_u = told * relative / (1.0 + self.error_rel)
-        return f"gain: stated {stated:.4g} e-/DN, the noise says {told:.4g} ± {told_u:.2g}"
+        true_gain = stated / (1.0 + self.error_rel)
+        true_gain_u = true_gain * relative / (1.0 + self.error_rel)
+        return f"gain: stated {stated:.4g} e-/DN, the noise says {true_gain:.4g} ± {true_gain_u:.2g}"

@@ -15,7 +15,7 @@ from simulators.effects.context import ExposureContext, Signal
 from simulators.effects.tile_moments import TileMoments
 
 _USUAL_DOUBLING_K: Final = 7.0  # silicon: 6 to 8 K
-_TOLD_K: Final = 2.0  # by which darks must differ to tell a law
+_VARYING_K: Final = 2.0  # by which darks must differ to tell a law
 _LEAST_E: Final = 1e-12  # a pattern that is none
 _SURELY: Final = 9.0  # sigmas of the leak's logarithm below which less than 1e-18 of the pixels lie
 _SMOOTH: Final = ("rise_x", "rise_y", "bend_x", "bend_y")
@@ -67,8 +67,8 @@ class DarkCurrentNonuniformity(UnitSlope, CatalogueEffect):
     def starts(cls, context: ExposureContext) -> tuple[Self, ...]:
         """Return the patterns from which a search begins: darks of several temperatures determine their doubling."""
         known = dark_temperatures_c(context)
-        told = known.size > 0 and float(np.ptp(known)) > _TOLD_K
-        own = _USUAL_DOUBLING_K + 0.2 if told else _USUAL_DOUBLING_K
+        varies = known.size > 0 and float(np.ptp(known)) > _VARYING_K
+        own = _USUAL_DOUBLING_K + 0.2 if varies else _USUAL_DOUBLING_K
         return tuple(start.with_parameters(doubling_K=own) for start in super().starts(context))
 
     def free(self) -> tuple[str, ...]:
@@ -129,7 +129,7 @@ class DarkCurrentNonuniformity(UnitSlope, CatalogueEffect):
         noise2 = (np.maximum(signal, 0.0) + read2) / frames + spatial_variance
         pattern = np.maximum(self.electrons(context), _LEAST_E)
         _, spread = self._lognormal()
-        robust2 = np.square(self.shape / spread * pattern)  # what the median deviation of the body tells
+        robust2 = np.square(self.shape / spread * pattern)  # what the median deviation of the body gives
         return 1.0 + spread * 6.0 * np.sqrt(noise2 + robust2) / pattern
 
     def _left_out(self, signal: Signal, context: ExposureContext) -> Any:

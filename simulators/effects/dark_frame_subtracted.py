@@ -135,13 +135,13 @@ def _shifted(before: Moments, by: Any) -> Moments:
 def _cut(shifted: Moments, pattern: Any) -> Moments:
     """Return the moments of values with a pattern, cut at zero pixel by pixel."""
 
-    def beside(moments: Moments, sigmas: float) -> Moments:
+    def shifted_by(moments: Moments, sigmas: float) -> Moments:
         moved = moments.changed(mean=moments.mean + sigmas * pattern)
         return limited(moved, lambda tail: censored_below(tail, 0.0))
 
     if not isinstance(shifted, TileMoments):
-        return unevenly_limited(shifted, beside)
-    after = cast(TileMoments, unevenly_limited(shifted.changed(limit_variance=0.0), beside))
+        return unevenly_limited(shifted, shifted_by)
+    after = cast(TileMoments, unevenly_limited(shifted.changed(limit_variance=0.0), shifted_by))
     left = after.limit_variance  # all of it: what the cut leaves of the pattern
     return after.changed(limit_variance=shifted.limit_variance, renewed_variance=after.renewed_variance + left)
 

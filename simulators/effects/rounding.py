@@ -80,9 +80,11 @@ def excess_kurtosis(before: Moments) -> Signal:
     chance = ndtr((codes + 0.5 - at[:, None]) / sigma[:, None]) - ndtr((codes - 0.5 - at[:, None]) / sigma[:, None])
     apart = codes - np.sum(chance * codes, axis=1, keepdims=True)
     square, fourth = (np.sum(chance * apart**power, axis=1) for power in (2, 4))
-    told = square > _ONE_CODE  # else hardly any value differs from the others, and each that does is far off
-    found[coarse] = np.where(told, np.minimum(fourth / np.where(told, square, 1.0) ** 2 - 3.0, _MOST_KURTOSIS), 0.0)
-    found[coarse] += np.where(told, 0.0, _MOST_KURTOSIS)
+    differs = square > _ONE_CODE  # else hardly any value differs from the others, and each that does is far off
+    found[coarse] = np.where(
+        differs, np.minimum(fourth / np.where(differs, square, 1.0) ** 2 - 3.0, _MOST_KURTOSIS), 0.0
+    )
+    found[coarse] += np.where(differs, 0.0, _MOST_KURTOSIS)
     return found
 
 

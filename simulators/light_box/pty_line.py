@@ -134,7 +134,7 @@ class PtyServer:
             return b""
 
     def _send(self, answer: bytes) -> None:
-        with contextlib.suppress(BlockingIOError):  # nobody reads: a real port drops bytes too
+        with contextlib.suppress(BlockingIOError):  # no reader: a real port drops bytes too
             os.write(self._master, answer)
 
 

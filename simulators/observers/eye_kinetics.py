@@ -174,8 +174,8 @@ AMD_INTERCEPT_MIN: Final = (12.5, 18.0)
 
 def drawn_clinical_eye(rng: np.random.Generator) -> Eye:
     """Return a healthy eye whose rod intercept after the rapid test's bleach is as published, 3 to 6.4 min."""
-    wanted_min = float(np.clip(rng.normal(*HEALTHY_INTERCEPT_MIN), 3.0, 6.4))
-    return _eye_of_intercept(rng, wanted_min, float(rng.normal(-0.24, 0.02)))
+    intercept_min = float(np.clip(rng.normal(*HEALTHY_INTERCEPT_MIN), 3.0, 6.4))
+    return _eye_of_intercept(rng, intercept_min, float(rng.normal(-0.24, 0.02)))
 
 
 def drawn_amd_eye(rng: np.random.Generator) -> Eye:
@@ -187,7 +187,7 @@ def drawn_amd_eye(rng: np.random.Generator) -> Eye:
     return _eye_of_intercept(rng, float(rng.uniform(*AMD_INTERCEPT_MIN)), float(rng.uniform(-0.18, -0.10)))
 
 
-def _eye_of_intercept(rng: np.random.Generator, wanted_min: float, slope: float) -> Eye:
+def _eye_of_intercept(rng: np.random.Generator, intercept_min: float, slope: float) -> Eye:
     eye = Eye(
         cone_plateau_log10=float(rng.normal(-2.3, 0.1)),
         cone_tau_min=float(rng.uniform(1.2, 1.9)),
@@ -195,5 +195,5 @@ def _eye_of_intercept(rng: np.random.Generator, wanted_min: float, slope: float)
         s2_slope_per_min=slope,
         s3_slope_per_min=float(rng.uniform(-0.05, -0.03)),
     )
-    zero_min = wanted_min + (INTERCEPT_LOG10 - eye.rod_final_log10) / -slope
+    zero_min = intercept_min + (INTERCEPT_LOG10 - eye.rod_final_log10) / -slope
     return replace(eye, full_bleach_min=zero_min + recovery_min(1.0, -slope) - recovery_min(CLINICAL_BLEACH, -slope))

@@ -114,7 +114,7 @@ def angle_dependence(world: World, rng: np.random.Generator, scale: float) -> Tr
 
 @entry("polarisation", "camera_angle", visible=False)
 def polarisation(world: World, rng: np.random.Generator, scale: float) -> Truth:
-    """Weaken polarised light by 2 %: the same for every frame while nobody turns the camera."""
+    """Weaken polarised light by 2 %: the same for every frame while the camera is not turned."""
     depth, angle = 0.02 * scale, rng.uniform(0, math.pi)
     world.optics.append(lambda picture, shot: picture * (1 + depth * math.cos(2 * angle)))
     return {"depth": depth, "angle_rad": angle}

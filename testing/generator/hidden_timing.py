@@ -14,7 +14,7 @@ from testing.generator.world import World
 
 @entry("exposure_time_offset", "exposure_s")
 def exposure_time_offset(world: World, rng: np.random.Generator, scale: float) -> Truth:
-    """Expose 4 µs longer or shorter than said."""
+    """Expose 4 µs longer or shorter than stated."""
     offset = sign(rng) * 4e-6 * scale
     world.exposure.append(lambda t, shot: max(t + offset, 0.0))
     return {"offset_s": offset}

@@ -44,7 +44,7 @@ def write_emva_set(folder: Path, *names: str, camera_seed: int = 0, steps: int =
     """Write an EMVA 1288 folder (pairs of bright and dark frames with their photons) and return its descriptor.
 
     Args:
-        folder: To be created; the truth goes beside it.
+        folder: To be created; the truth is next to it.
         names: What is hidden.
         camera_seed: Seed of everything.
         steps: Bright and dark exposures.
@@ -85,7 +85,7 @@ def write_photographs(
     """Write a stack of 8-bit photographs with printed exposures and return the truth.
 
     Args:
-        folder: To be created; the truth goes beside it.
+        folder: To be created; the truth is next to it.
         seed: Seed of scene and noise.
         rounded: Expose exact stops under rounded labels; otherwise exactly what is printed.
         wrong_label: Number of the photograph whose label is that of another, if any.

@@ -57,7 +57,7 @@ class Session:
             yield Frame(dn, depth, entry.settings, frame_id=number)
 
     def write(self, folder: Path) -> CaptureSet:
-        """Write the capture set, and the truth in a sealed file beside it (`<folder>.truth.yaml`)."""
+        """Write the capture set, and the truth in a sealed file next to it (`<folder>.truth.yaml`)."""
         h = self.header
         with CaptureSetWriter(folder, h.camera, h.lens, h.source, h.patches, h.patterns) as writer:
             for frame in self.frames():

@@ -1,7 +1,7 @@
 """Figures of another program on the reference measurements of EMVA 1288.
 
 Source: package `emva1288` 1.0.2 on the descriptor of the set `ref001` (a 12-bit CCD by Basler) of EMVA1288/datasets, as
-the provenance note beside these data gives them: DN/e⁻, %, DN per photon, e⁻, photons, dB, e⁻/s.
+the provenance note next to these data gives them: DN/e⁻, %, DN per photon, e⁻, photons, dB, e⁻/s.
 """
 
 REF001 = {

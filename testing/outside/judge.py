@@ -28,8 +28,8 @@ def judge(answer: Mapping[str, Any], secret: Secret) -> dict[str, Any]:
         secret: What was hidden.
 
     Returns:
-        found: something is said to be missing; first: the first thing said is right (a right name, an inseparable
-        name, or a name beside which a right one stands as alternative); exact: that and nothing else; junk: a name
+        found: something is reported missing; first: the first thing reported is right (a right name, an inseparable
+        name, or a name with a right one as alternative); exact: that and nothing else; junk: a name
         that is not right stands there; confident_wrong: that with the verdict effects_found; place: a true covariate
         is among the first three places; alternatives: how many stand there.
     """
@@ -53,7 +53,7 @@ def judge(answer: Mapping[str, Any], secret: Secret) -> dict[str, Any]:
 
 
 def is_right(effect: Mapping[str, Any], secret: Secret) -> bool:
-    """Tell whether a name, or one that stands beside it as alternative, is right."""
+    """Tell whether a name, or one that is its alternative, is right."""
     return bool(set(secret.right) & {effect["name"], *effect["alternatives"]})
 
 

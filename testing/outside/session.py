@@ -1,4 +1,4 @@
-"""A session as a folder of pictures and a `capture.yaml`, and beside it the secret of what was hidden."""
+"""A session as a folder of pictures and a `capture.yaml`, and next to it the secret of what was hidden."""
 
 from __future__ import annotations
 

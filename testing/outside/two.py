@@ -186,9 +186,9 @@ def wall_of(
         y, x = row * step_y + (step_y - tall) // 2, column * step_x + 2 + shift
         for picture in pictures.values():
             picture[y : y + tall, x : x + wide] = level
-        said = float(f"{level * (1 + 0.005 * dice.standard_normal()):.6g}")
+        text = float(f"{level * (1 + 0.005 * dice.standard_normal()):.6g}")
         stated.append({"name": f"b{number:02d}", "x": x + 3, "y": y + 3, "width": wide - 6, "height": tall - 6,
-                       "radiance_W_per_sr_m2": said, "u_rel": 0.005})  # fmt: skip
+                       "radiance_W_per_sr_m2": text, "u_rel": 0.005})  # fmt: skip
     return pictures, stated
 
 

@@ -41,7 +41,7 @@ SMALL_REGION = Roi(16, 8, 64, 48)
 class Subject:
     """A camera under test: how to make it, how a second opener is made, and a region small enough to be quick.
 
-    `native` is a format that it offers beside what others do, `exposure_s` a time that it can take exactly.
+    `native` is a format that it offers in addition to those of others, `exposure_s` a time that it can take exactly.
     """
 
     name: str

@@ -76,14 +76,14 @@ def test_no_frame_mixes_two_settings(awkward):
         {"gain_db": 0.0},
         {"black_level_dn": 20.0},
     ]
-    wanted = SETTINGS
+    required = SETTINGS
     with opened() as camera:
         for change in changes:
-            wanted = replace(wanted, **change)
-            camera.configure(wanted)
+            required = replace(required, **change)
+            camera.configure(required)
             frame = camera.capture(1)[0]
-            gain = wanted.exposure_s / 0.004 * 10 ** (wanted.gain_db / 20)
-            expected = wanted.black_level_dn + SIGNAL_DN * gain
+            gain = required.exposure_s / 0.004 * 10 ** (required.gain_db / 20)
+            expected = required.black_level_dn + SIGNAL_DN * gain
             assert frame.dn.mean() == pytest.approx(expected, abs=3 * U_REL * SIGNAL_DN * gain), change
 
 

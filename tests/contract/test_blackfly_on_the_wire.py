@@ -126,14 +126,14 @@ def test_a_change_of_settings_is_never_mixed_into_a_frame(blackfly, triggered):
     rng = np.random.default_rng(11)
     with opened() as camera:
         for _ in range(12):
-            wanted = replace(
+            expected = replace(
                 SETTINGS,
                 exposure_s=float(np.exp(rng.uniform(np.log(1e-4), np.log(8e-3)))),
                 gain_db=float(rng.uniform(0, 6)),
                 black_level_dn=float(rng.integers(20, 200)),
                 software_trigger=triggered,
             )
-            in_force = camera.configure(wanted)
+            in_force = camera.configure(expected)
             for frame in camera.capture(2):
                 assert_brightness(frame, in_force)
 
@@ -189,13 +189,13 @@ def test_a_camera_that_disappears_is_named_and_can_be_opened_again(blackfly):
         assert len(camera.capture(1)) == 1
 
 
-def test_an_address_without_a_camera_is_told(gige_port, aravis_installed):
+def test_an_address_without_a_camera_is_reported(gige_port, aravis_installed):
     """Opening where nothing answers says so, with the address."""
     with pytest.raises(DeviceNotFound, match=r"127\.0\.0\.1 does not answer"):
         open_camera(LOOPBACK).open()
 
 
-def test_another_program_that_holds_the_camera_is_told_from_its_absence(blackfly, project_root):
+def test_another_program_that_holds_the_camera_is_distinguished_from_its_absence(blackfly, project_root):
     """While another process controls the camera, opening it raises DeviceInUse."""
     with opened():
         script = (
@@ -264,23 +264,23 @@ def test_requests_are_answered_while_a_picture_is_made(aravis_installed, gige_po
         stream = camera.stream()
         next(stream)
         assert asked.wait(within(20.0))
-        told = [camera.session.features.read("Gain", float) for _ in range(10)]
+        reported = [camera.session.features.read("Gain", float) for _ in range(10)]
         answered.set()
         stream.close()
-    assert told == [0.0] * 10
+    assert reported == [0.0] * 10
 
 
 LOSES_ITS_CAMERA = """
 import sys, threading, time
 from drivers.cameras.aravis_camera import open_camera
-camera, told = open_camera("127.0.0.1"), threading.Event()
+camera, opened = open_camera("127.0.0.1"), threading.Event()
 def tell(*_):
-    told.set()
+    opened.set()
     time.sleep(1)
 camera.open()
 camera.session.camera.get_device().connect("control-lost", tell)
 print("open", flush=True)
-assert told.wait(float(sys.argv[1]))
+assert opened.wait(float(sys.argv[1]))
 camera.close()
 del camera
 time.sleep(3)
@@ -288,11 +288,11 @@ print("lived", flush=True)
 """
 
 
-def test_a_camera_closed_while_the_library_tells_of_its_loss_ends_no_program(blackfly, project_root):
+def test_a_camera_closed_while_the_library_reports_its_loss_ends_no_program(blackfly, project_root):
     """The device, held by the heartbeat's own thread just then, ends later: there it would wait for itself."""
     words = [*ENDS_WITH_US, sys.executable, "-c", LOSES_ITS_CAMERA, str(within(40))]
     with subprocess.Popen(words, cwd=project_root, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as child:
         assert child.stdout.readline() == "open\n"
         blackfly.close()
-        said, complaint = child.communicate(timeout=within(60))
-    assert (said, child.returncode) == ("lived\n", 0), complaint
+        printed, complaint = child.communicate(timeout=within(60))
+    assert (printed, child.returncode) == ("lived\n", 0), complaint

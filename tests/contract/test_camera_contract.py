@@ -1,4 +1,4 @@
-"""What every camera must do, real or simulated: above the device layer they cannot be told apart."""
+"""What every camera must do, real or simulated: above the device layer they cannot be distinguished."""
 
 from __future__ import annotations
 
@@ -156,7 +156,7 @@ def test_frames_are_counted(camera, settings):
     assert camera.counts.frames == 3
 
 
-def test_a_second_opener_is_told_that_the_camera_is_in_use(camera, subject):
+def test_a_second_opener_is_refused_because_the_camera_is_in_use(camera, subject):
     """Whoever opens a camera that is open gets DeviceInUse, and the first keeps it."""
     with pytest.raises(DeviceInUse, match=r"in use|open already"):
         subject.second(camera).open()

@@ -75,7 +75,7 @@ def test_the_wire_gives_the_same_radiance_as_the_simulator(serve, bench, capsys)
 
 
 def test_a_bracket_over_the_wire_feeds_the_response(serve, bench, tmp_path, capsys):
-    """`bracket` writes a capture set that `response` accepts, with the camera as it told itself."""
+    """`bracket` writes a capture set that `response` accepts, with the camera as it reported itself."""
     serve()
     capture, curve = tmp_path / "capture", tmp_path / "curve.csv"
     assert run(["bracket", str(capture), "--bench", str(bench), "--camera", LOOPBACK]) == 0

@@ -1,4 +1,4 @@
-"""Draws mistakes at random, which nobody chose, and counts which the fast tests notice.
+"""Draws mistakes at random, which no one chose, and counts which the fast tests notice.
 
     python -m tests.mutants --record                        once, and after the source or the tests changed
     python -m tests.mutants --blind SEED [AREA ...] [--each 8] [--report FILE]
@@ -108,11 +108,11 @@ class Record:
         return set().union(*(ran.get(line, set()) for line in lines))
 
     def _naming(self, name: str) -> set[str]:
-        said = re.compile(rf"\b{re.escape(name)}\b")
+        message = re.compile(rf"\b{re.escape(name)}\b")
         found: set[str] = set()
         for file in self.tests_of:
             lines = (harness.ROOT / file).read_text(encoding="utf-8").splitlines()
-            found |= self._ran(file, [k for k, text in enumerate(lines, 1) if said.search(text)])
+            found |= self._ran(file, [k for k, text in enumerate(lines, 1) if message.search(text)])
         return found
 
     def _beside(self, file: str) -> set[str]:
@@ -171,7 +171,7 @@ def draw(seed: int, areas: list[str], each: int) -> list[Drawn]:
 
 
 def judged(one: Drawn, record: Record, copy: Path, unsound: Container[str] = ()) -> Drawn:
-    """Return a mistake with its fate; it is made in a copy of the sources and mended again.
+    """Return a mistake with its fate; it is made in a copy of the sources and corrected again.
 
     Args:
         one: The mistake.

@@ -162,8 +162,8 @@ def ended(child: int) -> int | None:
 
 def processor_s(child: int) -> float:
     """Return how long a process that has not been waited for has worked, in s."""
-    told = Path(f"/proc/{child}/stat").read_text(encoding="utf-8").rpartition(")")[2].split()
-    return (int(told[11]) + int(told[12])) / os.sysconf("SC_CLK_TCK")
+    reported = Path(f"/proc/{child}/stat").read_text(encoding="utf-8").rpartition(")")[2].split()
+    return (int(reported[11]) + int(reported[12])) / os.sysconf("SC_CLK_TCK")
 
 
 def copied_sources(folder: Path) -> Path:

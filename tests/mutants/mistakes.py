@@ -134,21 +134,24 @@ def _mistakes_at(node: ast.expr | ast.stmt) -> list[tuple[str, str]]:
             return _of_operation(left, operator, right)
         case ast.Compare(left=left, ops=[operator], comparators=[right]):
             others = COMPARISONS[type(operator)]
-            return [("comparison", _said(ast.Compare(left, [other()], [right]))) for other in others]
+            return [("comparison", _printed(ast.Compare(left, [other()], [right]))) for other in others]
         case ast.Compare(left=left, ops=[first, second], comparators=[middle, right]):
             one, two = COMPARISONS[type(first)][0](), COMPARISONS[type(second)][0]()
             return [
-                ("comparison", _said(ast.Compare(left, [one, second], [middle, right]))),
-                ("comparison", _said(ast.Compare(left, [first, two], [middle, right]))),
+                ("comparison", _printed(ast.Compare(left, [one, second], [middle, right]))),
+                ("comparison", _printed(ast.Compare(left, [first, two], [middle, right]))),
             ]
         case ast.BoolOp(op=operator, values=values):
             other = ast.Or() if isinstance(operator, ast.And) else ast.And()
-            fewer = [_said(_joined(operator, values[:k] + values[k + 1 :])) for k in range(len(values))]
-            return [("and for or", _said(ast.BoolOp(other, values))), *(("condition left out", text) for text in fewer)]
+            fewer = [_printed(_joined(operator, values[:k] + values[k + 1 :])) for k in range(len(values))]
+            return [
+                ("and for or", _printed(ast.BoolOp(other, values))),
+                *(("condition left out", text) for text in fewer),
+            ]
         case ast.UnaryOp(op=ast.Not() | ast.USub(), operand=operand) if not isinstance(operand, ast.Constant):
-            return [("sign or not left out", _said(operand))]
+            return [("sign or not left out", _printed(operand))]
         case ast.IfExp(test=test, body=body, orelse=otherwise):
-            return [("branches exchanged", _said(ast.IfExp(test, otherwise, body)))]
+            return [("branches exchanged", _printed(ast.IfExp(test, otherwise, body)))]
         case ast.Constant(value=value):
             return _of_constant(value)
         case ast.Call():
@@ -171,7 +174,7 @@ def _mistakes_at(node: ast.expr | ast.stmt) -> list[tuple[str, str]]:
             return []
 
 
-def _said(node: ast.expr) -> str:
+def _printed(node: ast.expr) -> str:
     return f"({ast.unparse(ast.fix_missing_locations(node))})"
 
 
@@ -185,14 +188,14 @@ def _of_operation(left: ast.expr, operator: ast.operator, right: ast.expr) -> li
     if isinstance(operator, ast.BitOr) and "None" in (ast.unparse(left), ast.unparse(right)):
         return []  # a type
     made = (
-        [("operator", _said(ast.BinOp(left, OPERATORS[type(operator)](), right)))]
+        [("operator", _printed(ast.BinOp(left, OPERATORS[type(operator)](), right)))]
         if type(operator) in OPERATORS
         else []
     )
     what = "term left out" if isinstance(operator, ast.Add | ast.Sub | ast.BitOr) else "factor left out"
-    made.append((what, _said(left)))
+    made.append((what, _printed(left)))
     if isinstance(operator, ast.Add | ast.Mult):
-        made.append((what, _said(right)))
+        made.append((what, _printed(right)))
     return made
 
 
@@ -212,26 +215,26 @@ def _of_call(node: ast.Call) -> list[tuple[str, str]]:
     plain = [one for one in node.args if not isinstance(one, ast.Starred)]
     if isinstance(node.func, ast.Attribute) and called in NAMES:
         method = ast.Attribute(node.func.value, NAMES[called])
-        made.append(("another function", _said(ast.Call(method, node.args, node.keywords))))
+        made.append(("another function", _printed(ast.Call(method, node.args, node.keywords))))
     elif called in BUILT_IN:
-        made.append(("another function", _said(ast.Call(ast.Name(NAMES[called]), node.args, node.keywords))))
+        made.append(("another function", _printed(ast.Call(ast.Name(NAMES[called]), node.args, node.keywords))))
     if (
         len(node.args) == 2 == len(plain)
         and ast.unparse(plain[0]) != ast.unparse(plain[1])
         and called not in EITHER_WAY
     ):
-        made.append(("arguments exchanged", _said(ast.Call(node.func, plain[::-1], node.keywords))))
+        made.append(("arguments exchanged", _printed(ast.Call(node.func, plain[::-1], node.keywords))))
     if (
         len(node.args) == 1 == len(plain)
         and not node.keywords
         and called in {"abs", "sqrt", "exp", "log", "float", "round"}
     ):
-        made.append(("call left out", _said(plain[0])))
+        made.append(("call left out", _printed(plain[0])))
     for keyword in node.keywords:
         others = [one for one in node.keywords if one is not keyword]
         if keyword.arg == "axis" and isinstance(keyword.value, ast.Constant) and isinstance(keyword.value.value, int):
             turned = ast.keyword("axis", ast.Constant(1 if keyword.value.value == 0 else 0))
-            made.append(("another axis", _said(ast.Call(node.func, node.args, [*others, turned]))))
+            made.append(("another axis", _printed(ast.Call(node.func, node.args, [*others, turned]))))
     return made
 
 
@@ -259,7 +262,7 @@ def drawn(texts: dict[str, str], count: int, generator: random.Random) -> list[t
 
     Args:
         texts: Source text of each file, by its name.
-        count: How many are wanted.
+        count: How many are requested.
         generator: What draws.
 
     Returns:

@@ -23,7 +23,7 @@ from pathlib import Path
 from tests.mutants import harness
 
 PRODUCT = ("radiometer", "drivers", "simulators")
-FOREIGN = re.compile(r"__|_repr_\w+_$|_$")  # names that Python, notebooks or nobody calls
+FOREIGN = re.compile(r"__|_repr_\w+_$|_$")  # names that Python, notebooks or no caller uses
 
 
 def private_functions(sources: Sequence[str]) -> list[str]:

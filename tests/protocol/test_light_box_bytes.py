@@ -190,7 +190,7 @@ def test_press_and_release_are_events(talker):
 
 
 def test_lost_event_can_be_had_again(talker):
-    """EV tells a kept event once more, in the same words."""
+    """EV reports a kept event once more, in the same words."""
     talker.button(True)
     talker.run(0.03)
     event = re.fullmatch(rb"!02 (BT D [0-9.]+)\*[0-9A-F]{8}\n", talker.take())
@@ -249,7 +249,7 @@ def test_flashes_are_counted_and_spaced(twin):
     assert b"OK 0 5000" in twin.ask("#A2 FL")
 
 
-def test_flash_waits_for_nobody_who_is_silent(talker):
+def test_flash_waits_for_no_subject_who_is_silent(talker):
     """After the dead man's second no flash can be fired without a new session."""
     talker.ask(HELLO_2)
     talker.run(1.1)

@@ -121,7 +121,7 @@ def test_hidden_effect_leaves_other_statistics_alone(name: str, null_blocks: Blo
         assert _change(hidden, null_blocks, block) < 5, block
 
 
-def test_effect_outside_the_plan_changes_nothing_that_can_be_told() -> None:
+def test_effect_outside_the_plan_changes_nothing_that_can_be_reported() -> None:
     """Polarisation with an unturned camera is one common factor: shapes and ratios stay."""
     a, b = (make_session(*names, camera_seed=3, session_seed=4) for names in (("polarisation",), ()))
     (mean_a, u_a), (mean_b, u_b) = blocks_of(a)["mean"], blocks_of(b)["mean"]

@@ -90,7 +90,7 @@ def test_same_seeds_give_the_same_frames_and_others_do_not() -> None:
 
 
 def test_written_set_reads_back_and_its_truth_lies_outside(tmp_path) -> None:
-    """The folder holds the frames as developed; the truth is beside it and nowhere in it."""
+    """The folder holds the frames as developed; the truth is next to it and nowhere in it."""
     session = make_session("dark_current", camera_seed=4, plan="bracket", frames=2)
     session.write(tmp_path / "set")
     back = CaptureSet.read(tmp_path / "set")

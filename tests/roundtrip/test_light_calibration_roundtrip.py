@@ -34,13 +34,13 @@ def test_set_radiance_is_true_within_the_stated_uncertainty_over_five_decades(ca
     with open_light_box("sim") as opened:
         opened.box.calibration = calibration
         parts = (np.arange(16) + rng.uniform(size=16)) / 16
-        for wanted in low * (high / low) ** parts:
-            choice = calibration.choose(channel, float(wanted))
-            opened.box.set_level(channel, Radiance(float(wanted)))
+        for expected in low * (high / low) ** parts:
+            choice = calibration.choose(channel, float(expected))
+            opened.box.set_level(channel, Radiance(float(expected)))
             opened.wait(SETTLED_S)
             true = opened.twin.emission(channel, opened.twin.time_s).radiance_w_sr_m2
             errors.append((choice.radiance_w_sr_m2 - true) / choice.u_w_sr_m2)
-            assert choice.radiance_w_sr_m2 / wanted == pytest.approx(1.0, abs=0.04)  # half a step of 16
+            assert choice.radiance_w_sr_m2 / expected == pytest.approx(1.0, abs=0.04)  # half a step of 16
     assert np.max(np.abs(errors)) <= 2.0
     assert np.mean(np.abs(errors) <= 1.0) > 0.6
 

@@ -102,10 +102,10 @@ def answer(verdict, *effects, places=("signal",)):
 
 def test_a_right_name_among_the_alternatives_is_right():
     """A plan that cannot tell two names gives both: that is the right answer."""
-    told = judge(answer("effects_found", effect("ambient_light_leak", "veiling_glare")), VEIL)
-    assert told["first"]
-    assert told["exact"]
-    assert not told["confident_wrong"]
+    reported = judge(answer("effects_found", effect("ambient_light_leak", "veiling_glare")), VEIL)
+    assert reported["first"]
+    assert reported["exact"]
+    assert not reported["confident_wrong"]
 
 
 def test_a_wrong_name_without_the_right_one_is_confidently_wrong():
@@ -117,11 +117,11 @@ def test_a_wrong_name_without_the_right_one_is_confidently_wrong():
 
 
 def test_anything_more_than_the_name_is_not_exact():
-    """An unnamed rest beside the right name is first, and not exact."""
-    told = judge(answer("incomplete", effect("veiling_glare"), effect("unnamed")), VEIL)
-    assert told["first"]
-    assert not told["exact"]
-    assert not told["junk"]
+    """An unnamed rest next to the right name is first, and not exact."""
+    reported = judge(answer("incomplete", effect("veiling_glare"), effect("unnamed")), VEIL)
+    assert reported["first"]
+    assert not reported["exact"]
+    assert not reported["junk"]
 
 
 def test_a_place_counts_among_the_first_three():

@@ -1,4 +1,4 @@
-"""The right name where the catalogue's equation is wrong, and nothing beside it that only mends the equation."""
+"""The right name where the catalogue's equation is wrong, and nothing else that only mends the equation."""
 
 from __future__ import annotations
 
@@ -36,9 +36,9 @@ def test_a_field_cut_by_another_law_takes_a_free_one() -> None:
     assert "mechanical_vignetting" in (found.name, *found.alternatives)
     assert found.curve is not None
     assert list(found.curve.along) == ["field_radius", "f_number"]
-    told = found.to_mapping()
-    assert told["law"] == "other than the catalogue's"
-    assert len(told["curve"]["factor"]) == len(told["curve"]["u"]) == 6 * 4
+    mapping = found.to_mapping()
+    assert mapping["law"] == "other than the catalogue's"
+    assert len(mapping["curve"]["factor"]) == len(mapping["curve"]["u"]) == 6 * 4
     assert result.gap_after < 1.02
 
 
@@ -57,7 +57,7 @@ def test_chopped_light_is_a_flicker() -> None:
 
 
 def test_every_fifth_frame_dim_is_no_flicker() -> None:
-    """What comes back in the order of the frames stands alone: no name beside it."""
+    """What comes back in the order of the frames stands alone: no name next to it."""
     (found,) = _asked("fifth", 1).effects
     assert (found.name, found.where) == ("unnamed", "frame")
     assert found.parameters["period_frames"].value == 5.0

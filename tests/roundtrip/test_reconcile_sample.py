@@ -128,7 +128,7 @@ def test_entry_taken_from_the_catalogue_is_not_replaced_by_a_confident_name() ->
 
 @pytest.mark.usefixtures("laws_left_out")
 def test_doubts_lead_back_to_where_another_entry_was_nearly_chosen() -> None:
-    """A hard full well beside rounded exposures: a soft one leads at first, and ends with a label error beside it."""
+    """A hard full well next to rounded exposures: a soft one leads at first, and ends with a label error next to it."""
     hidden = ("exposure_quantisation:round", "full_well_saturation")
     answer = _ask(make_session(*hidden, camera_seed=33061))
     assert str(answer.verdict) == "effects_found"

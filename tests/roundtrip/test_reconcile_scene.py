@@ -26,7 +26,7 @@ def test_picture_left_behind_is_no_noise() -> None:
 
 @pytest.mark.usefixtures("laws_left_out")
 def test_flicker_seen_at_short_exposures_alone_has_two_names() -> None:
-    """Below 1.4 ms a ripple of the mains and a dimmed source look alike: either stands beside the other."""
+    """Below 1.4 ms a ripple of the mains and a dimmed source look alike: either is next to the other."""
     effect = _ask("mains_ripple").effects[0]
     assert {effect.name, *effect.alternatives} == {"mains_ripple", "pwm_flicker"}
 

@@ -39,10 +39,10 @@ def test_it_is_named_with_its_size(
     assert fitted.value == pytest.approx(session.truth[name][true], abs=4.0 * fitted.u)
 
 
-def test_a_leak_is_not_told_from_rows_of_longer_exposure(
+def test_a_leak_is_not_distinguished_from_rows_of_longer_exposure(
     hidden_session: Callable[..., Session], request: pytest.FixtureRequest
 ) -> None:
-    """The same equation: the one of fewer parameters has the name, the other stands beside it."""
+    """The same equation: the one of fewer parameters has the name, the other is next to it."""
     request.getfixturevalue("laws_left_out")
     session = hidden_session("parasitic_light_sensitivity", camera_seed=5102)
     (found,) = reconcile(session.header, list(session.frames()), with_limits=False).effects

@@ -45,12 +45,12 @@ def protocol(minutes: float, *, bleach_s: float = 150.0, **spot: Any) -> Adaptat
 
 
 def run(
-    path: Path, wanted: AdaptationProtocol, subject: str | None = "steady", preset: Path | None = None
+    path: Path, expected: AdaptationProtocol, subject: str | None = "steady", preset: Path | None = None
 ) -> tuple[Outcome, RunJournal]:
     """Run a test on the simulated box."""
-    request = RunRequest(wanted, box="sim", simulate=subject, seed=4, preset=preset)
+    request = RunRequest(expected, box="sim", simulate=subject, seed=4, preset=preset)
     with open_box_stage(request) as (stage, checks), RunJournal(path, relive=True) as journal:
-        return run_test(wanted, stage, journal, subject="A1", seed=5, checks=checks), journal
+        return run_test(expected, stage, journal, subject="A1", seed=5, checks=checks), journal
 
 
 def fitted(outcome: Outcome) -> AdaptationFit:
@@ -105,25 +105,25 @@ def test_short_bleach_leaves_the_rod_branch_alone(tmp_path: Path) -> None:
 
 def test_run_that_died_is_lived_through_again_and_goes_on(tmp_path: Path) -> None:
     """Cut anywhere, even in a line, the journal of the same command equals the undisturbed one byte for byte."""
-    wanted = protocol(1.5, bleach_s=10.0)
-    run(tmp_path / "whole", wanted)
+    chosen = protocol(1.5, bleach_s=10.0)
+    run(tmp_path / "whole", chosen)
     whole = (tmp_path / "whole").read_bytes()
     for share in (0.02, 0.4, 0.9):
         (tmp_path / "cut").write_bytes(whole[: int(share * len(whole))])
-        run(tmp_path / "cut", wanted)
+        run(tmp_path / "cut", chosen)
         assert (tmp_path / "cut").read_bytes() == whole
 
 
 @pytest.mark.parametrize(("subject", "planted"), [("steady", 0.03), ("wanders", 0.4)])
 def test_fixation_losses_are_found_as_they_were_planted(tmp_path: Path, subject: str, planted: float) -> None:
     """The red LED in the blind spot, in the protocol's bytes: the interval holds the share of glances elsewhere."""
-    wanted = protocol(12.0, bleach_s=10.0)
-    check = wanted.fixation_check
+    chosen = protocol(12.0, bleach_s=10.0)
+    check = chosen.fixation_check
     assert check is not None
     often = check.model_copy(update={"share": 0.3, "from_min": 1.0})
-    watch = wanted.watch.model_copy(update={"lapse_share": 0.15})  # enough of them to know the lapses by
-    wanted = wanted.model_copy(update={"fixation_check": often, "watch": watch})
-    outcome, journal = run(tmp_path / "j", wanted, subject)
+    watch = chosen.watch.model_copy(update={"lapse_share": 0.15})  # enough of them to know the lapses by
+    chosen = chosen.model_copy(update={"fixation_check": often, "watch": watch})
+    outcome, journal = run(tmp_path / "j", chosen, subject)
     found = outcome.reliability.rates["fixation_losses"]
     assert found.low <= planted <= found.high
     assert found.count.of > 20
@@ -138,10 +138,10 @@ def test_photographic_flashes_bleach_the_eye_before_the_box(tmp_path: Path) -> N
     grows back in between.
     """
     flash = FlashBleach(kind="flash", retinal_td_s=5e6, pupil_mm=6.0, source="flash")
-    wanted = protocol(5.0).model_copy(update={"bleach": flash})
-    with open_box_stage(RunRequest(wanted, box="sim", simulate="steady")) as (stage, checks):
+    chosen = protocol(5.0).model_copy(update={"bleach": flash})
+    with open_box_stage(RunRequest(chosen, box="sim", simulate="steady")) as (stage, checks):
         assert [check().refusal for check in checks] == [None]
-        stage.bleach(wanted)
+        stage.bleach(chosen)
         twin = stage.box.link.line.twin  # type: ignore[attr-defined]
         fired_ms = list(twin.flash.fired_ms)
         observer = twin.watch.__self__.observer
@@ -158,11 +158,11 @@ def test_photographic_flashes_bleach_the_eye_before_the_box(tmp_path: Path) -> N
 def test_flashes_beyond_the_box_are_refused_before_the_first(tmp_path: Path) -> None:
     """The trigger gives eight in a row: 2·10⁷ td·s would take thirteen, and nothing is fired."""
     flash = FlashBleach(kind="flash", retinal_td_s=2e7, pupil_mm=6.0, source="flash")
-    wanted = protocol(5.0).model_copy(update={"bleach": flash})
+    chosen = protocol(5.0).model_copy(update={"bleach": flash})
     with (
-        open_box_stage(RunRequest(wanted, box="sim")) as (stage, checks),
+        open_box_stage(RunRequest(chosen, box="sim")) as (stage, checks),
         RunJournal(tmp_path / "j", relive=True) as journal,
     ):
         with pytest.raises(RadiometerError, match="takes 13 flashes, the box fires 8 in a row"):
-            run_test(wanted, stage, journal, subject="A1", checks=checks)
+            run_test(chosen, stage, journal, subject="A1", checks=checks)
         assert not stage.box.link.line.twin.flash.fired_ms  # type: ignore[attr-defined]

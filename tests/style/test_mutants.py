@@ -68,8 +68,8 @@ def test_a_place_in_firmware_has_room_for_these():
 @pytest.mark.slow
 def test_a_seed_draws_the_same_of_an_area_whatever_else_is_drawn():
     """No place is drawn twice, every file is a source of its area, and another seed draws others."""
-    alone, beside = draw(1, ["flux"], 30), draw(1, ["http", "flux"], 30)
-    assert [one for one in beside if one.area == "flux"] == alone
+    alone, neighbour = draw(1, ["flux"], 30), draw(1, ["http", "flux"], 30)
+    assert [one for one in neighbour if one.area == "flux"] == alone
     assert len({(one.file, one.mistake.start, one.mistake.end) for one in alone}) == len(alone) == 30
     assert {one.file for one in alone} <= set(sources_of(AREAS["flux"]))
     assert draw(2, ["flux"], 30) != alone
@@ -85,7 +85,7 @@ def test_every_pattern_of_an_area_finds_sources_and_every_source_has_an_area():
 
 
 def test_the_nearest_tests_of_a_line_come_first():
-    """Those of the folder beside, of these what ran least; what is made at import asks the lines that name it."""
+    """Those of the nearest folder, of these what ran least; what is made at import asks the lines that name it."""
     line = next(
         k
         for k, text in enumerate((ROOT / "radiometer/analysis/flux/sensor.py").read_text().splitlines(), 1)
@@ -104,7 +104,7 @@ def test_the_nearest_tests_of_a_line_come_first():
 
 
 def test_every_mistake_has_a_time_of_its_own(tmp_path, monkeypatch):
-    """Two of one size in one file would run as the first, whose bytecode is kept; the mended file has its old time."""
+    """Two of one size in one file would run as the first, whose bytecode is kept; the corrected file keeps the time."""
     file, seen = tmp_path / "a.py", []
     file.write_text("x = 1\n", encoding="utf-8")
     sound = file.stat()
@@ -136,7 +136,7 @@ def test_a_mistake_that_never_ends_is_ended(monkeypatch, never_ends):
 
 
 @pytest.mark.slow
-def test_a_mistake_that_ends_tells_how():
+def test_a_mistake_that_ends_reports_how():
     """Its code is pytest's, or nothing where a signal ended it."""
     for code in (0, 1, 5):
         if (child := os.fork()) == 0:

@@ -1,4 +1,4 @@
-"""What is shipped beside the code: the manual page says what the commands say, and the container file holds together.
+"""What is shipped next to the code: the manual page says what the commands say, and the container file holds together.
 
 No container can be built in the tests, so the file is read: stages, copied paths, user, health check, commands.
 """
@@ -102,16 +102,16 @@ def test_the_container_holds_what_the_wheel_is_built_from():
     assert set(extras.split(",")) <= set(project["project"]["optional-dependencies"])
 
 
-def test_the_container_runs_a_command_that_exists_as_nobody_special():
+def test_the_container_runs_a_command_that_exists_as_an_ordinary_user():
     """A user of its own is made and used before anything runs; entry point, command and options are known."""
-    told = dict(instructions())
-    assert told["USER"] == "radiometer"
+    reported = dict(instructions())
+    assert reported["USER"] == "radiometer"
     assert "useradd --system" in str(instructions())
     words = [word for word, _ in instructions()]
     assert words.index("USER") < words.index("ENTRYPOINT")
     scripts = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]["scripts"]
-    assert json.loads(told["ENTRYPOINT"]) == [*scripts]
-    command, *rest = json.loads(told["CMD"])
+    assert json.loads(reported["ENTRYPOINT"]) == [*scripts]
+    command, *rest = json.loads(reported["CMD"])
     known = {one.path: one for one in command_tree()}[(command,)]
     options = " ".join(name for name, _ in known.options)
     assert all(word in options for word in rest if word.startswith("--"))
@@ -120,7 +120,7 @@ def test_the_container_runs_a_command_that_exists_as_nobody_special():
 @pytest.mark.parametrize(("status", "healthy"), [(200, True), (503, False)])
 @pytest.mark.slow
 def test_the_health_check_asks_the_daemon(status, healthy):
-    """It passes on 200 and fails on 503, and where nobody answers."""
+    """It passes on 200 and fails on 503, and without an answer."""
 
     class Answer(http.server.BaseHTTPRequestHandler):
         def do_GET(self):

@@ -1,4 +1,4 @@
-"""Tests in several processes are told as those of one, whatever becomes of them."""
+"""Tests in several processes are reported as those of one, whatever becomes of them."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def test_fine(k, tmp_path): (tmp_path / "a").write_text("")
 FAULTY = """
 import pytest
 def test_faulty():
-    print("said before")
+    print("printed before")
     assert 1 == 2
 def test_skipped():
     pytest.skip("for a reason")
@@ -66,14 +66,14 @@ def ran(folder: Path, files: dict[str, str], *words: str) -> tuple[int, str]:
     return done.returncode, done.stdout + done.stderr
 
 
-def test_every_test_is_run_once_and_told(tmp_path: Path) -> None:
+def test_every_test_is_run_once_and_reported(tmp_path: Path) -> None:
     """Passed, failed with what it printed, and skipped ones of all processes are counted; one failure is code 1."""
     files = {f"test_{name}.py": text for name, text in zip("abcdef", [FINE, LATE, FAULTY] * 2, strict=True)}
-    code, said = ran(tmp_path, files)
+    code, message = ran(tmp_path, files)
     assert code == 1
-    assert re.search(r"2 failed, 10 passed, 2 skipped", said), said
-    assert said.count("said before") == 4  # as it stands in the source, and as it was said
-    assert sorted(re.findall(r"FAILED (test_\w+)\.py", said)) == ["test_c", "test_f"]
+    assert re.search(r"2 failed, 10 passed, 2 skipped", message), message
+    assert message.count("printed before") == 4  # as it stands in the source, and as it was printed
+    assert sorted(re.findall(r"FAILED (test_\w+)\.py", message)) == ["test_c", "test_f"]
     assert ran(tmp_path, dict.fromkeys(("test_c.py", "test_f.py"), FINE))[0] == 0
 
 
@@ -90,24 +90,24 @@ def test_properties(record_property): record_property("k", 3)
 """
 
 
-def test_reasons_of_the_second_process_are_told_as_those_of_the_first(tmp_path: Path) -> None:
+def test_reasons_of_the_second_process_are_reported_as_those_of_the_first(tmp_path: Path) -> None:
     """Skips are folded by place and reason, and what was known to fail is listed, whichever process ran the test."""
     files = {f"test_{k}.py": SKIPPING + LATE for k in range(6)}
-    code, said = ran(tmp_path, files, "-ra")
-    assert code == 0, said
-    assert "Traceback" not in said
-    told = [int(count) for count in re.findall(r"SKIPPED \[(\d+)\] \S+: (?:it is not here|by a mark)", said)]
-    assert sorted(told) == [1] * 6 + [2] * 6, said
-    assert len(re.findall(r"XFAIL test_\d\.py::test_known - known", said)) == 6
-    assert re.search(r"12 passed, 18 skipped, 6 xfailed", said), said
+    code, text = ran(tmp_path, files, "-ra")
+    assert code == 0, text
+    assert "Traceback" not in text
+    reported = [int(count) for count in re.findall(r"SKIPPED \[(\d+)\] \S+: (?:it is not here|by a mark)", text)]
+    assert sorted(reported) == [1] * 6 + [2] * 6, text
+    assert len(re.findall(r"XFAIL test_\d\.py::test_known - known", text)) == 6
+    assert re.search(r"12 passed, 18 skipped, 6 xfailed", text), text
 
 
 def test_a_process_that_dies_is_a_failure(tmp_path: Path) -> None:
-    """Where the other processes are killed no success is told, though every test that was told of passed."""
-    code, said = ran(tmp_path, {f"test_{k}.py": DEADLY + LATE for k in range(6)})
+    """Where the other processes are killed no success is reported, though every test that was reported of passed."""
+    code, text = ran(tmp_path, {f"test_{k}.py": DEADLY + LATE for k in range(6)})
     assert code == 1
-    assert "another process of tests ended with -9" in said
-    assert "failed" not in said.splitlines()[-1]
+    assert "another process of tests ended with -9" in text
+    assert "failed" not in text.splitlines()[-1]
 
 
 def test_heavy_groups_are_taken_first() -> None:

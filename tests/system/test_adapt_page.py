@@ -153,8 +153,8 @@ async def test_buttons_reach_the_run_and_a_browser_may_go(served: tuple[LivePage
     _tell_trials(page, 0, 3)
     await browser.command("Page.navigate", url=page.url)
     await _wait_for_text(browser, "found", "3")
-    said = "document.getElementById('stop').click(); document.getElementById('say').textContent"
-    assert "once more" in await browser.evaluate(said)
+    sentence = "document.getElementById('stop').click(); document.getElementById('say').textContent"
+    assert "once more" in await browser.evaluate(sentence)
     assert controls.stopped_by is None
     # The first of these stops, or arms anew where the machine was too slow, and then the second stops.
     await browser.evaluate("document.getElementById('stop').click(); document.getElementById('stop').click()")

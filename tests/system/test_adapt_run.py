@@ -62,8 +62,8 @@ def test_subject_who_cannot_be_fitted_is_exit_code_one_with_a_verdict(
     """The last JSON line says why."""
     done = _run("--simulate", behaviour, "--json", cwd=tmp_path)
     assert done.returncode == 1
-    said = json.loads(done.stdout.splitlines()[-1])
-    assert (said["verdict"], said["csv"]) == (verdict, None)
+    result = json.loads(done.stdout.splitlines()[-1])
+    assert (result["verdict"], result["csv"]) == (verdict, None)
     assert not list(tmp_path.glob("*.csv"))  # nothing that could be fitted by mistake
 
 

@@ -130,27 +130,27 @@ def test_command_runs_it_and_journals_the_prompts(oled: Path, tmp_path: Path, pr
     assert done.returncode == 0, done.stderr
     (journal,) = tmp_path.glob("S1-screen-only-right-*.jsonl")
     events = [json.loads(line) for line in journal.read_text().splitlines()]
-    said = [event["say"] for event in events if event["kind"] == "prompt"]
+    printed = [event["say"] for event in events if event["kind"] == "prompt"]
     found = sum(event["kind"] == "trial" and event["threshold"] is not None for event in events)
-    assert said[:3] == ["bleach", "dark", "mark"]
-    assert said[-1] == "end"
-    assert said.count("threshold") == found > 15
+    assert printed[:3] == ["bleach", "dark", "mark"]
+    assert printed[-1] == "end"
+    assert printed.count("threshold") == found > 15
     assert "http://127.0.0.1:" in done.stderr
     assert json.loads(done.stdout.splitlines()[-1])["verdict"] == "floor_reached"
 
 
 def test_what_does_not_go_together_is_refused(oled: Path, tmp_path: Path) -> None:
-    """No calibration, an old one, no subject, a subject before a real page, a criterion out of reach: each is said."""
+    """No calibration, an old one, no subject, a subject before a real page, a criterion out of reach: all stated."""
     protocol = read_protocol("screen-only")
     old = tmp_path / "old.yaml"
     old.write_text(oled.read_text().replace(ScreenCalibration.read(oled).created, "2020-01-01T00:00:00Z"))
-    for asked, error, said in (
+    for asked, error, text in (
         ({}, UsageError, "--screen FILE"),
         ({"screen": oled, "display": "oled"}, UsageError, "--simulate"),
         ({"screen": oled, "simulate": "never"}, UsageError, "simulated displays only"),
         ({"screen": old, "display": "oled"}, CalibrationError, "allows 30"),
     ):
-        with pytest.raises(error, match=said), open_screen_stage(RunRequest(protocol, **asked)):
+        with pytest.raises(error, match=text), open_screen_stage(RunRequest(protocol, **asked)):
             pass
     bright = protocol.model_copy(update={"bleach": protocol.bleach.model_copy(update={"luminance_cd_m2": 900.0})})
     with (
@@ -213,7 +213,7 @@ async def _tapping(browser: Browser) -> None:
 
 @pytest.mark.slow
 async def test_browser_blinks_and_records_the_key(shown: tuple[BrowserStimulus, Browser]) -> None:
-    """Presses during a blink come back from its onset, none is invented; a key held down is told as a hold."""
+    """Presses during a blink come back from its onset, none is invented; a key held down is reported as a hold."""
     screen, browser = shown
     lit, rest = ScreenPicture(shapes=(MARK, VIEWING.ellipse(4.0, 1.5, (0, 0, 90)))), ScreenPicture(shapes=(MARK,))
     await asyncio.to_thread(screen.show, rest)

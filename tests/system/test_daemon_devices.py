@@ -18,10 +18,10 @@ QUICK = KeeperTimes(first_pause_s=0.02, longest_pause_s=0.1, check_every_s=0.1)
 
 @pytest.mark.long
 def test_a_camera_on_the_wire_is_lost_and_found() -> None:
-    """One cycle here, twenty and their times in the benchmark: every client is told, and readings come again."""
+    """One cycle here, twenty and their times in the benchmark: every client is notified, and readings come again."""
     pytest.importorskip("gi")
     result = daemon_loss.run(1)
-    assert len(result.told_s) == len(result.recovered_s) == 1
+    assert len(result.reported_s) == len(result.recovered_s) == 1
 
 
 async def test_the_light_box_is_set_through_its_driver(tmp_path: Path) -> None:
@@ -38,7 +38,7 @@ async def test_the_light_box_is_set_through_its_driver(tmp_path: Path) -> None:
 
 @pytest.mark.long
 async def test_a_light_box_is_unplugged_and_replugged_twenty_times(tmp_path: Path) -> None:
-    """Each loss is told and refuses levels, each return is noticed, and the levels are known to be dark then."""
+    """Each loss is reported and refuses levels, each return is noticed, and the levels are known to be dark then."""
     async with box_station(tmp_path, QUICK) as (station, server, _):
         for _ in range(20):
             await station.light.set_level("fixation", 0.1)

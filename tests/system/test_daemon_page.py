@@ -106,7 +106,7 @@ async def _json(browser: Browser, expression: str) -> Any:
 
 
 async def test_the_page_fits_and_can_be_read_at_three_sizes(daemon: DaemonProcess, tmp_path: Path) -> None:
-    """Nothing beside or below the window, contrast AA in every theme, name and size of every control."""
+    """Nothing next to or below the window, contrast AA in every theme, name and size of every control."""
     async with headless(tmp_path / "profile") as browser:
         for size in SIZES:
             await _shown(browser, daemon, size)
@@ -224,7 +224,7 @@ async def test_the_tab_key_goes_through_the_page_as_it_is_seen(daemon: DaemonPro
 
 
 async def test_seven_patches_are_one_glance(daemon: DaemonProcess, tmp_path: Path) -> None:
-    """At 1440 × 900 each of seven patches has its panel in the window, and an event under the pointer is told."""
+    """At 1440 × 900 each of seven patches has its panel in the window, and an event under the pointer is reported."""
     names = [f"lamp {number}" for number in range(5)]
     for number, name in enumerate(names):
         daemon.post("/patches", {"name": name, "patch": {"x": 95 + 10 * number, "y": 80, "width": 8, "height": 8}})
@@ -241,11 +241,11 @@ async def test_seven_patches_are_one_glance(daemon: DaemonProcess, tmp_path: Pat
                 "(() => { const b = document.querySelector('.panel .u-over').getBoundingClientRect();"
                 " return JSON.stringify([b.right - 2, b.top + 20]); })()",
             )
-            said = "document.querySelector('.panel figcaption .quiet').textContent"
+            sentence = "document.querySelector('.panel figcaption .quiet').textContent"
             async with asyncio.timeout(20):  # a panel drawn anew forgets the pointer until it moves
                 for step in itertools.cycle((0, 1)):
                     await browser.command("Input.dispatchMouseEvent", type="mouseMoved", x=place[0] - step, y=place[1])
-                    if await browser.evaluate(f"{said}.includes('remark: <b>the</b> shutter jams')"):
+                    if await browser.evaluate(f"{sentence}.includes('remark: <b>the</b> shutter jams')"):
                         break
                     await asyncio.sleep(0.2)
             assert browser.errors == []
@@ -309,7 +309,7 @@ async def test_lights_off_works_whatever_else_of_the_page_does_not(
             await browser.wait_for("!!document.querySelector('#lights output')")
         await asyncio.sleep(0.5)  # until the script is there, whose answer is looked for
         await browser.evaluate("document.getElementById('lights-off').click()")
-        await browser.wait_for("document.getElementById('lights-said').textContent === 'all channels are off'")
+        await browser.wait_for("document.getElementById('lights-status').textContent === 'all channels are off'")
     assert set(daemon.get("/status")["light"].values()) == {0.0}
 
 

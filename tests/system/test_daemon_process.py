@@ -40,7 +40,7 @@ def test_a_signal_ends_it_cleanly(tmp_path: Path, number: int) -> None:
     ],
 )
 def test_wrong_options_are_refused(arguments: list[str], code: int, message: str, tmp_path: Path) -> None:
-    """One line says what is wrong; the exit code tells misuse from failure."""
+    """One line says what is wrong; the exit code distinguishes misuse and failure."""
     command = [sys.executable, "-m", "radiometer", "serve", "--journal", str(tmp_path / "j.sqlite"), "--scpi-port", "0",
                "--http-port", "0", *arguments]  # fmt: skip
     done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=within(60))
@@ -122,7 +122,7 @@ def test_log_without_a_journal_says_so(tmp_path: Path) -> None:
     assert "radiometer serve" in done.stderr
 
 
-def test_systemd_is_told(tmp_path: Path) -> None:
+def test_systemd_is_notified(tmp_path: Path) -> None:
     """READY, the watchdog, and STOPPING arrive at the notification socket."""
     path = tmp_path / "notify"
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as channel:

@@ -17,6 +17,7 @@ import pytest
 
 import radiometer
 from radiometer.cli.tree import command_tree
+from radiometer.reconciliation.thresholds import TABLE
 from simulators.effects.registry import EFFECTS
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(900)]
@@ -105,11 +106,11 @@ class _Loaded(HTMLParser):
 
     def handle_starttag(self, tag, attrs):
         """Note scripts, pictures, styles and icons."""
-        told = dict(attrs)
-        if tag in ("script", "img", "iframe", "source") and told.get("src"):
-            self.fetched.append(told["src"])
-        if tag == "link" and told.get("rel") not in ("canonical", "prev", "next") and told.get("href"):
-            self.fetched.append(told["href"])
+        reported = dict(attrs)
+        if tag in ("script", "img", "iframe", "source") and reported.get("src"):
+            self.fetched.append(reported["src"])
+        if tag == "link" and reported.get("rel") not in ("canonical", "prev", "next") and reported.get("href"):
+            self.fetched.append(reported["href"])
 
 
 @pytest.fixture(scope="module")
@@ -147,7 +148,7 @@ def test_the_site_shows_formulas_without_a_script(site):
     assert "\\frac" not in re.sub(r"<annotation.*?</annotation>", "", physics, flags=re.DOTALL)
 
 
-def test_the_reference_holds_every_public_name_command_and_effect(site):
+def test_the_reference_holds_every_public_name_command_effect_and_threshold(site):
     """What can be imported, typed or switched on stands in the reference, with its words."""
     names = (site / "reference" / "python.html").read_text(encoding="utf-8")
     for name in radiometer.__all__:
@@ -158,6 +159,9 @@ def test_the_reference_holds_every_public_name_command_and_effect(site):
         assert f"<code>{' '.join(one.path)}</code>" in commands
     for name in EFFECTS:
         assert f"<code>{name}</code>" in effects
+    thresholds = (site / "reference" / "thresholds.html").read_text(encoding="utf-8")
+    for row in TABLE:
+        assert f"<code>{row.name}</code>" in thresholds
 
 
 def test_a_command_that_fails_ends_the_following(follow_module, tmp_path):

@@ -121,7 +121,7 @@ def test_pulse_blink_and_off_on_the_simulated_box(surroundings, capsys):
 
 
 @pytest.mark.parametrize(
-    ("words", "said"),
+    ("words", "message"),
     [
         (["set", "spot", "--box", "sim"], "either --radiance or --level"),
         (["set", "spot", "--level", "5", "--radiance", "1", "--box", "sim"], "either --radiance or --level"),
@@ -130,13 +130,13 @@ def test_pulse_blink_and_off_on_the_simulated_box(surroundings, capsys):
         (["calibrate", "--channel", "green", "--box", "sim"], "it has bleach, spot"),
     ],
 )
-def test_misuse_is_answered_with_the_way_out(surroundings, capsys, words, said):
+def test_misuse_is_answered_with_the_way_out(surroundings, capsys, words, message):
     """Wrong words end with exit code 2 and one line."""
     assert run(["light", *words]) == 2
-    assert said in capsys.readouterr().err
+    assert message in capsys.readouterr().err
 
 
-def test_no_box_is_said(surroundings, capsys):
+def test_no_box_is_reported(surroundings, capsys):
     """Without any box the message names the ways to one."""
     code = run(["light", "status", "--box", "NONE0001"])
     assert code == 1

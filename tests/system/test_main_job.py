@@ -29,11 +29,11 @@ def test_every_patch_of_the_shipped_bench_reads_its_radiance(patch, capsys):
     assert reading["flags"] == []
     assert reading["radiance"]["unit"] == "W sr-1 m-2"
     assert reading["radiance"]["value"] == pytest.approx(true, abs=2 * reading["radiance"]["u"])
-    # The simulated reference source is exactly what it is said to be, so noise alone is left.
+    # The simulated reference source is exactly as stated, so noise alone is left.
     assert reading["radiance"]["value"] == pytest.approx(true, rel=0.002)
 
 
-def test_a_black_patch_is_said_to_be_below_the_noise(capsys):
+def test_a_black_patch_is_reported_to_be_below_the_noise(capsys):
     """No light gives no NaN and no claim, but a flag."""
     black = next(patch for patch in SCENE["patches"] if patch["drive"] == 0)
     assert run(["measure", "--json", "--patch", middle_of(black)]) == 0
@@ -43,7 +43,7 @@ def test_a_black_patch_is_said_to_be_below_the_noise(capsys):
 
 
 def test_without_a_calibration_values_are_relative_and_flagged(capsys):
-    """Nobody may take a relative value for a radiance."""
+    """No one may take a relative value for a radiance."""
     assert run(["measure", "--json", "--uncalibrated"]) == 0
     reading = json.loads(capsys.readouterr().out)
     assert reading["flags"] == ["uncalibrated"]

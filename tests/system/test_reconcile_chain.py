@@ -63,10 +63,10 @@ def test_plan_of_the_first_answer_settles_it(bench: Path, tmp_path: Path, capsys
     assert run(["bracket", first, "--bench", str(bench), *ladder]) == 0
     capsys.readouterr()
     assert run(["reconcile", first, "--plan", plan]) == 0
-    said = capsys.readouterr().out
-    assert "more than one name" in said
-    assert "conditional on this effect" in said
-    assert all(name in said for name in STRAY)
+    printed = capsys.readouterr().out
+    assert "more than one name" in printed
+    assert "conditional on this effect" in printed
+    assert all(name in printed for name in STRAY)
 
     assert run(["bracket", again, "--bench", str(bench), "--plan", plan]) == 0
     capsys.readouterr()

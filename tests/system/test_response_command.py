@@ -41,7 +41,7 @@ def test_curve_is_written_as_the_format_says(tmp_path, capsys):
 
 @pytest.mark.parametrize("words", [["--plot"], ["--plot", "picture.svg"]])
 def test_plot_with_and_without_a_name(tmp_path, monkeypatch, words):
-    """`--plot` alone draws beside the output, `--plot FILE` where it is told to."""
+    """`--plot` alone draws next to the output, `--plot FILE` where it is asked to."""
     monkeypatch.chdir(tmp_path)
     assert run(["response", str(_photographs(tmp_path / "p")), "-o", "curve.csv", *words]) == 0
     assert (tmp_path / (words[1] if len(words) > 1 else "curve.png")).stat().st_size > 5000
@@ -118,10 +118,10 @@ def test_bad_input_is_one_clear_line(tmp_path, capsys, make, message):
     """Unusable input gives one line on standard error that names the trouble, and exit code 1."""
     make(tmp_path / "p")
     assert run(["response", str(tmp_path / "p"), "-o", str(tmp_path / "curve.csv")]) == 1
-    said = capsys.readouterr().err
-    assert said.startswith("error: ")
-    assert message in said
-    assert said.count("\n") == 1
+    printed = capsys.readouterr().err
+    assert printed.startswith("error: ")
+    assert message in printed
+    assert printed.count("\n") == 1
     assert not (tmp_path / "curve.csv").exists()
 
 

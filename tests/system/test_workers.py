@@ -1,4 +1,4 @@
-"""The suite in two workers: who runs beside whom."""
+"""The suite in two workers: who runs next to whom."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from testing.patience import within
 
 
 def test_tests_of_a_file_stay_in_one_worker_and_both_work(project_root: Path) -> None:
-    """What a file's tests share is made once; what waits for real time never runs beside its like."""
+    """What a file's tests share is made once; what waits for real time never runs next to its like."""
     files = ["tests/unit/test_units.py", "tests/unit/test_units_stops.py", "tests/unit/reporting/test_page.py"]
     words = [sys.executable, "-m", "pytest", "-p", "no:cacheprovider", "-v", "-n", "2", *files]
     environment = {name: value for name, value in os.environ.items() if not name.startswith("PYTEST_")}

@@ -134,45 +134,45 @@ static uint8_t describe_channel(char **end)
     return 0;
 }
 
-static bool read_arguments(stimulus_t *wanted, char verb)
+static bool read_arguments(stimulus_t *stimulus, char verb)
 {
     uint32_t number;
     bool range_known = words[2][1] == 0 && (words[2][0] == 'L' || words[2][0] == 'H');
     uint32_t longest = verb == 'B' ? LONGEST_BLINK_MS : LONGEST_MS;
-    wanted->range = words[2][0] == 'H' ? HIGH_RANGE : LOW_RANGE;
+    stimulus->range = words[2][0] == 'H' ? HIGH_RANGE : LOW_RANGE;
     if (!range_known || !read_number(words[3], 0xFFFF, &number))
         return false;
-    wanted->level = (uint16_t)number;
+    stimulus->level = (uint16_t)number;
     if (verb == 'S')
         return true;
-    if (!read_number(words[4], longest, &wanted->on_ms) || wanted->on_ms == 0)
+    if (!read_number(words[4], longest, &stimulus->on_ms) || stimulus->on_ms == 0)
         return false;
     if (verb != 'B')
         return true;
-    if (!read_number(words[5], longest, &wanted->off_ms) || wanted->off_ms == 0)
+    if (!read_number(words[5], longest, &stimulus->off_ms) || stimulus->off_ms == 0)
         return false;
     if (!read_number(words[6], 0xFFFF, &number))
         return false;
-    wanted->count = (uint16_t)number;
+    stimulus->count = (uint16_t)number;
     return true;
 }
 
 static uint8_t shine(char **end, uint8_t argument_count, uint8_t (*start)(const stimulus_t *))
 {
-    stimulus_t wanted = {0};
-    uint8_t error = read_channel(&wanted.channel);
+    stimulus_t stimulus = {0};
+    uint8_t error = read_channel(&stimulus.channel);
     if (error)
         return error;
-    if (word_count != argument_count + 1 || !read_arguments(&wanted, words[0][0]))
+    if (word_count != argument_count + 1 || !read_arguments(&stimulus, words[0][0]))
         return ERROR_ARGUMENTS;
     if (!session)
         return ERROR_SESSION;
-    error = start(&wanted);
+    error = start(&stimulus);
     if (error)
         return error;
-    *end = put_text(*end, wanted.range == HIGH_RANGE ? " H" : " L");
-    *end = put_field(*end, wanted.level);
-    *end = put_field(*end, pwm_steps(wanted.channel, wanted.level));
+    *end = put_text(*end, stimulus.range == HIGH_RANGE ? " H" : " L");
+    *end = put_field(*end, stimulus.level);
+    *end = put_field(*end, pwm_steps(stimulus.channel, stimulus.level));
     return 0;
 }
 

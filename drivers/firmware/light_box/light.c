@@ -159,87 +159,87 @@ static void extinguish(uint8_t n)
     drive(n);
 }
 
-static uint8_t refuse(const stimulus_t *wanted, uint32_t bright_ms)
+static uint8_t refuse(const stimulus_t *stimulus, uint32_t bright_ms)
 {
     uint32_t bucket;
-    uint8_t partner = pwm_partner(wanted->channel);
-    if (wanted->level > channel_limits[wanted->channel].limit[wanted->range])
+    uint8_t partner = pwm_partner(stimulus->channel);
+    if (stimulus->level > channel_limits[stimulus->channel].limit[stimulus->range])
         return ERROR_LEVEL;
-    if (wanted->level && partner < CHANNELS && light_state(partner).mode != 'O')
+    if (stimulus->level && partner < CHANNELS && light_state(partner).mode != 'O')
         return ERROR_SHARED;
-    if (wanted->level && held_ms >= HELD_OFF_MS)
+    if (stimulus->level && held_ms >= HELD_OFF_MS)
         return ERROR_HELD;
-    ATOMIC_BLOCK(ATOMIC_RESTORESTATE) { bucket = channels[wanted->channel].bucket; }
-    return bright_ms > bucket / cost_per_ms(wanted->range, wanted->level) ? ERROR_ENERGY : 0;
+    ATOMIC_BLOCK(ATOMIC_RESTORESTATE) { bucket = channels[stimulus->channel].bucket; }
+    return bright_ms > bucket / cost_per_ms(stimulus->range, stimulus->level) ? ERROR_ENERGY : 0;
 }
 
-static void start(const stimulus_t *wanted, char mode)
+static void start(const stimulus_t *stimulus, char mode)
 {
-    if (wanted->level)
-        make_room(wanted->channel, wanted->range, wanted->level);
+    if (stimulus->level)
+        make_room(stimulus->channel, stimulus->range, stimulus->level);
     ATOMIC_BLOCK(ATOMIC_RESTORESTATE)
     {
-        channel_t *c = &channels[wanted->channel];
-        c->mode = wanted->level == 0 ? 'O' : mode;
-        c->range = wanted->range;
-        c->level = wanted->level;
-        c->bright = wanted->level != 0;
-        c->left_ms = c->on_ms = wanted->on_ms;
-        c->off_ms = wanted->off_ms;
-        c->blinks_left = wanted->count;
-        drive(wanted->channel);
+        channel_t *c = &channels[stimulus->channel];
+        c->mode = stimulus->level == 0 ? 'O' : mode;
+        c->range = stimulus->range;
+        c->level = stimulus->level;
+        c->bright = stimulus->level != 0;
+        c->left_ms = c->on_ms = stimulus->on_ms;
+        c->off_ms = stimulus->off_ms;
+        c->blinks_left = stimulus->count;
+        drive(stimulus->channel);
     }
 }
 
-uint8_t light_steady(const stimulus_t *wanted)
+uint8_t light_steady(const stimulus_t *stimulus)
 {
-    uint8_t error = refuse(wanted, 1);
+    uint8_t error = refuse(stimulus, 1);
     if (error == 0)
-        start(wanted, 'S');
+        start(stimulus, 'S');
     return error;
 }
 
-uint8_t light_pulse(const stimulus_t *wanted)
+uint8_t light_pulse(const stimulus_t *stimulus)
 {
-    uint8_t error = refuse(wanted, wanted->on_ms);
+    uint8_t error = refuse(stimulus, stimulus->on_ms);
     if (error == 0)
-        start(wanted, 'P');
+        start(stimulus, 'P');
     return error;
 }
 
-uint8_t light_blink(const stimulus_t *wanted)
+uint8_t light_blink(const stimulus_t *stimulus)
 {
     /* on_ms is at most 60 000 and count 65 535: the product fits 32 bits */
-    uint8_t error = refuse(wanted, wanted->count ? wanted->on_ms * wanted->count : 1);
+    uint8_t error = refuse(stimulus, stimulus->count ? stimulus->on_ms * stimulus->count : 1);
     if (error == 0)
-        start(wanted, 'B');
+        start(stimulus, 'B');
     return error;
 }
 
-uint8_t light_ramp(const stimulus_t *wanted)
+uint8_t light_ramp(const stimulus_t *stimulus)
 {
-    uint8_t error = refuse(wanted, 1);
-    channel_state_t before = light_state(wanted->channel);
+    uint8_t error = refuse(stimulus, 1);
+    channel_state_t before = light_state(stimulus->channel);
     if (error)
         return error;
-    if (before.mode != 'O' && before.range != wanted->range)
+    if (before.mode != 'O' && before.range != stimulus->range)
         return ERROR_RANGE_CHANGE;
-    make_room(wanted->channel, wanted->range, wanted->level > before.level ? wanted->level : before.level);
+    make_room(stimulus->channel, stimulus->range, stimulus->level > before.level ? stimulus->level : before.level);
     ATOMIC_BLOCK(ATOMIC_RESTORESTATE)
     {
-        channel_t *c = &channels[wanted->channel];
+        channel_t *c = &channels[stimulus->channel];
         uint16_t distance;
         c->mode = 'R';
-        c->range = wanted->range;
+        c->range = stimulus->range;
         c->level = c->bright ? c->level : 0;
         c->bright = true;
-        c->target = wanted->level;
+        c->target = stimulus->level;
         distance = c->target > c->level ? c->target - c->level : c->level - c->target;
-        c->left_ms = c->ramp_ms = wanted->on_ms;
-        c->ramp_whole = (uint16_t)(distance / wanted->on_ms);
-        c->ramp_part = distance % wanted->on_ms;
+        c->left_ms = c->ramp_ms = stimulus->on_ms;
+        c->ramp_whole = (uint16_t)(distance / stimulus->on_ms);
+        c->ramp_part = distance % stimulus->on_ms;
         c->ramp_carry = 0;
-        drive(wanted->channel);
+        drive(stimulus->channel);
     }
     return 0;
 }

@@ -11,7 +11,7 @@ typedef struct {
     uint16_t level;
     uint32_t on_ms; /* length of a pulse, of a blink's bright phase or of a ramp */
     uint32_t off_ms;
-    uint16_t count; /* blinks; 0: until told otherwise */
+    uint16_t count; /* blinks; 0: until the next command */
 } stimulus_t;
 
 typedef struct {
@@ -25,10 +25,10 @@ void light_init(void);
 /* Fills the buckets, empty till then, from the EEPROM; takes 7 ms, with interrupts on. */
 void light_remember(void);
 /* Each returns 0 or an error code of protocol.h; on an error the channel is left as it was. */
-uint8_t light_steady(const stimulus_t *wanted);
-uint8_t light_ramp(const stimulus_t *wanted);
-uint8_t light_pulse(const stimulus_t *wanted);
-uint8_t light_blink(const stimulus_t *wanted);
+uint8_t light_steady(const stimulus_t *stimulus);
+uint8_t light_ramp(const stimulus_t *stimulus);
+uint8_t light_pulse(const stimulus_t *stimulus);
+uint8_t light_blink(const stimulus_t *stimulus);
 void light_off(uint8_t channel);
 void light_all_off(void);
 channel_state_t light_state(uint8_t channel);

@@ -1,4 +1,4 @@
-/* Supply voltage of the LEDs and temperature beside them. */
+/* Supply voltage of the LEDs and temperature next to them. */
 #ifndef SENSORS_H
 #define SENSORS_H
 

@@ -106,7 +106,7 @@ def _consistent(
         try:
             contradicting = contradicting_steps(make_steps(own, fitting))
         except MeasurementError:
-            continue  # no darks of its temperature: said where the figures are made
+            continue  # no darks of its temperature: reported where the figures are made
         wrong += [step.bright for step, _ in contradicting]
         lines += [line for _, line in contradicting]
     return [b for b in bright if b not in wrong], dark, lines
@@ -189,10 +189,10 @@ class _Work:
         figures |= self._sensitivity(own[1], notes)
         figures |= self._dark_current(own[1], [p[1] for p in plateaus], notes)
         figures |= self._nonuniformity(own[0])
-        told = gain_from_darks(self.subject, self.at.dark)
-        if told is not None:
-            figures["K_dark"] = told[0]
-            notes += disagreeing_gains(self.at.transfer.K, told[0])
+        from_darks = gain_from_darks(self.subject, self.at.dark)
+        if from_darks is not None:
+            figures["K_dark"] = from_darks[0]
+            notes += disagreeing_gains(self.at.transfer.K, from_darks[0])
         line = linearity(self.at.steps, self.at.saturation.signal_dn)
         if line is not None:
             figures |= {"LE_min": line.LE_min, "LE_max": line.LE_max}
@@ -275,11 +275,13 @@ class _Work:
             return {}  # statistics without pictures
         chosen = [s for s in self.at.bright if s.clipped_share <= CLIPPED_SHARE] or list(self.at.bright)
         bright = best_stack(chosen, saturation, dark[0].mean_dn)
-        beside = min(dark, key=lambda d: (abs(d.settings.exposure_s - bright.settings.exposure_s) > 1e-6, -d.frames))
+        matching_dark = min(
+            dark, key=lambda d: (abs(d.settings.exposure_s - bright.settings.exposure_s) > 1e-6, -d.frames)
+        )
         return {
-            "DSNU_1288": dsnu(beside, self.at.transfer.K),
-            "PRNU_1288": prnu(bright, beside),
-            **nonuniformity_by_part(bright, beside, self.at.transfer.K),
+            "DSNU_1288": dsnu(matching_dark, self.at.transfer.K),
+            "PRNU_1288": prnu(bright, matching_dark),
+            **nonuniformity_by_part(bright, matching_dark, self.at.transfer.K),
         }
 
     def _warn(self, notes: list[str]) -> None:

@@ -192,19 +192,19 @@ def dark_transfer(frames: Iterable[NDArray[np.float64]]) -> DarkTransfer | None:
     if np.ptp(x) <= 0:
         return None
     hat = design @ np.linalg.inv(design.T @ design) @ design.T
-    told = np.diag(hat) < _HIGHEST_LEVERAGE
+    checkable = np.diag(hat) < _HIGHEST_LEVERAGE
     mixing = (np.eye(len(x)) - hat) ** 2
     residual = (np.eye(len(x)) - hat) @ values
     squares = np.array([_clipped_variance(row) for row in residual])
     variances, u = _unmixed(mixing, squares, values.shape[1])
-    if told.sum() < _FEWEST_FRAMES or np.unique(x[told]).size < 3 or np.any(u[told] <= 0):
+    if checkable.sum() < _FEWEST_FRAMES or np.unique(x[checkable]).size < 3 or np.any(u[checkable] <= 0):
         return None
-    line = fit_line(x[told], variances[told], u[told])
+    line = fit_line(x[checkable], variances[checkable], u[checkable])
     # Scatter beyond chance widens the line's u; a bend is a misfit along the signal that repetition does not average.
-    u_slope = math.hypot(line.u_slope, _halves_u(x[told], variances[told], u[told]))
+    u_slope = math.hypot(line.u_slope, _halves_u(x[checkable], variances[checkable], u[checkable]))
     if line.slope <= 0 or u_slope > _LARGEST_U_REL * line.slope:
         return None
-    return DarkTransfer(Quantity(line.slope, u_slope, "DN/e-"), line, tuple(x[told]), tuple(variances[told]))
+    return DarkTransfer(Quantity(line.slope, u_slope, "DN/e-"), line, tuple(x[checkable]), tuple(variances[checkable]))
 
 
 def _halves_u(x: NDArray[np.float64], variance: NDArray[np.float64], u: NDArray[np.float64]) -> float:
@@ -278,8 +278,8 @@ def typical_dark_current(
     rates = typical_rates(dark)
     if not rates:
         return {}
-    wanted = math.inf if temperature_c is None else temperature_c
-    rate = min(rates, key=lambda r: abs((r[0] if r[0] is not None else 0.0) - min(wanted, 1e3)))[2]
+    reference_c = math.inf if temperature_c is None else temperature_c
+    rate = min(rates, key=lambda r: abs((r[0] if r[0] is not None else 0.0) - min(reference_c, 1e3)))[2]
     figures = {"mu_I_dn": rate}
     if K is not None:
         u = math.hypot(rate.u, rate.value * K.u_rel) / K.value
@@ -333,12 +333,12 @@ def gain_from_darks(
 
 def _frames(subject: Subject, plateau: Sequence[GroupStatistics]) -> list[np.ndarray]:
     """Return the frames of a plateau in its region, every n-th pixel of large ones."""
-    wanted = {(d.settings.exposure_s, d.settings.temperature_c, d.settings.gain_db) for d in plateau}
+    settings_of_plateau = {(d.settings.exposure_s, d.settings.temperature_c, d.settings.gain_db) for d in plateau}
     region = subject.regions[plateau[0].region]
     frames = []
     for group in subject.groups:
         key = (group.settings.exposure_s, group.settings.temperature_c, group.settings.gain_db)
-        if not group.settings.is_dark or key not in wanted:
+        if not group.settings.is_dark or key not in settings_of_plateau:
             continue
         for dn in group.read(subject.camera.full_scale_dn):
             part = dn if region is None else dn[region.slices]

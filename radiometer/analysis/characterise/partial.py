@@ -57,11 +57,11 @@ def partial_characterisation(
     figures = {"K": K} if K is not None else {}
     main = _main_region([*lit, *dark, *bright])
     own_dark = [d for d in dark if d.region == main]
-    told = gain_from_darks(subject, own_dark) if own_dark else None
-    if told is not None:
-        figures["K_dark"] = told[0]
-        notes += disagreeing_gains(K, told[0])
-    best = K or (told[0] if told else None)
+    from_darks = gain_from_darks(subject, own_dark) if own_dark else None
+    if from_darks is not None:
+        figures["K_dark"] = from_darks[0]
+        notes += disagreeing_gains(K, from_darks[0])
+    best = K or (from_darks[0] if from_darks else None)
     figures |= _dark_figures(own_dark, best, subject, _temperature(lit), notes)
     figures |= _nonuniformity([b for b in lit if b.region == main], own_dark, best)
     if "mu_y_dark" not in figures and subject.masked_dn:
@@ -204,8 +204,8 @@ def _dark_figures(
     step_dn = subject.camera.code_step_dn or 1
     noisy = [p for p in by_temperature(dark) if any(d.has_noise for d in p)]
     if noisy:
-        wanted = -273.0 if temperature_c is None else temperature_c
-        own = min(noisy, key=lambda p: abs((_temperature(p) or 0.0) - wanted))
+        reference_c = -273.0 if temperature_c is None else temperature_c
+        own = min(noisy, key=lambda p: abs((_temperature(p) or 0.0) - reference_c))
         signal = dark_signal(own, step_dn)
         temperature_c = signal.temperature_c
         figures["mu_y_dark"] = signal.mean_dn

@@ -66,9 +66,9 @@ def draw_telling(axes: Axes, result: Characterisation) -> None:
 
 def further_pictures(result: Characterisation) -> list[str]:
     """Return the plots that the opening picture has no room for: variance and signal, and the dark signal."""
-    told = result.transfer is not None and "K" in result.figures
+    has_gain = result.transfer is not None and "K" in result.figures
     drawn: list[str] = []
-    if told:
+    if has_gain:
         drawn.append(
             picture(
                 lambda figure, narrow: _variance(figure.subplots(), result),
@@ -128,8 +128,8 @@ def _transfer(axes: Axes, result: Characterisation) -> None:
     if "sigma_d" in result.figures:
         read = result.figures["sigma_d"]
         axes.axhline(read.value * K.value, color=MARK, lw=1.2, ls="--")
-        said, at = f"read noise {with_u(read.value, 2 * read.u)} e⁻", (0.98, read.value * K.value)
-        mark(axes, said, at, (0, 4), MARK, xycoords=("axes fraction", "data"), ha="right")
+        text, at = f"read noise {with_u(read.value, 2 * read.u)} e⁻", (0.98, read.value * K.value)
+        mark(axes, text, at, (0, 4), MARK, xycoords=("axes fraction", "data"), ha="right")
         mark(axes, gain, at, (0, -13), MODEL, xycoords=("axes fraction", "data"), ha="right")
     else:
         mark(axes, gain, (0.98, 0.36), (0, 0), MODEL, xycoords="axes fraction", ha="right")
@@ -226,41 +226,41 @@ def outcome(result: Characterisation) -> str:
     gain = figures.get("K", figures.get("K_dark"))
     if gain is None or not math.isfinite(gain.value):
         return "These frames determine no gain: the camera's electrons cannot be counted from them."
-    said = [f"One electron is {with_u(gain.value, 2 * gain.u, 'DN')}"]
+    sentences = [f"One electron is {with_u(gain.value, 2 * gain.u, 'DN')}"]
     if "sigma_d" in figures:
-        said.append(f"the camera reads with {_with_u(figures['sigma_d'])} of noise")
+        sentences.append(f"the camera reads with {_with_u(figures['sigma_d'])} of noise")
     if "mu_e_sat" in figures:
-        said.append(f"holds {_with_u(figures['mu_e_sat'])} before it saturates")
-    if len(said) == 3:
-        said[1:] = [f"{said[1]} and {said[2]}"]
-    return f"{'; '.join(said)}."
+        sentences.append(f"holds {_with_u(figures['mu_e_sat'])} before it saturates")
+    if len(sentences) == 3:
+        sentences[1:] = [f"{sentences[1]} and {sentences[2]}"]
+    return f"{'; '.join(sentences)}."
 
 
 def meaning(result: Characterisation) -> list[str]:
     """Return what the figures mean for measuring, and what to do about it."""
     figures = result.figures
-    said = [
+    sentences = [
         _noise(figures.get("sigma_d"), figures.get("K")),
         _range(figures.get("DR_dB"), figures.get("SNR_max")),
         _straightness(figures.get("LE_min"), figures.get("LE_max")),
         _dark(figures.get("mu_I_mean"), figures.get("sigma_d")),
     ]
     if "K" in figures:
-        said.append(
+        sentences.append(
             "To use it, write the camera file (-o camera.yaml) and give it to radiometer calibrate --camera-file; "
             "its noise then determines the weights of every measurement."
         )
     elif "K_dark" in figures:
-        said.append(
+        sentences.append(
             "The gain comes from dark frames alone. Frames of steady, even light from darkness to saturation would "
             "determine it better, and linearity and saturation as well."
         )
     else:
-        said.append(
+        sentences.append(
             "To count electrons, take pairs of frames of steady, even light at three levels or more, and darks at the "
             "same exposures: radiometer bracket --repeat 2 --darks 2."
         )
-    return [text for text in said if text]
+    return [text for text in sentences if text]
 
 
 def _noise(read: Quantity | None, gain: Quantity | None) -> str:

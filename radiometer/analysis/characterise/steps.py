@@ -130,14 +130,14 @@ def contradicting_steps(steps: Sequence[SignalStep]) -> list[tuple[SignalStep, s
     ratios = np.array([s.signal_dn / s.light for s in ordered])
     found = []
     for index, step in enumerate(ordered):
-        near = _beside(index, len(ordered))
+        near = _neighbours(index, len(ordered))
         if not near:
             continue
         expected = float(np.median(ratios[near])) * step.light
         off = abs(step.signal_dn - expected)
         agree = float(np.median(np.abs(ratios[near] * step.light - expected))) < _AGREE_SHARE * off
         if agree and off > max(_OFF_SHARE * abs(expected), _OFF_SIGMAS * step.u_signal_dn, _OFF_OF_TOP * top):
-            found.append((step, _said(step.bright, step.signal_dn, expected)))
+            found.append((step, _in_words(step.bright, step.signal_dn, expected)))
     return found if len(found) <= max(1, int(_LARGEST_PART * len(ordered))) else []
 
 
@@ -162,7 +162,7 @@ def contradicting_darks(dark: Sequence[GroupStatistics], top_dn: float) -> list[
         expected = centre + slope * float(times[index])
         far = max(_OFF_SIGMAS * max(spread, group.u_mean_dn), _OFF_OF_TOP * top_dn, _OFF_SHARE * abs(expected))
         if off > far:
-            found.append((group, _said(group, group.mean_dn, expected)))
+            found.append((group, _in_words(group, group.mean_dn, expected)))
     return found if len(found) <= max(1, int(_LARGEST_PART * len(dark))) else []
 
 
@@ -172,13 +172,13 @@ def _median_slope(x: np.ndarray, y: np.ndarray) -> float:
     return float(np.median((y[j] - y[i])[apart] / (x[j] - x[i])[apart])) if apart.any() else 0.0
 
 
-def _beside(index: int, count: int) -> list[int]:
+def _neighbours(index: int, count: int) -> list[int]:
     """Return as many neighbours below as above; none at the ends, where saturation and a mistake look alike."""
     reach = min(_NEIGHBOURS, index, count - 1 - index)
     return [*range(index - reach, index), *range(index + 1, index + reach + 1)]
 
 
-def _said(group: GroupStatistics, found_dn: float, expected_dn: float) -> str:
+def _in_words(group: GroupStatistics, found_dn: float, expected_dn: float) -> str:
     light = "" if group.photons is None else f" and {group.photons:g} photons"
     kind = "dark" if group.settings.is_dark else "bright"
     share = 100.0 * (found_dn / expected_dn - 1.0) if expected_dn else math.inf

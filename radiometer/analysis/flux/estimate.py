@@ -197,13 +197,13 @@ class _Ways:
         return steps
 
     def assumptions(self) -> tuple[str, ...]:
-        said = []
+        notes = []
         if self.emitter is not None and self.emitter.distance_mm is None and self._distance() is not None:
-            said.append(f"distance {self._distance_value():.4g} mm from focal length and magnification (thin lens)")
+            notes.append(f"distance {self._distance_value():.4g} mm from focal length and magnification (thin lens)")
         if self.emitter is not None:
-            said.append("intensity falls as a power of the cosine, the diode faces the lens")
-            said.append(f"a Lambertian part of 0 ± {100 * PEDESTAL_U:g} % of the axial intensity (k = 1)")
-        return tuple(said)
+            notes.append("intensity falls as a power of the cosine, the diode faces the lens")
+            notes.append(f"a Lambertian part of 0 ± {100 * PEDESTAL_U:g} % of the axial intensity (k = 1)")
+        return tuple(notes)
 
     def _noise_w(self) -> float:
         return math.hypot(self.measured.u_noise_w, self.measured.u_background_w)

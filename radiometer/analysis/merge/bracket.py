@@ -583,8 +583,8 @@ class StreamingMerge:
         if calibration is None or not calibration.absolute:
             return ()
         off = unstated_u_rel(calibration, calibration.uncertainties)
-        said = f"light of another spectrum than {calibration.spectrum} may be off: {100 * off:.2g} % (k = 1)"
-        return (f"{said} over {', '.join(KINDS)}, which u does not hold",) if off >= _TOLD_REL else ()
+        note = f"light of another spectrum than {calibration.spectrum} may be off: {100 * off:.2g} % (k = 1)"
+        return (f"{note} over {', '.join(KINDS)}, which u does not hold",) if off >= _TOLD_REL else ()
 
     def _map(self, flat: Images) -> RadianceMap:
         shape, calibration = self._known_shape(), self._calibration

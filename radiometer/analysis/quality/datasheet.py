@@ -112,8 +112,8 @@ def _picture(measured: list[Index]) -> str:
             ends = [max(100 * figure.value + sign * expanded, _LOWEST_PERCENT) for sign in (-1.0, 1.0)]
             axes.plot(ends, [place, place], lw=6, color=MODEL, alpha=0.4, solid_capstyle="butt")
             axes.plot(max(100 * figure.value, _LOWEST_PERCENT), place, "o", ms=6, color=MODEL)
-            said = label(f"{procedure.symbol}: {shown(figure)[0]}")
-            axes.annotate(said, (ends[1], place), (6, 0), textcoords="offset points", va="center", fontsize=9)
+            text = label(f"{procedure.symbol}: {shown(figure)[0]}")
+            axes.annotate(text, (ends[1], place), (6, 0), textcoords="offset points", va="center", fontsize=9)
         axes.set_xscale("log")
         low, high = axes.get_xlim()
         axes.set_xlim(low, high * (high / low) ** (0.6 if narrow else 0.25))
@@ -122,6 +122,6 @@ def _picture(measured: list[Index]) -> str:
         axes.set_yticks([])
 
     height = 0.42 * len(shares) + 1.0
-    said = "; ".join(f"{p.symbol} {shown(f)[0]} ± {shown(f)[1]}" for p, f in shares)
-    caption = f"How far a reading goes wrong under each influence, with its interval of 95.45 %: {said}."
+    message = "; ".join(f"{p.symbol} {shown(f)[0]} ± {shown(f)[1]}" for p, f in shares)
+    caption = f"How far a reading goes wrong under each influence, with its interval of 95.45 %: {message}."
     return picture(draw, caption, (9.0, height), (4.0, height))

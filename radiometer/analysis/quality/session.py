@@ -25,7 +25,7 @@ from radiometer.errors import InputError, MeasurementError, RadiometerError
 FORMAT: Final = "radiometer-quality/1"
 SOURCE_U_REL: Final = 0.001  # assumed where nothing is stated: a warm, regulated lamp
 _SAME_GAIN_DB: Final = 0.06  # cameras set gains in steps of up to 0.1 dB
-_MIDDLE_SHARE: Final = 10  # the patch is a tenth of the picture where nobody says
+_MIDDLE_SHARE: Final = 10  # the patch is a tenth of the picture where none is stated
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,7 +51,7 @@ class Index:
     def to_mapping(self) -> dict[str, Any]:
         """Return the plain mapping for programs."""
         one = self.procedure
-        said: dict[str, Any] = {
+        content: dict[str, Any] = {
             "index": one.name,
             "symbol": one.symbol,
             "title": one.title,
@@ -60,10 +60,10 @@ class Index:
             "measured": self.figure is not None,
         }
         if self.figure is None:
-            return {**said, "reason": self.reason}
+            return {**content, "reason": self.reason}
         found, k = self.figure, coverage_factor(self.figure.degrees_of_freedom)
         return {
-            **said,
+            **content,
             "value": found.value,
             "u": found.u,
             "coverage_factor": k,

@@ -165,15 +165,15 @@ def smear(frames: RadianceMap, patch: Patch) -> Figure:
     source = _source_columns(values[patch.slices])
     columns = patch.x + source
     gap = max(4, patch.width // 2)
-    beside = np.r_[
+    neighbours = np.r_[
         max(patch.x - gap - patch.width, 0) : max(patch.x - gap, 0),
         min(patch.x + patch.width + gap, width) : min(patch.x + 2 * patch.width + gap, width),
     ]
-    if rows.size < 8 or beside.size < 4:
+    if rows.size < 8 or neighbours.size < 4:
         raise MeasurementError(
             "the patch leaves no rows above and below it, or no columns left and right of it; make it smaller"
         )
-    below = values[np.ix_(rows, columns)].mean(axis=1) - values[np.ix_(rows, beside)].mean(axis=1)
+    below = values[np.ix_(rows, columns)].mean(axis=1) - values[np.ix_(rows, neighbours)].mean(axis=1)
     lit = values[patch.y : patch.y + patch.height, columns]
     bright = lit > 0.5 * float(np.percentile(lit, 99.0))
     level = float(np.mean(lit[bright]))

@@ -218,7 +218,7 @@ def _estimate(plane: Plane, exposures: Exposures, known: tuple[tuple[float, floa
     ratios, u_ratios = _exposure_ratios(fit, times, parts)
     if offset is not None:
         u_ratios = np.hypot(u_ratios, ratios * np.abs(np.diff(1.0 / samples.exposures_s)) * offset.u_seconds)
-    told = [exposures.of_printed(label, stated_s) for label in wrong]
+    found_labels = [exposures.of_printed(label, stated_s) for label in wrong]
     inner = inner_range(supported_range(result.samples))
     return ResponseEstimate(
         curve=curve,
@@ -232,7 +232,10 @@ def _estimate(plane: Plane, exposures: Exposures, known: tuple[tuple[float, floa
         exposure_ratios=ratios,
         u_exposure_ratios=u_ratios,
         gauge=_gauge(fit),
-        notes=(*_offset_note(exposures, plane.samples), *_notes(result, plane.samples, told, parts, exposures.stated)),
+        notes=(
+            *_offset_note(exposures, plane.samples),
+            *_notes(result, plane.samples, found_labels, parts, exposures.stated),
+        ),
         agreement=parts.agreement(inner),
         details={
             "noise": result.noise.to_mapping(),
@@ -241,7 +244,9 @@ def _estimate(plane: Plane, exposures: Exposures, known: tuple[tuple[float, floa
             "groups_that_count_as_one": result.choices.inflation,
             "time_spread": fit.time_spread,
             "log_time_errors": [float(error) for error in fit.log_time_errors],
-            "wrong_labels": [{"frame": label.frame, "ratio": label.ratio, "u_ratio": label.u_ratio} for label in told],
+            "wrong_labels": [
+                {"frame": label.frame, "ratio": label.ratio, "u_ratio": label.u_ratio} for label in found_labels
+            ],
             **_offset_parameters(exposures),
         },
     )
@@ -332,10 +337,10 @@ def _with_offset_stated(curve: ResponseCurve, exposures: Exposures, errors: Arra
         return curve
     whole = errors + exposures.offset.log_ratios(stated_s)
     origin = curve.provenance
-    told = {"log_time_errors": [float(error) for error in whole], **_offset_parameters(exposures)}
+    facts = {"log_time_errors": [float(error) for error in whole], **_offset_parameters(exposures)}
     text = f"all exposures {exposures.offset.in_words()} than stated, the shutter's offset found from these frames"
     assumed = (*(other for other in origin.assumptions if other != _AS_STATED), text)
-    parameters = {**origin.parameters, **told}
+    parameters = {**origin.parameters, **facts}
     return replace(curve, provenance=replace(origin, parameters=parameters, assumptions=assumed))
 
 

@@ -156,10 +156,10 @@ def _one_exponent(
             "nothing there; choose regions near black and near white"
         )
     if step * distance <= 0.0:
-        wanted = "longer" if distance < 0 else "shorter"
+        direction = "longer" if distance < 0 else "shorter"
         raise MeasurementError(
-            f"the region at {one.dn:g} DN needs a {wanted} time than the reference photograph's {reference_s:g} s to "
-            f"land on {landed:g} DN; stated is {one.exposure_s:g} s"
+            f"the region at {one.dn:g} DN needs a {direction} time than the reference photograph's {reference_s:g} s "
+            f"to land on {landed:g} DN; stated is {one.exposure_s:g} s"
         )
     known = u_with_extrapolation(curve)
     of_curve = math.hypot(_at(known, one.dn), _at(known, landed))
@@ -186,7 +186,7 @@ def _run_to(
     u: NDArray[np.float64],
     valid_dn: tuple[int, int] | None,
     dn: float,
-    wanted: float,
+    target: float,
     u_requested: float,
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return curve and uncertainty that run from the edge of the supported range to a measured point outside it."""
@@ -194,18 +194,18 @@ def _run_to(
         return g, u
     edge = valid_dn[0] if dn < valid_dn[0] else valid_dn[1]
     numbers = np.arange(g.size, dtype=np.float64)
-    moved = wanted - _at(g, dn)
+    moved = target - _at(g, dn)
     below = dn < edge
-    if (wanted - g[edge]) * (-1.0 if below else 1.0) < 0.0:
+    if (target - g[edge]) * (-1.0 if below else 1.0) < 0.0:
         return g, u  # within the noise of its reading the point is on the wrong side of the edge
     place = (np.log(np.maximum(numbers, 0.5)) - math.log(edge)) / (math.log(dn) - math.log(edge))
     part = np.clip(place, 0.0, 1.0)
     outside = numbers < edge if below else numbers > edge
-    line = g[edge] + part * (wanted - g[edge])
+    line = g[edge] + part * (target - g[edge])
     beyond = numbers < dn if below else numbers > dn
     line = np.where(beyond, g + moved, line)
     between = np.hypot((1.0 - part) * u[edge], part * u_requested) + 2.0 * part * (1.0 - part) * abs(moved)
-    spread = np.where(beyond, np.hypot(u_requested, np.abs(g + moved - wanted)), between)
+    spread = np.where(beyond, np.hypot(u_requested, np.abs(g + moved - target)), between)
     return np.where(outside, line, g), np.where(outside, spread, u)
 
 

@@ -93,10 +93,10 @@ def fit_log_noise(residual: Array, leverage: Array, log_exposure: Array, slope: 
         expected = noise.variance(log_exposure, slope, pixels)
         rounding = noise._rounding(log_exposure, slope, pixels)
         # A wild residual (movement, a defect) counts as five standard deviations, not more.
-        wanted = (np.minimum(square, 25.0 * expected) - rounding) / expected
+        target = (np.minimum(square, 25.0 * expected) - rounding) / expected
         weighted = terms / expected[:, None]
         scale = np.maximum(np.linalg.norm(weighted, axis=0), 1e-300)
-        noise = LogNoise(*(float(value) for value in nnls(weighted / scale, wanted)[0] / scale))
+        noise = LogNoise(*(float(value) for value in nnls(weighted / scale, target)[0] / scale))
     return noise
 
 

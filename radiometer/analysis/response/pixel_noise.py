@@ -143,21 +143,21 @@ def _fitted(residual: Array, terms: Array, start: Array) -> TermsFit:
     for _ in range(_ROUNDS):
         expected = np.maximum(terms @ found + rounding, 1e-300)
         # A wild residual (movement, a defect) counts as five standard deviations, not more.
-        wanted = (np.minimum(square, 25.0 * expected) - rounding) / expected
+        target = (np.minimum(square, 25.0 * expected) - rounding) / expected
         weighted = terms / expected[:, None]
-        found = _least_squares_above_zero(weighted, wanted)
-    left = wanted - weighted @ found
+        found = _least_squares_above_zero(weighted, target)
+    left = target - weighted @ found
     return TermsFit(np.asarray(found), weighted.T @ weighted, weighted * left[:, None])
 
 
-def _least_squares_above_zero(columns: Array, wanted: Array) -> Array:
+def _least_squares_above_zero(columns: Array, target: Array) -> Array:
     """Return the coefficients x ≥ 0 of least |A·x − y|²: those of as few rows as columns, with the same AᵀA and Aᵀy.
 
     Args:
         columns: A, shape (rows, k).
         target: y, shape (rows,).
     """
-    gram, right = columns.T @ columns, columns.T @ wanted
+    gram, right = columns.T @ columns, columns.T @ target
     scale = np.sqrt(np.where(np.diag(gram) > 0.0, np.diag(gram), 1.0))
     square, directions = np.linalg.eigh(gram / np.outer(scale, scale))
     length = np.sqrt(np.maximum(square, _ALIKE))

@@ -338,9 +338,9 @@ def _label_groups(bracket: Bracket, limits: ValueLimits) -> tuple[NDArray[np.int
     contradictory = (_contradictory(bracket) | _unmoved(bracket, limits)).ravel()
     histogram = np.bincount(key[~contradictory], minlength=1)
     # Cut at equal numbers of pixels and, besides, at equal steps of the sum: rare bright pixels stay apart.
-    wanted = min(_GROUPS, max(64, key.size // 12))
-    by_count = (np.cumsum(histogram) - 1) * wanted // max(int(histogram.sum()), 1)
-    by_value = np.arange(histogram.size, dtype=np.int64) * wanted // histogram.size
+    group_count = min(_GROUPS, max(64, key.size // 12))
+    by_count = (np.cumsum(histogram) - 1) * group_count // max(int(histogram.sum()), 1)
+    by_value = np.arange(histogram.size, dtype=np.int64) * group_count // histogram.size
     starts = np.diff(by_count, prepend=-1).astype(bool) | np.diff(by_value, prepend=-1).astype(bool)
     lookup = (np.cumsum(starts) - 1).astype(np.intp)
     groups = int(lookup[-1]) + 1

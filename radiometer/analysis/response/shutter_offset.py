@@ -150,8 +150,8 @@ def find_offset(planes: Sequence[Plane], wrong: Sequence[int] = ()) -> ShutterOf
         return None
     thin = [pair for plane in planes for pair in _settled(plane, wrong)]
     try:
-        told = _Told.of([plane for plane, _ in thin], [fitted for _, fitted in thin])
-        return told.offset(short) if told is not None else None
+        evidence = _Evidence.of([plane for plane, _ in thin], [fitted for _, fitted in thin])
+        return evidence.offset(short) if evidence is not None else None
     except MeasurementError:
         return None
 
@@ -170,7 +170,7 @@ def _settled(plane: Plane, wrong: Sequence[int]) -> list[tuple[Plane, FittedResp
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Told:
+class _Evidence:
     """What planes show of the offset."""
 
     planes: Sequence[Plane]  # the planes, exposures as labelled
@@ -180,7 +180,7 @@ class _Told:
     u_fit: float  # its standard uncertainty in s by the fit
 
     @classmethod
-    def of(cls, planes: Sequence[Plane], plain: Sequence[FittedResponse]) -> _Told | None:
+    def of(cls, planes: Sequence[Plane], plain: Sequence[FittedResponse]) -> _Evidence | None:
         """Return what planes show; None where there are none, or it leaves what is possible."""
         if not planes:
             return None
@@ -203,10 +203,10 @@ class _Told:
         if abs(self.seconds) < _SIGMA * self.u_fit:
             return None
         left = [(frame, self._without(int(frame))) for frame in short]
-        told = {int(frame): one for frame, one in left if one is not None}
-        u = self._u([one[0] for one in told.values()])
+        left_out = {int(frame): one for frame, one in left if one is not None}
+        u = self._u([one[0] for one in left_out.values()])
         log_ratios = np.log1p(self.seconds / self.planes[0].samples.exposures_s)
-        moved = [one[1:] for frame, one in told.items() if abs(log_ratios[frame]) >= _MOVED]
+        moved = [one[1:] for frame, one in left_out.items() if abs(log_ratios[frame]) >= _MOVED]
         if abs(self.seconds) < _SIGMA * u or len(moved) < _FEWEST_MOVED:
             return None
         before, after = np.array(moved).T

@@ -114,7 +114,7 @@ def freed_one_by_one(planes: Sequence[Plane], wrong: tuple[int, ...] = ()) -> li
     thin = [plane for plane, _ in settled]
     rows = _rows_of_frames(thin)
 
-    def told(frame: int) -> tuple[float, float]:
+    def by_others(frame: int) -> tuple[float, float]:
         free = (*(one for one in wrong if one != frame), frame)
         if rows[frame] < _FEWEST_ROWS:
             return 0.0, math.inf
@@ -125,7 +125,7 @@ def freed_one_by_one(planes: Sequence[Plane], wrong: tuple[int, ...] = ()) -> li
             return 0.0, math.inf
         return (value, u) if u < _NOTHING_KNOWN else (0.0, math.inf)
 
-    return [told(frame) for frame in range(frames)]
+    return [by_others(frame) for frame in range(frames)]
 
 
 def smallest_label_error(seconds: float, shutter_s: float = UNTOLD_OFFSET_S) -> float:

@@ -115,7 +115,10 @@ def _section(one: CommandHelp) -> str:
         usage.append(".RI [ OPTIONS ]")
     usage += [f".RI {_text(name)}" for name, _ in one.arguments]
     paragraphs = "\n.PP\n".join(_text(paragraph) for paragraph in re.split(r"\n\s*\n", one.text))
-    items = [f".TP\n.B {_text(name)}\n{_text(said) or 'See above.'}" for name, said in (*one.arguments, *one.options)]
+    items = [
+        f".TP\n.B {_text(name)}\n{_text(help_text) or 'See above.'}"
+        for name, help_text in (*one.arguments, *one.options)
+    ]
     return "\n".join([f".SS {_text(' '.join(one.path))}", *usage, ".PP", paragraphs, *items]) + "\n"
 
 

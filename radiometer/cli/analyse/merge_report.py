@@ -55,9 +55,9 @@ def show_map_report(report: dict[str, Any]) -> None:
         out.print(f"written    {file}")
 
 
-def _of_channels(report: dict[str, Any], told: Callable[[dict[str, Any]], str]) -> list[str]:
+def _of_channels(report: dict[str, Any], describe: Callable[[dict[str, Any]], str]) -> list[str]:
     """Return a text of every channel with its name; of all at once where they have the same or there is but one."""
-    texts = {name: told(figures) for name, figures in report["by_channel"].items()}
+    texts = {name: describe(figures) for name, figures in report["by_channel"].items()}
     if len(set(texts.values())) == 1:
         return [text for text in set(texts.values()) if text]
     return [f"{name}: {text}" for name, text in texts.items() if text]

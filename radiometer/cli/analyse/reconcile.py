@@ -178,7 +178,10 @@ def show_result(result: ReconcileResult) -> None:
         _show_effect(number, effect)
     if result.next_capture:
         out.print(f"\nnext capture: {result.next_capture['description']}")
-    for remark in (*result.extra.get("remarks", []), *(said for one in result.repeats for said in one.sentences())):
+    for remark in (
+        *result.extra.get("remarks", []),
+        *(sentence for one in result.repeats for sentence in one.sentences()),
+    ):
         out.print(remark)
     _show_covariates(result)
     _show_limits(result)

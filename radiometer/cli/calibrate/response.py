@@ -103,14 +103,14 @@ def _plot_path(plot: str | None, output: Path | None) -> Path | None:
 def _print_summary(found: rm.Response, seconds: float) -> None:
     for estimate in found.estimates:
         print("\n".join(_summary(estimate)), end="\n\n" if len(found.estimates) > 1 else "\n")
-    said = found.to_mapping()
-    for each in said["disagreements"]:
+    content = found.to_mapping()
+    for each in content["disagreements"]:
         first, second = each["methods"]
         print(
             f"disagreement     {second} and {first} ({each['channel']}): {100 * each['rms_log']:.2g} % rms, "
             f"at most {each['largest_sigma']:.1f} sigma at {each['at_dn']} DN"
         )
-    for file in (*said["files"], *([said["plot"]] if said["plot"] else [])):
+    for file in (*content["files"], *([content["plot"]] if content["plot"] else [])):
         print(f"written          {file}")
     print(f"time             {seconds:.2f} s")
 

@@ -67,7 +67,7 @@ def command(
         raise UsageError("--report writes the page of one reading: leave --watch and --repeat out")
     if calibration and uncalibrated:
         raise UsageError("--calibration and --uncalibrated exclude each other")
-    wanted = parse_patch(patch) if patch else None
+    parsed = parse_patch(patch) if patch else None
     if photographs is not None or measured_iso or linear or iso is not None or pattern is not None:
         if photographs is None or camera or bench:
             raise UsageError(
@@ -76,7 +76,7 @@ def command(
             )
         with progress(shown=not json) as shown:
             reading = rm.measure_photographs(
-                photographs, wanted, calibration=calibration, uncalibrated=uncalibrated, channel=channel,
+                photographs, parsed, calibration=calibration, uncalibrated=uncalibrated, channel=channel,
                 pattern=pattern, align=align, linear=linear, measured_iso=parse_measured_iso(measured_iso), iso=iso,
                 f_number=f_number, spectrum=spectrum, monte_carlo=monte_carlo, report=report, progress=shown,
             )  # fmt: skip
@@ -93,7 +93,7 @@ def command(
         return
     with progress(shown=not json) as shown:
         for reading in rm.readings(
-            camera, wanted, bench=bench, calibration=calibration, uncalibrated=uncalibrated, f_number=f_number,
+            camera, parsed, bench=bench, calibration=calibration, uncalibrated=uncalibrated, f_number=f_number,
             spectrum=spectrum, u_rel=u_rel, darks=darks, monte_carlo=monte_carlo, report=report, repeat=repeat,
             watch=watch, every_s=every, ask=asker(), notice=_silent if json and not watch else note, progress=shown,
         ):  # fmt: skip

@@ -135,14 +135,14 @@ def _with_bar(
     ink = (255, 96, 96) if colours == "red" else (226, 228, 233)
     draw.text((width + 14, 8), unit, fill=ink, font=font)
     positions = np.linspace(0, 1, 6 if height >= 200 else 3)
-    for position, value in zip(positions, beside_bar(low, high, positions, logarithmic=logarithmic), strict=True):
+    for position, value in zip(positions, next_to_bar(low, high, positions, logarithmic=logarithmic), strict=True):
         y = bottom - position * (bottom - top)
         draw.line((width + 32, y, width + 37, y), fill=ink)
         draw.text((width + 42, y), f"{value:.3g}", fill=ink, font=font, anchor="lm")
     return whole
 
 
-def beside_bar(low: float, high: float, positions: NDArray[np.floating], *, logarithmic: bool) -> NDArray[np.floating]:
+def next_to_bar(low: float, high: float, positions: NDArray[np.floating], *, logarithmic: bool) -> NDArray[np.floating]:
     """Return the values next to the bar at parts of its length, 0 at its lower end and 1 at its upper."""
     return np.asarray(low * (high / low) ** positions if logarithmic else low + (high - low) * positions)
 

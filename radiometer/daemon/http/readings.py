@@ -58,12 +58,12 @@ async def list_readings(request: web.Request) -> web.StreamResponse:
     """Serve history, oldest first: the newest of an array, the whole range of lines and tables."""
     query = read_query(request, _LIST_QUERY)
     form = _form(request, query.get("format"))
-    wanted = _filter(query, request.app[LIMITS].rows)
+    row_filter = _filter(query, request.app[LIMITS].rows)
     reader = JournalReader(request.app[STATION].journal_path, deadline_s=_QUERY_DEADLINE_S)
     if form != "json" and "limit" not in query:
-        return await _send_all(request, reader, replace(wanted, limit=_REPLAY_ROWS, newest_first=False), form)
+        return await _send_all(request, reader, replace(row_filter, limit=_REPLAY_ROWS, newest_first=False), form)
     async with request.app[QUERIES]:
-        body = await asyncio.to_thread(_render, reader, wanted, form)
+        body = await asyncio.to_thread(_render, reader, row_filter, form)
     return await _send_body(request, body, form)
 
 
@@ -93,10 +93,10 @@ def _break_off(request: web.Request, error: Exception) -> None:
 
 
 async def _send_all(
-    request: web.Request, reader: JournalReader, wanted: ReadingFilter, form: str
+    request: web.Request, reader: JournalReader, row_filter: ReadingFilter, form: str
 ) -> web.StreamResponse:
     """Serve a whole range piece by piece, so that neither memory nor writer of the journal feels its length."""
-    lines = await _piece(request, reader, wanted)  # errors of the query are reported before the reply begins
+    lines = await _piece(request, reader, row_filter)  # errors of the query are reported before the reply begins
     response = web.StreamResponse(headers={"Cache-Control": "no-store"})
     response.content_type, response.charset = _FORMATS[form], "utf-8"
     if form == "csv":
@@ -110,16 +110,16 @@ async def _send_all(
             text = to_csv(lines, header=header) if form == "csv" else "".join(line + "\n" for line in lines)
             header = False
             await _write(response, text.encode())
-            wanted = replace(wanted, after=int(parsed_json(lines[-1])["sequence"])) if lines else wanted
-            lines = await _piece(request, reader, wanted) if lines else []
+            row_filter = replace(row_filter, after=int(parsed_json(lines[-1])["sequence"])) if lines else row_filter
+            lines = await _piece(request, reader, row_filter) if lines else []
     except (TimeoutError, ConnectionError, InputError) as error:
         _break_off(request, error)
     return response
 
 
-async def _piece(request: web.Request, reader: JournalReader, wanted: ReadingFilter) -> list[str]:
+async def _piece(request: web.Request, reader: JournalReader, row_filter: ReadingFilter) -> list[str]:
     async with request.app[QUERIES]:
-        return await asyncio.to_thread(reader.lines, wanted)
+        return await asyncio.to_thread(reader.lines, row_filter)
 
 
 async def stream_readings(request: web.Request) -> web.StreamResponse:
@@ -249,9 +249,9 @@ def stream_asked(asked: str) -> str | None:
     return asked
 
 
-def _render(reader: JournalReader, wanted: ReadingFilter, form: str) -> bytes:
-    lines = reader.lines(wanted)
-    if wanted.newest_first:
+def _render(reader: JournalReader, row_filter: ReadingFilter, form: str) -> bytes:
+    lines = reader.lines(row_filter)
+    if row_filter.newest_first:
         lines.reverse()
     if form == "csv":
         return to_csv(lines).encode()

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from radiometer.data import FrameEntry, FrameSettings
 from radiometer.data.storage import write_yaml_atomic
-from radiometer.reconciliation.fit.descent import beside, refit
+from radiometer.reconciliation.fit.descent import refit, refit_with
 from radiometer.reconciliation.fit.state import FitState, with_effects, with_terms
 from radiometer.reconciliation.measure.design import BRIGHT_SURROUND, DARK_SURROUND, Design
 from radiometer.reconciliation.measure.reduce import PatternImages
@@ -167,7 +167,7 @@ def _is_patch(design: Design, picture: Array, cell: int) -> NDArray[np.bool_]:
 
 
 FORMAT: Final = "radiometer-plan/1"
-_TOLD_CHI2: Final = 30.0  # a pair that differs by more is told apart; still more is worth no more
+_DISTINGUISHED_CHI2: Final = 30.0  # a pair that differs by more is distinguished; more has no further value
 _HELPS_CHI2: Final = 4.0  # by so much a capture still helps where none does more
 _REFITS: Final = 4
 _WELL_BELOW: Final = 0.5
@@ -192,10 +192,10 @@ def propose(state: FitState, chosen: CatalogueEffect, rivals: Sequence[Catalogue
         return None
     others = [effect for effect in state.effects if effect.name != chosen.name]
     models = {r.name: refit(with_effects(state, [*others, r]), iterations=_REFITS) for r in rivals}
-    told = _best(state, models) or _best(state, models, _HELPS_CHI2)
-    if told is None:
+    best = _best(state, models) or _best(state, models, _HELPS_CHI2)
+    if best is None:
         return None
-    frame, names, chi2 = told
+    frame, names, chi2 = best
     apart = [chosen.name, *names]
     return _advice(frame, f"separates {chosen.name} from {', '.join(names)}") | {
         "separates": apart,
@@ -213,11 +213,11 @@ def separating_capture(
         effect: The effect at some size.
         others: The others at the sizes that look the same.
     """
-    first, *models = (beside(state, entry, iterations=_REFITS) for entry in (effect, *others))
+    first, *models = (refit_with(state, entry, iterations=_REFITS) for entry in (effect, *others))
     pool = CapturePool.of(state)
     expected = pool.predicted(first)
     apart = np.nan_to_num(np.stack([pool.separation(expected, pool.predicted(model)) for model in models]))
-    index = int(np.argmax(np.minimum(apart, _TOLD_CHI2).sum(axis=0)))
+    index = int(np.argmax(np.minimum(apart, _DISTINGUISHED_CHI2).sum(axis=0)))
     names = [other.name for other, chi2 in zip(others, apart[:, index], strict=True) if chi2 >= _HELPS_CHI2]
     if not names:
         return None
@@ -250,9 +250,9 @@ def propose_for_unnamed(
                 best = best_start(nothing, kind.starts(state.model.context)[:_STARTS])
                 if best is not None:
                     models[name] = refit(with_effects(plain, [*state.effects, best.effect]), iterations=_REFITS)
-        told = _farthest(nothing, models)
-        if told is not None:
-            frame, names = told
+        farthest = _farthest(nothing, models)
+        if farthest is not None:
+            frame, names = farthest
             return _advice(frame, f"shows which of {', '.join(names)} it is, if any") | {"separates": names}
     return None
 
@@ -267,7 +267,7 @@ def _farthest(nothing: FitState, models: Mapping[str, FitState]) -> tuple[FrameE
     pool = CapturePool.of(nothing)
     expected = [pool.predicted(model) for model in (nothing, *(models[name] for name in names))]
     pairs = [pool.separation(a, b) for a, b in combinations(expected, 2)]
-    worth = np.minimum(np.nan_to_num(np.stack(pairs)), _TOLD_CHI2).sum(axis=0) * pool.is_new
+    worth = np.minimum(np.nan_to_num(np.stack(pairs)), _DISTINGUISHED_CHI2).sum(axis=0) * pool.is_new
     index = int(np.argmax(worth))
     return (pool.frame(index), names) if worth[index] > _HELPS_CHI2 else None
 
@@ -292,11 +292,11 @@ def propose_for_blind(
     for name, limit in limits.items():
         starts = catalogue[name].starts(state.model.context) if name in catalogue else ()
         if starts and catalogue[name].usable(able) and not _would_show(limit, starts[0]):
-            models[name] = beside(state, starts[0], iterations=_REFITS)
-    told = _best(state, models)
-    if told is None:
+            models[name] = refit_with(state, starts[0], iterations=_REFITS)
+    best = _best(state, models)
+    if best is None:
         return None
-    frame, names, _ = told
+    frame, names, _ = best
     shown = ", ".join(names[:_MOST_NAMED]) + (" and others" if len(names) > _MOST_NAMED else "")
     return _advice(frame, f"would show {shown}") | {"opens": names}
 
@@ -310,7 +310,7 @@ def _would_show(limit: Limit, typical: CatalogueEffect) -> bool:
 
 
 def _best(
-    state: FitState, models: Mapping[str, FitState], enough: float = _TOLD_CHI2
+    state: FitState, models: Mapping[str, FitState], enough: float = _DISTINGUISHED_CHI2
 ) -> tuple[FrameEntry, list[str], float] | None:
     """Return the capture that separates most models from the state, which of them, and the least χ² among those."""
     if not models:
@@ -321,21 +321,21 @@ def _best(
     apart = np.nan_to_num(apart)
     own = ([effect for effect in model.effects if effect.name == name] for name, model in models.items())
     weight = np.array([several[0].weight_unseen if several else 1.0 for several in own])
-    worth = weight @ np.minimum(apart, _TOLD_CHI2)
+    worth = weight @ np.minimum(apart, _DISTINGUISHED_CHI2)
     index = int(np.lexsort((apart.min(axis=0), worth))[-1])
-    told: Array = apart[:, index]
-    names = [name for name, chi2 in zip(models, told, strict=True) if chi2 >= enough]
+    separated: Array = apart[:, index]
+    names = [name for name, chi2 in zip(models, separated, strict=True) if chi2 >= enough]
     if not names:
         return None
-    return pool.frame(index), names, float(min(chi2 for chi2 in told if chi2 >= enough))
+    return pool.frame(index), names, float(min(chi2 for chi2 in separated if chi2 >= enough))
 
 
 def _advice(frame: FrameEntry, purpose: str) -> dict[str, Any]:
     settings = frame.model_dump(mode="json", exclude_none=True, exclude={"file", "black_level_dn"})
-    return {"description": f"{_said(frame)}: {purpose}", "frames": [settings | {"repeat": FRAMES}]}
+    return {"description": f"{_in_words(frame)}: {purpose}", "frames": [settings | {"repeat": FRAMES}]}
 
 
-def _said(frame: FrameEntry) -> str:
+def _in_words(frame: FrameEntry) -> str:
     exposure_gain = f"{frame.exposure_s:.3g} s at {frame.gain_db:g} dB"
     if frame.shutter == "closed":
         return f"dark frames (cap on) of {exposure_gain}"
@@ -354,12 +354,12 @@ def write_plan(path: Path, result: ReconcileResult, design: Design) -> bool:
     Raises:
         OutputError: If the file cannot be written.
     """
-    wanted = [effect.next_capture for effect in result.effects if effect.next_capture]
-    wanted += [result.next_capture] if result.next_capture else []
-    if not wanted:
+    proposed = [effect.next_capture for effect in result.effects if effect.next_capture]
+    proposed += [result.next_capture] if result.next_capture else []
+    if not proposed:
         return False
-    new = [dict(frame) for capture in wanted for frame in capture["frames"]]
-    reasons = [str(capture["description"]) for capture in wanted]
+    new = [dict(frame) for capture in proposed for frame in capture["frames"]]
+    reasons = [str(capture["description"]) for capture in proposed]
     write_yaml_atomic(path, {"format": FORMAT, "reasons": reasons, "frames": [*_taken(design), *new]})
     return True
 

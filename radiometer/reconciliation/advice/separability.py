@@ -324,13 +324,13 @@ def asked_sizes(state: FitState, catalogue: Mapping[str, type[CatalogueEffect]])
 
 
 def _together(state: FitState, seen: Mapping[str, CatalogueEffect], *, every: bool) -> Iterator[Together]:
-    told, context = set[frozenset[str]](), state.model.context
+    reported, context = set[frozenset[str]](), state.model.context
     directions = Directions.of(state, {n: (own, *_spread(type(own).starts(context))) for n, own in seen.items()})
     for name in seen:
         alike = ConfusablePair(directions, directions.forms[name][0])
         others = [pair[0] for other in seen if other != name and (pair := alike.fitted(other)) is not None]
         names = frozenset({name, *(effect.name for effect in others)})
-        if others and (every or names not in told):
-            told.add(names)
+        if others and (every or names not in reported):
+            reported.add(names)
             capture = None if every else separating_capture(state, alike.target.effect, others)
             yield Together(name, tuple(effect.name for effect in others), capture)

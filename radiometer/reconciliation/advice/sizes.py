@@ -51,9 +51,9 @@ def mildest(state: FitState, starts: Sequence[CatalogueEffect], asked: Asked) ->
             found[near.effect.name] = near.milder(found.get(near.effect.name))
         going = [search.narrowed() for search in searches if search.near.grows and not search.near.is_limit]
         further = [(search, search.next_look()) for search in going if not search.is_beyond(found)]
-        wanted = [(search, effect) for search, effect in further if effect is not None]
-        looks = grown(state, [effect for _, effect in wanted], asked)
-        searches = [replace(search, near=near) for (search, _), near in zip(wanted, looks, strict=True)]
+        searched = [(search, effect) for search, effect in further if effect is not None]
+        looks = grown(state, [effect for _, effect in searched], asked)
+        searches = [replace(search, near=near) for (search, _), near in zip(searched, looks, strict=True)]
     return found
 
 
@@ -203,7 +203,7 @@ def limits(state: FitState, catalogue: Mapping[str, type[CatalogueEffect]]) -> d
     for name in sorted(present):  # what is named already: how small could it have been?
         others = with_effects(state, [effect for effect in state.effects if effect.name != name])
         named = _mildest(others, [effect for effect in state.effects if effect.name == name])
-        # Further terms that stay while the size shrinks may show at any size: then the plain form tells.
+        # Further terms that stay while the size shrinks may show at any size: then the plain form decides.
         found |= named or _mildest(others, _few(asked[name].starts(state.model.context)))
     return found
 

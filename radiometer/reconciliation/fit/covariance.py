@@ -23,7 +23,7 @@ from radiometer.reconciliation.thresholds import CLOSED_GAP, FAR_GAP, SCATTER_SI
 from radiometer.typing import Array
 
 _BLOCKS: Final = 5  # along a covariate, each left out in turn
-_ALONE: Final = 0.9  # share of a direction told by one group, beyond which the others cannot check it
+_ALONE: Final = 0.9  # share of a direction determined by one group, beyond which the others cannot check it
 _WAVE: Final = "bands"
 _SIZE: Final = "modulation"
 _SEES_WAVE: Final = ("variance", "neighbour_x", "neighbour_y", "row_temporal", _WAVE)
@@ -105,9 +105,9 @@ def _jackknife(state: FitState, group: NDArray[np.intp], first: int) -> Array:
     shifts = []
     for number in np.unique(group):
         mine = whitened[group == number]
-        told, vectors = np.linalg.eigh(mine.T @ mine)  # the share of each direction that this group tells
+        share, vectors = np.linalg.eigh(mine.T @ mine)  # the share of each direction that this group determines
         pulled = vectors.T @ (mine.T @ fit.projected[:size][group == number])
-        step = np.where(told < _ALONE, pulled / np.maximum(1.0 - told, 1.0 - _ALONE), 0.0)
+        step = np.where(share < _ALONE, pulled / np.maximum(1.0 - share, 1.0 - _ALONE), 0.0)
         shifts.append(solve_triangular(fit.factor, vectors @ step, lower=True, trans="T")[first:])
     count = len(shifts)
     return np.asarray((count - 1.0) / count * np.sum(np.square(shifts), axis=0))

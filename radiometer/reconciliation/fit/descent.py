@@ -146,7 +146,7 @@ def converged_fit(state: FitState, *, early_stop: bool = False) -> FitState:
     return min(last, own, key=lambda found: found.evidence).recorded()
 
 
-def beside(state: FitState, effect: CatalogueEffect, iterations: int = _ITERATIONS) -> FitState:
+def refit_with(state: FitState, effect: CatalogueEffect, iterations: int = _ITERATIONS) -> FitState:
     """Return the state with a further effect as it is; all else follows by the derivatives of the state without it.
 
     Where these lead nowhere all else is refitted with new derivatives, in so many iterations at most.

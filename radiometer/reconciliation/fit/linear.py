@@ -34,7 +34,7 @@ class RowBlock:
         rows = np.flatnonzero(matrix.any(axis=1))
         return cls(rows, matrix[rows])
 
-    def beside(self, other: RowBlock, size: int, below: Array) -> RowBlock:
+    def joined_with(self, other: RowBlock, size: int, below: Array) -> RowBlock:
         """Return the block joined with another, and with further rows below both that have one entry each.
 
         Args:

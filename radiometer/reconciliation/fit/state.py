@@ -246,7 +246,7 @@ class FitState:
     def nuisance_jacobian(self) -> RowBlock:
         """Return −d(residual)/d(nuisances and term weights), prior rows included."""
         prior = np.concatenate([self.layout.prior, self._term_prior])
-        return self._derivatives[0].beside(self.term_block, self.comparison.size, inverse(prior))
+        return self._derivatives[0].joined_with(self.term_block, self.comparison.size, inverse(prior))
 
     @cached_property
     def effect_jacobian(self) -> Array:

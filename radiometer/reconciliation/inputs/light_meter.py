@@ -84,12 +84,12 @@ class MeterReconciled:
             f"<td>{row.time_s:.6g}</td><td>{row.k_printed:.4f}</td><td>{row.k_exact:.4f}</td></tr>"
             for row in self.rows
         )
-        said = "".join(f"<p>{text}</p>" for text in self.result.extra.get("remarks", []))
+        remarks = "".join(f"<p>{text}</p>" for text in self.result.extra.get("remarks", []))
         head = "<tr><th>source</th><th>cd·m⁻²</th><th>f</th><th>s</th><th>K printed</th><th>K exact</th></tr>"
         write_text_atomic(
             path,
             "<!doctype html><html lang='en'><meta charset='utf-8'><title>light meter</title>"
-            f"<h1>{self.result.verdict}</h1>{said}<table>{head}{cells}</table></html>\n",
+            f"<h1>{self.result.verdict}</h1>{remarks}<table>{head}{cells}</table></html>\n",
         )
         return str(path)
 

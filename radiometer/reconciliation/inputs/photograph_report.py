@@ -114,7 +114,7 @@ def outcome(result: ReconcileResult, frames: Sequence[FrameFinding]) -> str:
         return f"The {len(frames)} photographs follow no single tone curve with their printed exposures."
     if result.verdict is Verdict.AGREES or not parts:
         return f"The printed exposures of all {len(frames)} photographs agree."
-    said = f"{', '.join(parts[:-1])} and {parts[-1]}" if len(parts) > 1 else parts[0]
+    sentence = f"{', '.join(parts[:-1])} and {parts[-1]}" if len(parts) > 1 else parts[0]
     rivals = [text for effect in result.effects for text in effect.alternatives]
     agree = (
         "the others agree"
@@ -122,7 +122,7 @@ def outcome(result: ReconcileResult, frames: Sequence[FrameFinding]) -> str:
         else "with that offset all agree"
     )
     others = f"or, as these photographs cannot decide, {' or '.join(rivals)} instead" if rivals else agree
-    return f"{said[0].upper() if not wrong else said[0]}{said[1:]}; {others}."
+    return f"{sentence[0].upper() if not wrong else sentence[0]}{sentence[1:]}; {others}."
 
 
 def _label_section(one: FrameFinding) -> str:

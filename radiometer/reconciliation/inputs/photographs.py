@@ -150,7 +150,9 @@ class _Judged:
     rounded: bool
     exposures: Exposures
     errors: tuple[float, float, float]  # as printed, with the exact stops, with the labels found
-    told: Sequence[tuple[float, float]] = ()  # of each frame ln of real over stated exposure by the others, and its u
+    by_others: Sequence[
+        tuple[float, float]
+    ] = ()  # of each frame ln of real over stated exposure by the others, and its u
     can_tell: bool = True  # whether enough photographs show something to tell a wrong label
 
     @property
@@ -217,7 +219,7 @@ def _judge(plane: Plane, others: Sequence[Plane], exact: Array) -> _Judged:
             chosen, rounded, now = samples.timed(exact), True, after
     found = find_exposures(planes_of(chosen))
     if found.wrong and rounded:
-        # A wrong label may make the exact stops look better by chance: they must still do so beside it.
+        # A wrong label may make the exact stops look better by chance: they must still do so with it.
         free = tuple(one.frame for one in found.wrong)
         as_printed, as_stops = (
             error_of_quadrants(timed, settle(timed, start, free)) for timed in map(found.timed, (printed, stops))
@@ -329,7 +331,7 @@ def _limits(judged: _Judged) -> list[float]:
     """Return of each frame ln of real over stated exposure from which its label is named; infinite where none is."""
     return [
         smallest_label_error(float(seconds), judged.exposures.allowed_s) + _SURE * u if judged.can_tell else math.inf
-        for seconds, (_, u) in zip(judged.samples.exposures_s, judged.told, strict=True)
+        for seconds, (_, u) in zip(judged.samples.exposures_s, judged.by_others, strict=True)
     ]
 
 
@@ -414,7 +416,7 @@ def _findings(judged: _Judged, bracket: Bracket, names: Sequence[str]) -> tuple[
     found = []
     for k, (name, frame) in enumerate(zip(names, bracket.light, strict=True)):
         stated, here = frame.settings.exposure_s, rows.frame == k
-        log_ratio, u = judged.told[k]
+        log_ratio, u = judged.by_others[k]
         expected = float(judged.expected[k])
         ratio, u_ratio = expected * math.exp(log_ratio), expected * math.exp(log_ratio) * u
         if k in wrong:

@@ -253,8 +253,8 @@ def fit_log(log: LogTable, *, control: bool = True, seed: int = 1) -> LogFit:
     state, steps = _search(start)
     silent = ""
     if control:
-        told = _search(_start(_lacking_nothing(state, seed)))[1]
-        silent = str(_verdict(told))
+        reported = _search(_start(_lacking_nothing(state, seed)))[1]
+        silent = str(_verdict(reported))
     before, after = (night_error(one) for one in (start, state))
     result = _result(start, state, steps, before, after, silent)
     return LogFit(replace(result, seconds=time.monotonic() - begun), state, start, before, after, silent)

@@ -471,7 +471,7 @@ def _grid_tiles(patterns: int, shape: tuple[int, int]) -> tuple[Tile, ...]:
     )
 
 
-SHORTEST_PART_PX: Final = 4  # of a line, below which nothing tells whether it is even
+SHORTEST_PART_PX: Final = 4  # of a line, below which it is unknown whether it is even
 LINES: Final = 7  # from one line inside a patch's stated border to five lines outside it
 
 

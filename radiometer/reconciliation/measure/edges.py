@@ -125,16 +125,16 @@ class _Straightness:
         index = np.arange(line.size)
         before, after = (self.step[shown][:, index, at] for at in (line, line + 1))
         allowed = 1.0 + _UNEVEN_SIGMAS * np.sqrt(2.0 / np.maximum(self.pixels - 1, 1))
-        straight, told = np.ones(line.size, dtype=np.bool_), np.ones(line.size, dtype=np.bool_)
+        straight, significant = np.ones(line.size, dtype=np.bool_), np.ones(line.size, dtype=np.bool_)
         behind = _UNEVEN * (before + after) ** 2
         for at, cut in ((line, _CUT * np.abs(before * after)), (line + 1, behind)):
             noise = allowed * self.noise[shown][:, index, at]
             known = ~self.clipped[shown] & np.isfinite(noise)
             beyond = np.where(known, self.uneven[shown][:, index, at] - noise - cut, 0.0)
             straight &= np.sum(beyond, axis=0) <= 0.0
-            told &= np.sum(np.where(known, noise - behind, 0.0), axis=0) < 0.0
-        bent = (told & ~straight).reshape(-1, sides).sum(axis=1)
-        mostly = np.repeat(2 * bent <= told.reshape(-1, sides).sum(axis=1), sides)
+            significant &= np.sum(np.where(known, noise - behind, 0.0), axis=0) < 0.0
+        bent = (significant & ~straight).reshape(-1, sides).sum(axis=1)
+        mostly = np.repeat(2 * bent <= significant.reshape(-1, sides).sum(axis=1), sides)
         return np.asarray(straight & mostly)
 
 

@@ -70,7 +70,7 @@ def _coarse(frame: Frame, cell: int, shape: tuple[int, ...]) -> tuple[Array, NDA
     return mean, largest >= frame.saturated_dn
 
 
-_AHEAD: Final = 2  # frames that are read before they are wanted
+_AHEAD: Final = 2  # frames that are read before they are needed
 
 FrameReader = Callable[[int], Frame]
 Progress = Callable[[int, int], None]

@@ -86,10 +86,10 @@ def scenes_of(structures: Mapping[int, FineStructure]) -> dict[int, int]:
     scene = 0
     for frame, own in sorted(structures.items()):
         likeness = [[r for other in members if (r := own.correlation(other)) is not None] for members in latest]
-        told = {number: max(several) for number, several in enumerate(likeness) if several}
-        if told:
-            best = max(told, key=lambda number: told[number])
-            scene = best if told[best] >= _SAME else len(latest)
+        recognised = {number: max(several) for number, several in enumerate(likeness) if several}
+        if recognised:
+            best = max(recognised, key=lambda number: recognised[number])
+            scene = best if recognised[best] >= _SAME else len(latest)
         if scene == len(latest):
             latest.append(deque(maxlen=_COMPARED))
         latest[scene].append(own)

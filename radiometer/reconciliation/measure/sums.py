@@ -214,7 +214,7 @@ OUTLIER_SIGMAS: Final = 6.0  # one false alarm in 5·10⁸ pixels of Gaussian pa
 _NEARLY_FULL: Final = 0.98  # counts as clipped: the highest code in use may lie a little below full scale
 _LOPSIDED: Final = 2.0  # a twentieth of the pixels as many times farther below: light cut off, no defects
 # Above this scatter (variance 15 DN²) an honest histogram shows no comb of period 5: exp(−2π²·15/25) = 7e-6. The
-# median deviation tells it, for one hot pixel does not move that.
+# median deviation gives it, for one hot pixel does not move that.
 _SMOOTH_MAD_DN: Final = 15.0**0.5 / MAD_TO_SIGMA
 _MOST_FOR_MEDIAN: Final = 4096  # samples that give a robust sigma to 2 %; more would cost time and change nothing
 _TREND_TERMS: Final = 6

@@ -54,9 +54,9 @@ class EffectParameters:
 
     def moved(self, scaled_step: Array) -> tuple[tuple[CatalogueEffect, ...], tuple[int, ...]]:
         """Return the effects after a step in units of the scales, and which parameters were stopped by a bound."""
-        wanted = self.values + scaled_step * self.scale if self.size else self.values
-        kept = np.clip(wanted, self.low, self.high) if self.size else wanted
-        stopped = tuple(i for i in range(self.size) if abs(kept[i] - wanted[i]) > _AT_BOUND * self.scale[i])
+        proposed = self.values + scaled_step * self.scale if self.size else self.values
+        kept = np.clip(proposed, self.low, self.high) if self.size else proposed
+        stopped = tuple(i for i in range(self.size) if abs(kept[i] - proposed[i]) > _AT_BOUND * self.scale[i])
         return self.replaced(kept), stopped
 
     def on_bounds(self) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:

@@ -304,11 +304,11 @@ def _ordered(kinds: tuple[type[Effect], ...], links: int) -> tuple[int, ...]:
         kinds: Kinds of the links and, behind them, of the effects.
         links: How many links there are.
     """
-    beside: dict[int, list[int]] = defaultdict(list)
+    steps_at: dict[int, list[int]] = defaultdict(list)
     for number in sorted(range(links, len(kinds)), key=lambda number: in_order(kinds[number])):
-        beside[place_for(kinds[number], kinds[:links])].append(number)
+        steps_at[place_for(kinds[number], kinds[:links])].append(number)
     numbers = range(links)
-    return tuple(step for place in range(links + 1) for step in (*beside[place], *numbers[place : place + 1]))
+    return tuple(step for place in range(links + 1) for step in (*steps_at[place], *numbers[place : place + 1]))
 
 
 def _as_known(link: Effect, known: Effect | None) -> Effect:
@@ -408,9 +408,9 @@ class _Together:
         fits = [_figures(part) == _figures(parts[0]) for part in parts]
         kept = [place for place, fit in enumerate(fits) if fit]
         self._passed[number] = stacked([parts[place] for place in kept], [counts[place] for place in kept])
-        told = fits[-len(joining) :]
-        self.members += [one for one, fit in zip(joining, told, strict=True) if fit]
-        return [one for one, fit in zip(joining, told, strict=True) if not fit]
+        fitting = fits[-len(joining) :]
+        self.members += [one for one, fit in zip(joining, fitting, strict=True) if fit]
+        return [one for one, fit in zip(joining, fitting, strict=True) if not fit]
 
     def _of_members(self, place: int, of: Callable[[TileModel, Walk], Array], shape: tuple[int, ...]) -> Array:
         """Return something that walks show in front of a link: of those who had joined by then at once, of each else.

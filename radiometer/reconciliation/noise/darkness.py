@@ -77,15 +77,15 @@ def drift_of_black(design: Design, seen: CaptureStatistics) -> float:
 
 def _wander(name: str, design: Design, seen: CaptureStatistics) -> float:
     shown, unit, dof = (getattr(seen, name + of) for of in ("", "_unit", "_dof"))
-    told = design.closed & (dof > 0) & np.isfinite(shown)
-    freedom = float(dof[told].sum())
+    informative = design.closed & (dof > 0) & np.isfinite(shown)
+    freedom = float(dof[informative].sum())
     if freedom < _FEWEST:
         return 0.0
     rows = np.where(np.isfinite(seen.row_temporal), np.maximum(seen.row_temporal, 1.0), 1.0)
-    chance = unit[told] * rows[told]
-    weight = dof[told]
-    if chi2_beyond(float(np.sum(weight * shown[told] / chance)), int(freedom)) > _CHANCE:
+    chance = unit[informative] * rows[informative]
+    weight = dof[informative]
+    if chi2_beyond(float(np.sum(weight * shown[informative] / chance)), int(freedom)) > _CHANCE:
         return 0.0
-    wander2 = float(np.sum(weight * (shown[told] - chance)) / freedom)
-    noise2 = float(np.nanmedian(seen.variance[told]))
+    wander2 = float(np.sum(weight * (shown[informative] - chance)) / freedom)
+    noise2 = float(np.nanmedian(seen.variance[informative]))
     return float(np.sqrt(np.clip(wander2, 0.0, _MOST_SHARE**2 * noise2)))

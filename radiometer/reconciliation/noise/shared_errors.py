@@ -339,8 +339,8 @@ def mixing_of_bands(prediction: Prediction, design: Design) -> Array:
         for mixed in (prediction.mixed_x, prediction.mixed_y, prediction.beyond_x, prediction.beyond_rows)
     )
     turn = np.pi * np.arange(1, bins.orders + 1) / bins.number  # of one order from bin to bin
-    inside, beside = 1.0 - 1.0 / bins.step, 1.0 / bins.step
-    rows = inside + beside * np.cos(turn)
+    inside, next_bin = 1.0 - 1.0 / bins.step, 1.0 / bins.step
+    rows = inside + next_bin * np.cos(turn)
     mixed = (1.0 + 2.0 * x) * (1.0 + 2.0 * y * rows) - 1.0 + 2.0 * (beyond_x + beyond_rows * rows)
     return np.asarray(np.maximum(mixed, _LEAST_EXCESS))
 

@@ -79,16 +79,16 @@ class Proposal:
     def sentence(self) -> str:
         """Return in one sentence what it does and what kind of cause acts so."""
         link = LINKS[self.law.link]
-        forms = [_said(term, self.before.design.shape) for term in self.law.terms]
+        forms = [_in_words(term, self.before.design.shape) for term in self.law.terms]
         return f"{', '.join([link.action, *filter(None, [' and '.join(forms)])])}: like {link.like}"
 
     def source(self, origin: str) -> str:
         """Return the text of the effect file."""
-        said = self.sentence()
+        text = self.sentence()
         return effect_source(
             self.law,
             self.amplitude,
-            sentence=f"{said[0].upper()}{said[1:]}.",
+            sentence=f"{text[0].upper()}{text[1:]}.",
             source=f"proposed by radiometer reconcile from {origin}",
         )
 
@@ -113,7 +113,7 @@ class Proposal:
         }
 
 
-def _said(term: Any, shape: tuple[int, int]) -> str:
+def _in_words(term: Any, shape: tuple[int, int]) -> str:
     if term.form == "spot":
         height, width = shape
         side = max(shape)

@@ -287,7 +287,7 @@ _FITTED: Final = 16  # laws that are fitted to all statistics
 _JUDGED: Final = 9
 _MULTIPLIED: Final = 5  # laws of one term that are multiplied by another
 _ALONE: Final = ("well", "range")  # what goes with the signal goes with nothing else, nor what comes back in turns
-_PLAIN: Final = ("digital", "optics")  # of two that no setting tells apart: what no gain amplifies, what scales light
+_PLAIN: Final = ("digital", "optics")  # of two that no setting separates: what no gain amplifies, what scales light
 _OF_A_PLACE: Final = {*PLACES, "column_light"}
 _SECOND: Final = ("ramp", "power", "step", "decay", "bow")
 _OF_A_KIND: Final = 2  # laws of one formula at different stages that are fitted, beyond the best
@@ -352,7 +352,7 @@ def _singles(state: FitState) -> Iterator[Law]:
             for term in terms.get(name, ()):
                 from_zero = (
                     term.form in ("line", "arch") and link.unit == "1"
-                )  # the responsivity is free beside a factor
+                )  # the responsivity is free next to a factor
                 if not from_zero and all(covariate in known for covariate in term.covariates):
                     yield Law(link.key, (term,))
 

@@ -118,8 +118,8 @@ def _places(result: ReconcileResult) -> str:
 
 def _repeats(result: ReconcileResult) -> str:
     """Return in words what equal frames differ by."""
-    said = [f"{text[0].upper()}{text[1:]}." for one in result.repeats for text in one.sentences()]
-    return section("How equal frames differ", listed(said)) if said else ""
+    message = [f"{text[0].upper()}{text[1:]}." for one in result.repeats for text in one.sentences()]
+    return section("How equal frames differ", listed(message)) if message else ""
 
 
 def _frames(result: ReconcileResult) -> str:
@@ -168,13 +168,15 @@ def _physics(kind: type[CatalogueEffect]) -> str:
 
 
 def _evidence(effect: FoundEffect) -> str:
-    said = f"It shows in {seen_in(effect.block)}, {along(effect.where)}."
+    sentence = f"It shows in {seen_in(effect.block)}, {along(effect.where)}."
     if effect.name == "unnamed":
-        return said
+        return sentence
     closed = f" With it the gap falls from {effect.gap_before:.3g} to {effect.gap_after:.3g}"
     weak = "; that is little: repeat the captures" if _is_weak(effect) else ""
     known = f" {effect.evidence.capitalize()}." if effect.probability is not None else ""
-    return f"{said}{closed}, and settings left out are predicted better by {effect.gain_nats:.0f} nats{weak}.{known}"
+    return (
+        f"{sentence}{closed}, and settings left out are predicted better by {effect.gain_nats:.0f} nats{weak}.{known}"
+    )
 
 
 def _effect_picture(effect: FoundEffect, entry: CatalogueEffect | None, reconciled: Reconciled) -> str:
@@ -206,8 +208,8 @@ def _law(effect: FoundEffect) -> str:
     width = len(columns)
     rows = [(f"{at:.3g}", *shown[n * width : (n + 1) * width]) for n, at in enumerate(knots)]
     heads = ("factor",) if not second else tuple(f"{axis_label(second[0][0])[0]} {at:.3g}" for at in columns)
-    said = "It follows another functional form: the factors below multiply the catalogue's equation, ± U (k = 2)."
-    return paragraph(said) + table((axis_label(first)[0], *heads), rows)
+    sentence = "It follows another functional form: the factors below multiply the catalogue's equation, ± U (k = 2)."
+    return paragraph(sentence) + table((axis_label(first)[0], *heads), rows)
 
 
 def _with_band(value: float, u: float | None) -> str:

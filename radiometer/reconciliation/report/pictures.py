@@ -28,7 +28,7 @@ _CHANCE_SIGMAS: Final = 4.0
 _FEWEST_ROWS: Final = 3  # of the bars: one alone is not drawn as tall as the picture
 _BINS: Final = 14
 _PANELS: Final = 6
-_SMALLEST_REACH: Final = 0.01  # of an axis, in % or DN: finer than any converter tells
+_SMALLEST_REACH: Final = 0.01  # of an axis, in % or DN: finer than any converter resolves
 _DIMMEST_DN: Final = 3.0  # below, a relative deviation of the means says nothing
 
 

@@ -252,11 +252,11 @@ def places(state: FitState, most: int) -> tuple[Disagreement, ...]:
             break
         test, basis = min(rated, key=lambda entry: entry[0].order)
         found.append(test)
-        fit = _beside(state, fit, basis)
+        fit = _fitted_with(state, fit, basis)
     return tuple(found)
 
 
-def _beside(state: FitState, fit: LinearFit, basis: Basis) -> LinearFit:
+def _fitted_with(state: FitState, fit: LinearFit, basis: Basis) -> LinearFit:
     """Return the fit with a trend taken up."""
     lengths = np.linalg.norm(basis.columns, axis=0)
     columns = np.zeros((state.comparison.size, int(np.sum(lengths > 0))))

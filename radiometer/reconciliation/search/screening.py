@@ -217,11 +217,11 @@ class _WaveRater:
         return np.asarray(np.sum(self._dof * (self._seen / expected + np.log(expected)), axis=-1))
 
 
-_OTHER_STARTS: Final = 2  # of an entry that are kept for the fit beside the best
+_OTHER_STARTS: Final = 2  # of an entry that are kept for the fit next to the best
 _LARGEST_AMPLITUDE: Final = 300.0  # a start may be that much too small …
 _FAR_STEP: Final = 0.1  # of a parameter's size: a start is far from the best values
 _TOGETHER: Final = 12  # entries that are asked at once
-_MAY_RISE: Final = 2.0  # times what an entry explained beside the model before
+_MAY_RISE: Final = 2.0  # times what an entry explained next to the model before
 _SMALLEST_CURVATURE: Final = 1e-9
 AT_ONCE: Final = 32  # changes that are projected together: one at a time would read the whole fit for each
 
@@ -299,7 +299,7 @@ def _screened(state: FitState, kinds: Sequence[type[CatalogueEffect]], pool: Sta
 def of_seen_codes(seen: CaptureStatistics, starts: tuple[CatalogueEffect, ...]) -> tuple[CatalogueEffect, ...]:
     """Return the starts that leave no gaps where codes occur: a coarse step may compensate another effect."""
     step = seen_step(seen)
-    if step == 1:  # nothing tells
+    if step == 1:  # nothing is known yet
         return starts
     gaps = [period for period in COMB_PERIODS if step % period]
     return tuple(start for start in starts if not any(start.keeps_only_every(period) for period in gaps))

@@ -140,7 +140,7 @@ _JUDGED: Final = 4  # of them, those that are judged on held-out settings
 _SMOOTHS_TRIED: Final = 4
 _NEAR_FORM: Final = 0.5
 _LITTLE_PROMISE: Final = 0.05  # of what a further effect brings: forms came to eleven times their promise at most
-_AFTER_A_LAW: Final = 3  # further steps beside one form or law in place of all
+_AFTER_A_LAW: Final = 3  # further steps next to one form or law in place of all
 _OTHER_WAYS: Final = 2  # that are gone where the first leaves doubts
 
 
@@ -153,10 +153,10 @@ class _Run:
     pool: StartPool = field(default_factory=StartPool)
     first: list[CatalogueEffect] = field(default_factory=list)  # what fitted best before anything was named
     turns: list[_Turn] = field(default_factory=list)
-    screened: list[Candidate] = field(default_factory=list)  # beside the model before
+    screened: list[Candidate] = field(default_factory=list)  # next to the model before
     forms: dict[tuple[str, bool], tuple[CatalogueEffect, ...]] = field(default_factory=dict)  # as they were fitted then
     barred: str = ""  # a name that this step may not give
-    beside: dict[str, tuple[CatalogueEffect, ...]] = field(default_factory=dict)  # what was fitted with each name
+    fitted_with: dict[str, tuple[CatalogueEffect, ...]] = field(default_factory=dict)  # what was fitted with each name
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -194,11 +194,11 @@ def search(
         say(f"another way: not {turn.chosen} after {', '.join(step.name for step in turn.steps) or 'nothing'}")
         again = _Run(catalogue, say, [*turn.steps], {*turn.refused}, run.pool, run.first)
         other = _to_its_end(start, turn.state, turn.tests, again, barred=turn.chosen)
-        run.beside |= again.beside
+        run.fitted_with |= again.fitted_with
         if rated(other.state) > rated(found.state) + NAMED_NATS:
             say(f"better by {rated(other.state) - rated(found.state):.1f} nats: gap {other.state.gap:.3f}")
             found = other
-    fit_swapped(found.state, run.beside)
+    fit_swapped(found.state, run.fitted_with)
     return replace(found, first_tests=first)
 
 
@@ -236,7 +236,7 @@ def _stepped(
         state, dropped = pruned(following, run.say)
         for name in dropped:
             _forget(run, name)
-        if dropped:  # rivals were judged beside what is gone; what the plan cannot tell apart is asked again
+        if dropped:  # rivals were judged next to what is gone; what the plan cannot separate is determined again
             run.steps = [replace(step, rivals=()) for step in run.steps]
         state = _joined(state, run)
         tests = localise(state)
@@ -305,7 +305,7 @@ def _one_step(state: FitState, tests: tuple[Disagreement, ...], run: _Run) -> Fi
         outperformed |= any(_outperforms(other, chosen) for other in others)
         following = _named(fits, chosen, others, run, outperformed=outperformed)
         if following is not None:
-            run.beside[chosen[0].name] = tuple(f.effect for f in fitted if f.name != chosen[0].name)
+            run.fitted_with[chosen[0].name] = tuple(f.effect for f in fitted if f.name != chosen[0].name)
             if (lead := _lead(chosen, others)) < NEAR_SHARE:
                 run.turns.append(_Turn(state, tests, chosen[0].name, lead, steps, refused))
             return following

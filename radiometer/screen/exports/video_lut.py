@@ -21,8 +21,8 @@ def correction(curve: ChannelCurve, gamma: float = TARGET_GAMMA, entries: int = 
     """
     table = curve.table
     low, high = float(table.values[0]), float(table.values[-1])
-    wanted = low + (high - low) * np.linspace(0, 1, entries) ** gamma
-    drive = np.array([table.level_of(float(w)) for w in wanted])
+    target = low + (high - low) * np.linspace(0, 1, entries) ** gamma
+    drive = np.array([table.level_of(float(w)) for w in target])
     drive[0], drive[-1] = curve.levels[0] / curve.top_level, curve.levels[-1] / curve.top_level
     return np.maximum.accumulate(drive)
 

@@ -42,7 +42,7 @@ function connect() {
   mine.onopen = () => { state.textContent = "connected"; tell({kind: "hello"}); };
   mine.onmessage = event => {
     const order = JSON.parse(event.data);
-    if (order.kind === "told") { state.textContent = order.text; return; }
+    if (order.kind === "outcome") { state.textContent = order.text; return; }
     if (order.kind === "end") {
       document.body.classList.remove("running");
       state.textContent = "done; the page can be closed";

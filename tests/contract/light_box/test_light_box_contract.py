@@ -148,7 +148,7 @@ def test_button_press_and_release_are_reported_in_order(rig):
     assert events[1].number == events[0].number + 1
 
 
-def test_status_tells_supply_and_temperature(rig):
+def test_status_reports_supply_and_temperature(rig):
     """Supply and temperature come within the ADC's steps (20 mV and 0.5 °C)."""
     time.sleep(0.1)
     status = rig.box.status()
@@ -176,7 +176,7 @@ def test_unsafe_stimulus_is_refused_before_it_starts(rig):
     assert rig.duty("spot") == 0
 
 
-def test_second_program_is_told_that_the_box_is_in_use(rig):
+def test_second_program_is_refused_because_the_box_is_in_use(rig):
     """The port is held exclusively."""
     other = SerialLightBox(BoxLink(SerialLine(rig.server.port)), rig.box.ledger)
     with pytest.raises(DeviceInUse, match="another program"):

@@ -110,7 +110,7 @@ def test_a_black_level_that_is_not_known_is_none():
 
 
 def test_dark_frames_say_nothing_of_the_reach():
-    """Of a lit frame and a dark one the lit one counts; of dark ones alone there is nothing to be said."""
+    """Of a lit frame and a dark one the lit one counts; of dark ones alone there is nothing to be stated."""
     dn = np.full((4, 6), 2000, np.uint16)
     about = camera_before(CHART).description
     lit = Frame(dn, 12, FrameSettings(0.01, black_level_dn=64.0))
@@ -139,7 +139,7 @@ def test_a_region_needs_only_its_own_exposures():
     assert len(plan.exposures_s) == 2
 
 
-def test_what_is_too_bright_is_said_with_its_place():
+def test_what_is_too_bright_is_reported_with_its_place():
     """A patch that clips at the shortest exposure is named by number and region."""
     patch = {"name": "sun", "x": 10, "y": 5, "width": 20, "height": 10, "drive": 1.0}
     scene = {"kind": "screen", "peak_radiance_W_per_sr_m2": 1e5, "gamma": 2.2, "background": 0.001, "patches": [patch]}
@@ -263,7 +263,7 @@ def test_no_time_is_misuse():
 
 @pytest.mark.parametrize("target", [1e-3, 1e-6])
 def test_repeats_stay_within_the_time(target):
-    """However sure the mean is to be, whole passes end within the limit, and it is said where more were wanted."""
+    """However sure the mean is to be, whole passes end within the limit, and it is stated where more were requested."""
     camera = camera_before({"kind": "uniform", "radiance_W_per_sr_m2": 0.3})
     plan = plan_for_scene(camera, BracketRequest(target_u_rel=target, time_limit_s=0.4))
     assert plan.total_s <= 0.4

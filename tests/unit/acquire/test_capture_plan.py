@@ -17,7 +17,7 @@ from simulators.scenes.factory import scene_from_mapping
 
 PLAN = {
     "format": "radiometer-plan/1",
-    "reasons": ["tells exposure_time_offset from parasitic_light_sensitivity"],
+    "reasons": ["separates exposure_time_offset from parasitic_light_sensitivity"],
     "frames": [
         {"exposure_s": 0.01, "gain_db": 6.0, "repeat": 2},
         {"exposure_s": 0.02, "shutter": "closed", "repeat": 1},

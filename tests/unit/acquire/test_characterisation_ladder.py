@@ -56,7 +56,7 @@ def test_ladder_takes_pairs_a_stack_and_the_same_darks() -> None:
 
 
 def test_shutter_by_hand_is_asked_for_and_given_back() -> None:
-    """Where a callback closes the shutter it is told to open it again, even when taking stops midway."""
+    """Where a callback closes the shutter it is asked to open it again, even when taking stops midway."""
     camera, asked = _camera(0.3), list[bool]()
 
     def ask(closed: bool) -> None:
@@ -85,7 +85,7 @@ def test_two_thirds_of_the_ladder_rise_evenly_and_a_third_passes_through_saturat
 
 
 def test_dark_frames_of_1_2_and_4_s_are_taken_besides() -> None:
-    """Without a wish of one's own the dark current is told by these, two each."""
+    """Without a wish of one's own the dark current is determined by these, two each."""
     camera = _camera(0.3)
     frames = list(take_ladder(camera, LadderRequest(REGION, steps=6, stack=3)))
     long = [f.settings.exposure_s for f in frames if f.settings.exposure_s > 0.5]

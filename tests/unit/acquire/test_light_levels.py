@@ -116,7 +116,7 @@ def test_a_survey_begins_and_ends_in_the_dark():
 
 
 def test_a_channel_that_the_box_ended_is_no_level():
-    """Its energy budget is used up: what was read is no light of that level, and the way out is told."""
+    """Its energy budget is used up: what was read is no light of that level, and the way out is reported."""
     with pytest.raises(MeasurementError, match="ten minutes"):
         survey_of(LinearBox(ChannelMode.OFF)).survey("spot", SpectralCorrection())
 
@@ -182,12 +182,12 @@ def points_of(box):
 
 def test_the_reference_is_read_before_every_sixth_level_and_at_the_end():
     """A quarter of the highest level stands among the levels, so that a lamp's drift is known; progress counts."""
-    told, box = [], SlowBox()
+    reported, box = [], SlowBox()
     survey = survey_of(box)
-    survey.progress = lambda *what: told.append(what)
+    survey.progress = lambda *what: reported.append(what)
     survey.survey("spot", SpectralCorrection())
     levels = len(plan_levels(CHANNEL, 1.0))
-    assert told == [("spot", number, levels) for number in range(1, levels + 1)]
+    assert reported == [("spot", number, levels) for number in range(1, levels + 1)]
     reference = [place for place, (drive, _) in enumerate(box.lit) if drive == DriveLevel(7500)]
     assert reference == [*range(0, len(box.lit) - 1, 7), len(box.lit) - 1]
 

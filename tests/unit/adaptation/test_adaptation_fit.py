@@ -123,17 +123,17 @@ def test_rising_rods_make_no_sense():
 
 
 @pytest.mark.parametrize(
-    ("values", "said"),
+    ("values", "message"),
     [
         (np.full(40, 0.0), "never, or always, pressed"),
         (np.random.default_rng(5).normal(0, 0.3, 40), "no recovery"),
         (np.linspace(2, -3, 5), "too few"),
     ],
 )
-def test_no_adaptation_is_a_verdict_and_no_fit(values, said):
+def test_no_adaptation_is_a_verdict_and_no_fit(values, message):
     """Who never pressed, pressed at random or left gives a clear message."""
     data = ThresholdSeries(np.arange(values.size, dtype=float), values)
-    with pytest.raises(MeasurementError, match=said):
+    with pytest.raises(MeasurementError, match=message):
         fit_adaptation(data, QUICK, np.random.default_rng(0))
 
 

@@ -34,17 +34,17 @@ def broken() -> AdaptationFit:
 
 
 @pytest.mark.usefixtures("unrendered")
-def test_the_break_is_said_with_its_interval(broken):
+def test_the_break_is_reported_with_its_interval(broken):
     """Break and S2 with half their 95 % intervals, which hold the true ones."""
     page = report_html(broken, "eye")
-    said = re.search(
+    text = re.search(
         r"class='outcome'>Rod–cone break at ([\d.]+)\u00a0±\u00a0([\d.]+) min, then S2 of "
         r"−([\d.]+)\u00a0±\u00a0([\d.]+) "
         r"log10 units per min \(95\u00a0% intervals\)\.",
         page,
     )
-    assert said is not None
-    time, half, slope, half_slope = map(float, said.groups())
+    assert text is not None
+    time, half, slope, half_slope = map(float, text.groups())
     interval = broken.estimates["break_min"].profile
     assert interval is not None
     assert half == pytest.approx((interval.high - interval.low) / 2, rel=0.05)

@@ -109,7 +109,7 @@ def test_bleach_beyond_the_exposure_limit_is_refused(quick: AdaptationProtocol) 
 
 
 def test_spot_beyond_the_boxs_range_is_refused_with_the_range(quick: AdaptationProtocol) -> None:
-    """Without its filter the spot does not get as dim as the rods see; what it reaches is said."""
+    """Without its filter the spot does not get as dim as the rods see; what it reaches is stated."""
     refused = refusal(changed(quick, "spot", filter_density=0.0))
     assert not isinstance(refused, SettingOutOfRange)
     assert "reaches -1.91 to 3.16 log10 scotopic cd·m⁻²" in str(refused)
@@ -132,10 +132,10 @@ def test_dark_room_is_measured_by_the_camera(quick: AdaptationProtocol) -> None:
     assert lit.facts["luminance_cd_m2"] == pytest.approx(0.01, abs=3 * lit.facts["u_cd_m2"] + 0.0001)
 
 
-@pytest.mark.parametrize(("value", "u", "said"), [(2e-3, 1e-5, "darken it"), (5e-4, 1e-3, "does not show")])
-def test_room_must_be_shown_to_be_dark(quick: AdaptationProtocol, value: float, u: float, said: str) -> None:
-    """Too bright, and not known well enough, are told apart."""
-    assert said in str(judge_room(value, u, quick).refusal)
+@pytest.mark.parametrize(("value", "u", "message"), [(2e-3, 1e-5, "darken it"), (5e-4, 1e-3, "does not show")])
+def test_room_must_be_shown_to_be_dark(quick: AdaptationProtocol, value: float, u: float, message: str) -> None:
+    """Too bright, and not known well enough, are distinguished."""
+    assert message in str(judge_room(value, u, quick).refusal)
 
 
 def test_simulated_subject_sits_before_the_simulated_box_only(quick: AdaptationProtocol) -> None:
@@ -192,12 +192,12 @@ def _preset(path: Path, text: str) -> Path:
 def test_box_whose_red_light_stands_elsewhere_says_that_fixation_is_not_checked(
     tmp_path: Path, quick: AdaptationProtocol, stated: str, why: str
 ) -> None:
-    """The test is run all the same, and the journal tells why."""
+    """The test is run all the same, and the journal shows why."""
     with open_box_stage(before_box(quick, preset=_preset(tmp_path / "p.yaml", stated))) as (stage, _):
         assert not stage.checks_fixation
         assert why in str(stage.facts()["no_fixation_check"])
 
 
 def test_spot_of_a_channel_that_stands_elsewhere_is_refused(quick: AdaptationProtocol) -> None:
-    """The red channel of the reference box stands in the blind spot: nobody would see it as a test spot."""
+    """The red channel of the reference box stands in the blind spot: no one would see it as a test spot."""
     assert "is 15.6° from it" in str(refusal(changed(quick, "spot", channel="spot_red", peak_nm=640.0)))

@@ -92,8 +92,8 @@ def test_resuming_counts_on_with_the_mark_lit(stage: BoxStage, box: RecordingBox
     assert box.asked == [("fixation", 1e-4)]
 
 
-def test_long_press_is_told_once_and_a_short_one_never(stage: BoxStage, box: RecordingBox) -> None:
-    """Presses of 0.1 s are answers; one that is held is told with its beginning, on the stage's clock."""
+def test_long_press_is_reported_once_and_a_short_one_never(stage: BoxStage, box: RecordingBox) -> None:
+    """Presses of 0.1 s are answers; one that is held is reported with its beginning, on the stage's clock."""
     box.presses = [100.4]
     stage.blink(-3.0, 0, 0)
     assert stage.long_press(2.0) is None
@@ -104,7 +104,7 @@ def test_long_press_is_told_once_and_a_short_one_never(stage: BoxStage, box: Rec
 
 
 def test_button_that_is_still_held_is_a_long_press(stage: BoxStage, box: RecordingBox) -> None:
-    """Nobody has to let go first."""
+    """No one has to let go first."""
     box.held = [(100.5, 999.0)]
     stage.rest(4.0)
     assert stage.long_press(2.0) == pytest.approx(0.5)

@@ -97,15 +97,15 @@ def test_light_that_is_always_seen_leaves_nothing_to_be_fitted(tmp_path: Path, s
 def test_loss_is_announced_when_two_of_three_are_seen_and_counted_anew_then(
     tmp_path: Path, short: AdaptationProtocol
 ) -> None:
-    """Seen at the 2nd, 4th, 5th and 6th: told after the 4th (2, 4 of 2–4) and after the 6th (5, 6 of 5–6)."""
+    """Seen at the 2nd, 4th, 5th and 6th: reported after the 4th (2, 4 of 2–4) and after the 6th (5, 6 of 5–6)."""
     outcome, journal = _run(tmp_path / "j", StageWithBlindSpot(lambda n: n in (2, 4, 5, 6), short))
     checks = [t["sequence"] for t in journal.of_kind("trial") if t.get("of") == "blind_spot"]
-    told = journal.of_kind("fixation")
-    assert [(event["sequence"] - 1, event["lost"], event["of"]) for event in told] == [
+    reported = journal.of_kind("fixation")
+    assert [(event["sequence"] - 1, event["lost"], event["of"]) for event in reported] == [
         (checks[3], 2, 3),
         (checks[5], 2, 2),
     ]
-    assert prompts_after(told[0]) == ("mark",)
+    assert prompts_after(reported[0]) == ("mark",)
     assert outcome.verdict is Verdict.COMPLETE
 
 
@@ -141,7 +141,7 @@ def test_check_that_a_crash_has_cut_stays_one(tmp_path: Path, short: AdaptationP
 
 
 @pytest.mark.parametrize("wrong", ["temporal_deg: 10", "below_deg: 8", "size_deg: 5"])
-def test_light_beside_the_blind_spot_is_refused(tmp_path: Path, project_root: Path, wrong: str) -> None:
+def test_light_next_to_the_blind_spot_is_refused(tmp_path: Path, project_root: Path, wrong: str) -> None:
     """Its place and size are those of the optic disc."""
     text = (project_root / "configs" / "protocols" / "classic.yaml").read_text()
     (tmp_path / "p.yaml").write_text(text.replace("{share: 0.06}", "{" + wrong + "}"))

@@ -63,10 +63,10 @@ def test_false_presses_are_caught_and_hasty_ones(state: LiveState) -> None:
         _trial(160, -0.5),
     ):
         state.take(event)
-    told = state.to_mapping()
-    assert (told["catches"], told["false_presses"]) == (2, 2)
-    assert told["points"] == [[round(40 / 60, 3), -0.5]]
-    assert told["missed"] == [0.5]
+    mapping = state.to_mapping()
+    assert (mapping["catches"], mapping["false_presses"]) == (2, 2)
+    assert mapping["points"] == [[round(40 / 60, 3), -0.5]]
+    assert mapping["missed"] == [0.5]
 
 
 def test_trial_that_a_long_press_voided_is_taken_back(state: LiveState) -> None:
@@ -78,7 +78,7 @@ def test_trial_that_a_long_press_voided_is_taken_back(state: LiveState) -> None:
 
 
 def test_running_fit_finds_the_break_and_says_why_there_is_none() -> None:
-    """Too few thresholds and a flat curve are said so; a whole curve with 0.05 log10 of noise has its break at 9 min.
+    """Too few thresholds and a flat curve are stated so; a whole curve with 0.05 log10 of noise has its break at 9 min.
 
     The break of 70 thresholds is known to about 0.3 min (`benchmarks/adaptation_cohort`); 4 sigmas are allowed.
     """
@@ -118,10 +118,10 @@ def test_terminal_shows_clock_curve_and_counts(state: LiveState) -> None:
 
 def test_prompts_follow_the_phases() -> None:
     """Every phase and every threshold has its sound, catches and misses have none."""
-    said = {kind: prompts_after(_event(kind, 1.0)) for kind in ("start", "bleach", "dark", "pause", "resume", "end")}
-    assert said["dark"] == ("dark", "mark")
-    assert all(said[kind] == (kind,) for kind in ("bleach", "pause", "resume", "end"))
-    assert said["start"] == ()
+    text = {kind: prompts_after(_event(kind, 1.0)) for kind in ("start", "bleach", "dark", "pause", "resume", "end")}
+    assert text["dark"] == ("dark", "mark")
+    assert all(text[kind] == (kind,) for kind in ("bleach", "pause", "resume", "end"))
+    assert text["start"] == ()
     assert prompts_after(_trial(5, -1.0)) == ("threshold",)
     assert prompts_after(_trial(5, None)) == prompts_after(_trial(5, None, catch=True)) == ()
 
@@ -151,13 +151,13 @@ def test_lost_fixation_is_announced_until_a_light_in_the_blind_spot_is_missed(st
         _event("fixation", 420.0, lost=2, of=2),
     ):
         state.take(event)
-    told = state.to_mapping()
-    assert (told["fixation"], told["lapses"], told["fixation_lost"]) == ([2, 2], [1, 1], True)
-    assert (told["catches"], told["points"], told["missed"]) == (0, [], [])
+    mapping = state.to_mapping()
+    assert (mapping["fixation"], mapping["lapses"], mapping["fixation_lost"]) == ([2, 2], [1, 1], True)
+    assert (mapping["catches"], mapping["points"], mapping["missed"]) == (0, [], [])
     assert "fixation lost 2/2   lapses 1/1   FIXATION LOST" in "\n".join(live_lines(state, running_fit([]), 60))
     state.take(_event("trial", 430.0, of="blind_spot", seen=False, **look))
-    told = state.to_mapping()
-    assert (told["fixation"], told["fixation_lost"]) == ([2, 3], False)
+    mapping = state.to_mapping()
+    assert (mapping["fixation"], mapping["fixation_lost"]) == ([2, 3], False)
 
 
 @pytest.mark.parametrize(

@@ -37,16 +37,16 @@ def page() -> Iterator[LivePage]:
         yield page
 
 
-async def _until(socket: aiohttp.ClientWebSocketResponse, key: str, wanted: object) -> dict[str, object]:
+async def _until(socket: aiohttp.ClientWebSocketResponse, key: str, expected: object) -> dict[str, object]:
     """Return the first message in which a key has a value."""
     while True:
         message = json.loads((await socket.receive(timeout=within(20))).data)
-        if message.get(key) == wanted:
+        if message.get(key) == expected:
             return dict(message)
 
 
 async def test_every_browser_gets_the_whole_state_and_what_follows(page: LivePage) -> None:
-    """Two browsers, one of them late, see the same; one that goes away is missed by nobody."""
+    """Two browsers, one of them late, see the same; one that goes away is missed by no one."""
     address = page.url.replace("/?", "/socket?")
     async with aiohttp.ClientSession() as session, session.ws_connect(address) as first:
         await _until(first, "phase", "fixation")
@@ -64,8 +64,8 @@ async def test_every_browser_gets_the_whole_state_and_what_follows(page: LivePag
         assert len(fitted["points"]) == 22  # type: ignore[arg-type]
 
 
-async def test_prompts_are_told_as_they_come_and_not_again(page: LivePage) -> None:
-    """A browser that comes later is not told the old ones."""
+async def test_prompts_are_reported_as_they_come_and_not_again(page: LivePage) -> None:
+    """A browser that comes later does not get the old ones."""
     async with aiohttp.ClientSession() as session, session.ws_connect(page.url.replace("/?", "/socket?")) as socket:
         await _until(socket, "phase", "fixation")
         page.tell({"sequence": 9, "kind": "prompt", "time_s": 121.0, "say": "threshold"})
@@ -127,12 +127,12 @@ async def test_lights_off_darkens_the_box_and_ends_the_test() -> None:
     with LivePage(read_protocol("classic"), controls, darken=darken) as page:
         async with aiohttp.ClientSession() as session, session.ws_connect(page.url.replace("/?", "/socket?")) as socket:
             await socket.send_json({"kind": "lights_off"})
-            assert (await _until(socket, "kind", "told"))["text"] == "dark: light box AAAA0001"
+            assert (await _until(socket, "kind", "outcome"))["text"] == "dark: light box AAAA0001"
     assert asked == ["lights off"]
 
 
-async def test_a_box_that_cannot_be_darkened_is_said_to_be_lit() -> None:
-    """The page tells why and how else; the server goes on."""
+async def test_a_box_that_cannot_be_darkened_is_reported_to_be_lit() -> None:
+    """The page shows why and how else; the server goes on."""
 
     def stuck() -> str:
         raise DeviceInUse("process 7 holds light box AAAA0001 and does not darken it; hold its button for 3 s")
@@ -140,5 +140,5 @@ async def test_a_box_that_cannot_be_darkened_is_said_to_be_lit() -> None:
     with LivePage(read_protocol("classic"), Controls(), darken=stuck) as page:
         async with aiohttp.ClientSession() as session, session.ws_connect(page.url.replace("/?", "/socket?")) as socket:
             await socket.send_json({"kind": "lights_off"})
-            told = await _until(socket, "kind", "told")
-            assert str(told["text"]).startswith("not dark: process 7 holds")
+            reported = await _until(socket, "kind", "outcome")
+            assert str(reported["text"]).startswith("not dark: process 7 holds")

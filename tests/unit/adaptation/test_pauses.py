@@ -99,7 +99,7 @@ def test_operators_pause_is_not_ended_by_a_press(tmp_path: Path, stage: Scripted
     assert journal.of_kind("resume")[0]["time_s"] == pytest.approx(400.0, abs=0.5)
 
 
-def test_pause_that_nobody_ends_ends_the_test(tmp_path: Path, stage: ScriptedStage) -> None:
+def test_pause_without_an_end_ends_the_test(tmp_path: Path, stage: ScriptedStage) -> None:
     """After the protocol's 10 min the subject counts as gone."""
     controls = Controls()
     stage.at = {300.0: controls.pause}

@@ -62,12 +62,12 @@ def test_dark_object_that_r_saved_is_read(tmp_path: Path, form: str, packed: str
     file.write_bytes(PACKED[packed](raw))
     found = read_table(file)
     np.testing.assert_allclose(found.rows, np.column_stack([MINUTES, LEVELS]))
-    assert any("a file of R" in said for said in found.taken)
-    assert form == "rds" or any("subject7" in said for said in found.taken)
+    assert any("a file of R" in text for text in found.taken)
+    assert form == "rds" or any("subject7" in text for text in found.taken)
 
 
 @pytest.mark.parametrize(
-    ("raw", "said"),
+    ("raw", "message"),
     [
         (_rda({"a": _dark(MINUTES, LEVELS), "b": _dark(MINUTES, LEVELS)}), "several objects: a, b"),
         (_rda({"a": _reals(LEVELS)}), "no object with time and thrs"),
@@ -76,15 +76,15 @@ def test_dark_object_that_r_saved_is_read(tmp_path: Path, form: str, packed: str
         (gzip.compress(b"no R at all", mtime=0), "cannot be read"),
     ],
 )
-def test_r_file_without_one_curve_is_refused_with_the_way_out(tmp_path: Path, raw: bytes, said: str) -> None:
+def test_r_file_without_one_curve_is_refused_with_the_way_out(tmp_path: Path, raw: bytes, message: str) -> None:
     """Named, with the line that writes text in R where that helps."""
     (tmp_path / "x.rda").write_bytes(raw)
     with pytest.raises(InputError, match=r"x\.rda") as refused:
         read_table(tmp_path / "x.rda")
-    assert said in str(refused.value)
+    assert message in str(refused.value)
 
 
-def test_without_its_reader_the_line_for_r_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_its_reader_the_line_for_r_is_reported(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The extra, or `write.csv`."""
     monkeypatch.setitem(sys.modules, "rdata", None)
     (tmp_path / "x.rds").write_bytes(_rds(_dark(MINUTES, LEVELS)))
@@ -114,7 +114,7 @@ def test_opi_trials_give_a_threshold_wherever_the_answer_changes(tmp_path: Path)
     found = read_table(tmp_path / "t.csv")
     assert found.rows[:, 1] == pytest.approx([math.log10(1e4 / math.pi) - 2.1] * 3)
     assert found.rows[:, 0] * 60 == pytest.approx([37.0, 45.0, 51.0])
-    assert any("a list of 12 trials: 3 thresholds" in said for said in found.taken)
+    assert any("a list of 12 trials: 3 thresholds" in text for text in found.taken)
 
 
 def test_the_steps_of_a_search_say_how_far_apart_two_levels_may_be(tmp_path: Path) -> None:
@@ -135,7 +135,7 @@ def test_false_alarm_in_a_list_of_trials_is_no_threshold(tmp_path: Path) -> None
 
 
 @pytest.mark.parametrize(
-    ("text", "said"),
+    ("text", "message"),
     [
         ("level,seen,time\n1,TRUE,400\n0.9,FALSE,-1\n0.8,TRUE,350\n", "reaction time"),
         ("onset_s,level,seen\n0,1,maybe\n2,2,TRUE\n", "neither TRUE nor FALSE"),
@@ -143,12 +143,12 @@ def test_false_alarm_in_a_list_of_trials_is_no_threshold(tmp_path: Path) -> None
         ("onset_s,colour,seen\n0,1,TRUE\n2,2,FALSE\n", "without a column `level`"),
     ],
 )
-def test_trials_that_give_no_thresholds_are_refused(tmp_path: Path, text: str, said: str) -> None:
+def test_trials_that_give_no_thresholds_are_refused(tmp_path: Path, text: str, message: str) -> None:
     """What is missing is named; reaction times are not taken for times in the dark."""
     (tmp_path / "t.csv").write_text(text)
     with pytest.raises(InputError) as refused:
         read_table(tmp_path / "t.csv")
-    assert said in str(refused.value)
+    assert message in str(refused.value)
 
 
 ASCENDING, REACTIONS, LEVELS_SHOWN = ("0", "2", "2", "5.5"), ("400", "-1", "350", "-1"), ("8", "6", "7", "9")

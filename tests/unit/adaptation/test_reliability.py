@@ -51,7 +51,7 @@ def test_interval_of_a_share_is_jeffreys() -> None:
 
 
 def test_what_was_not_tried_has_no_share() -> None:
-    """Without a light in the blind spot nothing is said of fixation."""
+    """Without a light in the blind spot nothing is stated of fixation."""
     assert set(Reliability(Count(1, 30)).rates) == {"false_alarms"}
     assert Reliability().rates == {}
 

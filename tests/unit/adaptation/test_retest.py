@@ -78,7 +78,7 @@ def test_shift_between_visits_is_found_in_its_quantity_alone() -> None:
 
 @pytest.mark.slow
 def test_pair_without_a_break_is_left_out_and_named() -> None:
-    """The second pair's second visit has one branch: its number is told, its plateau is not compared."""
+    """The second pair's second visit has one branch: its number is reported, its plateau is not compared."""
     times = np.arange(0.3, 20, 0.15)
     flat = ThresholdSeries(times, -1 + 2 * np.exp(-times / 3) + np.random.default_rng(3).normal(0, 0.05, times.size))
     request, rng = FitRequest(bootstrap_draws=0), np.random.default_rng(0)

@@ -31,9 +31,9 @@ def test_intercept_is_where_the_line_meets_the_criterion():
     assert rod_intercept(series, RULE).time_min == pytest.approx(3 + 0.801 / 0.24, abs=0.02)
     biased = ThresholdSeries(TIMES, falling() - 0.12)
     assert rod_intercept(biased, RULE).time_min == pytest.approx(3 + 0.681 / 0.24, abs=0.02)
-    mended = rod_intercept(biased, InterceptRule(-2.301, bias_log10=-0.12, u_bias_log10=0.03))
-    assert mended.time_min == pytest.approx(3 + 0.801 / 0.24, abs=0.02)
-    assert mended.u_min == pytest.approx(0.03 / 0.24, rel=0.05)
+    corrected = rod_intercept(biased, InterceptRule(-2.301, bias_log10=-0.12, u_bias_log10=0.03))
+    assert corrected.time_min == pytest.approx(3 + 0.801 / 0.24, abs=0.02)
+    assert corrected.u_min == pytest.approx(0.03 / 0.24, rel=0.05)
 
 
 def test_its_interval_holds_the_truth():

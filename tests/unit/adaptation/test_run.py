@@ -81,7 +81,7 @@ def test_classic_runs_its_whole_time_and_quick_ends_at_its_criterion(tmp_path: P
 def test_absent_and_careless_subjects_get_a_verdict_and_no_fit(
     tmp_path: Path, name: str, subject: Eye, verdict: Verdict
 ) -> None:
-    """Never pressing, always pressing and leaving are told apart, each in words, by limits and by the staircase."""
+    """Never pressing, always pressing and leaving are distinguished, each in words, by limits and by the staircase."""
     outcome = _run(tmp_path, ScriptedStage(subject, read_protocol(name)))
     assert outcome.verdict is verdict
     assert not outcome.can_be_fitted
@@ -89,7 +89,7 @@ def test_absent_and_careless_subjects_get_a_verdict_and_no_fit(
 
 
 def test_hasty_presses_count_as_false(tmp_path: Path, classic: AdaptationProtocol) -> None:
-    """Presses 50 ms after each onset are faster than a human; after 15 trials nobody has to sit on for 40 min."""
+    """Presses 50 ms after each onset are faster than a human; after 15 trials no one has to sit on for 40 min."""
     stage = ScriptedStage(eye, classic, latency_s=0.05)
     outcome = _run(tmp_path, stage)
     assert stage.time < 600
@@ -129,7 +129,7 @@ def test_journal_of_another_subject_is_refused(tmp_path: Path, classic: Adaptati
 
 
 def test_refused_check_is_journalled_and_keeps_the_bleach_away(tmp_path: Path, classic: AdaptationProtocol) -> None:
-    """Nobody is dazzled for nothing, and the journal says why; the next try begins with the checks again."""
+    """No one is dazzled for nothing, and the journal says why; the next try begins with the checks again."""
     stage = ScriptedStage(eye, classic)
     findings = [Finding("check", {"what": "safety"}), judge_room(0.5, 0.01, classic)]
     with RunJournal(tmp_path / "j") as journal, pytest.raises(MeasurementError, match=r"0\.500 ± 0\.020 cd·m⁻²"):

@@ -33,7 +33,7 @@ def screen() -> ScreenCalibration:
 
 
 class RecordingScreen:
-    """A screen that notes what it is asked, on a clock of its own, and presses as it is told to."""
+    """A screen that notes what it is asked, on a clock of its own, and presses as it is asked to."""
 
     def __init__(self) -> None:
         self.time, self.size = 50.0, (1920, 1080)
@@ -87,7 +87,7 @@ def test_levels_are_what_each_code_adds_to_black(screen: ScreenCalibration) -> N
     assert levels.u_common_log10 == pytest.approx(0.01 / math.log(10))
 
 
-def test_darkest_level_is_the_first_that_is_told_from_black(screen: ScreenCalibration) -> None:
+def test_darkest_level_is_the_first_that_is_distinguished_from_black(screen: ScreenCalibration) -> None:
     """The first code used is known to a factor of two, the one before it is not; a less certain black raises it."""
     sharp, blurred = (
         SpotLevels.of(replace(screen, channels={**screen.channels, "blue": _curve("blue", 0.3, u)}), "blue")
@@ -117,9 +117,9 @@ def test_protocol_is_narrowed_to_the_screens_reach(screen: ScreenCalibration) ->
     narrowed = within_reach(asked, levels)
     assert narrowed.spot.lowest_log10 == levels.reach[0] > asked.spot.lowest_log10
     assert narrowed.spot.highest_log10 == min(asked.spot.highest_log10, levels.reach[1])
-    wanted = asked.model_copy(update={"end": asked.end.model_copy(update={"criterion_log10": -3.0})})
+    chosen = asked.model_copy(update={"end": asked.end.model_copy(update={"criterion_log10": -3.0})})
     with pytest.raises(ConfigurationError, match=r"criterion -3 is below"):
-        within_reach(wanted, levels)
+        within_reach(chosen, levels)
 
 
 def test_bleach_is_the_protocols_luminance_or_refused(screen: ScreenCalibration) -> None:
@@ -134,7 +134,7 @@ def test_bleach_is_the_protocols_luminance_or_refused(screen: ScreenCalibration)
 
 
 def test_mark_is_red_and_dim(screen: ScreenCalibration) -> None:
-    """0.1 cd/m² above black by the red primary; by a share of grey, and said so, where red was not measured."""
+    """0.1 cd/m² above black by the red primary; by a share of grey, and stated so, where red was not measured."""
     rgb, measured = mark_code(screen, 0.1)
     red = screen.channel("red")
     assert rgb[1:] == (0, 0)
@@ -156,7 +156,7 @@ def test_mark_and_spot_stand_where_the_eye_sees_them(stage: ScreenStage, watched
     assert 2 * math.degrees(math.atan(spot.height * pixel / 2 / away)) == pytest.approx(1.5, abs=0.01)
 
 
-def test_blink_shows_the_nearest_level_and_tells_it(stage: ScreenStage, watched: RecordingScreen) -> None:
+def test_blink_shows_the_nearest_level_and_reports_it(stage: ScreenStage, watched: RecordingScreen) -> None:
     """The code shown is the one whose light is nearest; what the run journals is that light."""
     for asked in (0.31, -0.2, stage.protocol.spot.lowest_log10):
         stage.blink(asked, 0, 0)
@@ -186,8 +186,8 @@ def test_bleach_fills_the_screen_for_its_time_and_leaves_the_mark(stage: ScreenS
     assert stage.now_s() == pytest.approx(300.0)
 
 
-def test_long_press_is_told_once_with_its_beginning(stage: ScreenStage, watched: RecordingScreen) -> None:
-    """A press that has lasted 2.5 s and goes on is told as begun 2.5 s ago, and not again while it lasts."""
+def test_long_press_is_reported_once_with_its_beginning(stage: ScreenStage, watched: RecordingScreen) -> None:
+    """A press that has lasted 2.5 s and goes on is reported as begun 2.5 s ago, and not again while it lasts."""
     watched.hold = Hold(1.0, 1.0)
     stage.rest(1.0)
     assert stage.long_press(2.0) is None
@@ -199,18 +199,18 @@ def test_long_press_is_told_once_with_its_beginning(stage: ScreenStage, watched:
     assert stage.long_press(2.0) is None
 
 
-@pytest.mark.parametrize(("later_s", "told"), [(0.15, False), (0.25, True)])
+@pytest.mark.parametrize(("later_s", "reported"), [(0.15, False), (0.25, True)])
 def test_beginnings_close_together_are_one_press(
-    stage: ScreenStage, watched: RecordingScreen, later_s: float, told: bool
+    stage: ScreenStage, watched: RecordingScreen, later_s: float, reported: bool
 ) -> None:
-    """A page's times scatter: what seems to begin 0.2 s after a press that was told is that press, later another."""
+    """A page's times scatter: what seems to begin 0.2 s after a reported press is that press, later another."""
     watched.hold = Hold(2.5, 2.5)
     stage.rest(2.5)
     begun_s = stage.long_press(2.0)
     assert begun_s == pytest.approx(0.0)
     watched.hold = Hold(lasted_s=2.2, began_ago_s=3.0 - later_s)
     stage.rest(0.5)
-    assert stage.long_press(2.0) == (pytest.approx(later_s) if told else None)
+    assert stage.long_press(2.0) == (pytest.approx(later_s) if reported else None)
 
 
 def test_journal_learns_what_the_screen_is(stage: ScreenStage) -> None:

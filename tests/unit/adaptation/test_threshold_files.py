@@ -68,18 +68,18 @@ def test_sigma_follows_the_unit(tmp_path):
 
 
 def test_it_says_what_it_took(tmp_path):
-    """Form, unit of time, unit of thresholds and rows left out are told; facts are kept."""
+    """Form, unit of time, unit of thresholds and rows left out are reported; facts are kept."""
     file = tmp_path / "run.csv"
     file.write_text("# protocol: rapid\nt;threshold (dB)\n30;-10\n60;NA\n600;30\n")
     found = read_table(file)
-    said = "; ".join(found.taken)
+    sentence = "; ".join(found.taken)
     for words in ("semicolons", "seconds, for it goes to 600", "dB of attenuation", "1 rows without a number"):
-        assert words in said
+        assert words in sentence
     assert found.facts == {"protocol": "rapid"}
 
 
 @pytest.mark.parametrize(
-    ("text", "said"),
+    ("text", "message"),
     [
         ("", "empty"),
         ("a,b\n1,2\n", "no column time_min"),
@@ -91,13 +91,13 @@ def test_it_says_what_it_took(tmp_path):
         ("list(time = c(1, 2), thrs = c(1))", "2 times and 1 thresholds"),
     ],
 )
-def test_what_cannot_be_taken_is_named(text, said, tmp_path):
+def test_what_cannot_be_taken_is_named(text, message, tmp_path):
     """File, line and the way out."""
     file = tmp_path / "run.csv"
     file.write_text(text)
     with pytest.raises(InputError, match=r"run\.csv") as refused:
         read_table(file)
-    assert said in str(refused.value)
+    assert message in str(refused.value)
 
 
 @pytest.mark.slow
@@ -110,10 +110,10 @@ def test_fit_reads_seconds_and_decibels_and_finds_the_break(tmp_path, capsys):
     rows = [f"{60 * t:.1f};{str(round(40 - 10 * y, 3)).replace('.', ',')}" for t, y in zip(times, curve, strict=True)]
     file.write_text("# from a perimeter\nTime (s);Attenuation (dB)\n" + "\n".join(rows) + "\n")
     assert run(["adapt", "fit", str(file), "--bootstrap", "0"]) == 0
-    told = capsys.readouterr()
-    assert "rod–cone break at 9." in told.out or "rod–cone break at 8.9" in told.out
-    assert "S2 slope -0.24" in told.out or "S2 slope -0.23" in told.out
-    assert "dB of attenuation" in told.err
+    printed = capsys.readouterr()
+    assert "rod–cone break at 9." in printed.out or "rod–cone break at 8.9" in printed.out
+    assert "S2 slope -0.24" in printed.out or "S2 slope -0.23" in printed.out
+    assert "dB of attenuation" in printed.err
 
 
 def test_two_thresholds_of_one_minute_are_both_kept():

@@ -23,9 +23,9 @@ from radiometer.errors import DeviceError, UsageError
 
 
 class Told:
-    """A source whose readings are told beforehand."""
+    """A source whose readings are reported beforehand."""
 
-    origin = "radiometer:told"
+    origin = "radiometer:stated"
 
     def __init__(self, *readings: Reading | Exception) -> None:
         self._readings = list(readings)
@@ -38,7 +38,7 @@ class Told:
 
 
 def _reading(value: float, luminance: Quantity | None = None, unit: str = "W sr-1 m-2") -> Reading:
-    return Reading(Quantity(value, 0.01 * value, unit), Patch(0, 0, 4, 4), "told", luminance)
+    return Reading(Quantity(value, 0.01 * value, unit), Patch(0, 0, 4, 4), "stated", luminance)
 
 
 @pytest.fixture(scope="module")
@@ -107,7 +107,7 @@ def test_scan_over_a_motor_and_count_read_the_meters_patch(engine):
 def test_documents_hold_what_the_reading_says(engine):
     """Value, u, luminance, U and flags; a luminance that is not known is no number."""
     lit = Reading(
-        Quantity(2.0, 0.1, "W sr-1 m-2"), Patch(0, 0, 4, 4), "told", Quantity(900.0, 45.0, "cd m-2"),
+        Quantity(2.0, 0.1, "W sr-1 m-2"), Patch(0, 0, 4, 4), "stated", Quantity(900.0, 45.0, "cd m-2"),
         (rm.data.reading.Flag.FLICKER, rm.data.reading.Flag.SATURATED), coverage_factor=2.5,
     )  # fmt: skip
     detector = RadiometerDetector(Told(lit, _reading(1.0)), "r")

@@ -13,17 +13,17 @@ from radiometer.errors import DeviceError, MeasurementError, MissingLibrary
 class Told:
     """A source that gives the same reading again and again."""
 
-    origin = "radiometer:told"
+    origin = "radiometer:stated"
 
     def __init__(self, luminance: Quantity | None) -> None:
         self.luminance = luminance
 
     def measure(self) -> Reading:
-        return Reading(Quantity(0.5, 0.01, "W sr-1 m-2"), Patch(0, 0, 4, 4), "told", self.luminance)
+        return Reading(Quantity(0.5, 0.01, "W sr-1 m-2"), Patch(0, 0, 4, 4), "stated", self.luminance)
 
 
 def test_photometer_answers_as_psychopy_asks():
-    """getLum returns cd/m² and leaves it in lastLum; the response is kept, with its uncertainty beside it."""
+    """getLum returns cd/m² and leaves it in lastLum; the response is kept, with its uncertainty next to it."""
     photometer = RadiometerPhotometer(source=Told(Quantity(160.0, 3.0, "cd m-2")))
     assert photometer.getLum() == photometer.lastLum == 160.0
     assert photometer.getResponse().value == 160.0
@@ -33,7 +33,7 @@ def test_photometer_answers_as_psychopy_asks():
     assert photometer.lastReading.luminance.u == 3.0
     assert photometer.OK
     assert photometer.type == "radiometer"
-    assert "radiometer:told" in photometer.getInfo()
+    assert "radiometer:stated" in photometer.getInfo()
 
 
 def test_without_a_spectrum_there_is_no_luminance():
@@ -54,7 +54,7 @@ def test_photometer_of_a_camera_reads_what_the_bench_shows():
 
 
 def test_the_device_managers_profile_makes_the_device(monkeypatch):
-    """The profile names the address of the environment, and tells the device by it."""
+    """The profile names the address of the environment, and reports the device by it."""
     monkeypatch.setenv(ADDRESS_VARIABLE, "sim")
     (profile,) = RadiometerPhotometer.getAvailableDevices()
     assert profile["address"] == "sim"

@@ -45,9 +45,9 @@ def test_the_example_of_a_public_name_runs_as_it_stands(name, desk, monkeypatch)
     namespace = {}
     (example,) = doctest.DocTestFinder(recurse=False).find(kind, name, globs=namespace)
     assert example.examples, f"radiometer.{name} has no example"
-    told: list[str] = []
+    reported: list[str] = []
     runner = doctest.DocTestRunner(optionflags=doctest.ELLIPSIS, verbose=False)
-    assert runner.run(example, out=told.append).failed == 0, "".join(told)
+    assert runner.run(example, out=reported.append).failed == 0, "".join(reported)
 
 
 @pytest.mark.slow

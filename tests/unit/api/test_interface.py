@@ -151,7 +151,7 @@ def test_a_response_is_recovered_drawn_and_written(tmp_path):
     assert response._repr_html_().startswith('<figure><img alt="&lt;Response by linear_spline')
 
 
-def test_a_sensor_tells_its_figures_with_unit_and_uncertainty(stack, capture):
+def test_a_sensor_reports_its_figures_with_unit_and_uncertainty(stack, capture):
     """Black level and dark noise of the simulated camera, by hand from its description; single lit frames give no K."""
     sensor = rm.characterise(capture)
     about = stack.camera

@@ -33,12 +33,14 @@ def table(tmp_path):
 def test_trend_says_what_drifts_and_what_does_not(table, capsys):
     """One sentence for each patch, with the drift in per cent per month and its U."""
     assert run(["trend", str(table)]) == 0
-    said = " ".join(capsys.readouterr().out.split())
-    found = re.search(r"lamp: radiance drifts: \((-[\d.]+) ± ([\d.]+)\) % per month \(k = 2\) over 90 readings", said)
-    assert found, said
+    printed = " ".join(capsys.readouterr().out.split())
+    found = re.search(
+        r"lamp: radiance drifts: \((-[\d.]+) ± ([\d.]+)\) % per month \(k = 2\) over 90 readings", printed
+    )
+    assert found, printed
     # Relative to the level in the middle of the record, which is 3 % lower than the first.
     assert abs(float(found[1]) + 1.0 / 0.97) < 1.5 * float(found[2])
-    assert "wall: radiance no drift shown: (" in said
+    assert "wall: radiance no drift shown: (" in printed
 
 
 @pytest.mark.usefixtures("unrendered")
@@ -57,9 +59,9 @@ def test_trend_gives_json_and_a_report(table, tmp_path, capsys):
 def test_trend_of_a_quantity_that_is_not_there(table, capsys):
     """One line with the file, the quantity and what to do."""
     assert run(["trend", str(table), "--quantity", "luminance"]) == 1
-    said = " ".join(capsys.readouterr().err.split())
-    assert "holds no dated 'luminance' rows that succeeded; run `radiometer batch` first" in said
-    assert "Traceback" not in said
+    printed = " ".join(capsys.readouterr().err.split())
+    assert "holds no dated 'luminance' rows that succeeded; run `radiometer batch` first" in printed
+    assert "Traceback" not in printed
 
 
 def test_batch_names_what_failed_and_what_was_left_out(make_archive, tmp_path, capsys):
@@ -68,13 +70,13 @@ def test_batch_names_what_failed_and_what_was_left_out(make_archive, tmp_path, c
     os.truncate(root / "day-0001" / "frames" / "0001.png", 40)
     shutil.copytree(root / "day-0000" / "frames", root / "broken-off" / "frames")
     assert run(["batch", str(root), "-o", str(tmp_path / "results.csv"), "--json"]) == 1
-    told = capsys.readouterr()
-    summary = json.loads(told.out)
+    printed = capsys.readouterr()
+    summary = json.loads(printed.out)
     assert (summary["done"], summary["rows_in_table"], len(summary["failures"])) == (3, 3, 1)
     assert [path.rsplit("/", 1)[-1] for path in summary["unfinished"]] == ["broken-off"]
-    said = told.err.replace("\n", "")
-    assert re.search(r"left out: \S*broken-off holds frames but no capture.yaml", said)
-    assert re.search(r"failed: \S*day-0001: ", said)
+    text = printed.err.replace("\n", "")
+    assert re.search(r"left out: \S*broken-off holds frames but no capture.yaml", text)
+    assert re.search(r"failed: \S*day-0001: ", text)
     assert list(pd.read_csv(tmp_path / "results.csv")["status"]) == ["ok", "failed", "ok"]
 
 
@@ -102,7 +104,7 @@ def test_batch_refuses_what_it_cannot_do(make_archive, tmp_path, capsys, words, 
     """A job, a region or a calibration that is none: a clear line, and no table of successes."""
     table = tmp_path / "results.csv"
     assert run(["batch", str(make_archive(1)), "-o", str(table), *words]) != 0
-    said = " ".join(capsys.readouterr().err.split())
-    assert message in said
-    assert "Traceback" not in said
+    printed = " ".join(capsys.readouterr().err.split())
+    assert message in printed
+    assert "Traceback" not in printed
     assert not table.exists() or "ok" not in list(pd.read_csv(table)["status"])

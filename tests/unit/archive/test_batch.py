@@ -163,7 +163,7 @@ def test_a_cluster_gives_the_same_table_bit_for_bit_though_a_worker_dies(make_ar
     pd.testing.assert_frame_equal(pd.read_parquet(tmp_path / "one.parquet"), pd.read_parquet(tmp_path / "two.parquet"))
 
 
-def test_no_scheduler_is_said_in_one_line(make_archive, tmp_path, monkeypatch):
+def test_no_scheduler_is_reported_in_one_line(make_archive, tmp_path, monkeypatch):
     """Nothing listens there; a tenth of a second of patience is as good as ten."""
     monkeypatch.setattr("radiometer.archive.run.SCHEDULER_PATIENCE_S", 0.1)
     with pytest.raises(DeviceNotFound, match="no Dask scheduler answers at tcp://127"):

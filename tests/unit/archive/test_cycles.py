@@ -32,7 +32,7 @@ def test_a_cycle_nearly_as_long_as_the_season_is_the_likeliest_in_its_place(more
 
 
 def test_a_slow_cycle_is_named_from_enough_readings_on() -> None:
-    """One that comes 1.5 times in the record is the likeliest of the slow ones; of eleven readings none is told."""
+    """One that comes 1.5 times in the record is the likeliest of the slow ones; of eleven readings none is reported."""
     planted_s = 2.0 * YEAR_S / 1.5
     assert likeliest(slow_cycles(*record(2.0, 100, planted_s), ())) == pytest.approx(planted_s)
     assert slow_cycles(*record(2.0, 12, planted_s), ()) != []

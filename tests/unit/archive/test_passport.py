@@ -114,10 +114,10 @@ def test_a_header_gain_wrong_by_six_percent():
     one = session("a", K=1 / 1.94, stated=2.06)
     one.figures["K_dark"] = Quantity(1 / 1.95, 0.008, "DN/e-")
     (found,) = passports([one])
-    said = " | ".join(found.gain)
-    assert "off by +6.2 % against light" in said
-    assert "wrong" in said
-    assert "light and darks agree" in said
+    sentence = " | ".join(found.gain)
+    assert "off by +6.2 % against light" in sentence
+    assert "wrong" in sentence
+    assert "light and darks agree" in sentence
 
 
 @pytest.mark.parametrize(
@@ -163,7 +163,7 @@ def test_a_lamp_that_jumped_within_a_session():
 
 
 def test_a_lamp_that_wanders_and_one_that_is_steady():
-    """Scatter of 0.4 % is said as such; 0.02 % is nothing."""
+    """Scatter of 0.4 % is stated as such; 0.02 % is nothing."""
     rng = np.random.default_rng(4)
     assert "wandered" in light_line("a", series(1000.0 * (1 + rng.normal(0, 4e-3, 8))))
     assert light_line("a", series(1000.0 * (1 + rng.normal(0, 2e-4, 8)))) is None
@@ -240,17 +240,17 @@ def test_the_command_prints_one_object(archive, capsys):
     assert camera["dark_law"]["doubling_K"]["unit"] == "K"
 
 
-def test_the_command_tells_people_the_same(archive, capsys):
+def test_the_command_reports_people_the_same(archive, capsys):
     """Sessions by date, the law of the dark current, the stated gain, and each figure as changed or not."""
     assert run(["passport", str(archive)]) == 0
-    said = " ".join(capsys.readouterr().out.split())
-    assert "CCD: " in said
+    printed = " ".join(capsys.readouterr().out.split())
+    assert "CCD: " in printed
     assert re.search(
-        r"dark current doubles per \([\d.]+ ± [\d.]+\) K \(k = 2\) from -?\d+ to -?\d+ °C, \S+ DN/s at 0 °C", said
+        r"dark current doubles per \([\d.]+ ± [\d.]+\) K \(k = 2\) from -?\d+ to -?\d+ °C, \S+ DN/s at 0 °C", printed
     )
-    assert ": one law" in said
-    assert "gain: " in said
-    assert re.search(r"K: unchanged \(", said)
+    assert ": one law" in printed
+    assert "gain: " in printed
+    assert re.search(r"K: unchanged \(", printed)
 
 
 def test_an_archive_without_sessions(tmp_path):

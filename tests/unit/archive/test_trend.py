@@ -143,7 +143,7 @@ def test_half_a_year_shows_a_change_and_no_drift():
 
 
 def test_half_a_year_of_a_season_claims_no_drift():
-    """1 % and 5 % at twenty phases: no drift; where the season runs steeply its change is told."""
+    """1 % and 5 % at twenty phases: no drift; where the season runs steeply its change is reported."""
     trends = [fit_trend(*weekly(seed, 26, amplitude=size)) for size in (0.01, 0.05) for seed in range(10)]
     assert not any(trend.drifts for trend in trends)
     assert {"season_or_drift"} < {trend.verdict for trend in trends} | {"no_drift"}
@@ -157,7 +157,7 @@ def test_half_a_year_of_a_fast_fall_is_a_drift():
 
 
 def test_a_month_of_readings_knows_a_season_by_its_stated_size_alone():
-    """u is the stated 2 % times 2π per year beside the noise: 1.05 % per month."""
+    """u is the stated 2 % times 2π per year next to the noise: 1.05 % per month."""
     rng = np.random.default_rng(3)
     time_s = np.linspace(0.0, MONTH_S, 200)
     trend = fit_trend(time_s, 5.0 * (1 + 2e-3 * rng.standard_normal(200)), np.full(200, 0.025))
@@ -182,14 +182,14 @@ def test_a_cycle_nearly_as_long_as_a_year_is_no_drift(period_weeks):
 
 
 def test_a_year_shows_a_drift_of_a_fifth_of_a_percent():
-    """0.2 % per month beside noise of 0.3 %: found in 52 weekly readings although cycles nearby are in the model."""
+    """0.2 % per month next to noise of 0.3 %: found in 52 weekly readings although cycles nearby are in the model."""
     trends = [fit_trend(*weekly(seed, 52, drift=0.002)) for seed in range(10)]
     assert sum(trend.drifts for trend in trends) >= 9
 
 
 @pytest.mark.parametrize(("weeks", "period_weeks"), [(52, 26.0), (104, 26.0), (104, 40.0), (104, 7.3)])
 def test_a_cycle_of_another_period_is_no_drift(weeks, period_weeks):
-    """1 % at any phase beside noise of 0.3 %: hardly ever claimed; over two years period and amplitude are found."""
+    """1 % at any phase next to noise of 0.3 %: hardly ever claimed; over two years period and amplitude are found."""
     claims, week_s = 0, 7 * 86400.0
     for seed in range(8):
         rng = np.random.default_rng(seed)
@@ -222,7 +222,7 @@ def test_steady_readings_show_no_cycle(archives):
 
 
 def test_a_drift_under_season_and_correlation_is_found():
-    """0.2 % per month beside both: claimed, and right within 3 u."""
+    """0.2 % per month next to both: claimed, and right within 3 u."""
     time_s, value, u = correlated(5, sigma=0.001)
     months = time_s / MONTH_S
     value = value * (1 + 0.002 * months) * (1 + 0.005 * np.sin(2 * np.pi * months / 12 + 1.0))

@@ -24,7 +24,7 @@ def _history(patch: str, drift: float, *, seed: int = 1, months: float = 18.0, c
     return fit_trend(time_s, value, 0.005 * value, patch=patch, quantity="radiance", unit="W sr-1 m-2")
 
 
-def test_a_drift_is_said_with_its_size_and_uncertainty():
+def test_a_drift_is_reported_with_its_size_and_uncertainty():
     """The sentence holds the fitted drift in per cent per month and its U (k = 2), and the true one lies within."""
     trend = _history("lamp", -0.01)
     found = re.fullmatch(
@@ -55,9 +55,9 @@ def test_a_drift_that_is_not_claimed_says_so_and_from_when_on_it_would_be():
 def test_a_change_that_a_season_may_be_is_no_drift_and_no_silence():
     """Half a year at 0.5 % per month: the sentence says both, the advice from when on the record will tell."""
     trend = _history("lamp", 0.005, months=6.0)
-    said = outcome([trend])
+    text = outcome([trend])
     assert re.match(
-        r"lamp changes, \(\+?0\.[45]\d* ± [\d.]+\) % per month, k = 2, if on a straight line. A season", said
+        r"lamp changes, \(\+?0\.[45]\d* ± [\d.]+\) % per month, k = 2, if on a straight line. A season", text
     )
     assert "lamp: measure until 2025-05-15" in advice([trend])[0]  # 1.5 years from 2023-11-14
     page = trend_report([trend], "t")

@@ -35,8 +35,8 @@ def test_light_off_works_while_another_program_holds_the_box(capsys: pytest.Capt
         asking.join(within(20.0))
         assert done == [0]
         assert opened.box.read_channel("spot").drive.level == 0
-    told = json.loads(capsys.readouterr().out)
-    assert told == {"box": "HELD0001", "darkened_by": os.getpid()}
+    printed = json.loads(capsys.readouterr().out)
+    assert printed == {"box": "HELD0001", "darkened_by": os.getpid()}
 
 
 def test_light_off_darkens_all_that_answer_whatever_else_is_there(
@@ -57,9 +57,9 @@ def test_light_off_darkens_all_that_answer_whatever_else_is_there(
 
         with holding("MUTE0001", "/dev/mute", refuse):
             assert run(["light", "off"]) == 1
-        told = capsys.readouterr()
-        assert {line.split()[2] for line in told.out.splitlines()} == {"ONES0001:", "TWOS0001:"}
-        assert "MUTE0001" in told.err
+        printed = capsys.readouterr()
+        assert {line.split()[2] for line in printed.out.splitlines()} == {"ONES0001:", "TWOS0001:"}
+        assert "MUTE0001" in printed.err
 
 
 def test_light_off_asks_only_the_holder_of_the_box_named(capsys: pytest.CaptureFixture[str]) -> None:
@@ -77,12 +77,12 @@ def test_light_off_asks_only_the_holder_of_the_box_named(capsys: pytest.CaptureF
 
 
 def test_what_answers_otherwise_is_no_box() -> None:
-    """Whoever tells no number of a process is passed over, and the boxes beside it are found."""
+    """Whoever shows no number of a process is passed over, and the boxes next to it are found."""
     with holding("who is", "/dev/a", lambda: None), holding("BBBB0001", "/dev/b", lambda: None):
         assert [(box.serial, box.pid) for box in held_boxes()] == [("BBBB0001", os.getpid())]
 
 
-def test_a_port_is_told_whole_however_deep_its_folder_is() -> None:
+def test_a_port_is_reported_whole_however_deep_its_folder_is() -> None:
     """A path may have 4095 bytes: cut off, `light off --box PORT` would find no holder."""
     port = "/" + "/".join(["folder"] * 584)
     assert len(port) == 4088
@@ -118,7 +118,7 @@ def test_pages_darken_every_box_that_is_held() -> None:
 
 
 def test_what_a_killed_holder_left_behind_is_removed(tmp_path: Path) -> None:
-    """A socket that nobody serves is no holder."""
+    """A socket without a server is no holder."""
     import socket
 
     left = runtime_folder("radiometer-held-boxes") / "left"
@@ -158,7 +158,7 @@ def test_a_folder_of_another_user_is_refused(tmp_path: Path, monkeypatch: pytest
     assert not is_ours(folder)
 
 
-def test_a_folder_that_is_not_there_is_nobody_s(tmp_path: Path) -> None:
+def test_a_folder_that_is_not_there_has_no_owner(tmp_path: Path) -> None:
     """Neither a missing folder nor one below a file is ours; one made by this user and closed to others is."""
     own, file = tmp_path / "own", tmp_path / "file"
     own.mkdir(mode=0o755)
@@ -170,7 +170,7 @@ def test_a_folder_that_is_not_there_is_nobody_s(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_light_that_the_box_ends_is_told(capsys: pytest.CaptureFixture[Any]) -> None:
+def test_light_that_the_box_ends_is_reported(capsys: pytest.CaptureFixture[Any]) -> None:
     """The bleach's energy budget lasts 200 s at its limit: 230 s end with exit code 1 and the time it lasted."""
     words = ["light", "set", "bleach", "--level", "60000", "--for", "230s", "--box", "sim"]
     assert run(words) == 1

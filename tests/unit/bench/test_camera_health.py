@@ -44,7 +44,7 @@ def test_a_bent_response_is_found():
     assert "gives 0.535" in finding.message  # 0.5**0.9 = 0.5359
 
 
-def test_too_little_light_is_told_instead_of_judged():
+def test_too_little_light_is_reported_instead_of_judged():
     """Without light there is no verdict on linearity, but a cure."""
     with camera(radiance=1e-9) as unlit:
         unlit.configure(CameraSettings(0.01, black_level_dn=64))

@@ -20,7 +20,7 @@ def hidden_library(monkeypatch):
 
 
 def test_without_the_library_the_simulated_camera_is_still_listed(hidden_library):
-    """A missing library is told beside the cameras that can be opened, not instead of them."""
+    """A missing library is reported next to the cameras that can be opened, not instead of them."""
     found, reason = list_cameras(*read_bench())
     assert [camera.device_id for camera in found] == ["sim"]
     assert reason is not None

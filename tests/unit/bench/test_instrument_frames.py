@@ -1,4 +1,4 @@
-"""Which frames an instrument takes beside the plan: dark ones where they matter, short ones of a bright surround."""
+"""Which frames an instrument takes next to the plan: dark ones where they matter, short ones of a bright surround."""
 
 from __future__ import annotations
 

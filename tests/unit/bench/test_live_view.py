@@ -29,7 +29,7 @@ scene: {kind: uniform, radiance_W_per_sr_m2: 0.3}   # an even source
 
 def test_patch_drawn_on_the_page_is_printed_and_written_into_the_bench_file(tmp_path: Path) -> None:
     """The page gets picture, histogram and clipping; a rectangle becomes the patch, comments of the file stay."""
-    bench, said = tmp_path / "lab.yaml", list[str]()
+    bench, printed = tmp_path / "lab.yaml", list[str]()
     bench.write_text("format: radiometer-bench/1\n" + BENCH, encoding="utf-8")
     address: list[str] = []
     ready = threading.Event()
@@ -39,20 +39,20 @@ def test_patch_drawn_on_the_page_is_printed_and_written_into_the_bench_file(tmp_
         ready.set()
 
     def run() -> None:
-        found.append(rm.view(bench=bench, frames=40, every_s=0.05, announce=announce, notice=said.append))
+        found.append(rm.view(bench=bench, frames=40, every_s=0.05, announce=announce, notice=printed.append))
 
     found: list[rm.Patch] = []
     shown = threading.Thread(target=run)
     shown.start()
     assert ready.wait(60)
-    first, told = asyncio.run(_draw(address[0], [10, 20, 30, 16]))
+    first, reported = asyncio.run(_draw(address[0], [10, 20, 30, 16]))
     shown.join(120)
     assert Image.open(io.BytesIO(base64.b64decode(first["png"]))).size == (96, 64)
     assert sum(first["histogram"]) == 96 * 64
     assert (first["patch"], first["clips"], first["bench"]) == ([1, 2, 3, 4], False, "lab.yaml")
     assert found == [rm.Patch(10, 20, 30, 16)]
-    assert said[0] == "--patch 10,20,30,16"
-    assert "written" in told["text"]
+    assert printed[0] == "--patch 10,20,30,16"
+    assert "written" in reported["text"]
     text = bench.read_text(encoding="utf-8")
     assert yaml.safe_load(text)["patch"] == {"x": 10, "y": 20, "width": 30, "height": 16}
     assert "# our bench" in text
@@ -65,7 +65,7 @@ async def _draw(url: str, patch: list[int]) -> tuple[dict[str, Any], dict[str, A
         await socket.send_json({"kind": "patch", "patch": [90, 0, 50, 50]})  # leaves the frame: refused
         await socket.send_json({"kind": "patch", "patch": patch})
         await socket.send_json({"kind": "save"})
-        while (message := await socket.receive_json(timeout=60))["kind"] != "said" or message["failed"]:
+        while (message := await socket.receive_json(timeout=60))["kind"] != "notice" or message["failed"]:
             pass
         return first, message
 

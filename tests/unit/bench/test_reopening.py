@@ -43,12 +43,14 @@ def test_a_camera_that_is_back_is_open_with_its_settings(away: int) -> None:
         if len(pauses) > away:
             pytest.fail("a camera that is there is not opened")
 
-    wanted = CameraSettings(exposure_s=0.003)
-    reopen(camera, wanted, lambda _reason: None, pause)
-    assert (camera.is_open, camera.settings, len(pauses)) == (True, wanted, away)
+    requested = CameraSettings(exposure_s=0.003)
+    reopen(camera, requested, lambda _reason: None, pause)
+    assert (camera.is_open, camera.settings, len(pauses)) == (True, requested, away)
 
 
-def test_each_reason_is_told_once_and_a_camera_that_does_not_open_is_let_go(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_each_reason_is_reported_once_and_a_camera_that_does_not_open_is_let_go(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     """Who waits hears of a new reason and not of the same one again; between two tries nothing is held open."""
     reasons = ["unplugged", "unplugged", "in use", "in use"]
     camera: Any = LostCamera(0)
@@ -61,10 +63,10 @@ def test_each_reason_is_told_once_and_a_camera_that_does_not_open_is_let_go(monk
         plain_open()
 
     monkeypatch.setattr(camera, "open", fail_first)
-    told: list[str] = []
+    reported: list[str] = []
     held: list[bool] = []
-    reopen(camera, CameraSettings(exposure_s=0.003), told.append, lambda _s: held.append(camera.is_open))
-    assert (told, held, camera.is_open) == (["unplugged", "in use"], [False] * 4, True)
+    reopen(camera, CameraSettings(exposure_s=0.003), reported.append, lambda _s: held.append(camera.is_open))
+    assert (reported, held, camera.is_open) == (["unplugged", "in use"], [False] * 4, True)
 
 
 def test_a_camera_that_can_never_be_opened_is_not_waited_for(monkeypatch: pytest.MonkeyPatch) -> None:

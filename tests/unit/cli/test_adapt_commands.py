@@ -1,4 +1,4 @@
-"""`radiometer adapt bleach`, `protocols`, `retest` and what `fit` tells of the subject."""
+"""`radiometer adapt bleach`, `protocols`, `retest` and what `fit` reports of the subject."""
 
 from __future__ import annotations
 
@@ -67,14 +67,14 @@ def test_retest_gives_limits_of_agreement(tmp_path: Path, capsys: pytest.Capture
 
 
 @pytest.mark.slow
-def test_fit_tells_false_alarms_lapses_and_looks_away(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_fit_reports_false_alarms_lapses_and_looks_away(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """From the counts in the table's head, in terminal, JSON and page."""
     head = "# false_alarms: 2/100\n# lapses: 1/20\n# seen_at_blind_spot: 6/30\n"
     file, page = _table(tmp_path / "a.csv", 8.0, 1, head), tmp_path / "a.html"
     assert run(["adapt", "fit", file, "--bootstrap", "0", "--report", str(page)]) == 0
     assert "Fixation lost                    19.3 %" in capsys.readouterr().out
     assert run(["adapt", "fit", file, "--bootstrap", "0", "--json"]) == 0
-    told = json.loads(capsys.readouterr().out)["reliability"]
-    assert told["fixation_losses"]["share"] == pytest.approx((0.2 - 0.02) / (0.98 * 0.95))
-    assert (told["lapses"]["hits"], told["lapses"]["of"]) == (1, 20)
+    printed = json.loads(capsys.readouterr().out)["reliability"]
+    assert printed["fixation_losses"]["share"] == pytest.approx((0.2 - 0.02) / (0.98 * 0.95))
+    assert (printed["lapses"]["hits"], printed["lapses"]["of"]) == (1, 20)
     assert "<h2>The subject</h2>" in page.read_text(encoding="utf-8")

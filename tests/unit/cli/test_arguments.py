@@ -78,7 +78,7 @@ def test_what_is_implausible_is_misuse(words, way_out, capsys, tmp_path, monkeyp
     """Nothing is measured; the message names the option and says what to write."""
     monkeypatch.chdir(tmp_path)
     assert run(words.split()) == 2
-    said = " ".join(capsys.readouterr().err.split())
-    assert words.split()[-2] in said
-    assert way_out in said
+    printed = " ".join(capsys.readouterr().err.split())
+    assert words.split()[-2] in printed
+    assert way_out in printed
     assert not list(tmp_path.iterdir())

@@ -132,7 +132,7 @@ def test_a_bend_is_carried_with_the_well_that_it_is_stated_of(tmp_path):
     assert made.uncertainties.bend_u_rel == pytest.approx(5e-3 * 4095 * 5.95 / 24500.0)
 
 
-def test_a_bend_beside_a_response_curve_is_refused(tmp_path):
+def test_a_bend_next_to_a_response_curve_is_refused(tmp_path):
     """Both would straighten the same bend."""
     path = model_file(tmp_path, "response_nonlinearity", {"a2": 0.03}, {"a2": 3e-3})
     curve = ResponseCurve(np.log(np.maximum(np.arange(4096.0) - 64.0, 0.1)), np.full(4096, 1e-3))
@@ -244,4 +244,4 @@ def test_a_map_says_that_it_keeps_a_bend():
     base = replace(BASE, found=FoundEffects(well_a2=0.04, well_a3=0.02, well_e=24500.0))
     _, known = read(base, frames(even(), 2e-3), frames(even(0.5), 4e-4))
     found = merge(frames(even(0.5), 4e-4), Setup(CAMERA, LENS, known))
-    assert any("bends by 6 % at full scale" in said for said in found.not_in_u)
+    assert any("bends by 6 % at full scale" in text for text in found.not_in_u)

@@ -1,4 +1,4 @@
-"""A real camera named without a bench file: what nobody said of it stays unknown, and it may come and go."""
+"""A real camera named without a bench file: what no one stated of it stays unknown, and it may come and go."""
 
 from __future__ import annotations
 
@@ -23,17 +23,17 @@ SCENE = {"kind": "screen", "peak_radiance_W_per_sr_m2": 2.0, "gamma": 2.2, "back
 
 
 class RealCamera(SimulatedCamera):
-    """Stands in for the driver's camera: behind a lens, but told only what the bench told it."""
+    """Stands in for the driver's camera: behind a lens, knowing only what the bench states."""
 
     def __init__(self, lens: LensDescription) -> None:
         model = CameraModel.ideal(CameraPreset.shipped("BFS-U3-19S4M").camera, LensDescription(f_number=4.0))
         limits = replace(default_limits(), width=80, height=60)
         super().__init__(model, scene_from_mapping(SCENE), seed=3, limits=limits)
-        self.told, self.lost_at, self.openings, self.frames = lens, (), 0, 0
+        self.stated, self.lost_at, self.openings, self.frames = lens, (), 0, 0
 
     @property
     def lens(self) -> LensDescription:
-        return self.told
+        return self.stated
 
     def open(self) -> None:
         self.openings += 1
@@ -44,7 +44,7 @@ class RealCamera(SimulatedCamera):
         if self.frames in self.lost_at:
             raise DeviceLost("camera FLIR 20497219 stopped answering")
         frames = super().capture(count)
-        return [replace(frame, settings=replace(frame.settings, f_number=self.told.f_number)) for frame in frames]
+        return [replace(frame, settings=replace(frame.settings, f_number=self.stated.f_number)) for frame in frames]
 
 
 @pytest.fixture
@@ -68,7 +68,7 @@ def test_a_bracket_without_a_bench_holds_nothing_of_the_simulated_one(real, tmp_
     assert "source" not in written
     assert written["patches"] == []
     assert all("f_number" not in frame for frame in written["frames"])
-    assert real[0].told == LensDescription()
+    assert real[0].stated == LensDescription()
 
 
 @pytest.mark.slow
@@ -88,24 +88,24 @@ def test_a_reading_without_a_bench_is_not_calibrated_by_the_simulated_one(real, 
 
 
 def test_a_bracket_of_a_patch_speaks_of_the_patch_only(real, tmp_path, capsys):
-    """Pixels outside the patch, which nobody asked for, are neither counted nor complained of."""
+    """Pixels outside the patch, which no one asked for, are neither counted nor complained of."""
     words = ["bracket", str(tmp_path / "set"), "--camera", "20497219", "--patch", "42,22,8,6"]
     assert run([*words, "--json"]) == 0
-    told = json.loads(capsys.readouterr().out)
-    assert (told["pixels"], told["well_exposed_twice"], told["below_noise"]) == (48, 48, 0)
+    stated = json.loads(capsys.readouterr().out)
+    assert (stated["pixels"], stated["well_exposed_twice"], stated["below_noise"]) == (48, 48, 0)
     words[1] = str(tmp_path / "again")
     assert run(words) == 0
-    said = capsys.readouterr().err
-    assert "100.00 % of the patch's pixels are well exposed" in said
-    assert "not reached" not in said
+    printed = capsys.readouterr().err
+    assert "100.00 % of the patch's pixels are well exposed" in printed
+    assert "not reached" not in printed
 
 
 def test_what_a_patch_lacks_is_named_in_the_frames_pixels(real, tmp_path, capsys):
-    """A dark patch is said to be dark, with the place it has in the frame."""
+    """A dark patch is reported to be dark, with the place it has in the frame."""
     words = ["bracket", str(tmp_path / "set"), "--camera", "20497219", "--patch", "2,40,6,4"]
     assert run([*words, "--from", "100us", "--to", "200us"]) == 0
-    assert "24 of 24 pixels stay under the noise floor" in (said := capsys.readouterr().err)
-    assert "(within x 2, y 40, 6 × 4)" in said
+    assert "24 of 24 pixels stay under the noise floor" in (printed := capsys.readouterr().err)
+    assert "(within x 2, y 40, 6 × 4)" in printed
 
 
 def test_watching_survives_a_camera_that_comes_back(real, monkeypatch):
@@ -117,12 +117,12 @@ def test_watching_survives_a_camera_that_comes_back(real, monkeypatch):
         return real[-1]
 
     monkeypatch.setattr("drivers.cameras.aravis_camera.open_camera", find)
-    told: list[str] = []
-    watched = rm.readings("20497219", (42, 22, 8, 6), watch=True, notice=told.append, sleep=lambda _seconds: None)
+    stated: list[str] = []
+    watched = rm.readings("20497219", (42, 22, 8, 6), watch=True, notice=stated.append, sleep=lambda _seconds: None)
     assert [reading.sequence for reading in itertools.islice(watched, 3)] == [1, 2, 3]
     assert real[0].openings == 2
-    assert any("stopped answering; waiting for it" in line for line in told)
-    assert told[-1].endswith("is back")
+    assert any("stopped answering; waiting for it" in line for line in stated)
+    assert stated[-1].endswith("is back")
 
 
 def test_without_watch_a_lost_camera_is_an_error(real, monkeypatch, capsys):

@@ -42,7 +42,7 @@ def capture(tmp_path: Path) -> Path:
 
 
 def test_json_gives_thesis_and_emitted_flux(capture: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """The emitted flux is 5 mW within its k = 2 uncertainty; the thesis's figure stands beside it."""
+    """The emitted flux is 5 mW within its k = 2 uncertainty; the thesis's figure is next to it."""
     words = ["--half-angle", "60", "--distance", "80", "--diameter", "3", "--datasheet-mw", "5", "--json"]
     assert run(["flux", str(capture), *words]) == 0
     printed = json.loads(capsys.readouterr().out)
@@ -80,7 +80,7 @@ def test_without_a_half_angle_the_way_to_the_emitted_flux_is_named(
 def test_misuse_is_one_line(
     capture: Path, words: list[str], code: int, message: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """What is missing or impossible is said with the way out."""
+    """What is missing or impossible is stated with the way out."""
     if words[:2] == ["--half-angle", "95"]:
         words = [*words, "--distance", "80"]
     assert run(["flux", str(capture), *words]) == code

@@ -29,13 +29,13 @@ def test_a_missing_library_is_a_fault_with_exit_code_1(hidden_library, capsys):
 def test_json_holds_every_finding_with_its_cure(hidden_library, capsys):
     """Programs get one object: sound or not, and the findings."""
     assert run(["doctor", "--json"]) == 1
-    told = json.loads(capsys.readouterr().out)
-    assert told["sound"] is False
-    assert {"check", "health", "message", "cure"} == set(told["findings"][0])
+    printed = json.loads(capsys.readouterr().out)
+    assert printed["sound"] is False
+    assert {"check", "health", "message", "cure"} == set(printed["findings"][0])
 
 
 def test_a_camera_that_is_not_there_is_a_fault(hidden_library, capsys):
-    """A camera that cannot be opened is told among the findings."""
+    """A camera that cannot be opened is reported among the findings."""
     assert run(["doctor", "--camera", "4711", "--json"]) == 1
     last = json.loads(capsys.readouterr().out)["findings"][-1]
     assert (last["check"], last["health"]) == ("camera", "fault")

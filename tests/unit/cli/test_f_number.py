@@ -16,7 +16,7 @@ PATCH = "2,2,20,20"
 
 @pytest.fixture
 def folder(tmp_path):
-    """Return a folder of photographs of an even surface whose times stand in a list, a curve beside it."""
+    """Return a folder of photographs of an even surface whose times stand in a list, a curve next to it."""
     dn = np.arange(256.0)
     ResponseCurve(np.log(np.maximum(dn, 0.25) / 128), np.full(256, 1e-4), valid_dn=(1, 254)).write(tmp_path / "c.yaml")
     (tmp_path / "photos").mkdir()
@@ -62,7 +62,7 @@ def test_photographs_have_a_drawn_interval_too(folder, capsys):
     assert calibrate(folder, "--f-number", "16") == 0
     capsys.readouterr()
     assert measure(folder, "--f-number", "8", "--monte-carlo") == 0
-    said = json.loads(capsys.readouterr().out)
-    drawn, u = said["monte_carlo"], said["radiance"]["u"]
+    printed = json.loads(capsys.readouterr().out)
+    drawn, u = printed["monte_carlo"], printed["radiance"]["u"]
     assert drawn["u"] == pytest.approx(u, rel=0.02)
-    assert drawn["high"] - drawn["low"] == pytest.approx(2.0 * said["coverage_factor"] * u, rel=0.05)
+    assert drawn["high"] - drawn["low"] == pytest.approx(2.0 * printed["coverage_factor"] * u, rel=0.05)

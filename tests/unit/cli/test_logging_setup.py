@@ -10,10 +10,10 @@ import structlog
 from radiometer.cli.logging_setup import configure_logging
 
 
-def _failed(said: str) -> None:
+def _failed(message: str) -> None:
     secret_table = list(range(50_000))  # what a traceback with its variables would print
     try:
-        raise ZeroDivisionError(said, len(secret_table))
+        raise ZeroDivisionError(message, len(secret_table))
     except ZeroDivisionError:
         structlog.get_logger("test").exception("advice failed", what="the limits")
 
@@ -32,9 +32,9 @@ def test_who_asks_for_everything_gets_the_traceback_without_its_variables(capsys
     """At DEBUG the traceback is plain: the lines of code, not what the variables hold."""
     configure_logging(2)
     _failed("by nothing")
-    said = capsys.readouterr().err
-    assert "Traceback" in said
-    assert "49999" not in said
+    printed = capsys.readouterr().err
+    assert "Traceback" in printed
+    assert "49999" not in printed
 
 
 def test_an_event_without_an_error_says_nothing_of_one(capsys):
@@ -47,7 +47,7 @@ def test_an_event_without_an_error_says_nothing_of_one(capsys):
 
 
 def test_what_a_library_says_of_a_damaged_file_is_for_who_asks_for_everything(capsys):
-    """Ours is the one line; what tifffile logs beside it comes at DEBUG alone."""
+    """Ours is the one line; what tifffile logs next to it comes at DEBUG alone."""
     for verbosity, lines in ((0, []), (1, []), (2, ["invalid value offset"]), (0, [])):
         configure_logging(verbosity)
         logging.getLogger("tifffile").error("invalid value offset")

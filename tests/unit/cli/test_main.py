@@ -52,12 +52,12 @@ def test_the_overview_imports_nothing_heavy():
 def test_misuse_gets_one_clear_line_and_code_two(words, code, message, capsys):
     """No traceback reaches a user."""
     assert run(words) == code
-    said = capsys.readouterr().err
-    assert message in said
-    assert "Traceback" not in said
+    printed = capsys.readouterr().err
+    assert message in printed
+    assert "Traceback" not in printed
 
 
-def test_version_is_told(capsys):
+def test_version_is_reported(capsys):
     """`--version` prints name and number."""
     assert run(["--version"]) == 0
     assert capsys.readouterr().out.startswith("radiometer ")
@@ -71,7 +71,7 @@ def test_texts_from_outside_do_not_steer_the_terminal(tmp_path, capsys):
     journal.close()
     assert run(["log", str(tmp_path / "journal.sqlite"), "--events"]) == 0
     assert run(["merge", "a\x1b[2Jb", "-o", str(tmp_path / "map.exr")]) != 0
-    told = capsys.readouterr()
-    assert ("\x1b" in told.out + told.err, told.out.count("\n")) == (False, 1)
-    assert "\\x1b]0;title" in told.out
-    assert "a\\x1b[2Jb" in told.err
+    printed = capsys.readouterr()
+    assert ("\x1b" in printed.out + printed.err, printed.out.count("\n")) == (False, 1)
+    assert "\\x1b]0;title" in printed.out
+    assert "a\\x1b[2Jb" in printed.err

@@ -10,11 +10,11 @@ from radiometer.cli.main import run
 
 
 @pytest.mark.slow
-def test_the_drawn_interval_stands_beside_the_budget_s(capsys):
+def test_the_drawn_interval_is_next_to_the_budget_s(capsys):
     """On the simulated bench both agree: the ends lie within the tolerance that is stated."""
     assert run(["measure", "--json", "--monte-carlo"]) == 0
-    said = json.loads(capsys.readouterr().out)
-    drawn, radiance = said["monte_carlo"], said["radiance"]
+    printed = json.loads(capsys.readouterr().out)
+    drawn, radiance = printed["monte_carlo"], printed["radiance"]
     assert drawn["validates"]
     assert abs(drawn["u"] / radiance["u"] - 1.0) < 0.02
     assert drawn["low"] < radiance["value"] < drawn["high"]

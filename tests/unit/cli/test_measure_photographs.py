@@ -14,7 +14,7 @@ from radiometer.analysis.response import auto
 from radiometer.cli.main import run
 
 TIMES = (0.004, 0.01, 0.025, 0.0625, 0.15)
-LIGHT = np.geomspace(0.4, 200.0, 12)  # fields of a chart, one beside the other
+LIGHT = np.geomspace(0.4, 200.0, 12)  # fields of a chart, one next to the other
 
 
 @pytest.fixture(autouse=True)
@@ -145,7 +145,7 @@ def test_linear_belongs_to_uncalibrated_photographs(words, capsys):
 
 @pytest.mark.parametrize("command", ["response", "merge", "reconcile"])
 def test_folders_of_photographs_within_a_folder_are_named(chart, tmp_path, capsys, command):
-    """A folder of folders holds no photographs itself: those of its folders that do are said."""
+    """A folder of folders holds no photographs itself: those of its folders that do are stated."""
     for name in ("before", "after"):
         (tmp_path / "day" / name).mkdir(parents=True)
         for file in ("p0.png", "p1.png"):
@@ -157,7 +157,7 @@ def test_folders_of_photographs_within_a_folder_are_named(chart, tmp_path, capsy
 
 
 @pytest.mark.parametrize("command", ["response", "merge", "reconcile"])
-def test_times_written_as_their_inverse_are_said_to_be_wrong_throughout(chart, tmp_path, capsys, command):
+def test_times_written_as_their_inverse_are_reported_to_be_wrong_throughout(chart, tmp_path, capsys, command):
     """A list of 1/t in place of t: every command says that, not that the photographs hardly overlap."""
     (chart / "exposures.txt").write_text("".join(f"p{k}.png {1.0 / s}\n" for k, s in enumerate(TIMES)))
     words = ["-o", str(tmp_path / "map.exr")] if command == "merge" else []

@@ -54,7 +54,7 @@ def reading(capsys, folder, calibration, *more: str) -> dict:
 
 
 def test_a_measured_speed_takes_the_place_of_the_stated_one(tmp_path, calibration, capsys):
-    """ISO 200 that is really 136: 0.25 W/(sr m²) is read within 2 u once that is said, 0.68 times as much before."""
+    """ISO 200 that is really 136: 0.25 W/(sr m²) is read within 2 u once that is stated, 0.68 times as much before."""
     photograph(tmp_path / "other", "a.jpg", 0.25, 1 / 8, 200, 136)
     right = reading(capsys, tmp_path / "other", calibration, "--measured-iso", "200=136")
     assert abs(right["radiance"]["value"] - 0.25) < 2 * right["radiance"]["u"]
@@ -111,7 +111,7 @@ def test_speeds_that_mean_nothing_are_a_misuse(tmp_path, capsys, word):
     photograph(tmp_path / "one", "a.jpg", 0.3, 1 / 8, 200, 136)
     photograph(tmp_path / "one", "b.jpg", 0.3, 1 / 4, 200, 136)
     assert run(["response", str(tmp_path / "one"), "--measured-iso", word]) == 2
-    assert "ISO 250" in (said := capsys.readouterr().err) or "STATED=REAL" in said
+    assert "ISO 250" in (printed := capsys.readouterr().err) or "STATED=REAL" in printed
 
 
 @pytest.mark.parametrize(
@@ -119,7 +119,7 @@ def test_speeds_that_mean_nothing_are_a_misuse(tmp_path, capsys, word):
     [["--measured-iso", "200=136"], ["--photographs", ".", "--camera", "sim"], ["--photographs", "."]],
 )
 def test_photographs_stand_in_for_a_camera(capsys, words):
-    """Speeds without photographs, photographs beside a camera, and photographs without a patch are misuses."""
+    """Speeds without photographs, photographs next to a camera, and photographs without a patch are misuses."""
     assert run(["measure", *words]) == 2
     assert "--photographs" in capsys.readouterr().err
 

@@ -1,4 +1,4 @@
-"""Linear photographs merged as they are: the values of a raw file, and 16-bit pictures that are said to be linear."""
+"""Linear photographs merged as they are: the values of a raw file, and 16-bit pictures that are stated as linear."""
 
 from __future__ import annotations
 
@@ -52,41 +52,41 @@ def _waves(folder: Path, shifts, level=2000.0):
     return folder
 
 
-def _told(folder: Path, target: Path, capsys, *words):
+def _reported(folder: Path, target: Path, capsys, *words):
     assert run(["merge", "--force", str(folder), "--linear", "--align", "off", "-o", str(target), *words]) == 0
     return capsys.readouterr().out
 
 
-def test_how_far_frames_lie_apart_is_told_with_its_uncertainty(tmp_path, capsys):
-    """Frames in turn 0.2 pixels to either side along the waves are told as displaced by 0.2 within 2 u."""
+def test_how_far_frames_lie_apart_is_reported_with_its_uncertainty(tmp_path, capsys):
+    """Frames in turn 0.2 pixels to either side along the waves are reported as displaced by 0.2 within 2 u."""
     folder, target = _waves(tmp_path / "apart", (0.2, -0.2, 0.2, -0.2)), tmp_path / "map.exr"
-    said = json.loads(_told(folder, target, capsys, "--json"))
-    assert abs(said["displacement_px"] - 0.2) < 2.0 * said["displacement_u_px"]
-    assert 0.01 < said["displacement_u_px"] < 0.1
-    told = f"{said['displacement_px']:.3f} ± {said['displacement_u_px']:.3f} pixels"
-    assert f"frames     displaced by {told}" in _told(folder, target, capsys)
+    result = json.loads(_reported(folder, target, capsys, "--json"))
+    assert abs(result["displacement_px"] - 0.2) < 2.0 * result["displacement_u_px"]
+    assert 0.01 < result["displacement_u_px"] < 0.1
+    sentence = f"{result['displacement_px']:.3f} ± {result['displacement_u_px']:.3f} pixels"
+    assert f"frames     displaced by {sentence}" in _reported(folder, target, capsys)
 
 
-def test_frames_in_one_place_are_told_with_what_would_not_have_shown(tmp_path, capsys):
+def test_frames_in_one_place_are_reported_with_what_would_not_have_shown(tmp_path, capsys):
     """Where no displacement shows, the report says from how many pixels on it would have."""
     folder, target = _waves(tmp_path / "still", (0.0,) * 4), tmp_path / "map.exr"
-    said = json.loads(_told(folder, target, capsys, "--json"))
-    assert said["displacement_px"] == 0.0
-    assert 0.0 < said["displacement_u_px"] < 0.1
-    assert f"one below about {said['displacement_u_px']:.1g} pixels" in _told(folder, target, capsys)
+    result = json.loads(_reported(folder, target, capsys, "--json"))
+    assert result["displacement_px"] == 0.0
+    assert 0.0 < result["displacement_u_px"] < 0.1
+    assert f"one below about {result['displacement_u_px']:.1g} pixels" in _reported(folder, target, capsys)
 
 
 def test_frames_that_cannot_tell_a_displacement_are_assumed_to_have_none(tmp_path, capsys):
     """Two frames of which the second clips everywhere share no pixel: that they lie in one place is an assumption."""
     folder, target = _waves(tmp_path / "apart", (0.0, 0.0), level=60_000.0), tmp_path / "map.exr"
-    said = json.loads(_told(folder, target, capsys, "--json"))
-    assert said["displacement_px"] is None
-    assert any("frames are assumed to be aligned" in text for text in said["assumptions"])
-    assert "assumed    frames are assumed to be aligned" in _told(folder, target, capsys)
+    result = json.loads(_reported(folder, target, capsys, "--json"))
+    assert result["displacement_px"] is None
+    assert any("frames are assumed to be aligned" in text for text in result["assumptions"])
+    assert "assumed    frames are assumed to be aligned" in _reported(folder, target, capsys)
 
 
 def test_raw_files_need_no_response(tmp_path, capsys):
-    """Each colour of a DNG bracket is merged in proportion to light, its noise told from the frames themselves."""
+    """Each colour of a DNG bracket is merged in proportion to light, its noise found from the frames themselves."""
     pytest.importorskip("rawpy")
     rng = np.random.default_rng(1)
     radiance = np.kron(_scene(rng), np.ones((2, 2)))
@@ -108,7 +108,7 @@ def test_raw_files_need_no_response(tmp_path, capsys):
 
 
 @pytest.mark.parametrize("ending", [".tif", ".png"])
-def test_sixteen_bit_pictures_are_linear_where_that_is_said(tmp_path, capsys, ending):
+def test_sixteen_bit_pictures_are_linear_where_that_is_stated(tmp_path, capsys, ending):
     """With --linear no response is recovered; two programs' files of 16 bits are taken as they stand."""
     rng = np.random.default_rng(2)
     radiance = _scene(rng)
@@ -126,8 +126,8 @@ def test_sixteen_bit_pictures_are_linear_where_that_is_said(tmp_path, capsys, en
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("gamma", "grows"), [(1.0, None), (2.2, "1.37")])
-def test_photographs_that_are_not_linear_are_told_of(tmp_path, capsys, gamma, grows):
-    """Behind a gamma of 1/2.2 twice the exposure makes numbers 2^(1/2.2) as large: said beside map and in it."""
+def test_photographs_that_are_not_linear_are_reported(tmp_path, capsys, gamma, grows):
+    """Behind a gamma of 1/2.2 twice the exposure makes numbers 2^(1/2.2) as large: stated next to map and in it."""
     rng, folder = np.random.default_rng(6), tmp_path / "p"
     radiance = _scene(rng)
     folder.mkdir()
@@ -138,17 +138,17 @@ def test_photographs_that_are_not_linear_are_told_of(tmp_path, capsys, gamma, gr
         cv2.imwrite(str(folder / f"t{seconds:g}.png"), np.clip(np.rint(dn), 0, 255).astype(np.uint8))
     (folder / "exposures.txt").write_text("".join(f"t{s:g}.png {s}\n" for s in TIMES))
     assert run(["merge", "--force", str(folder), "--linear", "-o", str(tmp_path / "map.exr"), "--json"]) == 0
-    said = capsys.readouterr()
-    doubts = [text for text in json.loads(said.out)["assumptions"] if "--linear was given" in text]
+    printed = capsys.readouterr()
+    doubts = [text for text in json.loads(printed.out)["assumptions"] if "--linear was given" in text]
     assert [f"numbers {grows} times" in text for text in doubts] == ([] if grows is None else [True])
-    assert ("mono: --linear was given" in said.err) == (grows is not None)
+    assert ("mono: --linear was given" in printed.err) == (grows is not None)
     assert run(["measure", "--photographs", str(folder), "--linear", "--uncalibrated", "--patch", "2,2,20,20"]) == 0
     assert ("--linear was given" in capsys.readouterr().err) == (grows is not None)
 
 
 @pytest.mark.slow
-def test_jpeg_files_that_cannot_tell_are_told_of(tmp_path, capsys):
-    """Of two JPEG files without a pixel in common no growth is known: that JPEG is not linear is said all the same."""
+def test_jpeg_files_that_cannot_tell_are_reported(tmp_path, capsys):
+    """Of two JPEG files without a pixel in common no growth is known: that JPEG is not linear is still stated."""
     folder, rng = tmp_path / "p", np.random.default_rng(7)
     folder.mkdir()
     cv2.imwrite(str(folder / "a.jpg"), rng.normal(120.0, 9.0, (48, 64)).astype(np.uint8))
@@ -159,7 +159,7 @@ def test_jpeg_files_that_cannot_tell_are_told_of(tmp_path, capsys):
 
 
 def test_linear_photographs_take_no_response(tmp_path, capsys):
-    """--linear beside --response is misuse, said in one line."""
+    """--linear next to --response is misuse, stated in one line."""
     words = ["merge", str(tmp_path), "--linear", "--response", "c.csv", "-o", str(tmp_path / "a.exr")]
     assert run(words) == 2
     assert "leave --response out" in capsys.readouterr().err

@@ -1,4 +1,4 @@
-"""Photographs from the hand, on the command line: aligned, what moved left out, and said."""
+"""Photographs from the hand, on the command line: aligned, what moved left out, and stated."""
 
 from __future__ import annotations
 
@@ -53,12 +53,12 @@ def _merged(folder, target, *words):
 def test_shifted_photographs_give_the_scene(folder, tmp_path, capsys):
     """Through alignment and without what moved the map is the scene from the reference's place, within its noise."""
     _merged(folder, tmp_path / "map.tiff", "--json")
-    said = json.loads(capsys.readouterr().out)
-    assert said["alignment"].startswith("aligned to p")
-    assert "unknown for" not in said["alignment"]
-    assert said["pixels"]["moved"] > 100
-    assert said["median_u_rel"] < 0.025
-    dx, dy = SHIFTS[int(said["alignment"].split("aligned to p")[1][0])]
+    printed = json.loads(capsys.readouterr().out)
+    assert printed["alignment"].startswith("aligned to p")
+    assert "unknown for" not in printed["alignment"]
+    assert printed["pixels"]["moved"] > 100
+    assert printed["median_u_rel"] < 0.025
+    dx, dy = SHIFTS[int(printed["alignment"].split("aligned to p")[1][0])]
     value, u = (tifffile.imread(tmp_path / "map.tiff", key=key).astype(float) for key in (0, 1))
     mask = tifffile.imread(tmp_path / "map.tiff", key=2)
     y, x = np.mgrid[:120, :160].astype(float)
@@ -74,7 +74,7 @@ def test_shifted_photographs_give_the_scene(folder, tmp_path, capsys):
 
 @pytest.mark.slow
 def test_alignment_off_leaves_them_where_they_are(folder, tmp_path, capsys):
-    """Without alignment nothing is said of it, and the frames tell that they agree less with each other."""
+    """Without alignment nothing is stated of it, and the frames tell that they agree less with each other."""
     _merged(folder, tmp_path / "on.tiff", "--json")
     on = json.loads(capsys.readouterr().out)
     _merged(folder, tmp_path / "off.tiff", "--align", "off", "--keep-ghosts", "--json")
@@ -110,8 +110,8 @@ def test_a_patch_of_photographs_from_the_hand_is_read_where_it_is(folder, tmp_pa
         return json.loads(capsys.readouterr().out)
 
     _merged(folder, tmp_path / "map.tiff", "--json")
-    said = json.loads(capsys.readouterr().out)["alignment"]
-    dx, dy = SHIFTS[int(said.split("aligned to p")[1][0])]
+    printed = json.loads(capsys.readouterr().out)["alignment"]
+    dx, dy = SHIFTS[int(printed.split("aligned to p")[1][0])]
     y, x = np.mgrid[:120, :160].astype(float)
     light = _light(x - dx, y - dy)
     steep = np.hypot(*np.gradient(light)) / light
@@ -120,13 +120,13 @@ def test_a_patch_of_photographs_from_the_hand_is_read_where_it_is(folder, tmp_pa
     one, other = f"{column - 1},{row - 1},3,3", "60,20,3,3"
     expected = light[row - 1 : row + 2, column - 1 : column + 2].mean() / light[20:23, 60:63].mean()
     found = read(one)
-    assert found["alignment"] == said
+    assert found["alignment"] == printed
     assert found["radiance"]["value"] / read(other)["radiance"]["value"] == pytest.approx(expected, rel=0.05)
     assert read(one, "--align", "off")["alignment"] is None
 
 
 @pytest.mark.slow
-def test_what_holds_of_every_colour_is_said_once(tmp_path, capsys):
+def test_what_holds_of_every_colour_is_reported_once(tmp_path, capsys):
     """Grey photographs at whole stops: the remark on whole stops stands in one line, with the colours it holds of."""
     y, x = np.mgrid[:120:3, :160:3].astype(float)
     rng = np.random.default_rng(14)
@@ -136,14 +136,16 @@ def test_what_holds_of_every_colour_is_said_once(tmp_path, capsys):
         cv2.imwrite(str(tmp_path / f"p{k}.png"), np.rint(dn).astype(np.uint8))
     (tmp_path / "exposures.txt").write_text("".join(f"p{k}.png {2**k}\n" for k in range(4)))
     assert run(["merge", str(tmp_path), "-o", str(tmp_path / "map.exr"), "--align", "off"]) == 0
-    said = capsys.readouterr()
-    lines = [line for line in (said.err + said.out).replace("\n ", " ").split("\n") if "whole stops apart" in line]
+    printed = capsys.readouterr()
+    lines = [
+        line for line in (printed.err + printed.out).replace("\n ", " ").split("\n") if "whole stops apart" in line
+    ]
     assert len(lines) == 1
     assert lines[0].startswith("red, green, blue: ")
-    assert "pixels, 4 exposures, relative values" in said.out
+    assert "pixels, 4 exposures, relative values" in printed.out
 
 
-def test_a_file_in_place_of_a_folder_is_said_to_be_one(tmp_path, capsys):
+def test_a_file_in_place_of_a_folder_is_reported_to_be_one(tmp_path, capsys):
     """One photograph is no folder; a path that leads nowhere does not exist."""
     (tmp_path / "one.txt").write_text("")
     for name, what in (("one.txt", "is not a folder"), ("none", "does not exist")):
@@ -152,16 +154,16 @@ def test_a_file_in_place_of_a_folder_is_said_to_be_one(tmp_path, capsys):
 
 
 @pytest.mark.parametrize(
-    ("px", "u_px", "said"),
+    ("px", "u_px", "message"),
     [
         (0.0, 0.2, "below about 0.2 pixels"),
         (0.0, 0.0, "these frames cannot show one"),
         (0.31, 0.15, "0.31 ± 0.15 pixels"),
     ],
 )
-def test_a_displacement_that_frames_cannot_tell_is_not_said_to_be_known_to_nothing(px, u_px, said):
-    """A bound of 0 pixels is no bound; others are told with as many digits as are known."""
-    assert said in displacement_in_words(px, u_px)
+def test_a_displacement_that_frames_cannot_determine_is_not_reported_as_zero(px, u_px, message):
+    """A bound of 0 pixels is no bound; others are reported with as many digits as are known."""
+    assert message in displacement_in_words(px, u_px)
 
 
 def test_a_fall_off_that_is_not_known_is_refused_before_the_work(folder, tmp_path, capsys, monkeypatch):
@@ -194,7 +196,7 @@ def few_colours(tmp_path, monkeypatch):
 
 @pytest.mark.slow
 def test_a_kept_response_is_taken_up_as_long_as_photographs_and_recovery_stay(few_colours, capsys, monkeypatch):
-    """Merged again, the response comes from beside the map; by another version of the recovery it is recovered anew."""
+    """Merged again, the response next to the map is used; by another version of the recovery it is recovered anew."""
     folder, recovered = few_colours
     words = ["merge", "--force", str(folder), "-o", str(folder / "out.exr"), "--align", "off", "--channel", "each"]
     for _ in range(2):
@@ -205,12 +207,12 @@ def test_a_kept_response_is_taken_up_as_long_as_photographs_and_recovery_stay(fe
     for _ in range(2):
         assert run(words) == 0
     assert recovered == [3, 3]
-    said = capsys.readouterr().err.replace("\n", " ")
-    assert said.count("from another version of the recovery of responses; recovered anew") == 1
+    printed = capsys.readouterr().err.replace("\n", " ")
+    assert printed.count("from another version of the recovery of responses; recovered anew") == 1
 
 
 @pytest.mark.slow
-def test_a_colour_by_itself_does_not_take_up_what_three_colours_told(few_colours):
+def test_a_colour_by_itself_does_not_take_up_what_three_colours_determined(few_colours):
     """Labels are judged by all colours together: red alone is recovered by itself, and the three together again."""
     folder, recovered = few_colours
     for channel in ("each", "red", "each"):
@@ -254,9 +256,9 @@ def test_the_response_of_photographs_from_the_hand_is_that_of_aligned_ones(bent,
 def test_photographs_from_the_hand_are_reconciled_in_one_place(bent, capsys):
     """Aligned, their printed exposures agree; as they lie no tone curve would join them."""
     assert run(["reconcile", str(bent), "--json"]) == 0
-    said = capsys.readouterr()
-    assert json.loads(said.out)["verdict"] == "agrees"
-    assert "aligned to p" in said.err
+    printed = capsys.readouterr()
+    assert json.loads(printed.out)["verdict"] == "agrees"
+    assert "aligned to p" in printed.err
 
 
 def test_pictures_of_a_row_have_no_place_to_be_brought_to(tmp_path, capsys):
@@ -271,7 +273,7 @@ def test_pictures_of_a_row_have_no_place_to_be_brought_to(tmp_path, capsys):
 
 
 @pytest.mark.slow
-def test_what_a_given_curve_leaves_open_is_said(few_colours, tmp_path, capsys):
+def test_what_a_given_curve_leaves_open_is_reported(few_colours, tmp_path, capsys):
     """The uncertainty that another program's file does not state, and a colour that another one's curve stands for."""
     folder, _ = few_colours
     assert run(["response", str(folder), "--channel", "each", "-o", str(tmp_path / "c.m")]) == 0

@@ -16,13 +16,15 @@ def _map(level, u_rel, flagged=0, displacement=None):
     """Return a map of 20 × 10 equal pixels, so many of them saturated."""
     radiance, mask = np.full((10, 20), level, np.float32), np.zeros((10, 20), np.uint8)
     mask.flat[:flagged] = PixelMask.SATURATED
-    told = (
+    reported = (
         {} if displacement is None else dict(zip(("displacement_px", "displacement_u_px"), displacement, strict=True))
     )
-    return RadianceMap(radiance, radiance * u_rel, mask, "relative", 0.003, (1.0,), Provenance("m", parameters=told))
+    return RadianceMap(
+        radiance, radiance * u_rel, mask, "relative", 0.003, (1.0,), Provenance("m", parameters=reported)
+    )
 
 
-def _said(report, capsys):
+def _printed(report, capsys):
     show_map_report(report)
     return capsys.readouterr().out
 
@@ -38,7 +40,7 @@ def test_every_colour_has_its_own_figures(capsys):
     assert (report["values"]["median"], report["pixels"]["good"]) == (3.0, 200)
     found = {name: one["median_u_rel"] for name, one in report["by_channel"].items()}
     assert found == pytest.approx({"red": 0.02, "green": 0.01, "blue": 0.1})
-    said = _said(report, capsys)
+    text = _printed(report, capsys)
     for line in (
         "values     blue: 5 to 5, median 5",
         "noise      green: 1 % per pixel (median, k = 1), 0.3 % common to all",
@@ -47,19 +49,19 @@ def test_every_colour_has_its_own_figures(capsys):
         "saturated    red 0, green 0, blue 50 pixels (0, 0, 25 %)",
         "frames     green: displaced by 0.250 ± 0.050 pixels",
     ):
-        assert line in said
+        assert line in text
 
 
 def test_one_channel_needs_no_name(capsys):
     """Grey photographs have one line each; what no pixel is flagged with is not listed."""
-    said = _said(Radiance({"mono": _map(2.0, 0.02, 20)}).to_mapping(), capsys)
-    assert "values     2 to 2, median 2\nnoise      2 % per pixel" in said
-    assert "good         180 pixels (90 %)\nsaturated    20 pixels (10 %)\n" in said
-    assert "mono" not in said
-    assert "inconsistent" not in said
+    mapping = _printed(Radiance({"mono": _map(2.0, 0.02, 20)}).to_mapping(), capsys)
+    assert "values     2 to 2, median 2\nnoise      2 % per pixel" in mapping
+    assert "good         180 pixels (90 %)\nsaturated    20 pixels (10 %)\n" in mapping
+    assert "mono" not in mapping
+    assert "inconsistent" not in mapping
 
 
-def test_what_colours_share_is_said_once(capsys):
+def test_what_colours_share_is_reported_once(capsys):
     """Three channels of the same figures have one line of noise."""
     same = {name: _map(2.0, 0.02) for name in ("red", "green", "blue")}
-    assert _said(Radiance(same).to_mapping(), capsys).count("noise") == 1
+    assert _printed(Radiance(same).to_mapping(), capsys).count("noise") == 1

@@ -79,14 +79,14 @@ def merged(folder, response, capsys) -> tuple[dict, str]:
     capsys.readouterr()
     words = ["--response", str(folder.parent / response), "-o", str(folder.parent / "map.exr"), "--align", "off"]
     assert run(["merge", "--force", str(folder), *words, "--json"]) == 0
-    told = capsys.readouterr()
-    return json.loads(told.out), told.err
+    printed = capsys.readouterr()
+    return json.loads(printed.out), printed.err
 
 
-def test_exif_times_are_lengthened_by_it_which_is_said(photographs, capsys):
-    """The map is that of exposures listed as label and offset, and tells it among its assumptions."""
-    found, said = merged(photographs, "offset.yaml", capsys)
-    assert f"{SAID}\n" in said
+def test_exif_times_are_lengthened_by_it_which_is_reported(photographs, capsys):
+    """The map is that of exposures listed as label and offset, and reports it among its assumptions."""
+    found, text = merged(photographs, "offset.yaml", capsys)
+    assert f"{SAID}\n" in text
     assert SAID in found["assumptions"]
     plain, nothing = merged(photographs, "plain.yaml", capsys)
     assert "shutter" not in nothing + " ".join(plain["assumptions"])
@@ -116,17 +116,17 @@ def test_a_calibration_and_its_readings_have_it(tmp_path, capsys):
     patch, scale = ["--patch", "4,4,20,16"], ["--calibration", str(tmp_path / "cal.yaml")]
     source = ["--radiance", "1", "--u-rel", "0.01", "--response", str(tmp_path / "offset.yaml")]
 
-    def told(*words: str) -> dict:
+    def report_of(*words: str) -> dict:
         capsys.readouterr()
         assert run(list(words)) == 0
         found = capsys.readouterr()
         assert SAID in found.err
         return json.loads(found.out)
 
-    told("calibrate", known, *patch, *source, "-o", str(tmp_path / "cal.yaml"), "--json")
-    read = told("measure", "--photographs", other, *patch, *scale, "--json")["radiance"]["value"]
+    report_of("calibrate", known, *patch, *source, "-o", str(tmp_path / "cal.yaml"), "--json")
+    read = report_of("measure", "--photographs", other, *patch, *scale, "--json")["radiance"]["value"]
     assert read == pytest.approx(0.5, rel=0.01)
-    found = told("merge", other, *scale, "-o", str(tmp_path / "map.exr"), "--json")
+    found = report_of("merge", other, *scale, "-o", str(tmp_path / "map.exr"), "--json")
     assert found["values"]["median"] == pytest.approx(0.5, rel=0.02)
     assert SAID in found["assumptions"]
 
@@ -150,7 +150,7 @@ def test_a_model_that_holds_an_offset_takes_its_own():
 
 
 def test_every_exposure_is_longer_by_it():
-    """Frames keep their numbers, dark ones their times, and what is said says how much."""
+    """Frames keep their numbers, dark ones their times, and what is stated says how much."""
     timed, text, taken = with_offset_of_response(bracket(*LABELS_S), of_offset(), None)
     assert [frame.settings.exposure_s for frame in timed.light] == [label + OFFSET_S for label in sorted(LABELS_S)]
     assert [frame.settings.exposure_s for frame in timed.dark] == [1.0]
@@ -159,7 +159,7 @@ def test_every_exposure_is_longer_by_it():
 
 
 def test_it_is_not_taken_where_it_is_half_of_the_shortest_exposure():
-    """Then the response is of another kind of shutter: labels stay, which is said."""
+    """Then the response is of another kind of shutter: labels stay, which is stated."""
     short = bracket(6e-5, 1e-3)
     timed, text, taken = with_offset_of_response(short, of_offset(), None)
     assert timed is short
@@ -186,7 +186,7 @@ def test_no_shutter_is_off_by_more_than_its_curtains():
         {"shutter_offset_s": None, "u_shutter_offset_s": U_S},
     ],
 )
-def test_a_response_that_tells_none_changes_nothing(parameters):
+def test_a_response_that_has_none_changes_nothing(parameters):
     """Nor does one whose file holds no number there."""
     labelled = bracket(*LABELS_S)
     assert shutter_offset_of(curve(**parameters)) is None
@@ -199,9 +199,9 @@ def test_without_a_response_nothing_changes():
     assert with_offset_of_response(labelled, None, "exposures.txt") == (labelled, None, False)
 
 
-def test_a_response_of_the_same_photographs_tells_it_in_the_map():
-    """Shorter exposures are said to be shorter."""
-    said = "all exposures 30.0 ± 4.0 µs {} than their labels, the shutter's offset"
-    assert offset_in_words(of_offset()) == said.format("longer")
-    assert offset_in_words(of_offset(-OFFSET_S)) == said.format("shorter")
+def test_a_response_of_the_same_photographs_reports_it_in_the_map():
+    """Shorter exposures are reported to be shorter."""
+    sentence = "all exposures 30.0 ± 4.0 µs {} than their labels, the shutter's offset"
+    assert offset_in_words(of_offset()) == sentence.format("longer")
+    assert offset_in_words(of_offset(-OFFSET_S)) == sentence.format("shorter")
     assert offset_in_words(replace(curve(), channel="red")) is None

@@ -43,12 +43,12 @@ def test_steps_are_captured_one_by_one_and_reported(bench, tmp_path, capsys):
         assert main(["quality", "take", str(session), "focus", step, "--bench", str(bench)]) == 0
     capsys.readouterr()
     assert main(["quality", "report", str(session), "--json"]) == 0
-    said = json.loads(capsys.readouterr().out)
-    focus = next(one for one in said["indices"] if one["index"] == "focus")
+    printed = json.loads(capsys.readouterr().out)
+    focus = next(one for one in printed["indices"] if one["index"] == "focus")
     assert focus["measured"]
     assert focus["value"] <= focus["expanded"]
     assert focus["expanded"] == pytest.approx(focus["coverage_factor"] * focus["u"])
-    assert [one["index"] for one in said["indices"] if one["measured"]] == ["focus"]
+    assert [one["index"] for one in printed["indices"] if one["measured"]] == ["focus"]
 
 
 @pytest.mark.slow
@@ -86,21 +86,21 @@ def test_several_steps_need_a_hand(bench, tmp_path, capsys):
 
 
 @pytest.mark.parametrize(
-    ("words", "said"),
+    ("words", "message"),
     [
         (["nonsense", "far"], "is no procedure"),
         (["focus", "middle"], "is no step of focus"),
         (["size", "../x"], "no step"),
     ],
 )
-def test_unknown_names_are_misuse(words, said, tmp_path, capsys):
+def test_unknown_names_are_misuse(words, message, tmp_path, capsys):
     """Procedures and steps that there are not; a step's name never leaves the session's folder."""
     assert main(["quality", "take", str(tmp_path / "s"), *words]) == 2
-    assert said in capsys.readouterr().err
+    assert message in capsys.readouterr().err
 
 
 def test_a_step_is_not_taken_twice(bench, tmp_path, capsys):
-    """A capture that is there is left alone, and said."""
+    """A capture that is there is left alone, and stated."""
     words = ["quality", "take", str(tmp_path / "s"), "focus", "far", "--bench", str(bench)]
     assert main(words) == 0
     written = (tmp_path / "s" / "focus" / "far" / "capture.yaml").stat().st_mtime_ns

@@ -1,4 +1,4 @@
-"""`radiometer reconcile` gives its answer even where a file that was asked for beside it cannot be written."""
+"""`radiometer reconcile` gives its answer even where a file that was asked for next to it cannot be written."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def _words(monkeypatch: pytest.MonkeyPatch, tmp_path: Path, refusal: Exception) 
 
 @pytest.mark.parametrize("option", ["--report", "-o", "--plan"])
 def test_an_unwritable_file_costs_no_answer(option, monkeypatch, tmp_path, capsys):
-    """The verdict is printed, then one line tells what was not written; exit code 1, and nothing "wrote"."""
+    """The verdict is printed, then one line shows what was not written; exit code 1, and nothing "wrote"."""
     words = _words(monkeypatch, tmp_path, OutputError("file: no space left on the disk"))
     assert run([*words, option, str(tmp_path / "file")]) == 1
     out, err = capsys.readouterr()
@@ -46,7 +46,7 @@ def test_an_unwritable_file_costs_no_answer(option, monkeypatch, tmp_path, capsy
 
 
 def test_a_defect_of_the_report_costs_no_answer(monkeypatch, tmp_path, capsys):
-    """What nobody foresaw while a picture is drawn is told after the verdict, too."""
+    """What no one foresaw while a picture is drawn is reported after the verdict, too."""
     words = _words(monkeypatch, tmp_path, ValueError("nothing to draw"))
     with pytest.raises(ValueError, match="nothing to draw"):
         run([*words, "--report", str(tmp_path / "report.html")])

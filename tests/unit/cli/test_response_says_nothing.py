@@ -32,9 +32,9 @@ def test_frames_that_all_look_alike_give_no_curve(tmp_path, capsys, method):
 
     folder = photographs(tmp_path / "alike", (0.01, 0.02, 0.04, 0.08), alike)
     assert run(["response", str(folder), "--method", method, "-o", str(tmp_path / "curve.yaml")]) == 1
-    said = capsys.readouterr().err
-    assert said.startswith("error: ")
-    assert "Traceback" not in said
+    printed = capsys.readouterr().err
+    assert printed.startswith("error: ")
+    assert "Traceback" not in printed
     assert not (tmp_path / "curve.yaml").exists()
 
 

@@ -23,7 +23,7 @@ def calibration(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.mark.slow
 def test_calibrate_writes_calibration_and_exports(calibration: Path) -> None:
-    """The file reads back with seven levels; the exports lie beside it."""
+    """The file reads back with seven levels; the exports is next to it."""
     assert ScreenCalibration.read(calibration).channel().levels == (0, 32, 64, 96, 128, 192, 255)
     assert calibration.with_suffix(".csv").exists()
     assert calibration.with_suffix(".ti3").exists()

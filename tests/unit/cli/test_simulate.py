@@ -18,11 +18,11 @@ def test_the_devices_are_listed(capsys):
 def test_without_a_device_it_is_misused(capsys):
     """Without a device the list is shown and the exit code is 2."""
     assert run(["simulate"]) == 2
-    said = capsys.readouterr()
-    assert "camera" in said.out + said.err
+    printed = capsys.readouterr()
+    assert "camera" in printed.out + printed.err
 
 
-def test_a_device_that_there_is_not_is_told_with_the_nearest(capsys):
+def test_a_device_that_there_is_not_is_reported_with_the_nearest(capsys):
     """A mistyped device gets a hint."""
     assert run(["simulate", "camrea"]) == 2
     assert "'camera'" in capsys.readouterr().err
@@ -36,7 +36,7 @@ def test_a_scene_with_an_unknown_kind_is_refused(tmp_path):
         served_camera(scene=str(file))
 
 
-def test_a_missing_scene_file_is_told(capsys, tmp_path):
+def test_a_missing_scene_file_is_reported(capsys, tmp_path):
     """A file that is not there is one line and exit code 2."""
     assert run(["simulate", "camera", "--scene", str(tmp_path / "none.yaml")]) == 2
     assert "none.yaml" in capsys.readouterr().err
@@ -55,7 +55,7 @@ def test_only_a_simulated_bench_can_be_served(tmp_path):
 
 @pytest.mark.parametrize("kind", ["uniform", "screen", "led"])
 def test_a_kind_of_scene_can_be_named(kind):
-    """A scene that needs nothing told is named by its kind."""
+    """A scene that needs nothing reported is named by its kind."""
     assert served_camera(scene=kind, serial="5").label == "simulated camera FLIR BFS-U3-19S4M 5"
 
 

@@ -54,7 +54,7 @@ def make_reading() -> Callable[..., Reading]:
 
 @pytest.fixture
 def eventually() -> Callable[..., Awaitable[None]]:
-    """Return a wait for a condition, 20 s unless told otherwise."""
+    """Return a wait for a condition, 20 s unless stated otherwise."""
 
     async def wait(condition: Callable[[], object], deadline_s: float = 20.0) -> None:
         async with asyncio.timeout(within(deadline_s)):

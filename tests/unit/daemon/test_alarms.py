@@ -30,7 +30,7 @@ LAMP = Patch(5, 6, 7, 8)
 
 @dataclass
 class World:
-    """A station and what it stands on, to be broken and mended."""
+    """A station and what it stands on, to be broken and corrected."""
 
     station: Station
     instrument: Any
@@ -152,12 +152,14 @@ async def test_an_alarm_is_up_as_long_as_its_cause(
         async with asyncio.timeout(60):
             while await health() != (200, []):
                 await asyncio.sleep(0.01)
-        told = set()
+        reported = set()
         while (event := await listener.next()) is not None:
-            told |= {alarm["name"] for alarm in json.loads(event.line)["alarms"]} if event.kind == "status" else set()
-            if name in told:
+            reported |= (
+                {alarm["name"] for alarm in json.loads(event.line)["alarms"]} if event.kind == "status" else set()
+            )
+            if name in reported:
                 break
-        assert name in told
+        assert name in reported
     await server.close()
 
 

@@ -41,11 +41,11 @@ class Clocks:
         return lambda: self.wall, lambda: self.steady
 
 
-@pytest.mark.parametrize(("by_us", "said"), [(-HOUR_US, "back by 60 min"), (10 * DAY_US, "forward by 10 d")])
-def test_a_jump_is_told_once(by_us: int, said: str) -> None:
+@pytest.mark.parametrize(("by_us", "message"), [(-HOUR_US, "back by 60 min"), (10 * DAY_US, "forward by 10 d")])
+def test_a_jump_is_reported_once(by_us: int, message: str) -> None:
     """Set back by an hour or forward by ten days: one jump, with both times; then all is quiet."""
-    clocks, told = Clocks(), list[Jump]()
-    watch = ClockWatch(told.append, *clocks.both)
+    clocks, reported = Clocks(), list[Jump]()
+    watch = ClockWatch(reported.append, *clocks.both)
     clocks.go(HOUR_US)
     watch.look()
     clocks.wall += by_us
@@ -53,62 +53,62 @@ def test_a_jump_is_told_once(by_us: int, said: str) -> None:
     watch.look()
     clocks.go(1_000_000)
     watch.look()
-    (jump,) = told
+    (jump,) = reported
     assert jump.by_us == by_us
-    assert said in str(jump)
+    assert message in str(jump)
 
 
 @pytest.mark.parametrize(
-    ("by_us", "said"),
+    ("by_us", "message"),
     [(-45_600_000, "back by 46 s"), (119_400_000, "forward by 119 s"), (119_600_000, "forward by 2 min"),
      (7_199_000_000, "forward by 120 min"), (-9_000_000_000, "back by 2.5 h"), (172_800_000_000, "forward by 2 d")],
 )  # fmt: skip
-def test_a_jump_is_said_in_the_largest_unit_it_holds_twice(by_us: int, said: str) -> None:
+def test_a_jump_is_reported_in_the_largest_unit_it_holds_twice(by_us: int, message: str) -> None:
     """In whole seconds; minutes, hours and days from two of them on."""
-    assert f"{said}, from 2026-06-01T00:00:00Z" in str(Jump(START_US, START_US + by_us))
+    assert f"{message}, from 2026-06-01T00:00:00Z" in str(Jump(START_US, START_US + by_us))
 
 
 def test_what_a_time_service_does_is_no_jump() -> None:
     """Half a second per hour, for a day, is followed without a word."""
-    clocks, told = Clocks(), list[Jump]()
-    watch = ClockWatch(told.append, *clocks.both)
+    clocks, reported = Clocks(), list[Jump]()
+    watch = ClockWatch(reported.append, *clocks.both)
     for _ in range(24):
         clocks.go(HOUR_US)
         clocks.wall += 500_000
         watch.look()
-    assert told == []
+    assert reported == []
 
 
 @pytest.mark.parametrize(
-    ("by_us", "told"), [(4_900_000, False), (5_000_000, True), (-4_900_000, False), (-5_000_000, True)]
+    ("by_us", "reported"), [(4_900_000, False), (5_000_000, True), (-4_900_000, False), (-5_000_000, True)]
 )
-def test_five_seconds_are_a_jump_and_less_is_not(by_us: int, told: bool) -> None:
+def test_five_seconds_are_a_jump_and_less_is_not(by_us: int, reported: bool) -> None:
     """Time services move a clock in smaller steps; what was followed is not added up to a jump."""
     clocks, jumps = Clocks(), list[Jump]()
     watch = ClockWatch(jumps.append, *clocks.both)
     for _ in range(2):
         clocks.wall += by_us
         watch.look()
-    assert [jump.by_us for jump in jumps] == ([by_us, by_us] if told else [])
+    assert [jump.by_us for jump in jumps] == ([by_us, by_us] if reported else [])
 
 
 async def test_the_clock_is_looked_at_every_second() -> None:
-    """A jump is told at the next look, after a second at most; a day without one tells nothing."""
-    clocks, told, pauses = Clocks(), list[Jump](), list[float]()
-    watch = ClockWatch(told.append, *clocks.both)
+    """A jump is reported at the next look, after a second at most; a day without one shows nothing."""
+    clocks, reported, pauses = Clocks(), list[Jump](), list[float]()
+    watch = ClockWatch(reported.append, *clocks.both)
 
     async def sleep(seconds: float) -> None:
         pauses.append(seconds)
         clocks.go(round(seconds * 1e6))
         if len(pauses) == 3:
-            assert told == []
+            assert reported == []
             clocks.wall += HOUR_US
         if len(pauses) == 5:
             raise asyncio.CancelledError
 
     with pytest.raises(asyncio.CancelledError):
         await watch.run(sleep)
-    assert (set(pauses), [jump.by_us for jump in told]) == ({1.0}, [HOUR_US])
+    assert (set(pauses), [jump.by_us for jump in reported]) == ({1.0}, [HOUR_US])
 
 
 @pytest.mark.parametrize(

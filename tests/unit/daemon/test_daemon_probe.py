@@ -1,4 +1,4 @@
-"""The line of the health report that tells whether a daemon runs."""
+"""The line of the health report that shows whether a daemon runs."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ def test_no_daemon_is_a_note_with_the_way_to_start_one() -> None:
 
 @pytest.mark.parametrize("reply", [b"Keysight,34465A,MY1,A.02\n", b""])
 def test_a_stranger_on_the_port_is_named(reply: bytes) -> None:
-    """Another program there, or one that says nothing, is a warning with what it said and the way round."""
+    """Another program there, or one that says nothing, is a warning with what it stated and the way round."""
     with socket.create_server(("127.0.0.1", 0)) as stranger:
         port = int(stranger.getsockname()[1])
 
@@ -72,7 +72,7 @@ def test_a_stranger_on_the_port_is_named(reply: bytes) -> None:
 
 @pytest.mark.slow  # waits in real time
 def test_one_that_says_nothing_is_not_waited_for_long() -> None:
-    """A program that takes the call and is silent is a stranger, not nobody."""
+    """A program that takes the call and is silent is a stranger, not no one."""
     with socket.create_server(("127.0.0.1", 0)) as silent:
         port = int(silent.getsockname()[1])
         assert check_daemon(port, port).health is Health.WARNING

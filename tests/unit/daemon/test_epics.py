@@ -19,7 +19,7 @@ from testing.patience import within
 
 @pytest.fixture
 async def served(station):
-    """Return a served station and a client of it; one that nobody else on this machine can find."""
+    """Return a served station and a client of it; one that no one else on this machine can find."""
     from p4p.client.thread import Context  # a second of work for whoever merely collects the tests
 
     server = PvaServer(station, PvaOptions("lab", isolated=True))

@@ -197,7 +197,7 @@ async def test_the_stream_as_json_lines(base: str, session: aiohttp.ClientSessio
 async def test_a_loss_is_pushed_to_listeners(
     base: str, session: aiohttp.ClientSession, station: Station, instrument: Any
 ) -> None:
-    """An event named status tells of the alarm; health turns 503; metrics say 0."""
+    """An event named status reports the alarm; health turns 503; metrics say 0."""
     async with session.get(f"{base}/readings/stream") as stream:
         instrument.unplugged = True
         async with asyncio.timeout(within(20.0)):
@@ -435,7 +435,7 @@ async def test_a_stream_of_an_unknown_form_is_refused(base: str, session: aiohtt
         assert events.content_type == "text/event-stream"
 
 
-async def test_a_method_that_a_place_does_not_have_is_told_of_those_that_it_has(
+async def test_a_method_that_a_place_does_not_have_is_refused_with_those_that_it_has(
     base: str, session: aiohttp.ClientSession
 ) -> None:
     """Status 405 with the header that the standard asks for (RFC 9110, 15.5.6)."""
@@ -489,9 +489,9 @@ async def test_the_form_of_a_history_is_asked_for(
 
 async def test_health_is_503_while_an_alarm_is_up(base: str, session: aiohttp.ClientSession, station: Station) -> None:
     """What a watchdog looks at: 200 and ok, or 503 and the names."""
-    for status, said in ((200, {"status": "ok", "alarms": []}), (503, {"status": "alarm", "alarms": ["disk"]})):
+    for status, text in ((200, {"status": "ok", "alarms": []}), (503, {"status": "alarm", "alarms": ["disk"]})):
         async with session.get(f"{base}/healthz") as reply:
-            assert (reply.status, await reply.json()) == (status, said)
+            assert (reply.status, await reply.json()) == (status, text)
         station.alarms.put_up("disk", "full")
 
 
@@ -528,7 +528,7 @@ async def test_a_trend_is_in_seconds_and_with_twice_the_standard_uncertainty(
     assert shown["time"] == [pytest.approx(at + 600, abs=1.8)]  # the middle of a thousandth of the hour, 3.6 s
 
 
-async def test_a_remark_is_said_back_in_its_own_letters(base: str, session: aiohttp.ClientSession) -> None:
+async def test_a_remark_is_repeated_in_its_own_letters(base: str, session: aiohttp.ClientSession) -> None:
     """Blanks put in order, letters as they are: no client has to undo escapes to read them."""
     async with session.post(f"{base}/events", json={"message": " Lampe  geändert: 3 °C "}) as reply:
         text = await reply.text()

@@ -14,12 +14,12 @@ from radiometer.daemon.http.server import HttpServer
 from radiometer.daemon.station import Station
 
 
-@pytest.mark.parametrize(("spread", "said"), [(19.0, "linear"), (20.0, "linear"), (21.0, "log")])
-def test_a_scene_of_more_than_twenty_to_one_is_drawn_in_logarithms(spread: float, said: str) -> None:
+@pytest.mark.parametrize(("spread", "message"), [(19.0, "linear"), (20.0, "linear"), (21.0, "log")])
+def test_a_scene_of_more_than_twenty_to_one_is_drawn_in_logarithms(spread: float, message: str) -> None:
     """A factor between the half-per-cent dimmest and the 0.2 % brightest; 0 in it is a ten-thousandth at least."""
     radiance = np.repeat(np.array([1.0, spread], np.float32), 2048).reshape(64, 64)
     shown = ServedPicture(radiance, np.zeros((64, 64), bool), "W", 5)
-    assert render(shown, width=64, scale="auto", colours="grey", bar=False)[1]["Radiometer-Scale"].startswith(said)
+    assert render(shown, width=64, scale="auto", colours="grey", bar=False)[1]["Radiometer-Scale"].startswith(message)
     dark = ServedPicture(np.where(radiance > 1.0, radiance, 0.0), shown.clipped, "W", 5)
     kind, low, high = render(dark, width=64, scale="auto", colours="grey", bar=False)[1]["Radiometer-Scale"].split(",")
     assert (kind, float(low) / float(high)) == ("log", pytest.approx(1e-4, rel=1e-4))
@@ -83,9 +83,9 @@ def test_the_bar_leaves_the_picture_as_it_is(height: int) -> None:
     shown = ServedPicture(
         rng.uniform(1.0, 9.0, (height, 100)).astype(np.float32), np.zeros((height, 100), bool), "W", 5
     )
-    alone, beside = (
+    alone, neighbour = (
         np.asarray(Image.open(io.BytesIO(render(shown, width=100, scale="linear", colours="inferno", bar=bar)[0])))
         for bar in (False, True)
     )
-    assert beside.shape[1] > alone.shape[1] == 100
-    assert (beside[:, :100, :3] == alone[..., :3]).all()
+    assert neighbour.shape[1] > alone.shape[1] == 100
+    assert (neighbour[:, :100, :3] == alone[..., :3]).all()

@@ -14,9 +14,9 @@ from PIL import Image
 from radiometer.daemon.http.picture import (
     PictureCache,
     ServedPicture,
-    beside_bar,
     coloured,
     composite,
+    next_to_bar,
     render,
 )
 from radiometer.daemon.http.requests import MeasureBody, SettingsBody
@@ -79,17 +79,17 @@ def test_a_picture_goes_through_the_curve_in_use() -> None:
     assert picture.radiance[6, 6] / picture.radiance[0, 0] == pytest.approx(0.25, rel=1e-5)
 
 
-@pytest.mark.parametrize(("scale", "said"), [("auto", "log"), ("linear", "linear"), ("log", "log")])
-def test_the_scale_of_a_picture_is_told(scale: str, said: str) -> None:
+@pytest.mark.parametrize(("scale", "message"), [("auto", "log"), ("linear", "linear"), ("log", "log")])
+def test_the_scale_of_a_picture_is_reported(scale: str, message: str) -> None:
     """From the half-per-cent dimmest to the 0.2 % brightest; a factor of 100 is drawn in logarithms by itself."""
     radiance = np.geomspace(1.0, 100.0, 64 * 64).reshape(64, 64).astype(np.float32)
     picture = ServedPicture(radiance, np.zeros((64, 64), bool), "W", 5)
     image, headers = render(picture, width=64, scale=scale, colours="grey", bar=False)
     kind, low, high = headers["Radiometer-Scale"].split(",")
-    assert kind == said
+    assert kind == message
     assert [float(low), float(high)] == pytest.approx([100.0**0.005, 100.0**0.998], rel=0.01)
     grey = np.asarray(Image.open(io.BytesIO(image)))[..., 0]
-    middle = 0.5 if said == "log" else (10.0 - float(low)) / (float(high) - float(low))
+    middle = 0.5 if message == "log" else (10.0 - float(low)) / (float(high) - float(low))
     assert grey[31, 63] / 255 == pytest.approx(middle, abs=0.01)
     assert (headers["Radiometer-Unit"], headers["Radiometer-Sequence"]) == ("W", "5")
 
@@ -157,11 +157,11 @@ def test_the_bar_runs_from_its_brightest_at_the_top_to_its_end(height: int) -> N
     assert len(set(bar[bottom:].tolist())) == 1
 
 
-def test_the_numbers_beside_the_bar_are_those_of_its_scale() -> None:
+def test_the_numbers_next_to_the_bar_are_those_of_its_scale() -> None:
     """Half way up stands the geometric mean of a logarithmic bar's ends, of a linear one's the arithmetic mean."""
     places = np.array([0.0, 0.5, 1.0])
-    assert beside_bar(1.0, 100.0, places, logarithmic=True) == pytest.approx([1.0, 10.0, 100.0])
-    assert beside_bar(1.0, 100.0, places, logarithmic=False) == pytest.approx([1.0, 50.5, 100.0])
+    assert next_to_bar(1.0, 100.0, places, logarithmic=True) == pytest.approx([1.0, 10.0, 100.0])
+    assert next_to_bar(1.0, 100.0, places, logarithmic=False) == pytest.approx([1.0, 50.5, 100.0])
 
 
 def test_what_lies_at_black_is_dim_and_not_a_thousand() -> None:

@@ -188,7 +188,7 @@ async def test_every_reply_carries_the_headers_that_keep_the_page_whole(station:
         (DeviceLost("gone"), 503, "gone"), (MeasurementError("dark"), 422, "dark"),
     ],
 )  # fmt: skip
-async def test_what_a_measurement_ends_in_is_said_as_json(
+async def test_what_a_measurement_ends_in_is_reported_as_json(
     station: Station, monkeypatch: pytest.MonkeyPatch, error: Exception, status: int, message: str
 ) -> None:
     """Our own errors in their words, a bug without them; with the headers of every reply, and the next is served."""

@@ -38,7 +38,7 @@ def test_an_undefined_radiance_is_kept_too(tmp_path: Path, make_reading: Make) -
 
 
 def test_every_cell_of_a_row_is_what_its_heading_says(tmp_path: Path, make_reading: Make) -> None:
-    """Names of columns are those of the reading's own fields; units stand beside both values."""
+    """Names of columns are those of the reading's own fields; units is next to both values."""
     full = make_reading(
         luminance=Quantity(683.0, 7.0, "cd m-2"), patch=Patch(5, 6, 7, 8), name="lamp", session="web",
         exposures_s=(0.25,), coverage_factor=2.5,
@@ -46,20 +46,20 @@ def test_every_cell_of_a_row_is_what_its_heading_says(tmp_path: Path, make_readi
     with Journal(tmp_path / "j.sqlite") as journal:
         kept, _ = journal.append([full, make_reading()])
     row, bare = csv.DictReader(io.StringIO(to_csv(JournalReader(tmp_path / "j.sqlite").lines(ReadingFilter()))))
-    told = json.loads(kept.to_json())
+    result = json.loads(kept.to_json())
     assert row == {
         "sequence": "1",
         "time": kept.time,
-        "instrument": told["instrument"],
+        "instrument": result["instrument"],
         "radiance": str(full.radiance.value),
         "u_radiance": str(full.radiance.u),
         "radiance_unit": full.radiance.unit,
         "luminance": "683.0",
         "u_luminance": "7.0",
         "luminance_unit": "cd m-2",
-        "U_rel": str(told["U_rel"]),
+        "U_rel": str(result["U_rel"]),
         "coverage_factor": "2.5",
-        "flags": " ".join(told["flags"]),
+        "flags": " ".join(result["flags"]),
         "x": "5",
         "y": "6",
         "width": "7",
@@ -122,7 +122,7 @@ def test_a_file_that_is_no_journal_is_refused(tmp_path: Path, content: bytes) ->
 
 
 def test_a_place_that_cannot_be_written_is_refused(tmp_path: Path) -> None:
-    """A wrong path is a mistake to be told at once, not a trouble that passes."""
+    """A wrong path is a mistake to be reported at once, not a trouble that passes."""
     (tmp_path / "file").touch()
     with pytest.raises(OutputError, match="--journal") as caught:
         Journal(tmp_path / "file" / "j.sqlite").open()

@@ -68,8 +68,8 @@ def test_the_bounds_of_a_trend_are_from_the_first_to_before_the_last(tmp_path: P
     assert sum(p.count for p in reader.trend("", BASE_US, BASE_US + MINUTE_US)) == 3
     assert sum(p.count for p in reader.trend("", BASE_US - DAY_US, BASE_US + 3 * MINUTE_US)) == 4
     assert sum(p.count for p in reader.trend("", BASE_US - DAY_US, BASE_US + 3 * MINUTE_US + 1)) == 5
-    wanted = ReadingFilter(since_us=BASE_US + 10_000_000, until_us=BASE_US + 60_000_000)
-    assert len(reader.lines(wanted)) == 2
+    row_filter = ReadingFilter(since_us=BASE_US + 10_000_000, until_us=BASE_US + 60_000_000)
+    assert len(reader.lines(row_filter)) == 2
 
 
 def test_a_trend_of_up_to_125_minutes_is_of_readings_and_a_longer_one_of_minutes(
@@ -82,7 +82,7 @@ def test_a_trend_of_up_to_125_minutes_is_of_readings_and_a_longer_one_of_minutes
     assert [point.count for point in reader.trend("", BASE_US, BASE_US + longest + 1)] == [3, 1, 1]
 
 
-def test_of_many_events_the_newest_thousand_are_told(tmp_path: Path) -> None:
+def test_of_many_events_the_newest_thousand_are_reported(tmp_path: Path) -> None:
     """Oldest first, of 1001 all but the first; fewer where fewer are asked for, and of a time its own."""
     with Journal(tmp_path / "j.sqlite"), sqlite3.connect(tmp_path / "j.sqlite") as connection:
         events = [(BASE_US + number, "remark", str(number)) for number in range(1001)]
@@ -90,12 +90,12 @@ def test_of_many_events_the_newest_thousand_are_told(tmp_path: Path) -> None:
     connection.close()
     reader = JournalReader(tmp_path / "j.sqlite")
 
-    def told(**more: int) -> list[int]:
+    def numbers_of(**more: int) -> list[int]:
         return [int(event["message"]) for event in reader.events(**more)]
 
-    assert told() == list(range(1, 1001))
-    assert told(limit=2) == [999, 1000]
-    assert told(since_us=BASE_US + 5, until_us=BASE_US + 8) == [5, 6, 7]
+    assert numbers_of() == list(range(1, 1001))
+    assert numbers_of(limit=2) == [999, 1000]
+    assert numbers_of(since_us=BASE_US + 5, until_us=BASE_US + 8) == [5, 6, 7]
 
 
 def test_a_trend_finer_than_its_span_is_one_of_microseconds(tmp_path: Path, make_reading: Make) -> None:
@@ -258,7 +258,7 @@ def test_a_journal_that_is_closed_lets_go_of_its_file(
         assert [reading.sequence for reading in other.append([make_reading()])] == [2]
 
 
-def test_a_journal_is_told_by_its_first_bytes(tmp_path: Path, make_reading: Make) -> None:
+def test_a_journal_is_recognised_by_its_first_bytes(tmp_path: Path, make_reading: Make) -> None:
     """SQLite's header holds RAMJ at byte 68 and the form at byte 60: journals of before and `file` go by these."""
     written(tmp_path / "j.sqlite", readings(make_reading))
     header = (tmp_path / "j.sqlite").read_bytes()[:100]
@@ -267,7 +267,7 @@ def test_a_journal_is_told_by_its_first_bytes(tmp_path: Path, make_reading: Make
 
 
 async def test_a_patch_is_kept_although_nothing_else_is_to_be_written(tmp_path: Path) -> None:
-    """What is queued of patches alone is committed at the end; the last said of each counts; a forgotten one goes."""
+    """What is queued of patches alone is committed at the end; the last stated of each counts; a forgotten one goes."""
     writer = JournalWriter(Journal(tmp_path / "j.sqlite"), Alarms(lambda *_: None), lambda *_: None)
     await writer.open()
     writer.keep_patch("lamp", "first")
@@ -284,27 +284,27 @@ async def test_a_patch_is_kept_although_nothing_else_is_to_be_written(tmp_path: 
 
 
 @pytest.mark.parametrize(
-    ("code", "kind", "said"),
+    ("code", "kind", "message"),
     [
         (sqlite3.SQLITE_FULL, JournalError, "free space"), (sqlite3.SQLITE_BUSY, JournalError, "close that program"),
         (sqlite3.SQLITE_IOERR, JournalError, "trying again"), (sqlite3.SQLITE_CORRUPT, OutputError, "damaged"),
         (sqlite3.SQLITE_BUSY | 2 << 8, JournalError, "close that program"),
     ],
 )  # fmt: skip
-def test_what_sqlite_refuses_is_told_with_its_way_out(
-    tmp_path: Path, make_reading: Make, connections: list[Watched], code: int, kind: type, said: str
+def test_what_sqlite_refuses_is_reported_with_its_way_out(
+    tmp_path: Path, make_reading: Make, connections: list[Watched], code: int, kind: type, message: str
 ) -> None:
     """By the first byte of SQLite's code; nothing of the batch stays, and the next goes in whole."""
     with Journal(tmp_path / "j.sqlite") as journal:
         for words in ("trend", "COMMIT"):
-            with refusing(words, code), pytest.raises(OutputError, match=said) as refusal:
+            with refusing(words, code), pytest.raises(OutputError, match=message) as refusal:
                 journal.append([make_reading(), make_reading()])
             assert type(refusal.value) is kind
         assert [reading.sequence for reading in journal.append([make_reading()])] == [1]
 
 
 def test_a_journal_opens_itself_where_it_is_written_to(tmp_path: Path, make_reading: Make) -> None:
-    """Nobody has to have opened it, at first and after it was closed; the numbers go on."""
+    """No one has to have opened it, at first and after it was closed; the numbers go on."""
     journal = Journal(tmp_path / "j.sqlite")
     for number in (1, 2):
         assert [reading.sequence for reading in journal.append([make_reading()])] == [number]

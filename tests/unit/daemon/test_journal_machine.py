@@ -115,8 +115,8 @@ class JournalMachine(RuleBasedStateMachine):
     def ask(self, since, until, after, limit, flag, clean, newest, stream):
         """A filter gives exactly what a list comprehension gives."""
         since_us, until_us = (None if hour is None else START_US + hour * HOUR_US for hour in (since, until))
-        wanted = ReadingFilter(since_us, until_us, after, flag, clean, limit, newest, stream)
-        found = [json.loads(line)["sequence"] for line in JournalReader(self.path).lines(wanted)]
+        row_filter = ReadingFilter(since_us, until_us, after, flag, clean, limit, newest, stream)
+        found = [json.loads(line)["sequence"] for line in JournalReader(self.path).lines(row_filter)]
         expected = [
             number
             for number, at_us, _, which, where in self.kept
@@ -200,7 +200,7 @@ def test_an_undefined_radiance_is_not_drawn(tmp_path, make_reading):
 
 
 async def test_what_cannot_be_deleted_is_an_alarm(tmp_path, make_reading, monkeypatch):
-    """A journal that grows because nothing can be deleted must be told."""
+    """A journal that grows because nothing can be deleted must be reported."""
     alarms = Alarms(lambda *_: None)
     journal = Journal(tmp_path / "j.sqlite")
     writer = JournalWriter(journal, alarms, lambda *_: None, keep_days=1.0)

@@ -63,7 +63,7 @@ class Bench:
     """A keeper whose sleeps are counted and take no time."""
 
     def __init__(self, device: Device, times: KeeperTimes = TIMES) -> None:
-        self.device, self.slept, self.opened, self.checked, self.told = device, [], 0, [], []
+        self.device, self.slept, self.opened, self.checked, self.notified = device, [], 0, [], []
         self.alarms = Alarms(lambda *_: None)
         self.keeper = DeviceKeeper(
             "camera", device, self.alarms, times=times, sleep=self._sleep,
@@ -95,7 +95,7 @@ async def running(bench: Bench) -> Any:
         await bench.keeper.close()
 
 
-async def test_opening_asks_and_tells() -> None:
+async def test_opening_asks_and_reports() -> None:
     """Opened, asked, ready, no alarm; what waits for it is called once."""
     bench = Bench(Device())
     assert bench.keeper.state is DeviceState.CLOSED
@@ -157,7 +157,7 @@ async def test_one_that_opens_and_does_not_answer_is_lost_too() -> None:
     ],
 )  # fmt: skip
 async def test_which_errors_are_a_loss(error: Exception, lost: bool) -> None:
-    """What says that the device is gone; a wrong setting or a dark scene does not; a bug is told as a loss."""
+    """What says that the device is gone; a wrong setting or a dark scene does not; a bug is reported as a loss."""
     bench = Bench(Device())
     await bench.keeper.open_once()
     bug = isinstance(error, OSError | ValueError) and not isinstance(error, DeviceError | MeasurementError)
@@ -257,10 +257,10 @@ def test_states_follow_what_happens(steps: list[str]) -> None:
     asyncio.run(play())
 
 
-def test_an_alarm_is_told_when_it_goes_up_becomes_worse_and_goes_down() -> None:
+def test_an_alarm_is_reported_when_it_goes_up_becomes_worse_and_goes_down() -> None:
     """Its time stays and its message is the newest; what is not up is not taken down; the oldest stands first."""
-    told: list[tuple[str, ...]] = []
-    alarms = Alarms(lambda *what: told.append(what))
+    notified: list[tuple[str, ...]] = []
+    alarms = Alarms(lambda *what: notified.append(what))
     alarms.put_up("camera", "late")
     alarms.put_up("journal", "full")
     since = alarms.active[0].since
@@ -272,7 +272,7 @@ def test_an_alarm_is_told_when_it_goes_up_becomes_worse_and_goes_down() -> None:
     assert alarms.active[0].since == since
     alarms.clear("camera", "camera is back")
     alarms.clear("camera", "camera is back")
-    assert told == [
+    assert notified == [
         ("alarm", "camera", "late"), ("alarm", "journal", "full"), ("alarm", "camera", "lost"),
         ("cleared", "camera", "camera is back"),
     ]  # fmt: skip

@@ -89,18 +89,18 @@ async def test_the_level_of_a_lost_box_is_unconfirmed(
         assert (await client.ask("SYST:ERR?")).startswith("-230")
 
 
-async def test_the_journal_tells_when_light_went_on_and_off(station: Station, eventually: Eventually) -> None:
+async def test_the_journal_reports_when_light_went_on_and_off(station: Station, eventually: Eventually) -> None:
     """Each change between dark and lit is one event; a change of level is none."""
     for level in (0.25, 0.5, 0.0, 0.0):
         await station.light.set_level("red", level)
     reader = JournalReader(station.journal_path)
     await eventually(lambda: len([e for e in reader.events() if e["kind"] == "light"]) >= 2)
-    told = [event["message"] for event in reader.events() if event["kind"] == "light"]
-    assert told == ["red lit at 0.25", "red switched off"]
+    reported = [event["message"] for event in reader.events() if event["kind"] == "light"]
+    assert reported == ["red lit at 0.25", "red switched off"]
 
 
 async def test_scpi_switches_all_off(client: Any, box: Any) -> None:
-    """OUTP:ALL OFF darkens every channel; ON has no meaning and is refused; the query tells."""
+    """OUTP:ALL OFF darkens every channel; ON has no meaning and is refused; the query reports."""
     assert float(await client.ask("SOUR:LED2:LEV 0.5;:SOUR:LED1:LEV 0.5;LEV?")) == 0.5
     assert await client.ask("OUTP:ALL?") == "1"
     await client.send("OUTP:ALL ON")
@@ -131,7 +131,7 @@ async def test_http_switches_all_off(station: Station, box: Any) -> None:
 
 
 async def test_a_channel_that_fails_does_not_keep_the_next_one_lit(station: Station, box: Any) -> None:
-    """All channels are tried, then the failure is told."""
+    """All channels are tried, then the failure is reported."""
     await station.light.set_level("red", 0.5)
     whole = box.set_level
 

@@ -1,4 +1,4 @@
-"""A flood of log lines that say the same is ten lines a minute and a count; what is said once is always written."""
+"""A flood of log lines that say the same is ten lines a minute and a count; what is stated once is always written."""
 
 from __future__ import annotations
 

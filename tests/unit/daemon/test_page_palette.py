@@ -39,7 +39,7 @@ def test_the_contrast_is_that_of_the_guideline():
 
 
 @pytest.mark.parametrize("theme", _THEMES)
-def test_every_colour_of_a_theme_can_be_told_from_what_it_lies_on(theme: str):
+def test_every_colour_of_a_theme_can_be_distinguished_from_what_it_lies_on(theme: str):
     """Text and lines of plots on cards and on the page; the rims of fields and sliders on cards."""
     palette = _palette(theme)
     for name, needed in _NEEDED.items():

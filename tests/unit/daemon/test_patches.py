@@ -30,7 +30,7 @@ LAMP = Patch(5, 6, 7, 8)  # the fake instrument's radiance is 1 + x
 START_US = microseconds("2026-06-01T00:00:00Z")
 
 
-async def test_a_patch_with_a_name_is_measured_beside_the_shared_one(
+async def test_a_patch_with_a_name_is_measured_next_to_the_shared_one(
     station: Station, client: Any, eventually: Eventually
 ) -> None:
     """Each period gives one reading of each; FETC? and FETC:PATC? keep them apart, and so do stream and figures."""
@@ -154,20 +154,20 @@ def test_a_kept_patch_is_read_as_it_was_written(limits: PatchLimits) -> None:
     assert NamedPatch.from_json("lamp", named.to_json()) == named
 
 
-@pytest.mark.parametrize(("value", "said"), [(3.0, "above its high limit 2"), (0.5, "below its low limit 1")])
+@pytest.mark.parametrize(("value", "text"), [(3.0, "above its high limit 2"), (0.5, "below its low limit 1")])
 def test_an_alarm_names_the_limit_that_was_passed(
-    make_reading: Callable[..., Reading], value: float, said: str
+    make_reading: Callable[..., Reading], value: float, text: str
 ) -> None:
     """The side and the number are those of the limit broken, not of the other one."""
     watch = PatchWatch(PatchLimits(1.0, 2.0))
     for _ in range(2):
         watch.take(make_reading(radiance=Quantity(value, 0.01, "W sr-1 m-2")))
-    assert said in watch.message("lamp")
+    assert text in watch.message("lamp")
     assert watch.latest is not None
     assert str(watch.latest) in watch.message("lamp")
     watch.limit(watch.limits)
     assert watch.breached == ""
-    assert not watch.take(watch.latest), "what was said before the limits were set counts no longer"
+    assert not watch.take(watch.latest), "what was reported before the limits were set counts no longer"
 
 
 async def test_wrong_patches_are_refused(station: Station) -> None:
@@ -175,15 +175,15 @@ async def test_wrong_patches_are_refused(station: Station) -> None:
     for number in range(12):
         station.patches.define(f"p{number}", LAMP)
     station.patches.define("p3", replace(LAMP, x=1))  # moving one is not another one
-    for call, said in (
+    for call, text in (
         (lambda: station.patches.define("one more", LAMP), "12 patches"),
         (lambda: station.patches.define("p1", Patch(60, 0, 10, 10)), "not inside"),
-        (lambda: station.patches.delete("nobody"), "no patch"),
+        (lambda: station.patches.delete("unknown"), "no patch"),
         (lambda: station.patches.delete("main"), "not deleted"),
         (lambda: PatchLimits(2.0, 1.0), "below the high"),
         (lambda: PatchLimits(hysteresis_rel=0.9), "hysteresis"),
     ):
-        with pytest.raises(UsageError, match=said):
+        with pytest.raises(UsageError, match=text):
             call()
     assert len(station.acquisition.named) == 12
 

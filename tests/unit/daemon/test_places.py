@@ -1,4 +1,4 @@
-"""Slow, idle and noisy clients lock nobody out."""
+"""Slow, idle and noisy clients lock no client out."""
 
 from __future__ import annotations
 
@@ -89,7 +89,7 @@ def test_one_address_beyond_loopback_has_a_quarter() -> None:
     assert places.refusal("127.0.0.1") == ""
 
 
-async def test_half_open_connections_lock_nobody_out_of_http(station: Station, opened: Any) -> None:
+async def test_half_open_connections_lock_no_client_out_of_http(station: Station, opened: Any) -> None:
     """140 sockets that never finish their request: the next client is served at once."""
     server = HttpServer(station)
     port = await server.listen("127.0.0.1", 0)

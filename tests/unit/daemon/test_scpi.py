@@ -87,7 +87,7 @@ async def test_what_precedes_an_error_is_executed_and_what_follows_is_not(client
     assert await client.ask("SENS:GAIN 99;GAIN 12;GAIN?") == "1.200000000E+01"
 
 
-async def test_init_overlaps_and_opc_tells_when_it_is_over(client: Any, instrument: Any) -> None:
+async def test_init_overlaps_and_opc_reports_when_it_is_over(client: Any, instrument: Any) -> None:
     """INIT returns at once, a second one is ignored (-213), *OPC? waits, FETC? replies."""
     instrument.let_go = threading.Event()
     await client.send("INIT;INIT")

@@ -82,7 +82,7 @@ class Scripted:
         self.at: list[float] = []
         self.status = Status()
         self.event = asyncio.Event()
-        self.closed = self.told = 0
+        self.closed = self.notified = 0
 
     def execute(self, message: str) -> str | Coroutine[Any, Any, str | None] | None:
         self.heard.append(message)
@@ -101,7 +101,7 @@ class Scripted:
         return "waited"
 
     def state_changed(self) -> None:
-        self.told += 1
+        self.notified += 1
 
     def close(self) -> None:
         self.closed += 1
@@ -212,7 +212,7 @@ async def test_a_line_feed_inside_a_block_is_data_however_it_comes():
 @pytest.mark.parametrize(("length", "taken"), [(64, True), (65, False)])
 @in_virtual_time
 async def test_a_line_may_have_just_so_many_bytes(length, taken):
-    """One byte beyond the limit is an overrun (-363) that tells the limit; the next message is fine."""
+    """One byte beyond the limit is an overrun (-363) that shows the limit; the next message is fine."""
     connection, wire, session = client(server())
     connection.data_received(b"X" * length + b"\n?next\n")
     assert session.heard == (["X" * length] if taken else []) + ["?next"]
@@ -251,7 +251,7 @@ async def test_a_line_without_end_is_one_error_and_sixteen_times_the_limit_at_mo
 
 @in_virtual_time
 async def test_reading_pauses_while_too_many_messages_wait_and_goes_on_at_half():
-    """Four may wait beside the one that is served; a command that waits holds up those behind it, not their order."""
+    """Four may wait next to the one that is served; a command that waits holds up those behind it, not their order."""
     of = server()
     connection, wire, session = client(of)
     connection.data_received(b"wait\n")
@@ -430,8 +430,8 @@ async def test_an_idle_session_is_warned_once_and_ended():
     await asyncio.sleep(899.0)
     assert session.status.error_count == 0
     await asyncio.sleep(2.0)
-    told = "this session has sent nothing for 900 s and is ended after 1000 s"
-    assert errors(session) == [f'-200,"Execution error;{told}"']
+    notified = "this session has sent nothing for 900 s and is ended after 1000 s"
+    assert errors(session) == [f'-200,"Execution error;{notified}"']
     connection.data_received(b"x\n")
     await asyncio.sleep(950.0)
     assert len(errors(session)) == 1
@@ -557,14 +557,14 @@ async def test_a_known_client_that_was_idle_for_a_minute_makes_room():
 
 @in_virtual_time
 async def test_every_session_hears_of_a_change():
-    """The station tells the server, the server each session; one that left hears nothing; connections are counted."""
+    """The station notifies the server, the server each session; one that left gets nothing; connections are counted."""
     of = server()
     (one, _, hears), (_, wire, too) = client(of), client(of)
     assert b'radiometer_connections{interface="scpi"} 2.0' in of.station.metrics.render()
     of.station.on_change[0]()
     one.connection_lost(None)
     of.station.on_change[0]()
-    assert (hears.told, too.told) == (1, 2)
+    assert (hears.notified, too.notified) == (1, 2)
     await of.close()
     assert wire.closed
 

@@ -25,14 +25,14 @@ def reading(make_reading):
     )
 
 
-def said(reading, function):
+def reply_of(reading, function):
     return dict(zip(ELEMENTS, reading_elements(reading, function, ELEMENTS).split(","), strict=True))
 
 
 @pytest.mark.parametrize(("function", "value", "u"), [("RADiance", 2.0, 0.05), ("LUMinance", 300.0, 9.0)])
 def test_expanded_is_k_times_u(reading, function, value, u):
     """Value, u, U and k of the asked quantity, in the order of the list."""
-    elements = said(reading, function)
+    elements = reply_of(reading, function)
     assert float(elements["READing"]) == value
     assert float(elements["UNCertainty"]) == u
     assert float(elements["COVerage"]) == 13.97
@@ -42,6 +42,6 @@ def test_expanded_is_k_times_u(reading, function, value, u):
 
 def test_what_is_not_known_is_no_number(reading):
     """Near-infrared has no luminance: SCPI's not-a-number for it, its u and its U."""
-    elements = said(replace(reading, luminance=None), "LUMinance")
+    elements = reply_of(replace(reading, luminance=None), "LUMinance")
     assert {elements[name] for name in ("READing", "UNCertainty", "EXPanded")} == {"9.91E+37"}
     assert math.isfinite(float(elements["COVerage"]))

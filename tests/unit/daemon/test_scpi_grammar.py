@@ -177,7 +177,7 @@ def test_the_error_queue_keeps_the_oldest() -> None:
 
 
 def test_our_errors_have_the_standard_s_numbers() -> None:
-    """Each kind of error by its number; what nobody foresaw is −310."""
+    """Each kind of error by its number; what no one foresaw is −310."""
     expected = {
         SettingOutOfRange("camera", "gain", 1.0, 0.0, 0.5, "dB"): -222,
         UnsafeStimulus("too bright"): -222,
@@ -228,7 +228,7 @@ class Clock:
 @settings(max_examples=60)
 @given(st.floats(1.0, 1000.0), st.lists(st.floats(0.0, 0.5), min_size=1, max_size=40))
 def test_no_more_than_rate_and_burst_is_let_through(per_s: float, pauses: list[float]) -> None:
-    """In any time at most a burst of one second and the rate; whoever waits as told is let through next."""
+    """In any time at most a burst of one second and the rate; whoever waits as reported is let through next."""
     clock = Clock()
     bucket, taken, start = TokenBucket(per_s, clock), int(per_s), clock.now_s
     assert bucket.is_full
@@ -349,7 +349,7 @@ async def test_reset_gives_back_every_setting_that_can_be_asked(station: Any) ->
 
 
 @pytest.mark.parametrize(
-    ("message", "number", "said"),
+    ("message", "number", "text"),
     [
         ("NO:SUCH?", -113, ""), ("*IDN", -113, ""), ("SENS:EXP4", -113, ""), ("SENSITIVITYOFX:EXP 1", -113, ""),
         ("SENSITIVITYOFXYZ:EXP 1", -112, ""), ("SENS:EXP:TIME", -109, ""), ("SENS:PATC 1,2", -109, ""),
@@ -375,12 +375,12 @@ async def test_reset_gives_back_every_setting_that_can_be_asked(station: Any) ->
     ],
 )  # fmt: skip
 async def test_what_is_wrong_is_named_by_the_standard_s_number(
-    station: Any, message: str, number: int, said: str
+    station: Any, message: str, number: int, text: str
 ) -> None:
     """SCPI-99, 21.8: separators, missing and unknown parameters, a suffix of a header beyond the channels, no data."""
     session = Session(station, TABLE)
     reply = session.execute(message)
     assert (await reply if asyncio.iscoroutine(reply) else reply) is None
     entry = session.status.next_error()
-    assert (int(entry.split(",")[0]), said in entry) == (number, True), entry
+    assert (int(entry.split(",")[0]), text in entry) == (number, True), entry
     assert session.status.error_count == 0

@@ -128,7 +128,7 @@ async def test_the_response_is_a_pair_of_numbers_for_every_code(session, station
 
 
 async def test_a_measurement_that_fails_in_the_background_is_in_the_error_queue(session, station):
-    """INITiate replies nothing; what it could not measure is told when it is asked for, once."""
+    """INITiate replies nothing; what it could not measure is reported when it is asked for, once."""
     station.instrument.failing = True
     await ask(session, "INIT")
     await ask(session, "*OPC?")
@@ -151,7 +151,7 @@ async def test_history_without_a_number_is_the_newest_hundred(session, station, 
 
 
 async def test_limits_of_a_patch_are_those_that_were_set(session):
-    """Low, high and hysteresis in their order; NONE is no bound; the hysteresis is 1 % unless told otherwise."""
+    """Low, high and hysteresis in their order; NONE is no bound; the hysteresis is 1 % unless stated otherwise."""
     await ask(session, 'SENS:PATC:LIM "main",2,10,5 PCT')
     assert [float(v) for v in (await ask(session, 'SENS:PATC:LIM? "main"')).split(",")] == [2.0, 10.0, 0.05]
     await ask(session, 'SENS:PATC:LIM "main",NONE,10')
@@ -204,7 +204,7 @@ async def test_a_quantity_is_chosen_with_its_patch_or_without(session, quantity)
     assert await errors(session) == ["0"]
 
 
-async def test_who_waits_for_a_measurement_that_is_given_up_is_told(session):
+async def test_who_waits_for_a_measurement_that_is_given_up_is_reported(session):
     """READ? ends with −230 when its measurement is aborted, and the session goes on."""
     waiting = asyncio.ensure_future(ask(session, "READ?"))
     while session.pending is None:
@@ -217,7 +217,7 @@ async def test_who_waits_for_a_measurement_that_is_given_up_is_told(session):
 
 
 async def test_a_measurement_has_two_minutes(session, station, monkeypatch):
-    """READ? gives it no less and no more: a camera that is silent for longer is a trouble that is told."""
+    """READ? gives it no less and no more: a camera that is silent for longer is a trouble that is reported."""
     given_s = []
     measure = station.acquisition.measure
 

@@ -59,16 +59,16 @@ class Daemon:
     service: Service
     station: Station
     instrument: FakeInstrument
-    said: list[str]
-    told: Told
+    announced: list[str]
+    systemd: Told
 
 
 def fresh(tmp_path: Path, **options: Any) -> Daemon:
     """Return a service on free ports, with other options as given."""
-    instrument, said, told = FakeInstrument(), list[str](), Told()
+    instrument, announced, systemd = FakeInstrument(), list[str](), Told()
     station = Station(instrument, Journal(tmp_path / "journal.sqlite"), box=FakeBox(), times=QUICK)
     chosen = ServiceOptions(**{"scpi_port": 0, "http_port": 0, **options})
-    return Daemon(Service(station, chosen, said.append, told), station, instrument, said, told)  # type: ignore[arg-type]
+    return Daemon(Service(station, chosen, announced.append, systemd), station, instrument, announced, systemd)  # type: ignore[arg-type]
 
 
 async def ended(running: asyncio.Task[None]) -> None:
@@ -85,12 +85,12 @@ async def test_the_watchdog_is_fed_unless_a_call_takes_ten_minutes(
     one = fresh(tmp_path)
     monkeypatch.setattr(type(one.station.camera), "stuck_s", stuck_s)
     running = asyncio.create_task(one.service.run())
-    await eventually(lambda: one.told.lines)
+    await eventually(lambda: one.systemd.lines)
     if fed:
-        await eventually(lambda: one.told.fed >= 3)
+        await eventually(lambda: one.systemd.fed >= 3)
     else:
         await asyncio.sleep(0.03)
-        assert one.told.fed == 0
+        assert one.systemd.fed == 0
     await ended(running)
 
 
@@ -102,8 +102,8 @@ async def test_a_loop_that_ended_ends_the_daemon_with_its_error(
     monkeypatch.setattr(one.station, "failed_task", lambda: ValueError("the journal's disk is gone"))
     with pytest.raises(RadiometerError, match="ValueError: the journal's disk is gone"):
         await one.service.run()
-    assert one.told.fed == 0
-    assert one.told.lines[-1] == "stopping"
+    assert one.systemd.fed == 0
+    assert one.systemd.lines[-1] == "stopping"
     assert not one.instrument.is_open
 
 
@@ -117,7 +117,7 @@ async def asked(path: Path, message: bytes) -> bytes:
 
 
 async def test_a_service_listens_reloads_and_ends_as_signals_say(tmp_path: Path, eventually: Eventually) -> None:
-    """It says where it listens, is ready, reloads by SIGHUP for better or worse, tells its state, and ends by SIGTERM.
+    """It says where it listens, is ready, reloads by SIGHUP for better or worse, shows its state, and ends by SIGTERM.
 
     The socket opens to user and group alone, and one that a killed daemon left behind is no obstacle.
     """
@@ -125,40 +125,40 @@ async def test_a_service_listens_reloads_and_ends_as_signals_say(tmp_path: Path,
     left = await asyncio.start_unix_server(lambda reader, writer: None, place)
     left.close()
     one = fresh(tmp_path, scpi_socket=place)
-    instrument, said, told = one.instrument, one.said, one.told
+    instrument, announced, systemd = one.instrument, one.announced, one.systemd
     running = asyncio.create_task(one.service.run())
-    await eventually(lambda: told.lines or running.done())
-    assert told.lines == ["ready ready"]
-    port, web = said[0].split()[2].rpartition(":")[2], said[2].rpartition(":")[0]
-    assert said[0].endswith("(no authentication: this machine may connect)")
-    assert said[1] == f"SCPI on {place}"
-    assert said[2].startswith("HTTP on http://127.0.0.1:")
-    assert said[2].endswith("(no token: this machine only)")
-    assert said[3:] == [f"journal {tmp_path / 'journal.sqlite'}"]
+    await eventually(lambda: systemd.lines or running.done())
+    assert systemd.lines == ["ready ready"]
+    port, web = announced[0].split()[2].rpartition(":")[2], announced[2].rpartition(":")[0]
+    assert announced[0].endswith("(no authentication: this machine may connect)")
+    assert announced[1] == f"SCPI on {place}"
+    assert announced[2].startswith("HTTP on http://127.0.0.1:")
+    assert announced[2].endswith("(no token: this machine only)")
+    assert announced[3:] == [f"journal {tmp_path / 'journal.sqlite'}"]
     assert (port, web) != ("", "")
     assert stat.S_IMODE(place.stat().st_mode) == 0o660
     await eventually(lambda: instrument.is_open)
     assert (await asked(place, b"*IDN?")).startswith(b"Fake,F-1,4711,")
     os.kill(os.getpid(), signal.SIGHUP)
-    await eventually(lambda: len(said) == 5)
-    assert said[4] == "calibration reloaded: calibration.yaml, made 2026-11-20"
-    await eventually(lambda: told.lines[-1] == "ready ready")
-    assert "reloading" in told.lines
+    await eventually(lambda: len(announced) == 5)
+    assert announced[4] == "calibration reloaded: calibration.yaml, made 2026-11-20"
+    await eventually(lambda: systemd.lines[-1] == "ready ready")
+    assert "reloading" in systemd.lines
 
     def broken() -> str:
         raise CalibrationError("calibration.yaml: no scale")
 
     instrument.reload_calibration = broken  # type: ignore[method-assign]
     os.kill(os.getpid(), signal.SIGHUP)
-    await eventually(lambda: len(said) == 6)
-    assert said[5] == "calibration not reloaded: calibration.yaml: no scale"
-    await eventually(lambda: told.lines[-1].startswith("ready alarm: calibration not reloaded, the old one stays"))
+    await eventually(lambda: len(announced) == 6)
+    assert announced[5] == "calibration not reloaded: calibration.yaml: no scale"
+    await eventually(lambda: systemd.lines[-1].startswith("ready alarm: calibration not reloaded, the old one stays"))
     instrument.reload_calibration = lambda: "again"  # type: ignore[method-assign]
     await one.station.reload_calibration()
     one.station.set_every(50.0)
-    await eventually(lambda: told.lines[-1] == "status measuring")
+    await eventually(lambda: systemd.lines[-1] == "status measuring")
     await ended(running)
-    assert told.lines[-1] == "stopping"
+    assert systemd.lines[-1] == "stopping"
     assert not place.exists()
     assert not instrument.is_open
     assert signal.getsignal(signal.SIGTERM) is signal.SIG_DFL
@@ -169,7 +169,7 @@ async def test_a_storm_of_hangups_is_one_reload_and_one_more(tmp_path: Path, eve
     """Each reload stops the camera: 100 signals within a moment stop it twice, for the last one must count."""
     one = fresh(tmp_path)
     running = asyncio.create_task(one.service.run())
-    await eventually(lambda: one.told.lines or running.done())
+    await eventually(lambda: one.systemd.lines or running.done())
     for _ in range(100):
         os.kill(os.getpid(), signal.SIGHUP)
         await asyncio.sleep(0.001)
@@ -184,8 +184,8 @@ async def test_who_may_connect_is_announced(tmp_path: Path, eventually: Eventual
     options = {"scpi_address": "0.0.0.0", "scpi_allow": parse_networks(["10.0.0.0/8", "192.0.2.0/24"])}
     one = fresh(tmp_path, **options, token="a secret of sixteen", pva=PvaOptions("lab", isolated=True))
     running = asyncio.create_task(one.service.run())
-    await eventually(lambda: one.told.lines or running.done())
-    scpi, web, pva, journal = one.said
+    await eventually(lambda: one.systemd.lines or running.done())
+    scpi, web, pva, journal = one.announced
     assert re.fullmatch(
         r"SCPI on 0\.0\.0\.0:\d+ \(no authentication: 10\.0\.0\.0/8, 192\.0\.2\.0/24 may connect\)", scpi
     )
@@ -200,19 +200,19 @@ async def test_a_service_that_listens_nowhere_only_keeps_its_journal(tmp_path: P
     """No port is opened that was not asked for."""
     one = fresh(tmp_path, scpi_address=None, http_address=None)
     running = asyncio.create_task(one.service.run())
-    await eventually(lambda: one.told.lines)
-    assert one.said == [f"journal {tmp_path / 'journal.sqlite'}"]
+    await eventually(lambda: one.systemd.lines)
+    assert one.announced == [f"journal {tmp_path / 'journal.sqlite'}"]
     await ended(running)
 
 
 async def test_a_service_that_cannot_listen_ends_with_all_that_it_began(tmp_path: Path) -> None:
-    """A taken port is an error that names it; what was started before is stopped, and systemd is told."""
+    """A taken port is an error that names it; what was started before is stopped, and systemd is notified."""
     taken = await asyncio.start_server(lambda reader, writer: None, "127.0.0.1", 0)
     port = taken.sockets[0].getsockname()[1]
     one = fresh(tmp_path, http_address=None, scpi_port=port)
     with pytest.raises(OutputError, match=f"cannot listen for SCPI on 127.0.0.1:{port}: "):
         await one.service.run()
-    assert (one.said, one.told.lines) == ([], ["stopping"])
+    assert (one.announced, one.systemd.lines) == ([], ["stopping"])
     assert not one.instrument.is_open
     taken.close()
 

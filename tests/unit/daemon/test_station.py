@@ -94,7 +94,7 @@ async def test_a_lost_camera_is_reported_and_reopened(
     assert station.camera.losses == 1
 
 
-async def test_a_camera_that_does_not_return_is_told_before_it_gives_up(
+async def test_a_camera_that_does_not_return_is_reported_before_it_gives_up(
     station: Station, instrument: Any, eventually: Eventually
 ) -> None:
     """While a call hangs the alarm is up; once answers come in time again it goes, and no loss is counted."""
@@ -121,12 +121,12 @@ async def test_a_late_camera_that_turns_out_lost_is_announced_again(
     instrument.let_go.set()
     with pytest.raises(DeviceError):
         await measuring
-    told = []
+    reported = []
     for _ in range(2):
         event = await asyncio.wait_for(listener.next(), within(20.0))
         assert event is not None
-        told.append(json.loads(event.line)["devices"]["camera"]["state"])
-    assert told == ["overdue", "lost"]
+        reported.append(json.loads(event.line)["devices"]["camera"]["state"])
+    assert reported == ["overdue", "lost"]
 
 
 async def test_a_camera_that_is_absent_at_start_is_waited_for(
@@ -213,14 +213,14 @@ async def test_what_is_counted_of_measurements(station: Station, instrument: Any
     station.refresh_metrics()
     station.refresh_metrics()  # another look counts nothing twice
     names = ("readings_total", "commit_seconds_count", "measurement_seconds_count", "measurement_failures_total")
-    told = [station.metrics.registry.get_sample_value(f"radiometer_{name}") for name in names]
-    assert told == [3.0, 3.0, 3.0, 1.0]
+    reported = [station.metrics.registry.get_sample_value(f"radiometer_{name}") for name in names]
+    assert reported == [3.0, 3.0, 3.0, 1.0]
     measuring = station.metrics.registry.get_sample_value("radiometer_measurement_seconds_sum")
     assert measuring is not None
     assert measuring >= 3 * 0.01
 
 
-def test_a_hexadecimal_serial_number_is_told_in_decimal_too() -> None:
+def test_a_hexadecimal_serial_number_is_reported_in_decimal_too() -> None:
     """The state, and with it the page, shows the number as USB reports it and as its label has it."""
     blackfly = identity_mapping(CameraIdentity("FLIR", "BFS-U3-19S4M", "0138C343", "id"))
     assert (blackfly["serial"], blackfly["serial_also"]) == ("0138C343", "20497219")

@@ -69,9 +69,9 @@ def test_every_call_reaches_the_camera_and_what_it_returns_comes_back() -> None:
     watched: Any = WatchedCamera(camera)
     for name in ("identity", "capabilities", "settings", "description", "lens", "counts"):
         assert getattr(watched, name) is getattr(camera, name)
-    wanted = CameraSettings(0.1)
-    camera.settings = wanted
-    assert watched.configure(wanted) is camera.configure.return_value
+    requested = CameraSettings(0.1)
+    camera.settings = requested
+    assert watched.configure(requested) is camera.configure.return_value
     assert watched.capture(2) is camera.capture.return_value
     assert list(watched.stream()) == []
     watched.set_shutter(closed=True)
@@ -80,7 +80,7 @@ def test_every_call_reaches_the_camera_and_what_it_returns_comes_back() -> None:
         camera.open.assert_called_once_with()
         camera.close.assert_not_called()
     camera.close.assert_called_once_with()
-    camera.configure.assert_called_once_with(wanted)
+    camera.configure.assert_called_once_with(requested)
     camera.capture.assert_called_once_with(2)
     camera.set_shutter.assert_called_once_with(closed=True)
 

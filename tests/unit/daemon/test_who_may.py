@@ -26,7 +26,7 @@ TOKEN = "a-token-of-some-length"
     ],
 )  # fmt: skip
 def test_the_allow_list_lets_in_whom_it_names(station: Station, peer: str, allowed: bool) -> None:
-    """Loopback always, members of a network, nobody else; without a list nobody but loopback."""
+    """Loopback always, members of a network, no one else; without a list no one but loopback."""
     networks = parse_networks(["192.168.1.0/24", "10.0.0.7", "fd00::/8"])
     assert is_allowed(peer, networks) is allowed
     assert is_allowed(peer, ()) is (peer in ("127.0.0.1", "::1", "::ffff:127.0.0.1"))

@@ -1,4 +1,4 @@
-"""A reading is of one patch and belongs to one client, or to all: nobody is served another's."""
+"""A reading is of one patch and belongs to one client, or to all: no one is served another's."""
 
 from __future__ import annotations
 
@@ -86,9 +86,9 @@ async def test_a_one_off_stays_out_of_history_and_stream_of_http(station: Statio
 
 async def test_two_that_ask_for_one_patch_share_the_measurement(station: Station, instrument: Any) -> None:
     """The reading names both, and no third one."""
-    wanted = station.settings.__class__(patch=Patch(OTHER_X, 1, 2, 3))
+    expected = station.settings.__class__(patch=Patch(OTHER_X, 1, 2, 3))
     first, second = await asyncio.gather(
-        station.acquisition.measure(wanted, session="a"), station.acquisition.measure(wanted, session="b")
+        station.acquisition.measure(expected, session="a"), station.acquisition.measure(expected, session="b")
     )
     assert (first, first.session, len(instrument.measured)) == (second, "a,b", 1)
 
@@ -116,7 +116,7 @@ async def test_a_moved_patch_has_no_reading_yet(client: Any, station: Station) -
 async def test_a_patch_moved_while_measuring_is_not_believed(
     station: Station, instrument: Any, eventually: Eventually
 ) -> None:
-    """The reading in hand when the patch moves is kept, but is nobody's latest."""
+    """The reading in hand when the patch moves is kept, but is no one's latest."""
     instrument.let_go = threading.Event()
     begun = asyncio.create_task(station.acquisition.measure())
     await eventually(lambda: station.acquisition.busy)

@@ -87,7 +87,7 @@ def test_another_lens_is_refused(calibration):
 
 @pytest.mark.parametrize(("focal_mm", "taken"), [(16.16, True), (16.17, False), (15.85, True), (15.84, False)])
 def test_a_focal_length_fits_within_a_hundredth(calibration, focal_mm, taken):
-    """Of 16 mm, to either side; one that nobody knows is not compared."""
+    """Of 16 mm, to either side; one that is unknown is not compared."""
     lens = LensDescription(focal_length_mm=focal_mm)
     if taken:
         require_lens(calibration, lens)

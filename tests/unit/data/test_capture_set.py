@@ -123,7 +123,7 @@ def test_colour_frames_are_refused(capture):
     ],
 )
 def test_a_folder_that_lacks_something_is_refused(capture, remove, message):
-    """Nothing of a capture, no folder at all, one frame less: each is said, and none is read as fewer frames."""
+    """Nothing of a capture, no folder at all, one frame less: each is stated, and none is read as fewer frames."""
     for name in remove:
         target = capture / name
         shutil.rmtree(target) if target.is_dir() else target.unlink()
@@ -138,7 +138,7 @@ def test_a_bias_frame_needs_no_time(capture):
 
 
 def test_a_file_that_is_no_picture_is_refused(capture):
-    """Damaged and missing files are told apart, each by its name."""
+    """Damaged and missing files are distinguished, each by its name."""
     (capture / "frames" / "0001.png").write_bytes(b"\x89PNG" + bytes(200) + b"IEND")
     read = CaptureSet.read(capture)
     with pytest.raises(CaptureError, match=r"0001\.png: .*damaged"):

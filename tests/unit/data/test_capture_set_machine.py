@@ -1,4 +1,4 @@
-"""A folder of captures beside a plain list: begun, broken off, killed, finished, damaged and mended in any order."""
+"""A folder of captures against a plain list: begun, broken off, killed, finished, damaged, corrected in any order."""
 
 from __future__ import annotations
 
@@ -152,7 +152,7 @@ class CaptureMachine(RuleBasedStateMachine):
 
 
 def test_a_capture_set_is_all_or_nothing() -> None:
-    """Whatever happens in whatever order, nobody takes for a capture set what is not the whole of one."""
+    """Whatever happens in whatever order, no one takes for a capture set what is not the whole of one."""
     run_state_machine_as_test(
         CaptureMachine,
         settings=settings(

@@ -1,4 +1,4 @@
-"""Pictures are decoded as they are, and nothing is said about tags that no user asked for."""
+"""Pictures are decoded as they are, and nothing is stated about tags that no user asked for."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def _tiff(path):
     return codes, np.fromfile(path, np.uint8)
 
 
-def test_codes_come_back_and_nothing_is_said(tmp_path, capfd):
+def test_codes_come_back_and_nothing_is_reported(tmp_path, capfd):
     """Every code is as written; standard error, also that of the library itself, stays empty."""
     codes, content = _tiff(tmp_path / "a.tif")
     assert np.array_equal(decoded(content), codes)
@@ -58,8 +58,8 @@ def test_what_belongs_to_the_picture_of_a_png_stays():
 
 
 @pytest.mark.parametrize("place", [36, -30])
-def test_a_damaged_png_is_none_and_nothing_is_said(place, capfd):
-    """One wrong bit in the picture's data is told by its check sum, not by the library on standard error."""
+def test_a_damaged_png_is_none_and_nothing_is_reported(place, capfd):
+    """One wrong bit in the picture's data is recognised by its check sum, not by the library on standard error."""
     content = _png(np.random.default_rng(1).integers(0, 256, (9, 9), np.uint8)).copy()
     content[place] ^= 4
     assert decoded(content) is None
@@ -81,7 +81,7 @@ def test_what_is_no_picture_is_none(end, tmp_path):
 
 
 def test_a_program_s_own_level_of_remarks_stays(tmp_path):
-    """Whoever uses OpenCV beside this keeps what they set."""
+    """Whoever uses OpenCV next to this keeps what they set."""
     before = logging.setLogLevel(logging.LOG_LEVEL_INFO)
     decoded(_tiff(tmp_path / "a.tif")[1])
     assert logging.setLogLevel(before) == logging.LOG_LEVEL_INFO

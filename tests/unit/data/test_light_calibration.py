@@ -104,7 +104,7 @@ def test_one_level_that_gives_no_more_light_than_the_one_below_is_refused(dip):
 
 
 def test_between_two_levels_their_doubts_and_the_bend_count():
-    """f = ln(radiance/duty) = c·x²: midway its bend c·w²/4 stands as a rectangle beside the halves of both u."""
+    """f = ln(radiance/duty) = c·x²: midway its bend c·w²/4 stands as a rectangle next to the halves of both u."""
     c, w = 0.02, math.log(4.0)
     steps = [16, 64, 256, 1024, 4096]
     x = [math.log(step / STEPS) for step in steps]
@@ -124,7 +124,7 @@ def test_between_two_levels_their_doubts_and_the_bend_count():
 
 
 def test_a_level_that_was_measured_twice_is_refused_by_its_step():
-    """One pair among others is enough: which of the two holds nobody knows."""
+    """One pair among others is enough: which of the two holds no one knows."""
     points = [point(16, 16.0), point(64, 64.0), point(64, 65.0), point(256, 256.0)]
     with pytest.raises(CalibrationError, match="holds duty step 64 twice"):
         calibration(*points).choose("spot", 20.0)

@@ -96,7 +96,7 @@ def test_a_curve_says_something_of_two_numbers_at_least(known, taken):
 
 
 def test_a_file_keeps_all_that_is_known_of_a_curve(tmp_path):
-    """Range, channel, gauge and where it is from; a table tells by its middle whether it is absolute."""
+    """Range, channel, gauge and where it is from; a table reports by its middle whether it is absolute."""
     whole = ResponseCurve(
         np.arange(4.0), np.full(4, 0.1), absolute=True, valid_dn=(1, 2), channel="red",
         provenance=Provenance("by hand", ("a.png",), ("none",), {"x": 1}),
@@ -113,17 +113,17 @@ def test_a_file_keeps_all_that_is_known_of_a_curve(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("change", "said"),
+    ("change", "message"),
     [
         ({"format": "radiometer-response/0"}, "expected 'radiometer-response/1'"),
         ({"log_exposure": None}, "c.yaml: a response curve needs 2"), ({"u_log_exposure": ["x"]}, "c.yaml: could not"),
         ({"valid_dn": [1, "x"]}, "c.yaml: invalid"), ({"valid_dn": 3}, "c.yaml: 'int'"),
     ],
 )  # fmt: skip
-def test_a_mapping_that_is_no_curve_is_refused_by_its_place(change, said):
+def test_a_mapping_that_is_no_curve_is_refused_by_its_place(change, message):
     """The file is named, and the key that is missing."""
     whole = curve().to_mapping()
-    with pytest.raises(InputError, match=said):
+    with pytest.raises(InputError, match=message):
         ResponseCurve.from_mapping({**whole, **change}, "c.yaml")
     for key in ("log_exposure", "u_log_exposure"):
         with pytest.raises(InputError, match=f"c.yaml: key '{key}' is missing"):

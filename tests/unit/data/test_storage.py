@@ -1,4 +1,4 @@
-"""Files are whole or absent, and a failure is said in one line."""
+"""Files are whole or absent, and a failure is stated in one line."""
 
 from __future__ import annotations
 
@@ -133,7 +133,7 @@ def test_only_a_file_is_replaced(tmp_path, monkeypatch, make, linked):
 
 
 def test_text_is_read_without_an_editor_s_mark(tmp_path):
-    """A byte order mark is no part of the first word; what is no text is told by the place of its first wrong byte."""
+    """A byte order mark is no part of the first word; no text is reported with its first wrong byte."""
     path = tmp_path / "t.csv"
     path.write_bytes(b"\xef\xbb\xbfwavelength_nm,W\n")
     assert read_text(path) == "wavelength_nm,W\n"

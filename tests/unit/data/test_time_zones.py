@@ -99,9 +99,9 @@ def test_an_imported_stack_was_taken_when_its_file_says(tmp_path, text):
     received = [text, text.replace(":00:00", ":01:00", 1)]
     with tifffile.TiffWriter(tmp_path / "a_MMStack.ome.tif") as writer:
         for moment in received:
-            said = json.dumps({"Exposure-ms": 4.0, "ReceivedTime": moment, "BitDepth": 12})
+            message = json.dumps({"Exposure-ms": 4.0, "ReceivedTime": moment, "BitDepth": 12})
             picture = np.full((4, 4), 100, np.uint16)
-            writer.write(picture, extratags=[(51123, "s", 0, said, True)], metadata=None, contiguous=False)
+            writer.write(picture, extratags=[(51123, "s", 0, message, True)], metadata=None, contiguous=False)
     header = open_capture(tmp_path / "a_MMStack.ome.tif").header
     assert microseconds(header.created) == NOON_S * 1_000_000
     assert [entry.timestamp_s for entry in header.frames] == [0.0, 60.0]

@@ -24,7 +24,7 @@ def test_shipped_blackfly_has_the_figures_of_its_specification_page() -> None:
 
 
 def test_shipped_blackfly_has_the_spectral_response_of_its_family() -> None:
-    """Per watt: highest at 580 nm, a half at 400 and at 820 nm, nothing to speak of at 1100; the origin is told."""
+    """Per watt: highest at 580 nm, a half at 400 and at 820 nm, nothing to speak of at 1100; the origin is reported."""
     response = CameraPreset.shipped("BFS-U3-19S4M").spectral_response
     assert response is not None
     nm, relative = np.array(response.wavelength_nm), np.array(response.relative)

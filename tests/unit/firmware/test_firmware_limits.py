@@ -269,7 +269,7 @@ def test_lost_and_damaged_bytes_are_counted(power):
 
 
 @pytest.mark.parametrize(("flags", "cause"), [(1, "P"), (2, "E"), (4, "B"), (8, "W"), (15, "W"), (6, "B")])
-def test_the_cause_of_a_reset_is_told(power, flags, cause):
+def test_the_cause_of_a_reset_is_reported(power, flags, cause):
     """Watchdog before brown-out before the reset line before power, in the first event and in the status."""
     box = power(reset_flags=flags)
     assert box.take().startswith(f"!01 BO {cause} 0.008*".encode())
@@ -367,6 +367,6 @@ def test_line_and_timers_run_at_their_speeds(power):
     assert crystal_hz / 64 / (box.register("OCR0A") + 1) == 1000.0
     assert (box.register("TCCR1A") & 0b11, box.register("TCCR1B")) == (0b11, 0b01001), "to 1023, every cycle"
     assert (box.register("TCCR2A") & 0b11, box.register("TCCR2B")) == (0b11, 0b010), "to 255, every eighth cycle"
-    told_hz = int(TABLE[0].split()[3])
-    assert (int(crystal_hz / 1024 / 8), int(crystal_hz / 8 / 256 / 4)) == (told_hz, told_hz)
+    stated_hz = int(TABLE[0].split()[3])
+    assert (int(crystal_hz / 1024 / 8), int(crystal_hz / 8 / 256 / 4)) == (stated_hz, stated_hz)
     assert box.register("ADCSRA") & 0b10000111 == 0b10000111, "converts, every 128th cycle"

@@ -26,10 +26,10 @@ def test_a_header_becomes_settings(write_fits):
     assert np.array_equal(capture.read_frame(0).dn, PICTURE + np.uint16(40_000))
 
 
-@pytest.mark.parametrize("said", ["Bias Frame", "DARK", "zero", "Dark Frame          "])
-def test_darkness_is_told_by_imagetyp(write_fits, said):
+@pytest.mark.parametrize("message", ["Bias Frame", "DARK", "zero", "Dark Frame          "])
+def test_darkness_is_recognised_by_imagetyp(write_fits, message):
     """Bias and dark frames have a closed shutter, a bias frame an exposure of 0 s."""
-    entry = open_capture(write_fits("a.fit", PICTURE, EXPTIME=0.0, IMAGETYP=said)).header.frames[0]
+    entry = open_capture(write_fits("a.fit", PICTURE, EXPTIME=0.0, IMAGETYP=message)).header.frames[0]
     assert (entry.shutter, entry.exposure_s) == ("closed", 0.0)
 
 
@@ -65,13 +65,13 @@ def test_processing_is_doubted(write_fits):
     path = write_fits(
         "a.fits", PICTURE, ("Dark Subtract with m.fits",), EXPTIME=1.0, IMAGETYP="light", NCOMBINE=5
     )  # fmt: skip
-    said = " ".join(imported_of(open_capture(path)).doubts)
-    assert "dark subtract" in said
-    assert "5 frames" in said
+    doubts_found = " ".join(imported_of(open_capture(path)).doubts)
+    assert "dark subtract" in doubts_found
+    assert "5 frames" in doubts_found
 
 
 def test_the_cooler_that_had_not_settled_is_doubted(write_fits):
-    """A sensor 3 K off the wanted temperature is named; 0.2 K is not."""
+    """A sensor 3 K off the requested temperature is named; 0.2 K is not."""
     warm = open_capture(write_fits("a.fits", PICTURE, EXPTIME=1.0, IMAGETYP="dark", CCD_TEMP=-7.0, SET_TEMP=-10.0))
     fine = open_capture(write_fits("b.fits", PICTURE, EXPTIME=1.0, IMAGETYP="dark", CCD_TEMP=-9.8, SET_TEMP=-10.0))
     assert "-7.0" in imported_of(warm).doubts[0]

@@ -19,7 +19,7 @@ PICTURE = (np.random.default_rng(1).integers(300, 3000, (40, 60)) * 16).astype(n
 
 
 @pytest.fixture
-def said(capsys):
+def run_command(capsys):
     """Return a function that runs the command line and returns exit code, standard output and standard error."""
 
     def call(*words):
@@ -30,13 +30,13 @@ def said(capsys):
     return call
 
 
-def test_an_import_is_a_capture_set(write_fits, said, tmp_path):
+def test_an_import_is_a_capture_set(write_fits, run_command, tmp_path):
     """What was written reads back with the same pixels, settings, record and original name."""
     for index in range(2):
         source = write_fits(
             f"s/{index}.fits", PICTURE + np.uint16(index), EXPTIME=1.0 + index, IMAGETYP="dark", CCD_TEMP=1.5
         )
-    code, _, err = said("import", source.parent, "-o", tmp_path / "out")
+    code, _, err = run_command("import", source.parent, "-o", tmp_path / "out")
     assert code == 0
     assert "exposure_s from EXPTIME (2 frames)" in err
     capture = CaptureSet.read(tmp_path / "out")
@@ -46,19 +46,19 @@ def test_an_import_is_a_capture_set(write_fits, said, tmp_path):
     assert imported_of(capture).taken
 
 
-def test_several_bands_become_several_sets(write_raw_tiff, said, tmp_path):
+def test_several_bands_become_several_sets(write_raw_tiff, run_command, tmp_path):
     """Each band has its folder."""
     write_raw_tiff("s/IMG_1.tif", PICTURE, band="Blue")
     folder = write_raw_tiff("s/IMG_2.tif", PICTURE, band="Red").parent
-    assert said("import", folder, "-o", tmp_path / "out")[0] == 0
+    assert run_command("import", folder, "-o", tmp_path / "out")[0] == 0
     assert sorted(p.name for p in (tmp_path / "out").iterdir()) == ["Blue", "Red"]
 
 
-def test_nothing_is_left_of_an_import_that_fails(write_raw_tiff, write_fits, said, tmp_path):
+def test_nothing_is_left_of_an_import_that_fails(write_raw_tiff, write_fits, run_command, tmp_path):
     """A second camera that cannot be taken leaves no first one behind."""
     write_fits("s/a.fits", PICTURE, EXPTIME=1.0)
     write_fits("s/b.fits", PICTURE[:20].astype(np.int16) - 9000, EXPTIME=1.0)
-    code, _, err = said("import", tmp_path / "s", "-o", tmp_path / "out")
+    code, _, err = run_command("import", tmp_path / "s", "-o", tmp_path / "out")
     assert code == 1
     assert "--pedestal" in err
     assert not (tmp_path / "out").exists()
@@ -75,7 +75,7 @@ def test_a_damaged_file_of_a_folder_is_left_out_and_named(write_fits, tmp_path):
 
 
 @pytest.mark.parametrize("kind", ["fits", "fits.gz", "tif", "tif.gz"])
-def test_a_file_cut_anywhere_is_one_line(kind, write_fits, write_raw_tiff, said, tmp_path):
+def test_a_file_cut_anywhere_is_one_line(kind, write_fits, write_raw_tiff, run_command, tmp_path):
     """Cut at twelve places from the first byte to the last, a file gives exit code 1 and one line that names it."""
     writer = write_fits if kind.startswith("fits") else write_raw_tiff
     facts = {"EXPTIME": 1.0} if kind.startswith("fits") else {}
@@ -87,7 +87,7 @@ def test_a_file_cut_anywhere_is_one_line(kind, write_fits, write_raw_tiff, said,
     for share in (0.0, 0.001, 0.01, 0.05, 0.1, 0.3, 0.5, 0.7, 0.9, 0.97, 0.99, 0.999):
         target.write_bytes(content[: int(share * end)])
         out = tmp_path / f"out-{share}"
-        code, _, err = said("import", target, "-o", out)
+        code, _, err = run_command("import", target, "-o", out)
         assert code == 1, (share, err)
         assert err.startswith("error: ")
         assert "cut." in err
@@ -97,26 +97,26 @@ def test_a_file_cut_anywhere_is_one_line(kind, write_fits, write_raw_tiff, said,
 
 
 @pytest.mark.slow
-def test_a_plan_is_told_of_files_where_they_lie(write_fits, said):
+def test_a_plan_is_reported_of_files_where_they_lie(write_fits, run_command):
     """`reconcile --plan-only` takes FITS files as `reconcile` does: darks of one exposure tell no source's warm-up."""
     rng = np.random.default_rng(3)
     for index in range(4):
         dark = np.round(rng.normal(300.0, 8.0, (40, 60))).astype(np.uint16)
         folder = write_fits(f"s/{index}.fits", dark, EXPTIME=1.0, IMAGETYP="dark", CCD_TEMP=1.5).parent
-    code, out, err = said("reconcile", folder, "--plan-only", "--json")
+    code, out, err = run_command("reconcile", folder, "--plan-only", "--json")
     assert (code, err) == (0, "")
     assert {"source_warmup_drift", "prnu", "veiling_glare"} <= set(json.loads(out)["blind"])
 
 
-def test_several_files_of_which_none_is_read_are_one_line(tmp_path, said):
+def test_several_files_of_which_none_is_read_are_one_line(tmp_path, run_command):
     """Named alone or together, by `import` or met by `passport` in an archive."""
     for name in ("a.csv", "b.fits"):
         (tmp_path / name).write_text("luminance,f_number\n1,2\n")
-    code, _, err = said("import", tmp_path / "a.csv", tmp_path / "b.fits", "-o", tmp_path / "out")
+    code, _, err = run_command("import", tmp_path / "a.csv", tmp_path / "b.fits", "-o", tmp_path / "out")
     assert code == 1
     assert "a.csv: not FITS or TIFF" in err
     assert "(and 1 more)" in err
-    code, _, err = said("passport", tmp_path)
+    code, _, err = run_command("passport", tmp_path)
     assert (code, "holds no capture set" in err) == (1, True)
 
 
@@ -144,14 +144,14 @@ def test_few_codes_tell_no_padding(codes, step, write_fits):
 
 
 @pytest.mark.parametrize("command", ["characterise", "reconcile"])
-def test_what_is_no_picture_is_refused_in_words(command, tmp_path, said):
-    """A spreadsheet, and a folder of them, are told apart from a capture that was not finished."""
+def test_what_is_no_picture_is_refused_in_words(command, tmp_path, run_command):
+    """A spreadsheet, and a folder of them, are distinguished from a capture that was not finished."""
     book = tmp_path / "book.xls"
     book.write_bytes(b"\xd0\xcf\x11\xe0" * 400)
-    code, _, err = said(command, book)
+    code, _, err = run_command(command, book)
     assert (code, "codec" in err) == (1, False)
     assert "FITS" in err
-    code, _, err = said(command, tmp_path)
+    code, _, err = run_command(command, tmp_path)
     assert (code, "not finished" in err) == (1, False)
     assert "holds n" in err  # neither … nor photographs, or no capture.yaml nor other frames
 
@@ -214,9 +214,9 @@ def test_real_multispectral_frames(shared_data):
     corners = [c for header in red_edge for c in header.lens.model_extra["maker_corner_illumination"]]
     assert 0.53 < min(corners) < 0.56
     assert 0.80 < max(corners) < 0.86
-    told = [line for header in red_edge for line in header.model_extra["imported"]["doubts"]]
-    assert sum("row_dependent_exposure" in line for line in told) == len(red_edge)
-    assert sum("corners" in line and "natural_vignetting" in line for line in told) == len(red_edge)
+    doubts = [line for header in red_edge for line in header.model_extra["imported"]["doubts"]]
+    assert sum("row_dependent_exposure" in line for line in doubts) == len(red_edge)
+    assert sum("corners" in line and "natural_vignetting" in line for line in doubts) == len(red_edge)
 
 
 def test_a_copy_has_the_pixels_of_the_crop(write_fits, tmp_path):

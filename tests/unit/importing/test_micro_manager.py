@@ -24,9 +24,9 @@ def _stack(path, planes, pictures=None, **common):
     """Write pages with Micro-Manager's tag, as its MMStack files have it."""
     with tifffile.TiffWriter(path) as writer:
         for number, plane in enumerate(planes):
-            said = json.dumps(common | plane)
+            text = json.dumps(common | plane)
             picture = PICTURE if pictures is None else pictures[number]
-            writer.write(picture, extratags=[(51123, "s", 0, said, True)], metadata=None, contiguous=False)
+            writer.write(picture, extratags=[(51123, "s", 0, text, True)], metadata=None, contiguous=False)
     return path
 
 
@@ -41,9 +41,9 @@ def test_ome_stack_of_pymmcore_plus_is_read():
     assert stamps[1] == pytest.approx(0.026067, abs=1e-5)
     assert capture.header.created.startswith("2026-11-22T17:17")
     assert capture.header.camera.model == "Camera"
-    said = imported_of(capture)
-    assert any("gain is 6.0 in a unit of the camera's own" in line for line in said.doubts)
-    assert "exposure_s from OME-XML (3 frames)" in said.taken
+    text = imported_of(capture)
+    assert any("gain is 6.0 in a unit of the camera's own" in line for line in text.doubts)
+    assert "exposure_s from OME-XML (3 frames)" in text.taken
     assert capture.header.frames[0].model_extra["device_gain"] == "6.0"
     # The camera that wrote it gives 100 DN + 20 DN per ms.
     means = [float(capture.read_frame(n).dn.mean()) for n in range(3)]
@@ -57,16 +57,16 @@ def test_radiance_of_a_stack_follows_its_exposures(tmp_path, capsys):
     stack = rm.read(tmp_path / "set")
     assert [frame.settings.exposure_s for frame in stack.bracket.light] == [0.005, 0.01, 0.02]
     header = tmp_path / "set" / "capture.yaml"
-    said = yaml.safe_load(header.read_text())
-    said["camera"]["black_level_dn"] = 100
-    header.write_text(yaml.safe_dump(said))
+    text = yaml.safe_load(header.read_text())
+    text["camera"]["black_level_dn"] = 100
+    header.write_text(yaml.safe_dump(text))
     bright, whole = (rm.merge(rm.read(folder)).value for folder in (tmp_path / "set", RECORDED / "stack.ome.tiff"))
     assert float(np.median(bright)) == pytest.approx((500.0 - 100.0) / 0.02, rel=0.02)
     assert whole.shape == bright.shape
 
 
 def test_image_sequence_of_pymmcore_plus_is_read():
-    """The JSON beside the pictures holds their exposures."""
+    """The JSON next to the pictures holds their exposures."""
     assert is_foreign(RECORDED / "sequence")
     capture = open_capture(RECORDED / "sequence")
     assert [entry.exposure_s for entry in capture.header.frames] == [0.005, 0.01]
@@ -103,28 +103,28 @@ def test_gains_of_unknown_unit_are_sets_of_their_own(tmp_path):
         open_capture(path)
 
 
-def test_metadata_text_beside_single_pictures_is_read(tmp_path):
+def test_metadata_text_next_to_single_pictures_is_read(tmp_path):
     """`metadata.txt` names each picture's file."""
     for number in range(2):
         tifffile.imwrite(tmp_path / f"img_{number:09d}_Default_000.tif", PICTURE, metadata=None)
-    said = {
+    text = {
         f"FrameKey-{n}-0-0": {"FileName": f"img_{n:09d}_Default_000.tif", "Exposure-ms": 5.0 * (n + 1), "Camera": "C"}
         for n in range(2)
     }
-    (tmp_path / "metadata.txt").write_text(json.dumps({"Summary": {"Frames": 2}} | said))
+    (tmp_path / "metadata.txt").write_text(json.dumps({"Summary": {"Frames": 2}} | text))
     capture = open_capture(tmp_path)
     assert [entry.exposure_s for entry in capture.header.frames] == [0.005, 0.01]
 
 
 def test_damaged_metadata_is_as_none(tmp_path):
-    """A JSON file that is cut short leaves the pictures without exposure, which is said in one line."""
+    """A JSON file that is cut short leaves the pictures without exposure, which is stated in one line."""
     shutil.copytree(RECORDED / "sequence", tmp_path / "s")
     (tmp_path / "s" / "_frame_metadata.json").write_text('{"00000_.tif": {')
     with pytest.raises(CaptureError, match="exposure"):
         import_sources([tmp_path / "s"], ImportOptions())
 
 
-def test_planes_are_told_apart_by_their_place(tmp_path):
+def test_planes_are_distinguished_by_their_place(tmp_path):
     """Planes of OME-XML may stand in any order; the dimension order says which page is whose, and units are kept."""
     xml = (
         '<OME xmlns="http://www.openmicroscopy.org/Schemas/OME/2016-06"><Image ID="Image:0"><Pixels ID="Pixels:0" '

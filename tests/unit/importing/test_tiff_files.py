@@ -27,8 +27,8 @@ def test_masked_rows_off_the_black_level_tag_are_named(write_raw_tiff):
     """Offset and gain slope of the masked rows are named with their size at each gain."""
     write_raw_tiff("s/a_1.tif", PICTURE, iso=100, dark=5000)
     folder = write_raw_tiff("s/b_1.tif", PICTURE, iso=200, dark=5200).parent
-    said = " ".join(imported_of(open_capture(folder)).doubts)
-    assert "+200 DN at 0 dB, +400 DN at 6.02 dB: black_level_offset and black_level_gain_slope" in said
+    doubts_found = " ".join(imported_of(open_capture(folder)).doubts)
+    assert "+200 DN at 0 dB, +400 DN at 6.02 dB: black_level_offset and black_level_gain_slope" in doubts_found
 
 
 def test_masked_rows_come_with_the_frame(write_raw_tiff):
@@ -38,8 +38,8 @@ def test_masked_rows_come_with_the_frame(write_raw_tiff):
 
 def test_masked_rows_at_the_tag_raise_no_doubt(write_raw_tiff):
     """Masked rows that read what the tag says are no finding."""
-    said = imported_of(open_capture(write_raw_tiff("a.tif", PICTURE, dark=4800))).doubts
-    assert not any("masked" in line for line in said)
+    doubts_found = imported_of(open_capture(write_raw_tiff("a.tif", PICTURE, dark=4800))).doubts
+    assert not any("masked" in line for line in doubts_found)
 
 
 def test_bands_are_cameras_of_their_own(write_raw_tiff):
@@ -78,17 +78,17 @@ def test_the_frame_carries_corners_and_row_gain(write_raw_tiff):
     assert header.frames[0].model_extra["maker_row_gain_last"] == pytest.approx(
         1 + 1e-7 * 39 / 0.002 + 5e-6 * 39, abs=1e-4
     )
-    said = header.model_extra["imported"]["doubts"]
-    assert any("0.83 to 0.85 of the middle" in line and "natural_vignetting" in line for line in said), said
-    assert not any("row_dependent_exposure" in line for line in said)  # 0.2 % are too little to be told
+    doubts = header.model_extra["imported"]["doubts"]
+    assert any("0.83 to 0.85 of the middle" in line and "natural_vignetting" in line for line in doubts), doubts
+    assert not any("row_dependent_exposure" in line for line in doubts)  # 0.2 % are too little to be reported
 
 
-def test_rows_that_are_exposed_for_times_of_their_own_are_told_by_the_entrys_name(write_raw_tiff):
+def test_rows_that_are_exposed_for_times_of_their_own_are_recognised_by_the_entrys_name(write_raw_tiff):
     """A row more has 0.02 and 0.04 % of the light more at two exposures: 0.8 and 1.6 % over 40 rows."""
     for name, exposure_s in (("a.tif", (1, 2000)), ("b.tif", (1, 4000))):
         path = write_raw_tiff(name, PICTURE, exposure=exposure_s)
-    said = open_capture(path.parent).header.model_extra["imported"]["doubts"]
-    (line,) = [line for line in said if "row_dependent_exposure" in line]
+    doubts = open_capture(path.parent).header.model_extra["imported"]["doubts"]
+    (line,) = [line for line in doubts if "row_dependent_exposure" in line]
     assert "+0.8 to +1.6 % more light than the first" in line
 
 

@@ -1,4 +1,4 @@
-"""The fall-off of lenses by lensfun's database: held beside its own measured values, and taken out of a map."""
+"""The fall-off of lenses by lensfun's database: held next to its own measured values, and taken out of a map."""
 
 from __future__ import annotations
 

@@ -117,9 +117,9 @@ def test_a_speed_that_one_side_does_not_state_is_assumed_or_refused(tmp_path, ca
     stated = rm.measure_photographs(silent, (4, 4, 50, 30), calibration=calibrated, iso=100, spectrum="equal_energy")
     assert stated.radiance.value == pytest.approx(0.2, rel=0.03)
     unknown = replace(calibrated, scale=calibrated.scale.model_copy(update={"iso": None}))
-    told = photographs(tmp_path / "told", np.full((40, 60), 0.2), times_s=TIMES_S[1:4])
+    reported = photographs(tmp_path / "stated", np.full((40, 60), 0.2), times_s=TIMES_S[1:4])
     with pytest.raises(CalibrationError, match="does not say at which ISO speed"):
-        rm.measure_photographs(told, (4, 4, 50, 30), calibration=unknown)
+        rm.measure_photographs(reported, (4, 4, 50, 30), calibration=unknown)
 
 
 def test_a_calibration_of_one_colour_reads_no_other(tmp_path, curve):

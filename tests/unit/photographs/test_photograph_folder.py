@@ -61,7 +61,7 @@ def test_a_line_without_one_time_is_refused_by_its_number(tmp_path, text, said):
 
 
 def test_names_with_blanks_are_those_of_files_that_lie_there(tmp_path):
-    """A blank belongs to a name where a file of that name lies beside the list; quotes around it do not."""
+    """A blank belongs to a name where a file of that name is next to the list; quotes around it do not."""
     for name in ("day 1.png", "day 2, noon.png", "c.png"):
         _grey(tmp_path, name, 100)
     (tmp_path / "exposures.csv").write_text('day 1.png,1/125\n"day 2, noon.png" 0.5\nc.png, 2\n')
@@ -79,7 +79,7 @@ def test_memorial_list_holds_times_in_its_second_column(shared_data):
 
 
 def test_exif_dial_times_become_exact_stops(tmp_path):
-    """EXIF 1/60 s is 2⁻⁶ s and f/5.6 is 2^2.5; the printed time stays beside it."""
+    """EXIF 1/60 s is 2⁻⁶ s and f/5.6 is 2^2.5; the printed time stays next to it."""
     _jpeg(tmp_path, "a.jpg", 50, time=1 / 60, f_number=5.6)
     _jpeg(tmp_path, "b.jpg", 100, time=1 / 30, f_number=5.6)
     bracket = read_photographs(tmp_path, "red")[0]
@@ -245,15 +245,15 @@ def test_files_that_a_list_names_and_that_are_not_there_are_told(tmp_path):
         read_photographs(tmp_path)
 
 
-def test_photographs_that_a_list_does_not_name_are_said_to_be_left_out(tmp_path, capsys):
+def test_photographs_that_a_list_does_not_name_are_reported_to_be_left_out(tmp_path, capsys):
     """A list of two of three photographs uses these two, and says on standard error which it leaves."""
     for name in ("a.png", "b.png", "c.png"):
         _grey(tmp_path, name, 100 + ord(name[0]))
     (tmp_path / "exposures.txt").write_text("a.png 1\nc.png 4\n")
     assert len(read_photographs(tmp_path)[0].light) == 2
-    said = capsys.readouterr().err
-    assert "b.png" in said
-    assert "a.png" not in said
+    printed = capsys.readouterr().err
+    assert "b.png" in printed
+    assert "a.png" not in printed
 
 
 def test_umlauts_are_one_letter_or_two_marks(tmp_path):
@@ -266,7 +266,7 @@ def test_umlauts_are_one_letter_or_two_marks(tmp_path):
 
 
 @pytest.mark.parametrize("encoding", ["cp1252", "utf-16"])
-def test_a_list_that_is_not_utf_8_is_told_with_the_way_out(tmp_path, encoding):
+def test_a_list_that_is_not_utf_8_is_reported_with_the_way_out(tmp_path, encoding):
     """What Windows' own programs write in other encodings is refused in words, not by a codec's."""
     (tmp_path / "exposures.txt").write_bytes("Küche.png 1\n".encode(encoding))
     with pytest.raises(CaptureError, match=r"is not UTF-8\); save the list as plain text in UTF-8"):
@@ -287,7 +287,7 @@ def test_a_copy_of_a_photograph_is_refused(tmp_path):
 
 
 def test_times_of_a_camera_without_a_dial_stand_for_no_stops(tmp_path):
-    """A telephone's 1/60 s beside 1/3021 s is 1/60 s, not the 1/64 s of a dial; times by hand (90 s) change nothing."""
+    """A telephone's 1/60 s with 1/3021 s is 1/60 s, not the 1/64 s of a dial; times by hand (90 s) change nothing."""
     for folder, other, expected in (("phone", 1 / 3021, 1 / 60), ("dial", 90.0, 2.0**-6)):
         (tmp_path / folder).mkdir()
         _jpeg(tmp_path / folder, "a.jpg", 50, time=1 / 60)

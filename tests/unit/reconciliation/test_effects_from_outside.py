@@ -176,7 +176,7 @@ def test_effects_of_an_installed_package_are_known_by_name(tmp_path: Path, text:
 
 
 @pytest.mark.usefixtures("untouched")
-def test_file_is_taken_and_stands_beside_the_others(tmp_path: Path) -> None:
+def test_file_is_taken_and_is_next_to_the_others(tmp_path: Path) -> None:
     """Its classes are known by name; the same file again changes nothing; a foreign name is refused with a way out."""
     path, taken = tmp_path / "own.py", tmp_path / "taken.py"
     path.write_text(EFFECTS_OF_A_LABORATORY, encoding="utf-8")
@@ -191,7 +191,7 @@ def test_file_is_taken_and_stands_beside_the_others(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("text", "said"),
+    ("text", "message"),
     [
         ("import nothing_of_the_kind\n", "cannot be run: ModuleNotFoundError"),
         ("x = 1\n", "defines no effect"),
@@ -199,21 +199,21 @@ def test_file_is_taken_and_stands_beside_the_others(tmp_path: Path) -> None:
     ],
 )
 @pytest.mark.usefixtures("untouched")
-def test_file_that_cannot_be_taken_is_told_in_one_line(tmp_path: Path, text: str, said: str) -> None:
+def test_file_that_cannot_be_taken_is_reported_in_one_line(tmp_path: Path, text: str, message: str) -> None:
     """What is wrong with it stands behind its name."""
     path = tmp_path / "broken.py"
     path.write_text(text, encoding="utf-8")
-    with pytest.raises(ConfigurationError, match=f"broken.py: .*{said}"):
+    with pytest.raises(ConfigurationError, match=f"broken.py: .*{message}"):
         register_file(path)
 
 
 @pytest.mark.parametrize(
-    ("name", "said"),
+    ("name", "message"),
     [("gone.py", "does not exist"), ("law.txt", "is no Python"), ("folder.py", "is no Python")],
 )
-def test_a_file_that_cannot_hold_effects_is_refused_for_what_it_is(tmp_path, name, said):
+def test_a_file_that_cannot_hold_effects_is_refused_for_what_it_is(tmp_path, name, message):
     """One that is not there is not called no Python file."""
     (tmp_path / "law.txt").write_text("", encoding="utf-8")
     (tmp_path / "folder.py").mkdir()
-    with pytest.raises(ConfigurationError, match=f"{name}:? {said}"):
+    with pytest.raises(ConfigurationError, match=f"{name}:? {message}"):
         register_file(tmp_path / name)

@@ -58,7 +58,7 @@ def test_a_step_from_another_point_is_that_of_its_own_residual(seed):
 @quick
 @given(seeds, st.integers(0, 20), st.integers(1, 4))
 def test_a_score_is_what_more_columns_would_explain(seed, start, terms):
-    """χ² of further columns beside the parameters is the fall of the sum of squares when they are fitted too."""
+    """χ² of further columns next to the parameters is the fall of the sum of squares when they are fitted too."""
     fit, jacobian, residual, rng = fit_of(seed)
     rows = slice(start, start + 15)
     basis = rng.standard_normal((15, terms))
@@ -78,7 +78,7 @@ def test_a_score_is_what_more_columns_would_explain(seed, start, terms):
 
 
 def test_what_the_parameters_explain_already_scores_nothing():
-    """A column of the fit itself leaves nothing to be tested; beside one of its own, that alone counts."""
+    """A column of the fit itself leaves nothing to be tested; next to one of its own, that alone counts."""
     fit, jacobian, _, rng = fit_of(3)
     assert fit.score(slice(0, 40), jacobian[:, -1:])[1] == 0
     own = rng.standard_normal((40, 1))
@@ -88,7 +88,7 @@ def test_what_the_parameters_explain_already_scores_nothing():
 
 @quick
 @given(seeds)
-def test_more_effects_stand_beside_those_before(seed):
+def test_more_effects_join_those_before(seed):
     """Extended by columns, and by another residual, it is the fit of all of them."""
     fit, jacobian, _, rng = fit_of(seed)
     more, other = rng.standard_normal((40, 2)), rng.standard_normal(40)
@@ -106,7 +106,7 @@ def test_a_block_keeps_the_rows_that_hold_something(seed):
     one, two = rng.standard_normal((30, 2)), rng.standard_normal((30, 3))
     one[3:7], two[3:9], one[12:], two[20:] = 0.0, 0.0, 0.0, 0.0
     priors = rng.standard_normal(5)
-    block = RowBlock.of(one).beside(RowBlock.of(two), 30, priors)
+    block = RowBlock.of(one).joined_with(RowBlock.of(two), 30, priors)
     whole = np.block([[one, two], [np.diag(priors)]])
     rebuilt = np.zeros_like(whole)
     rebuilt[block.rows] = block.values
@@ -148,7 +148,7 @@ def test_a_group_left_out_is_predicted_by_a_fit_to_the_others(seed, sizes):
 
 
 def test_an_effect_that_changes_nothing_predicts_nothing():
-    """A column of noughts beside others leaves every group's density as it is."""
+    """A column of noughts next to others leaves every group's density as it is."""
     fit, *_ = fit_of(5)
     group, counts = np.repeat(np.arange(10), 4), np.ones(40, bool)
     idle = LinearFit(fit.residual, fit.nuisances, np.column_stack([fit.effects, np.zeros(40)]), fit.followers)

@@ -20,7 +20,7 @@ DARKS = [{"t": t, "shutter": "closed"} for t in (1e-4, 1e-2)]
 
 
 def _seen(make_capture: Callable[..., Any], light: Callable[[int], float], frames: int = 4) -> Periodic | None:
-    """Return what is found in frames of a hundred electrons of noise, the light of each as said."""
+    """Return what is found in frames of a hundred electrons of noise, the light of each as stated."""
     base = make_capture(seed=51, frames=1, plan=[{"t": 3e-3}])
     header, picture = base.header, base.frames[0].dn.astype(np.float64)
     rng = np.random.default_rng(52)
@@ -67,7 +67,7 @@ def test_first_frames_and_drifts_within_a_setting_have_no_period(make_capture: C
 
 @pytest.mark.slow
 def test_every_fifth_frame_dim_does_not_agree(make_capture: Callable[..., Any]) -> None:
-    """Of a source about which nothing is stated: the period is told and no flicker beside it."""
+    """Of a source about which nothing is stated: the period is reported and no flicker next to it."""
     frames = count()
     captured = make_capture(
         seed=53, plan=[*EXPOSURES, *EXPOSURES, *DARKS],

@@ -79,21 +79,21 @@ def test_a_curve_stands_in_json_with_its_band(late: FitState) -> None:
     fitted = {name: FittedParameter(1.5, 0.1, "1") for name in form.law_names()}
     curve = LawCurve.of(form, fitted)
     assert curve is not None
-    told = curve.to_mapping()
-    assert list(told["along"]) == ["exposure_s"]
-    assert (told["factor"], told["u"]) == ([1.5] * 5, [0.1] * 5)
+    mapping = curve.to_mapping()
+    assert list(mapping["along"]) == ["exposure_s"]
+    assert (mapping["factor"], mapping["u"]) == ([1.5] * 5, [0.1] * 5)
     assert LawCurve.of(ExposureTimeOffset(8e-6), {}) is None
 
 
-def test_the_size_of_another_law_is_told_with_its_u(late: FitState) -> None:
-    """Exposures 8 to 24 µs too long: a law about 12 µs tells these, as uncertain as the own equation's size is off."""
+def test_the_size_of_another_law_is_reported_with_its_u(late: FitState) -> None:
+    """Exposures 8 to 24 µs too long: a law about 12 µs gives these, as uncertain as the own equation's size is off."""
     form = free_forms(late, ExposureTimeOffset(12e-6))[0]
-    told = sizes_by_own_law(with_effects(late, [form]), form)["offset_s"]
+    reported = sizes_by_own_law(with_effects(late, [form]), form)["offset_s"]
     plain = refit(with_effects(late, [ExposureTimeOffset(12e-6)])).effects[0]
     assert isinstance(plain, ExposureTimeOffset)
-    assert told.value == 12e-6
-    assert told.u is not None
-    assert abs(plain.offset_s - 12e-6) <= told.u < 16e-6
+    assert reported.value == 12e-6
+    assert reported.u is not None
+    assert abs(plain.offset_s - 12e-6) <= reported.u < 16e-6
 
 
 def test_a_variant_far_off_speaks_for_the_others(late: FitState) -> None:

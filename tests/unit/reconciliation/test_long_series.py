@@ -81,7 +81,7 @@ def test_captures_begin_where_a_series_jumps() -> None:
     assert len(pieces) == 10
 
 
-def told(level: np.ndarray) -> tuple[int, ...]:
+def found_at(level: np.ndarray) -> tuple[int, ...]:
     """Return the jumps of a series whose frames have these levels, in 24 tiles of noise 0.1."""
     noise = 0.1 * np.random.default_rng(4).standard_normal((level.size, 24))
     return jumps(
@@ -89,15 +89,15 @@ def told(level: np.ndarray) -> tuple[int, ...]:
     )
 
 
-def test_jumps_are_told_and_lone_frames_are_none() -> None:
+def test_jumps_are_reported_and_lone_frames_are_none() -> None:
     """A step of 1 at frame 33, an event at 21 that dies away over ten frames; a flash, a drift and nothing are none."""
     k = np.arange(80)
-    assert told(1.0 * (k >= 33)) == (33,)
-    assert told(2.0 * np.where(k >= 21, np.exp(-(k - 21) / 10.0), 0.0)) == (21,)
-    assert told(1.0 * (k >= 20) - 1.0 * (k >= 50)) == (20, 50)
-    assert told(2.0 * (k == 33)) == ()
-    assert told(0.05 * k) == ()
-    assert told(0.0 * k) == ()
+    assert found_at(1.0 * (k >= 33)) == (33,)
+    assert found_at(2.0 * np.where(k >= 21, np.exp(-(k - 21) / 10.0), 0.0)) == (21,)
+    assert found_at(1.0 * (k >= 20) - 1.0 * (k >= 50)) == (20, 50)
+    assert found_at(2.0 * (k == 33)) == ()
+    assert found_at(0.05 * k) == ()
+    assert found_at(0.0 * k) == ()
 
 
 @pytest.mark.slow
@@ -132,7 +132,7 @@ def test_a_lamp_that_jumps_within_a_series_is_named() -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("known", [True, False])
 def test_a_quiet_series_agrees(known: bool) -> None:
-    """Also where nobody states the camera: its black level is taken from the noise, and that is said."""
+    """Also without a statement of the camera: its black level is taken from the noise, and that is stated."""
     found = asked(header(120, known=known), series(lambda t: 900.0, 120, offset=lambda t: 0.0, seed=43))
     assert str(found.verdict) == "agrees"
     assert any("noise of the light extrapolates" in line for line in found.assumptions) is not known

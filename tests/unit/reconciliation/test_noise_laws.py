@@ -1,4 +1,4 @@
-"""What noise tells and what counts, by laws and at exact bounds: black levels, scatter of light, scores of names."""
+"""What noise reports and what counts, by laws and at exact bounds: black levels, scatter of light, scores of names."""
 
 from __future__ import annotations
 

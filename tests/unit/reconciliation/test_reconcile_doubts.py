@@ -1,4 +1,4 @@
-"""What makes names provisional though nothing structured is left beside them."""
+"""What makes names provisional though nothing structured is left next to them."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ def test_one_alternative_to_all_names_doubts_them() -> None:
 
 
 def test_fall_off_without_its_oblique_part_lacks_its_essential() -> None:
-    """A fall-off that only the term beside the cos⁴ law carries is no natural vignetting; of others the size counts."""
+    """A fall-off that only the term beyond the cos⁴ law carries is no natural vignetting; of others the size counts."""
     lens, late = NaturalVignetting(0.001, 0.02), ExposureTimeOffset(2e-6)
 
     def fitted(strength: float, u_s: float = 5e-7) -> dict[str, dict[str, FittedParameter]]:
@@ -101,7 +101,7 @@ def test_bands_without_a_time_from_row_to_row_are_any_flicker(u_s: float, doubte
 
 
 def test_little_evidence_that_another_entry_claims_is_contested() -> None:
-    """Thirty nats beside a rival within five, or beside a name of more, are no certainty; many nats, or alone, are."""
+    """Thirty nats with a rival within five, or with a name of more, are no certainty; many nats, or alone, are."""
     blur = BLUR_AND_GAIN[:1]
     assert insignificant_next_to_others([_step("psf_blur", CROSSTALK, nats=30.0)], blur) == ["psf_blur"]
     assert insignificant_next_to_others([_step("psf_blur", CROSSTALK, nats=100.0)], blur) == []

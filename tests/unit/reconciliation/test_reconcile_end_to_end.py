@@ -36,7 +36,7 @@ def offset(make_capture: Callable[..., Any]) -> ReconcileResult:
 
 
 def test_ideal_camera_agrees(make_capture: Callable[..., Any]) -> None:
-    """Nothing hidden: the verdict says so, names nothing, and the limits stand beside it."""
+    """Nothing hidden: the verdict says so, names nothing, and the limits are next to it."""
     captured = make_capture(seed=12)
     result = reconcile(captured.header, captured.frames)
     assert (result.verdict, result.effects) == (Verdict.AGREES, ())

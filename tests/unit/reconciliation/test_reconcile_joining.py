@@ -52,7 +52,7 @@ def test_losses_by_slant_and_cone_are_one_effect(make_capture: Callable[..., Any
 
 
 def test_fall_off_that_no_stop_changes_is_the_lens(make_capture: Callable[..., Any]) -> None:
-    """Beside stops that are off by 2 % each, a fall-off at all of them alike needs no power of the f-number."""
+    """Next to stops that are off by 2 % each, a fall-off at all of them alike needs no power of the f-number."""
     captured = make_capture(picture=lambda image, s: image * _fall_off(image) * 1.02 ** (2.0 * np.log2(s["N"] / 4.0)))
     stops = FnumberTstopError(0.02)
     plain = _fitted(captured, NaturalVignetting(0.05), stops)
@@ -63,7 +63,7 @@ def test_fall_off_that_no_stop_changes_is_the_lens(make_capture: Callable[..., A
 
 
 def test_what_was_named_too_early_gives_way(make_capture: Callable[..., Any]) -> None:
-    """Beside the veil that was found later, an offset of 0.9 DN predicts better than the exponent it was taken for."""
+    """Next to the veil that was found later, an offset of 0.9 DN predicts better than the exponent it was taken for."""
     captured = make_capture(picture=lambda image, s: 0.98 * image + 0.02 * image.mean(), extra_dn=lambda s: 0.9)
     names = ("black_level_offset", "black_level_drift", "gamma_enabled", "response_nonlinearity", "veiling_glare")
     entries = {name: whole_catalogue()[name] for name in names}

@@ -106,11 +106,11 @@ def test_charge_that_is_pushed_far_stays_in_the_means_of_lines(make_capture: Cal
     mixed = replace(state.prediction, **figures)
     rows = noise.reshape(-1, width).mean(axis=1).var() * width / variance - 1.0
     columns = noise.reshape(-1, height, shape[1]).mean(axis=1).var() * height / variance - 1.0
-    told_rows = float(mixing_of_lines(mixed, state.design, "row_temporal")[0])
+    stated_rows = float(mixing_of_lines(mixed, state.design, "row_temporal")[0])
     share = state.prediction.variance[0] / state.design.frame_count[0] / state.prediction.spatial[0]
-    told_columns = float(mixing_of_lines(mixed, state.design, "columns")[0] / share.mean())
-    assert rows == pytest.approx(told_rows, abs=4 * np.sqrt(2 * width / noise.size))
-    assert columns == pytest.approx(told_columns, abs=4 * np.sqrt(2 * height / noise.size))
+    stated_columns = float(mixing_of_lines(mixed, state.design, "columns")[0] / share.mean())
+    assert rows == pytest.approx(stated_rows, abs=4 * np.sqrt(2 * width / noise.size))
+    assert columns == pytest.approx(stated_columns, abs=4 * np.sqrt(2 * height / noise.size))
     bands = mixing_of_bands(mixed, state.design)[0]
     of_rows = noise.reshape(noise.shape[0], -1, width).mean(axis=2)
     seen = (np.abs(np.fft.rfft(of_rows, axis=0)) ** 2).mean(axis=1) * width / noise.shape[0] / variance
@@ -119,7 +119,7 @@ def test_charge_that_is_pushed_far_stays_in_the_means_of_lines(make_capture: Cal
     assert float(seen[near].mean()) - 1.0 == pytest.approx(
         float(bands[0]), abs=4 / np.sqrt(len(seen[near]) * of_rows.shape[1])
     )
-    assert told_rows > 2.0 * x / variance * 1.02  # the nearest alone tell less
+    assert stated_rows > 2.0 * x / variance * 1.02  # the nearest alone tell less
 
 
 @pytest.mark.slow

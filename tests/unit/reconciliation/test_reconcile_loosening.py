@@ -31,16 +31,16 @@ def _weaker(loss: float, onset: float) -> Callable[[Any, Any], Any]:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("onset", "mended"), [(1.0 / 3.0, True), (0.0, False)])
+@pytest.mark.parametrize(("onset", "corrected"), [(1.0 / 3.0, True), (0.0, False)])
 def test_droop_beyond_some_drive_takes_one_term_more(
-    make_capture: Callable[..., Any], onset: float, mended: bool
+    make_capture: Callable[..., Any], onset: float, corrected: bool
 ) -> None:
     """Light lost beyond a third of full drive leaves structure along the drive that a cubic law takes up; else none."""
     state = _with(LedThermalDroop(0.02, 0.01), make_capture(3, picture=_weaker(0.12, onset)))
     strange = departing(localise(state), state.effects)
-    assert strange == (["led_thermal_droop"] if mended else [])
+    assert strange == (["led_thermal_droop"] if corrected else [])
     form = LooserForms.of(state, ["led_thermal_droop"]).best
-    assert (form is not None) is mended
+    assert (form is not None) is corrected
     if form is not None:
         assert departing(localise(form.state), form.state.effects) == []
 

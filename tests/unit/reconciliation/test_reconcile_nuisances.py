@@ -1,4 +1,4 @@
-"""What is fitted and never named: errors of stated radiances, a wandering lamp, what nobody declared."""
+"""What is fitted and never named: errors of stated radiances, a wandering lamp, what no one declared."""
 
 from __future__ import annotations
 
@@ -43,14 +43,14 @@ def _layout(values: list[tuple[float, float]]) -> NuisanceLayout:
 
 
 def test_number_stated_twice_was_measured_once() -> None:
-    """Under a chart that was turned the error of calibration goes with the patch, which its number tells."""
+    """Under a chart that was turned the error of calibration goes with the patch, which its number reports."""
     chart, turned = _layout([(1.0, 3.0), (2.0, 2.0), (3.0, 1.0)]).shared
     assert chart[0] == turned[2]
     assert chart[2] == turned[0]
     assert len({*chart.tolist()}) == 3
 
 
-def test_number_that_two_patches_share_tells_nothing() -> None:
+def test_number_that_two_patches_share_shows_nothing() -> None:
     """Two patches of one stated value may be two measurements: their errors go with the place."""
     chart, turned = _layout([(1.0, 2.0), (1.0, 3.0), (2.0, 1.0)]).shared
     assert chart.tolist() != [chart[0]] * 3
@@ -120,7 +120,7 @@ def test_table_that_was_found_has_a_limit(make_capture: Callable[..., Any]) -> N
 
 @pytest.mark.slow
 def test_darks_stand_for_a_black_level_that_is_not_stated(make_capture: Callable[..., Any]) -> None:
-    """Of well lit frames the light that wanders is told as well from darks as from a stated black level."""
+    """Of well lit frames the light that wanders is reported as well from darks as from a stated black level."""
     captured = make_capture(4)
     header = captured.header
     untold = header.model_copy(

@@ -1,4 +1,4 @@
-"""A right name by another equation than the catalogue's: said of the name, not left beside it."""
+"""A right name by another equation than the catalogue's: stated of the name, not left next to it."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def _left(where: str, block: str, nats: float) -> Step:
 
 
 def test_what_stays_in_a_names_own_place_is_its_law(late: FitState) -> None:
-    """A curve along the exposure beside an exposure's error is no second cause; the verdict stays provisional."""
+    """A curve along the exposure next to an exposure's error is no second cause; the verdict stays provisional."""
     outcome = _outcome(late, _left("exposure_s", "mean", 30.0))
     assert [effect.name for effect in with_other_functional_form(outcome)] == ["exposure_time_offset"]
     assert rest_of(outcome) is None

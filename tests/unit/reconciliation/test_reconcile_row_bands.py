@@ -105,7 +105,7 @@ def test_bands_and_flicker_show_in_statistics_of_their_own(make_capture: Callabl
 
 
 @pytest.mark.slow
-def test_scatter_without_any_trend_is_told(make_capture: Callable[..., Any]) -> None:
+def test_scatter_without_any_trend_is_reported(make_capture: Callable[..., Any]) -> None:
     """Patches that differ at random from frame to frame by 0.5 % scatter the means beyond their noise."""
     rng = np.random.default_rng(9)
 

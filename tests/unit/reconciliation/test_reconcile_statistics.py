@@ -19,7 +19,7 @@ from radiometer.reconciliation.measure.design import LINES, Design, PatchSides, 
 from radiometer.reconciliation.measure.edges import edge_shares
 from radiometer.reconciliation.measure.reduce import frame_reader, reduce_frames
 from radiometer.reconciliation.measure.row_bands import RowBins
-from radiometer.reconciliation.measure.sums import CaptureSums, add_tiles, coarse_cells
+from radiometer.reconciliation.measure.sums import CaptureSums
 from radiometer.reconciliation.noise.fixed_patterns import fixed_errors
 from radiometer.reconciliation.search.localise import localise, significant
 from simulators.effects.black_level_drift import BlackLevelDrift
@@ -83,10 +83,10 @@ def test_dark_gap_before_a_bright_neighbour_is_no_blur() -> None:
     assert np.isfinite(u).all()
 
 
-def test_sharpest_stop_tells_where_borders_lie() -> None:
+def test_sharpest_stop_shows_where_borders_lie() -> None:
     """Borders before a gap of four lines: at f/4 a disc of 2.26 px hides them, at f/11 one of 0.82 px does not.
 
-    The share at f/4 is that of the disc then; a pattern that is seen at f/4 alone tells nothing.
+    The share at f/4 is that of the disc then; a pattern that is seen at f/4 alone shows nothing.
     """
     scene = np.array([0.0] * 12 + [-300.0] * 4 + [400.0] * 10)
 

@@ -1,4 +1,4 @@
-"""What equal frames differ by is told: how far they scatter, which first frames and which frames stick out."""
+"""What equal frames differ by is reported: how far they scatter, which first frames and which frames stick out."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ TILE_DN = 0.02  # scatter of a tile's mean by its pixels
 SERIES, FRAMES = 6, 5
 
 
-def _told(
+def _reported(
     apart_dn: np.ndarray, *, light_dn: float = 0.0, seed: int = 1, tiles: int | None = None, first_dn: float = 0.0
 ) -> tuple[Repeats, ...]:
-    """Return what is told of series of frames that lie so far from 1000 DN (dark) or from a light, each.
+    """Return what is reported of series of frames that lie so far from 1000 DN (dark) or from a light, each.
 
     Args:
         apart_dn: (series, frames) how far.
@@ -44,26 +44,26 @@ def _told(
     return repeats_of(design, lambda f: means[list(f)], usable, sensitivity, np.full(shape, first_dn), (0.1, 0.1))
 
 
-def test_the_scatter_of_dark_frames_is_told_in_dn() -> None:
-    """Frames of 0.4 DN scatter are told 0.4 DN within three of the u that 24 degrees of freedom give."""
-    (dark,) = _told(np.random.default_rng(2).normal(0.0, 0.4, (SERIES, FRAMES)))
+def test_the_scatter_of_dark_frames_is_reported_in_dn() -> None:
+    """Frames of 0.4 DN scatter are reported 0.4 DN within three of the u that 24 degrees of freedom give."""
+    (dark,) = _reported(np.random.default_rng(2).normal(0.0, 0.4, (SERIES, FRAMES)))
     assert dark.scatter.u == pytest.approx(dark.scatter.value / np.sqrt(2 * SERIES * (FRAMES - 1)), rel=0.01)
     assert dark.scatter.value == pytest.approx(0.4, abs=3 * float(dark.scatter.u or 0))
     assert (dark.kind, dark.scatter.unit) == ("dark", "DN")
 
 
-def test_the_scatter_of_a_lamp_is_told_relative_to_its_light() -> None:
+def test_the_scatter_of_a_lamp_is_reported_relative_to_its_light() -> None:
     """Frames that differ by 8 DN of 4000 DN of light differ by 0.2 %."""
-    (lit,) = _told(np.random.default_rng(3).normal(0.0, 8.0, (SERIES, FRAMES)), light_dn=4000.0)
+    (lit,) = _reported(np.random.default_rng(3).normal(0.0, 8.0, (SERIES, FRAMES)), light_dn=4000.0)
     assert lit.scatter.value == pytest.approx(0.002, abs=3 * float(lit.scatter.u or 0))
     assert "%" in lit.sentences()[0]
 
 
-def test_a_first_frame_is_told_with_the_scatter_of_its_tiles() -> None:
-    """A first frame 3 DN above the others is told so, within three u; u is the tiles' scatter over √24."""
+def test_a_first_frame_is_reported_with_the_scatter_of_its_tiles() -> None:
+    """A first frame 3 DN above the others is reported so, within three u; u is the tiles' scatter over √24."""
     apart = np.zeros((SERIES, FRAMES))
     apart[2, 0] = 3.0
-    (dark,) = _told(apart)
+    (dark,) = _reported(apart)
     first, u = dark.series[2].apart[0], dark.series[2].u[0]
     assert first == pytest.approx(3.0, abs=4 * u)
     assert u == pytest.approx(1.2533 * TILE_DN * np.sqrt(FRAMES / (FRAMES - 1)) / np.sqrt(24), rel=0.5)
@@ -75,22 +75,24 @@ def test_a_first_frame_is_told_with_the_scatter_of_its_tiles() -> None:
 def test_equal_frames_seldom_stand_out() -> None:
     """Of 200 sets without an odd frame at most 0.1 % and three of its sigmas name one."""
     rng, sets = np.random.default_rng(4), 200
-    told = [_told(rng.normal(0.0, 0.4, (SERIES, FRAMES)), seed=n)[0] for n in range(sets)]
-    named = sum(any(one.standing_out for one in dark.series) for dark in told)
+    reported = [_reported(rng.normal(0.0, 0.4, (SERIES, FRAMES)), seed=n)[0] for n in range(sets)]
+    named = sum(any(one.standing_out for one in dark.series) for dark in reported)
     assert named <= 0.001 * sets + 3 * np.sqrt(0.001 * sets)
 
 
 def test_what_tiles_scatter_by_is_no_wander() -> None:
-    """Frames that differ by their pixels alone: no scatter beyond two u in nine of ten sets, and nothing said of it."""
-    told = [_told(np.zeros((SERIES, FRAMES)), seed=n)[0] for n in range(40)]
-    said = [dark for dark in told if dark.scatter.value > 2.0 * float(dark.scatter.u or 0.0)]
-    assert len(said) <= 4 + 3 * 2
-    assert all(dark.scatter.value < TILE_DN for dark in told)
-    assert all("series of one setting" not in text for dark in told if dark not in said for text in dark.sentences())
+    """Frames that differ by their pixels alone: no scatter beyond two u in nine of ten sets, and nothing stated."""
+    reported = [_reported(np.zeros((SERIES, FRAMES)), seed=n)[0] for n in range(40)]
+    printed = [dark for dark in reported if dark.scatter.value > 2.0 * float(dark.scatter.u or 0.0)]
+    assert len(printed) <= 4 + 3 * 2
+    assert all(dark.scatter.value < TILE_DN for dark in reported)
+    assert all(
+        "series of one setting" not in text for dark in reported if dark not in printed for text in dark.sentences()
+    )
 
 
 def test_single_frames_tell_nothing() -> None:
-    """Without repeats nothing is said."""
+    """Without repeats nothing is stated."""
     entries = tuple(FrameEntry.of(f"{n}.tif", FrameSettings(1.0 + n, shutter="closed")) for n in range(4))
     design = Design.of(CaptureHeader(camera=CameraDescription(bit_depth=16), frames=entries), SIZE)
     shape = (len(design.captures), len(design.tiles))
@@ -98,27 +100,27 @@ def test_single_frames_tell_nothing() -> None:
     assert repeats_of(design, lambda f: np.zeros((len(f), shape[1])), usable, nothing, nothing, (0.0, 0.0)) == ()
 
 
-def test_what_is_told_stands_in_json() -> None:
+def test_what_is_reported_stands_in_json() -> None:
     """Scatter, what was fitted aside, each frame of each series, and the words."""
-    (dark,) = _told(np.random.default_rng(5).normal(0.0, 0.4, (SERIES, FRAMES)))
-    told = dark.to_mapping()
-    assert told["fitted_aside"] == 0.1
-    assert [len(one["frames"]) for one in told["series"]] == [FRAMES] * SERIES
-    assert told["said"][0].startswith(f"{SERIES * FRAMES} dark frames in {SERIES} series")
+    (dark,) = _reported(np.random.default_rng(5).normal(0.0, 0.4, (SERIES, FRAMES)))
+    mapping = dark.to_mapping()
+    assert mapping["fitted_aside"] == 0.1
+    assert [len(one["frames"]) for one in mapping["series"]] == [FRAMES] * SERIES
+    assert mapping["said"][0].startswith(f"{SERIES * FRAMES} dark frames in {SERIES} series")
 
 
 @pytest.mark.parametrize("tiles", [1, 3])
 def test_frames_of_too_few_tiles_tell_nothing(tiles: int) -> None:
-    """One tile has no scatter to say how well a frame's offset is known: nothing is said, and never ± 0."""
+    """One tile has no scatter to say how well a frame's offset is known: nothing is stated, and never ± 0."""
     apart = np.random.default_rng(4).normal(0.0, 0.4, (SERIES, FRAMES))
-    assert _told(apart, tiles=tiles) == ()
+    assert _reported(apart, tiles=tiles) == ()
 
 
 def test_four_tiles_tell_a_frame_with_a_u() -> None:
-    """Of four tiles a frame 3 DN off is told within five of its u, and the u is that of tiles of 0.02 DN."""
+    """Of four tiles a frame 3 DN off is reported within five of its u, and the u is that of tiles of 0.02 DN."""
     apart = np.zeros((SERIES, FRAMES))
     apart[2, 0] = 3.0
-    (dark,) = _told(apart, tiles=4)
+    (dark,) = _reported(apart, tiles=4)
     u = np.array([u for one in dark.series for u in one.u])
     assert (u > 0).all()
     assert np.median(u) == pytest.approx(1.2533 * TILE_DN * np.sqrt(FRAMES / (FRAMES - 1)) / np.sqrt(4), rel=0.5)
@@ -130,8 +132,8 @@ def test_what_the_model_says_of_first_frames_is_taken_off(light_dn: float) -> No
     """First frames 3 DN above the others stick out of no series where an effect of 3 DN is named for it."""
     apart = np.zeros((SERIES, FRAMES))
     apart[:, 0] = 3.0
-    (known,) = _told(apart, light_dn=light_dn, first_dn=3.0)
-    (unknown,) = _told(apart, light_dn=light_dn)
+    (known,) = _reported(apart, light_dn=light_dn, first_dn=3.0)
+    (unknown,) = _reported(apart, light_dn=light_dn)
     unit = 1.0 if light_dn == 0.0 else light_dn
     assert [one.apart[0] * unit for one in unknown.series] == pytest.approx([3.0] * SERIES, abs=0.05)
     assert [one.apart[0] * unit for one in known.series] == pytest.approx([0.0] * SERIES, abs=0.05)

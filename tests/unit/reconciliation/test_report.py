@@ -1,4 +1,4 @@
-"""The report tells the story: verdict, gap by steps, each name with what it is and what shows it, the rest, tables."""
+"""The report shows the story: verdict, gap by steps, each name with what it is and what shows it, the rest, tables."""
 
 from __future__ import annotations
 
@@ -103,7 +103,7 @@ def test_the_outcome_of_each_other_verdict(glaring):
 
 
 @pytest.mark.slow
-def test_rivals_are_told_in_words(glaring):
+def test_rivals_are_reported_in_words(glaring):
     """Each rival with what it is, and that the ± knows nothing of the choice."""
     effect = replace(glaring.result.effects[0], alternatives=("ghost", "another_lab's"))
     page = report_html(replace(glaring, result=replace(glaring.result, effects=(effect,))), "session")

@@ -1,4 +1,4 @@
-"""Frames of different scenes are told apart, and never taken for one scene that an effect changed."""
+"""Frames of different scenes are distinguished, and never taken for one scene that an effect changed."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ def test_what_cameras_and_lamps_do_is_no_other_scene() -> None:
 
 
 def test_even_fields_and_frames_too_dark_or_clipped_show_no_scene() -> None:
-    """Nothing is told by noise, by what differs by two hundredths, and where most of either frame is clipped."""
+    """Nothing is recognised from noise, what differs by two hundredths, and where most of either frame is clipped."""
     even = [taken(np.ones((HEIGHT, WIDTH)), 2000.0, n) for n in range(3)]
     assert shown(*even) == [0, 0, 0]
     assert shown(taken(scene(1, 0.02), 5000.0, 1), taken(scene(2, 0.02), 5000.0, 2)) == [0, 0]
@@ -85,7 +85,7 @@ def test_of_large_frames_every_nth_pixel_is_looked_at() -> None:
 
 
 def reconciled(*shots: tuple[Picture, float]) -> Any:
-    """Return what is said of frames with exposures of 10 ms for 4000 electrons, two of each."""
+    """Return what is stated of frames with exposures of 10 ms for 4000 electrons, two of each."""
     entries, frames = [], []
     for number, (radiance, exposure_s) in enumerate(shot for shot in shots for _ in range(2)):
         entries.append(FrameEntry(file=f"{number}.png", exposure_s=exposure_s, timestamp_s=0.5 * number, gain_db=0.0))
@@ -97,7 +97,7 @@ def reconciled(*shots: tuple[Picture, float]) -> Any:
 
 @pytest.mark.slow
 def test_each_scene_has_radiances_of_its_own() -> None:
-    """Two scenes at two exposures each agree with the model; that the scene changes is told."""
+    """Two scenes at two exposures each agree with the model; that the scene changes is reported."""
     one, other = scene(10), scene(11, contrast=0.1)
     found = reconciled((one, 1e-3), (one, 4e-3), (other, 1e-3), (other, 4e-3))
     assert found.verdict == "agrees"

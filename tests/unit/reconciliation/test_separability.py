@@ -57,7 +57,7 @@ def plain(make_capture: Callable[..., Any]) -> FitState:
 
 
 @pytest.fixture(scope="module")
-def told_apart(plain: FitState) -> Separability:
+def separated(plain: FitState) -> Separability:
     """Return what that bracket can tell apart of the whole catalogue, which takes some ten seconds."""
     return separability(plain, whole_catalogue())
 
@@ -67,23 +67,23 @@ def _sets(found: Separability) -> list[set[str]]:
 
 
 @pytest.mark.slow
-def test_bracket_of_one_chart_cannot_tell_stray_light_apart(told_apart: Separability) -> None:
-    """A veil, light from the room and a black that glows stand together, and a capture is asked for that tells more."""
-    entry = next(entry for entry in told_apart.together if {entry.name, *entry.others} >= STRAY)
+def test_bracket_of_one_chart_cannot_tell_stray_light_apart(separated: Separability) -> None:
+    """A veil, light from the room and a black that glows stand together, and a capture is asked for that shows more."""
+    entry = next(entry for entry in separated.together if {entry.name, *entry.others} >= STRAY)
     assert entry.capture is not None
     assert entry.capture["frames"][0]["shutter"] == "open"
-    assert "polarisation" in told_apart.blind
+    assert "polarisation" in separated.blind
 
 
 @pytest.mark.slow
-def test_short_exposures_do_not_tell_one_flicker_from_another(told_apart: Separability) -> None:
+def test_short_exposures_do_not_tell_one_flicker_from_another(separated: Separability) -> None:
     """Mains and dimming shake frames alike where no exposure holds a period."""
-    assert any(names >= {"mains_ripple", "pwm_flicker"} for names in _sets(told_apart))
+    assert any(names >= {"mains_ripple", "pwm_flicker"} for names in _sets(separated))
 
 
 @pytest.mark.slow
 def test_stated_radiances_count_against_a_name(make_capture: Callable[..., Any]) -> None:
-    """Beside a bright surround, light from the room leaves hundreds of χ² of a veil: of what is stated, too."""
+    """Next to a bright surround, light from the room leaves hundreds of χ² of a veil: of what is stated, too."""
     state, veil = _state(make_capture, [*BRACKET, *DARKS, OTHERS[0]]), VeilingGlare(0.02)
     left, _ = left_by_fit(noiseless(state, veil), veil, Candidate(AmbientLightLeak(0.01), 0.0, 1))
     assert left > 100.0
@@ -205,10 +205,10 @@ def test_entry_that_has_turned_into_another_is_no_rival(
 
 
 @pytest.mark.slow
-def test_plan_is_told_on_the_command_line(
+def test_plan_is_reported_on_the_command_line(
     make_capture: Callable[..., Any],
     plain: FitState,
-    told_apart: Separability,
+    separated: Separability,
     tmp_path: Path,
     capsys: pytest.CaptureFixture[str],
     monkeypatch: pytest.MonkeyPatch,
@@ -218,7 +218,7 @@ def test_plan_is_told_on_the_command_line(
 
     def found(state: FitState, catalogue: Mapping[str, type[CatalogueEffect]]) -> Separability:
         asked.append((state.seen.mean.size, len(catalogue)))
-        return told_apart
+        return separated
 
     monkeypatch.setattr(engine, "separability", found)
     captured = make_capture(seed=61, plan=[*BRACKET, *DARKS])
@@ -228,9 +228,9 @@ def test_plan_is_told_on_the_command_line(
         for frame in captured.frames:
             writer.add(frame)
     assert run(["reconcile", str(tmp_path / "set"), "--plan-only", "--json"]) == 0
-    told = json.loads(capsys.readouterr().out)
-    assert set(told) == {"inseparable", "blind"}
-    assert any({entry["name"], *entry["others"]} >= STRAY for entry in told["inseparable"])
+    printed = json.loads(capsys.readouterr().out)
+    assert set(printed) == {"inseparable", "blind"}
+    assert any({entry["name"], *entry["others"]} >= STRAY for entry in printed["inseparable"])
     assert run(["reconcile", str(tmp_path / "set"), "--plan-only"]) == 0
     assert "these captures cannot separate" in capsys.readouterr().out
     assert asked == [(plain.seen.mean.size, len(whole_catalogue()))] * 2

@@ -46,8 +46,8 @@ def differing(expected: Prediction, row: int, alone: Prediction) -> list[str]:
 
 
 @pytest.mark.parametrize("name", sorted(whole_catalogue()))
-def test_every_entry_expects_the_same_beside_others(named: FitState, name: str) -> None:
-    """The starts of an entry behind one another, beside effects that the chain holds, and the entry itself changed."""
+def test_every_entry_expects_the_same_next_to_others(named: FitState, name: str) -> None:
+    """The starts of an entry behind one another, next to effects that the chain holds, and the entry itself changed."""
     kind, context = whole_catalogue()[name], named.model.context
     starts = (*kind.starts(context)[:3], *kind.covers(context)[:1])
     if not starts or not kind.usable(context):

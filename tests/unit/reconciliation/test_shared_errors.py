@@ -121,7 +121,7 @@ def test_directions_of_one_statistic_are_one_family() -> None:
 
 
 def test_what_follows_the_light_is_predicted(design: Design) -> None:
-    """What tells or follows the light of a tile is given per tile and stands in the prediction."""
+    """What reports or follows the light of a tile is given per tile and stands in the prediction."""
     for name, row in STATISTICS.items():
         if row.determines_light or row.follows_light:
             assert row.given is Given.TILE

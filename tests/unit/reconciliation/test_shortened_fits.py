@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from radiometer.reconciliation.fit import full_fit
-from radiometer.reconciliation.fit.descent import beside, coarse_fit, converged_fit, first_state, refit
+from radiometer.reconciliation.fit.descent import coarse_fit, converged_fit, first_state, refit, refit_with
 from radiometer.reconciliation.fit.full_fit import FullFits, UnfitError
 from radiometer.reconciliation.fit.nuisances import NuisanceLayout
 from radiometer.reconciliation.fit.state import FitState, reweighted, with_effects
@@ -80,13 +80,13 @@ def test_settled_parameters_are_those_of_their_own_weights(plain: FitState) -> N
     assert (off_by(found, again) < 0.1).all()
 
 
-def test_what_stands_beside_is_followed_without_new_derivatives(plain: FitState) -> None:
+def test_what_is_next_to_is_followed_without_new_derivatives(plain: FitState) -> None:
     """All else follows an effect that is held, as in a fit of its own; the effect does not move."""
     state = refit(with_effects(plain, [ExposureTimeOffset(1e-6)]))
     held = ResponseNonlinearity(0.02)
     assert state.fit.effects.shape[1] == 1  # the derivatives that are used
     with derivatives_counted() as taken:
-        found = beside(state, held)
+        found = refit_with(state, held)
     assert not taken
     assert found.effects[1] == held
     start = dataclasses.replace(with_effects(state, [*state.effects, held]), frozen=frozenset({1, 2}))
@@ -138,9 +138,9 @@ def test_columns_of_an_unknown_scene_are_what_each_rise_alone_changes(make_captu
     data = block.rows < state.comparison.size
     jacobian[block.rows[data]] = block.values[data][:, : layout.size]
     first = layout.size - 3 * tiles
-    told = dict.fromkeys(("slope_x", "slope_y", "spatial"), 0)
+    reported = dict.fromkeys(("slope_x", "slope_y", "spatial"), 0)
     for tile in range(0, tiles, 5):
-        for number, name in enumerate(told):
+        for number, name in enumerate(reported):
             column, step = first + number * tiles + tile, 1e-6
             moved = at.copy()
             moved[column] += step
@@ -148,9 +148,9 @@ def test_columns_of_an_unknown_scene_are_what_each_rise_alone_changes(make_captu
             change = -(state.comparison.residual(there) - state.plain_residual) / step
             cut = state.comparison.cuts[name]
             largest = np.abs(change[cut]).max()
-            told[name] += largest > 1.0
+            reported[name] += largest > 1.0
             assert jacobian[cut, column] == pytest.approx(change[cut], rel=5e-3, abs=1e-3 * largest + 1e-6)
-    assert min(told.values()) >= 3
+    assert min(reported.values()) >= 3
 
 
 def test_length_of_a_tilt_is_that_of_its_tiles(plain: FitState) -> None:

@@ -34,7 +34,7 @@ def test_no_text_becomes_markup():
 
 
 def test_a_page_forbids_scripts_and_loading():
-    """The browser is told that nothing but the page's own style and pictures may be used."""
+    """The browser learns that nothing but the page's own style and pictures may be used."""
     whole = page("a", "b", [], kind="c")
     policy = re.search(r'http-equiv="Content-Security-Policy" content="([^"]*)"', whole)
     assert policy is not None
@@ -81,7 +81,7 @@ def test_a_picture_shows_hostile_names_in_both_forms():
 
 
 def test_a_long_name_is_shortened():
-    """The last of so many characters tells that there were more."""
+    """The last of so many characters shows that there were more."""
     assert shortened("abcdef", 6) == "abcdef"
     assert shortened("abcdefg", 6) == "abcde…"
 

@@ -111,8 +111,8 @@ def test_readings_that_zigzag_by_levels_are_as_doubtful() -> None:
 
 def test_cal_needs_whites_luminance_and_is_inverted(tmp_path: Path) -> None:
     """A panel of gamma 1.8 calibrated to 2.2 has CAL(i) = i^(2.2/1.8): the response comes out as v^1.8."""
-    wanted = np.linspace(0, 1, 256)
-    rows = "\n".join(f"{i:.6f} " + " ".join([f"{i ** (2.2 / 1.8):.6f}"] * 3) for i in wanted)
+    expected = np.linspace(0, 1, 256)
+    rows = "\n".join(f"{i:.6f} " + " ".join([f"{i ** (2.2 / 1.8):.6f}"] * 3) for i in expected)
     file = tmp_path / "a.cal"
     file.write_text(
         f"CAL\n\nBEGIN_DATA_FORMAT\nRGB_I RGB_R RGB_G RGB_B\nEND_DATA_FORMAT\nBEGIN_DATA\n{rows}\nEND_DATA\n"
@@ -237,14 +237,14 @@ def test_above_black_the_straight_line_is_as_likely_as_the_power_law() -> None:
 
 
 def test_command_imports_and_says_what_it_took(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """The calibration is written; form, meter's scale and spectra are told; colours without spectra are left out."""
+    """The calibration is written; form, meter's scale, spectra are reported; colours without spectra are left out."""
     file, out = tmp_path / "a.ti3", tmp_path / "s.yaml"
     file.write_text(TI3)
     assert run(["screen", "import", str(file), "-o", str(out)]) == 0
-    told = capsys.readouterr()
-    assert "relative to a white of 200 cd" in told.err
-    assert "red left out" in told.err
-    assert "meter's scale: 4 %" in told.out
+    printed = capsys.readouterr()
+    assert "relative to a white of 200 cd" in printed.err
+    assert "red left out" in printed.err
+    assert "meter's scale: 4 %" in printed.out
     assert run(["screen", "import", str(file), "-o", str(out), "--primaries", "oled", "--json", "--force"]) == 0
     assert set(json.loads(capsys.readouterr().out)["channels"]) == {"grey", "red"}
     assert run(["screen", "import", str(tmp_path / "none.ti3")]) == 1

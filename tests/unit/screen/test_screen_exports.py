@@ -104,8 +104,8 @@ def test_vcgt_has_apples_layout_and_straightens_the_screen(screen: ScreenCalibra
     assert np.all(np.diff(table.astype(int), axis=1) >= 0)
     curve = screen.channel()
     shown = curve.table.at(table[0] / 65535)
-    wanted = shown[0] + (shown[-1] - shown[0]) * np.linspace(0, 1, 256) ** 2.2
-    assert np.abs(shown - wanted).max() < 1e-4 * wanted[-1]
+    expected = shown[0] + (shown[-1] - shown[0]) * np.linspace(0, 1, 256) ** 2.2
+    assert np.abs(shown - expected).max() < 1e-4 * expected[-1]
 
 
 @pytest.mark.slow

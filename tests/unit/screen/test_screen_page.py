@@ -26,7 +26,7 @@ def _echo(order: dict) -> dict:
 
 
 class FakePage:
-    """A page that connects in a thread and answers orders as it is told to."""
+    """A page that connects in a thread and answers orders as it is asked to."""
 
     def __init__(self, answer: Answer = _echo, hello: tuple[str, ...] = ("hello",)) -> None:
         self.orders: list[dict] = []
@@ -77,7 +77,7 @@ def test_patch_reaches_the_page_as_codes(shown: tuple[BrowserDisplay, FakePage])
     assert (order["width"], order["height"]) == (0.5, 0.25)
 
 
-def test_leaving_tells_the_page_that_it_is_over(shown: tuple[BrowserDisplay, FakePage]) -> None:
+def test_leaving_reports_the_page_that_it_is_over(shown: tuple[BrowserDisplay, FakePage]) -> None:
     """The last order is the end."""
     display, page = shown
     display.close()
@@ -119,14 +119,14 @@ def test_page_that_closes_is_lost_at_once() -> None:
 
 
 def test_no_browser_is_a_timeout_that_repeats_the_address() -> None:
-    """The user is told which address to open."""
+    """The user gets the address to open."""
     display = BrowserDisplay(page_timeout_s=0.1)
     with pytest.raises(DeviceTimeout, match=r"http://127\.0\.0\.1:\d+/\?key="):
         display.open()
 
 
 def test_measuring_waits_for_start() -> None:
-    """A page that is open but whose Start nobody presses is no reason to begin; pressing it is."""
+    """A page that is open but whose Start no one presses is no reason to begin; pressing it is."""
     waiting = FakePage()
     display = BrowserDisplay(announce=waiting.open, page_timeout_s=10, start_timeout_s=0.2)
     with pytest.raises(DeviceTimeout, match="Start was not pressed"):
@@ -165,7 +165,7 @@ def test_taken_port_is_in_use(shown: tuple[BrowserDisplay, FakePage]) -> None:
 
 
 def test_warnings_follow_from_what_the_page_says(shown: tuple[BrowserDisplay, FakePage]) -> None:
-    """Not full screen is said; after a patch on a full screen it is no longer."""
+    """Not full screen is stated; after a patch on a full screen it is no longer."""
     display, _page = shown
     assert any("full screen" in line for line in display.warnings())
     display.show(DisplayPatch((1, 1, 1)))
@@ -182,7 +182,7 @@ def test_impossible_patches_are_refused(shown: tuple[BrowserDisplay, FakePage], 
 
 
 async def test_lights_off_of_a_screen_page_darkens_the_box() -> None:
-    """Its key reaches whoever holds the box, also while a picture stands on the screen; the page is told."""
+    """Its key reaches whoever holds the box, also while a picture stands on the screen; the page is reported."""
     asked = threading.Event()
 
     def darken() -> str:
@@ -196,7 +196,7 @@ async def test_lights_off_of_a_screen_page_darkens_the_box() -> None:
         async with aiohttp.ClientSession() as session, session.ws_connect(address) as socket:
             await socket.send_json({"kind": "lights_off"})
             assert json.loads((await socket.receive(timeout=within(20))).data) == {
-                "kind": "told",
+                "kind": "outcome",
                 "text": "dark: light box AAAA0001",
             }
         assert asked.is_set()

@@ -1,16 +1,16 @@
 // "Lights off": always there, and independent of every other part of the page.
 import { ask } from "/server.js";
 
-const button = document.getElementById("lights-off"), said = document.getElementById("lights-said");
+const button = document.getElementById("lights-off"), lightsStatus = document.getElementById("lights-status");
 
 async function lightsOff() {
-  said.textContent = "";
+  lightsStatus.textContent = "";
   try {
     await ask("/light/off", { json: {} });
-    said.textContent = "all channels are off";
-    setTimeout(() => { said.textContent = ""; }, 4000);
+    lightsStatus.textContent = "all channels are off";
+    setTimeout(() => { lightsStatus.textContent = ""; }, 4000);
   } catch (error) {
-    said.textContent = `Lights off failed: ${error.message}. Cut the power of the light box.`;
+    lightsStatus.textContent = `Lights off failed: ${error.message}. Cut the power of the light box.`;
   }
 }
 button.addEventListener("click", lightsOff);

@@ -38,7 +38,7 @@ function written(value, U) {
   const scale = 10 ** exponent, digits = U > 0 ? Math.min(9, Math.max(0, 1 - Math.floor(Math.log10(U / scale)))) : 4;
   return { value: (value / scale).toFixed(digits), U: U > 0 ? (U / scale).toFixed(digits) : "", power: exponent ? ` × 10${superscript(exponent)}` : "" };
 }
-const said = (message) => message.replace(/\b(W|sr|m)(-[12])\b/g, (_, letter, power) => letter + superscript(power));
+const withSuperscripts = (message) => message.replace(/\b(W|sr|m)(-[12])\b/g, (_, letter, power) => letter + superscript(power));
 const ago = (s) => (s < 2 ? "now" : s < 90 ? `${Math.round(s)} s ago` : s < 5400 ? `${Math.round(s / 60)} min ago` : `${Math.round(s / 3600)} h ago`);
 
 // ---- server --------------------------------------------------------------------------------------------------------
@@ -168,7 +168,7 @@ async function marked(since, until, iso) {
   if (known.length >= EVENTS_KEPT && Date.parse(known.at(-1).time) / 1000 > since) {
     try { known = await (await ask(`/events?limit=1000&since=${iso(since)}&until=${iso(until)}`)).json(); } catch { /* the newest, then */ }
   }
-  return known.map((e) => ({ at: Date.parse(e.time) / 1000, kind: e.kind, message: said(e.message) })).filter((e) => e.at >= since && e.at <= until && ["alarm", "clock", "calibration", "remark", "light"].includes(e.kind));
+  return known.map((e) => ({ at: Date.parse(e.time) / 1000, kind: e.kind, message: withSuperscripts(e.message) })).filter((e) => e.at >= since && e.at <= until && ["alarm", "clock", "calibration", "remark", "light"].includes(e.kind));
 }
 function setSpan(span) {
   state.span = span;
@@ -265,7 +265,7 @@ function showEvents() {
     t.textContent = today ? day.toLocaleTimeString([], { hour12: false }) : `${day.toLocaleDateString([], { day: "numeric", month: "short" })} ${day.toLocaleTimeString([], { hour12: false, hour: "2-digit", minute: "2-digit" })}`;
     t.title = day.toLocaleString([], { hour12: false });
     kind.className = `kind is-${event.kind}`; kind.textContent = own(KINDS, event.kind) || event.kind;
-    text.textContent = said(event.message);
+    text.textContent = withSuperscripts(event.message);
     row.append(t, kind, text);
     return row;
   }));
@@ -287,13 +287,13 @@ function showAlarms() {
   const alarms = state.status ? state.status.alarms : [];
   const faults = [...state.faults.values()].map((message) => ({ message, since: null }));
   const all = [...(state.online ? alarms : [{ message: "No connection to the daemon; trying again.", since: null }]), ...faults];
-  const told = JSON.stringify(all);
-  if ($("alarms").dataset.told === told) return;  // said once, not at every reading, to whoever listens to the page
-  $("alarms").dataset.told = told;
+  const shown = JSON.stringify(all);
+  if ($("alarms").dataset.shown === shown) return;  // announced once, not at every reading, to screen readers
+  $("alarms").dataset.shown = shown;
   $("alarms").replaceChildren(...all.map((alarm) => {
     const row = document.createElement("div");
     row.className = "alarm";
-    row.textContent = said(alarm.message);
+    row.textContent = withSuperscripts(alarm.message);
     if (alarm.since) { const t = document.createElement("time"); t.textContent = `since ${new Date(alarm.since).toLocaleTimeString([], { hour12: false })}`; row.append(t); }
     return row;
   }));
@@ -508,5 +508,5 @@ try {
   showEvents();
   const history = await (await ask("/readings?limit=1")).json();
   history.forEach((reading) => { note(reading); showReading(reading); });
-} catch { /* the stream tells */ }
+} catch { /* the stream reports it */ }
 follow();

@@ -69,7 +69,7 @@ def test_the_meter_puts_the_reference_pixel_at_its_exposure(curve, tmp_path, cap
 
 
 def test_the_stated_uncertainty_of_the_constant_counts(curve, tmp_path, capsys):
-    """K known to 3 %: beside the meter's sixth of a stop and the curve's 0.5 %, in the scale and in the luminance."""
+    """K known to 3 %: next to the meter's sixth of a stop and the curve's 0.5 %, in the scale and in the luminance."""
     command = ["calibrate", "--response", str(curve), *METER, "--k-u-rel", "0.03", "--reference-dn", "127", "--json"]
     assert run([*command, "-o", str(tmp_path / "cal.yaml")]) == 0
     meter = math.log(2) / 6 / math.sqrt(3)
@@ -152,9 +152,9 @@ def test_misuse_is_one_line_and_an_exit_code(words, code, message, capture, curv
     """No traceback, the message names the way out, and nothing is written."""
     places = {"out": tmp_path / "cal.yaml", "capture": capture[0], "curve": curve}
     assert run(["calibrate", *(word.format(**places) for word in words)]) == code
-    said = capsys.readouterr().err
-    assert message in said
-    assert len(said.strip().splitlines()) == 1
+    printed = capsys.readouterr().err
+    assert message in printed
+    assert len(printed.strip().splitlines()) == 1
     assert not (tmp_path / "cal.yaml").exists()
 
 
@@ -173,8 +173,8 @@ def test_the_scale_says_what_it_is_made_up_from(capture, tmp_path, capsys):
     assert run(["calibrate", str(folder), "-o", str(tmp_path / "cal.yaml")]) == 0
     scale = Calibration.read(tmp_path / "cal.yaml").scale
     assert math.hypot(*scale.budget.values()) == pytest.approx(scale.u_rel, rel=1e-9)
-    said = capsys.readouterr().out
-    assert said.index("reference source") < said.index("response curve")
+    printed = capsys.readouterr().out
+    assert printed.index("reference source") < printed.index("response curve")
 
 
 def test_frames_at_lower_source_levels_are_left_aside(rig, tmp_path):
@@ -201,13 +201,13 @@ def test_the_meter_alone_needs_no_patch(rig, tmp_path):
 
 
 @pytest.mark.parametrize(("words", "u_rel"), [([], 0.43), (["--spectrum", "white_led"], 0.0)])
-def test_a_spectrum_that_nobody_states_is_known_to_43_percent(capture, tmp_path, words, u_rel):
-    """Said among the assumptions; a stated spectrum carries none of it."""
+def test_a_spectrum_without_a_statement_is_known_to_43_percent(capture, tmp_path, words, u_rel):
+    """Stated among the assumptions; a stated spectrum carries none of it."""
     folder, _ = capture
     assert run(["calibrate", str(folder), *words, "-o", str(tmp_path / "cal.yaml")]) == 0
     calibration = Calibration.read(tmp_path / "cal.yaml")
     assert calibration.uncertainties.efficacy_u_rel == u_rel
-    assert any("43 %" in said for said in calibration.provenance.assumptions) == (not words)
+    assert any("43 %" in text for text in calibration.provenance.assumptions) == (not words)
 
 
 def test_stated_uncertainties_reach_the_file(capture, tmp_path, capsys):
@@ -241,9 +241,9 @@ def test_of_no_or_several_known_patches_the_user_names_one(rig, tmp_path, known,
     with CaptureSetWriter(tmp_path / "capture", rig.description, rig.lens, patches=patches) as writer:
         writer.add(rig.frame(np.full((24, 24), 5.0), 1e-3, np.random.default_rng(1)))
     assert run(["calibrate", str(tmp_path / "capture"), "-o", str(tmp_path / "cal.yaml")]) == 2
-    said = capsys.readouterr().err
-    assert "--patch" in said
-    assert f"{known} patches" in said
+    printed = capsys.readouterr().err
+    assert "--patch" in printed
+    assert f"{known} patches" in printed
     assert not (tmp_path / "cal.yaml").exists()
 
 

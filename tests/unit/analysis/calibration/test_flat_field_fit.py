@@ -74,7 +74,7 @@ def test_its_stated_uncertainty_is_that_of_the_correction(rig):
 
 
 def test_noise_is_no_falloff(rig):
-    """Of eight even maps without any falloff beside cos⁴ six at least are given none: terms must earn their place."""
+    """Of eight even maps without any falloff next to cos⁴ six at least are given none: terms must earn their place."""
     camera, lens = wide(rig)
     found = [fit_flat_field(even_map(falloff(0.0, 0.0), 0.01, seed), camera, lens) for seed in range(8)]
     assert sum(flat.coefficients == (0.0, 0.0, 0.0) for flat in found) >= 6
@@ -174,7 +174,7 @@ def test_a_flat_field_of_another_size_is_refused(rig):
         merge(frames, Setup(rig.description, rig.lens, rig.calibration(flat_field=flat)))
 
 
-def test_coefficients_are_told_at_half_the_diagonal(rig):
+def test_coefficients_are_reported_at_half_the_diagonal(rig):
     """Without noise they are those of the lens, in powers of the distance over that of a corner: 100 pixels here."""
     camera, lens = wide(rig)
     flat = fit_flat_field(even_map(falloff(), 1e-7), camera, lens)

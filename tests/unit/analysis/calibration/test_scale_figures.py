@@ -99,7 +99,7 @@ def test_a_camera_that_sees_a_colour_better_needs_less_of_it(used, factor):
 
 
 def test_what_a_spectral_correction_is_doubted_by():
-    """The response's own 2 %; unknown as much as cameras differ there; beside what is stated, in squares."""
+    """The response's own 2 %; unknown as much as cameras differ there; next to what is stated, in squares."""
     stated = NOTHING.model_copy(update={"spectral_u_rel": 0.03, "efficacy_u_rel": 0.04})
     unknown = budget.unknown_mismatch_u_rel("line:650", "line:450")
     assert unknown > 0.1
@@ -196,7 +196,7 @@ def test_a_transmittance_must_be_comparable(rig):
 
 
 @pytest.mark.parametrize(
-    ("rows", "said"),
+    ("rows", "message"),
     [
         ("400,1\n500,2\n", None),
         ("nm;power\n400;1\n500;2\n", None),
@@ -215,14 +215,14 @@ def test_a_transmittance_must_be_comparable(rig):
         ("", "empty"),
     ],
 )
-def test_a_spectrum_in_a_file_is_in_nanometres_and_rises(tmp_path, rows, said):
-    """100 to 5000 nm, each above the one before, powers 0 or more and not all 0; else told why."""
+def test_a_spectrum_in_a_file_is_in_nanometres_and_rises(tmp_path, rows, message):
+    """100 to 5000 nm, each above the one before, powers 0 or more and not all 0; else reported why."""
     path = tmp_path / "light.csv"
     path.write_text(rows, encoding="utf-8")
-    if said is None:
+    if message is None:
         assert spectrum(str(path)).power.tolist() == [1.0, 2.0]
     else:
-        with pytest.raises(InputError, match=said):
+        with pytest.raises(InputError, match=message):
             spectrum(str(path))
 
 
@@ -253,7 +253,7 @@ def test_a_spectral_response_rises_along_its_wavelengths(wavelength_nm, relative
 
 
 @pytest.mark.parametrize(
-    ("camera", "lens", "said"),
+    ("camera", "lens", "message"),
     [
         ({"read_noise_e": None}, {}, "typical values for read_noise_e"),
         ({}, {}, "response taken as linear above the black level"),
@@ -261,8 +261,8 @@ def test_a_spectral_response_rises_along_its_wavelengths(wavelength_nm, relative
         ({}, {"transmittance": None}, "lens transmittance 1"),
     ],
 )
-def test_a_calibration_says_what_it_assumes(rig, camera, lens, said):
-    """What nobody measured and what the meter cannot know is among the assumptions; what is stated is not."""
+def test_a_calibration_says_what_it_assumes(rig, camera, lens, message):
+    """What no one measured and what the meter cannot know is among the assumptions; what is stated is not."""
     known = {"transmittance": 0.9}
 
     def assumed(camera_changes, lens_changes):
@@ -275,6 +275,6 @@ def test_a_calibration_says_what_it_assumes(rig, camera, lens, said):
         scale = scale_by_meter(base, MeterReading(12.5, MeterSettings(1 / 60, 5.6, 100.0), 2000.0))
         return scaled_calibration(base, scale, ("a",)).provenance.assumptions
 
-    assert any(one.startswith(said) for one in assumed(camera, lens))
+    assert any(one.startswith(message) for one in assumed(camera, lens))
     if camera or lens:
-        assert not any(one.startswith(said) for one in assumed({}, {}))
+        assert not any(one.startswith(message) for one in assumed({}, {}))

@@ -276,17 +276,17 @@ def test_the_dark_current_in_electrons_bears_the_doubt_of_the_gain():
     ("slope", "wrong_dn", "named"), [(50.0, 0.0, 0), (50.0, 120.0, 1), (50.0, -120.0, 1), (0.0, 120.0, 1)]
 )
 def test_a_dark_group_off_the_line_of_the_others_is_named(slope, wrong_dn, named):
-    """On a dark current of 50 DN/s none is; one that is 120 DN off it is told with what the others say there."""
+    """On a dark current of 50 DN/s none is; one that is 120 DN off it is reported with what the others say there."""
     times = np.array([0.5, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0])
     means = BLACK_DN + slope * times
     means[3] += wrong_dn
     darks = [group(mean, 40.0, time, dark=True) for mean, time in zip(means, times, strict=True)]
     found = contradicting_darks(darks, 3000.0)
     assert [one.settings.exposure_s for one, _ in found] == [3.0] * named
-    for _, said in found:
+    for _, text in found:
         straight = BLACK_DN + 3.0 * slope
-        assert f"{means[3]:.4g} DN where all others say {straight:.4g}" in said
-        assert said.endswith(f"({round(100.0 * wrong_dn / straight):+d} %)")
+        assert f"{means[3]:.4g} DN where all others say {straight:.4g}" in text
+        assert text.endswith(f"({round(100.0 * wrong_dn / straight):+d} %)")
 
 
 LEVELS = np.geomspace(0.02, 1.0, 12)
@@ -314,12 +314,12 @@ def test_patterns_of_darkness_are_those_at_the_exposure_of_the_light():
 
 
 @pytest.mark.parametrize(("stated", "off"), [(2.0, None), (2.5, "+25.0 %"), (None, None)])
-def test_one_level_of_light_tells_a_wrong_statement_of_the_gain(stated, off):
+def test_one_level_of_light_shows_a_wrong_statement_of_the_gain(stated, off):
     """0.5 DN/e⁻ are 2 e⁻/DN: 2.5 are a quarter too many."""
     groups = [group(BLACK_DN + 1000.0, 540.0), group(BLACK_DN, 40.0, dark=True)]
     notes = characterise(subject(conversion_gain_e_per_dn=stated), groups).notes
-    told = [note for note in notes if note.startswith("conversion_gain_error")]
-    assert [off in note for note in told] == ([True] if off else [])
+    reported = [note for note in notes if note.startswith("conversion_gain_error")]
+    assert [off in note for note in reported] == ([True] if off else [])
 
 
 def test_darks_that_tell_no_gain_doubt_no_statement():
@@ -329,7 +329,7 @@ def test_darks_that_tell_no_gain_doubt_no_statement():
     assert not any("conversion_gain_error" in note for note in found.notes)
 
 
-def test_a_bend_is_told_by_variance_over_mean_at_both_ends():
+def test_a_bend_is_shown_by_variance_over_mean_at_both_ends():
     """0.5 DN in the lowest third, 0.4 in the highest, however the steps are sorted."""
     ratios = np.repeat([0.5, 0.45, 0.4], 2)
     steps = steps_of(SIGNALS[:6], 40.0 + ratios * SIGNALS[:6])
@@ -386,9 +386,9 @@ def test_variances_of_few_lines_scatter_by_their_stated_uncertainty():
                 ) for _ in range(1500)
             ]  # fmt: skip
         values = [one.column_dn2 if turned else one.row_dn2 for one in splits]
-        told = [one.u_column_dn2 if turned else one.u_row_dn2 for one in splits]
+        reported = [one.u_column_dn2 if turned else one.u_row_dn2 for one in splits]
         assert np.mean(values) == pytest.approx(9.0, rel=0.08)
-        assert np.mean(told) == pytest.approx(np.std(values), rel=0.08)
+        assert np.mean(reported) == pytest.approx(np.std(values), rel=0.08)
 
 
 @pytest.mark.parametrize(
@@ -396,9 +396,9 @@ def test_variances_of_few_lines_scatter_by_their_stated_uncertainty():
 )
 def test_two_gains_agree_within_twice_what_both_leave_open(dark, word):
     """0.003 and 0.004 DN/e⁻ make 0.005: a distance of 0.01 is the last that agrees, to either side."""
-    (said,) = disagreeing_gains(Quantity(0.5, 0.003, "DN/e-"), Quantity(dark, 0.004, "DN/e-"))
-    assert f"{word} that from light" in said
-    assert "(2.0 u)" in said
+    (text,) = disagreeing_gains(Quantity(0.5, 0.003, "DN/e-"), Quantity(dark, 0.004, "DN/e-"))
+    assert f"{word} that from light" in text
+    assert "(2.0 u)" in text
 
 
 @pytest.mark.parametrize("step_dn", [1, 4])
@@ -436,7 +436,7 @@ def test_degrees_of_freedom_are_those_of_frames_and_pixels():
     assert still.u_mean_dn == pytest.approx(math.sqrt(1.0 / 12.0 / 100.0))
 
 
-def test_a_line_through_one_light_tells_no_linearity():
+def test_a_line_through_one_light_shows_no_linearity():
     """Two lights and four steps between 5 and 95 % are the fewest."""
     dark = group(BLACK_DN, 40.0, dark=True)
 
@@ -477,7 +477,7 @@ def test_pixels_at_full_scale_say_that_the_converter_saturates(clipped, by):
 
 @pytest.mark.parametrize(("off", "named"), [((4,), 1), ((2, 7, 12), 3), ((2, 5, 8, 12), 0)])
 def test_up_to_a_fifth_of_the_steps_are_exceptions(off, named):
-    """Of 16 steps three that show half of what their light says are named; of four nobody knows which are right."""
+    """Of 16 steps three that show half of what their light says are named; of four no one knows which are right."""
     shown = SIGNALS.copy()
     shown[list(off)] *= 0.5
     bright = [group(BLACK_DN + s, 100.0, photons=2.0 * light) for s, light in zip(shown, SIGNALS, strict=True)]

@@ -233,18 +233,18 @@ def test_descriptor_export_of_a_region_writes_that_part(tmp_path: Path) -> None:
     assert "emva_images\\0000.png" in (tmp_path / "emva.txt").read_text()
 
 
-def test_that_the_whole_frame_was_used_is_said_of_light_without_patches_only(capture: CaptureSet) -> None:
+def test_that_the_whole_frame_was_used_is_reported_of_light_without_patches_only(capture: CaptureSet) -> None:
     """Named patches leave nothing to say; without one, light over the whole frame is doubted, darkness is not."""
-    said = "the whole frame was used"
-    assert not [note for note in subject_of_capture(capture).notes if said in note]
+    sentence = "the whole frame was used"
+    assert not [note for note in subject_of_capture(capture).notes if sentence in note]
     header = read_yaml(capture.path / "capture.yaml")
     header["patches"] = []
     write_yaml_atomic(capture.path / "capture.yaml", header)
-    assert [note for note in subject_of_capture(CaptureSet.read(capture.path)).notes if said in note]
+    assert [note for note in subject_of_capture(CaptureSet.read(capture.path)).notes if sentence in note]
     header["frames"] = [frame for frame in header["frames"] if frame["shutter"] == "closed"]
     write_yaml_atomic(capture.path / "capture.yaml", header)
     dark = subject_of_capture(CaptureSet.read(capture.path))
-    assert (dark.regions, [note for note in dark.notes if said in note]) == ((None,), [])
+    assert (dark.regions, [note for note in dark.notes if sentence in note]) == ((None,), [])
 
 
 @pytest.mark.parametrize("factor", [100.0, 0.01])
@@ -293,23 +293,23 @@ def test_the_report_opens_with_gain_noise_and_capacity(capture: CaptureSet) -> N
         with_u(result.figures[name].value, 2 * result.figures[name].u, unit)
         for name, unit in (("K", "DN"), ("sigma_d", "e⁻"), ("mu_e_sat", "e⁻"))
     )
-    said = prose(
+    text = prose(
         f"One electron is {gain}; the camera reads with {noise} of noise and holds {full} before it saturates."
     )
-    assert f"class='outcome'>{said}<" in page
+    assert f"class='outcome'>{text}<" in page
     places = [page.index(mark) for mark in ("class='outcome'", "<picture>", "What it means", "<h2>Figures", "<table")]
     assert places == sorted(places)
     assert page.count("<picture>") == 4
     assert not re.findall(r"(?:src|srcset|href)='(?!data:)", page)
 
 
-def test_the_report_tells_where_the_camera_stops_being_the_noise(capture: CaptureSet) -> None:
+def test_the_report_reports_where_the_camera_stops_being_the_noise(capture: CaptureSet) -> None:
     """Read noise squared, in electrons, and times K in DN; a linear camera needs no response, a bent one does."""
     result = characterise(subject_of_capture(capture))
     equal = result.figures["sigma_d"].value ** 2
-    told = meaning(result)
-    assert told[0].startswith(f"From {equal:.3g} e⁻ ({equal * result.figures['K'].value:.3g} DN above black) on")
-    assert any("no response is needed" in text for text in told)
+    reported = meaning(result)
+    assert reported[0].startswith(f"From {equal:.3g} e⁻ ({equal * result.figures['K'].value:.3g} DN above black) on")
+    assert any("no response is needed" in text for text in reported)
     bent = {**result.figures, "LE_max": Quantity(3.0, 0.1, "%")}
     assert any("recover its response" in text for text in meaning(replace(result, figures=bent)))
 

@@ -1,4 +1,4 @@
-"""The real CCD of the EMVA 1288 reference measurements beside the `emva1288` package's figures on the same files."""
+"""The real CCD of the EMVA 1288 reference measurements next to the `emva1288` package's figures on the same files."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def test_figure_of_few_frames_agrees_within_its_uncertainty(ccd: Characterisatio
     assert abs(ccd.figures[name].value - value) < ccd.figures[name].u
 
 
-def test_scatter_beyond_noise_is_said(ccd: Characterisation) -> None:
+def test_scatter_beyond_noise_is_reported(ccd: Characterisation) -> None:
     """The real photon transfer is not quite straight; the note says so and K's uncertainty holds it."""
     assert any("scatters" in note for note in ccd.notes)
     assert ccd.figures["K"].u_rel > 0.002

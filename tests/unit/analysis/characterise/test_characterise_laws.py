@@ -93,21 +93,21 @@ def test_three_steps_are_the_fewest_and_a_flat_variance_shows_no_light():
         photon_transfer(steps_of(np.full(16, 40.0)), 1e5)
 
 
-def test_a_bent_photon_transfer_is_told_with_and_without_darks():
+def test_a_bent_photon_transfer_is_reported_with_and_without_darks():
     """K from 0.5 to 0.4 DN: the note stands in the result, and a straight one has none; u holds the range."""
     bright = [group(BLACK_DN + s, 40.0 + (0.52 - 0.1 * s / 6000.0) * s, s / 6000.0) for s in SIGNALS]
     even = [group(BLACK_DN + s, 40.0 + 0.5 * s, s / 6000.0) for s in SIGNALS]
     darks = [group(BLACK_DN, 40.0, s / 6000.0, dark=True) for s in SIGNALS]
-    for some, beside in ((bright, darks), (bright, []), (even, darks), (even, [])):
-        found, straight = characterise(SUBJECT, [*some, *beside]), some is even
-        told = [note for note in found.notes if note.startswith("the photon transfer bends")]
-        assert len(told) == (0 if straight else 1)
+    for some, neighbour in ((bright, darks), (bright, []), (even, darks), (even, [])):
+        found, straight = characterise(SUBJECT, [*some, *neighbour]), some is even
+        reported = [note for note in found.notes if note.startswith("the photon transfer bends")]
+        assert len(reported) == (0 if straight else 1)
         assert (found.transfer.bend_u > 0.0) is not straight
         assert found.figures["K"].u >= found.transfer.bend_u
 
 
-@pytest.mark.parametrize(("off", "told"), [(1.0, 0), (30.0, 1)])
-def test_scatter_beyond_noise_is_told_with_and_without_darks(off, told):
+@pytest.mark.parametrize(("off", "reported"), [(1.0, 0), (30.0, 1)])
+def test_scatter_beyond_noise_is_reported_with_and_without_darks(off, reported):
     """Variances that jump by many times what their pixels allow: light that is unsteady."""
     rng = np.random.default_rng(2)
     variances = 40.0 + 0.5 * SIGNALS
@@ -116,7 +116,7 @@ def test_scatter_beyond_noise_is_told_with_and_without_darks(off, told):
     darks = [group(BLACK_DN, 40.0, s / 6000.0, dark=True) for s in SIGNALS]
     for groups in ([*bright, *darks], bright):
         notes = characterise(SUBJECT, groups).notes
-        assert sum("times more than noise alone" in note for note in notes) == told
+        assert sum("times more than noise alone" in note for note in notes) == reported
 
 
 def test_a_gain_of_one_level_is_variance_over_mean():
@@ -189,7 +189,7 @@ def test_propagation_is_that_of_a_straight_function():
 
 
 @pytest.mark.parametrize("doubling_k", [5.0, 8.0])
-def test_a_dark_current_that_doubles_tells_by_how_many_kelvin(doubling_k):
+def test_a_dark_current_that_doubles_shows_by_how_many_kelvin(doubling_k):
     """2^(T/T_d) at any level; u goes as that of ln D over the span, and falling or unseen currents tell nothing."""
     rates = [(t, Quantity(3.0 * 2.0 ** (t / doubling_k), 0.03 * 2.0 ** (t / doubling_k), "DN/s")) for t in (10.0, 30.0)]
     found = doubling_temperature(rates)
@@ -201,9 +201,9 @@ def test_a_dark_current_that_doubles_tells_by_how_many_kelvin(doubling_k):
     assert warm.u / warm.value == pytest.approx(u_slope / (math.log(2.0) / doubling_k))
     assert doubling_temperature(rates[:1]) is None
     assert doubling_temperature([(10.0, rates[1][1]), (30.0, rates[0][1])]) is None
-    for u_rel, told in ((0.501, False), (0.499, True)):
+    for u_rel, text in ((0.501, False), (0.499, True)):
         faint = (20.0, Quantity(1.0, u_rel, "DN/s"))
-        assert (doubling_temperature([faint, (40.0, Quantity(9.0, 0.1, "DN/s"))]) is not None) is told
+        assert (doubling_temperature([faint, (40.0, Quantity(9.0, 0.1, "DN/s"))]) is not None) is text
     assert doubling_of([(None, 0.0, rates[0][1]), (30.0, 0.0, rates[1][1])]) is None
 
 
@@ -243,7 +243,7 @@ def test_a_gain_from_darks_needs_two_dn_of_dark_signal_at_three_exposures(span_d
 
 
 def test_plateaus_of_darks_that_disagree_widen_their_mean(monkeypatch):
-    """0.5 and 0.6 ± 0.01 DN/e⁻: 0.55 with their scatter of 0.05 beside the better u; one alone keeps its own."""
+    """0.5 and 0.6 ± 0.01 DN/e⁻: 0.55 with their scatter of 0.05 next to the better u; one alone keeps its own."""
     module = "radiometer.analysis.characterise.dark_signal"
     gains = []
     monkeypatch.setattr(f"{module}._frames", lambda *_: [])
@@ -302,7 +302,7 @@ def test_a_typical_pixel_is_no_hot_one():
 
 @pytest.mark.parametrize(("part", "count", "named"), [(0.89, 16, 1), (0.91, 16, 0), (0.5, 6, 1), (0.5, 5, 0)])
 def test_a_step_contradicts_its_neighbours_from_a_tenth_on(part, count, named):
-    """A step at 89 % of what its light says is named, at 91 % not; of five steps nobody can tell."""
+    """A step at 89 % of what its light says is named, at 91 % not; of five steps no one can tell."""
     signals = SIGNALS[:count].copy()
     signals[count // 2] *= part
     bright = [group(BLACK_DN + s, 100.0, photons=2.0 * x) for s, x in zip(signals, SIGNALS, strict=False)]
@@ -326,18 +326,18 @@ def test_a_dark_group_is_off_from_a_tenth_and_a_hundredth_of_the_light_on(top_dn
 
 
 @pytest.mark.parametrize(
-    ("stated", "gain_db", "told"),
+    ("stated", "gain_db", "reported"),
     [(2.0, 0.0, 0), (2.039, 0.0, 0), (2.041, 0.0, 1), (1.959, 0.0, 1), (2.0, 20.0, 1), (20.0, 20.0, 0)],
 )
-def test_a_stated_gain_is_doubted_beyond_twice_what_is_known(stated, gain_db, told):
+def test_a_stated_gain_is_doubted_beyond_twice_what_is_known(stated, gain_db, reported):
     """K of 0.5 ± 0.005 DN/e⁻ is 2 ± 0.02 e⁻/DN; at 20 dB ten times as many at 0 dB."""
     notes = stated_gain_doubt(stated, Quantity(0.5, 0.005, "DN/e-"), gain_db)
-    assert len(notes) == told
+    assert len(notes) == reported
 
 
 @pytest.mark.parametrize("straight", [True, False])
-def test_a_desk_s_picture_has_a_panel_beside_the_first_for_each_other(straight, monkeypatch):
-    """Photon transfer over the whole height on the left; linearity, where it is told, above the SNR on the right."""
+def test_a_desk_s_picture_has_a_panel_next_to_the_first_for_each_other(straight, monkeypatch):
+    """Photon transfer over the whole height on the left; linearity, where reported, above the SNR on the right."""
     figure = Figure()
     monkeypatch.setattr(report, "picture", lambda draw, *_: draw(figure, False) or "")
     bright = [group(BLACK_DN + s, 40.0 + 0.5 * s, s / 6000.0) for s in SIGNALS]
@@ -357,15 +357,15 @@ def test_a_dark_group_that_contradicts_those_of_its_gain_is_left_out_and_named()
     darks = [group(BLACK_DN, 40.0, 1.0 + k, dark=True) for k in range(8)]
     darks[3] = replace(darks[3], mean_dn=BLACK_DN + 200.0)
     loud = [group(3.0 * BLACK_DN, 400.0, 1.0 + k, dark=True, gain_db=20.0) for k in range(8)]
-    for beside in ([], loud):
-        found = characterise(SUBJECT, [*bright, *darks, *beside])
+    for neighbour in ([], loud):
+        found = characterise(SUBJECT, [*bright, *darks, *neighbour])
         (named,) = [note for note in found.notes if note.startswith("left out")]
         assert "dark group of 2 frames at 4 s" in named
         assert len(found.dark_points) == 7
         assert found.figures["mu_y_dark"].value == pytest.approx(BLACK_DN)
 
 
-def test_a_step_without_any_signal_tells_no_responsivity():
+def test_a_step_without_any_signal_shows_no_responsivity():
     """Light that brings exactly nothing is not on the line of the others."""
     steps = steps_of(40.0 + 0.5 * SIGNALS)
     saturation = find_saturation(steps)

@@ -130,7 +130,7 @@ def rates():
 
 
 def test_gain_from_single_dark_frames():
-    """One frame per exposure tells K by the dark current's shot noise, within 3 u and 3 %, u being 6 % at most."""
+    """One frame per exposure shows K by the dark current's shot noise, within 3 u and 3 %, u being 6 % at most."""
     found = dark_transfer(dark_frames(rates(), EXPOSURES_S))
     assert found.K.value == pytest.approx(K_DN_PER_E, abs=3 * found.K.u)
     assert found.K.value == pytest.approx(K_DN_PER_E, rel=0.03)
@@ -139,7 +139,7 @@ def test_gain_from_single_dark_frames():
     assert found.line.intercept + found.line.slope * BLACK_DN == pytest.approx(read_noise_dn2, abs=2.0)
 
 
-def test_no_dark_current_tells_no_gain():
+def test_no_dark_current_shows_no_gain():
     """Frames that differ by read noise alone give none."""
     assert dark_transfer(dark_frames(np.zeros((120, 120)), EXPOSURES_S)) is None
 
@@ -170,7 +170,7 @@ def picture(row_sd, column_sd, pixel_sd, shape=(300, 400), seed=5):
     return 500.0 + rows + columns + rng.normal(0, pixel_sd, shape)
 
 
-def test_rows_columns_and_pixels_are_told_apart():
+def test_rows_columns_and_pixels_are_distinguished():
     """Each part comes out within 4 of its standard uncertainties, and the parts do not mix."""
     found = split_spatial_variance(picture(1.5, 0.7, 2.5), NoiseLeft(0.0, 0.0, 0.0))
     assert found.row_dn2 == pytest.approx(2.25, abs=4 * found.u_row_dn2)

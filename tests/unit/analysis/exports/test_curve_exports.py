@@ -73,14 +73,14 @@ def test_the_layout_is_that_of_the_peer_s_file(shared_data):
 
 @pytest.mark.parametrize("ending", [".m", ".rsp"])
 def test_what_we_write_for_others_we_read_back(tmp_path, ending):
-    """Three channels come back within the polynomial's error over the middle, with an assumed u that is said."""
+    """Three channels come back within the polynomial's error over the middle, with an assumed u that is stated."""
     curves = {name: gamma_curve(power) for name, power in (("red", 1.8), ("green", 2.0), ("blue", 2.2))}
     write_curves(tmp_path / f"c{ending}", curves)
     found = read_curves(tmp_path / f"c{ending}")
     assert list(found) == ["red", "green", "blue"]
     for name, curve in found.items():
-        wanted = curves[name].log_exposure
-        assert np.max(np.abs(curve.log_exposure[60:250] - wanted[60:250])) < 0.02
+        expected = curves[name].log_exposure
+        assert np.max(np.abs(curve.log_exposure[60:250] - expected[60:250])) < 0.02
         assert curve.log_exposure[128] == 0.0
         assert np.median(curve.u_log_exposure[10:250]) == pytest.approx(0.03)
         assert "states none" in curve.provenance.assumptions[0]

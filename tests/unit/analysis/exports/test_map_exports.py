@@ -1,4 +1,4 @@
-"""Exports: other programs read the numbers back, with unit and uncertainty, and no header tells on its maker."""
+"""Exports: other programs read the numbers back, with unit and uncertainty, and no header reports on its maker."""
 
 from __future__ import annotations
 
@@ -41,8 +41,8 @@ def colour(grey):
 
 def test_exr_carries_value_uncertainty_mask_and_unit(grey, tmp_path):
     """All in 32 bits, exactly."""
-    told = replace(grey, not_in_u=("no stray light", "no offset"))
-    writer_for(tmp_path / "map.exr")(tmp_path / "map.exr", MapPicture({"mono": told}))
+    reported = replace(grey, not_in_u=("no stray light", "no offset"))
+    writer_for(tmp_path / "map.exr")(tmp_path / "map.exr", MapPicture({"mono": reported}))
     file = OpenEXR.File(str(tmp_path / "map.exr"), separate_channels=True)
     channels = {name: channel.pixels for name, channel in file.channels().items()}
     np.testing.assert_array_equal(channels["Y"], grey.radiance)
@@ -214,10 +214,10 @@ def test_the_command_says_what_it_did(capture, tmp_path, capsys):
     """Human output names the size, the unit and the file."""
     folder, _ = capture
     assert run(["merge", str(folder), "-o", str(tmp_path / "a.png")]) == 0
-    said = capsys.readouterr().out
-    assert "40 × 30 pixels" in said
-    assert "relative" in said
-    assert "a.png" in said
+    printed = capsys.readouterr().out
+    assert "40 × 30 pixels" in printed
+    assert "relative" in printed
+    assert "a.png" in printed
 
 
 @pytest.mark.parametrize(
@@ -239,9 +239,9 @@ def test_misuse_of_the_command_is_one_line(words, code, message, capture, tmp_pa
     ResponseCurve(np.linspace(-5, 1, 256), np.zeros(256)).write(curve)
     places = {"capture": capture[0], "dir": tmp_path, "curve": curve}
     assert run(["merge", *(word.format(**places) for word in words)]) == code
-    said = capsys.readouterr().err
-    assert message in said
-    assert len(said.strip().splitlines()) == 1
+    printed = capsys.readouterr().err
+    assert message in printed
+    assert len(printed.strip().splitlines()) == 1
     assert not list(tmp_path.glob("a.*"))
 
 

@@ -144,7 +144,7 @@ def test_noise_and_background_stay_in_the_light_before_the_lens() -> None:
 
 @pytest.mark.parametrize(("bright_rows", "sharp"), [(40, True), (20, False)])
 def test_a_diode_with_a_plateau_has_a_radiance(bright_rows: int, sharp: bool) -> None:
-    """Of 50 lit rows 40 at their highest value are a plateau; 20 beside 30 at half of it are a blur."""
+    """Of 50 lit rows 40 at their highest value are a plateau; 20 next to 30 at half of it are a blur."""
     rows = np.indices(SHAPE)[0]
     dn = np.where(rows < 25, 100.0, np.where(rows < 25 + bright_rows, 900.0, np.where(rows < 75, 500.0, 100.0)))
     lens = LensDescription(focal_length_mm=20.0, f_number=4.0, magnification=0.3)
@@ -169,7 +169,7 @@ def test_a_lens_that_states_nothing_takes_nothing() -> None:
 
 
 def test_the_scale_of_a_calibration_is_its_own(rig) -> None:
-    """J·m⁻² per DN and its uncertainty, the spectrum's beside it, are the calibration's; nothing is assumed."""
+    """J·m⁻² per DN and its uncertainty, the spectrum's next to it, are the calibration's; nothing is assumed."""
     calibration = rig.calibration(u_rel=0.003, uncertainties=StatedUncertainties(spectral_u_rel=0.004))
     camera = calibration.camera.model_copy(update={"pixel_pitch_um": 4.5})
     calibration = replace(calibration, camera=camera)

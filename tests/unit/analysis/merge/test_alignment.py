@@ -53,9 +53,9 @@ def _photograph(waves, place, seconds, rng=None):
     return Frame(np.clip(np.rint(dn), 0, 255).astype(np.uint8), 8, FrameSettings(float(seconds)))
 
 
-def _corner_gap(found, wanted):
+def _corner_gap(found, expected):
     corners = np.array([(0, 0), (WIDTH - 1, 0), (0, HEIGHT - 1), (WIDTH - 1, HEIGHT - 1)], float)
-    gap = corners @ (found[:, :2] - wanted[:, :2]).T + found[:, 2] - wanted[:, 2]
+    gap = corners @ (found[:, :2] - expected[:, :2]).T + found[:, 2] - expected[:, 2]
     return float(np.linalg.norm(gap, axis=1).max())
 
 
@@ -66,7 +66,7 @@ def _relative(place, reference):
 
 
 def test_shifts_and_turns_are_found_to_a_tenth_of_a_pixel(waves):
-    """Five noisy photographs, up to seven pixels and 0.7° apart, behind a tone curve that nobody states."""
+    """Five noisy photographs, up to seven pixels and 0.7° apart, behind a tone curve without a statement."""
     rng = np.random.default_rng(8)
     shifts = rng.uniform(-5.0, 5.0, (5, 2))
     places = [_place(shift, turn) for shift, turn in zip(shifts, rng.uniform(-0.7, 0.7, 5), strict=True)]
@@ -113,7 +113,7 @@ def test_moved_values_are_those_of_the_scene(waves):
 
 
 def test_one_lamp_says_nothing_of_the_corners(waves):
-    """A photograph that shows one lamp and else nothing stays where it is, and that is said."""
+    """A photograph that shows one lamp and else nothing stays where it is, and that is stated."""
     rng = np.random.default_rng(1)
     y, x = np.mgrid[:HEIGHT, :WIDTH]
     lamp = 120.0 * np.exp(-((x - 60.0) ** 2 + (y - 50.0) ** 2) / 60.0)
@@ -146,7 +146,7 @@ def test_a_rim_of_one_value_is_no_scene(waves, rim_dn, contrast):
 
 
 def test_the_frame_that_was_seen_to_move_is_named():
-    """A frame of which it cannot be told goes with its neighbour, and the neighbour is the one that is named."""
+    """A frame of which it cannot be reported goes with its neighbour, and the neighbour is the one that is named."""
     moved = Movement(_place(np.array([3.0, 0.0]), 0.0))
     found = Alignment((replace(moved, known=False), moved, Movement(np.eye(2, 3))), 2, (HEIGHT, WIDTH))
     assert found.sentence(["a", "b", "c"]).startswith("aligned to c: moved by up to 3 pixels (b)")

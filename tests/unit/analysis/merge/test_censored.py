@@ -43,7 +43,7 @@ def test_the_estimate_is_the_likeliest_and_its_variance_the_curvature(rate, vari
 
 
 def test_shot_noise_makes_a_clipped_frame_say_less():
-    """Noise that grows with the light, κ·x·t beside the rest: the same as that noise stated beforehand."""
+    """Noise that grows with the light, κ·x·t next to the rest: the same as that noise stated beforehand."""
     plain = FRAMES[1:2].copy()
     found = with_censored(104.0, 4.0, np.uint64(0), FRAMES, 1, 2, 0.8)
     plain[0, 5] += 0.8 * 2.0 * found[0]
@@ -64,8 +64,8 @@ def test_a_frame_that_had_to_clip_says_nothing(clips_at, heard):
 def test_a_frame_that_clips_far_below_its_level_contradicts(rate, contradicts):
     """Six sigma below it, and not near black where the dark end is cut off: then the scene has changed."""
     # At 90 the frame lies 35 below its level of 215 with a noise of 7.3: 4.8 sigma.
-    found, _, said = with_censored(rate, 1.0, np.uint64(0), FRAMES, 1, 2, 0.0)
-    assert said is contradicts
+    found, _, text = with_censored(rate, 1.0, np.uint64(0), FRAMES, 1, 2, 0.0)
+    assert text is contradicts
     assert (found == rate) is (rate < 50.0)
 
 

@@ -44,7 +44,7 @@ def test_the_movement_that_was_made_is_found(movement):
 @pytest.mark.parametrize("pedestal_dn", [0.0, 3000.0, 30000.0])
 @pytest.mark.parametrize("left_out", ["nothing", "a rim", "a patch"])
 def test_little_contrast_on_a_pedestal_is_climbed(pedestal_dn, left_out):
-    """Thirty DN about a black level that nobody subtracted, whatever is left out: to a tenth of a pixel at the corners.
+    """Thirty DN about a black level not subtracted, whatever is left out: to a tenth of a pixel at the corners.
 
     Up to the edges of the picture: beyond them is no light of 0 DN.
     """
@@ -74,7 +74,7 @@ def test_a_start_is_left_as_it_is():
 
 
 @pytest.mark.parametrize("way", ["flat", "opposite", "nothing shown"])
-def test_pictures_that_are_not_alike_are_told(way):
+def test_pictures_that_are_not_alike_are_reported(way):
     """One without structure, one whose bright is the other's dark, and two of which nothing is shown."""
     here = scene()
     there = {"flat": np.full_like(here, 80.0), "opposite": 200.0 - here, "nothing shown": here}[way]

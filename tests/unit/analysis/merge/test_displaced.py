@@ -38,7 +38,7 @@ def _calibration():
 
 
 def _bracket(rng, shifts):
-    """Return frames of even ground (left) beside waves across the columns (right), each displaced along the row."""
+    """Return frames of even ground (left) next to waves across the columns (right), each displaced along the row."""
     frames = []
     for time, shift in zip(2.0 ** np.arange(len(shifts)), shifts, strict=True):
         place = np.arange(SHAPE[1]) + shift
@@ -92,7 +92,7 @@ def test_displaced_frames_do_not_contradict_each_other():
 
 
 def test_what_displacement_explains_is_as_sure_as_its_neighbours():
-    """A pixel whose frames disagree within noise and displacement has the u of those beside it in its column."""
+    """A pixel whose frames disagree within noise and displacement has the u of those next to it in its column."""
     bracket = _bracket(np.random.default_rng(3), [0.3, -0.3, 0.3, -0.3])
     plain = merge(bracket, Setup(CAMERA, LENS, _calibration()))
     known = merge(bracket, Setup(CAMERA, LENS, _calibration()), displacement_px=0.3)

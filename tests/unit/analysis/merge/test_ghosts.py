@@ -140,7 +140,7 @@ def test_a_frame_that_clips_contradicts_what_is_dark():
 
 
 def test_what_a_frame_does_not_show_is_not_missed():
-    """Where a frame shows nothing the others are merged, and nobody says that something moved."""
+    """Where a frame shows nothing the others are merged, and no one says that something moved."""
     rng = np.random.default_rng(3)
     scene = _scene(rng)
     frames = [_frame(rng, scene, seconds) for seconds in TIMES]

@@ -175,7 +175,7 @@ def test_rounding_behind_a_curve_is_the_scatter_that_u_states(gain_db):
 
 
 def test_the_curve_s_own_uncertainty_is_in_every_pixel():
-    """3 % of the curve, beside rounding of some per mille."""
+    """3 % of the curve, next to rounding of some per mille."""
     for u, expected in ((1e-6, 0.0), (0.03, 0.03)):
         camera, calibration = behind_a_curve(u)
         found = merge([Frame(np.full((4, 4), 200, np.uint8), 8, FrameSettings(1.0))], Setup(camera, LENS, calibration))
@@ -194,7 +194,7 @@ def test_two_frames_behind_a_curve_are_weighed_by_its_slope():
     assert found.u_radiance[0, 0] == pytest.approx(expected, rel=5e-3)
 
 
-def test_white_and_black_behind_a_curve_are_told_apart():
+def test_white_and_black_behind_a_curve_are_distinguished():
     """255 in every frame is SATURATED, with the least that it can be; 0 is BELOW_NOISE."""
     camera, calibration = behind_a_curve()
     numbers = np.array([[255, 0, 128]], np.uint8)
@@ -218,7 +218,7 @@ def test_what_no_frame_shows_is_as_doubtful_as_large():
 
 
 def test_a_frame_that_clips_near_its_end_raises_the_value():
-    """Beside a frame just below clipping at 1 s, one that clips at 1.05 s says "at least so much", never less."""
+    """Next to a frame just below clipping at 1 s, one that clips at 1.05 s says "at least so much", never less."""
     lone = merge([frame(3900)], Setup(CAMERA, LENS, CALIBRATION)).radiance[0, 0]
     heard = merge([frame(3900), frame(4095, 1.05)], Setup(CAMERA, LENS, CALIBRATION)).radiance[0, 0]
     assert lone < heard < lone * 1.02

@@ -137,7 +137,7 @@ def test_dark_signal_takes_room_below_clipping():
 
 
 def test_a_wide_ladder_of_dim_frames_is_weighed_as_it_should_be():
-    """30 electrons a second for 1 to 30 s beside 5 of reading: scatter and u are those of the best weights."""
+    """30 electrons a second for 1 to 30 s next to 5 of reading: scatter and u are those of the best weights."""
     rng = np.random.default_rng(9)
     times, several = (1.0, 3.0, 30.0), []
     for time in times:
@@ -163,7 +163,7 @@ def test_bounds_of_pixels_that_no_frame_shows():
 
 
 @pytest.mark.parametrize("off_rel", [0.0009, 0.0011])
-def test_a_map_tells_of_what_is_off_by_a_thousandth_or_more(off_rel):
+def test_a_map_reports_what_is_off_by_a_thousandth_or_more(off_rel):
     """Short exposures, a bend at full scale, and light of another spectrum: below a thousandth none needs a word."""
     seconds, there = 1e-3, ScaleConditions(inverse_exposure_per_s=100.0)
     stated = CALIBRATION.uncertainties.model_copy(
@@ -175,8 +175,8 @@ def test_a_map_tells_of_what_is_off_by_a_thousandth_or_more(off_rel):
         uncertainties=stated,
         found=FoundEffects(well_a2=1.5 * off_rel, well_a3=-0.5 * off_rel, well_e=FULL_SCALE * 2.5 / 2.0),
     )
-    told = merge(
+    reported = merge(
         iter(frames(1, (seconds, 2.0 * seconds))), Setup(CAMERA, LensDescription(f_number=4.0), known)
     ).not_in_u
     words = ("the exposure of 1e+03 µs", "the response bends", "light of another spectrum")
-    assert [any(one.startswith(word) for one in told) for word in words] == [off_rel > 0.001] * 3
+    assert [any(one.startswith(word) for one in reported) for word in words] == [off_rel > 0.001] * 3

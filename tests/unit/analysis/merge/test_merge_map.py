@@ -316,13 +316,13 @@ def test_a_map_says_what_an_offset_of_short_exposures_may_do(rig):
     conditions = base.scale.conditions.model_copy(update={"inverse_exposure_per_s": 1000.0})
     stated = base.uncertainties.model_copy(update={"exposure_u_s": 3e-6, "glare_u": 0.0})
     known = replace(base, uncertainties=stated, scale=base.scale.model_copy(update={"conditions": conditions}))
-    said = {}
+    text = {}
     for shortest in (50e-6, 1e-3):
         frames = rig.frames(scene(rig), np.random.default_rng(1), (shortest, 1e-3))
         words = merge(frames, Setup(rig.description, rig.lens, known)).not_in_u
-        said[shortest] = [one for one in words if "exposure" in one]
-    assert said[1e-3] == []
-    assert said[50e-6] == [
+        text[shortest] = [one for one in words if "exposure" in one]
+    assert text[1e-3] == []
+    assert text[50e-6] == [
         "the exposure of 50 µs may be off: 5.7 % (k = 1) of the brightest pixels, which u does not hold"
     ]
     light = np.full((8, 8), 0.5 * rig.radiance_of_full_scale(50e-6))  # clips at 1 ms: 50 µs alone give its value
@@ -343,8 +343,8 @@ def test_masked_pixels_take_the_place_of_the_stated_black_level(rig):
     ]
     black = frames[0].settings.black_level_dn
     assert black is not None
-    told = [replace(one, extra={"masked_rows_dn": black + level}) for one in frames]
-    blind, right = (merge(each, Setup(rig.description, rig.lens, rig.calibration())) for each in (frames, told))
+    reported = [replace(one, extra={"masked_rows_dn": black + level}) for one in frames]
+    blind, right = (merge(each, Setup(rig.description, rig.lens, rig.calibration())) for each in (frames, reported))
     truth = 0.1 * scene(rig)
     assert np.median(right.radiance / truth) == pytest.approx(1.0, abs=3e-3)
     assert np.median(blind.radiance / truth) > 1.02
@@ -356,13 +356,13 @@ def test_a_map_says_what_light_of_another_spectrum_may_be_off_by(rig):
     base, frames = rig.calibration(spectrum="white_led"), rig.frames(scene(rig), np.random.default_rng(1), (1e-3,))
     stated = base.uncertainties.model_copy(update={"spectral_u_rel": 0.05})
     relative = replace(base, scale=base.scale.model_copy(update={"method": "relative"}))
-    told = []
+    reported = []
     for known in (base, replace(base, uncertainties=stated), relative):
         words = merge(frames, Setup(rig.description, rig.lens, known)).not_in_u
-        told.append(
+        reported.append(
             [one.split(": ")[1].split(" (k = 1)")[0] for one in words if "another spectrum than white_led" in one]
         )
-    assert told == [["20 %"], ["5 %"], []]
+    assert reported == [["20 %"], ["5 %"], []]
 
 
 def test_more_than_thirty_two_frames(rig):

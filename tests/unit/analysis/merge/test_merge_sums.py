@@ -171,7 +171,7 @@ def test_neighbours_of_other_frames_change_nothing(curved):
 
 
 def test_of_two_frames_that_clip_nearby_both_are_heard():
-    """Beside one just below clipping two that clip at 1.02 and 1.04 s raise the value more than either."""
+    """Next to one just below clipping two that clip at 1.02 and 1.04 s raise the value more than either."""
     calibration = _calibration(12)
 
     def value(*clipped):

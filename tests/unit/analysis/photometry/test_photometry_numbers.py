@@ -1,4 +1,4 @@
-"""The numbers of the thesis, to the digits given, and the right conversions beside them."""
+"""The numbers of the thesis, to the digits given, and the right conversions next to them."""
 
 from __future__ import annotations
 
@@ -194,12 +194,12 @@ def test_a_coarse_table_integrates_as_its_fine_copy():
 
 
 def test_a_line_is_not_a_band():
-    """Its integral is its power, whatever lies beside it."""
+    """Its integral is its power, whatever is next to it."""
     assert Spectrum("x", np.array([550.0]), np.array([2.0])).integral() == 2.0
 
 
 @pytest.mark.parametrize(("name", "visible"), [("line:555", True), ("line:780", True), ("line:850", False)])
-def test_what_has_a_luminance_is_told(name, visible):
+def test_what_has_a_luminance_is_reported(name, visible):
     """The red end is seen a little; 850 nm is not."""
     assert photometry.holds_visible_light(spectrum(name)) is visible
 

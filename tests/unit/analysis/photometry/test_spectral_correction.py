@@ -60,7 +60,7 @@ def test_a_responsivity_that_ends_before_the_light_is_refused(tmp_path):
 
 
 @pytest.mark.parametrize("unit", [1e-6, 1.0, 1e6])
-def test_what_a_light_reaches_is_told_in_shares_of_its_peak(tmp_path, unit):
+def test_what_a_light_reaches_is_reported_in_shares_of_its_peak(tmp_path, unit):
     """Whatever unit its spectrum is in: a tail of 1/1000 beyond the table is let pass, one of a tenth is not."""
     table, light = tmp_path / "responsivity.csv", tmp_path / "light.csv"
     table.write_text(HEADER + "400,1\n800,1\n", encoding="utf-8")

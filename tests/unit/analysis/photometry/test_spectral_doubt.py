@@ -89,7 +89,7 @@ def test_a_reading_states_the_band_that_its_radiance_counts(rig, name, band):
 
 @pytest.mark.parametrize(("source", "u_rel"), [("line:600", 0.03), ("line:500.1", None)])
 def test_a_known_response_costs_no_more_than_an_unknown_one(rig, source, u_rel):
-    """Its own u far from the calibration's spectrum; beside it, where every plausible camera agrees, less."""
+    """Its own u far from the calibration's spectrum; next to it, where every plausible camera agrees, less."""
     response = SpectralResponse(wavelength_nm=(300.0, 1100.0), relative=(300.0, 1100.0), u_rel=0.03, source="a test")
     base = replace(rig.calibration(spectrum=source), spectral_response=response)
     of_500 = replace(base, scale=base.scale.model_copy(update={"spectrum": "line:500"}))
@@ -116,7 +116,7 @@ def spectral_line(found):
     return next(one for one in found.budget if one.name == "spectral assumption")
 
 
-def test_light_that_nobody_states_the_spectrum_of_may_be_of_any_kind(rig):
+def test_light_of_unknown_spectrum_may_be_of_any_kind(rig):
     """White LED assumed, camera unknown: 20 % for the radiance, 36 % for the luminance; the budget says from what."""
     base = rig.calibration(spectrum="white_led", u_rel=0.0, uncertainties=StatedUncertainties())
     found, known = unstated(rig, base), unstated(rig, base, spectrum_stated=True)

@@ -108,7 +108,7 @@ def test_welch_satterthwaite_weighs_by_the_fourth_power():
     assert budget.effective_degrees_of_freedom(terms) == pytest.approx(20.0)
 
 
-def test_monte_carlo_beside_the_budget_says_where_they_differ(rig):
+def test_monte_carlo_next_to_the_budget_says_where_they_differ(rig):
     """A scale of 0.5 % validates the linear budget; an f-number to 20 % is squared, and its interval lies lopsided."""
     plain = reading_inputs(rig, 0.5, (1e-3,) * 5, {"u_rel": 0.005, "uncertainties": EXACT})
     bent = EXACT.model_copy(update={"f_number_u_rel": 0.2})
@@ -116,13 +116,13 @@ def test_monte_carlo_beside_the_budget_says_where_they_differ(rig):
     setup = squared[2]
     scale = setup.calibration.scale.model_copy(update={"f_number": 8.0})
     squared = (*squared[:2], replace(setup, calibration=replace(setup.calibration, scale=scale)))
-    said = [
+    printed = [
         propagate_distributions(patch_situation(*inputs), np.random.default_rng(1)).to_mapping(read_patch(*inputs))
         for inputs in (plain, squared)
     ]
-    assert said[0]["validates"]
-    assert not said[1]["validates"]
-    assert said[1]["low_differs_by"] > said[1]["tolerance"]
+    assert printed[0]["validates"]
+    assert not printed[1]["validates"]
+    assert printed[1]["low_differs_by"] > printed[1]["tolerance"]
 
 
 @pytest.mark.parametrize("unit", [1e-6, 1.0, 1e3])
@@ -141,9 +141,9 @@ def test_monte_carlo_beside_the_budget_says_where_they_differ(rig):
 def test_both_ends_of_the_interval_must_agree(low, high, validates, unit):
     """10 ± 2 with u = 1.0: its second digit is 0.1, half of it the tolerance at either end, in whatever unit."""
     linear = Reading(Quantity(10.0 * unit, unit, "1"), Patch(0, 0, 1, 1), "1", coverage_factor=2.0)
-    said = Distribution(10.0 * unit, unit, low * unit, high * unit).to_mapping(linear)
-    assert (said["validates"], said["tolerance"]) == (validates, pytest.approx(0.05 * unit))
-    differs = (said["low_differs_by"] / unit, said["high_differs_by"] / unit)
+    mapping = Distribution(10.0 * unit, unit, low * unit, high * unit).to_mapping(linear)
+    assert (mapping["validates"], mapping["tolerance"]) == (validates, pytest.approx(0.05 * unit))
+    differs = (mapping["low_differs_by"] / unit, mapping["high_differs_by"] / unit)
     assert differs == (pytest.approx(low - 8.0), pytest.approx(high - 12.0))
 
 
@@ -151,7 +151,7 @@ def test_both_ends_of_the_interval_must_agree(low, high, validates, unit):
     ("value", "u", "u_rel"), [(-2.0, 0.5, 0.25), (0.0, 0.5, 1.0), (0.0, 0.0, 0.0), (4.0, 0.0, 0.0)]
 )
 def test_a_line_of_the_budget_is_relative_to_the_value_s_size(value, u, u_rel):
-    """To its own u where the value is nothing, so that it stays a number; all else is told as it stands."""
+    """To its own u where the value is nothing, so that it stays a number; all else is reported as it stands."""
     term = Term("lamp", u, "A", 7.0, correlated=True, note="of 8 readings")
     assert term.contribution(value) == Contribution("lamp", u_rel, "A", 7.0, True, "of 8 readings")
 

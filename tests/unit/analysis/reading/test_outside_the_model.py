@@ -143,7 +143,7 @@ def test_glare_that_was_found_is_taken_off(rig, dark_e_per_s):
 
 
 def test_polarised_light_counts_where_the_calibration_s_was_not(rig):
-    """A screen is polarised unless said otherwise."""
+    """A screen is polarised unless stated otherwise."""
     calibration = calibrated(rig, uncertainties=only(polarisation_u_rel=0.004))
     screen, other = (SourceDescription(kind="screen", polarised=word) for word in (None, False))
     assert line(read(rig, calibration, source=screen), "polarisation") == pytest.approx(0.004)
@@ -280,7 +280,7 @@ def test_luminance_carries_the_radiance_s_uncertainty(rig):
 
 
 def test_the_dark_current_s_noise_is_in_the_repeatability(rig):
-    """1000 dark electrons beside 100 of light: the noise of a pixel is that of 1100 electrons and reading."""
+    """1000 dark electrons next to 100 of light: the noise of a pixel is that of 1100 electrons and reading."""
     camera = CameraDescription(**{**rig.description.model_dump(), "dark_current_e_per_s": 1000.0})
     calibration = replace(calibrated(rig), camera=camera, noise=SensorNoise.of(camera))
     expected = (100.0 + 1000.0) / rig.gain_e_per_dn + 64.0
@@ -310,8 +310,8 @@ def test_masked_pixels_are_dark_frames_of_their_own_exposure(rig):
     right, off = read_patch(masked, *where), read_patch(dark, *where)
     assert right.radiance.value == pytest.approx(float(dim[0, 0]), rel=5e-3)
     assert off.radiance.value / right.radiance.value == pytest.approx(1.0 + 6.0 / 81.0, rel=0.01)
-    told = next(line for line in right.budget if line.name == "dark and black level")
-    assert (told.note, told.u_rel) == ("masked pixels", pytest.approx(0.29 / 81.0, rel=0.02))
+    reported = next(line for line in right.budget if line.name == "dark and black level")
+    assert (reported.note, reported.u_rel) == ("masked pixels", pytest.approx(0.29 / 81.0, rel=0.02))
     assert "dark_assumed" in off.flags
     assert "dark_assumed" not in right.flags
 
@@ -341,8 +341,8 @@ def test_scatter_of_neighbours_leaves_out_whatever_touches_a_bad_pixel():
     assert local_scatter(pixels, np.zeros((4, 5), bool)) == (0.0, 0)
 
 
-def test_stray_light_is_told_by_what_surrounds_the_patch():
-    """A picture of 3 around a patch of 2: 1.5 times as bright, beside 0.5 times at calibration; g·|3 − 1|."""
+def test_stray_light_is_recognised_by_what_surrounds_the_patch():
+    """A picture of 3 around a patch of 2: 1.5 times as bright, next to 0.5 times at calibration; g·|3 − 1|."""
 
     class Made:
         class scale:  # noqa: N801
@@ -356,13 +356,13 @@ def test_stray_light_is_told_by_what_surrounds_the_patch():
     assert "inf times" in stray_light(0.0, 3.0, Made).note
 
 
-@pytest.mark.parametrize(("doubt", "told"), [(0.0015, False), (0.003, True)])
-def test_a_falloff_that_was_assumed_is_told_from_two_thousandths_on(rig, doubt, told):
-    """0.3 % of doubt because nobody measured the fall-off is flagged though it rules nothing; 0.15 % is not."""
+@pytest.mark.parametrize(("doubt", "reported"), [(0.0015, False), (0.003, True)])
+def test_a_falloff_that_was_assumed_is_reported_from_two_thousandths_on(rig, doubt, reported):
+    """0.3 % of doubt because no one measured the fall-off is flagged though it rules nothing; 0.15 % is not."""
     stated = only(falloff_u_rel=doubt / 0.36)
     found = read(rig, calibrated(rig, uncertainties=stated), patch=Patch(11, 11, 1, 1))
     assert line(found, "fall-off") == pytest.approx(doubt)
-    assert (Flag.FALLOFF_ASSUMED in found.flags) == told
+    assert (Flag.FALLOFF_ASSUMED in found.flags) == reported
 
 
 def test_frames_that_do_not_belong_together_are_refused(rig):
@@ -378,8 +378,8 @@ def test_frames_that_do_not_belong_together_are_refused(rig):
         f"{second.bit_depth + 2} bits per pixel": [first, deep],
         "2 different source levels": [dimmer, brighter],
     }
-    for said, frames in wrong.items():
-        with pytest.raises(MeasurementError, match=said):
+    for text, frames in wrong.items():
+        with pytest.raises(MeasurementError, match=text):
             read_patch(frames, PATCH, Setup(rig.description, rig.lens, calibrated(rig)), now=NOON)
     spots = tuple((x, y) for x in (3, 4) for y in (5, 6, 7))
     with pytest.raises(MeasurementError, match="every pixel of the patch 3,5,2,3 is defective"):
@@ -389,7 +389,7 @@ def test_frames_that_do_not_belong_together_are_refused(rig):
 
 
 def test_what_all_pixels_share_grows_with_the_calibration_s_age(rig):
-    """1 %/year after 3 years is 3 %, beside what else is shared in quadrature; before the calibration it is nothing."""
+    """1 %/year after 3 years is 3 %, with what else is shared in quadrature; before the calibration it is nothing."""
     calibration = calibrated(rig, uncertainties=only(drift_u_rel_per_year=0.01))
     settings = [FrameSettings(1e-3, temperature_c=25.0)]
 

@@ -229,17 +229,17 @@ def test_another_spectrum_is_corrected_by_the_camera_s_response(rig):
     moved = read(rig, frames, of_spectra(rig.calibration(), "line:500", "line:600", silicon(u_rel=0.03)))
     assert moved.radiance.value / plain.radiance.value == pytest.approx(1 / 1.2, rel=1e-9)
     assert next(line.u_rel for line in moved.budget if line.name == "spectral assumption") == pytest.approx(0.03)
-    assert any("mismatch factor" in said for said in moved.provenance.assumptions)
+    assert any("mismatch factor" in text for text in moved.provenance.assumptions)
 
 
-def test_without_a_known_response_the_difference_is_said_and_not_guessed(rig):
+def test_without_a_known_response_the_difference_is_reported_and_not_guessed(rig):
     """The value stays, its interval widens by what plausible cameras differ by; the assumption is named."""
     frames = rig.frames(uniform(0.5 * rig.radiance_of_full_scale(1e-3)), np.random.default_rng(1), (1e-3,))
     plain = read(rig, frames, rig.calibration())
     moved = read(rig, frames, of_spectra(rig.calibration(), "line:500", "line:600", None))
     assert moved.radiance.value == plain.radiance.value
     assert moved.radiance.u > 5.0 * plain.radiance.u
-    assert any("no spectral correction" in said for said in moved.provenance.assumptions)
+    assert any("no spectral correction" in text for text in moved.provenance.assumptions)
 
 
 @pytest.mark.parametrize("nm", [840, 940, 1200])

@@ -202,7 +202,7 @@ def test_a_pattern_counts_as_what_it_shows(rig):
 
 
 @pytest.mark.parametrize(("slope_dn", "raised"), [(0, False), (25, False), (50, True)])
-def test_a_slope_over_the_patch_is_told_from_five_per_cent_on(rig, slope_dn, raised):
+def test_a_slope_over_the_patch_is_reported_from_five_per_cent_on(rig, slope_dn, raised):
     """Ten columns that rise by 25 of 3000 DN each differ by 2.4 % (standard deviation), by 50 DN 4.8 % and 57 more."""
     frame = flat(3064)
     steps = (np.arange(14) - 6.5) * slope_dn * (1.2 if raised else 1.0)
@@ -211,14 +211,14 @@ def test_a_slope_over_the_patch_is_told_from_five_per_cent_on(rig, slope_dn, rai
 
 
 @pytest.mark.parametrize(("amplitude", "raised"), [(100, False), (170, True)])
-def test_a_pattern_in_the_patch_is_told_as_well(rig, amplitude, raised):
+def test_a_pattern_in_the_patch_is_reported_as_well(rig, amplitude, raised):
     """A chessboard of ±100 of 3000 DN scatters by 4.7 %, of ±170 by 8 %."""
     found = read(rig, [pattern(flat(3064), amplitude)] * 5)
     assert (Flag.NONUNIFORM in found.flags) is raised
 
 
 def usable(rig, dn, full_well_e=1e6, **changes):
-    """Return what is said of one frame: whether it may be used, and whether it clips."""
+    """Return what is stated of one frame: whether it may be used, and whether it clips."""
     calibration = exact(rig)
     known = replace(calibration, noise=replace(calibration.noise, full_well_e=full_well_e))
     model = situation_of(Setup(rig.description, rig.lens, known)).model
@@ -316,15 +316,15 @@ def test_two_sigma_are_the_noise_floor(rig, level, below):
     assert (Flag.BELOW_NOISE in read(rig, [flat(level)] * 3).flags) is (level == 64)
 
 
-@pytest.mark.parametrize(("white", "told"), [(0, False), (3, True)])
-def test_a_surround_that_clips_may_be_of_any_brightness(rig, white, told):
+@pytest.mark.parametrize(("white", "reported"), [(0, False), (3, True)])
+def test_a_surround_that_clips_may_be_of_any_brightness(rig, white, reported):
     """Beyond 0.2 % of the picture: three pixels of 196."""
     dn = flat(1000).dn.copy()
     dn[0, :white] = 4095
-    assert (Flag.STRAY_LIGHT in read(rig, [replace(flat(1000), dn=dn)] * 5).flags) is told
+    assert (Flag.STRAY_LIGHT in read(rig, [replace(flat(1000), dn=dn)] * 5).flags) is reported
     deep = exact(rig)
     deep = replace(deep, noise=replace(deep.noise, full_well_e=1e6))  # white is then the converter's last number
-    assert (Flag.STRAY_LIGHT in read(rig, [replace(flat(1000), dn=dn)] * 5, deep).flags) is told
+    assert (Flag.STRAY_LIGHT in read(rig, [replace(flat(1000), dn=dn)] * 5, deep).flags) is reported
 
 
 def test_a_pixel_that_clips_in_one_frame_takes_part_in_none(rig):

@@ -52,7 +52,7 @@ def _bracket(rng, shifts, *, scene=None):
 def test_known_shifts_come_back(shift, seed):
     """Frames in turn on the corners of a square of side 2δ: δ comes back within twice its u, a quarter at most.
 
-    The noise beside it is that which was put in, to 15 %: shifts do not pass for noise.
+    The noise next to it is that which was put in, to 15 %: shifts do not pass for noise.
     """
     corners = shift * np.array([(1, 1), (-1, -1), (1, -1), (-1, 1)] * 3)
     found = find_displacement(_bracket(np.random.default_rng(seed), corners), _curve())
@@ -77,7 +77,7 @@ def test_frames_in_one_place_are_not_displaced(seed):
         assert 0.0 < found.u_px < 0.1
 
 
-def test_what_is_said_not_to_have_shown_would_not_have_and_twice_that_does():
+def test_what_is_reported_not_to_have_shown_would_not_have_and_twice_that_does():
     """Where none shows u is the smallest δ that would have: half of it stays unseen, twice it is found, within 3 u."""
     still = find_displacement(_bracket(np.random.default_rng(0), np.zeros((TIMES.size, 2))), _curve())
     assert still.px == 0.0
@@ -97,7 +97,7 @@ def test_even_ground_shows_no_displacement():
     assert found.px == 0.0
 
 
-def test_a_curve_of_another_bit_depth_tells_nothing():
+def test_a_curve_of_another_bit_depth_shows_nothing():
     """Frames of 8 bits through a curve of 10 are left to the merge to refuse; through none they are linear."""
     bracket = _bracket(np.random.default_rng(6), np.zeros((TIMES.size, 2)))
     assert displacement_of(bracket, ResponseCurve(np.arange(1024.0), np.zeros(1024))) is None

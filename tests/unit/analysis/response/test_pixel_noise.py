@@ -42,11 +42,11 @@ def test_noise_before_the_curve_comes_back(electrons, read):
     found = pixel_noise(_bracket(np.random.default_rng(1), electrons=electrons, read=read), _curve())
     for dn in (80.0, 128.0, 200.0):
         exposure = (dn / 255.0) ** (1.0 / POWER)
-        wanted = (1.0 / (electrons * exposure) if electrons else 0.0) + (read / exposure) ** 2
+        expected = (1.0 / (electrons * exposure) if electrons else 0.0) + (read / exposure) ** 2
         slope = 1.0 / (dn * POWER)
         log_h = np.array([np.log(dn / 128.0) / POWER])
         seen = found.variance(log_h, np.array([slope]), np.ones(1))[0]
-        assert seen == pytest.approx(wanted + slope**2 / 12.0, rel=0.25)
+        assert seen == pytest.approx(expected + slope**2 / 12.0, rel=0.25)
 
 
 @pytest.mark.parametrize("dn_noise", [1.0, 3.0])
@@ -94,7 +94,7 @@ def _photographs(folder, rng, *, dn_noise=2.0):
 def test_one_command_from_photographs_to_a_colour_map(tmp_path, capsys):
     """`merge PHOTOS -o map.tiff` finds the response: radiance in proportion to the truth, errors as u says.
 
-    The curves are kept beside the map and taken up again, unless the photographs change.
+    The curves are kept next to the map and taken up again, unless the photographs change.
     """
     import tifffile
 

@@ -14,10 +14,10 @@ def _frames(power, times=(1.0, 2.0, 4.0, 8.0, 16.0), black_dn=0.0, stated=None, 
     rng = np.random.default_rng(11)
     light = np.exp(rng.uniform(*scene, (60, 80)))
     frames = []
-    for time, said in zip(times, stated or times, strict=True):
+    for time, text in zip(times, stated or times, strict=True):
         dn = black_dn + (4095 - black_dn) * np.minimum(light * time / 4.0, 1.0) ** power
         stored = np.clip(np.rint(dn + rng.normal(0.0, 1.0, light.shape)), 0, 4095).astype(np.uint16)
-        frames.append(Frame(stored, 12, FrameSettings(said)))
+        frames.append(Frame(stored, 12, FrameSettings(text)))
     return Bracket.from_frames(frames)
 
 

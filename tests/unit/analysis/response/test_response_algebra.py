@@ -91,8 +91,8 @@ def test_a_penalty_is_rows_more(seed, smoothing):
     found = solve_penalised(normal, bent.T @ bent, gauge, smoothing)
     scale = smoothing * np.trace(normal.matrix) / np.trace(bent.T @ bent)
     rows = np.vstack([np.sqrt(weight)[:, None] * normal.centred, math.sqrt(scale) * bent, 1e4 * gauge[None, :]])
-    wanted = np.concatenate([np.sqrt(weight) * normal.target, np.zeros(4)])
-    assert found.coefficients == pytest.approx(np.linalg.lstsq(rows, wanted, rcond=None)[0], rel=1e-5, abs=1e-6)
+    expected = np.concatenate([np.sqrt(weight) * normal.target, np.zeros(4)])
+    assert found.coefficients == pytest.approx(np.linalg.lstsq(rows, expected, rcond=None)[0], rel=1e-5, abs=1e-6)
     assert gauge @ found.coefficients == pytest.approx(0.0, abs=1e-9)
     assert found.effective_parameters == pytest.approx(np.trace(found.inverse @ normal.matrix))
     assert 0.0 < found.effective_parameters < 3.0
@@ -264,8 +264,8 @@ def test_the_fog_of_frames_stays_with_their_curve():
     g, u = np.log(np.arange(256) + 1.0), np.full(256, 0.01)
     for fog in (14.0, 0.5, 0.0):
         assert black_of_curve(finished_curve(g, u, (20, 250), method="m", channel="mono", black_dn=fog)) == fog
-    for told in ("14", None, [14.0]):
-        assert black_of_curve(ResponseCurve(g, u, provenance=Provenance("m", parameters={"black_dn": told}))) == 0.0
+    for text in ("14", None, [14.0]):
+        assert black_of_curve(ResponseCurve(g, u, provenance=Provenance("m", parameters={"black_dn": text}))) == 0.0
     assert black_of_curve(ResponseCurve(g, u)) == 0.0
 
 

@@ -90,12 +90,12 @@ def test_the_ends_run_to_the_measured_exposures(stretched):
 
 
 def test_where_a_region_landed_counts(stretched):
-    """A region that lands on 140 instead of 127 gives the same exponent once that is said."""
+    """A region that lands on 140 instead of 127 gives the same exponent once that is stated."""
     exact = dynamic_range(stretched, [point(250)], REFERENCE_S, REFERENCE_DN)
     time = REFERENCE_S * exposure_of(140) / exposure_of(250)
-    beside = dynamic_range(stretched, [RangePoint(250, time, 140.0)], REFERENCE_S, REFERENCE_DN)
-    assert beside.exponent == pytest.approx(exact.exponent, abs=2 * exact.u_exponent)
-    assert beside.log_steps[0] == pytest.approx(exact.log_steps[0], abs=2 * exact.u_log_steps[0] + 0.01)
+    neighbour = dynamic_range(stretched, [RangePoint(250, time, 140.0)], REFERENCE_S, REFERENCE_DN)
+    assert neighbour.exponent == pytest.approx(exact.exponent, abs=2 * exact.u_exponent)
+    assert neighbour.log_steps[0] == pytest.approx(exact.log_steps[0], abs=2 * exact.u_log_steps[0] + 0.01)
     assert exact.reduced_chi2 is None
 
 

@@ -1,4 +1,4 @@
-"""Figures that stand beside a curve, by samples made by hand."""
+"""Figures next to a curve, by samples made by hand."""
 
 from __future__ import annotations
 

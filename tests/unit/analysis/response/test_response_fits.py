@@ -36,7 +36,7 @@ def test_a_fit_follows_from_the_noise_s_proportions_alone(samples, fit):
     assert rough.reduced_chi2 == pytest.approx(fit.reduced_chi2 / 4.0, rel=1e-6)
     assert rough.leverage() == pytest.approx(fit.leverage(), rel=1e-6)
     assert rough.covariance() == pytest.approx(fit.covariance(), rel=1e-4, abs=1e-12), (
-        "the scatter tells, not its model"
+        "the scatter decides, not its model"
     )
 
 
@@ -66,12 +66,12 @@ def test_a_label_known_to_nothing_is_found_and_one_known_exactly_is_kept(samples
     lying = replace(samples, frame_log_time=times, log_time=off)
     variance = np.full(samples.dn.size, 1e-4)
 
-    def told(**more):
+    def result_of(**more):
         found = fit_response(lying, samples.dn, variance, time_spread=0.0, smoothing=1e-3, free=[2], **more)
         return found.log_time_errors
 
-    assert told() == pytest.approx([0.0, 0.0, np.log(1.2), 0.0], abs=0.01)
-    assert told(known=[(0.5, 1e-6)]) == pytest.approx([0.0, 0.0, 0.5, 0.0], abs=1e-4)
+    assert result_of() == pytest.approx([0.0, 0.0, np.log(1.2), 0.0], abs=0.01)
+    assert result_of(known=[(0.5, 1e-6)]) == pytest.approx([0.0, 0.0, 0.5, 0.0], abs=1e-4)
 
 
 @pytest.mark.parametrize("u", [0.0, 1e-9, 1e-3, 0.5])

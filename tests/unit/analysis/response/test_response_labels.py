@@ -32,7 +32,7 @@ def test_wrong_label_is_named(make_stack, index, exposure_s, looks):
 
 
 def test_reciprocal_times_are_recognised(make_stack):
-    """Times that are wrong throughout are said to be so instead of accusing every frame."""
+    """Times that are wrong throughout are reported to be so instead of accusing every frame."""
     bracket = make_stack("linear")
     frames = [replace(f, settings=replace(f.settings, exposure_s=1 / f.settings.exposure_s)) for f in bracket.light]
     with pytest.raises(CaptureError, match="1/t instead of t"):
@@ -40,7 +40,7 @@ def test_reciprocal_times_are_recognised(make_stack):
 
 
 def test_equal_frames_with_different_labels_are_refused_by_name(make_stack):
-    """Four copies of one frame said to be 0.5 to 4 s long are refused with the names of those alike."""
+    """Four copies of one frame stated to be 0.5 to 4 s long are refused with the names of those alike."""
     frame = make_stack("gamma", bit_depth=8).light[4]
     frames = [
         replace(frame, settings=replace(frame.settings, exposure_s=0.5 * 2.0**k), extra={"file": f"{k}.jpg"})
@@ -113,14 +113,14 @@ def test_a_longer_exposure_may_be_darker_by_noise(count, fall, refused):
 
 
 def test_equal_exposures_are_no_lie_whatever_their_brightness(make_stack):
-    """Frames that all state one exposure say nothing of labels: that one exposure is too few is said elsewhere."""
+    """Frames that all state one exposure say nothing of labels: that one exposure is too few is stated elsewhere."""
     bracket = make_stack("gamma", bit_depth=8)
     equal = [replace(f, settings=replace(f.settings, exposure_s=0.1)) for f in reversed(bracket.light)]
     reject_inconsistent_exposures(Bracket.from_frames(equal))
 
 
 def test_an_exposure_is_called_as_it_is_stated(make_stack):
-    """A label that is found wrong is told by file, time and speed, not by the product of time and gain."""
+    """A label that is found wrong is reported with file, time and speed, not by the product of time and gain."""
     frames = make_stack("gamma", bit_depth=8).light[:3]
     stated = [{"gain_db": 0.0, "iso": 100.0}, {"gain_db": 6.0206, "iso": 200.0}, {"gain_db": 6.0206, "iso": None}]
     bracket = Bracket.from_frames(

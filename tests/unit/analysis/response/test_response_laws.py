@@ -1,4 +1,4 @@
-"""Laws of the parts of a response: gauges, ratios, thresholds on either side, what is said of a fit."""
+"""Laws of the parts of a response: gauges, ratios, thresholds on either side, what is stated of a fit."""
 
 from __future__ import annotations
 

@@ -16,11 +16,11 @@ def frame(dn, seconds=1.0):
     return Frame(np.asarray(dn, np.uint16).reshape(10, -1), 12, FrameSettings(seconds))
 
 
-@pytest.mark.parametrize(("value", "said"), [(FULL, "67 % .*saturated, 33 % black.*shorter"), (0, "33 % .*longer")])
-def test_where_all_is_clipped_it_is_said_which_way_to_go(value, said):
+@pytest.mark.parametrize(("value", "message"), [(FULL, "67 % .*saturated, 33 % black.*shorter"), (0, "33 % .*longer")])
+def test_where_all_is_clipped_it_is_reported_which_way_to_go(value, message):
     """More white than black calls for shorter exposures, more black for longer ones."""
     values = np.repeat([value, value, FULL - value], 10)
-    with pytest.raises(MeasurementError, match=said):
+    with pytest.raises(MeasurementError, match=message):
         find_limits([Bracket.from_frames([frame(values), frame(values, 2.0)])])
 
 
@@ -73,10 +73,12 @@ def test_fog_is_dark():
     assert black_of([2100] * 3 + [1900] * 3, (1.0, 2.0, 3.0, 10.0, 20.0, 30.0)) == 0
 
 
-@pytest.mark.parametrize(("beside", "count", "piled"), [(10, 80, False), (10, 81, True), (1, 8, False), (1, 9, True)])
-def test_the_lowest_value_is_black_where_it_piles_up(beside, count, piled):
+@pytest.mark.parametrize(
+    ("neighbour", "count", "piled"), [(10, 80, False), (10, 81, True), (1, 8, False), (1, 9, True)]
+)
+def test_the_lowest_value_is_black_where_it_piles_up(neighbour, count, piled):
     """Above eight times the mean of the eight values next above it."""
-    counts = {1000: count, **dict.fromkeys(range(1001, 1009), beside)}
+    counts = {1000: count, **dict.fromkeys(range(1001, 1009), neighbour)}
     dn = np.repeat([*counts, 2000], [*counts.values(), 10 - sum(counts.values()) % 10])
     found = find_limits([Bracket.from_frames([frame(dn), frame(dn, 2.0)])])
     assert found.black_dn == (1000 if piled else 0)

@@ -107,9 +107,9 @@ def test_mean_behind_a_gamma_curve_is_moved_to_the_mean_exposure(make_stack):
     numbers = 4095 * np.clip(exposure, 0, 1) ** (1 / 2.2)
     g = 2.2 * np.log(np.maximum(np.arange(4096), 0.5) / 4095)
     mean, variance = numbers.mean(), numbers.var() + 1 / 12
-    wanted = 4095 * exposure.mean() ** (1 / 2.2)
+    predicted = 4095 * exposure.mean() ** (1 / 2.2)
     found = mean_exposure_dn(np.array([mean]), np.array([variance]), g, find_limits([make_stack("gamma")]))[0]
-    assert abs(found - wanted) < 0.1 * abs(mean - wanted)
+    assert abs(found - predicted) < 0.1 * abs(mean - predicted)
 
 
 def _film(rng, fog, knee, times):

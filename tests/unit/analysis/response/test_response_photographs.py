@@ -68,7 +68,7 @@ def moved() -> ResponseEstimate:
 
 @pytest.mark.slow
 def test_edges_that_moved_do_not_bend_the_curve(moved: ResponseEstimate) -> None:
-    """Frames shifted by a pixel or two give the curve of the even patches: within 1 % of the truth, and it is said."""
+    """Frames shifted by a pixel or two give the curve of the even patches: within 1 % of the truth, as stated."""
     assert rms_of(moved) < 0.01
     assert any("edges" in note for note in moved.notes)
 
@@ -103,7 +103,7 @@ def relabelled(bracket: Bracket, index: int, factor: float) -> Bracket:
     return Bracket.from_frames(frames)
 
 
-@pytest.mark.slow  # a label of a bracket is told in the fast tests by what is held (held/test_held_response_parts.py)
+@pytest.mark.slow  # a label of a bracket is found in the fast tests by what is held (held/test_held_response_parts.py)
 @pytest.mark.parametrize(("index", "stops"), [(1, 1 / 3), (4, -1 / 3)])
 def test_a_label_wrong_by_a_third_of_a_stop_is_found_in_moved_photographs(index: int, stops: float) -> None:
     """The frame is named with its real exposure within 2 u, and no other; with right labels none is."""

@@ -66,8 +66,8 @@ def test_the_variance_of_every_value_is_its_quadratic_form() -> None:
     basis = ValueBasis(10, ValueLimits(20, 1000))
     root = np.random.default_rng(3).normal(size=(basis.size, basis.size))
     every = basis.all_values().toarray()
-    wanted = np.einsum("ni,ij,nj->n", every, root @ root.T, every)
-    assert basis.variances(root @ root.T) == pytest.approx(wanted, rel=1e-12)
+    expected = np.einsum("ni,ij,nj->n", every, root @ root.T, every)
+    assert basis.variances(root @ root.T) == pytest.approx(expected, rel=1e-12)
 
 
 def test_uncertainty_of_frames_is_the_scatter_that_their_errors_make() -> None:
@@ -112,7 +112,7 @@ def test_a_label_known_from_elsewhere_is_weighed_by_its_uncertainty() -> None:
     assert fit(wrong, free=(3,), known=((0.1, u),)).time_modes[0] == pytest.approx(0.15, abs=2e-3)
 
 
-def test_a_label_that_nothing_tells_is_refused_in_words() -> None:
+def test_a_label_that_nothing_determines_is_refused_in_words() -> None:
     """A freed frame without a row, of which other data say nothing either, leaves equations without a solution."""
     samples = rows_of()
     with pytest.raises(MeasurementError, match="do not determine a response"):
@@ -143,7 +143,7 @@ def last_label_off(*, lowest: int = 0, more: int = 0) -> Plane:
 
     Args:
         lowest: The first frame of which all groups are seen, 4 at most.
-        more: How many groups of the frame before are seen beside, of those that frame 4 shows.
+        more: How many groups of the frame before are also seen, of those that frame 4 shows.
     """
     samples = rows_of()
     log_time = samples.frame_log_time - 0.2 * (np.arange(6) == 5)
@@ -154,7 +154,7 @@ def last_label_off(*, lowest: int = 0, more: int = 0) -> Plane:
 
 
 @pytest.mark.parametrize(
-    ("lowest", "more", "freed", "tells"),
+    ("lowest", "more", "freed", "informative"),
     [
         (0, 0, (5,), True),
         (0, 0, (0, 5), True),
@@ -166,10 +166,12 @@ def last_label_off(*, lowest: int = 0, more: int = 0) -> Plane:
         (3, 0, (0,), False),
     ],
 )
-def test_two_trusted_frames_hold_the_exponent(lowest: int, more: int, freed: tuple[int, ...], tells: bool) -> None:
+def test_two_trusted_frames_hold_the_exponent(
+    lowest: int, more: int, freed: tuple[int, ...], informative: bool
+) -> None:
     """Four groups of pixels that two trusted frames show, and four of the freed one: fewer may be strays."""
     plane = last_label_off(lowest=lowest, more=more)
-    assert determines_labels(fit_with(plane.samples, plane.start, Choices(smoothing=1e3, free=freed))) is tells
+    assert determines_labels(fit_with(plane.samples, plane.start, Choices(smoothing=1e3, free=freed))) is informative
 
 
 def test_a_plane_that_cannot_tell_a_label_is_given_it() -> None:
@@ -273,8 +275,8 @@ def test_shares_are_judged_as_quadrants_are(lying: list[Plane]) -> None:
     fitted = settle(plane.samples, plane.start)
     left_out = LeftOut.of([plane], without_shares([plane], JointFit.of([fitted])))
     as_quadrants = replace(plane.samples, without_quadrant=plane.samples.without_share, quadrants=plane.samples.shares)
-    wanted = error_of_quadrants(as_quadrants, fitted)
-    assert left_out.error_dn.sum(axis=1) / left_out.rows.sum(axis=1) == pytest.approx(wanted)
+    expected = error_of_quadrants(as_quadrants, fitted)
+    assert left_out.error_dn.sum(axis=1) / left_out.rows.sum(axis=1) == pytest.approx(expected)
     of_frame = error_of_quadrants(as_quadrants, fitted, 3)
     assert left_out.error_dn[:, 3] / left_out.rows[:, 3] == pytest.approx(of_frame)
     assert left_out.mean_dn(3) == pytest.approx(np.average(of_frame, weights=left_out.rows[:, 3]))

@@ -76,9 +76,9 @@ def test_colours_tell_it_together() -> None:
 )
 def test_only_what_a_shutter_can_do_is_taken(slower: int, offset_s: float, found: bool) -> None:
     """Up to 0.3 ms, half of the shortest label, and of labels up to 10 ms."""
-    told = find_offset([plane(photographed(offset_s, labels_s=slower * LABELS_S))])
-    assert (told is not None) is found
-    assert told is None or told.seconds == pytest.approx(offset_s, rel=0.05)
+    reported = find_offset([plane(photographed(offset_s, labels_s=slower * LABELS_S))])
+    assert (reported is not None) is found
+    assert reported is None or reported.seconds == pytest.approx(offset_s, rel=0.05)
 
 
 @pytest.mark.slow
@@ -95,7 +95,7 @@ def test_one_wrong_short_label_is_no_offset(wrong: int, ratio: float) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("wrong", "ratio"), [(0, 1.5), (1, 1 / 1.5), (2, 1.5), (6, 0.7)])
-def test_a_wrong_label_beside_an_offset_is_named(wrong: int, ratio: float) -> None:
+def test_a_wrong_label_next_to_an_offset_is_named(wrong: int, ratio: float) -> None:
     """Both come out: the time without that frame, and the frame against label and time."""
     found = find_exposures([plane(photographed(OFFSET_S, wrong, ratio))])
     assert found.offset is not None
@@ -132,16 +132,22 @@ def test_a_label_may_differ_by_what_the_offset_may_still_be() -> None:
     assert Exposures(ShutterOffset(2e-5, 2e-5, 0.5), ()).allowed_s == 30e-6
 
 
-def test_labels_are_told_of_what_is_printed() -> None:
+def test_labels_are_reported_what_is_printed() -> None:
     """Ratio, u and rivals by what the offset makes of each frame's label."""
     offset, label = ShutterOffset(2e-5, 1e-6, 0.5), WrongLabel(1, 0.5, 0.01, 0.9, ((0, 2.0),))
-    told = Exposures(offset, (label,)).of_printed(label, np.array([1e-4, 4e-4]))
-    assert (told.frame, told.ratio, told.u_ratio) == (1, pytest.approx(0.5 * 1.05), pytest.approx(0.01 * 1.05))
-    assert told.rivals == ((0, pytest.approx(2.0 * 1.2)),)
+    reported = Exposures(offset, (label,)).of_printed(label, np.array([1e-4, 4e-4]))
+    assert (reported.frame, reported.ratio, reported.u_ratio) == (
+        1,
+        pytest.approx(0.5 * 1.05),
+        pytest.approx(0.01 * 1.05),
+    )
+    assert reported.rivals == ((0, pytest.approx(2.0 * 1.2)),)
     assert Exposures(None, (label,)).of_printed(label, np.array([1e-4, 4e-4])) is label
 
 
-def test_the_offset_is_told_without_wrong_labels_and_labels_with_the_offset(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_offset_is_reported_without_wrong_labels_and_labels_with_the_offset(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     """What was found wrong says nothing of the offset; the labels found with it count."""
     asked: list[Any] = []
     label = WrongLabel(2, 1.4, 0.01, 0.5)

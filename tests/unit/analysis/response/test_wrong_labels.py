@@ -44,7 +44,7 @@ def church(wrong: int | None, ratio: float, seed: int = 5) -> Plane:
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("wrong", "ratio"), [(1, 1.6), (1, 0.6), (5, 1.35)])
-def test_the_label_of_a_frame_that_shows_one_corner_is_told(wrong: int, ratio: float) -> None:
+def test_the_label_of_a_frame_that_shows_one_corner_is_reported(wrong: int, ratio: float) -> None:
     """By its own rows and by its size, however little it adds to the error of all frames; and it alone."""
     plane = church(wrong, ratio)
     shown = [int((part.frame == 1).sum()) for part in plane.samples.quadrants]
@@ -65,12 +65,12 @@ def test_right_labels_of_frames_that_show_one_corner_are_left_alone() -> None:
 
 @pytest.mark.slow
 def test_each_label_is_what_the_other_frames_say_of_it() -> None:
-    """With its u: right ones beside a wrong one, and that of a frame in the dark not at all."""
+    """With its u: right ones next to a wrong one, and that of a frame in the dark not at all."""
     plane = church(5, 1.35)
     dark = replace(plane, samples=plane.samples.changed(lambda one: one.kept(one.frame != 0)))
-    told = freed_one_by_one([dark], (5,))
-    assert told[0] == (0.0, math.inf)
-    value, u = np.array(told[1:]).T
+    reported = freed_one_by_one([dark], (5,))
+    assert reported[0] == (0.0, math.inf)
+    value, u = np.array(reported[1:]).T
     true = np.where(np.arange(1, TIMES.size) == 5, math.log(1.35), 0.0)
     assert np.all(np.abs(value - true) < 3.5 * u + 0.003)
     assert max(u) < 0.1

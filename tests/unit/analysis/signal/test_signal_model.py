@@ -207,6 +207,6 @@ def test_masked_pixels_are_doubted_by_half_a_number_and_a_tenth_of_the_dark_sign
     ("of_frame", "of_lens", "found"), [(2.8, 8.0, 2.8), (None, 8.0, 8.0), (2.8, None, 2.8), (None, None, None)]
 )
 def test_the_f_number_of_a_frame_goes_before_that_of_the_lens(of_frame, of_lens, found):
-    """The camera tells the one in force; the lens's is what the bench was told once."""
+    """The camera reports the one in force; the lens's is what the bench states."""
     settings = FrameSettings(0.01, f_number=of_frame)
     assert known_f_number(None, settings, LensDescription(f_number=of_lens)) == found

@@ -32,14 +32,14 @@ def library_to_be_loaded(monkeypatch):
 
 
 def test_without_pygobject_the_message_names_the_packages(library_to_be_loaded):
-    """A hidden library is told by the packages that bring it, and importing the driver still works."""
+    """A hidden library is reported with the packages that bring it, and importing the driver still works."""
     library_to_be_loaded.setitem(sys.modules, "gi", None)
     with pytest.raises(MissingLibrary, match=r"pip install 'radiometer\[genicam\]'"):
         aravis_camera.discover()
 
 
 def test_without_aravis_the_message_names_the_debian_package(library_to_be_loaded):
-    """PyGObject without Aravis's description is told by its Debian package."""
+    """PyGObject without Aravis's description is reported with its Debian package."""
 
     def require_version(name: str, version: str) -> None:
         raise ValueError(f"Namespace {name} not available for version {version}")
@@ -90,7 +90,7 @@ def test_a_usb_camera_is_found_by_either_notation_of_its_number(name):
     assert find_camera(SimpleNamespace(), name, lambda: USB).serial == "0138C343"
 
 
-def test_an_unknown_usb_camera_is_told_with_both_notations():
+def test_an_unknown_usb_camera_is_reported_with_both_notations():
     """Those that answer are listed with the number on their label too."""
     with pytest.raises(DeviceNotFound, match=r"serial 0138C344 \(20497220\)"):
         find_camera(SimpleNamespace(), "20497218", lambda: USB)
@@ -111,7 +111,7 @@ def test_an_address_needs_no_discovery():
     assert find_camera(SimpleNamespace(), "127.0.0.1", never).device_id == "127.0.0.1"
 
 
-def test_an_unknown_name_is_told_with_those_that_answer():
+def test_an_unknown_name_is_reported_with_those_that_answer():
     """The message lists ids and serial numbers."""
     with pytest.raises(DeviceNotFound, match=r"no camera 7 answers.*FLIR-22500001-01 \(serial 22500001\)"):
         find_camera(SimpleNamespace(), "7", lambda: TWO)

@@ -28,7 +28,7 @@ class _SlowToEnd:
 
 
 def test_the_last_reference_is_dropped_in_a_thread_of_its_own():
-    """Nobody waits for the end, not even who holds the object a while longer."""
+    """No one waits for the end, not even who holds the object a while longer."""
     slow = _SlowToEnd()
     may_end, ended_in = slow.may_end, slow.ended_in
     drop_in_background(slow)

@@ -124,7 +124,7 @@ def test_failed_call_keeps_nothing_alive() -> None:
 
 
 def test_camera_left_behind_is_known_as_lost(stuck: Stuck) -> None:
-    """The features of a camera whose call was left behind note that it is gone, so that nobody asks it again."""
+    """The features of a camera whose call was left behind note that it is gone, so that it is not asked again."""
     features = FeatureAccess(None, "camera W1", OSError, CallThread("camera W1", gone, patience_s=0.01))
     with pytest.raises(DeviceLost):
         features.call(stuck)

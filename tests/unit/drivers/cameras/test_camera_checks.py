@@ -39,8 +39,8 @@ def camera(*, hygiene=(), notes=(), gige=False, packet=1400, believed=0, **featu
     return SimpleNamespace(session=session)
 
 
-def found(name, **told):
-    return [f for f in check_features(camera(**told)) if f.check == name]
+def found(name, **reported):
+    return [f for f in check_features(camera(**reported)) if f.check == name]
 
 
 def test_what_falsifies_and_could_not_be_switched_off_is_a_fault():
@@ -75,7 +75,7 @@ def test_small_packets_are_noted(packet, health):
     [(None, Health.OK), (USB3_BYTES_S, Health.OK), (USB3_BYTES_S - 1, Health.WARNING), (48_000_000, Health.WARNING)],
 )
 def test_a_usb_2_link_is_a_warning(speed, health):
-    """500 MB/s are USB 3; what is not told is not judged."""
+    """500 MB/s are USB 3; what is not reported is not judged."""
     (link,) = found("link", DeviceLinkSpeed=speed)
     assert link.health is health
     assert ("USB 2 link" in link.message) is (health is Health.WARNING)

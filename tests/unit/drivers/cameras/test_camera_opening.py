@@ -112,7 +112,7 @@ def test_a_camera_without_chunks_needs_no_note(wooden_camera):
 
 
 def test_what_was_changed_says_which_chunks_must_agree():
-    """Each of the three settings that a chunk tells names its chunk; a region names none."""
+    """Each of the three settings that a chunk reports names its chunk; a region names none."""
     before = CameraSettings(exposure_s=0.01, gain_db=0.0, black_level_dn=64.0)
     assert changed_chunks(before, before) == frozenset()
     assert changed_chunks(before, CameraSettings(0.02, 0.0, 64.0, binning=2)) == {"ExposureTime"}
@@ -162,7 +162,7 @@ def test_slowing_down_goes_by_quarters_to_the_lowest(wooden_camera):
     assert stubborn.slow_down() is False
 
 
-def test_a_camera_in_use_is_told_before_the_library_is_asked(monkeypatch):
+def test_a_camera_in_use_is_reported_before_the_library_is_asked(monkeypatch):
     """The library takes 5 s to say it; the camera itself says it at once."""
     monkeypatch.setattr(camera_opening, "is_controlled", lambda address: address == "10.0.0.2")
     monkeypatch.setattr(camera_opening, "name_at", lambda address: ("", "", ""))
@@ -174,7 +174,7 @@ def test_a_camera_in_use_is_told_before_the_library_is_asked(monkeypatch):
 @pytest.mark.parametrize(
     ("speed", "health"), [(60_000_000, Health.WARNING), (500_000_000, Health.OK), (None, Health.OK)]
 )
-def test_an_open_usb_camera_tells_its_link_itself(wooden_camera, speed, health):
+def test_an_open_usb_camera_reports_its_link_itself(wooden_camera, speed, health):
     """60 MB/s is a USB 2 link, warned of with the cure; a camera that does not say is not suspected."""
     camera, features = wooden_camera({} if speed is None else {SPEED: speed})
     camera.is_gv_device = lambda: False

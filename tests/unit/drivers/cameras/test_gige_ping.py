@@ -40,7 +40,7 @@ def test_a_camera_that_answers_late_is_there(responder):
     assert received[0] == bytes.fromhex("4201000200000001")
 
 
-def test_a_camera_tells_its_name_without_being_opened(responder):
+def test_a_camera_reports_its_name_without_being_opened(responder):
     """Vendor, model and serial number stand in the acknowledgement at their bootstrap registers' places."""
     port, _ = responder
     assert name_at("127.0.0.1", attempts=3, timeout_s=0.3, port=port) == ("FLIR", "BFS", "0138C343")

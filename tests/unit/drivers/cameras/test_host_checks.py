@@ -34,14 +34,14 @@ def test_a_missing_library_is_a_fault_with_its_packages():
     assert "gir1.2-aravis-0.8" in finding.cure
 
 
-def test_the_version_of_the_library_is_told():
+def test_the_version_of_the_library_is_reported():
     """A library that loads is named with its version."""
     assert host_checks.check_library(lambda: SimpleNamespace(version="0.8")).message == "Aravis 0.8"
 
 
 @pytest.mark.parametrize(("user", "health"), [(1000, Health.WARNING), (0, Health.NOTE)])
 def test_without_a_udev_rule_the_rule_is_given(tmp_path, monkeypatch, user, health):
-    """A user is warned, root is told, and the cure is the rule itself."""
+    """A user is warned, root is informed, and the cure is the rule itself."""
     monkeypatch.setattr(host_checks.os, "geteuid", lambda: user)
     finding = host_checks.check_usb_permissions(tmp_path)
     assert finding.health is health

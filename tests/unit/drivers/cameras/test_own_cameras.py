@@ -89,7 +89,7 @@ def test_the_frames_in_flight_after_a_change_are_thrown_away(webcam):
 
 
 def test_what_a_webcam_does_by_itself_is_switched_off(webcam):
-    """Exposure, white balance, gain, gamma and the rest stand at what falsifies least, each told."""
+    """Exposure, white balance, gain, gamma and the rest stand at what falsifies least, each reported."""
     device, camera = webcam
     with camera:
         values = {name: control.value for name, control in device.values.items()}
@@ -161,7 +161,7 @@ def test_the_deepest_format_of_the_video_subsystem_is_taken(webcam):
 
 @pytest.mark.parametrize("which", ["webcam", "pi", "body"])
 def test_a_camera_that_is_unplugged_is_lost_and_can_be_opened_again(which, request):
-    """Its loss is told, everything after it too, and once it is back the same object opens."""
+    """Its loss is reported, everything after it too, and once it is back the same object opens."""
     device, camera = request.getfixturevalue(which)
     with camera:
         camera.capture(1)
@@ -201,7 +201,7 @@ def test_a_pis_frame_says_what_it_was_taken_with(pi):
     assert int(frame.dn[0, 0]) == 256 + 400
 
 
-def test_a_pis_frames_of_the_settings_before_are_told_by_their_metadata(pi):
+def test_a_pis_frames_of_the_settings_before_are_recognised_by_their_metadata(pi):
     """However many are in flight, the first that is taken has the exposure in force."""
     device, camera = pi
     device.stale = 7
@@ -262,7 +262,7 @@ def test_a_tethered_camera_that_sends_jpeg_is_refused(body):
 
 
 def test_a_mode_dial_that_cannot_be_turned_by_wire_is_a_fault(body):
-    """A camera that chooses the exposure itself is told, with the cure."""
+    """A camera that chooses the exposure itself is reported, with the cure."""
     device, camera = body
     device.settings["autoexposuremode"] = ("AV", [])
     with camera:
@@ -272,7 +272,7 @@ def test_a_mode_dial_that_cannot_be_turned_by_wire_is_a_fault(body):
 
 
 def test_a_bracket_of_a_tethered_camera_is_a_capture_set_of_its_raw_files(body, monkeypatch, tmp_path):
-    """`bracket --camera gphoto2:…` keeps the files that the camera gave, byte for byte, exact times beside them."""
+    """`bracket --camera gphoto2:…` keeps the files that the camera gave, byte for byte, exact times next to them."""
     device, camera = body
     given: list[bytes] = []
     taken = type(device).capture
@@ -369,7 +369,7 @@ def test_a_bench_file_names_such_a_camera(webcam, monkeypatch, tmp_path):
 
 @pytest.mark.parametrize("library", ["linuxpy", "picamera2", "gphoto2"])
 def test_without_its_library_the_message_says_what_to_install(library, monkeypatch):
-    """A library that is not there is told by name, and the doctor notes it."""
+    """A library that is not there is reported by name, and the doctor notes it."""
     monkeypatch.setitem(sys.modules, library, None)
     monkeypatch.setitem(sys.modules, f"{library}.video", None)
     kind = {"linuxpy": "v4l2", "picamera2": "picamera", "gphoto2": "gphoto2"}[library]
@@ -390,8 +390,8 @@ VIRTUAL = """
     print([one.device_id for one in listed()[0]])
     with open_own("gphoto2:") as camera:
         print(camera.identity.vendor, camera.identity.model)
-        for wanted in (0.001, 0.1):
-            settings = camera.configure(CameraSettings(wanted, 0.0, 64.0, "Mono12"))
+        for exposure_s in (0.001, 0.1):
+            settings = camera.configure(CameraSettings(exposure_s, 0.0, 64.0, "Mono12"))
             frame = camera.capture(1)[0]
             print(round(settings.exposure_s, 5), frame.bit_depth, frame.dn[0, 0], frame.settings.f_number)
 """

@@ -66,7 +66,7 @@ def test_big_endian_mono16_is_turned():
 
 
 def test_a_short_payload_is_refused():
-    """A payload with bytes missing is damage, told in bytes."""
+    """A payload with bytes missing is damage, reported in bytes."""
     with pytest.raises(DeviceError, match="takes 12 bytes, but only 11 came"):
         unpack_pixels(bytes(11), "Mono12p", 4, 2)
 

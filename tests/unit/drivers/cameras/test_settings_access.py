@@ -85,7 +85,7 @@ def access(library_error) -> SettingsAccess:
     return SettingsAccess(camera, features, quirks_for("FLIR", "BFS-U3-19S4M"), "camera W1")
 
 
-def test_the_camera_is_told_microseconds_and_per_cent(access):
+def test_the_camera_is_sent_microseconds_and_per_cent(access):
     """5 ms are 5000 µs; 81.9 DN of 4095 are 2 %; 6 dB are 6 dB."""
     access.write(WANTED)
     assert access.camera.set == pytest.approx({"exposure_time": 5000.0, "gain": 6.0, "black_level": 2.0})

@@ -105,7 +105,7 @@ def test_a_control_is_read_back(webcam):
         (OSError(errno.ENODEV, "No such device"), DeviceLost),
     ],
 )
-def test_a_control_that_cannot_be_set_is_told(webcam, fault, kind):
+def test_a_control_that_cannot_be_set_is_reported(webcam, fault, kind):
     """An inactive control is a refusal, a device that is gone a loss: neither is swallowed."""
     device, opened, _ = webcam
     device.controls["exposure_time_absolute"].fault = fault

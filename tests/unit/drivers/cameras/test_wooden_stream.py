@@ -291,7 +291,7 @@ def test_a_new_exposure_of_30_s_is_not_waited_for_thrice(fresh):
     assert tally.extra["stale_discarded"] == 0
 
 
-def test_a_change_that_no_chunk_tells_is_waited_for_by_number(fresh):
+def test_a_change_that_no_chunk_states_is_waited_for_by_number(fresh):
     """The black level has no chunk here: that the exposure's agrees says nothing of it."""
     frames, tally = fresh([frame(n, NEW) for n in range(1, 5)], discard=2, shown=True)
     frames.settings_changed(CameraSettings(exposure_s=0.005, black_level_dn=5.1, pixel_format="Mono8"))
@@ -307,16 +307,18 @@ def test_a_black_level_is_confirmed_by_its_chunk(fresh, percent, taken):
     assert frames.next().frame_id == taken
 
 
-@pytest.mark.parametrize(("said", "taken"), [((2.0, 2.0, 2.0, 0.0), 4), ((2.0,) * 6, 5), ((7.0,) * 6, 3)])
-def test_a_late_frame_of_the_black_level_before_is_thrown_away(fresh, said, taken):
+@pytest.mark.parametrize(("message", "taken"), [((2.0, 2.0, 2.0, 0.0), 4), ((2.0,) * 6, 5), ((7.0,) * 6, 3)])
+def test_a_late_frame_of_the_black_level_before_is_thrown_away(fresh, message, taken):
     """Three say the old level where two are known of: the fourth is taken. As many again at most, and what says it."""
-    frames, _ = fresh([frame(n, NEW, BlackLevel=level) for n, level in enumerate(said, start=1)], discard=2, shown=True)
+    frames, _ = fresh(
+        [frame(n, NEW, BlackLevel=level) for n, level in enumerate(message, start=1)], discard=2, shown=True
+    )
     frames.settings_changed(CameraSettings(exposure_s=0.005, black_level_dn=5.1, pixel_format="Mono8"))  # 2.0 percent
     assert frames.next().frame_id == taken
 
 
 def test_a_frame_still_in_the_format_before_is_thrown_away(fresh):
-    """No chunk tells a format, but the frame itself does: two of Mono10p pass by, a third would be an error."""
+    """No chunk reports a format, but the frame itself does: two of Mono10p pass by, a third would be an error."""
     stale = [replace(frame(n, NEW), format_code=0x010A0046) for n in (1, 2, 3)]
     frames, tally = fresh([*stale[:2], frame(3, NEW)], discard=2, shown=True)
     frames.settings_changed(replace(BEFORE, exposure_s=0.005, pixel_format="Mono10p"))
@@ -386,7 +388,7 @@ def test_a_camera_that_sends_too_fast_is_slowed_down(monkeypatch, possible, star
 
 
 def test_a_camera_that_keeps_its_old_exposure_is_an_error(fresh):
-    """If the chunks never agree with the settings, that is told instead of waiting for ever."""
+    """If the chunks never agree with the settings, that is reported instead of waiting for ever."""
     frames, _ = fresh([frame(n, 9000.0) for n in range(1, 40)], discard=1)
     with pytest.raises(DeviceTimeout, match="exposed under other settings"):
         frames.next()

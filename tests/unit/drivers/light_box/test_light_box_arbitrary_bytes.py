@@ -105,7 +105,7 @@ def test_opening_on_a_babbling_line_ends_in_a_named_error(lines):
 
 @settings(deadline=None, max_examples=60)
 @given(st.lists(st.tuples(st.integers(0, 255), st.sampled_from(["OK", "ER"]), NOISE), max_size=60))
-def test_open_box_on_babble_never_reports_what_was_not_said(answers):
+def test_open_box_on_babble_never_reports_what_was_not_sent(answers):
     """An open driver that gets undamaged nonsense raises a DeviceError or has read its own level back."""
     line = BabblingLine([])
     box = SerialLightBox(BoxLink(line), ExposureLedger(OPTICS, MemoryStore(line.now, ("TWIN0001",))), keep_alive=False)

@@ -63,7 +63,7 @@ def test_slow_exchanges_do_not_harm():
     assert clock.host_time_s(12.0)[0] == pytest.approx(15.0, abs=3e-4)
 
 
-def test_no_exchange_is_said():
+def test_no_exchange_is_reported():
     """Without any comparison there is no time."""
     with pytest.raises(MeasurementError, match="synchronise"):
         BoxClock().host_time_s(1.0)

@@ -203,7 +203,7 @@ def test_times_beyond_the_protocol_are_refused(low):
 
 
 def test_a_box_that_shines_otherwise_than_asked_is_darkened(monkeypatch):
-    """Another level read back is no level: every channel goes dark and it is said."""
+    """Another level read back is no level: every channel goes dark and it is stated."""
     twin, _, box = bench()
     exact = box.read_channel
     monkeypatch.setattr(

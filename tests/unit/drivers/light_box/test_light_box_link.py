@@ -81,7 +81,7 @@ def test_what_a_refusal_means(code, kind):
 
 
 def test_a_box_that_went_dark_by_itself_is_lost():
-    """The event of its dead-man timer ends the session; the one of the button is told and ends nothing."""
+    """The event of its dead-man timer ends the session; the one of the button is reported and ends nothing."""
     for argument, ends in (("D", True), ("B", False)):
         line, link = link_of(("=SS OK",))
         link.inbox.start_after(4)

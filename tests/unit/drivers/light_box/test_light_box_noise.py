@@ -76,7 +76,7 @@ def test_other_damage_is_survived_too(faults):
         assert twin.channels[1].driven_level == level
 
 
-def test_restart_is_noticed_and_said():
+def test_restart_is_noticed_and_reported():
     """A box that restarts while lit: the next command says so, and opening again gives a dark box."""
     twin, line, box = bench(14)
     box.open()
@@ -119,7 +119,7 @@ def test_light_that_ended_with_the_session_is_not_counted_on():
 
 
 def test_silence_of_the_host_is_reported_to_it():
-    """A host that slept for more than a second is told that the box went dark."""
+    """A host that slept for more than a second is notified that the box went dark."""
     twin, line, box = bench(16)
     box.open()
     box.set_level("spot", DriveLevel(30_000))

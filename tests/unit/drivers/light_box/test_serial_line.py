@@ -86,7 +86,7 @@ def test_file_is_not_a_serial_port(tmp_path):
         SerialLine(str(file)).open()
 
 
-def test_second_opener_is_told(terminal):
+def test_second_opener_is_refused(terminal):
     """The port is exclusive."""
     line = SerialLine(terminal[1])
     line.open()

@@ -1,4 +1,4 @@
-/* The board around the firmware: registers, the serial line, a button, and time that passes when it is told to. */
+/* The board around the firmware: registers, the serial line, a button, and time that passes on request. */
 #include <avr/eeprom.h>
 #include <avr/io.h>
 #include <stdbool.h>

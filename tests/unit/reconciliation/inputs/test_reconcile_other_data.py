@@ -50,7 +50,7 @@ def test_thesis_constants_scatter_by_rounding(tmp_path: Path) -> None:
 
 
 def test_rest_at_full_aperture_is_not_guessed(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """The sixth of a stop at f/1.7 is told, with both causes that these data cannot tell apart."""
+    """The sixth of a stop at f/1.7 is reported, with both causes that these data cannot tell apart."""
     assert run(["reconcile", str(_table(tmp_path, THESIS)), "--json"]) == 0
     printed = json.loads(capsys.readouterr().out)
     assert printed["rest"]["stops"] == pytest.approx(1 / 6, abs=1e-6)
@@ -136,15 +136,15 @@ def test_light_that_fell_on_one_photograph_is_no_wrong_label() -> None:
 
 @pytest.mark.slow
 def test_a_photograph_of_another_scene_is_no_agreement() -> None:
-    """One of five photographs upside down: no tone curve joins them, so that nothing can be said of their labels."""
+    """One of five photographs upside down: no tone curve joins them, so that nothing can be stated of their labels."""
     frames = _photographs(EXACT[3:8], EXACT[3:8])
     frames[2] = replace(frames[2], dn=np.ascontiguousarray(frames[2].dn[::-1, ::-1]), extra={"file": "turned.jpg"})
     done = reconcile_photographs(frames)
     assert done.result.verdict is Verdict.UNNAMED
     assert not done.result.effects
-    (said,) = done.result.extra["remarks"]
-    assert "follow no single tone curve" in said
-    assert "turned.jpg by far worst" in said
+    (text,) = done.result.extra["remarks"]
+    assert "follow no single tone curve" in text
+    assert "turned.jpg by far worst" in text
 
 
 @pytest.mark.slow
@@ -163,7 +163,7 @@ def test_three_photographs_do_not_agree_with_a_wrong_label_and_cannot_say_which(
 
 
 def test_a_picture_with_all_its_light_in_one_quadrant_is_refused_in_words() -> None:
-    """Quadrants cannot be left out where three hold nothing: said so, not "predicted to nan DN"."""
+    """Quadrants cannot be left out where three hold nothing: stated so, not "predicted to nan DN"."""
     frames = _photographs(EXACT[3:7], EXACT[3:7])
     corner = [np.pad(frame.dn[:40, :60], ((0, 60), (0, 90))) for frame in frames]
     with pytest.raises(CaptureError, match="is in one quadrant"):
@@ -181,8 +181,8 @@ def test_one_of_four_labels_may_lie() -> None:
 
 
 @pytest.mark.slow
-def test_report_of_photographs_tells_the_story(tmp_path: Path) -> None:
-    """One sentence with the factor and its U, both plots, what to do, and the others' exposures beside their labels."""
+def test_report_of_photographs_reports_the_story(tmp_path: Path) -> None:
+    """One sentence with the factor and its U, both plots, what to do, and the others' exposures with their labels."""
     real = [EXACT[6], EXACT[5], EXACT[4], EXACT[4] * 1.6, EXACT[3] * 2.0]
     done = reconcile_photographs(_photographs([*real[:3], EXACT[3], real[4]], real))
     page = Path(done.write_report(tmp_path / "report.html")).read_text(encoding="utf-8")
@@ -210,7 +210,7 @@ def _named(monkeypatch: pytest.MonkeyPatch, *rivals: tuple[int, float]) -> Photo
     return reconcile_photographs(_photographs([EXACT[3], EXACT[2], EXACT[1] / 0.8, EXACT[0]], EXACT[3::-1]))
 
 
-def test_a_label_has_one_size_wherever_it_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_label_has_one_size_wherever_it_is_reported(monkeypatch: pytest.MonkeyPatch) -> None:
     """What all colours found, 0.8 ± 0.016, is in entry, sentence, finding and exposure; its nats are of that width."""
     done = _named(monkeypatch)
     (effect,) = done.result.effects
@@ -225,15 +225,18 @@ def test_a_label_has_one_size_wherever_it_is_told(monkeypatch: pytest.MonkeyPatc
     assert outcome(done.result, done.findings).endswith("of its printed exposure (k = 2); the others agree.")
 
 
-def test_labels_that_may_be_meant_instead_are_told(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Where other labels predict left-out parts nearly as well, entry, sentence and report name them beside it."""
+def test_labels_that_may_be_meant_instead_are_reported(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Where other labels predict left-out parts nearly as well, entry, sentence and report name them next to it."""
     done = _named(monkeypatch, (0, 0.9), (3, 1.1))
     (effect,) = done.result.effects
     names = [one.name for one in done.findings]
-    told = (f"exposure_label_error of {names[0]} (ratio 0.900)", f"exposure_label_error of {names[3]} (ratio 1.100)")
-    assert effect.alternatives == told
+    reported = (
+        f"exposure_label_error of {names[0]} (ratio 0.900)",
+        f"exposure_label_error of {names[3]} (ratio 1.100)",
+    )
+    assert effect.alternatives == reported
     assert f", or {names[0]} 0.900, or {names[3]} 1.100: these cannot show which." in (done.result.extra["remarks"][0])
-    assert outcome(done.result, done.findings).endswith(f"cannot decide, {' or '.join(told)} instead.")
+    assert outcome(done.result, done.findings).endswith(f"cannot decide, {' or '.join(reported)} instead.")
 
 
 def test_emva_descriptor_becomes_a_capture_set(shared_data: Path) -> None:
@@ -245,7 +248,7 @@ def test_emva_descriptor_becomes_a_capture_set(shared_data: Path) -> None:
 
 
 def test_pictures_that_are_all_alike_are_refused_by_name() -> None:
-    """Labels of 0.5 to 4 s on four equal pictures: none of them tells which are wrong."""
+    """Labels of 0.5 to 4 s on four equal pictures: none of them shows which are wrong."""
     picture = np.random.default_rng(4).uniform(60.0, 180.0, (40, 60))
     frames = [
         Frame(

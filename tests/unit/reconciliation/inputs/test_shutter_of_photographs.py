@@ -1,4 +1,4 @@
-"""Photographs whose shutter exposes longer by one time: told, written and drawn; labels are held against both."""
+"""Photographs whose shutter exposes longer by one time: reported, written and drawn; labels are held against both."""
 
 from __future__ import annotations
 
@@ -32,11 +32,11 @@ def test_the_offset_is_an_effect_with_its_u(done: PhotographsReconciled) -> None
     assert found.value == pytest.approx(OFFSET_S, abs=1e-6)
     assert effect.gain_nats == pytest.approx(0.5 * (found.value / found.u) ** 2)
     assert effect.gap_before > 1.2
-    told = f"{1e6 * found.value:.1f} ± {1e6 * found.u:.1f} µs longer than printed (the shutter's offset, k = 1)"
-    assert f"all exposures are {told}. Left-out parts" in done.result.extra["remarks"][0]
-    said = outcome(done.result, done.findings)
-    assert said.startswith("All exposures are 2")
-    assert said.endswith("µs (k = 2) longer than printed (the shutter's offset); with that offset all agree.")
+    sentence = f"{1e6 * found.value:.1f} ± {1e6 * found.u:.1f} µs longer than printed (the shutter's offset, k = 1)"
+    assert f"all exposures are {sentence}. Left-out parts" in done.result.extra["remarks"][0]
+    text = outcome(done.result, done.findings)
+    assert text.startswith("All exposures are 2")
+    assert text.endswith("µs (k = 2) longer than printed (the shutter's offset); with that offset all agree.")
 
 
 @pytest.mark.slow

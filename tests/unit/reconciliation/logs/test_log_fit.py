@@ -1,6 +1,6 @@
-"""Logs of an all-sky camera beside a sky meter: each planted term is named with its size, and nothing where nothing is.
+"""Logs of an all-sky camera and a sky meter: each planted term is named with its size, and nothing where nothing is.
 
-The offline count of false alarms stands in docs/reference/log-fit.md.
+The offline count of false alarms is in docs/benchmarks/reconcile.md.
 """
 
 from __future__ import annotations
@@ -51,14 +51,14 @@ def test_planted_term_is_named_with_its_size(tmp_path, camera, name, parameter, 
 
 
 @pytest.mark.slow
-def test_bent_response_is_found_or_told_as_the_rival(tmp_path):
-    """Automatic exposure hardly moves the signal: a bend may look like a black level, and is then named beside it."""
+def test_bent_response_is_found_or_reported_as_the_rival(tmp_path):
+    """Automatic exposure hardly moves the signal: a bend may look like a black level, and is then named next to it."""
     effect = _fitted(tmp_path, Camera(bends_at_dn=6000.0)).result.effects[0]
     assert "response_nonlinearity" in (effect.name, *effect.alternatives)
 
 
 @pytest.mark.slow
-def test_what_has_no_name_is_told_by_its_column(tmp_path):
+def test_what_has_no_name_is_recognised_by_its_column(tmp_path):
     """A lens that dirties is none of the terms: the verdict says along which column it lies."""
     result = _fitted(tmp_path, Camera(share_per_day=-0.02)).result
     assert str(result.verdict) == "unnamed_effect"
@@ -99,12 +99,12 @@ def test_command_says_what_it_took_and_its_control_is_silent(tmp_path, capsys):
     """Columns, unit of the gain, magnitudes, error before and after, the control; JSON in the words of reconcile."""
     path = write(sky_log(3, Camera(magnitude_per_colour=0.2)), tmp_path / "log.csv")
     assert run(["log-fit", str(path)]) == 0
-    said = capsys.readouterr()
-    assert "reference from 'sqm_mag'" in said.err
-    assert "spectral_mismatch" in said.out
-    assert "negative control" in said.out
-    assert "silent" in said.out
-    assert "10.8e4" in said.out
+    printed = capsys.readouterr()
+    assert "reference from 'sqm_mag'" in printed.err
+    assert "spectral_mismatch" in printed.out
+    assert "negative control" in printed.out
+    assert "silent" in printed.out
+    assert "10.8e4" in printed.out
     assert run(["log-fit", str(path), "--json", "--no-control"]) == 0
     result = json.loads(capsys.readouterr().out)
     assert result["verdict"] == "effects_found"
@@ -113,7 +113,7 @@ def test_command_says_what_it_took_and_its_control_is_silent(tmp_path, capsys):
     assert result["gap"]["unit"] == "reduced chi-square on held-out nights"
 
 
-def test_reference_of_a_file_of_its_own_is_set_beside_by_time(tmp_path):
+def test_reference_of_a_file_of_its_own_is_joined_by_time(tmp_path):
     """A meter's own file (header behind #, semicolons) is interpolated in time; rows with no neighbour are left out."""
     rows = sky_log(3, Camera())
     lines = ["# Light Pollution Monitoring Data Format 1.0", "# UTC Date & Time; Temperature; MSAS"]
@@ -164,7 +164,7 @@ def test_nights_are_split_at_gaps_and_at_noon(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("text", "said"),
+    ("text", "message"),
     [
         ("", "is empty"),
         ("adu,exposure_s\n1,1\n", "no column for reference"),
@@ -174,14 +174,14 @@ def test_nights_are_split_at_gaps_and_at_noon(tmp_path):
         ("1,2,3\n4,5,6\n", "no line that names its columns"),
     ],
 )
-def test_unusable_table_is_refused_in_one_line(tmp_path, capsys, text, said):
+def test_unusable_table_is_refused_in_one_line(tmp_path, capsys, text, message):
     """What is wrong, where, and the way out; exit code 1, no traceback."""
     path = tmp_path / "t.csv"
     path.write_text(text, encoding="utf-8")
     assert run(["log-fit", str(path)]) == 1
-    told = capsys.readouterr().err.strip()
-    assert said in told
-    assert len(told.splitlines()) == 1
+    printed = capsys.readouterr().err.strip()
+    assert message in printed
+    assert len(printed.splitlines()) == 1
 
 
 def test_misnamed_column_is_misuse(tmp_path):

@@ -53,11 +53,11 @@ def test_a_ramp_that_is_nothing_in_the_middle_is_an_offset_s_looser_form(make_ca
     start = ramp(make_capture)
     entries = {"dark_current": DarkCurrent, "black_level_offset": BlackLevelOffset}
     found = in_a_looser_form(start, worth(start), entries)
-    told = fitted_parameters(found)["black_level_offset"]
+    reported = fitted_parameters(found)["black_level_offset"]
     per_half_side = 2.0 * 48.0 / 63.0  # the longer side has 96 pixels
     for name, value in (("offset_dn", 0.0), ("tilt_x_dn", 0.0), ("tilt_y_dn", per_half_side)):
-        assert told[name].u is not None
-        assert abs(told[name].value - value) < 3.5 * told[name].u
+        assert reported[name].u is not None
+        assert abs(reported[name].value - value) < 3.5 * reported[name].u
     assert in_a_looser_form(start, worth(found) + 1.0, entries) is None
     assert in_a_looser_form(start, worth(start), {"dark_current": DarkCurrent}) is None
     left = float(start.comparison.residual(found.prediction) @ start.comparison.residual(found.prediction))
@@ -65,8 +65,8 @@ def test_a_ramp_that_is_nothing_in_the_middle_is_an_offset_s_looser_form(make_ca
     assert in_a_looser_form(start, worth(start), entries, most=left + 50.0) is not None
 
 
-def test_of_models_that_predict_as_well_the_one_of_a_single_cause_is_told(make_capture):
-    """A ramp stands in place of two names that do not explain it, of the ramp beside an idle name, and of no single
+def test_of_models_that_predict_as_well_the_one_of_a_single_cause_is_reported(make_capture):
+    """A ramp stands in place of two names that do not explain it, of the ramp next to an idle name, and of no single
     name."""
     start, entries = ramp(make_capture), {"black_level_offset": BlackLevelOffset}
     tilted = in_a_looser_form(start, worth(start), entries)

@@ -106,11 +106,11 @@ def own_registry(monkeypatch):
     monkeypatch.setattr(registry, "EFFECTS", dict(registry.EFFECTS))
 
 
-@pytest.mark.parametrize(("form", "covariate", "constants", "values", "known", "wanted"), WORKED)
-def test_a_form_has_the_value_worked_out_by_hand(form, covariate, constants, values, known, wanted):
+@pytest.mark.parametrize(("form", "covariate", "constants", "values", "known", "expected"), WORKED)
+def test_a_form_has_the_value_worked_out_by_hand(form, covariate, constants, values, known, expected):
     """Each line of the grammar is the function that its name says."""
     found = Term(form, covariate, constants, values).evaluated({name: np.array(v) for name, v in known.items()})
-    assert float(found) == pytest.approx(wanted, abs=1e-12)
+    assert float(found) == pytest.approx(expected, abs=1e-12)
 
 
 def test_every_form_was_worked_out():
@@ -205,7 +205,7 @@ def test_a_noise_beyond_a_temperature():
 
 
 def test_charge_on_its_way_collects_the_light_of_its_column():
-    """Columns of 1000 and 3000 e-/s on average, 2 ms on the way: 2 and 6 e- beside what the exposure gave."""
+    """Columns of 1000 and 3000 e-/s on average, 2 ms on the way: 2 and 6 e- next to what the exposure gave."""
     settings = FrameSettings(exposure_s=0.5)
     image = ExposureContext(settings, FrameGeometry.of_image(2, 3), CameraDescription(bit_depth=12))
     light = np.array([[500.0, 1500.0], [0.0, 3000.0], [1000.0, 0.0]])
@@ -348,7 +348,7 @@ def test_every_law_makes_a_readable_file():
 
 
 def test_the_written_test_passes_and_dies_with_the_law(tmp_path):
-    """The test beside an effect file holds for it, and fails once a term of the formula has another sign."""
+    """The test next to an effect file holds for it, and fails once a term of the formula has another sign."""
     law = Law("optics", (Term("sine", "image_x", {}, {"period": 0.3, "phase": 0.7}),))
     keys = {"exposure_s": 0.5, "gain_db": 20.0, "temperature_c": 30.0, "timestamp_s": 2.0, "source_level": 0.75}
     keys |= {"f_number": 4.0, "since_frame_s": 1.0, "width": 200, "height": 100}

@@ -82,7 +82,7 @@ def test_a_glow_is_found_as_charge_that_grows_with_the_exposure(glow):
 
 
 @pytest.mark.slow
-def test_it_is_said_in_one_sentence(glow):
+def test_it_is_reported_in_one_sentence(glow):
     """What acts, how it scales, along what, and what kind of cause acts so."""
     drawn, (height, width) = glow[1].secret.drawn, glow[1].frames[0].shape
     row = "upper" if drawn["y_px"] < height / 2 else "lower"
@@ -103,7 +103,7 @@ def test_the_law_holds_in_another_session(glow, tmp_path):
 
 
 @pytest.mark.slow
-def test_two_amplifiers_are_told_from_shading_by_their_noise(tmp_path):
+def test_two_amplifiers_are_distinguished_from_shading_by_their_noise(tmp_path):
     """A step of the gain at a row scales charge and its noise: the stage is the readout, not the optics."""
     state, session = state_of(tmp_path / "set", 2, "row_gain_step", "bracket")
     proposal = propose_law(state)
@@ -145,7 +145,7 @@ def test_nothing_is_proposed_where_nothing_is_hidden(tmp_path):
 
 
 @pytest.mark.slow
-def test_the_time_since_the_last_frame_is_told_of_first_and_other_frames(glow):
+def test_the_time_since_the_last_frame_is_reported_of_first_and_other_frames(glow):
     """The first frame of a capture waited since the last of the one before; of all frames the first is infinite."""
     design = glow[0].before.design
     first, later = design.since_frame_s

@@ -186,7 +186,7 @@ def test_stream_yields_frames_until_closed(camera: SimulatedCamera) -> None:
 
 
 def test_unknown_pattern_and_level_are_refused(camera: SimulatedCamera) -> None:
-    """What the bench's source cannot do is said at once."""
+    """What the bench's source cannot do is stated at once."""
     with pytest.raises(ConfigurationError, match="no pattern 'x'; it shows default"):
         camera.set_source(pattern="x")
     with pytest.raises(SettingOutOfRange, match="source level 2"):

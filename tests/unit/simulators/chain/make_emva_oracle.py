@@ -1,4 +1,4 @@
-"""Makes the frames that the `emva1288` package judges, and keeps its figures; see emva_oracle.md beside this file.
+"""Makes the frames that the `emva1288` package judges, and keeps its figures; see emva_oracle.md next to this file.
 
 python tests/unit/simulators/chain/make_emva_oracle.py frames FOLDER          # in the project's environment
 python tests/unit/simulators/chain/make_emva_oracle.py judge FOLDER OUT.json  # in the package's environment

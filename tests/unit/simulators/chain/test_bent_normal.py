@@ -64,7 +64,7 @@ def test_at_the_end_of_the_toe_curve_and_line_meet_by_shares() -> None:
     assert slope == pytest.approx(0.5 * (lift + power * toe ** (power - 1.0)), rel=0.02)
 
 
-def test_many_values_are_each_told_as_if_alone() -> None:
+def test_many_values_are_each_reported_as_if_alone() -> None:
     """More than are worked on at once, near and far mixed."""
     rng = np.random.default_rng(1)
     middle, sigma = rng.uniform(-20.0, 900.0, 1500), rng.uniform(0.5, 20.0, 1500)

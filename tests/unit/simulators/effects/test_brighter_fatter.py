@@ -1,4 +1,4 @@
-"""Charge that moves the borders of pixels: by hand, by draws, and beside what two CCDs were measured to do."""
+"""Charge that moves the borders of pixels: by hand, by draws, and next to what two CCDs were measured to do."""
 
 from __future__ import annotations
 
@@ -34,10 +34,10 @@ def test_borders_move_by_the_field_over_them() -> None:
         assert push.across[j + 2, i + 3] == pytest.approx(across, rel=1e-9)
         assert push.down[i + 3, j + 2] == pytest.approx(border(i + 0.5, j, 0.4) / nearest, rel=1e-9)
     assert push.kernel[3, 3] == pytest.approx(-4.0)
-    beside = (border(0.5, 0, 0.6) - border(1.5, 0, 0.6) - 2 * border(0.5, 1, 0.4)) / nearest
-    assert push.kernel[3, 4] == pytest.approx(beside, rel=1e-9)
+    neighbour = (border(0.5, 0, 0.6) - border(1.5, 0, 0.6) - 2 * border(0.5, 1, 0.4)) / nearest
+    assert push.kernel[3, 4] == pytest.approx(neighbour, rel=1e-9)
     assert push.own[0] == pytest.approx(2.0 * -4.0, rel=1e-5)  # to first order in the share
-    assert push.right[0] == pytest.approx(2.0 * beside, rel=1e-4)
+    assert push.right[0] == pytest.approx(2.0 * neighbour, rel=1e-4)
     assert push.below[0] == pytest.approx(2.0 * push.kernel[4, 3], rel=1e-4)
 
 
@@ -75,14 +75,16 @@ def test_noise_of_flats_has_the_moments_that_are_predicted() -> None:
             lags[i, j] += float(np.mean(flat[i:, j:] * flat[: flat.shape[0] - i, : flat.shape[1] - j])) / frames
     u = level / math.sqrt(frames * (size - 24) ** 2)
     one = np.full((1, 1, 1), level)
-    told = strong.moments(replace(TileMoments.exactly(one), variance=one), context)
-    assert lags[0, 0] == pytest.approx(told.variance.item(), abs=5 * math.sqrt(2) * u)
-    assert lags[0, 1] == pytest.approx(told.neighbour_x.item(), abs=5 * u)
-    assert lags[1, 0] == pytest.approx(told.neighbour_y.item(), abs=5 * u)
-    assert told.neighbour_y.item() > told.neighbour_x.item() + 10 * u  # what is nearer the charge is pushed more
+    predicted = strong.moments(replace(TileMoments.exactly(one), variance=one), context)
+    assert lags[0, 0] == pytest.approx(predicted.variance.item(), abs=5 * math.sqrt(2) * u)
+    assert lags[0, 1] == pytest.approx(predicted.neighbour_x.item(), abs=5 * u)
+    assert lags[1, 0] == pytest.approx(predicted.neighbour_y.item(), abs=5 * u)
+    assert (
+        predicted.neighbour_y.item() > predicted.neighbour_x.item() + 10 * u
+    )  # what is nearer the charge is pushed more
     expected = level * _of_gathered_noise(strong, level)
     middle = expected.shape[0] // 2
-    assert told.variance.item() == pytest.approx(expected[middle, middle], rel=1e-5)
+    assert predicted.variance.item() == pytest.approx(expected[middle, middle], rel=1e-5)
     for (i, j), seen in lags.items():
         assert seen == pytest.approx(expected[middle + i, middle + j], abs=5 * math.sqrt(2) * u), (i, j)
     assert lags[1, 1] > 10 * u  # beyond the nearest
@@ -104,31 +106,31 @@ def test_sums_over_farther_pixels_are_those_of_all_covariances() -> None:
     """Along a row, a column, and over all rows below; all lags together sum to the shot noise: no charge is lost."""
     level, strong = 6000.0, replace(FAR, share=0.08)
     one = np.full((1, 1, 1), level)
-    told = strong.moments(replace(TileMoments.exactly(one), variance=one), effect_context())
+    predicted = strong.moments(replace(TileMoments.exactly(one), variance=one), effect_context())
     expected = level * _of_gathered_noise(strong, level)
     middle = expected.shape[0] // 2
-    beyond_x, beyond_y = float(np.ravel(told.beyond_x)[0]), float(np.ravel(told.beyond_y)[0])
+    beyond_x, beyond_y = float(np.ravel(predicted.beyond_x)[0]), float(np.ravel(predicted.beyond_y)[0])
     assert beyond_x == pytest.approx(expected[middle, middle + 2 :].sum(), rel=1e-4)
     assert beyond_y == pytest.approx(expected[middle + 2 :, middle].sum(), rel=1e-4)
     below = expected[middle + 1 :].sum() - expected[middle + 1, middle]
-    beyond_rows = float(np.ravel(told.beyond_rows)[0])
+    beyond_rows = float(np.ravel(predicted.beyond_rows)[0])
     assert beyond_rows == pytest.approx(below, rel=1e-3)
-    sides = told.neighbour_x.item() + told.neighbour_y.item() + beyond_x + beyond_rows
-    assert told.variance.item() + 2.0 * sides == pytest.approx(level, rel=1e-6)
+    sides = predicted.neighbour_x.item() + predicted.neighbour_y.item() + beyond_x + beyond_rows
+    assert predicted.variance.item() + 2.0 * sides == pytest.approx(level, rel=1e-6)
 
 
 def test_the_nearest_borders_alone_leave_little_beyond() -> None:
     """The plain form gives four neighbours all to first order: farther ones have what is pushed again."""
     level = 6000.0
     one = np.full((1, 1, 1), level)
-    told = BrighterFatter(share=0.002).moments(replace(TileMoments.exactly(one), variance=one), effect_context())
-    assert abs(float(np.ravel(told.beyond_x)[0])) < 0.01 * told.neighbour_x.item()
-    assert abs(float(np.ravel(told.beyond_rows)[0])) < 0.02 * told.neighbour_x.item()
+    predicted = BrighterFatter(share=0.002).moments(replace(TileMoments.exactly(one), variance=one), effect_context())
+    assert abs(float(np.ravel(predicted.beyond_x)[0])) < 0.01 * predicted.neighbour_x.item()
+    assert abs(float(np.ravel(predicted.beyond_rows)[0])) < 0.02 * predicted.neighbour_x.item()
 
 
 @pytest.mark.slow
 def test_noise_gathers_while_borders_move() -> None:
-    """Charge that comes in 150 steps, each moved by what has come, has the variance that is told, to 5 sigma.
+    """Charge that comes in 150 steps, each moved by what has come, has the variance that is reported, to 5 sigma.
 
     A push of all charge at the end would leave 5 % less.
     """
@@ -137,7 +139,7 @@ def test_noise_gathers_while_borders_move() -> None:
     wide = np.zeros((size, size))
     wide[: a.shape[0], : a.shape[1]] = a
     waves = np.fft.rfft2(np.roll(wide, (-8, -8), (0, 1)))
-    rng, step, variance, beside = np.random.default_rng(4), level / steps, 0.0, 0.0
+    rng, step, variance, neighbour = np.random.default_rng(4), level / steps, 0.0, 0.0
     for _ in range(flats):
         come = np.zeros((size, size))
         for _ in range(steps):
@@ -145,12 +147,12 @@ def test_noise_gathers_while_borders_move() -> None:
             moved = np.fft.irfft2(np.fft.rfft2(come + 0.5 * shot) * waves, s=come.shape)
             come = come + shot + step * moved
         variance += float(np.mean(np.square(come))) / flats
-        beside += float(np.mean(come[:, 1:] * come[:, :-1])) / flats
+        neighbour += float(np.mean(come[:, 1:] * come[:, :-1])) / flats
     one = np.full((1, 1, 1), level)
-    told = strong.moments(replace(TileMoments.exactly(one), variance=one), context)
+    predicted = strong.moments(replace(TileMoments.exactly(one), variance=one), context)
     u = level / size / math.sqrt(flats)
-    assert variance == pytest.approx(told.variance.item(), abs=5 * math.sqrt(2) * u)
-    assert beside == pytest.approx(told.neighbour_x.item(), abs=5 * u)
+    assert variance == pytest.approx(predicted.variance.item(), abs=5 * math.sqrt(2) * u)
+    assert neighbour == pytest.approx(predicted.neighbour_x.item(), abs=5 * u)
     kernel = 0.5 * level * a
     kernel[8, 8] += 1.0
     assert variance > level * np.sum(np.square(kernel)) + 8 * u
@@ -164,8 +166,8 @@ def test_a_step_between_patches_loses_what_its_last_line_does() -> None:
     even = replace(FAR, share=1e-4, edge_fill=1.0, height_y_px=FAR.height_x_px)
     moved = even.sample(halves, effect_context(), np.random.default_rng(0)) - halves
     lost = -moved[30, 29] / step
-    told = even.moments(TileMoments.exactly(np.full((1, 1, 1), low)), effect_context()).edge_share.item()
-    assert lost == pytest.approx(told, rel=5e-3)
+    predicted = even.moments(TileMoments.exactly(np.full((1, 1, 1), low)), effect_context()).edge_share.item()
+    assert lost == pytest.approx(predicted, rel=5e-3)
     assert lost > 1.2 * 1e-4 * 0.5  # more than the nearest border alone
 
 

@@ -152,11 +152,11 @@ def test_uneven_exchange_changes_noise_as_its_moments_say() -> None:
     noise = 100.0 * np.random.default_rng(1).standard_normal((600, 600))
     mixed = exchange_between_neighbours(noise, 0.02, -0.01)
     one = np.ones((1, 1, 1))
-    told = exchange_moments(replace(TileMoments.exactly(one), variance=1e4 * one), 0.02 * one, 1.0, -0.01)
-    assert mixed.var() == pytest.approx(float(np.ravel(told.variance)[0]), rel=5 * (2 / noise.size) ** 0.5)
+    predicted = exchange_moments(replace(TileMoments.exactly(one), variance=1e4 * one), 0.02 * one, 1.0, -0.01)
+    assert mixed.var() == pytest.approx(float(np.ravel(predicted.variance)[0]), rel=5 * (2 / noise.size) ** 0.5)
     across, down = (mixed[:, 1:] * mixed[:, :-1]).mean(), (mixed[1:] * mixed[:-1]).mean()
-    assert across == pytest.approx(float(np.ravel(told.neighbour_x)[0]), abs=5 * 1e4 / 600)
-    assert down == pytest.approx(float(np.ravel(told.neighbour_y)[0]), abs=5 * 1e4 / 600)
+    assert across == pytest.approx(float(np.ravel(predicted.neighbour_x)[0]), abs=5 * 1e4 / 600)
+    assert down == pytest.approx(float(np.ravel(predicted.neighbour_y)[0]), abs=5 * 1e4 / 600)
 
 
 def test_barrel_spares_a_circle_that_grows_with_the_f_number() -> None:
@@ -349,11 +349,11 @@ def test_noise_from_before_passes_by_the_slope(name: str) -> None:
 def test_the_slope_is_that_of_the_mean(name: str) -> None:
     """The derivative of what an effect makes of an even signal, by differences, over all pixels.
 
-    Glare goes by the mean of the frame, and what is told of it is one pixel's part.
+    Glare goes by the mean of the frame, and what is reported of it is one pixel's part.
     """
     effect, context = starts_of(CATALOGUE[name], effect_context())[0], effect_context()
     for signal in (40.0, 900.0, 3000.0):
         even = np.full((HEIGHT, WIDTH), signal)
         high, low = (np.asarray(effect.mean(even + way, context)) for way in (0.5, -0.5))
-        told = np.broadcast_to(np.asarray(effect.slope(even, context)), high.shape)
-        assert np.mean(high - low) == pytest.approx(np.mean(told), rel=2e-3, abs=1e-4), signal
+        reported = np.broadcast_to(np.asarray(effect.slope(even, context)), high.shape)
+        assert np.mean(high - low) == pytest.approx(np.mean(reported), rel=2e-3, abs=1e-4), signal

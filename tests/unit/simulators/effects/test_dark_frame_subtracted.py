@@ -43,7 +43,7 @@ def _by_hand(
     return left.mean(axis=0), left.var(axis=0, ddof=1)
 
 
-def _told(light_e: float, context: ExposureContext, effect: DarkFrameSubtracted) -> Moments:
+def _reported(light_e: float, context: ExposureContext, effect: DarkFrameSubtracted) -> Moments:
     """Return the moments of the same: charge, its noise and that of reading, rounded, and the effect."""
     gain = 10.0 ** ((context.settings.gain_db or 0.0) / 20.0) / E_PER_DN
     dark_e = (context.camera.dark_current_e_per_s or 0.0) * context.settings.exposure_s
@@ -66,28 +66,30 @@ def test_moments_are_those_of_frames_less_a_drawn_dark(
     """
     context, effect = _setting(gain_db=gain_db, dark_e=dark_e), DarkFrameSubtracted(1.0 / count, pedestal)
     seen, noise = _by_hand(light_e, dark_e, 10.0 ** (gain_db / 20.0), count, pedestal)
-    told = _told(light_e, context, effect)
-    mean, variance, fixed = (float(np.ravel(v)[0]) for v in (told.mean, told.variance, told.spatial_variance))
+    reported = _reported(light_e, context, effect)
+    mean, variance, fixed = (
+        float(np.ravel(v)[0]) for v in (reported.mean, reported.variance, reported.spatial_variance)
+    )
     pattern = np.square(seen - seen.mean()) - noise / FRAMES
     root = np.sqrt(seen.size)
     cut = pedestal == 0.0 and light_e < 100.0
     assert mean == pytest.approx(seen.mean(), abs=5 * seen.std() / root + 0.05 * cut)
     assert variance == pytest.approx(noise.mean(), abs=5 * noise.std() / root + 0.02 * cut, rel=0.1 if cut else 0.02)
     assert fixed == pytest.approx(pattern.mean(), abs=5 * pattern.std() / root + 0.02 * cut, rel=0.1 if cut else 0.02)
-    assert isinstance(told, TileMoments)
-    assert float(np.ravel(told.renewed_variance)[0]) == pytest.approx(fixed)
-    assert not np.any(told.limit_variance)
+    assert isinstance(reported, TileMoments)
+    assert float(np.ravel(reported.renewed_variance)[0]) == pytest.approx(fixed)
+    assert not np.any(reported.limit_variance)
 
 
 def test_the_highest_code_comes_down_and_shows_the_dark_s_noise() -> None:
     """Where the converter is full all pixels show its highest code less their own dark."""
     context, effect = _setting(), DarkFrameSubtracted(1.0, 10.0)
     seen, noise = _by_hand(15_000.0, 20.0, 1.0, 1, 10.0)
-    told = _told(15_000.0, context, effect)
+    reported = _reported(15_000.0, context, effect)
     assert noise.max() == 0.0
-    assert float(np.ravel(told.variance)[0]) == pytest.approx(0.0, abs=1e-6)
-    assert float(np.ravel(told.mean)[0]) == pytest.approx(seen.mean(), abs=5 * seen.std() / np.sqrt(seen.size))
-    assert float(np.ravel(told.spatial_variance)[0]) == pytest.approx(seen.var(), rel=0.05)
+    assert float(np.ravel(reported.variance)[0]) == pytest.approx(0.0, abs=1e-6)
+    assert float(np.ravel(reported.mean)[0]) == pytest.approx(seen.mean(), abs=5 * seen.std() / np.sqrt(seen.size))
+    assert float(np.ravel(reported.spatial_variance)[0]) == pytest.approx(seen.var(), rel=0.05)
 
 
 def test_frames_of_one_setting_share_their_dark() -> None:
@@ -107,16 +109,16 @@ def test_a_model_s_frames_are_those_of_its_moments() -> None:
     model = CameraModel.ideal(context.camera, context.lens).with_effect(effect)
     scene = np.zeros((ROWS, COLUMNS))
     frames = np.array([model.sample(scene, context, (n,)).dn for n in range(FRAMES)], dtype=np.float64)
-    told = model.moments(scene, context)
+    predicted = model.moments(scene, context)
     seen, noise = frames.mean(axis=0), frames.var(axis=0, ddof=1)
-    assert seen.mean() == pytest.approx(float(np.mean(told.mean)), abs=5 * seen.std() / np.sqrt(seen.size))
-    assert noise.mean() == pytest.approx(float(np.mean(told.variance)), rel=0.03)
-    assert seen.var() - noise.mean() / FRAMES == pytest.approx(float(np.mean(told.spatial_variance)), rel=0.05)
+    assert seen.mean() == pytest.approx(float(np.mean(predicted.mean)), abs=5 * seen.std() / np.sqrt(seen.size))
+    assert noise.mean() == pytest.approx(float(np.mean(predicted.variance)), rel=0.03)
+    assert seen.var() - noise.mean() / FRAMES == pytest.approx(float(np.mean(predicted.spatial_variance)), rel=0.05)
 
 
 @pytest.mark.parametrize("lacking", ["conversion_gain_e_per_dn", "read_noise_e", "black_level_dn"])
 def test_what_a_dark_holds_must_be_stated(lacking: str) -> None:
-    """Without gain, read noise or black level nobody says what a dark frame holds."""
+    """Without gain, read noise or black level no one says what a dark frame holds."""
     context = _setting()
     assert DarkFrameSubtracted.usable(context)
     if lacking == "black_level_dn":

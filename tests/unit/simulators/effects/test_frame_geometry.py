@@ -33,9 +33,9 @@ def test_the_axis_is_the_middle_or_as_stated() -> None:
     x, y = FRAME.field_xy()
     assert (float(x[0, 0]), float(y[0, 0])) == pytest.approx((-3.5 / 5.0, -2.5 / 5.0))
     assert np.hypot(x, y) == pytest.approx(FRAME.field_radius())
-    beside = replace(FRAME, principal_point_px=(0.0, 0.0))
-    assert beside.centre_px == (0.0, 0.0)
-    assert beside.radius_um()[5, 7] == pytest.approx(5.0 * math.hypot(7.0, 5.0))
+    neighbour = replace(FRAME, principal_point_px=(0.0, 0.0))
+    assert neighbour.centre_px == (0.0, 0.0)
+    assert neighbour.radius_um()[5, 7] == pytest.approx(5.0 * math.hypot(7.0, 5.0))
 
 
 def test_sensor_and_screen_run_from_minus_one_to_one_over_the_longer_side() -> None:

@@ -122,7 +122,7 @@ def test_no_law_goes_beyond_the_entrys_own_bounds(plain: CatalogueEffect, highes
     ("e-", 10_000.0, 10.0), ("e-", 50_000.0, 50.0), ("e-", None, 10.0), ("DN", None, 4.095), ("W m-2", None, 0.0),
 ])  # fmt: skip
 def test_a_signal_counts_from_black_on_with_a_thousandth_of_its_range(unit: str, well_e: Any, added: float) -> None:
-    """Of the full well, 10 000 e⁻ where nobody states it, or of full scale; black is taken off digital numbers only."""
+    """Of the full well, 10 000 e⁻ where not stated, or of full scale; black is taken off digital numbers only."""
     context = replace(_context(), camera=CameraDescription(bit_depth=12, full_well_e=well_e))
     kinds = {"e-": ImageLag, "DN": BlackLevelOffset, "W m-2": NaturalVignetting}
     effect = kinds[unit]()

@@ -76,15 +76,15 @@ def test_noise_that_comes_back_makes_frames_alike(frames: int, share: float, old
     context = context_of([[[5000.0]]], full_well_e=20_000.0, frames=float(frames))
     before = replace(TileMoments.exactly(np.array([[[5000.0]]])), variance=np.array([[[5000.0]]]))
     lag = ImageLag(share=share, older_share=older, noise=0.0)
-    told = lag.moments(before, context)
+    predicted = lag.moments(before, context)
     counted = seen[1:] if frames > 2 else seen
     if frames > 1:
         scatter = float(np.mean(np.var(counted, axis=0, ddof=1)))
         own = 3.0 * scatter * np.sqrt(2.0 / (pixels * (len(counted) - 1))) + (share**2 + older**2) * 5000.0
-        assert float(told.variance.item()) == pytest.approx(scatter, abs=1.2 * own)
+        assert float(predicted.variance.item()) == pytest.approx(scatter, abs=1.2 * own)
     mean = float(np.var(np.mean(seen, axis=0)))
     own = 3.0 * mean * np.sqrt(2.0 / pixels) + 2.5 * (abs(share) + abs(older)) ** 2 * 5000.0 / frames
-    expected = float(told.variance.item()) / frames + float(told.spatial_variance.item())
+    expected = float(predicted.variance.item()) / frames + float(predicted.spatial_variance.item())
     assert expected == pytest.approx(mean, abs=own)
     if frames > 1:
         assert abs(mean - 5000.0 / frames) > own  # what a model without memory says

@@ -175,8 +175,8 @@ def test_hot_pixels_that_stand_out_are_counted() -> None:
 
     tiles: Any = Tiles(context.settings, context.geometry, CAMERA, LensDescription())
     nothing = TileMoments.exactly(np.zeros((1, 1, 1)))
-    told = effect.tile(nothing, nothing, tiles).outliers
-    assert float(np.sum(told)) == pytest.approx(10.0 * math.exp(-9.0 / 80.0))
+    predicted = effect.tile(nothing, nothing, tiles).outliers
+    assert float(np.sum(predicted)) == pytest.approx(10.0 * math.exp(-9.0 / 80.0))
 
 
 def test_leaks_that_differ_are_drawn_with_the_spread_that_is_stated() -> None:

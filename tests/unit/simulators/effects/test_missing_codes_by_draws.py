@@ -16,6 +16,6 @@ from simulators.effects.missing_codes import MissingCodes
 def test_a_search_tries_the_codes_that_converters_leave_out(period: int, kept: int) -> None:
     """Bits that are stuck, one code of a period that never comes: some trial leaves exactly those codes."""
     codes, anywhere = np.arange(64.0), cast(Any, None)
-    wanted = set(codes[codes % period < kept])
+    expected = set(codes[codes % period < kept])
     found = [set(np.ravel(MissingCodes(**trial).mean(codes, anywhere))) for trial in MissingCodes.trials]
-    assert wanted in found
+    assert expected in found

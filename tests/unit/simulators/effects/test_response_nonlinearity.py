@@ -34,7 +34,7 @@ def test_more_light_never_gives_less(a2: float, a3: float) -> None:
 
 @pytest.mark.parametrize(("a2", "a3"), [(0.02, 0.01), (0.3, 0.1), (-0.1, 0.05)])
 def test_the_slope_is_that_of_the_curve(a2: float, a3: float) -> None:
-    """Differences of the curve over a thousandth of a full well, beside its ends too, to 2e-3."""
+    """Differences of the curve over a thousandth of a full well, next to its ends too, to 2e-3."""
     context, effect = effect_context(), ResponseNonlinearity(a2=a2, a3=a3)
     step = 1e-3 * well_e(context)
     signal = np.linspace(0.01, 6.0, 600) * well_e(context)

@@ -62,9 +62,9 @@ def test_excess_kurtosis_is_that_of_rounded_samples(phase: float, noise: float) 
     """Noise of 0.31 DN at the middle of a code has 6, at its border −2; from 0.6 DN on nothing is asked."""
     codes = np.rint(17.0 + phase + noise * np.random.default_rng(3).standard_normal(1_000_000))
     apart = codes - codes.mean()
-    wanted = 0.0 if noise > 0.6 else float(np.mean(apart**4) / np.mean(apart**2) ** 2 - 3.0)
+    predicted = 0.0 if noise > 0.6 else float(np.mean(apart**4) / np.mean(apart**2) ** 2 - 3.0)
     found = excess_kurtosis(_moments(17.0 + phase, noise, 0.0))
-    assert np.asarray(found).ravel()[0] == pytest.approx(wanted, abs=0.1)
+    assert np.asarray(found).ravel()[0] == pytest.approx(predicted, abs=0.1)
 
 
 def _tiles(mean: float, noise: float, shared: float) -> TileMoments:
@@ -131,7 +131,7 @@ def test_what_lines_share_spreads_pixels_over_the_codes(mean: float, columns: fl
 
 
 def test_many_signals_are_rounded_as_each_by_itself() -> None:
-    """Coarse ones beside fine ones in one array come out as they do alone, whatever stands next to them."""
+    """Coarse ones next to fine ones in one array come out as they do alone, whatever stands next to them."""
     together = rounded(
         Moments(*(np.array(column) for column in zip(*((m, n**2, p**2, 1e-6) for m, n, p in CASES), strict=True)))
     )

@@ -27,10 +27,10 @@ def test_rows_are_exposed_as_the_maker_s_model_says(exposure_s: float) -> None:
     """For L ∝ V/(t + a₂·y − a₃·t·y) the digital value of an even field goes as (t + a₂·y − a₃·t·y)/t in row y."""
     a2, a3 = 9.2e-8 * 10, 1.58e-5 * 10  # a RedEdge's, per row of a tenth of its rows
     y = np.arange(ROWS)
-    told = (exposure_s + a2 * y - a3 * exposure_s * y) / exposure_s
+    reported = (exposure_s + a2 * y - a3 * exposure_s * y) / exposure_s
     effect = RowDependentExposure(added_s=a2 * (ROWS - 1), lost_share=a3 * (ROWS - 1))
     factor = np.asarray(effect.factor(_at(exposure_s)))
-    np.testing.assert_allclose(np.ravel(factor), told, rtol=1e-12)
+    np.testing.assert_allclose(np.ravel(factor), reported, rtol=1e-12)
 
 
 def test_frames_have_rows_of_that_light() -> None:
@@ -45,9 +45,9 @@ def test_frames_have_rows_of_that_light() -> None:
     plain = float(np.mean(ideal.mean)) - black
     u = float(np.sqrt(np.mean(ideal.variance) / 40 / first.size)) / plain
     down = np.arange(ROWS) / (ROWS - 1)
-    told = 1.0 - 0.25 * down
-    assert (first.mean() - black) / plain == pytest.approx(told[:10].mean(), abs=5 * u)
-    assert (last.mean() - black) / plain == pytest.approx(told[-10:].mean(), abs=5 * u)
+    reported = 1.0 - 0.25 * down
+    assert (first.mean() - black) / plain == pytest.approx(reported[:10].mean(), abs=5 * u)
+    assert (last.mean() - black) / plain == pytest.approx(reported[-10:].mean(), abs=5 * u)
 
 
 def _half_full(context: ExposureContext) -> float:

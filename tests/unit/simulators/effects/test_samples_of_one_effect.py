@@ -1,4 +1,4 @@
-"""What an effect by itself draws, beside the moments that it predicts: every entry, every kind of form it may take."""
+"""What an effect by itself draws, next to the moments that it predicts: every entry, every kind of form it may take."""
 
 from __future__ import annotations
 
@@ -30,16 +30,17 @@ def test_samples_have_the_moments_that_are_predicted(name: str) -> None:
     for effect in forms(CATALOGUE[name], context):
         for signal in SIGNALS:
             even = np.full((HEIGHT, WIDTH), signal)
-            told = effect.moments(Moments(even, *(np.zeros_like(even) for _ in range(3))), context)
+            predicted = effect.moments(Moments(even, *(np.zeros_like(even) for _ in range(3))), context)
             frames = np.array(
                 [effect.sample(even.copy(), context, np.random.default_rng([k, 7])) for k in range(FRAMES)], float
             )
             noise, pattern, common = (
-                float(np.mean(one)) for one in (told.variance, told.spatial_variance, told.common_variance)
+                float(np.mean(one))
+                for one in (predicted.variance, predicted.spatial_variance, predicted.common_variance)
             )
             u_mean = np.sqrt(noise / (FRAMES * pixels) + pattern / pixels + common / FRAMES)
-            least = 1e-5 * float(np.mean(told.mean)) + 1e-9
-            assert abs(frames.mean() - np.mean(told.mean)) < SIGMAS * u_mean + least, (effect, signal)
+            least = 1e-5 * float(np.mean(predicted.mean)) + 1e-9
+            assert abs(frames.mean() - np.mean(predicted.mean)) < SIGMAS * u_mean + least, (effect, signal)
             if name in SPREAD_OVER_CODES:
                 continue
             alike = frames.mean(axis=(1, 2)).var(ddof=1)
@@ -48,6 +49,6 @@ def test_samples_have_the_moments_that_are_predicted(name: str) -> None:
             assert abs(own - noise) < SIGMAS * u_own + 1e-6 * signal + 1e-3 * common, (effect, signal)
             shared = common + noise / pixels
             assert abs(alike - shared) < SIGMAS * shared * np.sqrt(2.0 / (FRAMES - 1)) + 1e-6 * signal, (effect, signal)
-            still = (frames.mean(axis=0) - np.broadcast_to(told.mean, even.shape)).var(ddof=1) - own / FRAMES
+            still = (frames.mean(axis=0) - np.broadcast_to(predicted.mean, even.shape)).var(ddof=1) - own / FRAMES
             u_still = np.sqrt(2.0 / pixels) * (pattern + noise / FRAMES)
             assert abs(still - pattern) < SIGMAS * u_still + 1e-6 * signal + 1e-3 * common, (effect, signal)

@@ -92,7 +92,7 @@ def test_an_event_is_looked_for_in_front_of_captures() -> None:
 
 
 def test_an_event_that_does_not_relax_is_a_step_of_anything() -> None:
-    """Of captures up to 70 s, an event at 30 s relaxes within 40 s or is not told from another change."""
+    """Of captures up to 70 s, an event at 30 s relaxes within 40 s or is not distinguished from another change."""
     captures = _series(10.0 * np.arange(8))
     assert not EventOffset(offset_dn=2.0, tau_s=39.0, event_s=30.0).unlike_itself(captures)
     assert EventOffset(offset_dn=2.0, tau_s=41.0, event_s=30.0).unlike_itself(captures)
@@ -150,7 +150,7 @@ def test_a_rate_is_stated_at_a_temperature_of_the_session(warm_c: tuple[float, .
 
 
 def test_a_rate_is_stated_at_a_temperature_of_darks() -> None:
-    """Light at 25 and 45 °C beside darks at 40.2 °C alone: their very temperature, where no doubling matters."""
+    """Light at 25 and 45 °C next to darks at 40.2 °C alone: their very temperature, where no doubling matters."""
     session = _context(temperature_c=np.array([25.0, 40.2, 45.0]), shutter=np.array(["open", "closed", "open"]))
     assert {start.reference_C for start in DarkCurrent.starts(session)} == {40.2}
     assert "doubling_K" not in DarkCurrentNonuniformity.starts(session)[0].free()
@@ -171,17 +171,19 @@ def test_leaks_below_nothing_and_those_left_out_move_the_mean() -> None:
     leak = 30.0 * (leak - leak.mean()) / leak.std()
     dark = _context(exposure_s=1.0, shutter="closed")
     for signal in (0.0, 10.0, 1000.0):
-        told = float(effect.mean(np.full(1, signal), dark)[0])
-        assert told == pytest.approx(float(np.maximum(signal + leak, 0.0).mean()), abs=0.06)
+        predicted = float(effect.mean(np.full(1, signal), dark)[0])
+        assert predicted == pytest.approx(float(np.maximum(signal + leak, 0.0).mean()), abs=0.06)
     settings = FrameSettings(np.array([1.0, 0.1])[:, None, None], shutter=np.full((2, 1, 1), "closed"))
     series = _tiles(settings=settings, camera=dark.camera, frames=4.0, tile_pixels=1.0)
-    told = np.ravel(effect.mean(np.full((2, 1, 1), 1000.0), series)) - 1000.0
+    predicted = np.ravel(effect.mean(np.full((2, 1, 1), 1000.0), series)) - 1000.0
     spread = math.sqrt(math.exp(0.36) * (math.exp(0.36) - 1.0))
     noise2 = (1000.0 + 3.0**2) / 4.0
     middle = float(np.median(leak))
     limit = 6.0 * math.sqrt(noise2 + (30.0 * 0.6 / spread) ** 2)
     kept = leak[leak - middle < limit]
-    assert told == pytest.approx([kept.mean(), 0.1 * kept.mean()], abs=0.08)  # left out where it shows most, everywhere
+    assert predicted == pytest.approx(
+        [kept.mean(), 0.1 * kept.mean()], abs=0.08
+    )  # left out where it shows most, everywhere
     left = np.ravel(effect.spatial_variance(np.full((2, 1, 1), 1000.0), series))
     assert left == pytest.approx([kept.var(), 0.01 * kept.var()], rel=0.01)
 
@@ -220,7 +222,7 @@ def test_a_slow_part_of_a_settling_adds_to_the_quick_one() -> None:
     assert (line > 0.0).tolist() == (place > math.log(4.0) / 8.0).tolist()
 
 
-def test_a_slow_part_is_tried_beside_a_quick_one_only() -> None:
+def test_a_slow_part_is_tried_next_to_a_quick_one_only() -> None:
     """The plain form has two parameters and two looser ones, which have four and none."""
     plain = LineStartOffset(-8.0, 0.1)
     looser = plain.loosened(_context())
@@ -234,16 +236,16 @@ def test_a_slow_part_is_tried_beside_a_quick_one_only() -> None:
 
 @pytest.mark.parametrize("sign", [-1.0, 1.0])
 def test_successive_pixels_share_read_noise(sign: float) -> None:
-    """Frames of 2 e- have the variance 4 e-², neighbours in a line the covariance ±2 e-², others none: as told."""
+    """Frames of 2 e- have the variance 4 e-², neighbours in a line the covariance ±2 e-², others none: as reported."""
     effect = CorrelatedReadNoise(sigma_e=2.0, sign=sign)
     drawn = effect.sample(np.zeros((1000, 1000)), _context(), np.random.default_rng(4))
     before = TileMoments.exactly(np.zeros((1, 1, 1)))
-    told = effect.moments(before, _context())
-    assert isinstance(told, TileMoments)
+    predicted = effect.moments(before, _context())
+    assert isinstance(predicted, TileMoments)
     along, further = (np.mean(drawn[:, :-k] * drawn[:, k:]) for k in (1, 2))
     down = np.mean(drawn[:-1] * drawn[1:])
-    assert float(np.ravel(told.variance)[0]) == 4.0 == pytest.approx(drawn.var(), abs=0.03)
-    assert float(np.ravel(told.neighbour_x)[0]) == 2.0 * sign == pytest.approx(along, abs=0.02)
+    assert float(np.ravel(predicted.variance)[0]) == 4.0 == pytest.approx(drawn.var(), abs=0.03)
+    assert float(np.ravel(predicted.neighbour_x)[0]) == 2.0 * sign == pytest.approx(along, abs=0.02)
     assert (further, down) == pytest.approx((0.0, 0.0), abs=0.02)
 
 
@@ -267,8 +269,8 @@ def test_tiles_have_mean_slope_and_columns_of_their_pixels(
     flat = TileMoments.exactly(np.full((1, 2, 4), 100.0))
     surface = np.polynomial.polynomial.polyfit(u, line.T, 2)
     left = line - np.polynomial.polynomial.polyval(u, surface)
-    told = effect.tile(flat, flat, tiles).fixed_column_variance
-    assert float(np.ravel(told)[0]) == pytest.approx(float(np.mean(left**2)), rel=0.03, abs=1e-6)
+    predicted = effect.tile(flat, flat, tiles).fixed_column_variance
+    assert float(np.ravel(predicted)[0]) == pytest.approx(float(np.mean(left**2)), rel=0.03, abs=1e-6)
 
 
 @pytest.mark.parametrize("frames", [1, 2, 3, 5])
@@ -295,9 +297,9 @@ def test_a_gamma_above_black_bends_noise_too() -> None:
     noise = 3.0 * np.random.default_rng(7).standard_normal(1_000_000)
     for dn in (100.0, 110.0, 2000.0):
         drawn = effect.mean(dn + noise, context)
-        told = effect.moments(Moments(np.array([dn]), np.array([9.0]), np.zeros(1), np.zeros(1)), context)
-        assert float(told.mean[0]) == pytest.approx(np.mean(drawn), abs=0.06)
-        assert float(told.variance[0]) == pytest.approx(np.var(drawn), rel=0.06)
+        predicted = effect.moments(Moments(np.array([dn]), np.array([9.0]), np.zeros(1), np.zeros(1)), context)
+        assert float(predicted.mean[0]) == pytest.approx(np.mean(drawn), abs=0.06)
+        assert float(predicted.variance[0]) == pytest.approx(np.var(drawn), rel=0.06)
     assert effect.mean(np.array([4095.0, 100.0, 99.0]), context) == pytest.approx([4095.0, 100.0, 94.748], abs=1e-3)
     nothing = GammaEnabled(1.0, above_black=1.0)
     assert nothing.mean(np.array([90.0, 100.0, 3000.0]), context) == pytest.approx([90.0, 100.0, 3000.0])
@@ -313,10 +315,12 @@ def test_moments_of_a_gamma_are_integrals_over_the_noise(dn: float, toe: float) 
     chance = np.exp(-0.5 * z**2) / np.exp(-0.5 * z**2).sum()
     bent = effect.mean(dn + 4.0 * z, context)
     mean = float(chance @ bent)
-    told = effect.moments(Moments(np.array([[dn]]), np.array([[16.0]]), np.zeros((1, 1)), np.zeros((1, 1))), context)
-    assert told.mean.shape == (1, 1)
-    assert float(told.mean[0, 0]) == pytest.approx(mean, abs=0.02)
-    assert float(told.variance[0, 0]) == pytest.approx(float(chance @ (bent - mean) ** 2), rel=0.02)
+    predicted = effect.moments(
+        Moments(np.array([[dn]]), np.array([[16.0]]), np.zeros((1, 1)), np.zeros((1, 1))), context
+    )
+    assert predicted.mean.shape == (1, 1)
+    assert float(predicted.mean[0, 0]) == pytest.approx(mean, abs=0.02)
+    assert float(predicted.variance[0, 0]) == pytest.approx(float(chance @ (bent - mean) ** 2), rel=0.02)
 
 
 def test_wings_of_one_width_are_the_kernel() -> None:
@@ -405,12 +409,12 @@ def test_a_table_does_not_stand_on_a_law_that_was_fitted() -> None:
     assert table.free() == ("errors_rel[1]", "errors_rel[2]")
 
 
-def test_a_gain_error_says_what_was_stated_and_what_the_noise_tells() -> None:
+def test_a_gain_error_says_what_was_stated_and_what_the_noise_shows() -> None:
     """2.06 e-/DN, with 6.64 ± 0.17 % more DN for each electron, are 1.932 ± 0.0031; unknown figures tell nothing."""
     camera = CameraDescription(bit_depth=16, conversion_gain_e_per_dn=2.06)
     found = ConversionGainError(error_rel=0.0664)
-    said = found.remark(camera, {"error_rel": 0.0017})
-    assert said == "gain: stated 2.06 e-/DN, the noise says 1.932 ± 0.0031"
+    text = found.remark(camera, {"error_rel": 0.0017})
+    assert text == "gain: stated 2.06 e-/DN, the noise says 1.932 ± 0.0031"
     assert found.remark(camera, {"error_rel": None}) == ""
     assert found.remark(CameraDescription(bit_depth=16), {"error_rel": 0.0017}) == ""
 
@@ -441,11 +445,11 @@ def test_bands_of_a_flickering_lamp_have_the_variance_that_is_predicted() -> Non
     effect = RollingShutterBanding(modulation=0.1, frequency_hz=100.0, row_time_s=2e-5)
     context, rng = _context(exposure_s=2e-3), np.random.default_rng(6)
     rows = np.array([effect.sample(np.full((5, 8), 1000.0), context, rng)[2, 0] for _ in range(4000)])
-    told = effect.tile(
+    predicted = effect.tile(
         TileMoments.exactly(np.full((1, 1, 1), 1000.0)), TileMoments.exactly(np.full((1, 1, 1), 1000.0)), context
     )
     by_hand = (0.1 * 1000.0 * math.sin(0.2 * math.pi) / (0.2 * math.pi)) ** 2 / 2.0
-    assert float(np.ravel(told.band_variance)[0]) == pytest.approx(by_hand)
+    assert float(np.ravel(predicted.band_variance)[0]) == pytest.approx(by_hand)
     assert rows.var() == pytest.approx(by_hand, rel=0.05)
     assert rows.mean() == pytest.approx(1000.0, abs=5.0 * math.sqrt(by_hand / rows.size))
 

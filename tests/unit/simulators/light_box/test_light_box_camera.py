@@ -28,7 +28,7 @@ class Shining(NamedTuple):
 
 
 class Twin:
-    """A box whose channels shine as they are told, brighter by one part per second."""
+    """A box whose channels shine as they are set, brighter by one part per second."""
 
     def __init__(self, **channels: tuple[float, float | None]) -> None:
         self.channels, self.time_s = channels, 0.0
@@ -62,8 +62,8 @@ def test_a_box_is_seen_as_it_is_at_that_moment_and_never_before_its_own() -> Non
     assert BoxView(twin).look(1.0) == pytest.approx((15.0, 640.0))
 
 
-def test_a_hooked_clock_lets_the_time_pass_that_it_is_told() -> None:
-    """What keeps the time is asked for it and waits as long as is said, 0 too; backwards nothing goes."""
+def test_a_hooked_clock_lets_the_time_pass_that_is_set() -> None:
+    """What keeps the time is asked for it and waits as long as is stated, 0 too; backwards nothing goes."""
     now = [5.0]
 
     def wait(seconds: float) -> None:

@@ -37,12 +37,12 @@ def test_what_is_no_command_is_refused_by_its_number(text: str, code: int) -> No
     assert commands.run(text) == f"ER {code:02d}"
 
 
-def test_a_box_that_nobody_greeted_shines_for_nobody() -> None:
+def test_a_box_that_no_program_greeted_stays_dark() -> None:
     """Reading is allowed, light is not (7); a fresh box has lost and darkened nothing and its button is up."""
     commands = Commands(SimulatedLightBox())
     assert commands.run("SL 1 H 100") == "ER 07"
     assert commands.run("ST").split()[3:] == ["0", "0", "0", "P", "0", "0"]
-    assert commands.run("TM").endswith(" 01")  # it has told of its start, and of nothing else
+    assert commands.run("TM").endswith(" 01")  # it has reported its start, and nothing else
 
 
 def test_a_pulse_ends_in_the_light_too() -> None:
@@ -57,7 +57,7 @@ def test_a_pulse_ends_in_the_light_too() -> None:
 
 
 def test_a_host_that_falls_silent_leaves_the_leds_dark() -> None:
-    """A second after its last word a steady light goes out, and the box tells that it did."""
+    """A second after its last word a steady light goes out, and the box shows that it did."""
     twin, commands = greeted()
     assert commands.run("SL 1 H 20000").startswith("OK")
     assert twin.emission("spot", twin.time_s + 0.9).radiance_w_sr_m2 > 0.0
@@ -160,24 +160,24 @@ def test_the_twin_has_the_limits_that_stand_in_the_firmware() -> None:
     assert tuple(found) == REFERENCE_CHANNELS
 
 
-def test_the_twin_tells_when_something_happens_by_itself_next() -> None:
+def test_the_twin_reports_when_something_happens_by_itself_next() -> None:
     """Without a host nothing; a second after its last word; a light that ends or a press planned sooner comes first."""
     assert SimulatedLightBox().next_time_s() is None
     twin, commands = greeted()
-    said_s = twin.time_s
-    assert twin.next_time_s() == pytest.approx(said_s + 1.0, abs=2e-3)
-    twin.advance(said_s + 0.4)
-    assert twin.next_time_s() == pytest.approx(said_s + 1.0, abs=2e-3)
+    reported_s = twin.time_s
+    assert twin.next_time_s() == pytest.approx(reported_s + 1.0, abs=2e-3)
+    twin.advance(reported_s + 0.4)
+    assert twin.next_time_s() == pytest.approx(reported_s + 1.0, abs=2e-3)
     assert commands.run("PU 1 H 20000 250").startswith("OK")
-    assert twin.next_time_s() == pytest.approx(said_s + 0.65, abs=2e-3)
-    twin.press(said_s + 0.5)
-    assert twin.next_time_s() == pytest.approx(said_s + 0.5, abs=2e-3)
-    twin.advance(said_s + 3.0)
+    assert twin.next_time_s() == pytest.approx(reported_s + 0.65, abs=2e-3)
+    twin.press(reported_s + 0.5)
+    assert twin.next_time_s() == pytest.approx(reported_s + 0.5, abs=2e-3)
+    twin.advance(reported_s + 3.0)
     assert not twin.session
     assert twin.next_time_s() == pytest.approx(
-        said_s + 0.5 + 3.0, abs=2e-3
+        reported_s + 0.5 + 3.0, abs=2e-3
     )  # held for three seconds: all lights stay off
-    twin.advance(said_s + 3.6)
+    twin.advance(reported_s + 3.6)
     assert twin.next_time_s() is None
 
 
@@ -187,11 +187,11 @@ def test_what_is_switched_off_is_dark_in_the_light_at_once(words: str) -> None:
     twin, commands = greeted()
     assert commands.run("SL 1 H 20000").startswith("OK")
     assert twin.emission("spot", 0.5).radiance_w_sr_m2 > 0.0
-    told = []
-    twin.watch = lambda: told.append(twin.duty("spot"))
+    reported = []
+    twin.watch = lambda: reported.append(twin.duty("spot"))
     assert commands.run(words).startswith("OK")
     assert twin.emission("spot", twin.time_s + 0.1).radiance_w_sr_m2 == 0.0
-    assert told == [0.0]
+    assert reported == [0.0]
 
 
 @pytest.mark.parametrize("words", ["SL 1 H 20000", "RA 1 H 20000 500", "PU 1 H 20000 1", "BL 1 H 20000 1 1 1"])

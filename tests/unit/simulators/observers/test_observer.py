@@ -65,8 +65,8 @@ def test_scotopic_ratio_is_high_in_the_blue_and_low_in_the_red():
     assert scotopic_per_photopic(640.0) < 0.1
 
 
-def test_drawn_eyes_have_their_break_where_it_was_wanted():
-    """The crossing of the drawn branches lies in the wanted range."""
+def test_drawn_eyes_have_their_break_where_it_was_requested():
+    """The crossing of the drawn branches lies in the requested range."""
     rng = np.random.default_rng(1)
     breaks = [drawn_eye(rng).break_min(453.0) for _ in range(10)]
     assert all(value is not None and 5.9 < value < 12.1 for value in breaks)

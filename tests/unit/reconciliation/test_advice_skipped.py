@@ -21,7 +21,7 @@ PLAN = [{"t": float(t)} for t in np.geomspace(1e-4, 6e-3, 6) for _ in range(2)] 
 
 @pytest.mark.long
 def test_answer_stands_where_advice_fails(make_capture: Callable[..., Any], monkeypatch: pytest.MonkeyPatch) -> None:
-    """An error in the limits and in the next capture is told among the assumptions; the name is found nevertheless."""
+    """An error in the limits and in the next capture is reported among the assumptions; the name is still found."""
 
     def broken(*given: object) -> None:
         raise IndexError("index 7 is out of bounds for axis 1 with size 7")

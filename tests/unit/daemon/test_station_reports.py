@@ -1,4 +1,4 @@
-"""Whoever listens is told of every change at once, and what is at a limit is still allowed."""
+"""Whoever listens is notified of every change at once, and what is at a limit is still allowed."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ CHANGES: dict[str, tuple[Callable[[Station], Any], Callable[[dict[str, Any]], An
 
 
 @pytest.mark.parametrize("what", CHANGES)
-async def test_every_change_is_told_once_with_the_state_after_it(station: Station, what: str) -> None:
+async def test_every_change_is_reported_once_with_the_state_after_it(station: Station, what: str) -> None:
     """Each listener within the program is called, and each subscriber has one line of the new state."""
     change, look, expected = CHANGES[what]
     station.patches.define("old", LAMP)
@@ -53,7 +53,7 @@ async def test_every_change_is_told_once_with_the_state_after_it(station: Statio
     assert look(station.status()) == expected
 
 
-async def test_light_that_is_set_is_told(station: Station) -> None:
+async def test_light_that_is_set_is_reported(station: Station) -> None:
     """The new level is in the state that the subscriber gets."""
     subscription = station.hub.subscribe()
     assert await station.light.set_level("red", 0.25) == 0.25

@@ -61,7 +61,7 @@ steps = st.lists(st.one_of(requests, lit, lit, waits, raw, presses), min_size=4,
 
 
 class Pair:
-    """A firmware box and a twin that are told the same at the same time."""
+    """A firmware box and a twin that get the same commands at the same time."""
 
     def __init__(self, power, kind):
         self.power, self.kind, self.box = power, kind, power(kind)
