@@ -7,9 +7,8 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-import radiometer
 from radiometer.adaptation.adaptation_fit import AdaptationFit
-from radiometer.adaptation.report import label_of
+from radiometer.adaptation.report import label_of, origin_of
 from radiometer.adaptation.report_picture import short
 from radiometer.adaptation.threshold_series import ThresholdSeries
 from radiometer.reporting.page import page, paragraph, section, table
@@ -79,7 +78,7 @@ def visits_html(visits: Sequence[tuple[AdaptationFit, str]]) -> str:
                                                words=(1, 4))),
         ],
         kind="Dark adaptation",
-        made=f"Made by radiometer {radiometer.__version__}.",
+        origin=origin_of([fit.chosen.series.facts for fit, _ in visits]),
     )  # fmt: skip
 
 

@@ -11,7 +11,7 @@ import re
 from collections.abc import Iterable, Sequence
 from typing import Final
 
-import radiometer
+from radiometer.reporting.origin import Origin
 
 _POLICY: Final = "default-src 'none'; img-src data:; style-src 'unsafe-inline'"
 # Every colour of text has a contrast of 4.5 or more on what is behind it (WCAG 2.1, 1.4.3).
@@ -27,6 +27,9 @@ STYLE: Final = "\n".join(
         ".outcome{font-size:clamp(1.3rem,1rem + 1.6vw,1.8rem);font-weight:650;line-height:1.28;margin:.25rem 0 .6rem;",
         "text-wrap:balance}",
         ".outcome+p{color:#404040}",
+        ".origin{display:flex;flex-wrap:wrap;gap:.1rem 1.1rem;margin:.2rem 0 .8rem;color:#404040;font-size:.85rem}",
+        ".origin div{display:flex;gap:.35rem;min-width:0}.origin dt{color:#555}.origin dt,.origin dd{margin:0}",
+        ".origin dd{font-weight:600;overflow-wrap:anywhere}",
         "figure{margin:1rem 0}img{max-width:100%;height:auto;display:block;margin:0 auto}",
         "figcaption,.small{color:#555;font-size:.9rem}",
         ".what{font-size:1.08rem}",
@@ -42,7 +45,6 @@ STYLE: Final = "\n".join(
         "details{margin:.7rem 0;border-top:1px solid #ddd;padding-top:.5rem}",
         "summary{cursor:pointer;font-weight:600;min-height:2.75rem;display:list-item;padding:.5rem 0}",
         "summary:focus-visible{outline:2px solid #1f618d;outline-offset:2px}",
-        "footer{color:#555;font-size:.85rem;margin:2.5rem 0 1rem;border-top:1px solid #ddd;padding-top:.6rem}",
         ".side{display:grid;gap:0 1.2rem;grid-template-columns:repeat(auto-fit,minmax(min(100%,26rem),1fr))}",
         "@media (max-width:640px){table{font-size:.88rem}.many{min-width:34rem}td,th{padding-right:.6rem}}",
         "@media print{@page{margin:14mm}body{font-size:11pt;margin:0;max-width:none;padding:0}h2{break-after:avoid}",
@@ -53,13 +55,15 @@ STYLE: Final = "\n".join(
 )
 
 
-def page(subject: str, outcome: str, parts: Iterable[str], *, kind: str, made: str = "") -> str:
+def page(subject: str, outcome: str, parts: Iterable[str], *, kind: str, origin: Origin) -> str:
     """Return a whole page.
 
     Args:
         subject: What the report is about, such as the camera's name.
-        parts: HTML from the functions of this module, in order; empty ones are passed by.
-        made: How and from what it was made, for the foot of the page; by which version of the program where empty.
+        outcome: What was found, in a sentence.
+        parts: HTML from the functions of this module, in order; empty ones are left out.
+        kind: Kind of report, for the title of the window.
+        origin: What its data come from.
     """
     head = (
         "<!doctype html>\n<html lang='en'><head><meta charset='utf-8'>"
@@ -68,8 +72,9 @@ def page(subject: str, outcome: str, parts: Iterable[str], *, kind: str, made: s
         f"<title>{escaped(kind)}: {escaped(subject)}</title><style>{STYLE}</style></head><body><main>"
     )
     opening = f"<h1>{escaped(subject)}</h1><p class='outcome'>{prose(outcome)}</p>"
-    foot = f"</main><footer>{escaped(made or f'Made by radiometer {radiometer.__version__}.')}</footer>"
-    return "\n".join((head, opening, *(part for part in parts if part), f"{foot}</body></html>\n"))
+    facts = "".join(f"<div><dt>{escaped(name)}</dt><dd>{escaped(value)}</dd></div>" for name, value in origin.rows)
+    body = (f"<dl class='origin'>{facts}</dl>", *(part for part in parts if part))
+    return "\n".join((head, opening, *body, "</main></body></html>\n"))
 
 
 def escaped(text: str) -> str:

@@ -11,11 +11,11 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-import radiometer
 from radiometer.data.reading import Flag, Reading
 from radiometer.data.storage import write_bytes_atomic, write_text_atomic
 from radiometer.errors import UsageError
 from radiometer.numbers import below, upper_limit, with_u
+from radiometer.reporting.origin import Origin, moment
 from radiometer.reporting.page import folded, listed, page, paragraph, section, table
 from radiometer.reporting.pictures import BEFORE, MODEL, label, picture
 
@@ -67,12 +67,25 @@ class ReadingRecord:
     Attributes:
         reading: The reading.
         frame_dn: The frame of longest exposure without clipping in the patch, shape (height, width), in DN.
-        facts: Camera, lens and settings as names and values, in the order to print them.
+        camera: Maker, model and serial number; "" where they are not stated.
+        lens: Focal length and f-number; "" where they are not stated.
+        facts: Settings as names and values, in the order to print them.
     """
 
     reading: Reading
     frame_dn: NDArray[Any]
+    camera: str = ""
+    lens: str = ""
     facts: Sequence[tuple[str, str]] = ()
+
+    @property
+    def origin(self) -> Origin:
+        """Return what the reading was made with."""
+        known = self.reading.more.get("calibration")
+        calibration = "none: the value is relative"
+        if known:
+            calibration = f"{known['file'] or 'in memory'}, {moment(str(known['created']))}"
+        return Origin(moment(self.reading.time), self.camera, self.lens, calibration)
 
     @property
     def value(self) -> str:
@@ -98,24 +111,16 @@ class ReadingRecord:
         """Return all facts of the reading as names and values."""
         one = self.reading
         patch = one.patch
-        rows = [("time (UTC)", one.time[:19]), ("radiance", self.value), ("luminance", self.luminance)]
+        rows = [("radiance", self.value), ("luminance", self.luminance)]
         if one.band_nm:
             rows.append(("band", f"{one.band_nm[0]:g} to {one.band_nm[1]:g} nm"))
         rows += [
             ("patch", f"{patch.width} × {patch.height} pixels at x {patch.x}, y {patch.y}"),
             ("exposure times", ", ".join(f"{time_s:.4g} s" for time_s in sorted(set(one.exposures_s)))),
-            ("camera", one.instrument),
             *self.facts,
         ]
         known = one.more.get("calibration")
-        if known:
-            rows += [
-                ("calibration", str(known["file"] or "in memory")),
-                ("calibrated (UTC)", str(known["created"])[:19]),
-            ]
-            rows.append(("reference", str(known["reference"])))
-        else:
-            rows.append(("calibration", "none: the value is relative"))
+        rows.append(("reference", str(known["reference"]) if known else ""))
         return [row for row in rows if row[1]]
 
     @property
@@ -177,7 +182,7 @@ def reading_html(record: ReadingRecord) -> str:
             section("What was assumed", listed([f"{text}." for text in record.assumptions])),
         ],
         kind="Reading",
-        made=f"Made by radiometer {radiometer.__version__} from the reading of {one.time}.",
+        origin=record.origin,
     )  # fmt: skip
 
 
@@ -238,7 +243,7 @@ def _pdf(record: ReadingRecord) -> bytes:
         figure.text(0.08, 0.955, label(f"Reading of {one.instrument}"), fontsize=10, color="#555555")
         figure.text(0.08, 0.928, label(f"Radiance {record.value}"), fontsize=15, fontweight="bold")
         _scene(figure.add_axes((0.12, 0.66, 0.76, 0.24)), record)
-        lines = [f"{name:<16} {value}" for name, value in record.rows]
+        lines = [f"{name:<16} {value}" for name, value in (*record.origin.rows, *record.rows)]
         lines += ["", *(f"flag {flag}: {FLAG_MEANINGS[flag]}" for flag in one.flags)]
         lines += ["", "assumed:", *(f"  {text}" for text in record.assumptions or ["nothing"])]
         figure.text(
@@ -248,7 +253,6 @@ def _pdf(record: ReadingRecord) -> bytes:
         bars = len(_contributions(one))
         if bars:
             _budget(figure.add_axes((0.30, 0.08, 0.62, min(0.03 + 0.025 * bars, 0.22))), one)
-        figure.text(0.08, 0.02, f"radiometer {radiometer.__version__}", fontsize=7, color="#555555")
         content = io.BytesIO()
         figure.savefig(content, format="pdf", metadata={"Title": f"Reading of {one.instrument}", "CreationDate": None})
     return content.getvalue()

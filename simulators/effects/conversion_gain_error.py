@@ -65,4 +65,4 @@ class ConversionGainError(CatalogueEffect):
             return ""
         told = stated / (1.0 + self.error_rel)
         told_u = told * relative / (1.0 + self.error_rel)
-        return f"gain: stated {stated:.4g} e-/DN, the noise says {told:.4g} ± {told_u:.2g}"
+        return f"gain: stated {stated:.4g} e⁻/DN, the noise says {told:.4g} ± {told_u:.2g}"

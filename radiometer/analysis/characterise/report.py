@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from radiometer.analysis.characterise.result import SYMBOLS, Characterisation, as_printed, upper_limit
 from radiometer.data import Quantity
 from radiometer.numbers import rounded, unit_text, with_u
+from radiometer.reporting.origin import Origin, moment, span_of
 from radiometer.reporting.page import folded, listed, page, paragraph, section, side_by_side, table
 from radiometer.reporting.pictures import BEFORE, DIMMED, MARK, MODEL, RULE, SEEN, dress, legend, mark, picture
 from radiometer.typing import Array
@@ -195,10 +196,9 @@ def _draw_dark(axes: Axes, result: Characterisation) -> None:
 def datasheet(result: Characterisation) -> str:
     """Return the report as one HTML page: outcome, picture, meaning, notes, plots, figures with U (k = 2)."""
     camera = result.believed
-    name = " ".join(part for part in (camera.vendor, camera.model) if part) or "Camera"
     made = result.provenance
     return page(
-        f"{name}, serial {camera.serial or 'unknown'}",
+        f"EMVA 1288 figures of {camera.name or 'a camera'}",
         outcome(result),
         [
             paragraph(
@@ -213,8 +213,11 @@ def datasheet(result: Characterisation) -> str:
             folded("Steps of the photon transfer", _steps(result)),
         ],
         kind="EMVA 1288 figures",
-        made=f"Made {made.created} by {made.software} from {', '.join(made.inputs)}.",
-    )
+        origin=Origin(
+            span_of(step.bright.settings.timestamp_s for step in result.steps), camera.name,
+            further=(("evaluated (UTC)", moment(made.created)), ("from", ", ".join(made.inputs))),
+        ),
+    )  # fmt: skip
 
 
 def outcome(result: Characterisation) -> str:

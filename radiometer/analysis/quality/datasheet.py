@@ -35,11 +35,10 @@ def write_datasheet(path: Path, sheet: Datasheet) -> None:
 def datasheet_html(sheet: Datasheet) -> str:
     """Return the datasheet as HTML: the outcome, a picture, each index with its definition, what is missing last."""
     camera = sheet.camera
-    who = " ".join(word for word in (camera.vendor, camera.model, camera.serial) if word) if camera else "camera"
     measured = [one for one in sheet.indices if one.figure is not None]
     missing = [one for one in sheet.indices if one.figure is None]
     return page(
-        ", ".join(word for word in (who, sheet.lens, sheet.created[:10]) if word),
+        f"Quality indices of {(camera.name if camera else '') or 'a camera'}",
         _sentence(measured, len(sheet.indices)),
         [
             _picture(measured),
@@ -48,6 +47,7 @@ def datasheet_html(sheet: Datasheet) -> str:
             section("What was assumed", listed([f"{one}." for one in sheet.assumptions])),
         ],
         kind="Datasheet",
+        origin=sheet.origin,
     )
 
 

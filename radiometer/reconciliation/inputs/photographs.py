@@ -44,9 +44,11 @@ from radiometer.analysis.response.wrong_labels import (
 from radiometer.data import Bracket, Frame
 from radiometer.data.storage import write_text_atomic, write_yaml_atomic
 from radiometer.errors import CaptureError, InputError, MeasurementError
+from radiometer.importing.exif import read_exif_header
 from radiometer.one_thread import on_one_blas_thread
 from radiometer.reconciliation.inputs.photograph_report import OFFSET, FrameFinding, report_html
 from radiometer.reconciliation.result import FittedParameter, FoundEffect, Limit, ReconcileResult, Verdict
+from radiometer.reporting.origin import Origin
 from radiometer.typing import Array
 from radiometer.units import exact_exposure_s
 
@@ -90,8 +92,17 @@ class PhotographsReconciled:
     def write_report(self, path: Path) -> str:
         """Write the outcome, the plot of each photograph against the others, and the exposures as HTML."""
         title = Path(self.origin).name or "photographs"
-        write_text_atomic(path, report_html(self.result, self.findings, self.sentence, title))
+        write_text_atomic(path, report_html(self.result, self.findings, self.sentence, title, self._origin()))
         return str(path)
+
+    def _origin(self) -> Origin:
+        """Return what EXIF of the first photograph states of date and camera."""
+        stated = read_exif_header(Path(self.origin) / next(iter(self.exposures_s)))
+        found = {name: str(stated[name].written) for name in ("DateTimeOriginal", "Make", "Model") if name in stated}
+        camera = " ".join(found[name] for name in ("Make", "Model") if name in found)
+        frames = str(len(self.exposures_s))
+        date = found.get("DateTimeOriginal", "")
+        return Origin(date, camera, further=(("photographs", frames), ("folder", self.origin)))
 
     def write_plan(self, path: Path) -> bool:
         """Write nothing: photographs are taken by hand; the result names the exposure to take again."""

@@ -39,7 +39,7 @@ def test_the_break_is_said_with_its_interval(broken):
     said = re.search(
         r"class='outcome'>Rod–cone break at ([\d.]+)\u00a0±\u00a0([\d.]+) min, then S2 of "
         r"−([\d.]+)\u00a0±\u00a0([\d.]+) "
-        r"log10 units per min \(95\u00a0% intervals\)\.",
+        r"log₁₀ units per min \(95\u00a0% intervals\)\.",
         page,
     )
     assert said is not None
