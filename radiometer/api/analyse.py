@@ -148,7 +148,11 @@ class MapAnalysis(Result):
     def __str__(self) -> str:
         """Return the regions' means in one line."""
         means = [f"{one.name} {with_u(one.mean.value, 2 * one.mean.u)}" for one in self.regions]
-        lux = [] if self.illuminance is None else [with_u(self.illuminance.value, 2 * self.illuminance.u, self.illuminance.unit)]
+        lux = (
+            []
+            if self.illuminance is None
+            else [with_u(self.illuminance.value, 2 * self.illuminance.u, self.illuminance.unit)]
+        )
         return f"{', '.join([*means, *lux])} (k = 2)"
 
 

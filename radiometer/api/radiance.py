@@ -39,8 +39,8 @@ from radiometer.data.pile_up import with_white_levels
 from radiometer.data.setup import Setup
 from radiometer.data.storage import check_outputs
 from radiometer.errors import CaptureError, MissingLibrary, UsageError
-from radiometer.numbers import unit_text
 from radiometer.importing import imported_of, is_foreign, open_capture
+from radiometer.numbers import unit_text
 from radiometer.photographs.alignment import ALIGN_CHOICES
 from radiometer.photographs.scene import (
     Photographs,

@@ -142,7 +142,8 @@ def readings(
             if monte_carlo:
                 reading = _with_distribution(reading, instrument, frames)
             if report is not None:
-                write_reading_page(reading_record(reading, frames, described, instrument.camera.lens), Path(report))
+                known = instrument.camera
+                write_reading_page(reading_record(reading, frames, known.description, known.lens), Path(report))
             yield reading
             if watch or number < repeat:
                 sleep(max(0.0, every_s - (clock() - begun_s)))

@@ -242,6 +242,4 @@ def _simulated_bench(name: str, bench: Path | None, calibration: Path | None, se
 
 def _instrument(camera: Camera, patch: Patch, calibration: Path | None, config: BenchConfig) -> Instrument:
     known = Calibration.read(calibration) if calibration else None
-    return Instrument(
-        camera, patch, calibration=known, time_limit_s=config.time_limit_s, calibration_file=calibration
-    )
+    return Instrument(camera, patch, calibration=known, time_limit_s=config.time_limit_s, calibration_file=calibration)

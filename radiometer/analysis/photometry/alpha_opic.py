@@ -92,7 +92,9 @@ def alpha_opic_quantities(
     if not holds_visible_light(light):
         raise InputError(f"spectrum {light.name!r} holds no visible light: its α-opic efficacies are not defined")
     if not (math.isfinite(quantity.value) and quantity.value >= 0.0):
-        raise InputError(f"{quantity.value:g} {unit_text(quantity.unit)}: an α-opic quantity is made of a value of 0 or more")
+        raise InputError(
+            f"{quantity.value:g} {unit_text(quantity.unit)}: an α-opic quantity is made of a value of 0 or more"
+        )
     sure = doubt if doubt is not None else SpectrumDoubt()
     found = list[AlphaOpic]()
     for receptor in RECEPTORS:

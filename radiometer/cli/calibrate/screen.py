@@ -45,7 +45,8 @@ def calibrate(
         float | None, typer.Option(min=0.01, max=5.0, help="Distance of two pixels in mm, for `adapt run`.")
     ] = None,
     chromaticities: Annotated[
-        Path | None, typer.Option(help="Colorimeter's chromaticities of this screen: a .ti3, or an earlier calibration.")
+        Path | None,
+        typer.Option(help="Colorimeter's chromaticities of this screen: a .ti3, or an earlier calibration."),
     ] = None,
     warm_up: Annotated[float, typer.Option(min=0.0, help="Longest wait for the screen to settle in s.")] = 900.0,
     white: WhiteOption = "white_led",
@@ -74,9 +75,8 @@ def calibrate(
         found = rm.screen_calibrate(
             out, display, name=name, levels=levels, quick=quick, channels=words(channels), repeats=repeats, size=size,
             pixel_mm=pixel_mm, chromaticities=chromaticities, warm_up_s=warm_up, white=white, primaries=primaries,
-            camera=camera, bench=bench, calibration=calibration, patch=parse_patch(patch), port=port, export=words(export), plot=plot, seed=seed,
-            force=force,
-            announce=announce, notice=note, progress=shown,
+            camera=camera, bench=bench, calibration=calibration, patch=parse_patch(patch), port=port,
+            export=words(export), plot=plot, seed=seed, force=force, announce=announce, notice=note, progress=shown,
         )  # fmt: skip
     if json:
         print(found.to_json())

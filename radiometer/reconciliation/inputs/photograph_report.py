@@ -62,7 +62,9 @@ class FrameFinding:
     expected: float = 1.0
 
 
-def report_html(result: ReconcileResult, frames: Sequence[FrameFinding], sentence: str, title: str, origin: Origin) -> str:
+def report_html(
+    result: ReconcileResult, frames: Sequence[FrameFinding], sentence: str, title: str, origin: Origin
+) -> str:
     """Return the report as HTML.
 
     Args:

@@ -1,4 +1,4 @@
-"""Tristimulus values behind a luminance: a grey camera does not see colour, so the chromaticity is stated or assumed."""
+"""Tristimulus values behind a luminance, of a stated or assumed chromaticity: a grey camera does not see colour."""
 
 from __future__ import annotations
 

@@ -9,7 +9,7 @@ import numpy as np
 from radiometer.numbers import below, unit_text, with_u
 from radiometer.reporting.origin import Origin, moment
 from radiometer.reporting.page import folded, listed, page, section, table
-from radiometer.reporting.pictures import dress, label, legend, picture
+from radiometer.reporting.pictures import dress, legend, picture
 from radiometer.screen.calibration import LUMINANCE, RADIANCE, ChannelCurve, ScreenCalibration
 
 if TYPE_CHECKING:

@@ -46,7 +46,13 @@ def test_a_page_forbids_scripts_and_loading():
 
 def test_the_outcome_comes_before_the_parts_and_empty_ones_are_passed_by():
     """Subject, outcome, parts in their order."""
-    whole = page("subject", "outcome", [paragraph("first"), "", section("empty"), section("last", "x")], kind="k", origin=Origin())
+    whole = page(
+        "subject",
+        "outcome",
+        [paragraph("first"), "", section("empty"), section("last", "x")],
+        kind="k",
+        origin=Origin(),
+    )
     places = [whole.index(text) for text in ("subject</h1>", "outcome</p>", "<p>first</p>", "<h2>last</h2>")]
     assert places == sorted(places)
     assert ">empty" not in whole
@@ -57,7 +63,12 @@ def test_every_page_states_what_its_data_come_from_and_what_is_not_known():
     assert span_of([12.5, None]) == ""
     assert span_of([1.75e9, 1.75e9 + 60]) == "2025-06-15 15:06:40 to 2025-06-15 15:07:40"
     rows = Origin("", "FLIR 1", calibration="a.yaml", further=(("eye", "right"), ("age", ""))).rows
-    assert [*rows[:4]] == [("taken (UTC)", "not stated"), ("camera", "FLIR 1"), ("calibration", "a.yaml"), ("eye", "right")]
+    assert [*rows[:4]] == [
+        ("taken (UTC)", "not stated"),
+        ("camera", "FLIR 1"),
+        ("calibration", "a.yaml"),
+        ("eye", "right"),
+    ]
     assert rows[4:] == [("program", f"radiometer {radiometer.__version__}")]
 
 
