@@ -154,9 +154,10 @@ def reading_html(record: ReadingRecord) -> str:
     one = record.reading
     outcome = f"Radiance {record.value}"
     shown = record.frame_dn.shape
-    height = 5.2 * shown[0] / shown[1] + 0.7
+    aspect = shown[0] / shown[1]  # the picture takes some three quarters of the width
 
     def draw_scene(figure: Figure, narrow: bool) -> None:
+        figure.set_layout_engine("compressed")  # axes of a fixed aspect: "constrained" cuts their labels
         _scene(figure.subplots(), record)
 
     def draw_budget(figure: Figure, narrow: bool) -> None:
@@ -169,7 +170,7 @@ def reading_html(record: ReadingRecord) -> str:
         [
             paragraph(f"Luminance {record.luminance}." if record.luminance else ""),
             picture(
-                draw_scene, "The frame with the patch that was read; grey is logarithmic.", (7.0, height), (4.0, 3.6)
+                draw_scene, "The frame with the patch that was read; grey is logarithmic.", (7.0, 5.2 * aspect + 0.7), (4.0, 2.9 * aspect + 0.8)
             ),
             *(paragraph(f"{flag}: {FLAG_MEANINGS[flag]}.", "flag") for flag in one.flags),
             section("The reading", table((), record.rows, words=(1,))),
