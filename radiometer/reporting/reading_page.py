@@ -170,7 +170,10 @@ def reading_html(record: ReadingRecord) -> str:
         [
             paragraph(f"Luminance {record.luminance}." if record.luminance else ""),
             picture(
-                draw_scene, "The frame with the patch that was read; grey is logarithmic.", (7.0, 5.2 * aspect + 0.7), (4.0, 2.9 * aspect + 0.8)
+                draw_scene,
+                "The frame with the patch that was read; grey is logarithmic.",
+                (7.0, 5.2 * aspect + 0.7),
+                (4.0, 2.9 * aspect + 0.8),
             ),
             *(paragraph(f"{flag}: {FLAG_MEANINGS[flag]}.", "flag") for flag in one.flags),
             section("The reading", table((), record.rows, words=(1,))),
