@@ -53,6 +53,7 @@ class Origin:
         """
         frames = [one for header in headers for one in header.frames]
         degrees = [one.temperature_C for one in frames if one.temperature_C is not None]
+        ends = [f"{one:.1f}" for one in (min(degrees), max(degrees))] if degrees else []
         created = sorted(moment(header.created) for header in headers if header.created)
         first = headers[0]
         return cls(
@@ -62,7 +63,7 @@ class Origin:
             calibration,
             further=(
                 *further,
-                ("sensor temperature", f"{min(degrees):.1f} to {max(degrees):.1f} °C" if degrees else ""),
+                ("sensor temperature", f"{' to '.join(dict.fromkeys(ends))} °C" if degrees else ""),
                 ("frames", str(len(frames)) if frames else ""),
             ),
         )

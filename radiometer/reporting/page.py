@@ -15,7 +15,7 @@ from radiometer.reporting.origin import Origin
 
 _POLICY: Final = "default-src 'none'; img-src data:; style-src 'unsafe-inline'"
 # Every colour of text has a contrast of 4.5 or more on what is behind it (WCAG 2.1, 1.4.3).
-_MANY_COLUMNS: Final = 5  # a table of so many scrolls on a phone rather than that its words break
+_MANY_COLUMNS: Final = 4  # a table of so many has no room on a phone: its rows become blocks of names and values
 STYLE: Final = "\n".join(
     (
         ":root{color-scheme:light}*{box-sizing:border-box}",
@@ -46,7 +46,13 @@ STYLE: Final = "\n".join(
         "summary{cursor:pointer;font-weight:600;min-height:2.75rem;display:list-item;padding:.5rem 0}",
         "summary:focus-visible{outline:2px solid #1f618d;outline-offset:2px}",
         ".side{display:grid;gap:0 1.2rem;grid-template-columns:repeat(auto-fit,minmax(min(100%,26rem),1fr))}",
-        "@media (max-width:640px){table{font-size:.88rem}.many{min-width:34rem}td,th{padding-right:.6rem}}",
+        "@media (max-width:640px){table{font-size:.88rem}td,th{padding-right:.6rem}",
+        "td:first-child{overflow-wrap:anywhere}.many,.many tbody,.many tr{display:block}.many thead{display:none}",
+        ".many tr{padding:.35rem 0;border-bottom:1px solid #ddd}",
+        ".many td{display:flex;justify-content:space-between;gap:1rem;border:0;padding:.1rem .2rem .1rem 0;",
+        "text-align:right}.many td,.many td:not(:first-child,.words){white-space:normal}",
+        ".many td:first-child{font-weight:600}.many td:empty{display:none}",
+        ".many td::before{content:attr(data-head);color:#555;text-align:left;font-weight:400}}",
         "@media print{@page{margin:14mm}body{font-size:11pt;margin:0;max-width:none;padding:0}h2{break-after:avoid}",
         "figure,.do,.flag,tr{break-inside:avoid}.do,.flag{background:none}.wide{overflow:visible}",
         "summary{min-height:0}",
@@ -114,21 +120,25 @@ def section(title: str, *content: str) -> str:
 
 
 def table(head: Sequence[str], rows: Iterable[Sequence[str]], *, words: Sequence[int] = ()) -> str:
-    """Return a table that scrolls where it is too wide; nothing where it has no rows.
+    """Return a table, on a phone with a block for each row where it has many columns; nothing where it has no rows.
 
     Args:
         head: What stands over the columns; empty for none.
         rows: Texts; the first column is of words, the others of numbers.
+        words: Further columns of words.
     """
+    many = len(head) >= _MANY_COLUMNS
 
     def line(cells: Sequence[str], name: str) -> str:
         kinds = [" class='words'" if number in words else "" for number in range(len(cells))]
-        return "".join(f"<{name}{kind}>{prose(cell)}</{name}>" for kind, cell in zip(kinds, cells, strict=True))
+        heads = [f' data-head="{escaped(one)}"' if many and name == "td" else "" for one in head or cells]
+        parts = zip(kinds, heads, cells, strict=True)
+        return "".join(f"<{name}{kind}{of_head}>{prose(cell)}</{name}>" for kind, of_head, cell in parts)
 
     body = "".join(f"<tr>{line(row, 'td')}</tr>" for row in rows)
     top = f"<thead><tr>{line(head, 'th')}</tr></thead>" if head else ""
-    many = " class='many'" if len(head) >= _MANY_COLUMNS else ""
-    return f"<div class='wide'><table{many}>{top}<tbody>{body}</tbody></table></div>" if body else ""
+    kind = " class='many'" if many else ""
+    return f"<div class='wide'><table{kind}>{top}<tbody>{body}</tbody></table></div>" if body else ""
 
 
 def side_by_side(*figures: str) -> str:

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Final
 
 from radiometer.data.storage import write_text_atomic
-from radiometer.numbers import rounded, unit_text, with_u
+from radiometer.numbers import unit_text, with_u
 from radiometer.reconciliation.report import pictures
 from radiometer.reconciliation.report.words import along, axis_label, seen_in
 from radiometer.reconciliation.result import FoundEffect, ReconcileResult, Verdict
@@ -191,10 +191,9 @@ def _effect_picture(effect: FoundEffect, entry: CatalogueEffect | None, reconcil
 def _parameters(effect: FoundEffect) -> str:
     rows = []
     for name, entry in effect.parameters.items():
-        value, expanded = rounded(entry.value, 2.0 * entry.u if entry.u is not None else 0.0)
-        shown = "not fitted" if entry.u is None else f"± {expanded}"
-        rows.append((_plain(name, entry.unit), value, shown, unit_text(entry.unit)))
-    return table(("parameter", "value", "U (k = 2)", "unit"), rows, words=(3,))
+        shown = with_u(entry.value, 2.0 * entry.u if entry.u is not None else 0.0, entry.unit)
+        rows.append((_plain(name, entry.unit), shown, "not fitted" if entry.u is None else ""))
+    return table(("parameter", "value (k = 2)", ""), rows, words=(2,))
 
 
 def _law(effect: FoundEffect) -> str:

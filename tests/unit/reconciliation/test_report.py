@@ -57,7 +57,7 @@ def test_a_name_says_what_it_is_and_what_shows_it(glaring):
     assert "Spreads a share of all light evenly" in part
     assert "how bright patches are, with the brightness of the patch" in part
     assert "Line: what it predicts" in part
-    assert re.search(r"<td>share</td><td>[\d.]+</td><td>±\u00a0[\d.]+</td>", part)
+    assert re.search(r"<td>share</td><td>[\d.]+\u00a0±\u00a0[\d.]+</td>", part)
     assert "<p class='do'>" in part
 
 
