@@ -50,7 +50,7 @@ STYLE: Final = "\n".join(
         "td:first-child{overflow-wrap:anywhere}.many,.many tbody,.many tr{display:block}.many thead{display:none}",
         ".many tr{padding:.35rem 0;border-bottom:1px solid #ddd}",
         ".many td{display:flex;justify-content:space-between;gap:1rem;border:0;padding:.1rem .2rem .1rem 0;",
-        "text-align:right}.many td,.many td:not(:first-child,.words){white-space:normal}",
+        "text-align:right}td:not(:first-child,.words){white-space:normal}",
         ".many td:first-child{font-weight:600}.many td:empty{display:none}",
         ".many td::before{content:attr(data-head);color:#555;text-align:left;font-weight:400}}",
         "@media print{@page{margin:14mm}body{font-size:11pt;margin:0;max-width:none;padding:0}h2{break-after:avoid}",
