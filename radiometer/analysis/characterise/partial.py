@@ -26,7 +26,7 @@ from radiometer.analysis.characterise.result import Characterisation
 from radiometer.analysis.characterise.sensitivity import sensitivity_figures
 from radiometer.analysis.characterise.steps import SignalStep, make_steps
 from radiometer.analysis.characterise.subject import Subject
-from radiometer.data import Provenance, Quantity
+from radiometer.data import Quantity
 from radiometer.errors import MeasurementError
 from radiometer.units import gain_factor
 
@@ -84,7 +84,7 @@ def partial_characterisation(
         ),
         linearity=None,
         notes=tuple(notes),
-        provenance=Provenance("EMVA 1288 release 4.0, linear, in part", (subject.origin,), tuple(notes)),
+        provenance=subject.provenance("EMVA 1288 release 4.0, linear, in part", notes),
         reference_temperature_c=_temperature(own_dark),
         limited_by="unknown",
     )

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from radiometer.analysis.characterise.result import SYMBOLS, Characterisation, as_printed, upper_limit
 from radiometer.data import Quantity
 from radiometer.numbers import rounded, unit_text, with_u
-from radiometer.reporting.origin import Origin, moment, span_of
+from radiometer.reporting.origin import Origin, moment
 from radiometer.reporting.page import folded, listed, page, paragraph, section, side_by_side, table
 from radiometer.reporting.pictures import BEFORE, DIMMED, MARK, MODEL, RULE, SEEN, dress, legend, mark, picture
 from radiometer.typing import Array
@@ -214,7 +214,7 @@ def datasheet(result: Characterisation) -> str:
         ],
         kind="EMVA 1288 figures",
         origin=Origin(
-            span_of(step.bright.settings.timestamp_s for step in result.steps), camera.name,
+            moment(str(made.parameters.get("taken", ""))), camera.name, str(made.parameters.get("lens", "")),
             further=(("evaluated (UTC)", moment(made.created)), ("from", ", ".join(made.inputs))),
         ),
     )  # fmt: skip

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -20,6 +20,7 @@ from radiometer.data import (
     LensDescription,
     Patch,
     PatchDescription,
+    Provenance,
     SourceDescription,
 )
 from radiometer.data.capture_set import read_digital_numbers
@@ -215,6 +216,7 @@ class Subject:
         notes: What the user must know of how they were chosen.
         given: Statistics that are known without pictures; they replace all groups.
         masked_dn: What masked rows read in DN, frame by frame, where files state it.
+        created: When the frames were taken, ISO 8601 in UTC; "" where it is not stated.
     """
 
     origin: str
@@ -226,6 +228,13 @@ class Subject:
     notes: tuple[str, ...] = ()
     given: tuple[GroupStatistics, ...] = ()
     masked_dn: tuple[float, ...] = ()
+    created: str = ""
+
+    def provenance(self, method: str, notes: Sequence[str]) -> Provenance:
+        """Return what made figures of these frames, with their date and lens."""
+        stops = [group.settings.f_number for group in self.groups]
+        facts = {"taken": self.created, "lens": self.lens.in_words(stops)}
+        return Provenance(method, (self.origin,), tuple(notes), {name: text for name, text in facts.items() if text})
 
     @property
     def photons_u_rel(self) -> float:
@@ -314,6 +323,7 @@ def subject_of_capture(capture: CaptureSet, region: Patch | None = None) -> Subj
             for entry in header.frames
             if entry.model_extra and "masked_rows_dn" in entry.model_extra
         ),
+        created=header.created or "",
     )
 
 

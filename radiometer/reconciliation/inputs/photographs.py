@@ -111,7 +111,7 @@ class PhotographsReconciled:
 
 @on_one_blas_thread
 def reconcile_photographs(
-    frames: Sequence[Frame], other_colours: Sequence[Sequence[Frame]] = ()
+    frames: Sequence[Frame], other_colours: Sequence[Sequence[Frame]] = (), origin: str = ""
 ) -> PhotographsReconciled:
     """Return whether printed exposures agree with the photographs, and which do not.
 
@@ -119,6 +119,7 @@ def reconcile_photographs(
         frames: Photographs of one scene, at least three with different exposures.
         other_colours: The same photographs in other colours, each with a separate tone curve. Their labels are the
             same, and all colours together show a wrong one.
+        origin: Their folder.
 
     Raises:
         CaptureError: If there are too few, they hardly overlap, or all are equally bright.
@@ -127,7 +128,7 @@ def reconcile_photographs(
     light = [frame for frame in frames if not frame.settings.is_dark]
     if len({f.settings.exposure_s for f in light}) < 3:
         raise CaptureError("a stack of photographs needs at least three different exposures to be reconciled")
-    bracket = Bracket.from_frames(light).thinned(_ENOUGH_PIXELS)
+    bracket = Bracket.from_frames(light, origin).thinned(_ENOUGH_PIXELS)
     refuse_equal_throughout(bracket)
     try:
         samples = gather_samples(bracket)

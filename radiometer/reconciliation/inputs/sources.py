@@ -130,7 +130,7 @@ def reconcile_source(
     if path.suffix.lower() == ".csv" and statistics_of(path) is None:
         return reconcile_meter_table(path)
     if photographs:
-        return reconcile_photographs(photographs[0], photographs[1:])
+        return reconcile_photographs(photographs[0], photographs[1:], str(path))
     if path.is_file() and not is_foreign(path):
         raise CaptureError(
             f"{path}: give a capture set's folder, FITS or raw TIFF files, an EMVA 1288 descriptor (.txt) or a meter "

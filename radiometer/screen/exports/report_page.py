@@ -18,6 +18,11 @@ if TYPE_CHECKING:
 
 _COVERAGE: Final = 2.0
 _DEEPEST: Final = 1e-6  # of white: where a plot's logarithmic axis ends for a black that is not known from 0
+_CHECKS: Final = {
+    "drift_rel": "drift while measuring, taken out",
+    "drift_u_rel": "what remains of it (k = 1)",
+    "additivity_rel": "sum of the primaries less white, of white",
+}
 _COLOURS: Final = {"grey": "#333333", "red": "#c0392b", "green": "#27843f", "blue": "#2a5db0"}
 
 
@@ -43,9 +48,9 @@ def to_page(calibration: ScreenCalibration) -> str:
     with_what = calibration.measured_with
     known = (("pixel distance", f"{calibration.pixel_mm:g} mm" if calibration.pixel_mm else ""),)
     checks = [
-        (name.replace("_", " "), f"{100 * value:.2g} %")
-        for name, value in calibration.checks.items()
-        if name.endswith("_rel") and isinstance(value, float)
+        (words, f"{100 * value:.2g} %")
+        for name, words in _CHECKS.items()
+        if isinstance(value := calibration.checks.get(name), float)
     ]
     xy = [(name, f"{x:.4f}", f"{y:.4f}") for name, (x, y) in calibration.chromaticities.items()]
     return page(
