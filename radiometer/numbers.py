@@ -29,7 +29,8 @@ def rounded(value: float, expanded: float) -> tuple[str, str]:
         scaled = [f"{v / 10.0**power:.{max(0, decimals + power)}f}e{power:+03d}" for v in (value, expanded)]
         return scaled[0], scaled[1]
     shown = max(0, decimals)
-    return f"{round(value, decimals):.{shown}f}", f"{round(expanded, decimals):.{shown}f}"
+    # Adding 0 takes the sign off a value that rounds to zero.
+    return f"{round(value, decimals) + 0.0:.{shown}f}", f"{round(expanded, decimals):.{shown}f}"
 
 
 def unit_text(unit: str) -> str:

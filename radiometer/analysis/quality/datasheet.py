@@ -9,13 +9,14 @@ from radiometer.analysis.quality.indices import Figure
 from radiometer.analysis.quality.session import Datasheet, Index
 from radiometer.analysis.reading.budget import coverage_factor
 from radiometer.data.storage import write_text_atomic
-from radiometer.numbers import rounded
+from radiometer.numbers import rounded, with_u
 from radiometer.reporting.page import folded, heading, listed, page, paragraph, section, table
 from radiometer.reporting.pictures import MODEL, dress, label, picture
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure as Canvas
 
+_SCALES: Final = {"px": (1.0, "px"), "1": (100.0, "%")}  # how a figure of a unit is printed
 _LOWEST_PERCENT: Final = 1e-3  # what is less stands at the left edge of the picture
 
 
@@ -53,7 +54,7 @@ def datasheet_html(sheet: Datasheet) -> str:
 
 def shown(figure: Figure) -> tuple[str, str]:
     """Return (value, expanded uncertainty) with their unit, as many digits as u allows."""
-    scale, unit = (1.0, "px") if figure.unit == "px" else (100.0, "%")
+    scale, unit = _SCALES[figure.unit]
     expanded = scale * coverage_factor(figure.degrees_of_freedom) * figure.u
     value, u = rounded(scale * figure.value, expanded)
     return f"{value} {unit}", f"{u} {unit}"
@@ -79,7 +80,8 @@ def _measured(one: Index) -> str:
     name = "" if procedure.symbol == procedure.title else f" ({procedure.symbol})"
     remarks = "; ".join(one.figure.remarks)
     steps = f"Captures: {', '.join(one.steps)}." if one.steps else ""
-    rows = [(each.label, _detail(each.value), f"± {_detail(each.expanded)}") for each in one.figure.details]
+    scale, unit = _SCALES[one.figure.unit]
+    rows = [(each.label, with_u(scale * each.value, scale * each.expanded, unit)) for each in one.figure.details]
     return "\n".join(
         part
         for part in (
@@ -90,10 +92,6 @@ def _measured(one: Index) -> str:
         )
         if part
     )
-
-
-def _detail(value: float) -> str:
-    return f"{value:.3g}" if abs(value) >= 1.0 else f"{100 * value:.3g} %"
 
 
 def _asked(one: Index) -> str:
