@@ -16,7 +16,9 @@ import sys
 from pathlib import Path
 from typing import Final
 
+from radiometer.bench.config import DEFAULT_BENCH
 from radiometer.bench.served_camera import served_camera
+from radiometer.data.config_files import shipped_config
 from simulators.cameras.blackfly_gige import BlackflyGige
 from testing.wire import LOOPBACK, only_camera, radiometer
 
@@ -29,7 +31,9 @@ def main(words: list[str]) -> int:
     """Run a command line and return its exit code."""
     if words[:1] not in [[one] for one in OPEN_A_CAMERA] or "--camera" in words:
         return subprocess.call(radiometer(*words))
-    bench = Path(words[words.index("--bench") + 1]) if "--bench" in words else None
+    if "--bench" not in words:  # a camera that is named stands on no bench by itself
+        words = [*words, "--bench", str(shipped_config(DEFAULT_BENCH))]
+    bench = Path(words[words.index("--bench") + 1])
     with only_camera(), served_camera(bench, real_time=False) as camera:
         return _at_a_terminal(radiometer(*words, "--camera", LOOPBACK), camera)
 
