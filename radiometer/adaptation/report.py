@@ -128,11 +128,12 @@ def origin_of(visits: Sequence[Mapping[str, str]]) -> Origin:
         found = (facts.get(name, "") for facts in visits for name in names)
         return ", ".join(dict.fromkeys(one for one in found if one))
 
+    simulated = bool(stated("simulated"))  # by a subject without devices: none could be stated
     dates = sorted(moment(facts["visit"]) for facts in visits if facts.get("visit"))
     return Origin(
         " to ".join(dict.fromkeys(dates[:1] + dates[-1:])),
-        calibration=stated("calibrated"),
-        box=stated("box", "screen"),
+        calibration=stated("calibrated") or (None if simulated else ""),
+        box=stated("box", "screen") or (None if simulated else ""),
         protocol=stated("protocol"),
         further=tuple((label, stated(name)) for name, label in _VISIT.items()),
     )

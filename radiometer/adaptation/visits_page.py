@@ -11,6 +11,7 @@ from radiometer.adaptation.adaptation_fit import AdaptationFit
 from radiometer.adaptation.report import label_of, origin_of
 from radiometer.adaptation.report_picture import short
 from radiometer.adaptation.threshold_series import ThresholdSeries
+from radiometer.numbers import unit_text
 from radiometer.reporting.page import page, paragraph, section, table
 from radiometer.reporting.pictures import dress, label, legend, picture
 
@@ -83,4 +84,4 @@ def visits_html(visits: Sequence[tuple[AdaptationFit, str]]) -> str:
 
 
 def _unit(visits: Sequence[tuple[AdaptationFit, str]], name: str) -> str:
-    return next((fit.estimates[name].unit for fit, _ in visits if name in fit.estimates), "–")
+    return next((unit_text(fit.estimates[name].unit) for fit, _ in visits if name in fit.estimates), "–")

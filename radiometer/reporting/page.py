@@ -15,6 +15,7 @@ from radiometer.reporting.origin import Origin
 
 _POLICY: Final = "default-src 'none'; img-src data:; style-src 'unsafe-inline'"
 # Every colour of text has a contrast of 4.5 or more on what is behind it (WCAG 2.1, 1.4.3).
+_DATE: Final = re.compile(r"\d{4}-\d\d-\d\d( \d\d:\d\d)?")  # no line ends within it
 _MANY_COLUMNS: Final = 4  # a table of so many has no room on a phone: its rows become blocks of names and values
 STYLE: Final = "\n".join(
     (
@@ -25,7 +26,7 @@ STYLE: Final = "\n".join(
         "line-height:1.3}",
         "p,ul{margin:.5rem 0}ul{padding-left:1.2rem}li{margin:.3rem 0}",
         ".outcome{font-size:clamp(1.3rem,1rem + 1.6vw,1.8rem);font-weight:650;line-height:1.28;margin:.25rem 0 .6rem;",
-        "text-wrap:balance}",
+        "text-wrap:balance}.keep{white-space:nowrap}",
         ".outcome+p{color:#404040}",
         ".origin{display:flex;flex-wrap:wrap;gap:.1rem 1.1rem;margin:.2rem 0 .8rem;color:#404040;font-size:.85rem}",
         ".origin div{display:flex;gap:.35rem;min-width:0}.origin dt{color:#555}.origin dt,.origin dd{margin:0}",
@@ -47,11 +48,11 @@ STYLE: Final = "\n".join(
         "summary:focus-visible{outline:2px solid #1f618d;outline-offset:2px}",
         ".side{display:grid;gap:0 1.2rem;grid-template-columns:repeat(auto-fit,minmax(min(100%,26rem),1fr))}",
         "@media (max-width:640px){table{font-size:.88rem}td,th{padding-right:.6rem}",
-        "td:first-child{overflow-wrap:anywhere}.many,.many tbody,.many tr{display:block}.many thead{display:none}",
+        ".many,.many tbody,.many tr{display:block}.many thead{display:none}",
         ".many tr{padding:.35rem 0;border-bottom:1px solid #ddd}",
         ".many td{display:flex;justify-content:space-between;gap:1rem;border:0;padding:.1rem .2rem .1rem 0;",
         "text-align:right}td:not(:first-child,.words){white-space:normal}",
-        ".many td:first-child{font-weight:600}.many td:empty{display:none}",
+        ".many td:first-child{font-weight:600;overflow-wrap:anywhere}.many td:empty{display:none}",
         ".many td::before{content:attr(data-head);color:#555;text-align:left;font-weight:400}}",
         "@media print{@page{margin:14mm}body{font-size:11pt;margin:0;max-width:none;padding:0}h2{break-after:avoid}",
         "figure,.do,.flag,tr{break-inside:avoid}.do,.flag{background:none}.wide{overflow:visible}",
@@ -77,7 +78,8 @@ def page(subject: str, outcome: str, parts: Iterable[str], *, kind: str, origin:
         "<meta name='viewport' content='width=device-width,initial-scale=1'>"
         f"<title>{escaped(kind)}: {escaped(subject)}</title><style>{STYLE}</style></head><body><main>"
     )
-    opening = f"<h1>{escaped(subject)}</h1><p class='outcome'>{prose(outcome)}</p>"
+    found = _DATE.sub(r"<span class='keep'>\g<0></span>", prose(outcome))
+    opening = f"<h1>{escaped(subject)}</h1><p class='outcome'>{found}</p>"
     facts = "".join(f"<div><dt>{escaped(name)}</dt><dd>{escaped(value)}</dd></div>" for name, value in origin.rows)
     body = (f"<dl class='origin'>{facts}</dl>", *(part for part in parts if part))
     return "\n".join((head, opening, *body, "</main></body></html>\n"))
