@@ -76,13 +76,19 @@ def to_page(calibration: ScreenCalibration) -> str:
 
 
 def _levels(curve: ChannelCurve) -> str:
-    rows = [(str(n), _shown(curve, n, LUMINANCE), _shown(curve, n, RADIANCE)) for n in curve.levels]
-    return table(("level", "luminance (k = 2)", "radiance (k = 2)"), rows)
+    rows = [(str(n), _number(curve, n, LUMINANCE), _number(curve, n, RADIANCE)) for n in curve.levels]
+    head = ("level", f"luminance in {unit_text(LUMINANCE)} (k = 2)", f"radiance in {unit_text(RADIANCE)} (k = 2)")
+    return table(head, rows)
 
 
 def _shown(curve: ChannelCurve, level: int, unit: str) -> str:
-    """Return the value at a level with U (k = 2), or its limit of detection."""
+    """Return the value at a level with U (k = 2) and its unit, or its limit of detection."""
+    return _number(curve, level, unit, unit)
+
+
+def _number(curve: ChannelCurve, level: int, of: str, unit: str = "") -> str:
+    """Return the quantity of a unit at a level, printed with the unit given."""
     if curve.radiance_is_lost(level):
-        return below(curve.detection_limit * curve.efficacy(unit), unit)
-    found = curve.at(level, unit)
+        return below(curve.detection_limit * curve.efficacy(of), unit)
+    found = curve.at(level, of)
     return with_u(found.value, _COVERAGE * found.u, unit)
