@@ -47,7 +47,7 @@ STYLE: Final = "\n".join(
         "summary{cursor:pointer;font-weight:600;min-height:2.75rem;display:list-item;padding:.5rem 0}",
         "summary:focus-visible{outline:2px solid #1f618d;outline-offset:2px}",
         ".side{display:grid;gap:0 1.2rem;grid-template-columns:repeat(auto-fit,minmax(min(100%,26rem),1fr))}",
-        "@media (max-width:640px){table{font-size:.88rem}td,th{padding-right:.6rem}",
+        "@media (max-width:640px){table{font-size:.84rem}td,th{padding-right:.4rem}",
         ".many,.many tbody,.many tr{display:block}.many thead{display:none}",
         ".many tr{padding:.35rem 0;border-bottom:1px solid #ddd}",
         ".many td{display:flex;justify-content:space-between;gap:1rem;border:0;padding:.1rem .2rem .1rem 0;",
