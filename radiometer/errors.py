@@ -21,6 +21,8 @@ what to do.
 
 from __future__ import annotations
 
+from radiometer.numbers import unit_text
+
 
 class RadiometerError(Exception):
     """Root of all errors that are reported to a user as one line."""
@@ -128,7 +130,8 @@ class SettingOutOfRange(DeviceError, ValueError):
             high,
             unit,
         )
-        of_unit = f" {unit}" if unit else ""
+        printed = unit_text(unit)
+        of_unit = f" {printed}" if printed else ""
         asked = _apart(value, low, high)
         super().__init__(f"{device}: {name} {asked}{of_unit} is out of range; allowed is {low:g} to {high:g}{of_unit}")
 

@@ -8,6 +8,8 @@ from typing import Final
 
 _RAISED: Final = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 _KINDS_OF_LIGHT: Final = ("scotopic", "photopic")  # stand before a unit, are no part of it
+_PER_ONE: Final = re.compile(r"^(\S*[^\s\d]|log10) ([A-Za-z]+)-1$")
+_MICRO: Final = re.compile(r"\bu(?=[ms]\b|[ms]-?\d)")
 _MOST_DECIMALS: Final = 7  # more zeros behind the point are hard to count: a power of ten follows
 ONE_SIDED_95: Final = 1.645  # of a normal distribution: the limit that 95 % of it is below
 
@@ -27,16 +29,21 @@ def rounded(value: float, expanded: float) -> tuple[str, str]:
         scaled = [f"{v / 10.0**power:.{max(0, decimals + power)}f}e{power:+03d}" for v in (value, expanded)]
         return scaled[0], scaled[1]
     shown = max(0, decimals)
-    return f"{round(value, decimals):.{shown}f}", f"{round(expanded, decimals):.{shown}f}"
+    # Adding 0 takes the sign off a value that rounds to zero.
+    return f"{round(value, decimals) + 0.0:.{shown}f}", f"{round(expanded, decimals):.{shown}f}"
 
 
 def unit_text(unit: str) -> str:
-    """Return a unit as it is printed: W sr-1 m-2 as W·sr⁻¹·m⁻²; nothing for the unit 1."""
+    """Return a unit as it is printed: W sr-1 m-2 as W·sr⁻¹·m⁻², e- s-1 as e⁻/s; nothing for the unit 1.
+
+    One quantity per another has a stroke, so that "e- s-1" and "e-/s" are printed alike.
+    """
     if unit == "1" or " per " in unit:  # a unit in words is printed as it is
         return "" if unit == "1" else unit
     kind = next((one for one in _KINDS_OF_LIGHT if unit.startswith(one + " ")), None)
     if kind is not None:
         return f"{kind} {unit_text(unit.removeprefix(kind + ' '))}"
+    unit = _MICRO.sub("µ", _PER_ONE.sub(r"\1/\2", unit))
     raised = re.sub(r"(?<=[A-Za-z])(?<!log)-?\d+", lambda power: power[0].translate(_RAISED), unit)
     return re.sub(r"e-(?![\w])", "e⁻", raised).replace(" ", "·").replace("log10", "log₁₀")
 

@@ -316,7 +316,7 @@ def _verdict(fit: BranchFit, evidence: BreakEvidence) -> str:
         )
         return f"one branch: no rod–cone break is seen in these thresholds; {power}"
     slope = values["s2_slope_per_min"]
-    return f"rod–cone break at {values['break_min']:.1f} min, S2 slope {slope:.3f} log10 units per min"
+    return f"rod–cone break at {values['break_min']:.1f} min, S2 slope {slope:.3f} log₁₀ units per min"
 
 
 def _finite(value: float) -> float | None:

@@ -220,7 +220,7 @@ def _explained(refusal: RadiometerError, opened: OpenedBox, lights: BoxLights) -
             for radiance in opened.calibration.limits(spot.channel)
         )
         way = (
-            f"behind a filter of density {spot.filter_density:g} it reaches {low:.2f} to {high:.2f} log10 scotopic "
+            f"behind a filter of density {spot.filter_density:g} it reaches {low:.2f} to {high:.2f} log₁₀ scotopic "
             "cd·m⁻²: spot.lowest_log10, spot.highest_log10 or spot.filter_density"
         )
     return MeasurementError(f"protocol {protocol.name}: {refusal}; {way}")

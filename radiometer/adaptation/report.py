@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import io
 import math
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
 
@@ -15,6 +16,7 @@ from radiometer.adaptation.reliability import MEANINGS, NAMES, Reliability
 from radiometer.adaptation.report_picture import short, story
 from radiometer.data.storage import write_text_atomic
 from radiometer.numbers import rounded, unit_text
+from radiometer.reporting.origin import Origin, moment
 from radiometer.reporting.page import folded, listed, page, paragraph, section, table
 
 LABELS: Final = {
@@ -99,27 +101,42 @@ def report_html(fit: AdaptationFit, title: str = "Dark adaptation") -> str:
             section("What it means, and what to do", listed(meaning(fit))),
             section("Remarks", *(paragraph(text, "flag") for text in _remarks(fit))),
             section("Estimates", _estimates(fit)),
-            section("The visit", table((), _visit(fit), words=(1,))),
             section("The subject", _reliability(fit)),
             section("Models compared", _models(fit)),
             folded("What the file states", table((), sorted(fit.chosen.series.facts.items()), words=(1,))),
             folded("What was assumed", listed(_assumptions(fit))),
         ],
         kind="Dark adaptation",
+        origin=origin_of([fit.chosen.series.facts]),
     )
 
 
 _VISIT: Final = {
-    "subject": "subject", "eye": "eye", "visit": "date (UTC)", "age_years": "age in years", "pupil_mm": "pupil in mm",
-    "simulated": "simulated", "protocol": "protocol", "box": "light box", "firmware": "firmware", "screen": "screen",
-    "calibrated": "calibrated", "level_unit": "levels in log₁₀ of", "program": "program",
+    "subject": "subject", "eye": "eye", "age_years": "age in years", "pupil_mm": "pupil in mm",
+    "simulated": "simulated", "firmware": "firmware", "level_unit": "levels in log₁₀ of", "program": "measured by",
 }  # fmt: skip
 
 
-def _visit(fit: AdaptationFit) -> list[tuple[str, str]]:
-    """Return what the file states of subject, date, protocol and devices."""
-    facts = fit.chosen.series.facts
-    return [(label, facts[name]) for name, label in _VISIT.items() if name in facts]
+def origin_of(visits: Sequence[Mapping[str, str]]) -> Origin:
+    """Return what the files of visits state of date, light, calibration, protocol and subject.
+
+    Args:
+        visits: Facts of each file by name.
+    """
+
+    def stated(*names: str) -> str:
+        found = (facts.get(name, "") for facts in visits for name in names)
+        return ", ".join(dict.fromkeys(one for one in found if one))
+
+    simulated = bool(stated("simulated"))  # by a subject without devices: none could be stated
+    dates = sorted(moment(facts["visit"]) for facts in visits if facts.get("visit"))
+    return Origin(
+        " to ".join(dict.fromkeys(dates[:1] + dates[-1:])),
+        calibration=stated("calibrated") or (None if simulated else ""),
+        box=stated("box", "screen") or (None if simulated else ""),
+        protocol=stated("protocol"),
+        further=tuple((label, stated(name)) for name, label in _VISIT.items()),
+    )
 
 
 def outcome(fit: AdaptationFit) -> str:
@@ -127,9 +144,9 @@ def outcome(fit: AdaptationFit) -> str:
     percent = f"{100 * fit.request.confidence:g} % intervals"
     if not fit.has_break:
         final = short(fit, "final_threshold")
-        return f"No rod–cone break is claimed: one branch, falling to {final} log10 units ({percent})."
+        return f"No rod–cone break is claimed: one branch, falling to {final} log₁₀ units ({percent})."
     return (
-        f"Rod–cone break at {short(fit, 'break_min')} min, then S2 of {short(fit, 's2_slope_per_min')} log10 units per "
+        f"Rod–cone break at {short(fit, 'break_min')} min, then S2 of {short(fit, 's2_slope_per_min')} log₁₀ units per "
         f"min ({percent})."
     )
 
@@ -165,8 +182,8 @@ def meaning(fit: AdaptationFit) -> list[str]:
     values = fit.chosen.values
     sentences = [
         f"Cones alone set the threshold until {values['break_min']:.1f} min, and levelled off at "
-        f"{_with_interval(fit, 'plateau', 'log10')}.",
-        f"Then the rods took over: their threshold falls by one log10 unit in "
+        f"{_with_interval(fit, 'plateau', 'log₁₀')}.",
+        f"Then the rods took over: their threshold falls by one log₁₀ unit in "
         f"{1.0 / -values['s2_slope_per_min']:.1f} min.",
     ]
     if "rod_rod_break_min" in values:
@@ -184,7 +201,7 @@ def _remarks(fit: AdaptationFit) -> list[str]:
     if light and series.sigma is None:
         notes.append(f"{light} of {series.time_min.size} thresholds are far from the curve and have little weight.")
     if not fit.request.stimulus_u_log10:
-        notes.append("No uncertainty of the stimulus' calibration was given: levels in log10 units do not include it.")
+        notes.append("No uncertainty of the stimulus' calibration was given: levels in log₁₀ units do not include it.")
     return notes
 
 
@@ -194,7 +211,7 @@ def _assumptions(fit: AdaptationFit) -> list[str]:
         f"Model {fit.chosen.model.name}: {fit.chosen.model.meaning}.",
         f"Intervals are of {percent}: of parameters by profile likelihood, of the others by "
         f"{fit.request.bootstrap_draws} bootstrap redraws.",
-        f"The stimulus' calibration is uncertain by {fit.request.stimulus_u_log10:g} log10 units, which the "
+        f"The stimulus' calibration is uncertain by {fit.request.stimulus_u_log10:g} log₁₀ units, which the "
         "levels include.",
         f"A break is claimed from a deviance of {fit.evidence.needed:g} against the best falling convex curve; here "
         f"it is {_deviance(fit)}.",
@@ -247,4 +264,4 @@ def _models(fit: AdaptationFit) -> str:
         )
         for one in fit.tried
     ]
-    return table(("model", "AICc above the chosen", "scatter in log10 units"), rows)
+    return table(("model", "AICc above the chosen", "scatter in log₁₀ units"), rows)

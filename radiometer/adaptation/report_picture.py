@@ -82,7 +82,7 @@ def _break(axes: Axes, fit: AdaptationFit) -> None:
     end = fit.chosen.values.get("rod_rod_break_min", float(series.time_min[-1]))
     place = found.value + 0.6 * (end - found.value)
     level = float(fit.chosen.threshold(np.array([place]))[0])
-    label = f"S2 {short(fit, 's2_slope_per_min')}\nlog10 per min"
+    label = f"S2 {short(fit, 's2_slope_per_min')}\nlog₁₀ per min"
     mark(axes, label, (place, level), (-8, -4), MODEL, ha="right", va="top")
 
 

@@ -100,14 +100,14 @@ def within_reach(protocol: AdaptationProtocol, levels: SpotLevels) -> Adaptation
     lowest, highest = max(spot.lowest_log10, low), min(spot.highest_log10, high)
     if lowest >= highest:
         raise ConfigurationError(
-            f"protocol {protocol.name}: the screen's {levels.channel} spot goes from {low:.2f} to {high:.2f} log10 "
+            f"protocol {protocol.name}: the screen's {levels.channel} spot goes from {low:.2f} to {high:.2f} log₁₀ "
             f"scotopic cd·m⁻², the protocol's from {spot.lowest_log10:g} to {spot.highest_log10:g}"
         )
     criterion = protocol.end.criterion_log10
     if criterion is not None and criterion <= lowest:
         raise ConfigurationError(
             f"protocol {protocol.name}: its criterion {criterion:g} is below the darkest spot of the screen, "
-            f"{low:.2f} log10 scotopic cd·m⁻²"
+            f"{low:.2f} log₁₀ scotopic cd·m⁻²"
         )
     narrowed = spot.model_copy(update={"lowest_log10": lowest, "highest_log10": highest})
     return protocol.model_copy(update={"spot": narrowed})

@@ -114,7 +114,7 @@ class Session:
         if (asked.lowest_log10, asked.highest_log10) == (shown.lowest_log10, shown.highest_log10):
             return None
         return (
-            f"the {asked.channel} spot goes from {shown.lowest_log10:.2f} to {shown.highest_log10:.2f} log10 "
+            f"the {asked.channel} spot goes from {shown.lowest_log10:.2f} to {shown.highest_log10:.2f} log₁₀ "
             f"scotopic cd·m⁻² on this screen; {self.request.protocol.name} asks for {asked.lowest_log10:g} to "
             f"{asked.highest_log10:g}"
         )

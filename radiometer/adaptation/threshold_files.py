@@ -102,7 +102,7 @@ def _of_journal(path: Path) -> TakenTable:
         raise InputError(f"{path} holds no thresholds")
     columns = ["minutes", "threshold", *(["u_log10"] if all(e.get("u_log10") for e in trials) else [])]
     ended = next((str(event["verdict"]) for event in events if event["kind"] == "end"), "unfinished")
-    how = (f"a journal of `adapt run`: {ended}", "thresholds in log10 scotopic cd·m⁻²")
+    how = (f"a journal of `adapt run`: {ended}", "thresholds in log₁₀ scotopic cd·m⁻²")
     return TakenTable(np.array([[float(e[name]) for name in columns] for e in trials]), facts, how)
 
 
@@ -269,12 +269,12 @@ def _log10(
     if any(w in ("db", "decibel", "decibels") for w in words):
         return _from_db(levels, unit_text, header, facts)
     unit = heading_parts(word, "luminance")[1]
-    shift, of_unit = (0.0, "") if unit is None else (math.log10(unit.to_base(1.0)), f" of {unit.name}, given in cd/m²")
+    shift, of_unit = (0.0, "") if unit is None else (math.log10(unit.to_base(1.0)), f" of {unit.name}, given in cd·m⁻²")
     if any(w in ("ln", "loge", "log_e") for w in words):
         per_e = 1.0 / math.log(10.0)
         return levels * per_e + shift, per_e, f"thresholds in natural logarithms{of_unit}, as its header says"
     if any(w.startswith("log") for w in words):
-        return levels + shift, 1.0, f"thresholds in log10 units{of_unit}, as its header says"
+        return levels + shift, 1.0, f"thresholds in log₁₀ units{of_unit}, as its header says"
     linear = any(
         w in ("cd", "td", "cdm2", "nits", "w", "apostilb", "asb", "linear", "troland", "trolands") for w in words
     )
@@ -285,7 +285,7 @@ def _log10(
             raise InputError(f"{path}: a threshold of {levels.min():g} in linear units; they must be above 0")
         why = "as its header says" if linear else f"for all are above 0 and span {levels.max() / levels.min():.0f} : 1"
         return np.log10(levels) + shift, None, f"thresholds in linear units{of_unit}, {why}: their log10 taken"
-    return levels, 1.0, "thresholds in log10 units"
+    return levels, 1.0, "thresholds in log₁₀ units"
 
 
 def _from_db(
@@ -303,9 +303,9 @@ def _from_db(
         return (
             zero - levels / DB_PER_LOG10,
             1 / DB_PER_LOG10,
-            f"thresholds in dB of attenuation, {of}: −0.1 log10 per dB",
+            f"thresholds in dB of attenuation, {of}: −0.1 log₁₀ per dB",
         )
-    return levels / DB_PER_LOG10, 1 / DB_PER_LOG10, "thresholds in dB: 0.1 log10 per dB"
+    return levels / DB_PER_LOG10, 1 / DB_PER_LOG10, "thresholds in dB: 0.1 log₁₀ per dB"
 
 
 def _u_log10(u: np.ndarray, levels: np.ndarray, factor: float | None) -> np.ndarray:

@@ -7,11 +7,11 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-import radiometer
 from radiometer.adaptation.adaptation_fit import AdaptationFit
-from radiometer.adaptation.report import label_of
+from radiometer.adaptation.report import label_of, origin_of
 from radiometer.adaptation.report_picture import short
 from radiometer.adaptation.threshold_series import ThresholdSeries
+from radiometer.numbers import unit_text
 from radiometer.reporting.page import page, paragraph, section, table
 from radiometer.reporting.pictures import dress, label, legend, picture
 
@@ -79,9 +79,9 @@ def visits_html(visits: Sequence[tuple[AdaptationFit, str]]) -> str:
                                                words=(1, 4))),
         ],
         kind="Dark adaptation",
-        made=f"Made by radiometer {radiometer.__version__}.",
+        origin=origin_of([fit.chosen.series.facts for fit, _ in visits]),
     )  # fmt: skip
 
 
 def _unit(visits: Sequence[tuple[AdaptationFit, str]], name: str) -> str:
-    return next((fit.estimates[name].unit for fit, _ in visits if name in fit.estimates), "–")
+    return next((unit_text(fit.estimates[name].unit) for fit, _ in visits if name in fit.estimates), "–")

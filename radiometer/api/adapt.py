@@ -361,7 +361,7 @@ class Retest(Result):
             else:
                 bounds = ("mean difference", limits.mean), ("lower limit", limits.lower), ("upper limit", limits.upper)
                 text += [f"{name:<16} {b.value:+.3f}   {b.low:+.3f} to {b.high:+.3f} (95 %)" for name, b in bounds]
-            yield f"{LABELS[one.name]} ({one.unit}), {len(one.visits)} pairs", text
+            yield f"{LABELS[one.name]} ({unit_text(one.unit)}), {len(one.visits)} pairs", text
 
     def __str__(self) -> str:
         """Return the names of the quantities."""
@@ -491,7 +491,7 @@ class Visits(Result):
         return [
             f"{label_of_visit(one.series, one.name)}: "
             + ", ".join(
-                f"{label_of(name, one.fit).lower()} {short(one.fit, name)} {one.fit.estimates[name].unit}"
+                f"{label_of(name, one.fit).lower()} {short(one.fit, name)} {unit_text(one.fit.estimates[name].unit)}"
                 for name in OVERLAID
                 if name in one.fit.estimates
             )

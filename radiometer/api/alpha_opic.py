@@ -20,6 +20,7 @@ from radiometer.data.drawing import new_axes, picture, write_figure
 from radiometer.data.json_text import parsed_json
 from radiometer.data.storage import read_text
 from radiometer.errors import InputError, UsageError
+from radiometer.numbers import with_u
 from radiometer.screen.calibration import LUMINANCE, ScreenCalibration
 
 if TYPE_CHECKING:
@@ -99,7 +100,7 @@ class AlphaOpicQuantities(Result):
     def __str__(self) -> str:
         """Return the melanopic equivalent daylight quantity in one line."""
         edi = self["melanopic"].equivalent_daylight
-        return f"melanopic equivalent daylight {edi.value:.4g} ± {2 * edi.u:.2g} {edi.unit} (k = 2)"
+        return f"melanopic equivalent daylight {with_u(edi.value, 2 * edi.u, edi.unit, k=2)}"
 
 
 def alpha_opic(

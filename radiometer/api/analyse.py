@@ -30,6 +30,7 @@ from radiometer.data.drawing import new_axes, picture
 from radiometer.data.storage import write_text_atomic
 from radiometer.errors import UsageError
 from radiometer.numbers import unit_text, with_u
+from radiometer.reporting.origin import Origin
 from radiometer.reporting.page import listed, page, section, table
 from radiometer.typing import Array
 
@@ -114,6 +115,7 @@ class MapAnalysis(Result):
         if self.illuminance is not None:
             value = with_u(self.illuminance.value, 2 * self.illuminance.u, unit_text(self.illuminance.unit))
             further.append(f"vertical illuminance: {value}")
+        exposures = ", ".join(f"{one:.4g} s" for one in self.map.exposures_s)
         flags = [f"{one.name}: {flag}" for one in self.regions for flag in one.flags]
         parts = [
             picture(self.plot, f"{self.origin}, {unit_text(self.map.unit)}"),
@@ -121,8 +123,9 @@ class MapAnalysis(Result):
             section("Further figures, k = 2", listed(further)),
             section("Flags and assumptions", listed([*flags, *self.assumptions])),
         ]
-        outcome = f"{len(self.regions)} regions"
-        write_text_atomic(Path(path), page("figures of a radiance map", outcome, parts, kind="analyse"))
+        outcome = f"{len(self.regions)} region{'' if len(self.regions) == 1 else 's'}"
+        origin = Origin(further=(("map", self.origin), ("exposure times", exposures)))
+        write_text_atomic(Path(path), page("Figures of a radiance map", outcome, parts, kind="analyse", origin=origin))
 
     def plot(self, axes: Axes | None = None) -> Axes:
         """Draw the map in false colours with its regions.
@@ -145,7 +148,11 @@ class MapAnalysis(Result):
     def __str__(self) -> str:
         """Return the regions' means in one line."""
         means = [f"{one.name} {with_u(one.mean.value, 2 * one.mean.u)}" for one in self.regions]
-        lux = [] if self.illuminance is None else [f"{self.illuminance.value:.4g} {self.illuminance.unit}"]
+        lux = (
+            []
+            if self.illuminance is None
+            else [with_u(self.illuminance.value, 2 * self.illuminance.u, self.illuminance.unit)]
+        )
         return f"{', '.join([*means, *lux])} (k = 2)"
 
 

@@ -15,6 +15,7 @@ from radiometer.data.json_text import parsed_json
 from radiometer.data.storage import check_outputs, read_text, write_text_atomic
 from radiometer.errors import InputError, UsageError
 from radiometer.numbers import unit_text, with_u
+from radiometer.reporting.origin import Origin
 from radiometer.reporting.page import listed, page, section, table
 
 _RELATIVE: Final = "a relative value has no SI unit and cannot be certified; calibrate the camera first"
@@ -53,13 +54,11 @@ class Certificate(Result):
         ]
         parties = [
             ("certificate", content.identifier),
-            ("date", content.date),
             ("item", " ".join(filter(None, (content.item.manufacturer, content.item.model, content.item.name)))),
             ("serial number", content.item.serial),
             ("laboratory", f"{laboratory.laboratory.name}, {laboratory.laboratory.city}"),
             ("customer", f"{laboratory.customer.name}, {laboratory.customer.city}"),
             ("responsible", " ".join(filter(None, (laboratory.responsible.name, laboratory.responsible.role)))),
-            *content.equipment,
             *content.conditions,
         ]
         budget = [(line.name, line.kind, f"{100 * line.u_rel:.2g} %") for line in content.budget]
@@ -69,9 +68,9 @@ class Certificate(Result):
             section("Method", listed(content.method)),
             section("Uncertainty budget", table(("contribution", "type", "u (k = 1)"), budget, words=(0,))),
         ]
-        return page(
-            content.title, f"{content.results[0][0]}: {results[0][1]} (k = {results[0][2]})", parts, kind="certificate"
-        )
+        origin = Origin(content.date, further=content.equipment)
+        outcome = f"{content.results[0][0]}: {results[0][1]} (k = {results[0][2]})"
+        return page(content.title, outcome, parts, kind="certificate", origin=origin)
 
     def to_mapping(self) -> dict[str, Any]:
         """Return the documented JSON form."""

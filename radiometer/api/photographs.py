@@ -113,7 +113,7 @@ def measure_photographs(
         stated = {"file": file, "created": known.created, "reference": known.scale.reference}
     reading = replace(reading, more={**reading.more, "calibration": stated})
     if report is not None:
-        write_reading_page(reading_record(reading, bracket, lens), Path(report))
+        write_reading_page(reading_record(reading, bracket, camera, lens), Path(report))
     return reading
 
 

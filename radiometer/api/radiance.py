@@ -40,6 +40,7 @@ from radiometer.data.setup import Setup
 from radiometer.data.storage import check_outputs
 from radiometer.errors import CaptureError, MissingLibrary, UsageError
 from radiometer.importing import imported_of, is_foreign, open_capture
+from radiometer.numbers import unit_text
 from radiometer.photographs.alignment import ALIGN_CHOICES
 from radiometer.photographs.scene import (
     Photographs,
@@ -216,14 +217,14 @@ class Radiance(Result):
         low, high = (float(shown.min()), float(shown.max())) if shown.count() else (None, None)
         drawn = where.imshow(shown, norm=LogNorm(low, high), cmap="viridis")
         figure: Any = where.figure
-        figure.colorbar(drawn, ax=where, label=f"radiance in {self.unit}")
+        figure.colorbar(drawn, ax=where, label=f"radiance in {unit_text(self.unit)}")
         return where
 
     def __repr__(self) -> str:
         """Return size, range and share of good pixels in one line."""
         height, width = self.picture.first.shape
         names = "" if len(self.maps) == 1 else f" of {', '.join(self.maps)}"
-        return f"<Radiance{names} {width} × {height} pixels in {self.unit}: {_summary(self.picture.first)}>"
+        return f"<Radiance{names} {width} × {height} pixels in {unit_text(self.unit)}: {_summary(self.picture.first)}>"
 
     def _repr_html_(self) -> str:
         return picture(self.plot, repr(self))

@@ -18,7 +18,7 @@ from radiometer.bench.assembly import open_instrument
 from radiometer.bench.capturing import shutter_by_hand
 from radiometer.bench.instrument import Instrument
 from radiometer.bench.reopening import reopen
-from radiometer.data import Bracket, LensDescription, Reading
+from radiometer.data import Bracket, CameraDescription, LensDescription, Reading
 from radiometer.data.serials import serial_shown
 from radiometer.errors import DeviceLost, DeviceTimeout, UsageError
 from radiometer.reporting.reading_page import ReadingRecord, check_report_name, write_reading_page
@@ -142,7 +142,8 @@ def readings(
             if monte_carlo:
                 reading = _with_distribution(reading, instrument, frames)
             if report is not None:
-                _write_report(reading, frames, instrument.camera.lens, Path(report))
+                known = instrument.camera
+                write_reading_page(reading_record(reading, frames, known.description, known.lens), Path(report))
             yield reading
             if watch or number < repeat:
                 sleep(max(0.0, every_s - (clock() - begun_s)))
@@ -196,26 +197,23 @@ def _with_distribution(reading: Reading, instrument: Instrument, frames: Bracket
     return replace(reading, more={**reading.more, "monte_carlo": drawn.to_mapping(reading)})
 
 
-def _write_report(reading: Reading, frames: Bracket, lens: LensDescription, path: Path) -> None:
-    write_reading_page(reading_record(reading, frames, lens), path)
-
-
-def reading_record(reading: Reading, bracket: Bracket, lens: LensDescription) -> ReadingRecord:
+def reading_record(
+    reading: Reading, bracket: Bracket, camera: CameraDescription, lens: LensDescription
+) -> ReadingRecord:
     """Return a reading with the frame that shows its patch best, and what is known of camera and lens.
 
     Args:
         reading: The reading.
         bracket: The frames that it was made from.
+        camera: The camera as it is described.
         lens: The lens as the bench or the capture set states it.
     """
     patch = reading.patch.slices
     clear = [one for one in bracket.light if float(np.max(one.dn[patch])) < one.saturated_dn]
     best = max(clear or bracket.light[:1], key=lambda one: one.settings.effective_exposure_s)
-    number = best.settings.f_number or lens.f_number
     facts = [
-        ("lens", f"{lens.focal_length_mm:g} mm" if lens.focal_length_mm else ""),
-        ("f-number", "" if number is None else f"f/{number:.4g}"),
         ("gain", "" if best.settings.gain_db is None else f"{best.settings.gain_db:g} dB"),
         ("sensor temperature", "" if best.settings.temperature_c is None else f"{best.settings.temperature_c:.1f} °C"),
     ]
-    return ReadingRecord(reading, best.dn, [fact for fact in facts if fact[1]])
+    known = [fact for fact in facts if fact[1]]
+    return ReadingRecord(reading, best.dn, camera.name, lens.in_words([best.settings.f_number]), known)

@@ -128,7 +128,7 @@ class Response(Result):
             where.fill_between(dn, g - 2 * u, g + 2 * u, color=line.get_color(), alpha=0.2, linewidth=0)
         absolute = any(estimate.curve.absolute for estimate in self.estimates)
         where.set_xlabel("digital number M (DN)")
-        where.set_ylabel("ln H  (J m⁻²)" if absolute else "ln H, relative to the middle value")
+        where.set_ylabel("ln H  (J·m⁻²)" if absolute else "ln H, relative to the middle value")
         where.grid(visible=True, alpha=0.3)
         return where
 

@@ -8,8 +8,6 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-import numpy as np
-
 from radiometer.api.files import PathLike
 from radiometer.api.meter import PatchLike, as_patch
 from radiometer.api.result import Notice, Progress, Result, unheard
@@ -20,13 +18,16 @@ from radiometer.data.statements import StatementMap
 from radiometer.data.storage import check_outputs
 from radiometer.devices import Display
 from radiometer.errors import UsageError
-from radiometer.numbers import with_u
+from radiometer.numbers import unit_text, with_u
 from radiometer.progress import counted
+from radiometer.reporting.origin import moment
+from radiometer.reporting.pictures import label
 from radiometer.screen.calibration import LUMINANCE, RADIANCE, SCOTOPIC, ChannelCurve, ScreenCalibration
 from radiometer.screen.calibration_run import Options, calibrate_screen
 from radiometer.screen.exports import EXPORTS, write_export
 from radiometer.screen.exports.chromaticity import argyll_line
-from radiometer.screen.measured_elsewhere import METER_U_REL, imported, read_screen_readings
+from radiometer.screen.exports.report_page import draw_curves
+from radiometer.screen.measured_elsewhere import METER_U_REL, chromaticities_in, imported, read_screen_readings
 from radiometer.screen.plan import parse_levels
 from radiometer.screen.verification import COVERAGE, Verified, verify_screen
 
@@ -34,7 +35,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 # Names of what a level is looked up by, as the command line writes them.
-_DEEPEST: Final = 1e-6  # of white: where a plot's logarithmic axis ends for a black that is not known from 0
 _UNITS: Final[Mapping[str, str]] = {"cd": LUMINANCE, "scotopic": SCOTOPIC, "W": RADIANCE}
 
 
@@ -73,7 +73,7 @@ class CalibratedScreen(Result):
     def argyll_lines(self) -> list[str]:
         """Return the line that ArgyllCMS's spotread prints, for every level measured."""
         return [
-            argyll_line(name, curve.at(n, LUMINANCE).value)
+            argyll_line(self.calibration, name, curve.at(n, LUMINANCE).value)
             for name, curve in self.calibration.channels.items()
             for n in curve.levels
         ]
@@ -85,18 +85,8 @@ class CalibratedScreen(Result):
             axes: Where to draw; a new figure by default.
         """
         where = axes if axes is not None else new_axes()
-        colours = {"grey": "#333333", "red": "#c0392b", "green": "#27843f", "blue": "#2a5db0"}
-        for name, curve in self.calibration.channels.items():
-            shown = [curve.at(n, LUMINANCE) for n in curve.levels]
-            values, u = np.array([one.value for one in shown]), np.array([one.u for one in shown])
-            low = np.maximum(values - 2 * u, _DEEPEST * values.max())
-            (line,) = where.semilogy(curve.levels, np.maximum(values, low), "o-", ms=3, label=name, color=colours[name])
-            where.fill_between(curve.levels, low, values + 2 * u, color=line.get_color(), alpha=0.2, linewidth=0)
-        where.set_xlabel("level (8 bits)")
-        where.set_ylabel("luminance (cd·m⁻²), band k = 2")
-        where.set_title(self.calibration.name)
-        where.grid(visible=True, alpha=0.3)
-        where.legend(frameon=False)
+        draw_curves(where, self.calibration)
+        where.set_title(f"{label(self.calibration.name)}, {moment(self.calibration.created)}", fontsize="medium")
         return where
 
     def write_plot(self, path: PathLike) -> None:
@@ -135,7 +125,7 @@ class ScreenLevel(Result):
 
     def __str__(self) -> str:
         """Return level, channel and what it shows."""
-        return f"level {self.level} of {self.channel} shows {self.shown.value:.5g} {self.shown.unit}"
+        return f"level {self.level} of {self.channel} shows {self.shown.value:.5g} {unit_text(self.shown.unit)}"
 
 
 def screen_calibrate(
@@ -149,6 +139,7 @@ def screen_calibrate(
     repeats: int = 1,
     size: float = 1.0,
     pixel_mm: float | None = None,
+    chromaticities: PathLike | None = None,
     warm_up_s: float = 900.0,
     white: str = "white_led",
     primaries: str | None = None,
@@ -182,6 +173,7 @@ def screen_calibrate(
         repeats: Readings of every patch.
         size: Patch size as a share of the screen's.
         pixel_mm: Distance of two pixels in mm, for an adaptation test.
+        chromaticities: Where a colorimeter's chromaticities of this screen are: a .ti3, or an earlier calibration.
         warm_up_s: Longest wait for the screen to settle in s.
         white: Spectrum assumed for grey.
         primaries: Spectra of red, green and blue: a display type, or a CSV of them.
@@ -209,14 +201,18 @@ def screen_calibrate(
         check_outputs(*_export_files(kinds, Path(out)), force=force)
     if plot is not None:
         check_plot_name(Path(plot))
+    known_xy = chromaticities_in(Path(chromaticities)) if chromaticities is not None else {}
     options = Options(
         name=name or display, levels=parse_levels("quick" if quick else levels), channels=tuple(channels),
         repeats=repeats, patch_size=size, warm_up_limit_s=warm_up_s, seed=seed, pixel_mm=pixel_mm,
+        chromaticities=known_xy,
     )  # fmt: skip
     lamps = lights(white, primaries_of(display, options.channels, primaries))
     with _opened(display, bench, camera, calibration, patch, port, announce) as opened:
         found = calibrate_screen(opened, options, lamps, progress=_advance(progress), waiting=_warming(progress))
         _warn(opened.display, notice)
+        serial = opened.instrument.camera.description.serial or ""
+        found = replace(found, instrument=serial, measured_with=opened.measured_with)
     if out is not None:
         found.write(Path(out))
         _exports(found, kinds, Path(out))
@@ -414,7 +410,7 @@ def screen_export(
 
     Args:
         calibration: Screen calibration file.
-        kinds: "psychopy", "ti3", "csv", "inverse", "vcgt", "cal" or some of them.
+        kinds: "psychopy", "ti3", "csv", "inverse", "vcgt", "cal", "page" or some of them.
         out: Folder; where the calibration is by default.
         force: Replace files that exist.
 

@@ -388,7 +388,7 @@ def _gain(sessions: Sequence[Session]) -> list[str]:
         for value in stated:
             off, sigmas = 100.0 * (value / measured - 1.0), abs(value - measured) / u
             word = "wrong" if sigmas > _AGREE_SIGMAS else "within 2 u"
-            lines.append(f"stated are {value:.4g} e-/DN: off by {off:+.1f} % against {source} ({sigmas:.1f} u), {word}")
+            lines.append(f"stated are {value:.4g} e⁻/DN: off by {off:+.1f} % against {source} ({sigmas:.1f} u), {word}")
     if light is not None and dark is not None:
         sigmas = abs(light.value - dark.value) / math.hypot(light.u, dark.u)
         word = "agree" if sigmas <= _AGREE_SIGMAS else "disagree"

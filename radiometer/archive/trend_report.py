@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from radiometer.archive.trend import MONTH_S, Trend
 from radiometer.numbers import unit_text, with_u
+from radiometer.reporting.origin import Origin, span_of
 from radiometer.reporting.page import folded, heading, listed, page, paragraph, section, table
 from radiometer.reporting.pictures import (
     BEFORE,
@@ -61,7 +62,7 @@ def trend_report(trends: Sequence[Trend], source: str) -> str:
     ]
     head = ("patch", "readings", "outliers", "drift per month", "U (k = 2)", "claimed from", "verdict")
     return page(
-        source,
+        f"Trends of {len(trends)} {'patch' if len(trends) == 1 else 'patches'}",
         outcome(ordered),
         [
             paragraph(_alike(ordered)),
@@ -72,6 +73,10 @@ def trend_report(trends: Sequence[Trend], source: str) -> str:
             folded("What was assumed", listed(_assumptions(ordered))),
         ],
         kind="Trends",
+        origin=Origin(
+            span_of([end for one in trends for end in (float(one.time_s[0]), float(one.time_s[-1]))]),
+            further=(("readings from", source),),
+        ),
     )
 
 

@@ -28,6 +28,7 @@ from radiometer.bench.instrument import Instrument, central_patch
 from radiometer.data import Calibration, Patch, Reading
 from radiometer.devices import Camera, CameraPreset, CameraSettings, Display
 from radiometer.errors import ConfigurationError, InputError, UsageError
+from radiometer.reporting.origin import moment
 from radiometer.screen.checks import Flicker, Uniformity, judge_flicker
 from radiometer.screen.meter import ScreenReading
 from radiometer.screen.run import Light
@@ -50,6 +51,16 @@ class ScreenBench:
     instrument: Instrument  # the instrument
     sleep: Callable[[float], None]  # waits for a number of seconds on the clock of both
     clock: Callable[[], float]  # that clock in s
+
+    @property
+    def measured_with(self) -> dict[str, str]:
+        """Return camera, lens and calibration in words."""
+        known, camera = self.instrument.calibration, self.instrument.camera
+        calibration = "none: values are relative"
+        if known is not None:
+            calibration = f"{self.instrument.calibration_file or 'in memory'}, {moment(known.created)}"
+        lens = self.instrument.lens.in_words()
+        return {"camera": camera.description.name, "lens": lens, "calibration": calibration}
 
     def read(self) -> ScreenReading:
         """Return one reading of the patch (a Meter). Raises DeviceError, MeasurementError."""
@@ -235,4 +246,4 @@ def _simulated_bench(name: str, bench: Path | None, calibration: Path | None, se
 
 def _instrument(camera: Camera, patch: Patch, calibration: Path | None, config: BenchConfig) -> Instrument:
     known = Calibration.read(calibration) if calibration else None
-    return Instrument(camera, patch, calibration=known, time_limit_s=config.time_limit_s)
+    return Instrument(camera, patch, calibration=known, time_limit_s=config.time_limit_s, calibration_file=calibration)

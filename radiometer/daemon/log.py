@@ -19,6 +19,7 @@ from radiometer.daemon.timestamps import parse_moment
 from radiometer.data.drawing import new_axes, own_axes, write_figure
 from radiometer.data.json_text import parsed_json
 from radiometer.errors import UsageError
+from radiometer.numbers import unit_text
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -102,8 +103,8 @@ class LoggedReadings(Result):
                 drawn += 1
         if not drawn:
             raise UsageError("there is no reading to draw; widen --since and --until")
-        units = sorted({one["radiance"]["unit"] for one in self.readings})
-        where.set_ylabel(f"radiance / {', '.join(units)}")
+        units = sorted({unit_text(one["radiance"]["unit"]) for one in self.readings})
+        where.set_ylabel(f"radiance in {', '.join(units)}")
         where.set_xlabel("time (UTC)")
         where.grid(alpha=0.25)
         where.legend(frameon=False)
@@ -123,7 +124,7 @@ def _place_name(key: tuple[Any, ...], all_places: Mapping[tuple[Any, ...], Seque
     title = name or f"patch {x},{y} {width} × {height}"
     title += f" of session {session}" if session else ""
     title += f" of {instrument}" if len({other[2] for other in all_places}) > 1 else ""
-    return title + (f" ({unit})" if len({other[-1] for other in all_places}) > 1 else "")
+    return title + (f" ({unit_text(unit)})" if len({other[-1] for other in all_places}) > 1 else "")
 
 
 def _draw(axes: Axes, name: str, readings: Sequence[Mapping[str, Any]]) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from typing import Literal
 
 from pydantic import Field
@@ -56,6 +57,11 @@ class CameraDescription(FileSection):
     taps: tuple[TapDescription, ...] | None = None  # of cameras with several output amplifiers
 
     @property
+    def name(self) -> str:
+        """Return maker, model and serial number in one line; "" where none is stated."""
+        return " ".join(word for word in (self.vendor, self.model, self.serial) if word)
+
+    @property
     def full_scale_dn(self) -> int:
         """Return the highest digital number, 2**bit_depth − 1."""
         return (1 << self.bit_depth) - 1
@@ -90,6 +96,18 @@ class LensDescription(FileSection):
     principal_point_px: tuple[float, float] | None = None
     vignetting: Literal["none", "cos4"] = "none"
     since_calibration: tuple[LensHandling, ...] = ()
+
+    def in_words(self, f_numbers: Iterable[float | None] = ()) -> str:
+        """Return focal length and f-number in one line; "" where neither is stated.
+
+        Args:
+            f_numbers: Of the frames; the lens's own where they state none.
+        """
+        stops = sorted({one for one in f_numbers if one is not None})
+        if not stops and self.f_number is not None:
+            stops = [self.f_number]
+        focal = "" if self.focal_length_mm is None else f"{self.focal_length_mm:g} mm"
+        return ", ".join(filter(None, (focal, *(f"f/{one:.4g}" for one in stops))))
 
 
 class SourceDescription(FileSection):

@@ -110,6 +110,7 @@ class CaptureHeader(FileSection):
     """The whole of `capture.yaml`."""
 
     format: str = FORMAT
+    created: str | None = None  # when it was taken: ISO 8601 time in UTC
     camera: CameraDescription
     lens: LensDescription = LensDescription()
     source: SourceDescription = SourceDescription()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import reduce
 from typing import TYPE_CHECKING, Any, Final
 
 from radiometer.errors import UsageError
@@ -52,6 +53,6 @@ def in_one_place(brackets: Sequence[Bracket], align: str, progress: Progress = u
         return Placed(list(brackets), list(brackets), [], sentence)
     moved = [aligned(one, alignment) for one in brackets]
     # A frame that shows nothing in one channel is not trusted in the others: their edges are the same.
-    absent = [np.any(masks, axis=0) for masks in zip(*(masks for _, masks in moved), strict=True)]
+    absent = [reduce(np.logical_or, masks) for masks in zip(*(masks for _, masks in moved), strict=True)]
     whole = [one for one, _ in moved]
     return Placed(whole, [alignment.trimmed(one) for one in whole], absent, sentence)

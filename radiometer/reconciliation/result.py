@@ -8,6 +8,7 @@ from enum import StrEnum
 from typing import Any, Final
 
 from radiometer.data.json_text import finite_or_null, json_text
+from radiometer.numbers import unit_text
 from simulators.effects.catalogue import CatalogueEffect
 from simulators.effects.free_law import FreeLaw
 
@@ -253,7 +254,7 @@ class Repeats:
         return ", ".join(f"{self._shown(one.apart[0], one.u[0])} {_taken_at(one)}" for one in series)
 
     def _shown(self, value: float, u: float | None = None) -> str:
-        size, unit = (100.0, " %") if self.scatter.unit == "1" else (1.0, f" {self.scatter.unit}")
+        size, unit = (100.0, " %") if self.scatter.unit == "1" else (1.0, f" {unit_text(self.scatter.unit)}")
         return f"{size * value:.2g}{unit}" if u is None else f"({size * value:.2f} ± {size * u:.2g}){unit}"
 
 

@@ -11,11 +11,12 @@ import re
 from collections.abc import Iterable, Sequence
 from typing import Final
 
-import radiometer
+from radiometer.reporting.origin import Origin
 
 _POLICY: Final = "default-src 'none'; img-src data:; style-src 'unsafe-inline'"
 # Every colour of text has a contrast of 4.5 or more on what is behind it (WCAG 2.1, 1.4.3).
-_MANY_COLUMNS: Final = 5  # a table of so many scrolls on a phone rather than that its words break
+_DATE: Final = re.compile(r"\d{4}-\d\d-\d\d( \d\d:\d\d)?")  # no line ends within it
+_MANY_COLUMNS: Final = 4  # a table of so many has no room on a phone: its rows become blocks of names and values
 STYLE: Final = "\n".join(
     (
         ":root{color-scheme:light}*{box-sizing:border-box}",
@@ -25,8 +26,11 @@ STYLE: Final = "\n".join(
         "line-height:1.3}",
         "p,ul{margin:.5rem 0}ul{padding-left:1.2rem}li{margin:.3rem 0}",
         ".outcome{font-size:clamp(1.3rem,1rem + 1.6vw,1.8rem);font-weight:650;line-height:1.28;margin:.25rem 0 .6rem;",
-        "text-wrap:balance}",
+        "text-wrap:balance}.keep{white-space:nowrap}",
         ".outcome+p{color:#404040}",
+        ".origin{display:flex;flex-wrap:wrap;gap:.1rem 1.1rem;margin:.2rem 0 .8rem;color:#404040;font-size:.85rem}",
+        ".origin div{display:flex;gap:.35rem;min-width:0}.origin dt{color:#555}.origin dt,.origin dd{margin:0}",
+        ".origin dd{font-weight:600;overflow-wrap:anywhere}",
         "figure{margin:1rem 0}img{max-width:100%;height:auto;display:block;margin:0 auto}",
         "figcaption,.small{color:#555;font-size:.9rem}",
         ".what{font-size:1.08rem}",
@@ -42,9 +46,14 @@ STYLE: Final = "\n".join(
         "details{margin:.7rem 0;border-top:1px solid #ddd;padding-top:.5rem}",
         "summary{cursor:pointer;font-weight:600;min-height:2.75rem;display:list-item;padding:.5rem 0}",
         "summary:focus-visible{outline:2px solid #1f618d;outline-offset:2px}",
-        "footer{color:#555;font-size:.85rem;margin:2.5rem 0 1rem;border-top:1px solid #ddd;padding-top:.6rem}",
         ".side{display:grid;gap:0 1.2rem;grid-template-columns:repeat(auto-fit,minmax(min(100%,26rem),1fr))}",
-        "@media (max-width:640px){table{font-size:.88rem}.many{min-width:34rem}td,th{padding-right:.6rem}}",
+        "@media (max-width:640px){table{font-size:.84rem}td,th{padding-right:.4rem}",
+        ".many,.many tbody,.many tr{display:block}.many thead{display:none}",
+        ".many tr{padding:.35rem 0;border-bottom:1px solid #ddd}",
+        ".many td{display:flex;justify-content:space-between;gap:1rem;border:0;padding:.1rem .2rem .1rem 0;",
+        "text-align:right}td:not(:first-child,.words){white-space:normal}",
+        ".many td:first-child{font-weight:600;overflow-wrap:anywhere}.many td:empty{display:none}",
+        ".many td::before{content:attr(data-head);color:#555;text-align:left;font-weight:400}}",
         "@media print{@page{margin:14mm}body{font-size:11pt;margin:0;max-width:none;padding:0}h2{break-after:avoid}",
         "figure,.do,.flag,tr{break-inside:avoid}.do,.flag{background:none}.wide{overflow:visible}",
         "summary{min-height:0}",
@@ -53,13 +62,15 @@ STYLE: Final = "\n".join(
 )
 
 
-def page(subject: str, outcome: str, parts: Iterable[str], *, kind: str, made: str = "") -> str:
+def page(subject: str, outcome: str, parts: Iterable[str], *, kind: str, origin: Origin) -> str:
     """Return a whole page.
 
     Args:
         subject: What the report is about, such as the camera's name.
-        parts: HTML from the functions of this module, in order; empty ones are passed by.
-        made: How and from what it was made, for the foot of the page; by which version of the program where empty.
+        outcome: What was found, in a sentence.
+        parts: HTML from the functions of this module, in order; empty ones are left out.
+        kind: Kind of report, for the title of the window.
+        origin: What its data come from.
     """
     head = (
         "<!doctype html>\n<html lang='en'><head><meta charset='utf-8'>"
@@ -67,9 +78,11 @@ def page(subject: str, outcome: str, parts: Iterable[str], *, kind: str, made: s
         "<meta name='viewport' content='width=device-width,initial-scale=1'>"
         f"<title>{escaped(kind)}: {escaped(subject)}</title><style>{STYLE}</style></head><body><main>"
     )
-    opening = f"<h1>{escaped(subject)}</h1><p class='outcome'>{prose(outcome)}</p>"
-    foot = f"</main><footer>{escaped(made or f'Made by radiometer {radiometer.__version__}.')}</footer>"
-    return "\n".join((head, opening, *(part for part in parts if part), f"{foot}</body></html>\n"))
+    found = _DATE.sub(r"<span class='keep'>\g<0></span>", prose(outcome))
+    opening = f"<h1>{escaped(subject)}</h1><p class='outcome'>{found}</p>"
+    facts = "".join(f"<div><dt>{escaped(name)}</dt><dd>{escaped(value)}</dd></div>" for name, value in origin.rows)
+    body = (f"<dl class='origin'>{facts}</dl>", *(part for part in parts if part))
+    return "\n".join((head, opening, *body, "</main></body></html>\n"))
 
 
 def escaped(text: str) -> str:
@@ -109,21 +122,25 @@ def section(title: str, *content: str) -> str:
 
 
 def table(head: Sequence[str], rows: Iterable[Sequence[str]], *, words: Sequence[int] = ()) -> str:
-    """Return a table that scrolls where it is too wide; nothing where it has no rows.
+    """Return a table, on a phone with a block for each row where it has many columns; nothing where it has no rows.
 
     Args:
         head: What stands over the columns; empty for none.
         rows: Texts; the first column is of words, the others of numbers.
+        words: Further columns of words.
     """
+    many = len(head) >= _MANY_COLUMNS
 
     def line(cells: Sequence[str], name: str) -> str:
         kinds = [" class='words'" if number in words else "" for number in range(len(cells))]
-        return "".join(f"<{name}{kind}>{prose(cell)}</{name}>" for kind, cell in zip(kinds, cells, strict=True))
+        heads = [f' data-head="{escaped(one)}"' if many and name == "td" else "" for one in head or cells]
+        parts = zip(kinds, heads, cells, strict=True)
+        return "".join(f"<{name}{kind}{of_head}>{prose(cell)}</{name}>" for kind, of_head, cell in parts)
 
     body = "".join(f"<tr>{line(row, 'td')}</tr>" for row in rows)
     top = f"<thead><tr>{line(head, 'th')}</tr></thead>" if head else ""
-    many = " class='many'" if len(head) >= _MANY_COLUMNS else ""
-    return f"<div class='wide'><table{many}>{top}<tbody>{body}</tbody></table></div>" if body else ""
+    kind = " class='many'" if many else ""
+    return f"<div class='wide'><table{kind}>{top}<tbody>{body}</tbody></table></div>" if body else ""
 
 
 def side_by_side(*figures: str) -> str:

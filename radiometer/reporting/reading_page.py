@@ -11,11 +11,11 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-import radiometer
 from radiometer.data.reading import Flag, Reading
 from radiometer.data.storage import write_bytes_atomic, write_text_atomic
 from radiometer.errors import UsageError
 from radiometer.numbers import below, upper_limit, with_u
+from radiometer.reporting.origin import Origin, moment
 from radiometer.reporting.page import folded, listed, page, paragraph, section, table
 from radiometer.reporting.pictures import BEFORE, MODEL, label, picture
 
@@ -66,7 +66,18 @@ class ReadingRecord:
 
     reading: Reading  # the reading
     frame_dn: NDArray[Any]  # the frame of longest exposure without clipping in the patch, shape (height, width), in DN
-    facts: Sequence[tuple[str, str]] = ()  # camera, lens and settings as names and values, in the order to print them
+    camera: str = ""  # maker, model and serial number; "" where they are not stated
+    lens: str = ""  # focal length and f-number; "" where they are not stated
+    facts: Sequence[tuple[str, str]] = ()  # settings as names and values, in the order to print them
+
+    @property
+    def origin(self) -> Origin:
+        """Return what the reading was made with."""
+        known = self.reading.more.get("calibration")
+        calibration = "none: the value is relative"
+        if known:
+            calibration = f"{known['file'] or 'in memory'}, {moment(str(known['created']))}"
+        return Origin(moment(self.reading.time), self.camera, self.lens, calibration)
 
     @property
     def value(self) -> str:
@@ -92,24 +103,16 @@ class ReadingRecord:
         """Return all facts of the reading as names and values."""
         one = self.reading
         patch = one.patch
-        rows = [("time (UTC)", one.time[:19]), ("radiance", self.value), ("luminance", self.luminance)]
+        rows = [("radiance", self.value), ("luminance", self.luminance)]
         if one.band_nm:
             rows.append(("band", f"{one.band_nm[0]:g} to {one.band_nm[1]:g} nm"))
         rows += [
             ("patch", f"{patch.width} × {patch.height} pixels at x {patch.x}, y {patch.y}"),
             ("exposure times", ", ".join(f"{time_s:.4g} s" for time_s in sorted(set(one.exposures_s)))),
-            ("camera", one.instrument),
             *self.facts,
         ]
         known = one.more.get("calibration")
-        if known:
-            rows += [
-                ("calibration", str(known["file"] or "in memory")),
-                ("calibrated (UTC)", str(known["created"])[:19]),
-            ]
-            rows.append(("reference", str(known["reference"])))
-        else:
-            rows.append(("calibration", "none: the value is relative"))
+        rows.append(("reference", str(known["reference"]) if known else ""))
         return [row for row in rows if row[1]]
 
     @property
@@ -143,9 +146,10 @@ def reading_html(record: ReadingRecord) -> str:
     one = record.reading
     outcome = f"Radiance {record.value}"
     shown = record.frame_dn.shape
-    height = 5.2 * shown[0] / shown[1] + 0.7
+    aspect = shown[0] / shown[1]  # the picture takes some three quarters of the width
 
     def draw_scene(figure: Figure, narrow: bool) -> None:
+        figure.set_layout_engine("compressed")  # axes of a fixed aspect: "constrained" cuts their labels
         _scene(figure.subplots(), record)
 
     def draw_budget(figure: Figure, narrow: bool) -> None:
@@ -158,7 +162,10 @@ def reading_html(record: ReadingRecord) -> str:
         [
             paragraph(f"Luminance {record.luminance}." if record.luminance else ""),
             picture(
-                draw_scene, "The frame with the patch that was read; grey is logarithmic.", (7.0, height), (4.0, 3.6)
+                draw_scene,
+                "The frame with the patch that was read; grey is logarithmic.",
+                (7.0, 5.2 * aspect + 0.7),
+                (4.0, 2.9 * aspect + 0.8),
             ),
             *(paragraph(f"{flag}: {FLAG_MEANINGS[flag]}.", "flag") for flag in one.flags),
             section("The reading", table((), record.rows, words=(1,))),
@@ -171,7 +178,7 @@ def reading_html(record: ReadingRecord) -> str:
             section("What was assumed", listed([f"{text}." for text in record.assumptions])),
         ],
         kind="Reading",
-        made=f"Made by radiometer {radiometer.__version__} from the reading of {one.time}.",
+        origin=record.origin,
     )  # fmt: skip
 
 
@@ -232,7 +239,7 @@ def _pdf(record: ReadingRecord) -> bytes:
         figure.text(0.08, 0.955, label(f"Reading of {one.instrument}"), fontsize=10, color="#555555")
         figure.text(0.08, 0.928, label(f"Radiance {record.value}"), fontsize=15, fontweight="bold")
         _scene(figure.add_axes((0.12, 0.66, 0.76, 0.24)), record)
-        lines = [f"{name:<16} {value}" for name, value in record.rows]
+        lines = [f"{name:<16} {value}" for name, value in (*record.origin.rows, *record.rows)]
         lines += ["", *(f"flag {flag}: {FLAG_MEANINGS[flag]}" for flag in one.flags)]
         lines += ["", "assumed:", *(f"  {text}" for text in record.assumptions or ["nothing"])]
         figure.text(
@@ -242,7 +249,6 @@ def _pdf(record: ReadingRecord) -> bytes:
         bars = len(_contributions(one))
         if bars:
             _budget(figure.add_axes((0.30, 0.08, 0.62, min(0.03 + 0.025 * bars, 0.22))), one)
-        figure.text(0.08, 0.02, f"radiometer {radiometer.__version__}", fontsize=7, color="#555555")
         content = io.BytesIO()
         figure.savefig(content, format="pdf", metadata={"Title": f"Reading of {one.instrument}", "CreationDate": None})
     return content.getvalue()

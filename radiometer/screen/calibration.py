@@ -207,6 +207,10 @@ class ScreenCalibration:
     checks: dict[str, Any] = field(default_factory=dict)
     provenance: Provenance = field(default_factory=lambda: Provenance("unknown"))  # method, inputs and assumptions
     pixel_mm: float | None = None  # distance of two pixels in mm, where somebody has measured it
+    # CIE 1931 chromaticity (x, y) of a channel's brightest level, where a colorimeter has measured it
+    chromaticities: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    # "camera", "lens" and "calibration" that measured it, in words; empty where another program did
+    measured_with: Mapping[str, str] = field(default_factory=dict)
 
     def channel(self, name: str = "grey") -> ChannelCurve:
         """Return a channel. Raises CalibrationError where it was not measured."""
@@ -224,6 +228,8 @@ class ScreenCalibration:
             "created": self.created,
             "instrument": self.instrument,
             "pixel_mm": self.pixel_mm,
+            "chromaticities": {name: list(xy) for name, xy in self.chromaticities.items()},
+            "measured_with": dict(self.measured_with),
             "checks": self.checks,
             "provenance": self.provenance.to_mapping(),
             "channels": {name: curve.to_mapping() for name, curve in self.channels.items()},
@@ -254,7 +260,25 @@ class ScreenCalibration:
             dict(checks),
             Provenance.from_mapping(mapping.get("provenance"), str(path)),
             _length(mapping.get("pixel_mm"), path),
+            _chromaticities(mapping.get("chromaticities") or {}, path),
+            {str(name): str(text) for name, text in dict(mapping.get("measured_with") or {}).items()},
         )
+
+
+def _chromaticities(stated: object, path: Path) -> dict[str, tuple[float, float]]:
+    """Return chromaticities by channel. Raises CalibrationError where one is none."""
+    if not isinstance(stated, dict):
+        raise CalibrationError(f"{path}: chromaticities are {str(stated)[:40]!r}, not a mapping of channels to [x, y]")
+    found = {}
+    for name, xy in stated.items():
+        try:
+            x, y = (float(one) for one in xy)
+        except (TypeError, ValueError):
+            x = y = math.nan
+        if not (x >= 0.0 and y > 0.0 and x + y <= 1.0):
+            raise CalibrationError(f"{path}: chromaticity of {name} is {str(xy)[:40]}; expected [x, y] with x + y ≤ 1")
+        found[str(name)] = (x, y)
+    return found
 
 
 def _length(value: object, path: Path) -> float | None:

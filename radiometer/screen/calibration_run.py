@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, Final, Protocol
 
 import numpy as np
@@ -56,6 +56,8 @@ class Options:
     warm_up_limit_s: float = 900.0  # longest wait for the screen to settle in s
     seed: int = 1  # seed of the random order
     pixel_mm: float | None = None  # distance of two pixels in mm; None where it was not measured
+    # CIE 1931 (x, y) by channel, as a colorimeter measured them
+    chromaticities: Mapping[str, tuple[float, float]] = field(default_factory=dict)
 
 
 def calibrate_screen(
@@ -102,16 +104,18 @@ def calibrate_screen(
         "additivity_rel": _additivity(measured),
     }
     assumptions = [f"{name}: spectrum {lights[name].spectrum}" for name in channels]
+    assumptions += [] if set(channels) <= set(options.chromaticities) else [f"exports: {ASSUMPTION}"]
     return ScreenCalibration(
         options.name,
         curves,
         checks=checks,
         provenance=Provenance(
             "patches in random order against white and black references, drift taken out",
-            assumptions=(*assumptions, f"exports: {ASSUMPTION}"),
+            assumptions=tuple(assumptions),
             parameters={"patch_size": options.patch_size, "seed": options.seed},
         ),
         pixel_mm=options.pixel_mm,
+        chromaticities=options.chromaticities,
     )
 
 

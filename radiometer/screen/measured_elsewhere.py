@@ -45,6 +45,8 @@ class ScreenReadings:
     taken: tuple[str, ...] = ()  # what was made of the file, in words
     shape_u_rel: float = 0.0  # relative standard uncertainty of each level beyond repeatability
     doubts: tuple[str, ...] = ()  # what the file leaves open and how it was read, in words
+    # CIE 1931 (x, y) of the brightest level of each channel, where the file holds X and Z
+    chromaticities: Mapping[str, tuple[float, float]] = field(default_factory=dict)
 
 
 @bounded_reader(error=InputError)
@@ -99,8 +101,9 @@ def imported(
     assumptions += [f"meter's scale: {100 * meter_u_rel:g} % (k = 1)"]
     assumptions += [f"{', '.join(shared)}: curve as grey's, to {100 * SHARED_SHAPE_U_REL:g} %"] if shared else []
     return ScreenCalibration(
-        readings.name, channels, provenance=Provenance(f"imported from {source}", assumptions=tuple(assumptions))
-    )
+        readings.name, channels, provenance=Provenance(f"imported from {source}", assumptions=tuple(assumptions)),
+        chromaticities={name: xy for name, xy in readings.chromaticities.items() if name in channels},
+    )  # fmt: skip
 
 
 def _curve(
@@ -192,7 +195,42 @@ def _ti3(path: Path, text: str) -> ScreenReadings:
         groups["grey"],
         {name: levels for name, levels in groups.items() if name != "grey" and len(levels) > 1},
         taken=(f"ArgyllCMS .ti3, {len(patches)} patches, {note}", f"meter {keys.get('TARGET_INSTRUMENT', 'unknown')}"),
+        chromaticities=_brightest_xy(columns, rows),
     )
+
+
+def _brightest_xy(columns: Sequence[str], rows: Sequence[Sequence[str]]) -> dict[str, tuple[float, float]]:
+    """Return the chromaticity (x, y) of each axis's brightest patches by channel; empty without X and Z."""
+    if not {"XYZ_X", "XYZ_Z"} <= set(columns):
+        return {}
+    at = [columns.index(name) for name in ("RGB_R", "RGB_G", "RGB_B", "XYZ_X", "XYZ_Y", "XYZ_Z")]
+    table = np.array([[float(row[n]) for n in at] for row in rows])
+    found = {}
+    for name, axis in _AXES.items():
+        rgb, top = table[:, :3], table[:, :3].max(axis=1)
+        own = table[np.all(np.abs(rgb - top[:, None] * axis) < 1e-3, axis=1) & (top > 0.0)]
+        if own.size:
+            x, y, z = own[own[:, :3].max(axis=1) == own[:, :3].max()][:, 3:].mean(axis=0)
+            if x + y + z > 0.0:
+                found[name] = (float(x / (x + y + z)), float(y / (x + y + z)))
+    return found
+
+
+def chromaticities_in(path: Path) -> Mapping[str, tuple[float, float]]:
+    """Return the chromaticities (x, y) by channel in a .ti3 or in a screen calibration.
+
+    Raises:
+        InputError: If the file holds none.
+    """
+    if path.suffix.lower() in (".yaml", ".yml"):
+        found = ScreenCalibration.read(path).chromaticities
+    else:
+        found = read_screen_readings(path).chromaticities
+    if not found:
+        raise InputError(
+            f"{path}: holds no chromaticities; name an ArgyllCMS .ti3 with XYZ, or a calibration imported from one"
+        )
+    return found
 
 
 _MOST_PERCENT: Final = 100.5
@@ -218,12 +256,12 @@ def _ti3_scale(path: Path, keys: Mapping[str, str], brightest: float) -> tuple[f
     if relative == "NO":
         return 1.0, "absolute XYZ"
     if relative == "YES" and white is not None:
-        return white / 100.0, f"XYZ relative to a white of {white:.4g} cd/m²"
+        return white / 100.0, f"XYZ relative to a white of {white:.4g} cd·m⁻²"
     if relative == "YES":
         raise InputError(f"{path}: XYZ relative to white, and no LUMINANCE_XYZ_CDM2 that says how bright that is")
     raise InputError(
         f'{path}: nothing states whether its XYZ are absolute; add the line NORMALIZED_TO_Y_100 "NO" where they are '
-        'in cd/m², else "YES" and LUMINANCE_XYZ_CDM2'
+        'in cd·m⁻², else "YES" and LUMINANCE_XYZ_CDM2'
     )
 
 

@@ -127,6 +127,10 @@ class BlackflyGige(Opened):
         """Answer requests but send no pictures, or send them again."""
         self._write_word(registers.STALL, int(stalled))
 
+    def cap(self, *, on: bool) -> None:
+        """Put the cap on the lens, or take it off: the camera has no shutter."""
+        self._write_word(registers.SHUTTER_CLOSED, int(on))
+
     def answer_slowly(self, delay_s: float) -> None:
         """Hold every frame back so long; requests that arrive meanwhile wait too."""
         if self._device is not None:

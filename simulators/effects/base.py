@@ -31,6 +31,7 @@ from typing import Any, ClassVar, Final, Self
 import numpy as np
 
 from radiometer.errors import ConfigurationError
+from radiometer.numbers import unit_text
 from simulators.effects.context import ExposureContext, Signal, largest
 from simulators.effects.tile_moments import Moments as Moments
 from simulators.effects.tile_moments import TileMoments
@@ -234,6 +235,6 @@ def _refuse_out_of_bounds(effect: str, known: Parameter, value: Any) -> None:
     if not bool(np.all(allowed)):
         shown = value if np.ndim(value) else f"{value:g}"
         raise ConfigurationError(
-            f"effect {effect}: {known.name} = {shown} {known.unit} is out of range; "
-            f"allowed is {known.low:g} to {known.high:g} {known.unit}"
+            f"effect {effect}: {known.name} = {shown} {unit_text(known.unit)} is out of range; "
+            f"allowed is {known.low:g} to {known.high:g} {unit_text(known.unit)}"
         )

@@ -65,4 +65,4 @@ class ConversionGainError(CatalogueEffect):
             return ""
         true_gain = stated / (1.0 + self.error_rel)
         true_gain_u = true_gain * relative / (1.0 + self.error_rel)
-        return f"gain: stated {stated:.4g} e-/DN, the noise says {true_gain:.4g} ± {true_gain_u:.2g}"
+        return f"gain: stated {stated:.4g} e⁻/DN, the noise says {true_gain:.4g} ± {true_gain_u:.2g}"

@@ -16,9 +16,12 @@ import nbformat
 import pytest
 
 import radiometer
+from drivers.cameras.aravis_camera import load_library
 from radiometer.cli.tree import command_tree
+from radiometer.errors import MissingLibrary
 from radiometer.reconciliation.thresholds import TABLE
 from simulators.effects.registry import EFFECTS
+from testing.wire_program import OPEN_A_CAMERA
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(900)]
 
@@ -44,15 +47,38 @@ def follow_module(project_root: Path) -> ModuleType:
     return module
 
 
+def _opens_a_camera(page: Path) -> bool:
+    """Return whether a page runs a command that opens the camera of a bench."""
+    commands = "|".join(OPEN_A_CAMERA)
+    return re.search(rf"^\$ radiometer ({commands})\b", page.read_text(encoding="utf-8"), re.MULTILINE) is not None
+
+
 @pytest.mark.long
-@pytest.mark.parametrize("page", FOLLOWED, ids=lambda page: page.stem)
-def test_a_page_followed_word_by_word_prints_what_it_says(page, follow_module, tmp_path, project_root, monkeypatch):
-    """Its files are written, its commands run in a fresh folder, and every line that it shows comes, but for noise."""
+@pytest.mark.parametrize(
+    ("page", "program"),
+    [
+        *(pytest.param(page, "radiometer", id=page.stem) for page in FOLLOWED),
+        *(pytest.param(page, "testing.wire_program", id=f"{page.stem}-on-the-wire") for page in FOLLOWED
+          if _opens_a_camera(page)),
+    ],
+)  # fmt: skip
+def test_a_page_followed_word_by_word_prints_what_it_says(
+    page, program, follow_module, tmp_path, project_root, monkeypatch
+):
+    """Its files are written, its commands run in a fresh folder, and every line that it shows comes, but for noise.
+
+    So it is with the simulated camera, and with the simulated Blackfly over GigE Vision.
+    """
+    if program != "radiometer":
+        try:
+            load_library()
+        except MissingLibrary as error:
+            pytest.skip(str(error))
     commands = tmp_path / "bin"
     commands.mkdir()
-    program = commands / "radiometer"
-    program.write_text(f'#!/bin/sh\nexec {sys.executable} -m radiometer "$@"\n', encoding="utf-8")
-    program.chmod(0o755)
+    command = commands / "radiometer"
+    command.write_text(f'#!/bin/sh\nexec {sys.executable} -m {program} "$@"\n', encoding="utf-8")
+    command.chmod(0o755)
     monkeypatch.setenv("PATH", f"{commands}:{os.environ['PATH']}")
     monkeypatch.setenv("PYTHONPATH", str(project_root))
     folder = tmp_path / "desk"

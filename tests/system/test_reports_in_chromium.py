@@ -73,7 +73,7 @@ def _reading() -> str:
         },
     )  # fmt: skip
     frame_dn = np.random.default_rng(2).integers(64, 4000, (64, 96))
-    return reading_html(ReadingRecord(reading, frame_dn, [("lens", HOSTILE)]))
+    return reading_html(ReadingRecord(reading, frame_dn, HOSTILE, HOSTILE))
 
 
 def _visits() -> str:

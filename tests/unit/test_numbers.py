@@ -20,6 +20,7 @@ LOWERED = str.maketrans("⁻⁰¹²³⁴⁵⁶⁷⁸⁹", "-0123456789")
         (-0.61536, 0.0131, ("-0.615", "0.013")),
         (3.2166e-9, 4.4e-11, ("3.217e-09", "0.044e-09")),
         (103.44, 0.997, ("103.4", "1.0")),
+        (-0.00001, 0.0028, ("0.0000", "0.0028")),
         (5.123456, float("nan"), ("5.1235", "–")),
         (5.123456, 0.0, ("5.1235", "–")),
     ],
@@ -64,3 +65,10 @@ def test_units_are_printed_as_the_field_does():
     assert unit_text("W sr-1 m-2") == "W·sr⁻¹·m⁻²"
     assert unit_text("scotopic cd m-2") == "scotopic cd·m⁻²"
     assert (unit_text("1"), unit_text("e-/s"), unit_text("DN/e-")) == ("", "e⁻/s", "DN/e⁻")
+    assert unit_text("W sr-1 m-2 um-1") == "W·sr⁻¹·m⁻²·µm⁻¹"
+
+
+@pytest.mark.parametrize(("one", "other"), [("e- s-1", "e-/s"), ("DN s-1", "DN/s"), ("log10 min-1", "log10/min")])
+def test_one_unit_has_one_spelling(one: str, other: str) -> None:
+    """A rate is printed alike, whichever way the file writes it."""
+    assert unit_text(one) == unit_text(other)

@@ -31,8 +31,10 @@ from radiometer.data import (
     SensorNoise,
 )
 from radiometer.data.calibration import DEFAULT_VALIDITY_DAYS
+from radiometer.data.reading import RADIANCE_UNIT
 from radiometer.data.setup import Setup
 from radiometer.errors import InputError, MeasurementError, UsageError
+from radiometer.numbers import unit_text
 from radiometer.units import exact_exposure_s, exact_f_number
 
 # ISO 2720 allows K from 10.6 to 13.4 cd·m⁻²·s: ±11.7 %, taken as a rectangle, where the camera's K was not determined.
@@ -217,7 +219,7 @@ def scale_from_radiance(
         method="known_radiance",
         degrees_of_freedom=degrees_of_freedom,
         f_number=f_number,
-        reference=f"{radiance_w_sr_m2:g} W sr-1 m-2 known to {100 * u_rel:.3g} %",
+        reference=f"{radiance_w_sr_m2:g} {unit_text(RADIANCE_UNIT)} known to {100 * u_rel:.3g} %",
     )
 
 

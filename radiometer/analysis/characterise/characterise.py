@@ -37,7 +37,7 @@ from radiometer.analysis.characterise.sensitivity import (
 )
 from radiometer.analysis.characterise.steps import SignalStep, contradicting_darks, contradicting_steps, make_steps
 from radiometer.analysis.characterise.subject import Subject
-from radiometer.data import Provenance, Quantity
+from radiometer.data import Quantity
 from radiometer.errors import MeasurementError
 
 _FEWEST_LEVELS = 3
@@ -209,7 +209,7 @@ class _Work:
             ),
             linearity=line,
             notes=tuple(notes),
-            provenance=Provenance("EMVA 1288 release 4.0, linear", (self.subject.origin,), tuple(notes)),
+            provenance=self.subject.provenance("EMVA 1288 release 4.0, linear", notes),
             reference_temperature_c=own[1].temperature_c,
             limited_by=self._limited_by(),
         )

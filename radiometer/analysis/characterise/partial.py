@@ -26,7 +26,7 @@ from radiometer.analysis.characterise.result import Characterisation
 from radiometer.analysis.characterise.sensitivity import sensitivity_figures
 from radiometer.analysis.characterise.steps import SignalStep, make_steps
 from radiometer.analysis.characterise.subject import Subject
-from radiometer.data import Provenance, Quantity
+from radiometer.data import Quantity
 from radiometer.errors import MeasurementError
 from radiometer.units import gain_factor
 
@@ -83,7 +83,7 @@ def partial_characterisation(
         ),
         linearity=None,
         notes=tuple(notes),
-        provenance=Provenance("EMVA 1288 release 4.0, linear, in part", (subject.origin,), tuple(notes)),
+        provenance=subject.provenance("EMVA 1288 release 4.0, linear, in part", notes),
         reference_temperature_c=_temperature(own_dark),
         limited_by="unknown",
     )
@@ -93,7 +93,7 @@ def bent(transfer: PhotonTransfer) -> str:
     """Return the note for a photon transfer that bends: the local gains at its two ends."""
     low, high = transfer.local
     return (
-        f"the photon transfer bends: the local gain goes from {low:.3g} to {high:.3g} DN/e-. One K does not describe "
+        f"the photon transfer bends: the local gain goes from {low:.3g} to {high:.3g} DN/e⁻. One K does not describe "
         "this sensor; the U of K covers that range"
     )
 
@@ -105,8 +105,8 @@ def disagreeing_gains(K: Quantity | None, K_dark: Quantity) -> list[str]:
     distance = abs(K.value - K_dark.value) / math.hypot(K.u, K_dark.u)
     word = "agrees with" if distance <= _DOUBTFUL_SIGMAS else "differs from"
     return [
-        f"the gain from dark frames, {K_dark.value:.4g} ± {K_dark.u:.2g} DN/e-, {word} that from light, "
-        f"{K.value:.4g} ± {K.u:.2g} DN/e- ({distance:.1f} u)"
+        f"the gain from dark frames, {K_dark.value:.4g} ± {K_dark.u:.2g} DN/e⁻, {word} that from light, "
+        f"{K.value:.4g} ± {K.u:.2g} DN/e⁻ ({distance:.1f} u)"
     ]
 
 
@@ -119,7 +119,7 @@ def stated_gain_doubt(stated_e_per_dn: float | None, K: Quantity, gain_db: float
         return []
     off = 100.0 * (stated_e_per_dn / measured - 1.0)
     return [
-        f"conversion_gain_error: stated are {stated_e_per_dn:.4g} e-/DN, the noise says {measured:.4g} ± {u:.2g}: the "
+        f"conversion_gain_error: stated are {stated_e_per_dn:.4g} e⁻/DN, the noise says {measured:.4g} ± {u:.2g}: the "
         f"statement is off by {off:+.1f} %"
     ]
 

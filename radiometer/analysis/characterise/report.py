@@ -14,6 +14,7 @@ from radiometer.analysis.characterise.tap_report import tap_section
 from radiometer.analysis.characterise.taps import TapFigures
 from radiometer.data import Quantity
 from radiometer.numbers import rounded, unit_text, with_u
+from radiometer.reporting.origin import Origin, moment
 from radiometer.reporting.page import folded, listed, page, paragraph, section, side_by_side, table
 from radiometer.reporting.pictures import BEFORE, DIMMED, MARK, MODEL, RULE, SEEN, dress, legend, mark, picture
 from radiometer.typing import Array
@@ -197,10 +198,9 @@ def _draw_dark(axes: Axes, result: Characterisation) -> None:
 def datasheet(result: Characterisation, taps: Sequence[TapFigures] = ()) -> str:
     """Return the report as one HTML page: outcome, picture, meaning, notes, taps, plots, figures with U (k = 2)."""
     camera = result.believed
-    name = " ".join(part for part in (camera.vendor, camera.model) if part) or "Camera"
     made = result.provenance
     return page(
-        f"{name}, serial {camera.serial or 'unknown'}",
+        f"EMVA 1288 figures of {camera.name or 'a camera'}",
         outcome(result),
         [
             paragraph(
@@ -216,8 +216,11 @@ def datasheet(result: Characterisation, taps: Sequence[TapFigures] = ()) -> str:
             folded("Steps of the photon transfer", _steps(result)),
         ],
         kind="EMVA 1288 figures",
-        made=f"Made {made.created} by {made.software} from {', '.join(made.inputs)}.",
-    )
+        origin=Origin(
+            moment(str(made.parameters.get("taken", ""))), camera.name, str(made.parameters.get("lens", "")),
+            further=(("evaluated (UTC)", moment(made.created)), ("from", ", ".join(made.inputs))),
+        ),
+    )  # fmt: skip
 
 
 def outcome(result: Characterisation) -> str:

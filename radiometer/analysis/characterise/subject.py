@@ -21,6 +21,7 @@ from radiometer.data import (
     LensDescription,
     Patch,
     PatchDescription,
+    Provenance,
     SourceDescription,
 )
 from radiometer.data.capture_set import read_digital_numbers
@@ -195,8 +196,15 @@ class Subject:
     notes: tuple[str, ...] = ()  # what the user must know of how they were chosen
     given: tuple[GroupStatistics, ...] = ()  # statistics that are known without pictures; they replace all groups
     masked_dn: tuple[float, ...] = ()  # what masked rows read in DN, frame by frame, where files state it
+    created: str = ""  # when the frames were taken, ISO 8601 in UTC; "" where it is not stated
     # From which digital number pixels are saturated, by gain in dB, as the frames show it
     white_levels: Mapping[float, WhiteLevel] = field(default_factory=dict)
+
+    def provenance(self, method: str, notes: Sequence[str]) -> Provenance:
+        """Return what made figures of these frames, with their date and lens."""
+        stops = [group.settings.f_number for group in self.groups]
+        facts = {"taken": self.created, "lens": self.lens.in_words(stops)}
+        return Provenance(method, (self.origin,), tuple(notes), {name: text for name, text in facts.items() if text})
 
     @property
     def photons_u_rel(self) -> float:
@@ -287,6 +295,7 @@ def subject_of_capture(capture: CaptureSet, region: Patch | None = None) -> Subj
             if entry.model_extra and "masked_rows_dn" in entry.model_extra
         ),
         white_levels=levels,
+        created=header.created or "",
     )
 
 

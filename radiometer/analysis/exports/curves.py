@@ -231,7 +231,7 @@ def draw_responses(estimates: Sequence[ResponseEstimate], path: Path) -> None:
         upper.fill_between(dn, g - 2 * u, g + 2 * u, color=line.get_color(), alpha=0.2, linewidth=0)
         lower.semilogy(dn[u > 0], u[u > 0], color=line.get_color(), linewidth=1.0)
     absolute = any(estimate.curve.absolute for estimate in estimates)
-    upper.set_ylabel("ln H  (J m⁻²)" if absolute else "ln H, relative to the middle value")
+    upper.set_ylabel("ln H  (J·m⁻²)" if absolute else "ln H, relative to the middle value")
     upper.legend(frameon=False)
     lower.set_ylim(top=min(1.0, lower.get_ylim()[1]))  # beyond a factor of e a curve says nothing
     lower.set_ylabel("u(ln H), k = 1")

@@ -22,7 +22,7 @@ from radiometer.data.reading import LUMINANCE_UNIT, RADIANCE_UNIT
 from radiometer.data.storage import write_bytes_atomic
 from radiometer.errors import InputError, MeasurementError, MissingLibrary, OutputError, UsageError
 
-_LABELS: Final = {RADIANCE_UNIT: "radiance / W·sr⁻¹·m⁻²", LUMINANCE_UNIT: "luminance / cd·m⁻²"}
+_LABELS: Final = {RADIANCE_UNIT: "radiance in W·sr⁻¹·m⁻²", LUMINANCE_UNIT: "luminance in cd·m⁻²"}
 _CLIPPED_COLOUR: Final = "#ff40ff"
 _MOST_DECADES: Final = 6.0  # more than an eye can tell apart in one picture
 
@@ -161,6 +161,8 @@ def read_tiff(path: Path) -> MapPicture:
                 facts = parsed_json(page.description)
                 pages[str(facts["quantity"])] = (page.asarray(), facts)
         (values, facts), (u, _), (mask, _) = (pages[name] for name in ("value", "standard uncertainty", "mask"))
+    except FileNotFoundError as error:
+        raise InputError(f"{path} does not exist; write a map by `radiometer merge -o {path.name}`") from error
     except (OSError, ValueError, KeyError, TypeError, AttributeError, tifffile.TiffFileError) as error:
         raise InputError(
             f"{path}: is no map of radiance with its uncertainty; write one by `radiometer merge -o FILE.tiff`"

@@ -190,6 +190,8 @@ _MOST_MOVED_WHITE: Final = 0.5
 _LEAST_SIDE_PX: Final = 8
 # Cubic interpolation looks at pixels so far away.
 _SUPPORT_PX: Final = 2
+# OpenCV reads values at places of 1/32 pixel (INTER_BITS): half of a step is no movement beyond an edge.
+_PLACE_STEP_PX: Final = 1.0 / 64.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -345,28 +347,45 @@ def aligned(bracket: Bracket, alignment: Alignment) -> tuple[Bracket, list[NDArr
 def _moved(frame: Frame, to_frame: Array) -> tuple[Any, NDArray[np.bool_]]:
     size, flags = (frame.shape[1], frame.shape[0]), cv2.WARP_INVERSE_MAP
     top, white = frame.full_scale_dn, frame.saturated_dn
-    values = frame.dn.astype(np.float32)
-    smooth = cv2.warpAffine(values, to_frame, size, flags=flags | cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE)
-    dn = np.clip(np.rint(smooth), 0, top).astype(frame.dn.dtype)
+    dn = cv2.warpAffine(frame.dn, to_frame, size, flags=flags | cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE)
+    np.minimum(dn, dn.dtype.type(top), out=dn)
+    missing = _outside(frame.shape, to_frame)
     # A number means "clipped" only where all that it is read from clips.
     for end, clipped in ((0, frame.dn == 0), (top, frame.dn >= white)):
-        share = cv2.warpAffine(clipped.astype(np.float32), to_frame, size, flags=flags | cv2.INTER_LINEAR)
-        dn[share > 0.999] = end
-    near = cv2.dilate((frame.dn >= white).astype(np.uint8), np.ones((2 * _SUPPORT_PX + 1,) * 2, np.uint8))
-    near = cv2.warpAffine(near, to_frame, size, flags=flags | cv2.INTER_NEAREST)
-    outside = cv2.warpAffine(
-        np.ones(frame.shape, np.float32), to_frame, size, flags=flags | cv2.INTER_LINEAR, borderValue=0.0
-    )
-    return dn, (outside < 0.999) | ((near > 0) & (dn != top))
+        if not clipped.any():
+            continue
+        mask = clipped.view(np.uint8) * np.uint8(255)
+        share = cv2.warpAffine(mask, to_frame, size, flags=flags | cv2.INTER_LINEAR)
+        np.putmask(dn, share == 255, end)
+        if end == top:
+            near = cv2.dilate(mask, np.ones((2 * _SUPPORT_PX + 1,) * 2, np.uint8))
+            near = cv2.warpAffine(near, to_frame, size, flags=flags | cv2.INTER_NEAREST)
+            missing |= (near > 0) & (dn != top)
+    return dn, missing
+
+
+def _outside(shape: tuple[int, int], to_frame: Array) -> NDArray[np.bool_]:
+    """Return where a movement leads beyond the frame: in each row to the left of one place and right of another."""
+    height, width = shape
+    y, low, high = np.arange(height), np.zeros(height), np.full(height, width - 1.0)
+    for (along_x, along_y, offset), last in zip(to_frame, (width - 1.0, height - 1.0), strict=True):
+        start = along_y * y + offset
+        if abs(along_x) * width < _PLACE_STEP_PX:  # the whole row leads to one place
+            low[(start < -_PLACE_STEP_PX) | (start > last + _PLACE_STEP_PX)] = math.inf
+            continue
+        ends = np.sort([(-_PLACE_STEP_PX - start) / along_x, (last + _PLACE_STEP_PX - start) / along_x], axis=0)
+        low, high = np.maximum(low, ends[0]), np.minimum(high, ends[1])
+    x = np.arange(width, dtype=np.float32)
+    return np.asarray((x < low[:, None]) | (x > high[:, None]))
 
 
 def _reference(bracket: Bracket) -> int:
     """Return the frame that shows most of the scene between black and clipping."""
-    shares = []
+    shown = []
     for frame in bracket.light:
-        inside = (frame.dn > 0.05 * frame.full_scale_dn) & (frame.dn < 0.95 * frame.full_scale_dn)
-        shares.append(float(inside.mean()))
-    return int(np.argmax(shares))
+        low, high = math.floor(0.05 * frame.full_scale_dn) + 1, math.ceil(0.95 * frame.full_scale_dn) - 1
+        shown.append(cv2.countNonZero(cv2.inRange(frame.dn, low, high)))
+    return int(np.argmax(shown))
 
 
 def _reduced(dn: Any, pixels: int) -> Image:

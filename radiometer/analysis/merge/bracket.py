@@ -48,6 +48,7 @@ from radiometer.data.reading import RADIANCE_UNIT, RELATIVE_UNIT
 from radiometer.data.setup import Setup
 from radiometer.data.white_level import white_level_notes
 from radiometer.errors import MeasurementError
+from radiometer.numbers import unit_text
 
 BLOCK_PIXELS: Final = 1 << 15  # a block's sums stay in a core's second-level cache
 _PARTS_PER_CORE: Final = (
@@ -524,7 +525,7 @@ class StreamingMerge:
         if calibration is None or share == 0.0:
             return ()
         light = share * float(np.mean(radiance))  # pairwise: right to parts in a million
-        unit = RADIANCE_UNIT if calibration.absolute else "of these relative values"
+        unit = unit_text(RADIANCE_UNIT) if calibration.absolute else "of these relative values"
         return (f"no stray light: the lens may add {light:.2g} {unit} (k = 1) to every pixel, which u does not hold",)
 
     def _exposure_offset(self) -> tuple[str, ...]:

@@ -11,7 +11,9 @@ Frames that disagree by at most their noise and this together do not contradict 
 
 from __future__ import annotations
 
+import os
 from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import Any, Final
 
@@ -28,7 +30,7 @@ from radiometer.typing import Array
 _AGREE_SIGMA: Final = 4.0
 # A neighbour of so many contradicting pixels (of eight) shows the edge of what moved.
 _OF_EIGHT: Final = 4.0
-_CHUNK: Final = 100_000
+_CHUNK: Final = 1 << 13  # pixels of which 18 frames' values stay in the caches
 # Levels per e-fold at which the weights of the frames are worked out: they change little between.
 _PER_FOLD: Final = 16.0
 
@@ -63,15 +65,18 @@ def find_strays(
     bits = np.zeros(doubtful.size, np.uint64)
     alone = np.zeros(doubtful.size, bool)
     missing = [None] * len(samples) if not absent else [one.ravel() for one in absent]
-    for start in range(0, doubtful.size, _CHUNK):
-        here = start + np.flatnonzero(doubtful.ravel()[start : start + _CHUNK])
-        if here.size:
-            gone = np.array([np.zeros(here.size, bool) if one is None else one[here] for one in missing])
-            moved = np.zeros(here.size) if shift is None else shift[here].astype(np.float64)
-            out, few = _contradicting(samples, tables, here, gone, moved)
-            alone[here] = few
-            for k in range(len(samples)):
-                bits[here[out[k]]] |= np.uint64(1 << k)
+
+    def judge(here: NDArray[np.intp]) -> None:
+        gone = np.array([np.zeros(here.size, bool) if one is None else one[here] for one in missing])
+        moved = np.zeros(here.size) if shift is None else shift[here].astype(np.float64)
+        out, few = _contradicting(samples, tables, here, gone, moved)
+        alone[here] = few
+        for k in range(len(samples)):
+            bits[here[out[k]]] |= np.uint64(1 << k)
+
+    concerned = np.flatnonzero(doubtful)
+    with ThreadPoolExecutor(max_workers=os.cpu_count()) as pool:
+        list(pool.map(judge, np.array_split(concerned, max(1, -(-concerned.size // _CHUNK)))))
     # The edge of what moved is only partly covered and hardly stands out: it is treated like its neighbours.
     kernel = np.ones((3, 3), np.float32)
     for k in range(len(samples)):
@@ -101,13 +106,17 @@ def _contradicting(
     known = np.zeros(pixels.size)
     rate = np.zeros(pixels.size)
     for j in (int(k) for k in np.flatnonzero(used.any(axis=1))):
-        guess = np.maximum(x[j] / exposure[j], 0.0)
-        agree, information = _agreement(tables, guess, x, used, high, shift, of=j)
-        votes, total = agree.sum(axis=0), np.where(agree & used, information, 0.0).sum(axis=0)
-        better = used[j] & ((votes > best) | ((votes == best) & (total > known)))
-        mean = np.where(agree & used, information * x / exposure, 0.0).sum(axis=0) / np.maximum(total, 1e-300)
-        best, known = np.where(better, votes, best), np.where(better, total, known)
-        rate = np.where(better, np.maximum(mean, 0.0), rate)
+        own = np.flatnonzero(used[j])  # only where the frame shows something does it state a value
+        of_j = x[:, own], used[:, own]
+        guess = np.maximum(x[j, own] / exposure[j], 0.0)
+        agree, information = _agreement(tables, guess, *of_j, high[:, own], shift[own], of=j)
+        counted = np.where(agree & of_j[1], information, 0.0)
+        votes, total = agree.sum(axis=0), counted.sum(axis=0)
+        better = (votes > best[own]) | ((votes == best[own]) & (total > known[own]))
+        mean = (counted * of_j[0] / exposure).sum(axis=0) / np.maximum(total, 1e-300)
+        chosen = own[better]
+        best[chosen], known[chosen] = votes[better], total[better]
+        rate[chosen] = np.maximum(mean[better], 0.0)
     agree, _ = _agreement(tables, rate, x, used, high, shift, of=None)
     expected = rate * exposure
     shows = expected > _AGREE_SIGMA * np.sqrt(tables.variance(expected)[0])

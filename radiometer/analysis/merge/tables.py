@@ -278,8 +278,12 @@ class MergeTables:
         if self.quantisation is None or self.curve is None:
             return variance, np.zeros_like(expected)
         place = np.sqrt(np.clip(expected * gains / self.top, 0.0, 1.0)) * (_ROOT_TABLE_SIZE - 1)
-        entries = np.arange(_ROOT_TABLE_SIZE)
-        return variance + np.interp(place, entries, self.quantisation) / gains**2, np.interp(place, entries, self.curve)
+        low = np.minimum(place.astype(np.intp), _ROOT_TABLE_SIZE - 2)
+        part = place - low
+        quantisation, curve = (
+            entries[low] + part * (entries[low + 1] - entries[low]) for entries in (self.quantisation, self.curve)
+        )
+        return variance + quantisation / gains**2, curve
 
 
 def merge_tables(terms: Sequence[FrameTerms], model: SignalModel) -> MergeTables:

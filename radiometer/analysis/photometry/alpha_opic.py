@@ -23,6 +23,7 @@ from radiometer.analysis.photometry.photometry import (
 )
 from radiometer.data import Quantity
 from radiometer.errors import InputError
+from radiometer.numbers import unit_text
 
 RECEPTORS: Final = ("s_cone_opic", "m_cone_opic", "l_cone_opic", "rhodopic", "melanopic")
 DAYLIGHT: Final = "cie_d65"  # CIE S 026 refers equivalent daylight quantities to it
@@ -79,7 +80,9 @@ def alpha_opic_quantities(
     if not holds_visible_light(light):
         raise InputError(f"spectrum {light.name!r} holds no visible light: its α-opic efficacies are not defined")
     if not (math.isfinite(quantity.value) and quantity.value >= 0.0):
-        raise InputError(f"{quantity.value:g} {quantity.unit}: an α-opic quantity is made of a value of 0 or more")
+        raise InputError(
+            f"{quantity.value:g} {unit_text(quantity.unit)}: an α-opic quantity is made of a value of 0 or more"
+        )
     sure = doubt if doubt is not None else SpectrumDoubt()
     found = list[AlphaOpic]()
     for receptor in RECEPTORS:

@@ -9,13 +9,14 @@ from radiometer.analysis.quality.indices import Figure
 from radiometer.analysis.quality.session import Datasheet, Index
 from radiometer.analysis.reading.budget import coverage_factor
 from radiometer.data.storage import write_text_atomic
-from radiometer.numbers import rounded
+from radiometer.numbers import rounded, with_u
 from radiometer.reporting.page import folded, heading, listed, page, paragraph, section, table
 from radiometer.reporting.pictures import MODEL, dress, label, picture
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure as Canvas
 
+_SCALES: Final = {"px": (1.0, "px"), "1": (100.0, "%")}  # how a figure of a unit is printed
 _LOWEST_PERCENT: Final = 1e-3  # what is less stands at the left edge of the picture
 
 
@@ -31,11 +32,10 @@ def write_datasheet(path: Path, sheet: Datasheet) -> None:
 def datasheet_html(sheet: Datasheet) -> str:
     """Return the datasheet as HTML: the outcome, a picture, each index with its definition, what is missing last."""
     camera = sheet.camera
-    who = " ".join(word for word in (camera.vendor, camera.model, camera.serial) if word) if camera else "camera"
     measured = [one for one in sheet.indices if one.figure is not None]
     missing = [one for one in sheet.indices if one.figure is None]
     return page(
-        ", ".join(word for word in (who, sheet.lens, sheet.created[:10]) if word),
+        f"Quality indices of {(camera.name if camera else '') or 'a camera'}",
         _sentence(measured, len(sheet.indices)),
         [
             _picture(measured),
@@ -44,12 +44,13 @@ def datasheet_html(sheet: Datasheet) -> str:
             section("What was assumed", listed([f"{one}." for one in sheet.assumptions])),
         ],
         kind="Datasheet",
+        origin=sheet.origin,
     )
 
 
 def shown(figure: Figure) -> tuple[str, str]:
     """Return (value, expanded uncertainty) with their unit, as many digits as u allows."""
-    scale, unit = (1.0, "px") if figure.unit == "px" else (100.0, "%")
+    scale, unit = _SCALES[figure.unit]
     expanded = scale * coverage_factor(figure.degrees_of_freedom) * figure.u
     value, u = rounded(scale * figure.value, expanded)
     return f"{value} {unit}", f"{u} {unit}"
@@ -75,7 +76,8 @@ def _measured(one: Index) -> str:
     name = "" if procedure.symbol == procedure.title else f" ({procedure.symbol})"
     remarks = "; ".join(one.figure.remarks)
     steps = f"Captures: {', '.join(one.steps)}." if one.steps else ""
-    rows = [(each.label, _detail(each.value), f"± {_detail(each.expanded)}") for each in one.figure.details]
+    scale, unit = _SCALES[one.figure.unit]
+    rows = [(each.label, with_u(scale * each.value, scale * each.expanded, unit)) for each in one.figure.details]
     return "\n".join(
         part
         for part in (
@@ -86,10 +88,6 @@ def _measured(one: Index) -> str:
         )
         if part
     )
-
-
-def _detail(value: float) -> str:
-    return f"{value:.3g}" if abs(value) >= 1.0 else f"{100 * value:.3g} %"
 
 
 def _asked(one: Index) -> str:

@@ -21,6 +21,7 @@ from radiometer.data.capture_header import CameraDescription
 from radiometer.data.capture_set import HEADER_NAME
 from radiometer.data.setup import Setup
 from radiometer.errors import InputError, MeasurementError, RadiometerError
+from radiometer.reporting.origin import Origin, moment
 
 FORMAT: Final = "radiometer-quality/1"
 SOURCE_U_REL: Final = 0.001  # assumed where nothing is stated: a warm, regulated lamp
@@ -84,6 +85,7 @@ class Datasheet:
     indices: tuple[Index, ...]  # one per procedure, in their order
     assumptions: tuple[str, ...]  # what was assumed
     created: str  # time, UTC
+    origin: Origin  # what the captures were taken with, for the head of the page
 
     def to_mapping(self) -> dict[str, Any]:
         """Return the plain mapping for programs."""
@@ -123,14 +125,21 @@ def evaluate(session: Path, how: Evaluation, progress: Callable[[str], None] | N
         if progress:
             progress(one.title)
         found.append(_index(one, captures[one.name], how))
-    first = next((each for sets in captures.values() for each in sets.values()), None)
-    header = first.header if first else None
+    headers = [each.header for sets in captures.values() for each in sets.values()]
+    header = headers[0] if headers else None
+    known = how.calibration
+    calibration = "none: raw readings" if known is None else f"{moment(known.created)}, {known.scale.reference}"
+    if headers:
+        origin = Origin.of_captures(headers, calibration=calibration)
+    else:
+        origin = Origin("", known.camera.name if known else "", "", calibration)
     return Datasheet(
         header.camera if header else how.calibration.camera if how.calibration else None,
-        _lens(header.lens.model_dump(exclude_none=True)) if header else "",
+        header.lens.in_words() if header else "",
         tuple(found),
         _assumptions(how),
         dt.datetime.now(dt.UTC).isoformat(timespec="seconds").replace("+00:00", "Z"),
+        origin,
     )
 
 
@@ -140,12 +149,6 @@ def _captures(folder: Path) -> dict[str, CaptureSet]:
         return {}
     inside = sorted(one for one in folder.iterdir() if one.is_dir() and (one / HEADER_NAME).is_file())
     return {one.name: CaptureSet.read(one) for one in inside}
-
-
-def _lens(stated: Mapping[str, Any]) -> str:
-    words = [f"{stated['focal_length_mm']:g} mm"] if "focal_length_mm" in stated else []
-    words += [f"f/{stated['f_number']:g}"] if stated.get("f_number") else []
-    return ", ".join(words)
 
 
 def _assumptions(how: Evaluation) -> tuple[str, ...]:

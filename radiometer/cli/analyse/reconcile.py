@@ -12,7 +12,7 @@ import typer
 import radiometer as rm
 from radiometer.cli.console import console, note, progress
 from radiometer.cli.outputs import writes
-from radiometer.numbers import with_u
+from radiometer.numbers import unit_text, with_u
 
 if TYPE_CHECKING:
     from radiometer.api.results import FoundEffect, Proposal, ReconcileResult
@@ -248,7 +248,7 @@ def _show_limits(result: ReconcileResult) -> None:
         table.add_column(heading, justify="right" if heading == "from" else "left")
     for name, limit in result.limits.items():
         if limit.amplitude is not None:
-            unit = "" if limit.unit == "1" else limit.unit
+            unit = unit_text(limit.unit)
             at = "" if limit.temperature_c is None else f" at {limit.temperature_c:g} °C"
             table.add_row(name, f"{limit.amplitude:.2g}", f"{unit} ({limit.parameter}{at})")
     console().print()

@@ -44,6 +44,10 @@ def calibrate(
     pixel_mm: Annotated[
         float | None, typer.Option(min=0.01, max=5.0, help="Distance of two pixels in mm, for `adapt run`.")
     ] = None,
+    chromaticities: Annotated[
+        Path | None,
+        typer.Option(help="Colorimeter's chromaticities of this screen: a .ti3, or an earlier calibration."),
+    ] = None,
     warm_up: Annotated[float, typer.Option(min=0.0, help="Longest wait for the screen to settle in s.")] = 900.0,
     white: WhiteOption = "white_led",
     primaries: PrimariesOption = None,
@@ -53,7 +57,7 @@ def calibrate(
     patch: Annotated[str | None, typer.Option(help="Where the camera sees the patch: X,Y,W,H in pixels.")] = None,
     port: Annotated[int, typer.Option(min=0, max=65535, help="Port of the page; 0 for any free one.")] = 0,
     open_browser: Annotated[bool, typer.Option("--open", help="Open the page in this machine's browser.")] = False,
-    export: Annotated[str, typer.Option(help="Also write: psychopy,ti3,csv,inverse,vcgt,cal.")] = "",
+    export: Annotated[str, typer.Option(help="Also write: psychopy,ti3,csv,inverse,vcgt,cal,page.")] = "",
     plot: Annotated[Path | None, typer.Option(help="Picture of the curves: .png, .pdf or .svg.")] = None,
     argyll: Annotated[bool, typer.Option("--argyll", help="Print spotread's line for every level measured.")] = False,
     seed: SeedOption = 1,
@@ -70,10 +74,9 @@ def calibrate(
     with progress(shown=not json) as shown:
         found = rm.screen_calibrate(
             out, display, name=name, levels=levels, quick=quick, channels=words(channels), repeats=repeats, size=size,
-            pixel_mm=pixel_mm, warm_up_s=warm_up, white=white, primaries=primaries, camera=camera, bench=bench,
-            calibration=calibration, patch=parse_patch(patch), port=port, export=words(export), plot=plot, seed=seed,
-            force=force,
-            announce=announce, notice=note, progress=shown,
+            pixel_mm=pixel_mm, chromaticities=chromaticities, warm_up_s=warm_up, white=white, primaries=primaries,
+            camera=camera, bench=bench, calibration=calibration, patch=parse_patch(patch), port=port,
+            export=words(export), plot=plot, seed=seed, force=force, announce=announce, notice=note, progress=shown,
         )  # fmt: skip
     if json:
         print(found.to_json())
@@ -142,7 +145,7 @@ def level(
 @writes()
 def export_command(
     calibration: ScreenFile,
-    kinds: Annotated[str, typer.Argument(help="psychopy,ti3,csv,inverse,vcgt,cal or some of them.")],
+    kinds: Annotated[str, typer.Argument(help="psychopy,ti3,csv,inverse,vcgt,cal,page or some of them.")],
     out: Annotated[Path | None, typer.Option("--out", "-o", help="Folder; that of the calibration by default.")] = None,
     force: Annotated[bool, typer.Option("--force", help="Replace output files that exist.")] = False,
 ) -> None:

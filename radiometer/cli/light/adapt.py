@@ -201,10 +201,10 @@ def fit(
     ],
     criterion: Annotated[
         float | None,
-        typer.Option(help="log10 threshold whose time is reported, in place of the protocol's rod intercept."),
+        typer.Option(help="log₁₀ threshold whose time is reported, in place of the protocol's rod intercept."),
     ] = None,
     stimulus_u_log10: Annotated[
-        float | None, typer.Option(min=0.0, help="Standard uncertainty of the stimulus calibration, log10 units.")
+        float | None, typer.Option(min=0.0, help="Standard uncertainty of the stimulus calibration, log₁₀ units.")
     ] = None,
     bootstrap: Annotated[int, typer.Option(min=0, help="Bootstrap redraws; 0 for none.")] = 200,
     seed: SeedOption = 1,
@@ -233,7 +233,7 @@ def fit(
     for line in found.lines():
         console().print(line)
     chosen = found.fit.chosen
-    note(f"model {chosen.model.name}; scatter of a threshold {chosen.sigma:.3f} log10 units")
+    note(f"model {chosen.model.name}; scatter of a threshold {chosen.sigma:.3f} log₁₀ units")
     for line in found.series.taken:
         note(f"taken: {line}")
 

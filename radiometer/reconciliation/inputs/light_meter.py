@@ -6,7 +6,6 @@ at face value they scatter by up to a tenth, and with the exact stops behind the
 
 from __future__ import annotations
 
-import html
 import math
 import time
 from collections.abc import Mapping, Sequence
@@ -21,6 +20,8 @@ from radiometer.data.storage import write_text_atomic, write_yaml_atomic
 from radiometer.data.text_table import TextTable, finite, read_table
 from radiometer.errors import InputError
 from radiometer.reconciliation.result import FittedParameter, FoundEffect, Limit, ReconcileResult, Verdict
+from radiometer.reporting.origin import Origin
+from radiometer.reporting.page import page, paragraph, table
 from radiometer.typing import Array
 from radiometer.units import exact_exposure_s, exact_f_number
 
@@ -68,6 +69,7 @@ class MeterReconciled:
 
     result: ReconcileResult
     rows: tuple[MeterRow, ...]
+    origin: str
 
     def write_model(self, path: Path, *, provisional: bool = False) -> str:
         """Write what was found; a light meter is no camera, so the file holds the effect and the constants only."""
@@ -79,18 +81,16 @@ class MeterReconciled:
 
     def write_report(self, path: Path) -> str:
         """Write the table with K from printed and from exact stops as HTML."""
-        cells = "".join(
-            f"<tr><td>{html.escape(row.source)}</td><td>{row.luminance_cd_m2:g}</td><td>{row.f_number:g}</td>"
-            f"<td>{row.time_s:.6g}</td><td>{row.k_printed:.4f}</td><td>{row.k_exact:.4f}</td></tr>"
+        rows = [
+            (row.source, f"{row.luminance_cd_m2:g}", f"{row.f_number:g}", f"{row.time_s:.6g}", f"{row.k_printed:.4f}",
+             f"{row.k_exact:.4f}")
             for row in self.rows
-        )
-        remarks = "".join(f"<p>{text}</p>" for text in self.result.extra.get("remarks", []))
-        head = "<tr><th>source</th><th>cd·m⁻²</th><th>f</th><th>s</th><th>K printed</th><th>K exact</th></tr>"
-        write_text_atomic(
-            path,
-            "<!doctype html><html lang='en'><meta charset='utf-8'><title>light meter</title>"
-            f"<h1>{self.result.verdict}</h1>{remarks}<table>{head}{cells}</table></html>\n",
-        )
+        ]  # fmt: skip
+        head = ("source", "luminance in cd·m⁻²", "f-number", "time in s", "K as printed", "K of exact stops")
+        parts = [*(paragraph(text) for text in self.result.extra.get("remarks", [])), table(head, rows)]
+        outcome = f"Verdict: {self.result.verdict}."
+        origin = Origin("", further=(("table", self.origin),))
+        write_text_atomic(path, page("Readings of a light meter", outcome, parts, kind="reconcile", origin=origin))
         return str(path)
 
     def write_plan(self, path: Path) -> bool:
@@ -114,7 +114,7 @@ def read_meter_table(path: Path) -> tuple[MeterRow, ...]:
     for (line, cells), *figures in zip(table.rows, *columns.values(), strict=True):
         if min(figures) <= 0:
             raise InputError(f"{table.where(line)}: expected positive numbers, times as 0.004 or 1/250")
-        source = cells[named].strip() if named is not None else f"{figures[0]:g} cd/m2"
+        source = cells[named].strip() if named is not None else f"{figures[0]:g} cd·m⁻²"
         rows.append(MeterRow(source, *figures))
     if len(rows) < 2:
         raise InputError(f"{path}: holds {len(rows)} reading; two of one source are the least that can disagree")
@@ -126,7 +126,7 @@ def reconcile_meter_table(path: Path) -> MeterReconciled:
     begun = time.monotonic()
     rows = read_meter_table(path)
     result = _judge(rows)
-    return MeterReconciled(_timed(result, begun), rows)
+    return MeterReconciled(_timed(result, begun), rows, str(path))
 
 
 def _timed(result: ReconcileResult, begun: float) -> ReconcileResult:

@@ -12,6 +12,7 @@ import numpy as np
 
 from radiometer.numbers import with_u
 from radiometer.reconciliation.result import ReconcileResult, Verdict
+from radiometer.reporting.origin import Origin
 from radiometer.reporting.page import folded, heading, listed, page, paragraph, section, table
 from radiometer.reporting.pictures import BEFORE, DIMMED, MODEL, RULE, dress, label, legend, picture, shortened
 from radiometer.typing import Array
@@ -50,7 +51,9 @@ class FrameFinding:
     expected: float = 1.0
 
 
-def report_html(result: ReconcileResult, frames: Sequence[FrameFinding], sentence: str, title: str) -> str:
+def report_html(
+    result: ReconcileResult, frames: Sequence[FrameFinding], sentence: str, title: str, origin: Origin
+) -> str:
     """Return the report as HTML.
 
     Args:
@@ -58,6 +61,7 @@ def report_html(result: ReconcileResult, frames: Sequence[FrameFinding], sentenc
         frames: The photographs in the order of their exposure.
         sentence: The outcome in a sentence.
         title: What was reconciled.
+        origin: What the photographs come from.
     """
     wrong = [one for one in frames if one.wrong]
     line = "the line of 1" if all(one.expected == 1.0 for one in frames) else "what label and shutter's offset make"
@@ -92,6 +96,7 @@ def report_html(result: ReconcileResult, frames: Sequence[FrameFinding], sentenc
             folded("What was assumed", listed([f"{text}." for text in result.assumptions])),
         ],
         kind="reconcile",
+        origin=origin,
     )
 
 

@@ -44,9 +44,11 @@ from radiometer.analysis.response.wrong_labels import (
 from radiometer.data import Bracket, Frame
 from radiometer.data.storage import write_text_atomic, write_yaml_atomic
 from radiometer.errors import CaptureError, InputError, MeasurementError
+from radiometer.importing.exif import read_exif_header
 from radiometer.one_thread import on_one_blas_thread
 from radiometer.reconciliation.inputs.photograph_report import OFFSET, FrameFinding, report_html
 from radiometer.reconciliation.result import FittedParameter, FoundEffect, Limit, ReconcileResult, Verdict
+from radiometer.reporting.origin import Origin
 from radiometer.typing import Array
 from radiometer.units import exact_exposure_s
 
@@ -82,8 +84,17 @@ class PhotographsReconciled:
     def write_report(self, path: Path) -> str:
         """Write the outcome, the plot of each photograph against the others, and the exposures as HTML."""
         title = Path(self.origin).name or "photographs"
-        write_text_atomic(path, report_html(self.result, self.findings, self.sentence, title))
+        write_text_atomic(path, report_html(self.result, self.findings, self.sentence, title, self._origin()))
         return str(path)
+
+    def _origin(self) -> Origin:
+        """Return what EXIF of the first photograph states of date and camera."""
+        stated = read_exif_header(Path(self.origin) / next(iter(self.exposures_s)))
+        found = {name: str(stated[name].written) for name in ("DateTimeOriginal", "Make", "Model") if name in stated}
+        camera = " ".join(found[name] for name in ("Make", "Model") if name in found)
+        frames = str(len(self.exposures_s))
+        date = found.get("DateTimeOriginal", "")
+        return Origin(date, camera, further=(("photographs", frames), ("folder", self.origin)))
 
     def write_plan(self, path: Path) -> bool:
         """Write nothing: photographs are taken by hand; the result names the exposure to take again."""
@@ -92,7 +103,7 @@ class PhotographsReconciled:
 
 @on_one_blas_thread
 def reconcile_photographs(
-    frames: Sequence[Frame], other_colours: Sequence[Sequence[Frame]] = ()
+    frames: Sequence[Frame], other_colours: Sequence[Sequence[Frame]] = (), origin: str = ""
 ) -> PhotographsReconciled:
     """Return whether printed exposures agree with the photographs, and which do not.
 
@@ -100,6 +111,7 @@ def reconcile_photographs(
         frames: Photographs of one scene, at least three with different exposures.
         other_colours: The same photographs in other colours, each with a separate tone curve. Their labels are the
             same, and all colours together show a wrong one.
+        origin: Their folder.
 
     Raises:
         CaptureError: If there are too few, they hardly overlap, or all are equally bright.
@@ -108,7 +120,7 @@ def reconcile_photographs(
     light = [frame for frame in frames if not frame.settings.is_dark]
     if len({f.settings.exposure_s for f in light}) < 3:
         raise CaptureError("a stack of photographs needs at least three different exposures to be reconciled")
-    bracket = Bracket.from_frames(light).thinned(_ENOUGH_PIXELS)
+    bracket = Bracket.from_frames(light, origin).thinned(_ENOUGH_PIXELS)
     refuse_equal_throughout(bracket)
     try:
         samples = gather_samples(bracket)

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import datetime as dt
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Final, Protocol
+from typing import Protocol
 
 from radiometer.data import CaptureSet, Frame
-from radiometer.data.capture_set import read_header
+from radiometer.data.capture_set import CaptureHeader
 from radiometer.errors import CaptureError, OutputError
 from radiometer.importing import imported_of, is_foreign, open_capture, statistics_of
 from radiometer.reconciliation.engine import Say, examine, whole_catalogue
@@ -18,9 +17,8 @@ from radiometer.reconciliation.measure.reduce import Progress
 from radiometer.reconciliation.propose import Proposal
 from radiometer.reconciliation.result import ReconcileResult
 from radiometer.reconciliation.search.outcome import Reconciled
+from radiometer.reporting.origin import Origin
 from simulators.chain.camera_model import CameraModel
-
-_UNIX_FROM_S: Final = 1e9  # smaller time stamps count from the camera's start, and are no date
 
 
 class Done(Protocol):
@@ -47,8 +45,12 @@ class Done(Protocol):
 class DoneCapture:
     """A reconciled capture set."""
 
-    def __init__(self, reconciled: Reconciled, source: Path, content_hash: Callable[[], str] | None) -> None:
+    def __init__(
+        self, reconciled: Reconciled, source: Path, content_hash: Callable[[], str] | None, header: CaptureHeader,
+        model: str,
+    ) -> None:  # fmt: skip
         self._reconciled, self._source, self._hash = reconciled, source, content_hash
+        self._header, self._model = header, model
 
     @property
     def result(self) -> ReconcileResult:
@@ -85,45 +87,19 @@ class DoneCapture:
         """Write the HTML report."""
         from radiometer.reconciliation.report.html import write_report
 
-        write_report(path, self._reconciled, self._source.name, facts_of_capture(self._source))
+        write_report(path, self._reconciled, self._source.name, self._origin())
         return str(path)
+
+    def _origin(self) -> Origin:
+        """Return what the capture set states of camera, lens, date and conditions."""
+        further = (("model", self._model), ("capture set", str(self._source)))
+        return Origin.of_captures([self._header], further=further)
 
     def write_plan(self, path: Path) -> bool:
         """Write the captures of this set and the next one as a plan, and return whether there is a next one."""
         from radiometer.reconciliation.advice.next_capture import write_plan
 
         return write_plan(path, self._reconciled.result, self._reconciled.outcome.state.design)
-
-
-def facts_of_capture(source: Path) -> list[tuple[str, str]]:
-    """Return what a capture set states of camera, lens, date and conditions, as names and values; nothing of others."""
-    if not (source / "capture.yaml").is_file():
-        return []
-    header = read_header(source)
-    camera, lens = header.camera, header.lens
-    times = [one.timestamp_s for one in header.frames if one.timestamp_s is not None and one.timestamp_s > _UNIX_FROM_S]
-    degrees = [one.temperature_C for one in header.frames if one.temperature_C is not None]
-    stops = sorted({number for one in header.frames if (number := one.f_number or lens.f_number) is not None})
-    facts = [
-        ("capture set", str(source)),
-        ("camera", " ".join(word for word in (camera.vendor, camera.model, camera.serial) if word)),
-        ("lens", "" if lens.focal_length_mm is None else f"{lens.focal_length_mm:g} mm"),
-        ("f-number", ", ".join(f"f/{number:.4g}" for number in stops)),
-        ("taken (UTC)", _moments(times)),
-        ("sensor temperature", f"{min(degrees):.1f} to {max(degrees):.1f} °C" if degrees else ""),
-        ("frames", str(len(header.frames))),
-    ]
-    return [fact for fact in facts if fact[1]]
-
-
-def _moments(times: Sequence[float]) -> str:
-    """Return the first and the last of moments in Unix time; "" where there are none."""
-    if not times:
-        return ""
-    first, last = (
-        dt.datetime.fromtimestamp(one, dt.UTC).isoformat(" ", "seconds")[:19] for one in (min(times), max(times))
-    )
-    return first if first == last else f"{first} to {last}"
 
 
 def reconcile_source(
@@ -155,7 +131,7 @@ def reconcile_source(
     if path.suffix.lower() == ".csv" and statistics_of(path) is None:
         return reconcile_meter_table(path)
     if photographs:
-        return reconcile_photographs(photographs[0], photographs[1:])
+        return reconcile_photographs(photographs[0], photographs[1:], str(path))
     if path.is_file() and not is_foreign(path):
         raise CaptureError(
             f"{path}: give a capture set's folder, FITS or raw TIFF files, an EMVA 1288 descriptor (.txt) or a meter "
@@ -166,7 +142,7 @@ def reconcile_source(
         doubt(line)
     shape = capture.read_frame(0).shape
     found = examine(capture.header, capture.read_frame, shape, model, catalogue=entries, progress=progress, say=say)
-    return DoneCapture(found, path, lambda: _hash(capture))
+    return DoneCapture(found, path, lambda: _hash(capture), capture.header, str(model_path or "ideal, of the header"))
 
 
 def _hash(capture: CaptureSet) -> str:

@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 import inspect
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Final
 
 from radiometer.data.storage import write_text_atomic
-from radiometer.numbers import rounded, unit_text, with_u
+from radiometer.numbers import unit_text, with_u
 from radiometer.reconciliation.report import pictures
 from radiometer.reconciliation.report.words import along, axis_label, seen_in
 from radiometer.reconciliation.result import FoundEffect, ReconcileResult, Verdict
 from radiometer.reconciliation.search.outcome import Reconciled
+from radiometer.reporting.origin import Origin
 from radiometer.reporting.page import folded, heading, listed, page, paragraph, section, table
 from simulators.effects.catalogue import CatalogueEffect
 from simulators.effects.registry import all_effects
@@ -21,21 +21,21 @@ _LISTED_PLACES: Final = 5
 _WEAK_NATS: Final = 10.0
 
 
-def write_report(path: Path, reconciled: Reconciled, title: str, facts: Sequence[tuple[str, str]] = ()) -> None:
+def write_report(path: Path, reconciled: Reconciled, title: str, origin: Origin) -> None:
     """Write the report as one HTML file that needs nothing else.
 
     Args:
         reconciled: What was found.
         title: Name of the capture set.
-        facts: Camera, lens, date and whatever else is known of the data, as names and values.
+        origin: Camera, lens, date and whatever else is known of the data.
 
     Raises:
         OutputError: If the file cannot be written.
     """
-    write_text_atomic(path, report_html(reconciled, title, facts))
+    write_text_atomic(path, report_html(reconciled, title, origin))
 
 
-def report_html(reconciled: Reconciled, title: str, facts: Sequence[tuple[str, str]] = ()) -> str:
+def report_html(reconciled: Reconciled, title: str, origin: Origin) -> str:
     """Return the report as HTML."""
     result = reconciled.result
     return page(
@@ -48,7 +48,6 @@ def report_html(reconciled: Reconciled, title: str, facts: Sequence[tuple[str, s
             _following(result),
             _repeats(result),
             section("Where the residual is", pictures.rest_map(reconciled.outcome.state)),
-            section("What was measured", table((), facts, words=(1,))),
             heading("Figures"),
             folded("Equal frames, each less the others of its series", _frames(result)),
             folded(
@@ -63,6 +62,7 @@ def report_html(reconciled: Reconciled, title: str, facts: Sequence[tuple[str, s
             folded("What was assumed", listed([f"{text}." for text in result.assumptions])),
         ],
         kind="reconcile",
+        origin=origin,
     )
 
 
@@ -192,10 +192,9 @@ def _effect_picture(effect: FoundEffect, entry: CatalogueEffect | None, reconcil
 def _parameters(effect: FoundEffect) -> str:
     rows = []
     for name, entry in effect.parameters.items():
-        value, expanded = rounded(entry.value, 2.0 * entry.u if entry.u is not None else 0.0)
-        shown = "not fitted" if entry.u is None else f"± {expanded}"
-        rows.append((_plain(name, entry.unit), value, shown, unit_text(entry.unit)))
-    return table(("parameter", "value", "U (k = 2)", "unit"), rows, words=(3,))
+        shown = with_u(entry.value, 2.0 * entry.u if entry.u is not None else 0.0, entry.unit)
+        rows.append((_plain(name, entry.unit), shown, "not fitted" if entry.u is None else ""))
+    return table(("parameter", "value (k = 2)", ""), rows, words=(2,))
 
 
 def _law(effect: FoundEffect) -> str:

@@ -106,7 +106,8 @@ def _steps(axes: Axes, reconciled: Reconciled) -> None:
     colours = [AFTER if agrees else BEFORE, *[AFTER] * (len(gaps) - 1)]
     axes.barh(place, gaps, color=colours, height=0.62)
     for y, gap in zip(place, gaps, strict=True):
-        axes.annotate(f"{gap:.3g}", (gap, y), xytext=(3, 0), textcoords="offset points", va="center")
+        behind = {"facecolor": "white", "edgecolor": "none", "pad": 0.6}  # the line of 1 may be there
+        axes.annotate(f"{gap:.3g}", (gap, y), xytext=(3, 0), textcoords="offset points", va="center", bbox=behind)
     axes.axvline(1.0, color=SEEN, lw=1.0, ls="--")
     axes.set_ylim(min(0.0, len(gaps) - _FEWEST_ROWS) - 0.6, len(gaps) - 0.4)
     axes.set_yticks(place, [label(shortened(name, 30)) for name in names])

@@ -11,6 +11,7 @@ from radiometer.errors import UsageError
 from radiometer.screen.calibration import ScreenCalibration
 from radiometer.screen.exports.cgats import to_ti3
 from radiometer.screen.exports.psychopy import to_psychopy_json
+from radiometer.screen.exports.report_page import to_page
 from radiometer.screen.exports.tables import to_csv, to_inverse_csv
 from radiometer.screen.exports.video_lut import to_cal, to_vcgt
 
@@ -22,6 +23,7 @@ EXPORTS: Final[dict[str, tuple[Callable[[ScreenCalibration], str | bytes], str]]
     "inverse": (to_inverse_csv, ".inverse.csv"),
     "vcgt": (to_vcgt, ".vcgt"),
     "cal": (to_cal, ".cal"),
+    "page": (to_page, ".html"),
 }
 
 

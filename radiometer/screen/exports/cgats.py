@@ -5,7 +5,7 @@ from __future__ import annotations
 import datetime as dt
 
 from radiometer.screen.calibration import LUMINANCE, ScreenCalibration
-from radiometer.screen.exports.chromaticity import ASSUMPTION, xyz_of
+from radiometer.screen.exports.chromaticity import assumption_of, xyz_of
 
 _RGB = {"grey": (1, 1, 1), "red": (1, 0, 0), "green": (0, 1, 0), "blue": (0, 0, 1)}
 
@@ -19,6 +19,7 @@ def to_ti3(calibration: ScreenCalibration) -> str:
     white = grey.at(grey.levels[-1], LUMINANCE).value
     rows = [row for name in calibration.channels for row in _rows(calibration, name, white)]
     created = dt.datetime.fromisoformat(calibration.created).strftime("%a %b %d %H:%M:%S %Y")
+    assumed = assumption_of(calibration)
     head = [
         "CTI3   ",
         "",
@@ -29,9 +30,9 @@ def to_ti3(calibration: ScreenCalibration) -> str:
         'COLOR_REP "RGB_XYZ"',
         'TARGET_INSTRUMENT "radiometer"',
         'INSTRUMENT_TYPE_SPECTRAL "NO"',
-        'LUMINANCE_XYZ_CDM2 "{:.6f} {:.6f} {:.6f}"'.format(*xyz_of("grey", white)),
+        'LUMINANCE_XYZ_CDM2 "{:.6f} {:.6f} {:.6f}"'.format(*xyz_of(calibration, "grey", white)),
         'NORMALIZED_TO_Y_100 "YES"',
-        f"# {ASSUMPTION}",
+        *([f"# {assumed}"] if assumed else []),
         "",
         "NUMBER_OF_FIELDS 7",
         "BEGIN_DATA_FORMAT",
@@ -49,6 +50,6 @@ def _rows(calibration: ScreenCalibration, name: str, white: float) -> list[str]:
     rows = []
     for level in curve.levels:
         percent = 100 * level / curve.top_level
-        xyz = xyz_of(name, 100 * curve.at(level, LUMINANCE).value / white)
+        xyz = xyz_of(calibration, name, 100 * curve.at(level, LUMINANCE).value / white)
         rows.append(" ".join(f"{v:.5f}" for v in (*(percent * on for on in mask), *xyz)))
     return rows

@@ -40,7 +40,7 @@ def test_the_break_is_reported_with_its_interval(broken):
     text = re.search(
         r"class='outcome'>Rod–cone break at ([\d.]+)\u00a0±\u00a0([\d.]+) min, then S2 of "
         r"−([\d.]+)\u00a0±\u00a0([\d.]+) "
-        r"log10 units per min \(95\u00a0% intervals\)\.",
+        r"log₁₀ units per min \(95\u00a0% intervals\)\.",
         page,
     )
     assert text is not None

@@ -15,6 +15,7 @@ from radiometer.reconciliation.report.html import outcome, report_html
 from radiometer.reconciliation.report.pictures import effect_plot, unnamed_plot
 from radiometer.reconciliation.report.words import along, axis_label, seen_in
 from radiometer.reconciliation.result import FoundEffect, Verdict
+from radiometer.reporting.origin import Origin
 from simulators.effects.black_level_offset import BlackLevelOffset
 from simulators.effects.crosstalk import Crosstalk
 from testing.generator.session import make_session
@@ -34,7 +35,7 @@ def glaring() -> Reconciled:
 @pytest.mark.slow
 def test_the_verdict_comes_first_and_pictures_before_tables(glaring):
     """What was found, the opening picture, the name, the map of the rest, then the folded figures."""
-    page = report_html(glaring, "session <1>")
+    page = report_html(glaring, "session <1>", Origin())
     marks = [
         "session &lt;1&gt;",
         "class='outcome'",
@@ -50,19 +51,19 @@ def test_the_verdict_comes_first_and_pictures_before_tables(glaring):
 @pytest.mark.slow
 def test_a_name_says_what_it_is_and_what_shows_it(glaring):
     """The effect's own sentence, the statistic and covariate in words, a picture, and its size with ±."""
-    page = report_html(glaring, "session")
+    page = report_html(glaring, "session", Origin())
     part = page[page.index("<h2>veiling_glare") : page.index("Where the residual is")]
     assert "Spreads a share of all light evenly" in part
     assert "how bright patches are, with the brightness of the patch" in part
     assert "Line: what it predicts" in part
-    assert re.search(r"<td>share</td><td>[\d.]+</td><td>±\u00a0[\d.]+</td>", part)
+    assert re.search(r"<td>share</td><td>[\d.]+\u00a0±\u00a0[\d.]+</td>", part)
     assert "<p class='do'>" in part
 
 
 @pytest.mark.slow
 def test_nothing_is_loaded_from_elsewhere(glaring):
     """The page is one file."""
-    page = report_html(glaring, "session")
+    page = report_html(glaring, "session", Origin())
     assert not re.findall(r"(?:src|srcset|href)='(?!data:)", page)
     assert "http:" not in page
 
@@ -96,7 +97,7 @@ def test_the_outcome_of_each_other_verdict(glaring):
     assert outcome(replace(result, verdict=Verdict.INCOMPLETE)).startswith(
         "Structure remains; these names are provisional: veiling_glare ("
     )
-    page = report_html(replace(glaring, result=disagrees), "session")
+    page = report_html(replace(glaring, result=disagrees), "session", Origin())
     part = page[page.index("<h2>Not explained by any known effect") :]
     assert "<picture>" in part[: part.index("<h2>Where")]
     assert "Closest known effect: gamma_enabled, which explains 40\u00a0% of it. " in part
@@ -106,7 +107,7 @@ def test_the_outcome_of_each_other_verdict(glaring):
 def test_rivals_are_reported_in_words(glaring):
     """Each rival with what it is, and that the ± knows nothing of the choice."""
     effect = replace(glaring.result.effects[0], alternatives=("ghost", "another_lab's"))
-    page = report_html(replace(glaring, result=replace(glaring.result, effects=(effect,))), "session")
+    page = report_html(replace(glaring, result=replace(glaring.result, effects=(effect,))), "session", Origin())
     assert "<li>ghost. " in page
     assert "<li>another_lab&#x27;s.</li>" in page
     assert "Each\u00a0±\u00a0is conditional on this effect being the right one" in page
@@ -115,7 +116,7 @@ def test_rivals_are_reported_in_words(glaring):
 @pytest.mark.slow
 async def test_the_page_in_a_browser(glaring, tmp_path):
     """At two widths: no scrolling sideways, readable, every picture shown, nothing loaded, no error."""
-    await assert_reports_hold({"reconcile": report_html(glaring, HOSTILE)}, tmp_path)
+    await assert_reports_hold({"reconcile": report_html(glaring, HOSTILE, Origin())}, tmp_path)
 
 
 @pytest.mark.parametrize("kind", whole_catalogue().values(), ids=whole_catalogue())

@@ -10,6 +10,8 @@ from typing import Any
 import pytest
 from matplotlib.figure import Figure
 
+import radiometer
+from radiometer.reporting.origin import Origin, span_of
 from radiometer.reporting.page import escaped, folded, heading, listed, page, paragraph, prose, section, table
 from radiometer.reporting.pictures import dress, label, mark, picture, shortened
 from testing.report_checks import HOSTILE
@@ -25,7 +27,7 @@ def test_no_text_becomes_markup():
         folded(HOSTILE, paragraph(HOSTILE)),
         picture(lambda figure, narrow: None, HOSTILE, (1.0, 1.0), (1.0, 1.0)),
     ]
-    whole = page(HOSTILE, HOSTILE, parts, kind=HOSTILE, made=HOSTILE)
+    whole = page(HOSTILE, HOSTILE, parts, kind=HOSTILE, origin=Origin(camera=HOSTILE))
     assert "<script" not in whole
     assert "onload='" not in whole
     assert "\x1b" not in whole
@@ -35,7 +37,7 @@ def test_no_text_becomes_markup():
 
 def test_a_page_forbids_scripts_and_loading():
     """The browser learns that nothing but the page's own style and pictures may be used."""
-    whole = page("a", "b", [], kind="c")
+    whole = page("a", "b", [], kind="c", origin=Origin())
     policy = re.search(r'http-equiv="Content-Security-Policy" content="([^"]*)"', whole)
     assert policy is not None
     assert policy[1] == "default-src 'none'; img-src data:; style-src 'unsafe-inline'"
@@ -44,10 +46,30 @@ def test_a_page_forbids_scripts_and_loading():
 
 def test_the_outcome_comes_before_the_parts_and_empty_ones_are_passed_by():
     """Subject, outcome, parts in their order."""
-    whole = page("subject", "outcome", [paragraph("first"), "", section("empty"), section("last", "x")], kind="k")
+    whole = page(
+        "subject",
+        "outcome",
+        [paragraph("first"), "", section("empty"), section("last", "x")],
+        kind="k",
+        origin=Origin(),
+    )
     places = [whole.index(text) for text in ("subject</h1>", "outcome</p>", "<p>first</p>", "<h2>last</h2>")]
     assert places == sorted(places)
     assert ">empty" not in whole
+
+
+def test_every_page_states_what_its_data_come_from_and_what_is_not_known():
+    """A camera's clock is no date; what a file could state and does not is named, what the kind lacks is not."""
+    assert span_of([12.5, None]) == ""
+    assert span_of([1.75e9, 1.75e9 + 60]) == "2025-06-15 15:06:40 to 2025-06-15 15:07:40"
+    rows = Origin("", "FLIR 1", calibration="a.yaml", further=(("eye", "right"), ("age", ""))).rows
+    assert [*rows[:4]] == [
+        ("taken (UTC)", "not stated"),
+        ("camera", "FLIR 1"),
+        ("calibration", "a.yaml"),
+        ("eye", "right"),
+    ]
+    assert rows[4:] == [("program", f"radiometer {radiometer.__version__}")]
 
 
 def test_prose_has_printed_signs_and_keeps_numbers_together():

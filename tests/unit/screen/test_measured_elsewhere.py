@@ -12,7 +12,7 @@ from radiometer.bench.screen import lights, primaries_of
 from radiometer.cli.main import run
 from radiometer.errors import InputError, UsageError
 from radiometer.screen.calibration import LUMINANCE, ScreenCalibration
-from radiometer.screen.measured_elsewhere import ScreenReadings, imported, read_screen_readings
+from radiometer.screen.measured_elsewhere import ScreenReadings, chromaticities_in, imported, read_screen_readings
 
 TI3 = """CTI3
 
@@ -45,6 +45,9 @@ def test_ti3_is_scaled_by_its_white_and_repeats_are_kept(tmp_path: Path) -> None
     assert np.mean(found.grey[255]) == pytest.approx(199.0)
     assert found.primaries["red"][128] == [pytest.approx(8.0)]
     known = imported(found, lights("white_led", "led_lcd"), 0.04, file.name)
+    assert known.chromaticities["red"] == pytest.approx((38.0 / 57.9, 19.0 / 57.9))
+    known.write(tmp_path / "a.yaml")
+    assert chromaticities_in(tmp_path / "a.yaml") == chromaticities_in(file)
     assert known.channel("grey").at(128, LUMINANCE).value == pytest.approx(44.0)
     file.write_text(TI3.replace('LUMINANCE_XYZ_CDM2 "190.0 200.000000 210.0"\n', ""))
     with pytest.raises(InputError, match="LUMINANCE_XYZ_CDM2"):

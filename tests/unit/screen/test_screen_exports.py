@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import struct
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -114,7 +115,22 @@ def test_correction_of_another_gamma_is_another_table(screen: ScreenCalibration)
     assert correction(screen.channel(), 1.8)[128] > correction(screen.channel(), 2.2)[128]
 
 
-def test_argyll_line_is_spotreads() -> None:
+def test_argyll_line_is_spotreads(screen: ScreenCalibration) -> None:
     """The words are those of spotread's printf; Y stands twice; X of D65 white is 0.9505 Y."""
-    line = argyll_line("grey", 100.0)
+    line = argyll_line(screen, "grey", 100.0)
     assert line == " Result is XYZ: 95.045593 100.000000 108.905775, Yxy: 100.000000 0.312700 0.329000"
+
+
+def test_known_chromaticities_replace_those_of_srgb(screen: ScreenCalibration) -> None:
+    """Illuminant A (0.44757, 0.40745): X is 1.0985 Y and Z 0.3558 Y (CIE 15), and the file assumes nothing."""
+    known = replace(screen, chromaticities={"grey": (0.44757, 0.40745)})
+    assert argyll_line(known, "grey", 100.0).startswith(" Result is XYZ: 109.84")
+    assert "sRGB" in str(EXPORTS["ti3"][0](screen))
+    assert "sRGB" not in str(EXPORTS["ti3"][0](known))
+
+
+def test_page_states_what_the_screen_was_measured_with(screen: ScreenCalibration) -> None:
+    """Date, camera and calibration stand in the head; what is not stated is named."""
+    text = str(EXPORTS["page"][0](replace(screen, measured_with={"camera": "FLIR 22500001"})))
+    for wanted in ("2026-11-21 12:00:00", "FLIR 22500001", "calibration</dt><dd>not stated"):
+        assert wanted in text

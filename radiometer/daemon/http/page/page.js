@@ -35,8 +35,10 @@ function written(value, U) {
   // Two significant digits of the expanded uncertainty decide how many of the value are shown.
   if (value === null || !Number.isFinite(value)) return { value: "undefined", U: "", power: "" };
   const size = Math.abs(value) || U || 1, exponent = size < 1e-3 || size >= 1e5 ? Math.floor(Math.log10(size)) : 0;
-  const scale = 10 ** exponent, digits = U > 0 ? Math.min(9, Math.max(0, 1 - Math.floor(Math.log10(U / scale)))) : 4;
-  return { value: (value / scale).toFixed(digits), U: U > 0 ? (U / scale).toFixed(digits) : "", power: exponent ? ` × 10${superscript(exponent)}` : "" };
+  const scale = 10 ** exponent, second = U > 0 ? 1 - Math.floor(Math.log10(U / scale)) : 4;
+  const digits = Math.min(9, Math.max(0, second)), step = 10 ** Math.max(0, -second);
+  const shown = (x) => (step > 1 ? Math.round(x / scale / step) * step : x / scale).toFixed(digits);
+  return { value: shown(value), U: U > 0 ? shown(U) : "", power: exponent ? ` × 10${superscript(exponent)}` : "" };
 }
 const withSuperscripts = (message) => message.replace(/\b(W|sr|m)(-[12])\b/g, (_, letter, power) => letter + superscript(power));
 const ago = (s) => (s < 2 ? "now" : s < 90 ? `${Math.round(s)} s ago` : s < 5400 ? `${Math.round(s / 60)} min ago` : `${Math.round(s / 3600)} h ago`);

@@ -3,7 +3,7 @@ export const css = (name) => getComputedStyle(document.documentElement).getPrope
 
 const POWERS = { "-": "⁻", 0: "⁰", 1: "¹", 2: "²", 3: "³", 4: "⁴", 5: "⁵", 6: "⁶", 7: "⁷", 8: "⁸", 9: "⁹" };
 export const superscript = (n) => String(n).replace(/./g, (c) => POWERS[c]);
-export const unitText = (unit) => unit.replace(/([a-zA-Z])(-?\d+)/g, (_, letter, power) => letter + superscript(power));
+export const unitText = (unit) => unit.replace(/([a-zA-Z])(-?\d+)/g, (_, letter, power) => letter + superscript(power)).replaceAll(" ", "·");
 export const timeText = (at, span) => new Date(at * 1000).toLocaleString([], {
   hour12: false, hour: "2-digit", minute: "2-digit", ...(span <= 7200 ? { second: "2-digit" } : {}), ...(span > 7200 ? { day: "numeric", month: "short" } : {}),
 });

@@ -414,7 +414,7 @@ def test_a_gain_error_says_what_was_stated_and_what_the_noise_shows() -> None:
     camera = CameraDescription(bit_depth=16, conversion_gain_e_per_dn=2.06)
     found = ConversionGainError(error_rel=0.0664)
     text = found.remark(camera, {"error_rel": 0.0017})
-    assert text == "gain: stated 2.06 e-/DN, the noise says 1.932 ± 0.0031"
+    assert text == "gain: stated 2.06 e⁻/DN, the noise says 1.932 ± 0.0031"
     assert found.remark(camera, {"error_rel": None}) == ""
     assert found.remark(CameraDescription(bit_depth=16), {"error_rel": 0.0017}) == ""
 
