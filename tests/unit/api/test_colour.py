@@ -1,0 +1,184 @@
+"""Colour of patches and pictures, measured with the simulated colour camera and compared with its true spectra."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import tifffile
+import yaml
+
+import radiometer as rm
+from radiometer.analysis.colour.chromaticity import coordinates, tristimulus
+from radiometer.analysis.exports.maps import read_tiff
+from radiometer.analysis.photometry.photometry import Spectrum
+from radiometer.cli.main import run
+from radiometer.data import CaptureSet, CaptureSetWriter
+from radiometer.data.mosaic import COLOURS
+from radiometer.errors import CalibrationError, InputError, RadiometerError, UsageError
+from simulators.scenes.colour_chart import ColourLight
+
+PEAKS_NM = range(430, 650, 20)
+LIGHTS = {f"led{peak}": [[float(peak), 30.0, 0.3]] for peak in PEAKS_NM} | {
+    "white": [[450.0, 22.0, 0.1], [560.0, 120.0, 0.4]]
+}
+GRID_NM = np.arange(380.0, 781.0)
+COLUMNS, CELL_X, CELL_Y = 4, 12, 10  # in pixels of a plane; patches begin 2 pixels inside
+
+
+def place(name: str) -> tuple[int, int, int, int]:
+    """Return the place of a light in pixels of a plane."""
+    n = list(LIGHTS).index(name)
+    return CELL_X * (n % COLUMNS) + 2, CELL_Y * (n // COLUMNS) + 2, 8, 6
+
+
+def true_xyz(name: str) -> np.ndarray:
+    """Return X, Y, Z of a light in cd·m⁻², from its spectrum."""
+    light = ColourLight(name=name, bands=tuple(map(tuple, LIGHTS[name])))
+    return tristimulus(Spectrum(name, GRID_NM, light.spectral_radiance(GRID_NM)))
+
+
+@pytest.fixture(scope="module")
+def bench(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return a folder with a capture of twelve lights, their spectra, their X, Y, Z, and a calibration."""
+    folder = tmp_path_factory.mktemp("colour")
+    lights = [{"name": name, "bands": bands} for name, bands in LIGHTS.items()]
+    camera = {"kind": "simulated", "preset": "BFS-U3-19S4C", "pixel_format": "BayerRG12", "width": 96, "height": 60}
+    mapping = {
+        "format": "radiometer-bench/1",
+        "camera": camera,
+        "lens": {"focal_length_mm": 16, "f_number": 4},
+        "scene": {"kind": "colour_chart", "columns": COLUMNS, "lights": lights},
+        "patches": [
+            dict(zip(("name", "x", "y", "width", "height"), (name, *(2 * one for one in place(name))), strict=True))
+            for name in LIGHTS
+        ],
+    }
+    (folder / "bench.yaml").write_text(yaml.safe_dump(mapping), encoding="utf-8")
+    ladder = ["--from", "500us", "--to", "64ms", "--stops", "1", "--darks", "1"]
+    assert run(["bracket", str(folder / "set"), "--bench", str(folder / "bench.yaml"), *ladder]) == 0
+    powers = [
+        ColourLight(name=name, bands=tuple(map(tuple, bands))).spectral_radiance(GRID_NM)
+        for name, bands in LIGHTS.items()
+    ]
+    heading = ",".join(["wavelength_nm", *LIGHTS])
+    np.savetxt(folder / "spectra.csv", np.transpose([GRID_NM, *powers]), "%.9f", ",", header=heading, comments="")
+    rows = [",".join([name, "leds", *(f"{one:.6g}" for one in true_xyz(name))]) for name in LIGHTS]
+    (folder / "chart.csv").write_text("\n".join(["name,kind,X,Y,Z", *rows]) + "\n", encoding="utf-8")
+    rm.colour_calibrate(folder / "set", folder / "chart.csv", out=folder / "colour.yaml")
+    return folder
+
+
+@pytest.mark.parametrize("name", LIGHTS)
+def test_each_light_is_read_within_its_uncertainty(bench: Path, name: str) -> None:
+    """X, Y, Z and chromaticity of a light agree with its spectrum within U (k = 2.5 for 12 · 5 figures)."""
+    found = rm.colour_measure(bench / "set", calibration=bench / "colour.yaml", patch=place(name), kind="leds")
+    true = true_xyz(name)
+    xy = coordinates(true, np.zeros((3, 3))).xy
+    for quantity, value in zip("XYZxy", [*true, *xy], strict=True):
+        one = found[quantity]
+        assert one is not None
+        assert abs(one.value - value) < 2.5 * one.u
+    assert found["Y"].unit == "cd m-2"
+    assert "other_light" not in found.flags
+
+
+def test_spectra_and_tristimulus_values_give_one_calibration(bench: Path) -> None:
+    """The places are those of capture.yaml, the X, Y, Z those of the spectra."""
+    of_spectra = rm.colour_calibrate(bench / "set", spectra=bench / "spectra.csv", kind="leds").calibration
+    of_chart = rm.colour_calibrate(bench / "set", bench / "chart.csv").calibration
+    assert of_spectra.fits["all"].matrix == pytest.approx(of_chart.fits["all"].matrix, rel=1e-4)
+    assert of_spectra.unit == "cd m-2"
+
+
+def test_every_pixel_has_the_colour_of_its_patch(bench: Path, tmp_path: Path) -> None:
+    """The mean over a patch of the picture is the reading of the patch; a dark pixel has no chromaticity."""
+    args = {"calibration": bench / "colour.yaml", "patch": place("white"), "kind": "leds"}
+    found = rm.colour_measure(bench / "set", maps=tmp_path / "map.tiff", **args)
+    maps = read_tiff(tmp_path / "map.tiff").maps
+    assert list(maps) == ["X", "Y", "Z", "x", "y", "u_prime", "v_prime", "cct", "duv"]
+    for name, one in maps.items():
+        part = one.radiance[rm.Patch(*place("white")).slices]
+        assert float(np.mean(part)) == pytest.approx(found[name].value, rel=0.01, abs=1e-3)
+        assert one.unit == found[name].unit
+    assert tifffile.imread(tmp_path / "map.tiff").shape[-1] == 9
+    assert np.isnan(maps["x"].radiance[0, 0])
+
+
+def test_the_command_prints_what_the_function_returns(bench: Path, tmp_path: Path, capsys) -> None:
+    """JSON, page and picture; the page holds its picture and loads nothing."""
+    words = ["colour", "measure", str(bench / "set"), "--calibration", str(bench / "colour.yaml"), "--kind", "leds",
+             "--patch", ",".join(map(str, place("white"))), "--json"]  # fmt: skip
+    assert run([*words, "--report", str(tmp_path / "page.html"), "--plot", str(tmp_path / "xy.png")]) == 0
+    printed = json.loads(capsys.readouterr().out)
+    found = rm.colour_measure(bench / "set", calibration=bench / "colour.yaml", patch=place("white"), kind="leds")
+    assert printed == json.loads(found.to_json())
+    assert "data:image/png" in (tmp_path / "page.html").read_text(encoding="utf-8")
+    assert (tmp_path / "xy.png").stat().st_size > 1000
+
+
+def test_filters_before_a_monochrome_camera_are_channels(bench: Path, tmp_path: Path) -> None:
+    """Captures behind three filters, here the planes of the mosaic, give the matrix of the mosaic."""
+    whole, filters = CaptureSet.read(bench / "set"), {}
+    camera = whole.header.camera.model_copy(update={"mosaic": None})
+    for colour in COLOURS:
+        with CaptureSetWriter(tmp_path / colour, camera, whole.header.lens) as writer:
+            for frame in replace(whole, colour=colour).frames():
+                writer.add(frame)
+        filters[colour] = tmp_path / colour
+    lines = (bench / "chart.csv").read_text(encoding="utf-8").splitlines()
+    rows = [f"{line},{','.join(map(str, place(line.partition(',')[0])))}" for line in lines[1:]]
+    (tmp_path / "chart.csv").write_text("\n".join([f"{lines[0]},left,top,width,height", *rows]), encoding="utf-8")
+    found = rm.colour_calibrate(chart=tmp_path / "chart.csv", filters=filters).calibration
+    expected = rm.colour_calibrate(bench / "set", bench / "chart.csv").calibration
+    assert found.fits["all"].matrix == pytest.approx(expected.fits["all"].matrix, rel=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("given", "error", "said"),
+    [
+        ({"patch": (40, 20, 8, 20)}, InputError, "leaves the map"),
+        ({"patch": (0, 0, 2, 2)}, RadiometerError, "have a value"),
+        ({"kind": "moonlight"}, UsageError, "the calibration knows"),
+        ({"source": None}, UsageError, "--filter NAME=FOLDER"),
+        ({"maps": "map.png"}, UsageError, r"\.exr"),
+        ({"calibration": "chart.csv"}, InputError, "expected keys and values"),
+    ],
+)
+def test_what_gives_no_reading_is_refused(bench: Path, monkeypatch, given, error, said) -> None:
+    """Each refusal names what is wrong."""
+    monkeypatch.chdir(bench)
+    usual = {"source": "set", "calibration": "colour.yaml", "patch": place("white"), "kind": "leds"}
+    with pytest.raises(error, match=said):
+        rm.colour_measure(**{**usual, **given})  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(
+    ("change", "error", "said"),
+    [
+        (lambda lines: lines[:4], CalibrationError, "4 lights or more"),
+        (lambda lines: [lines[0], *[f"{one}{n},leds,1,1,1" for n, one in enumerate(["led430"] * 5)]], InputError,
+         "no place"),
+        (lambda lines: [one.replace("X,Y,Z", "X,Y") for one in lines], InputError, "."),
+        (lambda lines: [*lines, lines[1]], InputError, "occurs twice"),
+        (lambda lines: [lines[0].replace("X,Y,Z", "a,b,c"), *lines[1:]], InputError, "no columns X, Y, Z"),
+    ],
+)  # fmt: skip
+def test_a_chart_that_determines_nothing_is_refused(bench: Path, tmp_path: Path, change, error, said) -> None:
+    """Each refusal names what is wrong, and no file is written."""
+    lines = (bench / "chart.csv").read_text(encoding="utf-8").splitlines()
+    (tmp_path / "chart.csv").write_text("\n".join(change(lines)) + "\n", encoding="utf-8")
+    with pytest.raises(error, match=said):
+        rm.colour_calibrate(bench / "set", tmp_path / "chart.csv", out=tmp_path / "colour.yaml")
+    assert not (tmp_path / "colour.yaml").exists()
+
+
+def test_a_radiance_of_a_mosaic_is_refused(bench: Path) -> None:
+    """A patch over several filters has no one radiance; the capture set is read in green."""
+    with pytest.raises(UsageError, match="mosaic of colours"):
+        rm.measure(bench=bench / "bench.yaml", patch=(0, 0, 8, 8), uncalibrated=True)
+    assert rm.read(bench / "set").bracket.shape == (30, 48)
+    assert set(rm.merge(bench / "set").maps) == {"red", "green", "blue"}
