@@ -53,7 +53,7 @@ class CalibratedColour(Result):
 
     Examples:
         >>> import radiometer as rm
-        >>> made = rm.colour_calibrate("out/colours", "colours.csv", kind="leds")
+        >>> made = rm.colour_calibrate("colours", "colours.csv", kind="leds")
         >>> list(made.calibration.channels), made.calibration.unit
         (['red', 'green', 'blue'], 'cd m-2')
 
@@ -87,9 +87,9 @@ class ColourReading(Result):
 
     Examples:
         >>> import radiometer as rm
-        >>> rm.colour_calibrate("out/colours", "colours.csv", kind="leds", out="colour.yaml")
+        >>> rm.colour_calibrate("colours", "colours.csv", kind="leds", out="colour.yaml")
         <CalibratedColour ...>
-        >>> found = rm.colour_measure("out/colours", calibration="colour.yaml", patch=(2, 2, 4, 4), kind="leds")
+        >>> found = rm.colour_measure("colours", calibration="colour.yaml", patch=(2, 2, 4, 4), kind="leds")
         >>> found["Y"].unit, found["cct"] is None or found["cct"].unit
         ('cd m-2', ...)
 
@@ -225,7 +225,7 @@ def colour_calibrate(
 
     Examples:
         >>> import radiometer as rm
-        >>> rm.colour_calibrate("out/colours", "colours.csv", kind="leds")
+        >>> rm.colour_calibrate("colours", "colours.csv", kind="leds")
         <CalibratedColour red/green/blue from ... lights; u of luminance: ...>
 
     Args:
@@ -298,8 +298,8 @@ def colour_measure(
 
     Examples:
         >>> import radiometer as rm
-        >>> made = rm.colour_calibrate("out/colours", "colours.csv", kind="leds")
-        >>> rm.colour_measure("out/colours", calibration=made.calibration, patch=(2, 2, 4, 4), kind="leds")
+        >>> made = rm.colour_calibrate("colours", "colours.csv", kind="leds")
+        >>> rm.colour_measure("colours", calibration=made.calibration, patch=(2, 2, 4, 4), kind="leds")
         <ColourReading Y ... (k = 2)>
 
     Args:

@@ -9,65 +9,35 @@ from pathlib import Path
 import numpy as np
 import pytest
 import tifffile
-import yaml
 
 import radiometer as rm
-from radiometer.analysis.colour.chromaticity import coordinates, tristimulus
+from radiometer.analysis.colour.chromaticity import coordinates
 from radiometer.analysis.exports.maps import read_tiff
-from radiometer.analysis.photometry.photometry import Spectrum
 from radiometer.cli.main import run
 from radiometer.data import CaptureSet, CaptureSetWriter
 from radiometer.data.mosaic import COLOURS
 from radiometer.errors import CalibrationError, InputError, RadiometerError, UsageError
-from simulators.scenes.colour_chart import ColourLight
-
-PEAKS_NM = range(430, 650, 20)
-LIGHTS = {f"led{peak}": [[float(peak), 30.0, 0.3]] for peak in PEAKS_NM} | {
-    "white": [[450.0, 22.0, 0.1], [560.0, 120.0, 0.4]]
-}
-GRID_NM = np.arange(380.0, 781.0)
-COLUMNS, CELL_X, CELL_Y = 4, 12, 10  # in pixels of a plane; patches begin 2 pixels inside
-
-
-def place(name: str) -> tuple[int, int, int, int]:
-    """Return the place of a light in pixels of a plane."""
-    n = list(LIGHTS).index(name)
-    return CELL_X * (n % COLUMNS) + 2, CELL_Y * (n // COLUMNS) + 2, 8, 6
-
-
-def true_xyz(name: str) -> np.ndarray:
-    """Return X, Y, Z of a light in cd·m⁻², from its spectrum."""
-    light = ColourLight(name=name, bands=tuple(map(tuple, LIGHTS[name])))
-    return tristimulus(Spectrum(name, GRID_NM, light.spectral_radiance(GRID_NM)))
+from testing.colour_bench import (
+    GRID_NM,
+    LIGHTS,
+    capture_colours,
+    place,
+    true_xyz,
+    write_colour_bench,
+    write_colour_chart,
+)
 
 
 @pytest.fixture(scope="module")
 def bench(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Return a folder with a capture of twelve lights, their spectra, their X, Y, Z, and a calibration."""
     folder = tmp_path_factory.mktemp("colour")
-    lights = [{"name": name, "bands": bands} for name, bands in LIGHTS.items()]
-    camera = {"kind": "simulated", "preset": "BFS-U3-19S4C", "pixel_format": "BayerRG12", "width": 96, "height": 60}
-    mapping = {
-        "format": "radiometer-bench/1",
-        "camera": camera,
-        "lens": {"focal_length_mm": 16, "f_number": 4},
-        "scene": {"kind": "colour_chart", "columns": COLUMNS, "lights": lights},
-        "patches": [
-            dict(zip(("name", "x", "y", "width", "height"), (name, *(2 * one for one in place(name))), strict=True))
-            for name in LIGHTS
-        ],
-    }
-    (folder / "bench.yaml").write_text(yaml.safe_dump(mapping), encoding="utf-8")
-    ladder = ["--from", "500us", "--to", "64ms", "--stops", "1", "--darks", "1"]
-    assert run(["bracket", str(folder / "set"), "--bench", str(folder / "bench.yaml"), *ladder]) == 0
-    powers = [
-        ColourLight(name=name, bands=tuple(map(tuple, bands))).spectral_radiance(GRID_NM)
-        for name, bands in LIGHTS.items()
-    ]
+    write_colour_bench(folder / "bench.yaml")
+    write_colour_chart(folder / "chart.csv")
+    capture_colours(folder / "bench.yaml", folder / "set")
+    powers = [one.spectral_radiance(GRID_NM) for one in LIGHTS.values()]
     heading = ",".join(["wavelength_nm", *LIGHTS])
     np.savetxt(folder / "spectra.csv", np.transpose([GRID_NM, *powers]), "%.9f", ",", header=heading, comments="")
-    rows = [",".join([name, "leds", *(f"{one:.6g}" for one in true_xyz(name))]) for name in LIGHTS]
-    (folder / "chart.csv").write_text("\n".join(["name,kind,X,Y,Z", *rows]) + "\n", encoding="utf-8")
     rm.colour_calibrate(folder / "set", folder / "chart.csv", out=folder / "colour.yaml")
     return folder
 
@@ -129,10 +99,7 @@ def test_filters_before_a_monochrome_camera_are_channels(bench: Path, tmp_path: 
             for frame in replace(whole, colour=colour).frames():
                 writer.add(frame)
         filters[colour] = tmp_path / colour
-    lines = (bench / "chart.csv").read_text(encoding="utf-8").splitlines()
-    rows = [f"{line},{','.join(map(str, place(line.partition(',')[0])))}" for line in lines[1:]]
-    (tmp_path / "chart.csv").write_text("\n".join([f"{lines[0]},left,top,width,height", *rows]), encoding="utf-8")
-    found = rm.colour_calibrate(chart=tmp_path / "chart.csv", filters=filters).calibration
+    found = rm.colour_calibrate(chart=bench / "chart.csv", filters=filters).calibration
     expected = rm.colour_calibrate(bench / "set", bench / "chart.csv").calibration
     assert found.fits["all"].matrix == pytest.approx(expected.fits["all"].matrix, rel=1e-6)
 
@@ -160,9 +127,8 @@ def test_what_gives_no_reading_is_refused(bench: Path, monkeypatch, given, error
     ("change", "error", "said"),
     [
         (lambda lines: lines[:4], CalibrationError, "4 lights or more"),
-        (lambda lines: [lines[0], *[f"{one}{n},leds,1,1,1" for n, one in enumerate(["led430"] * 5)]], InputError,
-         "no place"),
-        (lambda lines: [one.replace("X,Y,Z", "X,Y") for one in lines], InputError, "."),
+        (lambda lines: [lines[0].replace("left", "a"), *lines[1:]], InputError, "has no column left"),
+        (lambda lines: [lines[0].replace("X,Y,Z", "X,Y,a"), *lines[1:]], InputError, "has no column z"),
         (lambda lines: [*lines, lines[1]], InputError, "occurs twice"),
         (lambda lines: [lines[0].replace("X,Y,Z", "a,b,c"), *lines[1:]], InputError, "no columns X, Y, Z"),
     ],

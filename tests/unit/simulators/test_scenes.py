@@ -101,7 +101,7 @@ def test_image_file_is_scaled_to_the_sensor(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("mapping", "message"),
     [
-        ({"kind": "moon"}, r"kind = 'moon': there is no such scene; allowed are image, led"),
+        ({"kind": "moon"}, r"kind = 'moon': there is no such scene; allowed are colour_chart, image"),
         ({"kind": "led", "colour": 1}, r"unknown key 'colour'; allowed here: .*flux_mW"),
         ({"kind": "step_chart"}, r"give either radiances_W_per_sr_m2 or steps"),
         ({"kind": "led", "flux_mW": -1}, r"flux_mW = -1: input should be greater than 0"),
