@@ -6,6 +6,7 @@ import json
 from dataclasses import replace
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 import tifffile
@@ -17,6 +18,7 @@ from radiometer.cli.main import run
 from radiometer.data import CaptureSet, CaptureSetWriter
 from radiometer.data.mosaic import COLOURS
 from radiometer.errors import CalibrationError, InputError, RadiometerError, UsageError
+from simulators.cameras.colour_filters import ColourFilters
 from testing.colour_bench import (
     GRID_NM,
     LIGHTS,
@@ -102,6 +104,26 @@ def test_filters_before_a_monochrome_camera_are_channels(bench: Path, tmp_path: 
     found = rm.colour_calibrate(chart=bench / "chart.csv", filters=filters).calibration
     expected = rm.colour_calibrate(bench / "set", bench / "chart.csv").calibration
     assert found.fits["all"].matrix == pytest.approx(expected.fits["all"].matrix, rel=1e-6)
+
+
+def test_photographs_need_to_be_proportional_to_light(bench: Path, tmp_path: Path) -> None:
+    """Linear photographs of the lights give each light's colour; developed ones of unknown response are refused."""
+    responses = [ColourFilters().responsivity(colour, GRID_NM) for colour in COLOURS]
+    picture = np.zeros((30, 48, 3))
+    for name, light in LIGHTS.items():
+        picture[rm.Patch(*place(name)).slices] = np.sum(light.spectral_radiance(GRID_NM) * responses, axis=1)
+    noise = np.random.default_rng(46_031)
+    for n, seconds in enumerate((0.02, 0.04, 0.08)):
+        values = 4e6 * seconds * picture / picture.max() / 8.0
+        drawn = np.clip(noise.normal(values, np.sqrt(values + 1.0)), 0, 65535).astype(np.uint16)
+        cv2.imwrite(str(tmp_path / f"{n}.png"), drawn[..., ::-1])
+    (tmp_path / "exposures.txt").write_text("0.png 0.02\n1.png 0.04\n2.png 0.08\n", encoding="utf-8")
+    with pytest.raises(UsageError, match="--linear"):
+        rm.colour_calibrate(tmp_path, bench / "chart.csv")
+    known = rm.colour_calibrate(tmp_path, bench / "chart.csv", linear=True).calibration
+    found = rm.colour_measure(tmp_path, calibration=known, patch=place("white"), kind="leds", linear=True)
+    for quantity, value in zip("XYZ", true_xyz("white"), strict=True):
+        assert abs(found[quantity].value - value) < 2.5 * found[quantity].u
 
 
 @pytest.mark.parametrize(
