@@ -13,12 +13,12 @@ import numpy as np
 from radiometer.analysis.calibration.shared import require_camera, require_lens, settle
 from radiometer.analysis.colour.calibration import ColourCalibration
 from radiometer.analysis.colour.chart import KnownLight, read_chart, read_spectra, spectrum_of
-from radiometer.analysis.colour.chromaticity import Coordinates, coordinates, locus_points, tristimulus
+from radiometer.analysis.colour.chromaticity import QUANTITIES, Coordinates, coordinates, locus_points, tristimulus
 from radiometer.analysis.colour.matrix import Training
 from radiometer.analysis.colour.plausible import GRID_NM, on_grid
 from radiometer.analysis.colour.train import ColourCamera, train_on_lights, train_on_responsivities
 from radiometer.analysis.exports.maps import MapPicture, write_exr, write_tiff
-from radiometer.analysis.photometry.photometry import Spectrum, spectral_columns
+from radiometer.analysis.photometry.photometry import spectral_columns
 from radiometer.analysis.regions.figures import LOST, region_figures
 from radiometer.api.files import PathLike, stack_of
 from radiometer.api.meter import PatchLike, as_patch
@@ -41,7 +41,6 @@ if TYPE_CHECKING:
 
 TrainedOn = Literal["chart", "responsivities"]
 _UNSTATED: Final = "light"  # kind of lights whose kind no chart and no option states
-_UNITS: Final = {"x": "1", "y": "1", "u_prime": "1", "v_prime": "1", "cct": "K", "duv": "1"}
 _WRITERS: Final = {".exr": write_exr, ".tif": write_tiff, ".tiff": write_tiff}
 _ELLIPSE_K: Final = 2.4477  # radius that holds 95 % of a normal distribution in two dimensions
 _ROWS: Final = 64  # of a picture that are converted at a time
@@ -336,16 +335,22 @@ def colour_measure(
     if (known.lens.f_number is None) != (seen.lens.f_number is None):
         settle("f-number", known.lens.f_number, seen.lens.f_number)
     where = as_patch(patch) or Patch(0, 0, *next(iter(seen.maps.values())).shape[::-1])
-    signal, u_signal, flags = seen.signal(where, str(seen.origin))
-    xyz, covariance = known.convert(signal, seen.covariance(signal, u_signal), kind)
+    signal, own, flags = seen.signal(where, str(seen.origin))
+    readings = seen.covariance(signal, own)
+    xyz, covariance = known.convert(signal, readings, kind)
     if not xyz.sum() > 0.0:
         raise MeasurementError(f"{seen.origin}: X + Y + Z is not above 0: the patch shows no light")
     found = coordinates(xyz, covariance)
+    values, u = (one.tolist() for one in found.figures(xyz, covariance))
+    raw = zip(seen.maps, signal.tolist(), np.sqrt(np.diag(readings)).tolist(), strict=True)
     reading = ColourReading(
         seen.origin, where, kind,
-        {name: Quantity(float(signal[n]), float(u_signal[n]), "relative") for n, name in enumerate(seen.maps)},
-        _quantities(known.unit, xyz, covariance, found), found,
-        (*flags, *_flags(known, found, kind)), (*known.provenance.assumptions, *seen.assumptions), known,
+        {name: Quantity(value, u_of, "relative") for name, value, u_of in raw},
+        {
+            name: Quantity(values[n], u[n], unit) if np.isfinite(values[n]) else None
+            for n, (name, unit) in enumerate(_units(known.unit).items())
+        },
+        found, (*flags, *_flags(known, found, kind)), (*known.provenance.assumptions, *seen.assumptions), known,
         _converted(seen, known, kind) if maps is not None else None,
     )  # fmt: skip
     if maps is not None:
@@ -372,16 +377,29 @@ class _Channels:
         return tuple(dict.fromkeys(text for one in self.maps.values() for text in one.provenance.assumptions))
 
     def signal(self, patch: Patch, name: str) -> tuple[Array, Array, tuple[str, ...]]:
-        """Return the mean of each channel over a patch, its u, and flags."""
+        """Return the mean of each channel over a patch, its u without what all pixels share, and flags."""
         figures = [region_figures(one, name, patch) for one in self.maps.values()]
-        flags = tuple(dict.fromkeys(flag.partition(":")[0] for one in figures for flag in one.flags))
-        return np.array([one.mean.value for one in figures]), np.array([one.mean.u for one in figures]), flags
+        flags = tuple(dict.fromkeys(flag.partition(":")[0].replace(" ", "_") for one in figures for flag in one.flags))
+        signal, u = (np.array([getattr(one.mean, name) for one in figures]) for name in ("value", "u"))
+        return signal, np.sqrt(np.maximum(u**2 - (self.common * signal) ** 2, 0.0)), flags
 
-    def covariance(self, signal: Array, u_signal: Array) -> Array:
-        """Return the covariance of a reading: channels of the same frames share the errors of time and linearity."""
-        common = np.array([one.u_rel_common for one in self.maps.values()]) * signal
-        own = np.maximum(u_signal**2 - common**2, 0.0)
-        return np.diag(own) + (np.outer(common, common) if self.together else np.diag(common**2))
+    @property
+    def common(self) -> Array:
+        """Return the relative standard uncertainty that all pixels of each channel share."""
+        return np.array([one.u_rel_common for one in self.maps.values()])
+
+    def covariance(self, signal: Array, own: Array) -> Array:
+        """Return the covariance of readings, shape (…, channels, channels).
+
+        Channels of the same frames share the errors of time and linearity.
+
+        Args:
+            signal: Shape (…, channels).
+            own: Standard uncertainty without what all pixels share, same shape.
+        """
+        shared, each = self.common * signal, np.eye(signal.shape[-1])
+        pairs = shared[..., :, None] * shared[..., None, :]
+        return np.asarray((pairs if self.together else pairs * each) + own[..., None] ** 2 * each)
 
 
 @dataclass(frozen=True, slots=True)
@@ -483,11 +501,14 @@ def _lights(
         if "saturated" in flags:
             raise MeasurementError(f"light {light.name!r}: saturated pixels; capture shorter exposures")
         readings.append((signal, u_signal))
-        spectrum = None if powers is None else spectrum_of(light.name, powers, Path(str(spectra)))
-        if light.xyz is None and spectrum is None:
+        if powers is not None:
+            spectrum = spectrum_of(light.name, powers, Path(str(spectra)))
+            curves.append(on_grid(spectrum))
+            xyz.append(tristimulus(spectrum) if light.xyz is None else light.xyz)
+        elif light.xyz is None:
             raise InputError(f"{chart}: has no columns X, Y, Z: add them, or give --spectra FILE")
-        xyz.append(light.xyz if light.xyz is not None else tristimulus(_whole(spectrum)))
-        curves += [] if spectrum is None else [on_grid(spectrum)]
+        else:
+            xyz.append(light.xyz)
         names.append(light.name)
         kinds.append(light.kind or kind or _UNSTATED)
     signal, u_signal = (np.array(one) for one in zip(*readings, strict=True))
@@ -496,11 +517,6 @@ def _lights(
         tuple(names), tuple(kinds), signal, u_signal, np.array(xyz), np.array([one.u_rel for one in lights])
     )
     return training, np.array(curves) if curves else None, ColourCamera(tuple(first.maps), first.camera, first.lens)
-
-
-def _whole(spectrum: Spectrum | None) -> Spectrum:
-    assert spectrum is not None  # one of both is given
-    return spectrum
 
 
 def _responsivities(path: Path, channels: tuple[str, ...]) -> Array:
@@ -515,21 +531,6 @@ def _digest(path: Path) -> str:
         return hashlib.sha256(path.read_bytes()).hexdigest()[:16]
     except OSError as error:
         raise InputError(f"cannot read {path}: {error.strerror or error}") from error
-
-
-def _quantities(unit: str, xyz: Array, covariance: Array, found: Coordinates) -> dict[str, Quantity | None]:
-    """Return the quantities of one light by name."""
-    values = np.concatenate([found.xy, found.uv_prime, [found.cct_k, found.duv]])
-    u_xy, u_uv = (np.sqrt(np.diag(one)) for one in (found.xy_covariance, found.uv_covariance))
-    own = np.concatenate([u_xy, u_uv, [found.u_cct_k, found.u_duv]])
-    tristimuli = zip("XYZ", xyz, np.sqrt(np.diag(covariance)), strict=True)
-    return {
-        **{name: Quantity(float(value), float(u), unit) for name, value, u in tristimuli},
-        **{
-            name: Quantity(float(values[n]), float(own[n]), of) if np.isfinite(values[n]) else None
-            for n, (name, of) in enumerate(_UNITS.items())
-        },
-    }
 
 
 def _flags(known: ColourCalibration, found: Coordinates, kind: str | None) -> list[str]:
@@ -550,37 +551,26 @@ def _writer(path: Path) -> Any:
     return writer
 
 
+def _units(unit: str) -> dict[str, str]:
+    """Return the unit of each quantity, X, Y, Z in the one given."""
+    return {name: unit if name in "XYZ" else "K" if name == "cct" else "1" for name in QUANTITIES}
+
+
 def _converted(seen: _Channels, known: ColourCalibration, kind: str | None) -> MapPicture:
     """Return the quantities of every pixel; u holds all that the patch's does."""
     signal = np.stack([one.radiance for one in seen.maps.values()], axis=-1).astype(np.float64)
     own = np.stack([one.u_radiance for one in seen.maps.values()], axis=-1).astype(np.float64)
     mask = np.bitwise_or.reduce([one.mask for one in seen.maps.values()])
-    common = np.array([one.u_rel_common for one in seen.maps.values()])
-    names = ("X", "Y", "Z", *_UNITS)
-    values = np.full((2, len(names), *mask.shape), np.nan, np.float32)
+    values, u = (np.empty((len(QUANTITIES), *mask.shape), np.float32) for _ in range(2))
     for start in range(0, len(signal), _ROWS):
         rows = slice(start, start + _ROWS)
-        shared = common * signal[rows]
-        pairs = shared[..., :, None] * shared[..., None, :]
-        covariance = pairs if seen.together else pairs * np.eye(len(common))
-        covariance = covariance + own[rows][..., None] ** 2 * np.eye(len(common))
-        xyz, u_xyz = known.convert(signal[rows], covariance, kind)
+        xyz, covariance = known.convert(signal[rows], seen.covariance(signal[rows], own[rows]), kind)
         lit = (xyz.sum(axis=-1) > 0.0) & ((mask[rows] & LOST) == 0)
-        found = coordinates(np.where(lit[..., None], xyz, 1.0), u_xyz)
+        found = coordinates(np.where(lit[..., None], xyz, 1.0), covariance)
         mask[rows][lit & known.is_outside(found.xy, found.xy_covariance, kind)] |= np.uint8(PixelMask.EXTRAPOLATED)
-        parts = [
-            (xyz, _diagonal(u_xyz)), (found.xy, _diagonal(found.xy_covariance)),
-            (found.uv_prime, _diagonal(found.uv_covariance)), (found.cct_k[..., None], found.u_cct_k[..., None]),
-            (found.duv[..., None], found.u_duv[..., None]),
-        ]  # fmt: skip
-        for n in range(2):
-            block = np.moveaxis(np.concatenate([one[n] for one in parts], axis=-1), -1, 0)
-            values[n][:, rows] = np.where(lit | (np.arange(len(names)) < 3)[:, None, None], block, np.nan)
-    units = {**dict.fromkeys("XYZ", known.unit), **_UNITS}
+        for whole, part in zip((values, u), found.figures(xyz, covariance), strict=True):
+            whole[:, rows] = np.moveaxis(part, -1, 0)
+            whole[3:, rows][:, ~lit] = np.nan  # a chromaticity of no light
     return MapPicture(
-        {name: RadianceMap(values[0][n], values[1][n], mask, units[name]) for n, name in enumerate(names)}
+        {name: RadianceMap(values[n], u[n], mask, unit) for n, (name, unit) in enumerate(_units(known.unit).items())}
     )
-
-
-def _diagonal(covariance: Array) -> Array:
-    return np.asarray(np.sqrt(np.diagonal(covariance, axis1=-2, axis2=-1)))

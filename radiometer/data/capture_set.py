@@ -202,7 +202,7 @@ class CaptureSet:
                 f"{path} holds statistics of settings and no pictures; radiometer characterise takes it, and what "
                 "works on pixels cannot"
             )
-        return cls(path, _in_planes(header))
+        return cls(path, _in_planes(header, path))
 
     def __len__(self) -> int:
         return len(self.header.frames)
@@ -404,10 +404,16 @@ def _checked_header(header_path: Path) -> CaptureHeader:
     return header
 
 
-def _in_planes(header: CaptureHeader) -> CaptureHeader:
-    """Return what a header says in pixels of the planes in which frames of a mosaic are read."""
+def _in_planes(header: CaptureHeader, path: Path) -> CaptureHeader:
+    """Return what a header says in pixels of the planes in which frames of a mosaic are read.
+
+    Raises:
+        CaptureError: If a mosaic is read by several amplifiers, whose pixels no plane holds as a rectangle.
+    """
     if header.camera.mosaic is None:
         return header
+    if header.camera.taps:
+        raise CaptureError(f"{path}: states camera.mosaic and camera.taps, which are not read together; leave one out")
     camera, lens, patches = in_planes(header.camera, header.lens, header.patches)
     return header.model_copy(update={"camera": camera, "lens": lens, "patches": patches})
 
@@ -531,7 +537,7 @@ class CaptureSetWriter:
             raise OutputError(
                 f"{self._failure}; the finished capture set is saved as {self.path}: move it to where it belongs"
             )
-        return CaptureSet(self.path, _in_planes(header))
+        return CaptureSet(self.path, _in_planes(header, self.path))
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None

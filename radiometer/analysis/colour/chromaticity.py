@@ -16,6 +16,7 @@ from radiometer.analysis.photometry.photometry import KM_LM_PER_W, Spectrum, tab
 from radiometer.typing import Array
 from radiometer.units import BOLTZMANN_J_K, PLANCK_J_S, SPEED_OF_LIGHT_M_S
 
+QUANTITIES: Final = ("X", "Y", "Z", "x", "y", "u_prime", "v_prime", "cct", "duv")
 # Columns over X, Y, Z: numerators and denominators of (x, y) and (u′, v′). Source: CIE 015:2018, 7.3 and 8.2.1.
 _XY: Final = np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]), np.ones(3)
 _UV_PRIME: Final = np.array([[4.0, 0.0, 0.0], [0.0, 9.0, 0.0]]), np.array([1.0, 15.0, 3.0])
@@ -49,6 +50,21 @@ class Coordinates:
     u_cct_k: Array
     duv: Array
     u_duv: Array
+
+    def figures(self, xyz: Array, covariance: Array) -> tuple[Array, Array]:
+        """Return the values of `QUANTITIES` and their standard uncertainties, shape (…, 9) each.
+
+        Args:
+            xyz: X, Y, Z that the coordinates are of, shape (…, 3).
+            covariance: Their covariance, shape (…, 3, 3).
+        """
+        u_xyz, u_xy, u_uv = (
+            np.sqrt(np.diagonal(one, axis1=-2, axis2=-1))
+            for one in (covariance, self.xy_covariance, self.uv_covariance)
+        )
+        temperature = np.stack([self.cct_k, self.duv], axis=-1), np.stack([self.u_cct_k, self.u_duv], axis=-1)
+        values = np.concatenate([xyz, self.xy, self.uv_prime, temperature[0]], axis=-1)
+        return values, np.concatenate([u_xyz, u_xy, u_uv, temperature[1]], axis=-1)
 
 
 def matching_functions() -> tuple[Array, Array]:

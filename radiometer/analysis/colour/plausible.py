@@ -38,7 +38,7 @@ def on_grid(light: Spectrum) -> Array:
     """Return the power of a light at `GRID_NM`; a monochromatic line has it at the nearest wavelength."""
     if light.wavelength_nm.size > 1:
         return np.asarray(np.interp(GRID_NM, light.wavelength_nm, light.power, left=0.0, right=0.0))
-    return np.asarray(GRID_NM == np.round(light.wavelength_nm[0]), dtype=np.float64)
+    return np.asarray(np.round(light.wavelength_nm[0]) == GRID_NM, dtype=np.float64)
 
 
 def tristimulus_of(powers: Array) -> Array:
