@@ -105,7 +105,7 @@ def fit_matrix(training: Training) -> Fit:
     share, target = training.signal / total, training.xyz / total
     if not _spans(share):
         raise CalibrationError(
-            f"the {count} lights do not determine the matrix: their channels stand in a fixed ratio; "
+            f"the {count} lights do not determine the matrix: their channels have a fixed ratio; "
             "add lights of other colours"
         )
     known = training.u_rel**2 * np.mean(target**2, axis=1)

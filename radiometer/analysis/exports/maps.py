@@ -31,10 +31,10 @@ _MOST_DECADES: Final = 6.0  # more than an eye can tell apart in one picture
 def write_exr(path: Path, picture: MapPicture) -> None:
     """Write a picture as OpenEXR.
 
-    Channels are Y (or R, G, B; or the maps' names where they are something else) for the values, Y.u (R.u, …) for
-    their standard uncertainty, both 32-bit floating point, and Y.mask (R.mask, …) for the PixelMask bits. The header
-    names the unit of the first channel and of each, what all pixels share (`u_rel_common`), and what is in no
-    uncertainty (`not_in_u`).
+    Channels are Y (or R, G, B) for the values, Y.u (R.u, …) for their standard uncertainty, both 32-bit floating
+    point, and Y.mask (R.mask, …) for the PixelMask bits. Several quantities have their own names. The header names the
+    unit of the first channel and of each, what all pixels share (`u_rel_common`), and what is in no uncertainty
+    (`not_in_u`).
 
     Args:
         path: File to write.
