@@ -84,8 +84,8 @@ def fit_matrix(training: Training) -> Fit:
     """Return the matrix of least squares, each light weighted by 1/u².
 
     u² of a light is the noise of its readings, the uncertainty of its X, Y, Z, and the error of the matrix, which is
-    found from the residuals. The error holds the residual of each light without that light, r/(1 − h), widened by
-    Student's t so that k = 2 covers 95.45 %.
+    found from the residuals. The error holds the residual of each light without that light, r/(1 − h), so wide that
+    k = 2 covers 95.45 %: by Student's t for few lights, and by the residuals that are far off.
 
     Args:
         training: Lights; more than there are channels.
@@ -123,9 +123,9 @@ def fit_matrix(training: Training) -> Fit:
         noise = known + np.mean((training.u_signal / total) ** 2 @ (matrix**2).T, axis=1)
         found = np.average(np.mean(left_out**2, axis=1) - noise, weights=weight)
         error_2 = max(float(found), _LEAST_ERROR**2)
-    error = (weight[:, None] * left_out).T @ left_out / weight.sum()
-    widened = float(student_t.ppf(0.5 + _COVERED / 2.0, count - channels)) / 2.0
-    return Fit(matrix, spread, widened**2 * error + _LEAST_ERROR**2 * np.eye(3), _hull(target))
+    few = float(student_t.ppf(0.5 + _COVERED / 2.0, count - channels)) / 2.0
+    error = _covering(left_out * np.sqrt(weight)[:, None], few)
+    return Fit(matrix, spread, error + _LEAST_ERROR**2 * np.eye(3), _hull(target))
 
 
 def plausible_training(responsivities: Array) -> Training:
@@ -146,14 +146,18 @@ def _off(matrix: Array, responsivities: Array, powers: Array) -> Array:
     return np.asarray(_signal(powers, responsivities) @ matrix.T - _normal(tristimulus_of(powers)))
 
 
-def _covering(off: Array) -> Array:
+def _covering(off: Array, least: float = 1.0) -> Array:
     """Return the covariance of errors, shape (3, 3), of which k = 2 covers 95.45 % of them.
 
     It is the mean of e·eᵀ, and wider where a few lights are far off, such as those of a lamp with lines.
+
+    Args:
+        off: Errors, shape (lights, 3).
+        least: Factor on u that few lights need; above 1 by Student's t.
     """
     mean = off.T @ off / len(off)
-    far = np.quantile(np.abs(off) / np.sqrt(np.diag(mean)), _COVERED)
-    return np.asarray(max(1.0, float(far) / 2.0) ** 2 * mean)
+    far = np.quantile(np.abs(off) / np.sqrt(np.maximum(np.diag(mean), 1e-30)), _COVERED)
+    return np.asarray(max(least, float(far) / 2.0) ** 2 * mean)
 
 
 def _hull(share: Array) -> Array:
@@ -178,16 +182,19 @@ def errors_of_other_lights(
     Args:
         matrix: The matrix, shape (3, channels).
         training: Lights that it was fitted to.
-        powers: Their powers over the grid of plausible lights. None takes those plausible lights whose chromaticities
-            are the nearest, of the kinds of the training where these are plausible ones.
+        powers: Their powers over the grid of plausible lights. None takes the plausible lights that are nearest in
+            chromaticity and readings, of the kinds of the training where these are plausible ones.
         responsivities: The camera's, up to a common factor. None takes plausible colour cameras, each with a matrix
             fitted to the same lights.
     """
     lights = plausible_lights()
     if powers is None:
         pool = np.vstack([lights[kind] for kind in lights if kind in training.kinds] or list(lights.values()))
-        apart = _normal(training.xyz)[:, None, :2] - _normal(tristimulus_of(pool))[:, :2]
-        powers = pool[np.argmin(np.sum(apart**2, axis=-1), axis=1)]
+        read, there = _normal(training.xyz)[:, :2], _normal(tristimulus_of(pool))[:, :2]
+        if responsivities is not None:  # what the camera sees tells lamps apart that look alike
+            read = np.hstack([read, _normal(training.signal)])
+            there = np.hstack([there, _normal(_signal(pool, responsivities))])
+        powers = pool[np.argmin(np.sum((read[:, None] - there) ** 2, axis=-1), axis=1)]
     if responsivities is not None:
         computed, read = _signal(powers, responsivities), training.signal / training.xyz.sum(axis=1, keepdims=True)
         pairs = [(matrix, responsivities * float(np.sum(computed * read) / np.sum(computed**2)))]
