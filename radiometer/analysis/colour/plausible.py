@@ -59,6 +59,7 @@ def plausible_lights() -> dict[str, Array]:
     planck = {"incandescent_lamps": range(2000, 3501, 250), "daylight": range(5000, 10001, 1000)}
     for kind, temperatures in planck.items():
         found[kind] = np.vstack([found[kind], *(on_grid(spectrum(f"planck:{one}")) for one in temperatures)])
+    found["white_leds"] = np.vstack([found["white_leds"], _mixed_white()])
     found["coloured_leds"] = np.stack(
         [on_grid(spectrum(f"band:{peak},{width}")) for peak in range(430, 661, 10) for width in (18, 32)]
     )
@@ -68,6 +69,17 @@ def plausible_lights() -> dict[str, Array]:
     lights = np.stack([on_grid(spectrum(name)) for name in _LIGHTS])
     found[SURFACES] = (lights[:, None, :] * _reflectances()).reshape(-1, GRID_NM.size)
     return found
+
+
+def _mixed_white() -> Array:
+    """Return lamps of a blue, a green and a red LED that have the colour of a Planckian radiator."""
+    found = []
+    for peaks in itertools.product((450, 465), (525, 545), (610, 630)):
+        leds = np.stack([on_grid(spectrum(f"band:{peak},25")) for peak in peaks])
+        for temperature in (3000, 5000):
+            white = tristimulus_of(on_grid(spectrum(f"planck:{temperature}"))[None])[0]
+            found.append(np.linalg.solve(tristimulus_of(leds).T, white) @ leds)
+    return np.stack(found)
 
 
 def _mixtures(primaries: Array) -> Array:
