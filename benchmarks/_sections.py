@@ -14,7 +14,7 @@ _PAGES: Final = {
     "measuring": ("merge", "main-job", "characterise", "honest", "trend_claims", "archive"),
     "wire": ("wire",),
     "daemon": ("daemon",),
-    "reconcile": ("reconcile", "peer"),
+    "reconcile": ("reconcile", "peer", "naming"),
     "adaptation": ("adaptation",),
     "files": ("reader",),
     "light-box": ("eye",),

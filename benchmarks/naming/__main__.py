@@ -1,0 +1,61 @@
+"""`python -m benchmarks.naming FOLDER`: make sealed sessions, have the tools name what is missing, and score them.
+
+Another tool takes part by its own program: `--only make` writes the sessions, the program writes
+`answers/<tool>.json` (session number to answer), and `--only score` scores every file of answers.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+from pathlib import Path
+
+from benchmarks._sections import write_section
+from benchmarks.naming.score import table
+from benchmarks.naming.sessions import make
+from benchmarks.naming.tools import TOOLS
+
+_STEPS = ("make", "solve", "score")
+
+
+def solve(folder: Path, tool: str) -> None:
+    """Write the answers of a tool; sessions that it has answered already are left alone."""
+    file = folder / "answers" / f"{tool}.json"
+    file.parent.mkdir(exist_ok=True)
+    answers = json.loads(file.read_text(encoding="utf-8")) if file.exists() else {}
+    for session in sorted((folder / "sessions").iterdir()):
+        if session.name not in answers:
+            answers[session.name] = TOOLS[tool](session)
+            file.write_text(json.dumps(answers), encoding="utf-8")
+
+
+def main() -> None:
+    """Run the benchmark, or one step of it."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("folder", type=Path)
+    parser.add_argument("--count", type=int, default=6, help="sessions of each kind")
+    parser.add_argument("--first-seed", type=int, default=940_000)
+    parser.add_argument("--only", choices=_STEPS)
+    parser.add_argument("--write", action="store_true", help="write the page of the documentation")
+    chosen = parser.parse_args()
+    steps = (chosen.only,) if chosen.only else _STEPS
+    if "make" in steps and not (chosen.folder / "truth.json").exists():
+        make(chosen.folder, chosen.count, chosen.first_seed)
+    if "solve" in steps:
+        for tool in TOOLS:
+            solve(chosen.folder, tool)
+    if "score" in steps:
+        truth = json.loads((chosen.folder / "truth.json").read_text(encoding="utf-8"))
+        bodies = []
+        for file in sorted((chosen.folder / "answers").glob("*.json")):
+            answers = json.loads(file.read_text(encoding="utf-8"))
+            bodies.append(f"### {file.stem}\n\n{table(answers, truth)}")
+        body = "\n\n".join(bodies)
+        print(body)
+        if chosen.write:
+            command = f"python -m benchmarks.naming FOLDER --count {chosen.count} --first-seed {chosen.first_seed}"
+            write_section("naming", "Naming what is missing", command, body)
+
+
+if __name__ == "__main__":
+    main()
