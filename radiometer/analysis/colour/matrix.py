@@ -84,8 +84,8 @@ def fit_matrix(training: Training) -> Fit:
     """Return the matrix of least squares, each light weighted by 1/u².
 
     u² of a light is the noise of its readings, the uncertainty of its X, Y, Z, and the error of the matrix, which is
-    found from the residuals. The error holds the residual of each light without that light, r/(1 − h), so wide that
-    k = 2 covers 95.45 %: by Student's t for few lights, and by the residuals that are far off.
+    found from the residuals. The error is that of the residual of each light without that light, r/(1 − h).
+    It is widened so that k = 2 covers 95.45 %, by Student's t and by the residuals that are far off.
 
     Args:
         training: Lights; more than there are channels.
