@@ -27,6 +27,7 @@ _HOMES = {
     "radiometer.api.analyse": ("MapAnalysis", "analyse"),
     "radiometer.api.archive": ("Batch", "Passports", "Trends", "batch", "passport", "trend"),
     "radiometer.api.capture": ("BracketReport", "bracket"),
+    "radiometer.api.colour": ("CalibratedColour", "ColourReading", "colour_calibrate", "colour_measure"),
     "radiometer.api.devices": (
         "Devices", "Diagnosis", "list_devices", "doctor", "new_bench", "simulate_box", "simulate_camera",
     ),
@@ -98,6 +99,10 @@ if TYPE_CHECKING:
     from radiometer.api.capture import bracket as bracket
     from radiometer.api.certificate import Certificate as Certificate
     from radiometer.api.certificate import certificate as certificate
+    from radiometer.api.colour import CalibratedColour as CalibratedColour
+    from radiometer.api.colour import ColourReading as ColourReading
+    from radiometer.api.colour import colour_calibrate as colour_calibrate
+    from radiometer.api.colour import colour_measure as colour_measure
     from radiometer.api.devices import Devices as Devices
     from radiometer.api.devices import Diagnosis as Diagnosis
     from radiometer.api.devices import doctor as doctor

@@ -20,7 +20,7 @@ from drivers.cameras.feature_hygiene import HygieneFinding, switch_off_falsifier
 from drivers.cameras.gige_ping import answers, is_controlled, name_at
 from drivers.cameras.host_checks import usb_link
 from drivers.cameras.link_throughput import LinkThroughput, choose_throughput
-from drivers.cameras.pixel_unpacking import MONO_FORMATS
+from drivers.cameras.pixel_unpacking import MONO_FORMATS, RAW_FORMATS
 from drivers.cameras.settings_access import SettingsAccess, bit_depth_of
 from radiometer.data import CameraDescription
 from radiometer.data.serials import serial_shown
@@ -79,6 +79,7 @@ class CameraSession:
             "bit_depth": bits,
             "conversion_gain_e_per_dn": None if gain is None else gain * 2.0 ** (base.bit_depth - bits),
             "black_level_dn": self.settings.black_level_dn,
+            "mosaic": RAW_FORMATS[self.settings.pixel_format].mosaic,
         }
         return base.model_copy(update={**own, **scaled})
 
@@ -332,7 +333,7 @@ def _choose_pixel_format(camera: Any, features: FeatureAccess, access: SettingsA
     if features.call(camera.get_pixel_format_as_string) in MONO_FORMATS:
         return
     offered = features.call(camera.dup_available_pixel_formats_as_strings)
-    usable = [name for name in _PREFERRED_FORMATS if name in offered]
+    usable = [name for name in _PREFERRED_FORMATS if name in offered] or [one for one in RAW_FORMATS if one in offered]
     if not usable:
-        raise DeviceError(f"{access.name}: offers no monochrome pixel format (only {', '.join(offered)})")
+        raise DeviceError(f"{access.name}: offers no raw pixel format (only {', '.join(offered)})")
     features.call(camera.set_pixel_format_from_string, usable[0])

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.cameras.plain_camera import Grab, LibraryLink, bits_of
+from radiometer.data.mosaic import plane_of
 from radiometer.devices import CameraCapabilities, CameraIdentity, CameraSettings, Finding, Health
 from radiometer.errors import DeviceError, DeviceTimeout
 
@@ -177,8 +178,4 @@ class PiLink(LibraryLink[PiDevice]):
 
 def green_of(numbers: NDArray[np.uint16], mosaic: str) -> NDArray[np.uint16]:
     """Return the first green pixel of every 2 × 2 of a mosaic, such as "RGGB"; a grey sensor's frame as it is."""
-    if not mosaic:
-        return numbers
-    row, column = divmod(mosaic.index("G"), 2)
-    height, width = (size // 2 * 2 for size in numbers.shape)
-    return np.ascontiguousarray(numbers[row:height:2, column:width:2])
+    return plane_of(numbers, mosaic, "green") if mosaic else numbers

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
@@ -17,13 +17,14 @@ _Unpack = Callable[[NDArray[np.uint8], int], DigitalNumbers]
 
 @dataclass(frozen=True, slots=True)
 class PixelFormat:
-    """A monochrome pixel format."""
+    """A pixel format of one number per pixel: monochrome, or a mosaic of colours."""
 
     name: str  # PFNC name
     code: int  # PFNC 32-bit value
     bit_depth: int  # bits of a digital number
     bits_per_pixel: int  # bits a pixel takes on the wire
     unpack: _Unpack  # payload bytes and number of pixels → digital numbers
+    mosaic: str | None = None  # colours of 2 × 2 pixels row by row; None where monochrome
 
     def payload_bytes(self, pixel_count: int) -> int:
         """Return the bytes that a picture of so many pixels takes, rounded up."""
@@ -43,13 +44,11 @@ def unpack_pixels(
         big_endian: True where the camera sends Mono16 with the high byte first.
 
     Raises:
-        DeviceError: If the format is not monochrome or the payload is too short.
+        DeviceError: If the format has not one number per pixel, or the payload is too short.
     """
-    pixel_format = MONO_FORMATS.get(format_name)
+    pixel_format = RAW_FORMATS.get(format_name)
     if pixel_format is None:
-        raise DeviceError(
-            f"pixel format {format_name} cannot be measured with; choose one of {', '.join(MONO_FORMATS)}"
-        )
+        raise DeviceError(f"pixel format {format_name} cannot be measured with; choose one of {', '.join(RAW_FORMATS)}")
     needed = pixel_format.payload_bytes(width * height)
     if len(payload) < needed:
         raise DeviceError(
@@ -64,8 +63,8 @@ def unpack_pixels(
 
 
 def pixel_format_of_code(code: int) -> PixelFormat | None:
-    """Return the monochrome format of a PFNC code; None for any other."""
-    return next((known for known in MONO_FORMATS.values() if known.code == code), None)
+    """Return the raw format of a PFNC code; None for any other."""
+    return next((known for known in RAW_FORMATS.values() if known.code == code), None)
 
 
 def _plain_8(payload: NDArray[np.uint8], count: int) -> DigitalNumbers:
@@ -124,4 +123,27 @@ MONO_FORMATS: Final[dict[str, PixelFormat]] = {
         PixelFormat("Mono14", 0x01100025, 14, 16, _plain_16),
         PixelFormat("Mono16", 0x01100007, 16, 16, _plain_16),
     )
+}
+# Last two hexadecimal digits of a mosaic's codes, in the order of `_BAYER_LIKE`. Source: as above. 16 bits are left
+# out: whether a camera shifts them to the top is known of Mono16 alone.
+_BAYER_LIKE: Final = ("Mono8", "Mono10", "Mono10p", "Mono12", "Mono12p", "Mono12Packed")
+_BAYER_CODES: Final = {
+    "GRBG": (0x08, 0x0C, 0x56, 0x10, 0x57, 0x2A),
+    "RGGB": (0x09, 0x0D, 0x58, 0x11, 0x59, 0x2B),
+    "GBRG": (0x0A, 0x0E, 0x54, 0x12, 0x55, 0x2C),
+    "BGGR": (0x0B, 0x0F, 0x52, 0x13, 0x53, 0x2D),
+}
+
+
+def _of_mosaic(mosaic: str, like: str, code: int) -> PixelFormat:
+    """Return the format of a mosaic whose numbers are packed as those of a monochrome one."""
+    grey = MONO_FORMATS[like]
+    return replace(grey, name=like.replace("Mono", f"Bayer{mosaic[:2]}"), code=grey.code & ~0xFF | code, mosaic=mosaic)
+
+
+# Formats with the sensor's number of every pixel.
+RAW_FORMATS: Final[dict[str, PixelFormat]] = MONO_FORMATS | {
+    known.name: known
+    for mosaic, codes in _BAYER_CODES.items()
+    for known in (_of_mosaic(mosaic, like, code) for like, code in zip(_BAYER_LIKE, codes, strict=True))
 }

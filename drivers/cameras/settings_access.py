@@ -7,7 +7,7 @@ from typing import Any, Final
 
 from drivers.cameras.camera_quirks import CameraQuirks
 from drivers.cameras.feature_access import FeatureAccess
-from drivers.cameras.pixel_unpacking import MONO_FORMATS
+from drivers.cameras.pixel_unpacking import RAW_FORMATS
 from radiometer.devices import CameraCapabilities, CameraSettings, Roi, refuse_out_of_range, refuse_roi_outside
 from radiometer.errors import DeviceError, DeviceInUse, DeviceLost, SettingOutOfRange
 
@@ -18,7 +18,7 @@ def bit_depth_of(format_name: str, quirks: CameraQuirks) -> int:
     """Return the bits of a digital number in a pixel format, once it is right-aligned."""
     if format_name == "Mono16" and quirks.mono16_left_aligned_bits:
         return quirks.mono16_left_aligned_bits
-    return MONO_FORMATS[format_name].bit_depth
+    return RAW_FORMATS[format_name].bit_depth
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,7 +42,7 @@ class SettingsAccess:
             black_level_dn=self._bounds(
                 "is_black_level_available", "get_black_level_bounds", self.black_level_scale(format_name)
             ),
-            pixel_formats=tuple(name for name in MONO_FORMATS if name in offered),
+            pixel_formats=tuple(name for name in RAW_FORMATS if name in offered),
             width=width,
             height=height,
             has_temperature=self.features.has("DeviceTemperature"),
@@ -111,7 +111,7 @@ class SettingsAccess:
         return float(self.features.call(getattr(self.camera, f"get_{setting}")))
 
     def _usable(self, format_name: str) -> str:
-        return format_name if format_name in MONO_FORMATS else "Mono8"
+        return format_name if format_name in RAW_FORMATS else "Mono8"
 
     def _bounds(self, available: str, bounds: str, scale: float) -> tuple[float, float]:
         if not getattr(self.camera, available)():

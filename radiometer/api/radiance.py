@@ -35,6 +35,7 @@ from radiometer.data import (
     SensorNoise,
 )
 from radiometer.data.drawing import new_axes, picture
+from radiometer.data.mosaic import COLOURS
 from radiometer.data.pile_up import with_white_levels
 from radiometer.data.setup import Setup
 from radiometer.data.storage import check_outputs
@@ -337,7 +338,8 @@ def merge(
         response: The camera's response, for relative values.
         calibration: Calibration, or its file: values in W·sr⁻¹·m⁻².
         channel: Of a folder of colour photographs: "luminance", "red", "green", "blue" or "each"; by default each
-            where no calibration and no response of one channel is given, else luminance.
+            where no calibration and no response of one channel is given, else luminance. Of a capture set of a colour
+            camera: "red", "green", "blue" or "each"; by default each where no calibration is given, else green.
         pattern: Displayed pattern of a capture set that holds several.
         measured_iso: Of photographs: real ISO speed by stated one.
         iso: ISO speed of photographs that state none.
@@ -443,10 +445,24 @@ def _of_path(path: Path, asked: _Asked, pattern: str | None, progress: Progress 
     capture = open_capture(path)
     notes = tuple(imported_of(capture).lines()) if capture.store is not None else ()
     dark, lit = capture.lit_indices(pattern)
-    frames = _streamed(capture, (*dark, *lit), counted(progress, "merging"))
-    found = _of_capture(frames, [capture.header.frames[i].settings.black_level_dn for i in lit], capture.header.camera,
-                        capture.header.lens, asked)  # fmt: skip
-    return replace(found, notes=tuple(f"{path.name}: {line}" for line in notes))
+    levels = [capture.header.frames[i].settings.black_level_dn for i in lit]
+    maps = {}
+    for name, plane in _planes(capture, asked):
+        frames = _streamed(plane, (*dark, *lit), counted(progress, "merging"))
+        maps[name] = _of_capture(frames, levels, capture.header.camera, capture.header.lens, asked).map
+    return Radiance(maps, notes=tuple(f"{path.name}: {line}" for line in notes))
+
+
+def _planes(capture: CaptureSet, asked: _Asked) -> Iterator[tuple[str, CaptureSet]]:
+    """Yield the planes of a mosaic of colours that are asked for, by name; the capture set itself where it has none."""
+    if capture.header.camera.mosaic is None:
+        yield "mono", capture
+        return
+    chosen = asked.channel or ("each" if asked.calibration is None else "green")
+    if chosen not in (*COLOURS, "each"):
+        raise UsageError(f"--channel {chosen}: of a mosaic of colours choose {', '.join(COLOURS)} or each")
+    for name in COLOURS if chosen == "each" else (chosen,):
+        yield name, replace(capture, colour=name)
 
 
 def _streamed(capture: CaptureSet, indices: Sequence[int], report: Callable[[int, int], None]) -> Iterator[Frame]:

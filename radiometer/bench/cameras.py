@@ -11,7 +11,10 @@ from radiometer.data.config_files import shipped_config
 from radiometer.devices import Camera, CameraCapabilities, CameraIdentity, CameraPreset, CameraSettings
 from radiometer.errors import ConfigurationError, MissingLibrary
 
-_NEAREST_FORMATS = ("Mono12", "Mono12p", "Mono12Packed", "Mono14", "Mono16", "Mono10", "Mono10p", "Mono8")
+_NEAREST_FORMATS = (
+    "Mono12", "Mono12p", "Mono12Packed", "Mono14", "Mono16", "Mono10", "Mono10p", "Mono8",
+    *(f"Bayer{start}{bits}" for bits in ("12", "12p", "12Packed", "8") for start in ("RG", "GR", "GB", "BG")),
+)  # fmt: skip
 OWN_KINDS = ("v4l2", "picamera", "gphoto2")  # asked of the drivers only where one of them is named
 
 
@@ -95,6 +98,7 @@ def _first_settings(camera_config: CameraConfig, limits: CameraCapabilities) -> 
 
 
 def _simulated(config: BenchConfig, camera_config: SimulatedCameraConfig, where: Path) -> Camera:
+    from simulators.cameras.colour_filters import ColourFilters
     from simulators.cameras.simulated_camera import SimulatedCamera
     from simulators.chain.camera_model import CameraModel
     from simulators.scenes import scene_from_mapping
@@ -118,6 +122,7 @@ def _simulated(config: BenchConfig, camera_config: SimulatedCameraConfig, where:
         serial=camera_config.serial,
         device_id=SIMULATED,
         limits=limits,
+        filters=ColourFilters() if limits.pixel_formats[0].startswith("Bayer") else None,
         temperature_c=camera_config.temperature_C,
     )
 

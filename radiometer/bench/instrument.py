@@ -65,6 +65,11 @@ class Instrument:
     calibration_file: Path | None = None  # where the calibration was read from, for the record of a reading
 
     def __post_init__(self) -> None:
+        if mosaic := self.camera.description.mosaic:
+            raise UsageError(
+                f"camera {self.camera.identity.device_id}: its frames are a mosaic of colours ({mosaic}), which has no "
+                "one radiance; capture it with `radiometer bracket`, then `radiometer colour measure`"
+            )
         if self.calibration is not None:
             require_camera(self.calibration, self.camera.description)
         refuse_outside(self.patch, self.camera)

@@ -9,7 +9,8 @@ from pathlib import Path
 from radiometer.data import Bracket, CaptureHeader, CaptureSet, Frame
 from radiometer.data.capture_set import HEADER_NAME
 from radiometer.data.iso_speeds import IsoSpeeds
-from radiometer.errors import CaptureError
+from radiometer.data.mosaic import COLOURS
+from radiometer.errors import CaptureError, UsageError
 from radiometer.importing import imported_of, is_foreign, open_capture
 from radiometer.importing.photograph_times import find_list
 from radiometer.photographs.folder import image_files, read_photographs
@@ -54,7 +55,8 @@ def open_source(
     Args:
         path: Folder with `capture.yaml`, or with photographs whose times are in EXIF or in a list next to them; FITS or
             raw TIFF files, a folder or pattern of them, or an EMVA 1288 descriptor.
-        channel: "luminance", "red", "green", "blue" or "each"; grey frames have one channel whatever is asked.
+        channel: "luminance", "red", "green", "blue" or "each"; grey frames have one channel whatever is asked. A
+            capture set of a colour camera gives one colour, green for "luminance".
         report: Called with (files read, files in all) as the work goes on.
         speeds: Photographs: what is known of the camera's ISO speeds beyond what it states.
         most_pixels: Photographs: take every n-th pixel where files hold more than this; None for all.
@@ -73,7 +75,7 @@ def open_source(
         raise CaptureError(f"{path} is not a folder; give a capture set or a folder of photographs")
     if (path / HEADER_NAME).exists():
         (speeds or IsoSpeeds()).refuse_unstated(str(path), set())
-        return _of_capture(path, CaptureSet.read(path), report)
+        return _of_capture(path, _in_colour(CaptureSet.read(path), channel), report)
     if (path / "frames").is_dir() and not image_files(path):
         CaptureSet.read(path)  # raises: the capture was not finished
     if not any(path.iterdir()):
@@ -88,9 +90,21 @@ def open_source(
 
 
 def _of_capture(path: Path, capture: CaptureSet, report: Callable[[int, int], None] | None) -> Source:
-    lines = imported_of(capture).lines() if capture.store is not None else ()
+    lines = imported_of(capture).lines() if capture.store is not None else []
+    if mosaic := capture.header.camera.mosaic:
+        lines = [*lines, f"a mosaic of colours ({mosaic}): its {capture.colour} pixels are read"]
     doubts = tuple(f"{path.name}: {line}" for line in lines)
     return Source(path, _capture_brackets(capture, report), capture.header, doubts=doubts)
+
+
+def _in_colour(capture: CaptureSet, channel: str) -> CaptureSet:
+    """Return a capture set whose frames are read in a colour. Raises UsageError for several or an unknown one."""
+    if capture.header.camera.mosaic is None:
+        return capture
+    colour = "green" if channel == "luminance" else channel
+    if colour not in COLOURS:
+        raise UsageError(f"{capture.path}: channel {channel}: of a mosaic of colours choose {', '.join(COLOURS)}")
+    return replace(capture, colour=colour)
 
 
 def _capture_brackets(capture: CaptureSet, report: Callable[[int, int], None] | None) -> list[Bracket]:

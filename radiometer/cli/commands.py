@@ -41,6 +41,9 @@ COMMANDS: Final[dict[str, CommandEntry]] = {
     "alpha-opic": CommandEntry(
         "radiometer.cli.analyse.alpha_opic", "Convert light of a known spectrum into α-opic quantities (CIE S 026)."
     ),
+    "colour": CommandEntry(
+        "radiometer.cli.analyse.colour", "Measure X, Y, Z, chromaticity and colour temperature with a colour camera."
+    ),
     "certificate": CommandEntry(
         "radiometer.cli.calibrate.certificate", "Make a digital calibration certificate of a reading or calibration."
     ),

@@ -25,6 +25,7 @@ from radiometer.data.capture_header import (
 from radiometer.data.decoding import decoded
 from radiometer.data.frame import MASKED_PIXELS, DigitalNumbers, Frame, FrameSettings
 from radiometer.data.guards import refuse_large_picture
+from radiometer.data.mosaic import in_planes, plane_of
 from radiometer.data.pile_up import streamed_with_white_levels
 from radiometer.data.raw_files import RAW_SUFFIXES, read_raw_colours
 from radiometer.data.reader_limits import bounded_reader
@@ -151,6 +152,7 @@ class CaptureSet:
     path: Path  # the folder
     header: CaptureHeader  # what `capture.yaml` says
     store: FrameStore | None = None  # where the frames are; None for the files of the folder
+    colour: str = "green"  # of a sensor with a mosaic of colours: the plane that its frames are read in
 
     @classmethod
     def read(cls, path: Path) -> CaptureSet:
@@ -174,7 +176,7 @@ class CaptureSet:
                 f"{path} holds statistics of settings and no pictures; radiometer characterise takes it, and what "
                 "works on pixels cannot"
             )
-        return cls(path, header)
+        return cls(path, _in_planes(header, path))
 
     def __len__(self) -> int:
         return len(self.header.frames)
@@ -215,12 +217,14 @@ class CaptureSet:
         return streamed_with_white_levels(settings, lambda place: self.read_frame(indices[place]))
 
     def read_numbers(self, file: str) -> DigitalNumbers:
-        """Return the digital numbers of the frame that the header lists under a name.
+        """Return the digital numbers of the frame that the header lists under a name; of a mosaic those of `colour`.
 
         Raises:
             CaptureError: If it is unreadable or not single-channel.
         """
-        return self.store.read(file) if self.store else read_digital_numbers(self.path / file)
+        numbers = self.store.read(file) if self.store else read_digital_numbers(self.path / file)
+        mosaic = self.header.camera.mosaic
+        return numbers if mosaic is None else plane_of(numbers, mosaic, self.colour)
 
     def frames(self) -> Iterator[Frame]:
         """Yield all frames in the header's order with the white level that they show together, few in memory at a time.
@@ -374,6 +378,20 @@ def _checked_header(header_path: Path) -> CaptureHeader:
     return header
 
 
+def _in_planes(header: CaptureHeader, path: Path) -> CaptureHeader:
+    """Return what a header says in pixels of the planes in which frames of a mosaic are read.
+
+    Raises:
+        CaptureError: If a mosaic is read by several amplifiers, whose pixels no plane holds as a rectangle.
+    """
+    if header.camera.mosaic is None:
+        return header
+    if header.camera.taps:
+        raise CaptureError(f"{path}: states camera.mosaic and camera.taps, which are not read together; leave one out")
+    camera, lens, patches = in_planes(header.camera, header.lens, header.patches)
+    return header.model_copy(update={"camera": camera, "lens": lens, "patches": patches})
+
+
 def _refuse_patches_outside(header: CaptureHeader, header_path: Path) -> None:
     names = [patch.name for patch in header.patches]
     twice = sorted({name for name in names if names.count(name) > 1})
@@ -489,7 +507,7 @@ class CaptureSetWriter:
             raise OutputError(
                 f"{self._failure}; the finished capture set is saved as {self.path}: move it to where it belongs"
             )
-        return CaptureSet(self.path, header)
+        return CaptureSet(self.path, _in_planes(header, self.path))
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None

@@ -89,7 +89,7 @@ def _image_format_control(limits: CameraCapabilities) -> list[Feature]:
         ),
         Feature("BinningHorizontal", category, "integer", BINNING, minimum=1, maximum=4, initial=1),
         Feature("BinningVertical", category, "integer", BINNING, minimum=1, maximum=4, initial=1),
-        Feature("PixelFormat", category, "enumeration", PIXEL_FORMAT, entries=codes, initial=codes["Mono8"]),
+        Feature("PixelFormat", category, "enumeration", PIXEL_FORMAT, entries=codes, initial=min(codes.values())),
     ]
 
 

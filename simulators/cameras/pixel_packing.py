@@ -30,6 +30,8 @@ WIRE_FORMATS: Final = {
     "Mono12p": WireFormat(0x010C0047, 12, 12),
     "Mono12Packed": WireFormat(0x010C0006, 12, 12),
     "Mono16": WireFormat(0x01100007, 16, 16),
+    "BayerRG8": WireFormat(0x01080009, 8, 8),
+    "BayerRG12": WireFormat(0x01100011, 12, 16),
 }
 
 

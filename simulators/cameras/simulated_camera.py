@@ -29,12 +29,17 @@ from radiometer.devices import (
 )
 from radiometer.devices.opening import Opened
 from radiometer.errors import ConfigurationError, DeviceError, DeviceInUse, SettingOutOfRange
+from simulators.cameras.colour_filters import ColourFilters, FilteredScene
 from simulators.chain.camera_model import CameraModel
 from simulators.chain.virtual_sensor import VirtualSensor
 from simulators.clock import SimulatedClock
 from simulators.scenes.base import Scene
+from simulators.scenes.layout import LitScene
 
-_BITS: Final = {"Mono8": 8, "Mono10": 10, "Mono10p": 10, "Mono12": 12, "Mono12p": 12, "Mono16": 16}
+_BITS: Final = {"Mono8": 8, "Mono10": 10, "Mono10p": 10, "Mono12": 12, "Mono12p": 12, "Mono16": 16} | {
+    "BayerRG8": 8,
+    "BayerRG12": 12,
+}
 _LARGEST_BINNING: Final = 4  # as machine cameras offer
 _READOUT_S: Final = 1 / 131  # 131 frames per second at full size: BFS-U3-19S4M specification page
 
@@ -47,6 +52,7 @@ class SimulatedCamera(Opened):
         seed: Makes the noise; the same seed gives the same frames in the same order.
         serial: Serial number; the fixed patterns of the effects follow from it.
         device_id: Id that it is opened by.
+        filters: Its colour filters; None for a monochrome sensor.
         limits: What it can do; by default the BFS-U3-19S4M of the shipped preset, with a shutter.
     """
 
@@ -59,9 +65,11 @@ class SimulatedCamera(Opened):
         serial: str = "22500001",
         device_id: str = "sim",
         limits: CameraCapabilities | None = None,
+        filters: ColourFilters | None = None,
         clock: SimulatedClock | None = None,
         temperature_c: float = 40.0,
     ) -> None:
+        self._filters = filters
         self.model, self.clock = model, clock or SimulatedClock()
         self._limits = limits or default_limits()
         self._identity = CameraIdentity(
@@ -69,7 +77,7 @@ class SimulatedCamera(Opened):
         )
         device_seed = zlib.crc32(serial.encode())
         self._sensor = VirtualSensor(
-            model, scene, self._limits.width, self._limits.height, seed=seed, device_seed=device_seed
+            model, self._filtered(scene), self._limits.width, self._limits.height, seed=seed, device_seed=device_seed
         )
         self._temperature_c = temperature_c
         self._source_level, self._pattern = 1.0, scene.patterns[0]
@@ -107,6 +115,7 @@ class SimulatedCamera(Opened):
                 "bit_depth": _BITS[self._settings.pixel_format],
                 "conversion_gain_e_per_dn": None if known_gain is None else known_gain / scale,
                 "black_level_dn": None if known_black is None else known_black * scale,
+                "mosaic": self._filters.mosaic if self._filters else None,
             }
         )
 
@@ -179,7 +188,14 @@ class SimulatedCamera(Opened):
 
     def set_scene(self, scene: Scene) -> None:
         """Point the camera at another scene, showing its first pattern."""
-        self._sensor.scene, self._pattern = scene, scene.patterns[0]
+        self._sensor.scene, self._pattern = self._filtered(scene), scene.patterns[0]
+
+    def _filtered(self, scene: Scene) -> Scene:
+        if self._filters is None:
+            return scene
+        if not isinstance(scene, LitScene):
+            raise ConfigurationError(f"{self._name}: the wavelengths of its scene are unknown, so filters cannot act")
+        return FilteredScene(scene, self._filters)
 
     def set_source(self, level: float | None = None, pattern: str | None = None) -> None:
         """Set what the bench's source does: its relative level and the pattern shown.
@@ -209,7 +225,7 @@ class SimulatedCamera(Opened):
 
     def _first_settings(self) -> CameraSettings:
         shortest, longest = self._limits.exposure_s
-        native = f"Mono{self.model.camera.bit_depth}"
+        native = f"{'Mono' if self._filters is None else 'BayerRG'}{self.model.camera.bit_depth}"
         formats = self._limits.pixel_formats
         return CameraSettings(
             exposure_s=min(max(0.01, shortest), longest),

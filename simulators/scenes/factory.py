@@ -11,13 +11,16 @@ from pydantic import BaseModel
 from radiometer.data.validation import validate
 from radiometer.errors import ConfigurationError
 from simulators.scenes.base import Scene
+from simulators.scenes.colour_chart import ColourChartScene
 from simulators.scenes.image_file import ImageScene
+from simulators.scenes.layout import LitScene
 from simulators.scenes.led import LedScene
 from simulators.scenes.screen import ScreenScene
 from simulators.scenes.step_chart import StepChartScene
 from simulators.scenes.uniform import UniformScene
 
-SCENES: Final[dict[str, type[ScreenScene | StepChartScene | LedScene | ImageScene | UniformScene]]] = {
+SCENES: Final[dict[str, type[LitScene]]] = {
+    "colour_chart": ColourChartScene,
     "image": ImageScene,
     "led": LedScene,
     "screen": ScreenScene,
@@ -43,5 +46,5 @@ def scene_from_mapping(mapping: Mapping[str, Any], where: str = "scene", folder:
     scene: Any = validate(model, mapping, where, ConfigurationError)
     if isinstance(scene, ImageScene) and folder is not None and not scene.file.is_absolute():
         return scene.model_copy(update={"file": folder / scene.file})
-    made: Scene = scene
+    made: LitScene = scene
     return made

@@ -2,13 +2,21 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Callable
+from dataclasses import replace
 from typing import ClassVar, Literal
 
+import numpy as np
+from numpy.typing import NDArray
 from pydantic import Field
 
 from radiometer.data import Patch, PatchDescription, SourceDescription
 from radiometer.data.validation import ConfigSection
 from radiometer.errors import ConfigurationError
+from simulators.scenes.base import SceneImage
+
+Weight = Callable[[NDArray[np.float64]], NDArray[np.float64]]  # responsivity over the wavelength in nm
 
 
 class LitScene(ConfigSection):
@@ -27,11 +35,60 @@ class LitScene(ConfigSection):
         """Return the one pattern."""
         return ("default",)
 
+    def render(self, width: int, height: int, pattern: str = "default") -> SceneImage:
+        """Return what the sensor sees."""
+        raise NotImplementedError
+
+    def patches(self, width: int, height: int) -> tuple[PatchDescription, ...]:
+        """Return the patches with their true radiance."""
+        raise NotImplementedError
+
+    def seen_through(self, weight: Weight, width: int, height: int, pattern: str = "default") -> SceneImage:
+        """Return what the sensor sees behind a filter; the light is of one wavelength.
+
+        Args:
+            weight: Responsivity behind the filter, relative to that of the bare sensor at 550 nm.
+            width: Of the sensor in pixels.
+            height: Of the sensor.
+            pattern: The displayed pattern.
+        """
+        image = self.render(width, height, pattern)
+        factor = float(weight(np.array([self.wavelength_nm]))[0])
+        return replace(image, radiance=image.radiance * np.float32(factor), peak_radiance=image.peak_radiance * factor)
+
 
 def described(name: str, patch: Patch, radiance: float | dict[str, float]) -> PatchDescription:
     """Return a patch with its true radiance in W·sr⁻¹·m⁻²."""
     x, y, width, height = patch.x, patch.y, patch.width, patch.height
     return PatchDescription(name=name, x=x, y=y, width=width, height=height, radiance_W_per_sr_m2=radiance, u_rel=0.0)
+
+
+def grid(count: int, columns: int | None, margin: float, width: int, height: int) -> tuple[Patch, ...]:
+    """Return patches row by row, each in the middle of a cell of the sensor.
+
+    Args:
+        count: Number of patches.
+        columns: Patches in a row; None for cells that are about square.
+        margin: Share of each cell's side that stays free.
+        width: Of the sensor in pixels.
+        height: Of the sensor.
+
+    Raises:
+        ConfigurationError: If they do not fit on the sensor.
+    """
+    across = columns or max(1, round(math.sqrt(count * width / height)))
+    rows = math.ceil(count / across)
+    cell_width, cell_height = width // across, height // rows
+    patch_width, patch_height = round(cell_width * (1 - margin)), round(cell_height * (1 - margin))
+    if min(patch_width, patch_height) < 1:
+        raise ConfigurationError(
+            f"scene: {count} patches in {across} columns do not fit on a sensor of {width} × {height} px"
+        )
+    left, top = (cell_width - patch_width) // 2, (cell_height - patch_height) // 2
+    return tuple(
+        Patch(i % across * cell_width + left, i // across * cell_height + top, patch_width, patch_height)
+        for i in range(count)
+    )
 
 
 def refuse_outside(name: str, patch: Patch, width: int, height: int) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from typing import Literal, Self
 
 import numpy as np
@@ -11,9 +10,8 @@ from pydantic import Field, model_validator
 
 from radiometer.data import Patch, PatchDescription
 from radiometer.data.validation import ConfigSection
-from radiometer.errors import ConfigurationError
 from simulators.scenes.base import SceneImage
-from simulators.scenes.layout import LitScene, described, per_pattern, refuse_unknown_pattern
+from simulators.scenes.layout import LitScene, described, grid, per_pattern, refuse_unknown_pattern
 
 
 class Steps(ConfigSection):
@@ -84,18 +82,4 @@ class StepChartScene(LitScene):
         )
 
     def _layout(self, width: int, height: int) -> tuple[Patch, ...]:
-        count = len(self.radiances())
-        columns = self.columns or max(1, round(math.sqrt(count * width / height)))
-        rows = math.ceil(count / columns)
-        cell_width, cell_height = width // columns, height // rows
-        patch_width = round(cell_width * (1 - self.margin))
-        patch_height = round(cell_height * (1 - self.margin))
-        if min(patch_width, patch_height) < 1:
-            raise ConfigurationError(
-                f"scene: {count} patches in {columns} columns do not fit on a sensor of {width} × {height} px"
-            )
-        left, top = (cell_width - patch_width) // 2, (cell_height - patch_height) // 2
-        return tuple(
-            Patch(i % columns * cell_width + left, i // columns * cell_height + top, patch_width, patch_height)
-            for i in range(count)
-        )
+        return grid(len(self.radiances()), self.columns, self.margin, width, height)

@@ -16,6 +16,7 @@ AREAS: dict[str, tuple[str, ...]] = {
     ),
     "signal_and_photometry": ("radiometer/analysis/signal/*.py", "radiometer/analysis/photometry/*.py"),
     "flicker_and_regions": ("radiometer/analysis/flicker/*.py", "radiometer/analysis/regions/*.py"),
+    "colour": ("radiometer/analysis/colour/*.py", "radiometer/data/mosaic.py"),
     "flux": ("radiometer/analysis/flux/*.py",),
     "emva": ("radiometer/analysis/characterise/*.py",),
     "planning": (

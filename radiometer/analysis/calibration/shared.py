@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import StrEnum
-from typing import Final
+from typing import Final, Protocol
 
 from radiometer.data import Calibration, CameraDescription, Frame, LensDescription
 from radiometer.data.serials import same_serial
@@ -202,7 +202,19 @@ def settle(quantity: str, there: object | None, here: object | None, *, equal: b
     return rule.handling
 
 
-def require_camera(calibration: Calibration, camera: CameraDescription) -> None:
+class OfCamera(Protocol):
+    """A calibration that belongs to one camera with one lens."""
+
+    @property
+    def camera(self) -> CameraDescription:
+        """Return the camera."""
+
+    @property
+    def lens(self) -> LensDescription:
+        """Return the lens."""
+
+
+def require_camera(calibration: OfCamera, camera: CameraDescription) -> None:
     """Refuse a camera that a calibration does not belong to.
 
     Raises:
@@ -215,7 +227,7 @@ def require_camera(calibration: Calibration, camera: CameraDescription) -> None:
     settle("bit depth", mine.bit_depth, camera.bit_depth)
 
 
-def require_lens(calibration: Calibration, lens: LensDescription) -> None:
+def require_lens(calibration: OfCamera, lens: LensDescription) -> None:
     """Refuse a lens of another focal length than the calibration was made with.
 
     Raises:

@@ -23,6 +23,7 @@ from radiometer.data.storage import write_bytes_atomic
 from radiometer.errors import InputError, MeasurementError, MissingLibrary, OutputError, UsageError
 
 _LABELS: Final = {RADIANCE_UNIT: "radiance in W·sr⁻¹·m⁻²", LUMINANCE_UNIT: "luminance in cd·m⁻²"}
+_LETTERS: Final = {"red": "R", "green": "G", "blue": "B"}  # channels of colour pictures, as programs know them
 _CLIPPED_COLOUR: Final = "#ff40ff"
 _MOST_DECADES: Final = 6.0  # more than an eye can tell apart in one picture
 
@@ -31,8 +32,9 @@ def write_exr(path: Path, picture: MapPicture) -> None:
     """Write a picture as OpenEXR.
 
     Channels are Y (or R, G, B) for the values, Y.u (R.u, …) for their standard uncertainty, both 32-bit floating
-    point, and Y.mask (R.mask, …) for the PixelMask bits. The header names the unit, what all pixels share
-    (`u_rel_common`), and what is in no uncertainty (`not_in_u`).
+    point, and Y.mask (R.mask, …) for the PixelMask bits. Several quantities have their own names. The header names the
+    unit of the first channel and of each, what all pixels share (`u_rel_common`), and what is in no uncertainty
+    (`not_in_u`).
 
     Raises:
         MissingLibrary: If the OpenEXR package is not installed.
@@ -46,6 +48,7 @@ def write_exr(path: Path, picture: MapPicture) -> None:
         "compression": OpenEXR.ZIP_COMPRESSION,
         "type": OpenEXR.scanlineimage,
         "unit": picture.unit,
+        "units": "; ".join(f"{_LETTERS.get(name, name)}: {one.unit}" for name, one in picture.maps.items()),
         "u_rel_common": float(picture.first.u_rel_common),
         "not_in_u": "; ".join(picture.first.not_in_u),
         "software": f"radiometer {radiometer.__version__}",
@@ -61,10 +64,9 @@ def write_exr(path: Path, picture: MapPicture) -> None:
 
 
 def _channels(picture: MapPicture) -> dict[str, Any]:
-    names = {"red": "R", "green": "G", "blue": "B"} if picture.is_colour else {next(iter(picture.maps)): "Y"}
     channels: dict[str, Any] = {}
-    for name, letter in names.items():
-        found = picture.maps[name]
+    for name, found in picture.maps.items():
+        letter = "Y" if len(picture.maps) == 1 else _LETTERS.get(name, name)
         channels[letter] = np.ascontiguousarray(found.radiance)
         channels[f"{letter}.u"] = np.ascontiguousarray(found.u_radiance)
         channels[f"{letter}.mask"] = found.mask.astype(np.uint32)
@@ -120,12 +122,13 @@ def rgbe(values: NDArray[np.float32]) -> NDArray[np.uint8]:
 def write_tiff(path: Path, picture: MapPicture) -> None:
     """Write a picture as TIFF of three pages: values and standard uncertainty as float32, mask bits as uint8.
 
-    Each page's description is JSON with the quantity and the unit.
+    Each page's description is JSON with the quantity and the unit; with the names and units of the channels where they
+    are no colours.
 
     Raises:
         OutputError: If the file cannot be written.
     """
-    names = ("red", "green", "blue") if picture.is_colour else tuple(picture.maps)
+    names = tuple(_LETTERS) if picture.is_colour else tuple(picture.maps)
     found = [picture.maps[name] for name in names]
     pages: dict[str, NDArray[Any]] = {
         "value": np.stack([one.radiance for one in found], axis=-1),
@@ -137,9 +140,12 @@ def write_tiff(path: Path, picture: MapPicture) -> None:
         for quantity, values in pages.items():
             unit = "PixelMask bits" if quantity == "mask" else picture.unit
             facts = {"quantity": quantity, "unit": unit, "u_rel_common": picture.first.u_rel_common}
+            if len(names) > 1 and not picture.is_colour:
+                facts |= {"channels": names, "units": [one.unit for one in found]}
             tiff.write(
-                values if picture.is_colour else values[..., 0],
+                values if len(names) > 1 else values[..., 0],
                 photometric="rgb" if picture.is_colour else "minisblack",
+                planarconfig="contig" if len(names) > 1 else None,
                 description=json_text(facts, ascii_only=True),
                 software=f"radiometer {radiometer.__version__}",
                 metadata=None,
@@ -167,11 +173,14 @@ def read_tiff(path: Path) -> MapPicture:
         raise InputError(
             f"{path}: is no map of radiance with its uncertainty; write one by `radiometer merge -o FILE.tiff`"
         ) from error
-    names = ("red", "green", "blue") if values.ndim == 3 else ("mono",)
+    names = facts.get("channels") or (tuple(_LETTERS) if values.ndim == 3 else ("mono",))
     value, own, bits = (one.reshape(*one.shape[:2], -1) for one in (values, u, mask))
-    common, unit = float(facts["u_rel_common"]), str(facts["unit"])
+    common, units = float(facts["u_rel_common"]), facts.get("units") or [facts["unit"]] * len(names)
     return MapPicture(
-        {name: RadianceMap(value[..., n], own[..., n], bits[..., n], unit, common) for n, name in enumerate(names)}
+        {
+            name: RadianceMap(value[..., n], own[..., n], bits[..., n], str(units[n]), common)
+            for n, name in enumerate(names)
+        }
     )
 
 
@@ -241,20 +250,20 @@ def _overlay(clipped: NDArray[np.bool_]) -> NDArray[np.uint8]:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MapPicture:
-    """One grey or three colour maps of one scene in one unit."""
+    """Maps of one scene: a grey one, three colours in one unit, or several quantities."""
 
-    maps: Mapping[str, RadianceMap]  # by channel: one of any name, or "red", "green" and "blue"
+    maps: Mapping[str, RadianceMap]  # by channel: one of any name; "red", "green", "blue"; or one per quantity
     # Lowest and highest value of the false colours; None takes those of the picture
     bounds: tuple[float, float] | None = None
 
     @property
     def is_colour(self) -> bool:
-        """Return whether there are three channels."""
-        return len(self.maps) == 3
+        """Return whether there are the three colours."""
+        return set(self.maps) == set(_LETTERS)
 
     @property
     def first(self) -> RadianceMap:
-        """Return the only map, or the green one."""
+        """Return the only map, the first quantity, or the green one."""
         return self.maps["green"] if self.is_colour else next(iter(self.maps.values()))
 
     @property

@@ -13,6 +13,7 @@ from radiometer.cli.main import run
 from radiometer.daemon.journal import Journal
 from radiometer.data import Patch, Quantity, Reading
 from radiometer.data.reading import Contribution
+from testing.colour_bench import capture_colours, write_colour_bench, write_colour_chart
 from testing.scripted_adaptation import SubjectCurve
 from testing.sky_log import Camera, sky_log, write
 
@@ -41,6 +42,9 @@ def desk(tmp_path_factory: pytest.TempPathFactory, project_root: Path) -> Path:
     (folder / "meter.csv").write_text(METER, encoding="utf-8")
     ladder = ["--from", "200us", "--to", "51.2ms", "--stops", "1", "--darks", "1"]
     assert run(["bracket", str(folder / "out" / "chart"), "--bench", str(folder / "chart.yaml"), *ladder]) == 0
+    write_colour_bench(folder / "colours.yaml")
+    write_colour_chart(folder / "colours.csv")
+    capture_colours(folder / "colours.yaml", folder / "colours")
     (folder / "photographs").mkdir()
     ramp = np.geomspace(100, 4000, 96)[None, :, None] * np.ones((64, 1, 3)) * np.array([0.8, 1.0, 0.6])
     lines = []

@@ -77,6 +77,14 @@ CASES = (
         "alpha-opic 80 --u 0.8 --spectrum white_led --wavelength-u 0.5 --json",
         lambda out: rm.alpha_opic(80.0, u=0.8, spectrum="white_led", wavelength_u_nm=0.5),
     ),
+    Case(
+        "colour calibrate colours --chart colours.csv --u-rel 1% -o {out}/colour.yaml --json",
+        lambda out: rm.colour_calibrate("colours", "colours.csv", u_rel=0.01, out=out / "colour.yaml"),
+    ),
+    Case(
+        "colour measure colours --calibration colour.yaml --patch 2,2,8,6 --kind leds --json",
+        lambda out: rm.colour_measure("colours", calibration="colour.yaml", patch=(2, 2, 8, 6), kind="leds"),
+    ),
     Case("log-fit sky.csv --no-control --json", lambda out: rm.log_fit("sky.csv", control=False)),
     Case("log journal.sqlite --json", lambda out: rm.log("journal.sqlite")),
     Case(
@@ -154,6 +162,7 @@ EXCUSED = {
     "simulate": "a group",
     "simulate camera": "runs until it is stopped; the contract suite measures through it",
     "simulate box": "runs until it is stopped; the contract suite measures through it",
+    "colour": "a group",
     "light": "a group",
     "screen": "a group",
     "adapt": "a group",
@@ -172,6 +181,7 @@ def bench(desk: Path) -> Path:
         patched.chdir(desk)
         rm.screen_calibrate("lcd.yaml", "lcd", quick=True)
         rm.quality_take("lines", "linearity", bench="bench.yaml")
+        rm.colour_calibrate("colours", "colours.csv", out="colour.yaml")
     return desk
 
 

@@ -29,6 +29,13 @@ EXAMPLES: dict[str, dict[str, Any]] = {
             {"name": "b", "x": 30, "y": 3, "width": 10, "height": 8, "radiance_W_per_sr_m2": 0.123},
         ],
     },
+    "colour_chart": {
+        "kind": "colour_chart",
+        "lights": [
+            {"name": "red", "bands": [[620.0, 30.0, 0.3]]},
+            {"name": "white", "bands": [[450.0, 20.0, 0.1], [560.0, 90.0, 0.4]]},
+        ],
+    },
     "led": {"kind": "led", "diameter_px": 40, "blur_px": 9},
 }
 
@@ -94,7 +101,7 @@ def test_image_file_is_scaled_to_the_sensor(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("mapping", "message"),
     [
-        ({"kind": "moon"}, r"kind = 'moon': there is no such scene; allowed are image, led"),
+        ({"kind": "moon"}, r"kind = 'moon': there is no such scene; allowed are colour_chart, image"),
         ({"kind": "led", "colour": 1}, r"unknown key 'colour'; allowed here: .*flux_mW"),
         ({"kind": "step_chart"}, r"give either radiances_W_per_sr_m2 or steps"),
         ({"kind": "led", "flux_mW": -1}, r"flux_mW = -1: input should be greater than 0"),

@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from drivers.cameras.pixel_unpacking import MONO_FORMATS, pixel_format_of_code, unpack_pixels
+from drivers.cameras.pixel_unpacking import MONO_FORMATS, RAW_FORMATS, pixel_format_of_code, unpack_pixels
 from radiometer.errors import DeviceError
 
 
@@ -71,10 +71,23 @@ def test_a_short_payload_is_refused():
         unpack_pixels(bytes(11), "Mono12p", 4, 2)
 
 
-def test_a_colour_format_is_refused():
-    """A format that is not monochrome is refused with those that are."""
-    with pytest.raises(DeviceError, match="BayerRG8 cannot be measured with; choose one of Mono8"):
-        unpack_pixels(bytes(4), "BayerRG8", 2, 2)
+def test_a_developed_format_is_refused():
+    """A format without the sensor's numbers is refused with those that have them."""
+    with pytest.raises(DeviceError, match="RGB8Packed cannot be measured with; choose one of Mono8"):
+        unpack_pixels(bytes(12), "RGB8Packed", 2, 2)
+
+
+@pytest.mark.parametrize("like", ["Mono8", "Mono10", "Mono10p", "Mono12", "Mono12p", "Mono12Packed"])
+@pytest.mark.parametrize(("start", "mosaic"), [("RG", "RGGB"), ("GR", "GRBG"), ("GB", "GBRG"), ("BG", "BGGR")])
+def test_a_mosaic_is_packed_as_a_monochrome_frame(like, start, mosaic, shared_data):
+    """Its format states the filters; codes are those in FLIR's own description."""
+    known = RAW_FORMATS[like.replace("Mono", f"Bayer{start}")]
+    payload = bytes(range(12))
+    assert unpack_pixels(payload, known.name, 2, 2).tolist() == unpack_pixels(payload, like, 2, 2).tolist()
+    assert known.mosaic == mosaic
+    assert pixel_format_of_code(known.code) is known
+    text = (shared_data / "genicam" / "FLIR_BFS_PGE_19S4M.xml").read_text(encoding="utf-8", errors="replace")
+    assert f"{known.code:08x}" in text.lower() or like in ("Mono10", "Mono12")
 
 
 def test_codes_are_those_of_the_camera_description(shared_data):

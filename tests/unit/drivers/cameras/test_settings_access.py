@@ -108,7 +108,7 @@ def test_limits_come_in_seconds_and_in_the_formats_own_numbers(access, name, ful
     limits = access.capabilities(name)
     assert limits.exposure_s == pytest.approx((11e-6, 30.0))
     assert limits.black_level_dn == pytest.approx((0.0, 0.125 * full_scale))
-    assert limits.pixel_formats == ("Mono8", "Mono12p", "Mono16")
+    assert limits.pixel_formats == ("Mono8", "Mono12p", "Mono16", "BayerRG8")
 
 
 @pytest.mark.parametrize("exposure_s", [10e-6, 31.0])

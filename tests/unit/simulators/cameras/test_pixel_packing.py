@@ -38,4 +38,4 @@ def test_numbers_above_full_scale_are_refused():
 def test_an_unknown_format_is_refused():
     """The message lists the formats."""
     with pytest.raises(ConfigurationError, match="Mono12p"):
-        pack_pixels(np.zeros(4, np.uint16), "BayerRG8")
+        pack_pixels(np.zeros(4, np.uint16), "RGB8Packed")

@@ -1,0 +1,1 @@
+"""Colour of light: tristimulus values, chromaticities, colour temperature, and the matrix from a camera to them."""

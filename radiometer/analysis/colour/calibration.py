@@ -1,0 +1,233 @@
+"""The colour calibration of a camera: matrices, their errors by kind of light, and the raw readings behind them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Final, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import AwareDatetime, Field
+from scipy.spatial import ConvexHull
+
+from radiometer.analysis.colour.matrix import Fit, Training
+from radiometer.data import CameraDescription, LensDescription, Provenance
+from radiometer.data.provenance import utc_now
+from radiometer.data.storage import read_yaml, write_yaml_atomic
+from radiometer.data.validation import FileSection, validate
+from radiometer.errors import CalibrationError, UsageError
+from radiometer.typing import Array
+
+FORMAT: Final = "radiometer-colour/1"
+ALL: Final = "all"  # name of the matrix that serves every kind of light
+_SURELY: Final = 2.0  # standard uncertainties beyond the hull of the training set
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ColourCalibration:
+    """What turns the channels of one camera into X, Y, Z.
+
+    Attributes:
+        channels: Names of the channels, in the order of the matrices' columns.
+        camera: The camera.
+        lens: The lens, with its f-number.
+        unit: Of X, Y, Z: cd·m⁻², or relative where no light of known luminance took part.
+        fits: Matrix by kind of light, or a single one named `ALL`.
+        errors: Covariance of the error over (X + Y + Z)² by kind of light.
+        trained: Kinds of light that the matrices were fitted to.
+        training: The raw readings of known lights, which gave the matrices or their scale; None where there were none.
+        u_rel: Relative standard uncertainty that all known X, Y, Z share.
+        created: ISO 8601 time in UTC.
+        provenance: Method, inputs, assumptions.
+    """
+
+    channels: tuple[str, ...]
+    camera: CameraDescription
+    lens: LensDescription
+    unit: str
+    fits: Mapping[str, Fit]
+    errors: Mapping[str, Array]
+    trained: tuple[str, ...]
+    training: Training | None
+    u_rel: float = 0.0
+    created: str = field(default_factory=utc_now)
+    provenance: Provenance = field(default_factory=lambda: Provenance("unknown"))
+
+    def fit(self, kind: str | None) -> Fit:
+        """Return the matrix for a kind of light.
+
+        Raises:
+            UsageError: If there is one for each kind and none is stated, or the kind is not known.
+        """
+        if kind is not None and kind not in self.errors:
+            raise UsageError(f"--kind {kind}: the calibration knows {', '.join(self.errors)}")
+        found = self.fits.get(ALL) or self.fits.get(kind or "")
+        if found is None:
+            raise UsageError(f"the calibration holds a matrix for each of {', '.join(self.fits)}: state --kind")
+        return found
+
+    def error(self, kind: str | None) -> Array:
+        """Return the error for a kind of light; of a light of unstated kind the mean over the kinds, each as likely."""
+        return self.errors[kind] if kind is not None else np.mean(list(self.errors.values()), axis=0)
+
+    def convert(self, signal: Array, covariance: Array, kind: str | None) -> tuple[Array, Array]:
+        """Return X, Y, Z, shape (…, 3), and their covariance, shape (…, 3, 3).
+
+        The covariance holds that of the readings, the error of the matrix for this kind of light, which grows with the
+        distance from the training set, and the scale of the known X, Y, Z.
+
+        Args:
+            signal: Channel readings, shape (…, channels).
+            covariance: Their covariance, shape (…, channels, channels).
+            kind: Kind of light; None where it is not known.
+
+        Raises:
+            UsageError: As `fit`.
+        """
+        fit = self.fit(kind)
+        xyz = signal @ fit.matrix.T
+        size = np.sum(xyz, axis=-1) ** 2 * (1.0 + np.nan_to_num(fit.leverage(signal)))
+        own = fit.matrix @ covariance @ fit.matrix.T
+        scale = self.u_rel**2 * xyz[..., :, None] * xyz[..., None, :]
+        return xyz, own + size[..., None, None] * self.error(kind) + scale
+
+    def is_outside(self, xy: Array, covariance: Array, kind: str | None) -> NDArray[np.bool_]:
+        """Return whether chromaticities are outside the hull of the training set by more than two uncertainties.
+
+        Args:
+            xy: Shape (…, 2).
+            covariance: Shape (…, 2, 2).
+            kind: As for `convert`.
+        """
+        sides = ConvexHull(self.fit(kind).hull).equations
+        normal, offset = sides[:, :2], sides[:, 2]
+        beyond = xy @ normal.T + offset
+        u = np.sqrt(np.einsum("si,...ij,sj->...s", normal, covariance, normal))
+        return np.asarray(np.any(beyond > _SURELY * u, axis=-1))
+
+    def to_mapping(self) -> dict[str, Any]:
+        """Return the mapping that is written to the file."""
+        lights = self.training
+        return {
+            "format": FORMAT,
+            "created": self.created,
+            "channels": list(self.channels),
+            "unit": self.unit,
+            "u_rel": self.u_rel,
+            "camera": self.camera.model_dump(mode="json", exclude_none=True),
+            "lens": self.lens.model_dump(mode="json", exclude_none=True),
+            "matrices": {
+                kind: {name: getattr(one, name).tolist() for name in ("matrix", "spread", "error", "hull")}
+                for kind, one in self.fits.items()
+            },
+            "trained": list(self.trained),
+            "errors": {kind: one.tolist() for kind, one in self.errors.items()},
+            "training": []
+            if lights is None
+            else [
+                {
+                    "name": name,
+                    "kind": lights.kinds[n],
+                    "signal": lights.signal[n].tolist(),
+                    "u_signal": lights.u_signal[n].tolist(),
+                    "xyz": lights.xyz[n].tolist(),
+                    "u_rel": float(lights.u_rel[n]),
+                }
+                for n, name in enumerate(lights.names)
+            ],
+            "provenance": self.provenance.to_mapping(),
+        }
+
+    def write(self, path: Path) -> None:
+        """Write it as one YAML file, whole or not at all. Raises OutputError."""
+        write_yaml_atomic(path, self.to_mapping())
+
+    @classmethod
+    def read(cls, path: Path) -> ColourCalibration:
+        """Return the calibration in a file.
+
+        Raises:
+            InputError: If the file cannot be read, or is not YAML.
+            CalibrationError: If it is no colour calibration; the message names the key, the value and what is allowed.
+        """
+        mapping = read_yaml(path)
+        if mapping.get("format") != FORMAT:
+            raise CalibrationError(f"{path}: format is {mapping.get('format')!r}; expected {FORMAT!r}")
+        stored = validate(_File, mapping, str(path), CalibrationError)
+        channels = len(stored.channels)
+        try:
+            return cls(
+                stored.channels,
+                stored.camera,
+                stored.lens,
+                stored.unit,
+                {kind: one.fit(channels) for kind, one in stored.matrices.items()},
+                {kind: _shaped(one, 3, 3) for kind, one in stored.errors.items()},
+                stored.trained,
+                _training(stored.training, channels),
+                stored.u_rel,
+                stored.created.isoformat(),
+                Provenance.from_mapping(stored.provenance, str(path)),
+            )
+        except ValueError as error:
+            raise CalibrationError(
+                f"{path}: a matrix, error or reading has not {channels} channels; calibrate again"
+            ) from error
+
+
+class _Matrix(FileSection):
+    matrix: list[list[float]]
+    spread: list[list[float]]
+    error: list[list[float]]
+    hull: list[list[float]] = Field(min_length=3)
+
+    def fit(self, channels: int) -> Fit:
+        return Fit(
+            _shaped(self.matrix, 3, channels),
+            _shaped(self.spread, channels, channels),
+            _shaped(self.error, 3, 3),
+            _shaped(self.hull, len(self.hull), 2),
+        )
+
+
+class _Light(FileSection):
+    name: str
+    kind: str
+    signal: list[float]
+    u_signal: list[float]
+    xyz: list[float]
+    u_rel: float = Field(ge=0)
+
+
+class _File(FileSection):
+    created: AwareDatetime
+    channels: tuple[str, ...] = Field(min_length=2)
+    unit: Literal["cd m-2", "relative"]
+    u_rel: float = Field(ge=0)
+    camera: CameraDescription
+    lens: LensDescription = LensDescription()
+    matrices: dict[str, _Matrix] = Field(min_length=1)
+    errors: dict[str, list[list[float]]] = Field(min_length=1)
+    trained: tuple[str, ...] = Field(min_length=1)
+    training: list[_Light] = Field(default_factory=list)
+    provenance: dict[str, Any] = Field(default_factory=dict)
+
+
+def _training(lights: list[_Light], channels: int) -> Training | None:
+    if not lights:
+        return None
+    return Training(
+        tuple(one.name for one in lights),
+        tuple(one.kind for one in lights),
+        _shaped([one.signal for one in lights], len(lights), channels),
+        _shaped([one.u_signal for one in lights], len(lights), channels),
+        _shaped([one.xyz for one in lights], len(lights), 3),
+        np.array([one.u_rel for one in lights]),
+    )
+
+
+def _shaped(values: Any, rows: int, columns: int) -> Array:
+    """Return values as an array of a shape. Raises ValueError where they have another."""
+    return np.array(values, dtype=np.float64).reshape(rows, columns)

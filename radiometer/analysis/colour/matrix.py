@@ -1,0 +1,213 @@
+"""The matrix from a camera's channels to X, Y, Z: fitted to known lights, with its error for other lights.
+
+A camera whose responsivities are no mixture of the colour matching functions has no exact matrix (Luther 1927). Its
+error depends on the spectrum, so it is found from lights that the matrix was not fitted to, and is part of u.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from scipy.spatial import ConvexHull
+from scipy.stats import t as student_t
+
+from radiometer.analysis.colour.plausible import plausible_cameras, plausible_lights, tristimulus_of
+from radiometer.errors import CalibrationError
+from radiometer.statistics.least_squares import solve
+from radiometer.typing import Array
+
+_LEAST_SPAN: Final = 1e-3  # of the singular values: below, the channels of all lights are one mixture of each other
+_ALONE: Final = 1.0 - 1e-6  # leverage of a light that alone determines a coefficient
+_ROUNDS: Final = 20  # of weights and error in turn; they settle within five
+_LEAST_ERROR: Final = 1e-4  # relative; no camera is linear to better
+_COVERED: Final = 0.9545  # of the lights by k = 2, as of a normal distribution
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Training:
+    """Lights of known X, Y, Z and the raw readings of them.
+
+    Attributes:
+        names: Name of each light.
+        kinds: Its kind, such as "oled".
+        signal: Channel readings, shape (lights, channels).
+        u_signal: Their standard uncertainties, independent of each other.
+        xyz: X, Y, Z in cd·m⁻², shape (lights, 3).
+        u_rel: Relative standard uncertainty of X, Y, Z of each light, independent of the others.
+    """
+
+    names: tuple[str, ...]
+    kinds: tuple[str, ...]
+    signal: Array
+    u_signal: Array
+    xyz: Array
+    u_rel: Array
+
+    def of_kind(self, kind: str | None) -> Training:
+        """Return the lights of a kind; all for None."""
+        chosen = np.array([kind is None or one == kind for one in self.kinds])
+        names, kinds = (
+            tuple(one for one, is_in in zip(given, chosen, strict=True) if is_in) for given in (self.names, self.kinds)
+        )
+        parts = (one[chosen] for one in (self.signal, self.u_signal, self.xyz, self.u_rel))
+        return Training(names, kinds, *parts)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Fit:
+    """A matrix and what is known of its error.
+
+    Errors are covariances of X, Y, Z over the square of X + Y + Z, shape (3, 3).
+
+    Attributes:
+        matrix: X, Y, Z per unit of each channel, shape (3, channels).
+        spread: Inverse of the normal matrix, shape (channels, channels): aᵀ·spread·a is the leverage of a light.
+        error: Error for a light that was left out.
+        hull: Corners (x, y) of the hull of the lights that it was fitted to, shape (corners, 2).
+    """
+
+    matrix: Array
+    spread: Array
+    error: Array
+    hull: Array
+
+    def leverage(self, signal: Array) -> Array:
+        """Return the leverage of lights, shape (…): about channels/lights within the training set, more outside."""
+        total = np.sum(signal @ self.matrix.T, axis=-1, keepdims=True)
+        share = signal / np.where(total > 0.0, total, np.nan)
+        return np.asarray(np.einsum("...i,ij,...j", share, self.spread, share))
+
+
+def fit_matrix(training: Training) -> Fit:
+    """Return the matrix of least squares, each light weighted by 1/u².
+
+    u² of a light is the noise of its readings, the uncertainty of its X, Y, Z, and the error of the matrix, which is
+    found from the residuals. The error is that of the residual of each light without that light, r/(1 − h).
+    It is widened so that k = 2 covers 95.45 %, by Student's t and by the residuals that are far off.
+
+    Args:
+        training: Lights; more than there are channels.
+
+    Raises:
+        CalibrationError: If they do not determine the matrix and its error.
+    """
+    count, channels = training.signal.shape
+    total = training.xyz.sum(axis=1, keepdims=True)
+    if count <= channels:
+        raise CalibrationError(
+            f"{count} lights do not determine a matrix of {channels} channels and its error: "
+            f"give {channels + 1} lights or more"
+        )
+    if np.any(total <= 0.0):
+        raise CalibrationError(f"light {training.names[int(np.argmin(total))]!r}: X + Y + Z must be above 0")
+    share, target = training.signal / total, training.xyz / total
+    if not _spans(share):
+        raise CalibrationError(
+            f"the {count} lights do not determine the matrix: their channels have a fixed ratio; "
+            "add lights of other colours"
+        )
+    known = training.u_rel**2 * np.mean(target**2, axis=1)
+    noise, error_2 = known, 1e-4
+    for _ in range(_ROUNDS):
+        weight = 1.0 / (error_2 + noise)
+        weight /= weight.mean()
+        spread = np.linalg.inv(share.T @ (weight[:, None] * share))
+        matrix = (spread @ share.T @ (weight[:, None] * target)).T
+        leverage = weight * np.einsum("ni,ij,nj->n", share, spread, share)
+        if np.any(leverage > _ALONE):
+            alone = training.names[int(np.argmax(leverage))]
+            raise CalibrationError(f"without light {alone!r} the others do not determine the matrix; add one like it")
+        left_out = (target - share @ matrix.T) / (1.0 - leverage)[:, None]
+        noise = known + np.mean((training.u_signal / total) ** 2 @ (matrix**2).T, axis=1)
+        found = np.average(np.mean(left_out**2, axis=1) - noise, weights=weight)
+        error_2 = max(float(found), _LEAST_ERROR**2)
+    few = float(student_t.ppf(0.5 + _COVERED / 2.0, count - channels)) / 2.0
+    error = _covering(left_out * np.sqrt(weight)[:, None], few)
+    return Fit(matrix, spread, error + _LEAST_ERROR**2 * np.eye(3), _hull(target))
+
+
+def plausible_training(responsivities: Array) -> Training:
+    """Return plausible lights as a camera reads them, without noise.
+
+    Args:
+        responsivities: Per watt, over the grid of plausible lights, shape (channels, wavelengths).
+    """
+    lights = plausible_lights()
+    kinds = tuple(kind for kind, powers in lights.items() for _ in powers)
+    powers = np.vstack(list(lights.values()))
+    signal, none = _signal(powers, responsivities), np.zeros(len(powers))
+    return Training(kinds, kinds, signal, np.zeros(signal.shape), _normal(tristimulus_of(powers)), none)
+
+
+def _off(matrix: Array, responsivities: Array, powers: Array) -> Array:
+    """Return the error of a matrix for each light over its X + Y + Z, shape (lights, 3)."""
+    return np.asarray(_signal(powers, responsivities) @ matrix.T - _normal(tristimulus_of(powers)))
+
+
+def _covering(off: Array, least: float = 1.0) -> Array:
+    """Return the covariance of errors, shape (3, 3), of which k = 2 covers 95.45 % of them.
+
+    It is the mean of e·eᵀ, and wider where a few lights are far off, such as those of a lamp with lines.
+
+    Args:
+        off: Errors, shape (lights, 3).
+        least: Factor on u that few lights need; above 1 by Student's t.
+    """
+    mean = off.T @ off / len(off)
+    far = np.quantile(np.abs(off) / np.sqrt(np.maximum(np.diag(mean), 1e-30)), _COVERED)
+    return np.asarray(max(least, float(far) / 2.0) ** 2 * mean)
+
+
+def _hull(share: Array) -> Array:
+    """Return the corners (x, y) of the hull of lights, from X, Y, Z over their sum."""
+    return np.asarray(share[ConvexHull(share[:, :2]).vertices, :2])
+
+
+def _normal(xyz: Array) -> Array:
+    return np.asarray(xyz / xyz.sum(axis=1, keepdims=True))
+
+
+def _signal(powers: Array, responsivities: Array) -> Array:
+    """Return the signals of lights over their X + Y + Z, shape (lights, channels)."""
+    return np.asarray(powers @ responsivities.T / tristimulus_of(powers).sum(axis=1, keepdims=True))
+
+
+def errors_of_other_lights(
+    matrix: Array, training: Training, powers: Array | None, responsivities: Array | None
+) -> dict[str, Array]:
+    """Return the error of a matrix by kind of plausible light, each a covariance over (X + Y + Z)².
+
+    Args:
+        matrix: The matrix, shape (3, channels).
+        training: Lights that it was fitted to.
+        powers: Their powers over the grid of plausible lights. None takes the plausible lights that are nearest in
+            chromaticity and readings, of the kinds of the training where these are plausible ones.
+        responsivities: The camera's, up to a common factor. None takes plausible colour cameras, each with a matrix
+            fitted to the same lights.
+    """
+    lights = plausible_lights()
+    if powers is None:
+        pool = np.vstack([lights[kind] for kind in lights if kind in training.kinds] or list(lights.values()))
+        read, there = _normal(training.xyz)[:, :2], _normal(tristimulus_of(pool))[:, :2]
+        if responsivities is not None:  # what the camera sees tells lamps apart that look alike
+            read = np.hstack([read, _normal(training.signal)])
+            there = np.hstack([there, _normal(_signal(pool, responsivities))])
+        powers = pool[np.argmin(np.sum((read[:, None] - there) ** 2, axis=-1), axis=1)]
+    if responsivities is not None:
+        computed, read = _signal(powers, responsivities), training.signal / training.xyz.sum(axis=1, keepdims=True)
+        pairs = [(matrix, responsivities * float(np.sum(computed * read) / np.sum(computed**2)))]
+    else:
+        target = _normal(tristimulus_of(powers))
+        pairs = [(solve(_signal(powers, camera), target).T, camera) for camera in plausible_cameras()]
+    return {
+        kind: _covering(np.vstack([_off(fitted, camera, one) for fitted, camera in pairs]))
+        for kind, one in lights.items()
+    }
+
+
+def _spans(share: Array) -> bool:
+    """Return whether the channels of lights are no mixtures of each other."""
+    values = np.linalg.svd(share / np.linalg.norm(share, axis=0), compute_uv=False)
+    return bool(values[-1] > _LEAST_SPAN * values[0])

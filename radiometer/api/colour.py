@@ -1,0 +1,576 @@
+"""Colour of light from a camera with colour channels: its calibration, and readings of patches and pictures."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final, Literal
+
+import numpy as np
+
+from radiometer.analysis.calibration.shared import require_camera, require_lens, settle
+from radiometer.analysis.colour.calibration import ColourCalibration
+from radiometer.analysis.colour.chart import KnownLight, read_chart, read_spectra, spectrum_of
+from radiometer.analysis.colour.chromaticity import QUANTITIES, Coordinates, coordinates, locus_points, tristimulus
+from radiometer.analysis.colour.matrix import Training
+from radiometer.analysis.colour.plausible import GRID_NM, on_grid
+from radiometer.analysis.colour.train import ColourCamera, train_on_lights, train_on_responsivities
+from radiometer.analysis.exports.maps import MapPicture, write_exr, write_tiff
+from radiometer.analysis.photometry.photometry import spectral_columns
+from radiometer.analysis.regions.figures import LOST, region_figures
+from radiometer.api.files import PathLike, stack_of
+from radiometer.api.meter import PatchLike, as_patch
+from radiometer.api.radiance import ResponseLike, merge
+from radiometer.api.result import Notice, Progress, Result, unheard
+from radiometer.bench.sources import is_photographs, open_source
+from radiometer.data import CameraDescription, CaptureHeader, LensDescription, Patch, PixelMask, Quantity, RadianceMap
+from radiometer.data.drawing import new_axes, picture, write_figure
+from radiometer.data.mosaic import COLOURS
+from radiometer.data.storage import check_outputs, write_text_atomic
+from radiometer.errors import InputError, MeasurementError, UsageError
+from radiometer.importing import open_capture
+from radiometer.numbers import unit_text, with_u
+from radiometer.progress import unseen
+from radiometer.reporting.page import listed, page, section, table
+from radiometer.typing import Array
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+TrainedOn = Literal["chart", "responsivities"]
+_UNSTATED: Final = "light"  # kind of lights whose kind no chart and no option states
+_WRITERS: Final = {".exr": write_exr, ".tif": write_tiff, ".tiff": write_tiff}
+_ELLIPSE_K: Final = 2.4477  # radius that holds 95 % of a normal distribution in two dimensions
+_ROWS: Final = 64  # of a picture that are converted at a time
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class CalibratedColour(Result):
+    """A colour calibration.
+
+    Examples:
+        >>> import radiometer as rm
+        >>> made = rm.colour_calibrate("colours", "colours.csv", kind="leds")
+        >>> list(made.calibration.channels), made.calibration.unit
+        (['red', 'green', 'blue'], 'cd m-2')
+
+    Attributes:
+        calibration: The calibration.
+        out: File that it was written to; None where it was not.
+    """
+
+    calibration: ColourCalibration
+    out: Path | None = None
+
+    def to_mapping(self) -> dict[str, Any]:
+        """Return the documented JSON form: that of the file."""
+        return {**self.calibration.to_mapping(), "file": None if self.out is None else str(self.out)}
+
+    def u_rel(self, kind: str | None) -> float:
+        """Return the relative standard uncertainty of the luminance of white light from the matrix."""
+        return 3.0 * float(np.sqrt(self.calibration.error(kind)[1, 1]))
+
+    def __str__(self) -> str:
+        """Return channels, lights and the error for the kinds of light in one line."""
+        known = self.calibration
+        lights = 0 if known.training is None else len(known.training.names)
+        parts = ", ".join(f"{kind} {100 * self.u_rel(kind):.2g} %" for kind in known.errors)
+        return f"{'/'.join(known.channels)} from {lights} lights; u of luminance: {parts}"
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class ColourReading(Result):
+    """The colour of a patch; all uncertainties are standard ones (k = 1).
+
+    Examples:
+        >>> import radiometer as rm
+        >>> rm.colour_calibrate("colours", "colours.csv", kind="leds", out="colour.yaml")
+        <CalibratedColour ...>
+        >>> found = rm.colour_measure("colours", calibration="colour.yaml", patch=(2, 2, 4, 4), kind="leds")
+        >>> found["Y"].unit, found["cct"] is None or found["cct"].unit
+        ('cd m-2', ...)
+
+    Attributes:
+        source: Where the frames came from.
+        patch: Where it was read.
+        kind: Kind of light; None where it is not known.
+        signals: The raw reading of each channel.
+        quantities: X, Y, Z, x, y, u_prime, v_prime, cct, duv; None where the light has no colour temperature.
+        coordinates: Chromaticities with their covariances.
+        flags: What a user must know.
+        assumptions: What was assumed, a sentence each.
+        calibration: The calibration in use.
+        maps: Quantities of every pixel, where they were asked for.
+    """
+
+    source: str
+    patch: Patch
+    kind: str | None
+    signals: Mapping[str, Quantity]
+    quantities: Mapping[str, Quantity | None]
+    coordinates: Coordinates
+    flags: tuple[str, ...]
+    assumptions: tuple[str, ...]
+    calibration: ColourCalibration
+    maps: MapPicture | None = None
+
+    def __getitem__(self, name: str) -> Quantity | None:
+        """Return a quantity by name, such as "Y". Raises KeyError."""
+        return self.quantities[name]
+
+    def to_mapping(self) -> dict[str, Any]:
+        """Return the documented JSON form."""
+        return {
+            "source": self.source,
+            "patch": [self.patch.x, self.patch.y, self.patch.width, self.patch.height],
+            "kind": self.kind,
+            **{name: None if one is None else one.to_mapping() for name, one in self.quantities.items()},
+            "covariance_xy": self.coordinates.xy_covariance.tolist(),
+            "coverage_factor": 2,
+            "signals": {name: one.to_mapping() for name, one in self.signals.items()},
+            "flags": list(self.flags),
+            "assumptions": list(self.assumptions),
+            "calibrated": self.calibration.created,
+        }
+
+    def plot(self, axes: Axes | None = None) -> Axes:
+        """Draw the chromaticity diagram: spectral and Planckian locus, training set, and the reading with its ellipse.
+
+        Args:
+            axes: Where to draw; a new figure by default.
+        """
+        from matplotlib.patches import Ellipse, Polygon
+
+        where = axes if axes is not None else new_axes()
+        spectral, planckian = locus_points()
+        where.add_patch(Polygon(spectral, fill=False, color="black", linewidth=0.8))
+        where.plot(*planckian.T, color="tab:orange", linewidth=0.8, label="Planckian locus")
+        hull = self.calibration.fit(self.kind).hull
+        where.add_patch(Polygon(hull, fill=False, color="tab:blue", linestyle=":", label="training set"))
+        size, turned = np.linalg.eigh(self.coordinates.xy_covariance)
+        width, height = 2.0 * _ELLIPSE_K * np.sqrt(np.maximum(size, 0.0))
+        angle = float(np.degrees(np.arctan2(turned[1, 0], turned[0, 0])))
+        x, y = self.coordinates.xy
+        where.plot(x, y, "+", color="tab:red")
+        where.add_patch(Ellipse((x, y), width, height, angle=angle, fill=False, color="tab:red", label="95 %"))
+        where.set_aspect("equal")
+        where.set_xlim(-0.02, 0.78)
+        where.set_ylim(-0.02, 0.88)
+        where.set_xlabel("x")
+        where.set_ylabel("y")
+        where.legend(loc="upper right", fontsize="small")
+        return where
+
+    def write_plot(self, path: PathLike) -> None:
+        """Draw it into a PNG, PDF or SVG file. Raises UsageError for another ending, OutputError."""
+        write_figure(Path(path), self.plot(), (6.4, 6.8))
+
+    def write_report(self, path: PathLike) -> None:
+        """Write a self-contained page. Raises OutputError if it cannot be written."""
+        rows = [(name, _shown(one)) for name, one in self.quantities.items()]
+        raw = [(name, with_u(one.value, 2 * one.u)) for name, one in self.signals.items()]
+        parts = [
+            picture(self.plot, f"{self.source}: CIE 1931 chromaticity, ellipse at 95 %"),
+            section("Colour, k = 2", table(("quantity", "value"), rows)),
+            section("Raw readings, k = 2", table(("channel", "signal"), raw)),
+            section("Flags and assumptions", listed([*self.flags, *self.assumptions])),
+        ]
+        write_text_atomic(Path(path), page(f"colour of {self.source}", str(self), parts, kind="colour"))
+
+    def write_maps(self, path: PathLike) -> None:
+        """Write the quantities of every pixel as .exr or .tiff.
+
+        Raises:
+            UsageError: If the ending is another, or they were not asked for.
+            OutputError: If the file cannot be written.
+        """
+        if self.maps is None:
+            raise UsageError("the quantities of every pixel were not asked for: give --map")
+        _writer(Path(path))(Path(path), self.maps)
+
+    def _repr_html_(self) -> str:
+        return picture(self.plot, repr(self))
+
+    def __str__(self) -> str:
+        """Return luminance, chromaticity and colour temperature in one line."""
+        names = ("Y", "x", "y", "cct", "duv")
+        return ", ".join(f"{name} {_shown(self.quantities[name])}" for name in names) + " (k = 2)"
+
+
+def _shown(quantity: Quantity | None) -> str:
+    return "none" if quantity is None else with_u(quantity.value, 2 * quantity.u, unit_text(quantity.unit))
+
+
+def colour_calibrate(
+    source: PathLike | None = None,
+    chart: PathLike | None = None,
+    *,
+    spectra: PathLike | None = None,
+    responsivities: PathLike | None = None,
+    train_on: TrainedOn = "chart",
+    kind: str | None = None,
+    per_kind: bool = False,
+    u_rel: float = 0.0,
+    filters: Mapping[str, PathLike] | None = None,
+    linear: bool = False,
+    response: ResponseLike | None = None,
+    out: PathLike | None = None,
+    notice: Notice = unheard,
+    progress: Progress = unseen,
+) -> CalibratedColour:
+    """Find the matrix from a camera's channels to X, Y, Z, and its error for other lights.
+
+    Examples:
+        >>> import radiometer as rm
+        >>> rm.colour_calibrate("colours", "colours.csv", kind="leds")
+        <CalibratedColour red/green/blue from ... lights; u of luminance: ...>
+
+    Args:
+        source: Capture set of a colour camera, or folder of photographs, that shows the lights.
+        chart: Table of the lights: name, X, Y, Z in cd·m⁻², and as needed u_rel, kind, left, top, width, height (in
+            pixels of a colour's plane) and capture (a folder for each light). Places may be those of `capture.yaml`.
+        spectra: Table of wavelength and the spectral radiance of each light in W·sr⁻¹·m⁻²·nm⁻¹, instead of X, Y, Z.
+        responsivities: Table of wavelength and the responsivity of each channel per watt, up to a common factor.
+        train_on: "chart" fits the matrix to the known lights, "responsivities" to plausible lights; the known ones
+            then give the scale alone.
+        kind: Kind of the lights whose kind the chart does not state.
+        per_kind: Find a matrix for each kind of light, such as a type of display.
+        u_rel: Relative standard uncertainty that all known X, Y, Z share.
+        filters: Of a monochrome camera with filters: capture set by channel, instead of a source.
+        linear: Photographs that are no raw files are proportional to light above black.
+        response: Response of photographs.
+        out: File to write.
+        notice: Gets what a user should know, a line each.
+        progress: Called as the work goes on.
+
+    Raises:
+        UsageError: If arguments exclude each other or are missing.
+        InputError: If a table cannot be used, or a light has no place.
+        CalibrationError: If the lights do not determine the matrix.
+        MeasurementError: If a light has too few pixels with a value.
+    """
+    if out is not None:
+        check_outputs(Path(out), force=True)
+    frames = _Frames(filters, linear, response, notice, progress)
+    with_lights = chart is not None or spectra is not None
+    if train_on == "responsivities" and responsivities is None:
+        raise UsageError("--train-on responsivities needs --responsivities FILE")
+    if train_on == "chart" and not with_lights:
+        raise UsageError("give --chart FILE or --spectra FILE, or --responsivities FILE with --train-on responsivities")
+    if with_lights and source is None and filters is None and chart is None:
+        raise UsageError("the known lights need frames: give a capture set, photographs, or --filter NAME=FOLDER")
+    training, powers, known = None, None, ColourCamera(tuple(filters) if filters else COLOURS)
+    if with_lights:
+        seen = _lights(source, chart, spectra, kind, frames)
+        training, powers, known = seen
+    files = [Path(one) for one in (chart, spectra, responsivities) if one is not None]
+    known = replace(known, inputs=tuple(f"{one.name} sha256:{_digest(one)}" for one in files))
+    if responsivities is not None:
+        known = replace(known, responsivities=_responsivities(Path(responsivities), known.channels))
+    if train_on == "responsivities":
+        found = train_on_responsivities(known, training, per_kind=per_kind, u_rel=u_rel)
+    else:
+        assert training is not None  # with_lights
+        found = train_on_lights(known, training, powers=powers, per_kind=per_kind, u_rel=u_rel)
+    if out is not None:
+        found.write(Path(out))
+    return CalibratedColour(found, None if out is None else Path(out))
+
+
+def colour_measure(
+    source: PathLike | None = None,
+    *,
+    calibration: ColourCalibration | PathLike,
+    patch: PatchLike | None = None,
+    kind: str | None = None,
+    filters: Mapping[str, PathLike] | None = None,
+    linear: bool = False,
+    response: ResponseLike | None = None,
+    maps: PathLike | None = None,
+    report: PathLike | None = None,
+    notice: Notice = unheard,
+    progress: Progress = unseen,
+) -> ColourReading:
+    """Measure X, Y, Z, x, y, u′, v′, CCT and Duv of a patch, each with its uncertainty.
+
+    Examples:
+        >>> import radiometer as rm
+        >>> made = rm.colour_calibrate("colours", "colours.csv", kind="leds")
+        >>> rm.colour_measure("colours", calibration=made.calibration, patch=(2, 2, 4, 4), kind="leds")
+        <ColourReading Y ... (k = 2)>
+
+    Args:
+        source: Capture set of a colour camera, or folder of photographs.
+        calibration: Colour calibration, or its file.
+        patch: (x, y, width, height) in pixels of a colour's plane; the whole picture by default.
+        kind: Kind of light, one that the calibration knows; by default the error is the mean over those.
+        filters: Of a monochrome camera with filters: capture set by channel, instead of a source.
+        linear: Photographs that are no raw files are proportional to light above black.
+        response: Response of photographs, the same as for the calibration.
+        maps: File for the quantities of every pixel, .exr or .tiff.
+        report: Page to write, .html.
+        notice: Gets what a user should know, a line each.
+        progress: Called as the work goes on.
+
+    Raises:
+        UsageError: If arguments exclude each other, or the kind of light is not known.
+        CalibrationError: If the calibration is of another camera.
+        MeasurementError: If the patch has too few pixels with a value, or no light.
+    """
+    files = [Path(one) for one in (maps, report) if one is not None]
+    check_outputs(*files, force=True)
+    if maps is not None:
+        _writer(Path(maps))
+    known = calibration if isinstance(calibration, ColourCalibration) else ColourCalibration.read(Path(calibration))
+    known.fit(kind)
+    frames = _Frames(filters, linear, response, notice, progress)
+    seen = frames.channels(source)
+    if tuple(seen.maps) != known.channels:
+        raise UsageError(f"{seen.origin}: has the channels {', '.join(seen.maps)}, the calibration "
+                         f"{', '.join(known.channels)}")  # fmt: skip
+    require_camera(known, seen.camera)
+    require_lens(known, seen.lens)
+    if (known.lens.f_number is None) != (seen.lens.f_number is None):
+        settle("f-number", known.lens.f_number, seen.lens.f_number)
+    where = as_patch(patch) or Patch(0, 0, *next(iter(seen.maps.values())).shape[::-1])
+    signal, own, flags = seen.signal(where, str(seen.origin))
+    readings = seen.covariance(signal, own)
+    xyz, covariance = known.convert(signal, readings, kind)
+    if not xyz.sum() > 0.0:
+        raise MeasurementError(f"{seen.origin}: X + Y + Z is not above 0: the patch shows no light")
+    found = coordinates(xyz, covariance)
+    values, u = (one.tolist() for one in found.figures(xyz, covariance))
+    raw = zip(seen.maps, signal.tolist(), np.sqrt(np.diag(readings)).tolist(), strict=True)
+    reading = ColourReading(
+        seen.origin, where, kind,
+        {name: Quantity(value, u_of, "relative") for name, value, u_of in raw},
+        {
+            name: Quantity(values[n], u[n], unit) if np.isfinite(values[n]) else None
+            for n, (name, unit) in enumerate(_units(known.unit).items())
+        },
+        found, (*flags, *_flags(known, found, kind)), (*known.provenance.assumptions, *seen.assumptions), known,
+        _converted(seen, known, kind) if maps is not None else None,
+    )  # fmt: skip
+    if maps is not None:
+        reading.write_maps(maps)
+    if report is not None:
+        reading.write_report(report)
+    return reading
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Channels:
+    """Maps of the channels of one camera; `together` where their frames are the same, so that they share errors."""
+
+    origin: str
+    maps: Mapping[str, RadianceMap]
+    camera: CameraDescription
+    lens: LensDescription
+    patches: Mapping[str, Patch]
+    together: bool
+
+    @property
+    def assumptions(self) -> tuple[str, ...]:
+        """Return what was assumed of the frames."""
+        return tuple(dict.fromkeys(text for one in self.maps.values() for text in one.provenance.assumptions))
+
+    def signal(self, patch: Patch, name: str) -> tuple[Array, Array, tuple[str, ...]]:
+        """Return the mean of each channel over a patch, its u without what all pixels share, and flags."""
+        figures = [region_figures(one, name, patch) for one in self.maps.values()]
+        flags = tuple(dict.fromkeys(flag.partition(":")[0].replace(" ", "_") for one in figures for flag in one.flags))
+        signal, u = (np.array([getattr(one.mean, name) for one in figures]) for name in ("value", "u"))
+        return signal, np.sqrt(np.maximum(u**2 - (self.common * signal) ** 2, 0.0)), flags
+
+    @property
+    def common(self) -> Array:
+        """Return the relative standard uncertainty that all pixels of each channel share."""
+        return np.array([one.u_rel_common for one in self.maps.values()])
+
+    def covariance(self, signal: Array, own: Array) -> Array:
+        """Return the covariance of readings, shape (…, channels, channels).
+
+        Channels of the same frames share the errors of time and linearity.
+
+        Args:
+            signal: Shape (…, channels).
+            own: Standard uncertainty without what all pixels share, same shape.
+        """
+        shared, each = self.common * signal, np.eye(signal.shape[-1])
+        pairs = shared[..., :, None] * shared[..., None, :]
+        return np.asarray((pairs if self.together else pairs * each) + own[..., None] ** 2 * each)
+
+
+@dataclass(frozen=True, slots=True)
+class _Frames:
+    """How frames become maps of channels."""
+
+    filters: Mapping[str, PathLike] | None
+    linear: bool
+    response: ResponseLike | None
+    notice: Notice
+    progress: Progress
+
+    def channels(self, source: PathLike | None) -> _Channels:
+        """Return the maps of a source, or of the filters' capture sets.
+
+        Raises:
+            UsageError: If both or none are given, or the frames have no colours.
+        """
+        if (source is None) == (self.filters is None):
+            raise UsageError("give a capture set or photographs, or --filter NAME=FOLDER for each filter")
+        if self.filters is not None:
+            return self._behind_filters(self.filters)
+        path = Path(str(source))
+        if is_photographs(path):
+            return self._of_photographs(path)
+        capture = open_capture(path)
+        camera = capture.header.camera
+        if camera.mosaic is None:
+            raise UsageError(
+                f"{path}: states no camera.mosaic: its frames have one channel; of a monochrome camera give "
+                "--filter NAME=FOLDER for each filter"
+            )
+        found = merge(path, channel="each", progress=self.progress)
+        for line in found.notes:
+            self.notice(line)
+        places = {one.name: one.patch for one in capture.header.patches}
+        return _Channels(str(path), found.maps, camera, _stated(capture.header), places, together=True)
+
+    def _behind_filters(self, filters: Mapping[str, PathLike]) -> _Channels:
+        maps = dict[str, RadianceMap]()
+        for name, folder in filters.items():
+            capture = open_capture(Path(folder))
+            if capture.header.camera.mosaic is not None:
+                raise UsageError(f"--filter {name}={folder}: the camera has colour filters; give its set alone")
+            maps[name] = merge(folder, progress=self.progress).map
+        if len({one.shape for one in maps.values()}) > 1:
+            raise InputError("--filter: the frames behind the filters differ in size; capture the same region")
+        first = open_capture(Path(next(iter(filters.values())))).header
+        return _Channels(", ".join(map(str, filters.values())), maps, first.camera, _stated(first), {}, together=False)
+
+    def _of_photographs(self, path: Path) -> _Channels:
+        stack = stack_of(open_source(path, "each"), str(path))
+        if len(stack.brackets) < len(COLOURS):
+            raise UsageError(f"{path}: its photographs are grey: they have one channel")
+        if not (self.linear or self.response is not None or stack.as_photographs().are_raw):
+            raise UsageError(
+                f"{path}: values of developed photographs follow an unknown curve; take raw files, or give --response "
+                "FILE or --linear"
+            )
+        found = merge(stack, self.response, linear=self.linear, progress=self.progress)
+        for line in found.notes:
+            self.notice(line)
+        frame = next(iter(stack.brackets.values())).light[0]
+        lens = LensDescription(f_number=frame.settings.f_number)
+        return _Channels(str(path), {name: found.maps[name] for name in COLOURS}, stack.camera, lens, {}, together=True)
+
+
+def _stated(header: CaptureHeader) -> LensDescription:
+    """Return the lens of a capture set with the f-number that its frames state."""
+    numbers = [one.f_number for one in header.frames if one.f_number is not None]
+    return header.lens.model_copy(update={"f_number": numbers[0]}) if numbers else header.lens
+
+
+def _lights(
+    source: PathLike | None, chart: PathLike | None, spectra: PathLike | None, kind: str | None, frames: _Frames
+) -> tuple[Training, Array | None, ColourCamera]:
+    """Return the raw readings of known lights, their spectra where known, and the camera."""
+    powers = None if spectra is None else read_spectra(Path(spectra))
+    seen = dict[str, _Channels]()
+
+    def channels(of: PathLike | None) -> _Channels:
+        return seen.setdefault(str(of), frames.channels(of) if str(of) not in seen else seen[str(of)])
+
+    lights = [] if chart is None else read_chart(Path(chart))
+    if chart is None:
+        lights = [KnownLight(name, "", None, 0.0, place, None) for name, place in channels(source).patches.items()]
+        if not lights:
+            raise UsageError(f"{source}: its header names no patches: give --chart FILE with the places of the lights")
+    names, kinds, xyz, readings = [], [], [], []
+    curves: list[Array] = []
+    for light in lights:
+        here = channels(light.capture or source)
+        place = light.patch or here.patches.get(light.name)
+        if place is None and light.capture is not None:
+            place = Patch(0, 0, *next(iter(here.maps.values())).shape[::-1])
+        if place is None:
+            raise InputError(f"{chart}: light {light.name!r} has no place: add left, top, width, height")
+        signal, u_signal, flags = here.signal(place, light.name)
+        if "saturated" in flags:
+            raise MeasurementError(f"light {light.name!r}: saturated pixels; capture shorter exposures")
+        readings.append((signal, u_signal))
+        if powers is not None:
+            spectrum = spectrum_of(light.name, powers, Path(str(spectra)))
+            curves.append(on_grid(spectrum))
+            xyz.append(tristimulus(spectrum) if light.xyz is None else light.xyz)
+        elif light.xyz is None:
+            raise InputError(f"{chart}: has no columns X, Y, Z: add them, or give --spectra FILE")
+        else:
+            xyz.append(light.xyz)
+        names.append(light.name)
+        kinds.append(light.kind or kind or _UNSTATED)
+    signal, u_signal = (np.array(one) for one in zip(*readings, strict=True))
+    first = next(iter(seen.values()))
+    training = Training(
+        tuple(names), tuple(kinds), signal, u_signal, np.array(xyz), np.array([one.u_rel for one in lights])
+    )
+    return training, np.array(curves) if curves else None, ColourCamera(tuple(first.maps), first.camera, first.lens)
+
+
+def _responsivities(path: Path, channels: tuple[str, ...]) -> Array:
+    wavelength_nm, columns = spectral_columns(path, {name: (name, name[0]) for name in channels})
+    if wavelength_nm[0] > 420.0 or wavelength_nm[-1] < 680.0:
+        raise InputError(f"{path}: the responsivities must reach from 420 to 680 nm at least")
+    return np.stack([np.interp(GRID_NM, wavelength_nm, columns[name], left=0.0, right=0.0) for name in channels])
+
+
+def _digest(path: Path) -> str:
+    try:
+        return hashlib.sha256(path.read_bytes()).hexdigest()[:16]
+    except OSError as error:
+        raise InputError(f"cannot read {path}: {error.strerror or error}") from error
+
+
+def _flags(known: ColourCalibration, found: Coordinates, kind: str | None) -> list[str]:
+    flags = []
+    if bool(known.is_outside(found.xy, found.xy_covariance, kind)):
+        flags.append("extrapolated")
+    if kind is None:
+        flags.append("kind_unstated")
+    elif kind not in known.trained:
+        flags.append("other_light")
+    return flags
+
+
+def _writer(path: Path) -> Any:
+    writer = _WRITERS.get(path.suffix.lower())
+    if writer is None:
+        raise UsageError(f"{path}: quantities of every pixel are written as {', '.join(_WRITERS)}")
+    return writer
+
+
+def _units(unit: str) -> dict[str, str]:
+    """Return the unit of each quantity, X, Y, Z in the one given."""
+    return {name: unit if name in "XYZ" else "K" if name == "cct" else "1" for name in QUANTITIES}
+
+
+def _converted(seen: _Channels, known: ColourCalibration, kind: str | None) -> MapPicture:
+    """Return the quantities of every pixel; u holds all that the patch's does."""
+    signal = np.stack([one.radiance for one in seen.maps.values()], axis=-1).astype(np.float64)
+    own = np.stack([one.u_radiance for one in seen.maps.values()], axis=-1).astype(np.float64)
+    mask = np.bitwise_or.reduce([one.mask for one in seen.maps.values()])
+    values, u = (np.empty((len(QUANTITIES), *mask.shape), np.float32) for _ in range(2))
+    for start in range(0, len(signal), _ROWS):
+        rows = slice(start, start + _ROWS)
+        xyz, covariance = known.convert(signal[rows], seen.covariance(signal[rows], own[rows]), kind)
+        lit = (xyz.sum(axis=-1) > 0.0) & ((mask[rows] & LOST) == 0)
+        found = coordinates(np.where(lit[..., None], xyz, 1.0), covariance)
+        mask[rows][lit & known.is_outside(found.xy, found.xy_covariance, kind)] |= np.uint8(PixelMask.EXTRAPOLATED)
+        for whole, part in zip((values, u), found.figures(xyz, covariance), strict=True):
+            whole[:, rows] = np.moveaxis(part, -1, 0)
+            whole[3:, rows][:, ~lit] = np.nan  # a chromaticity of no light
+    return MapPicture(
+        {name: RadianceMap(values[n], u[n], mask, unit) for n, (name, unit) in enumerate(_units(known.unit).items())}
+    )

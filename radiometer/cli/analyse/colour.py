@@ -1,0 +1,156 @@
+"""`radiometer colour`: X, Y, Z, chromaticity and colour temperature from a camera with colour channels."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal
+
+import typer
+
+import radiometer as rm
+from radiometer.cli.arguments import parse_patch, parse_relative
+from radiometer.cli.console import console, note, progress
+from radiometer.cli.options import JsonOption, PatchOption, ReportOption, command_group
+from radiometer.cli.outputs import writes
+from radiometer.errors import UsageError
+from radiometer.numbers import unit_text, with_u
+
+if TYPE_CHECKING:
+    from radiometer import CalibratedColour, ColourReading
+
+app = command_group(
+    "Measure colour: X, Y, Z, x y, u′ v′, colour temperature and Duv, from a camera with colour channels."
+)
+Source = Annotated[
+    Path | None, typer.Argument(help="Capture set of a colour camera, or photographs; none with --filter.")
+]
+FilterOption = Annotated[
+    list[str] | None,
+    typer.Option("--filter", metavar="NAME=FOLDER", help="Of a monochrome camera: a capture set per filter."),
+]
+LinearOption = Annotated[bool, typer.Option("--linear", help="Developed photographs are proportional to light.")]
+ResponseOption = Annotated[
+    list[Path] | None, typer.Option("--response", help="Response of photographs; one file, or one per colour.")
+]
+
+
+@app.command()
+@writes("out")
+def calibrate(
+    source: Source = None,
+    chart: Annotated[
+        Path | None,
+        typer.Option(help="Table: name, X, Y, Z (cd/m2), and u_rel, kind, left, top, width, height, capture."),
+    ] = None,
+    spectra: Annotated[
+        Path | None, typer.Option(help="Table: wavelength_nm and W/(sr m2 nm) of each light, instead of X, Y, Z.")
+    ] = None,
+    responsivities: Annotated[
+        Path | None, typer.Option(help="Table: wavelength_nm and responsivity per watt of each channel.")
+    ] = None,
+    train_on: Annotated[
+        Literal["chart", "responsivities"],
+        typer.Option(help="Fit to the known lights, or to plausible ones: known lights then give the scale alone."),
+    ] = "chart",
+    kind: Annotated[
+        str | None, typer.Option(help="Kind of the lights, such as oled, surfaces, or your own word.")
+    ] = None,
+    per_kind: Annotated[bool, typer.Option("--per-kind", help="A matrix for each kind of light.")] = False,
+    u_rel: Annotated[
+        float,
+        typer.Option(
+            "--u-rel",
+            parser=lambda text: parse_relative(text, "--u-rel"),
+            metavar="FRACTION",
+            help="Relative u (k = 1) that all known X, Y, Z share: 0.01 or 1%.",
+        ),
+    ] = 0.0,
+    filters: FilterOption = None,
+    linear: LinearOption = False,
+    response: ResponseOption = None,
+    out: Annotated[Path, typer.Option("--out", "-o", help="Calibration file to write.")] = Path("colour.yaml"),
+    json: JsonOption = False,
+) -> None:
+    """Find the matrix from a camera's channels to X, Y, Z, and its error for other lights."""
+    with progress(shown=not json) as shown:
+        found = rm.colour_calibrate(
+            source, chart, spectra=spectra, responsivities=responsivities, train_on=train_on, kind=kind,
+            per_kind=per_kind, u_rel=u_rel, filters=_filters(filters), linear=linear, response=response or None,
+            out=out, notice=note, progress=shown,
+        )  # fmt: skip
+    print(found.to_json()) if json else _show_calibration(found)
+
+
+@app.command()
+@writes("maps", "report", "plot")
+def measure(
+    source: Source = None,
+    calibration: Annotated[Path, typer.Option(help="Colour calibration of the camera.")] = Path("colour.yaml"),
+    patch: PatchOption = None,
+    kind: Annotated[str | None, typer.Option(help="Kind of the light, one that the calibration knows.")] = None,
+    filters: FilterOption = None,
+    linear: LinearOption = False,
+    response: ResponseOption = None,
+    maps: Annotated[Path | None, typer.Option("--map", help="Quantities and u of every pixel, .exr or .tiff.")] = None,
+    report: ReportOption = None,
+    plot: Annotated[Path | None, typer.Option(help="Chromaticity diagram to draw: PNG, PDF or SVG.")] = None,
+    json: JsonOption = False,
+) -> None:
+    """Measure the colour of a patch, or of the whole picture, each figure with its uncertainty."""
+    with progress(shown=not json) as shown:
+        found = rm.colour_measure(
+            source, calibration=calibration, patch=parse_patch(patch), kind=kind, filters=_filters(filters),
+            linear=linear, response=response or None, maps=maps, report=report, notice=note, progress=shown,
+        )  # fmt: skip
+    if plot is not None:
+        found.write_plot(plot)
+    for file in (maps, report, plot):
+        if file is not None:
+            note(f"wrote {file}")
+    print(found.to_json()) if json else _show_reading(found)
+
+
+def _filters(words: list[str] | None) -> dict[str, Path] | None:
+    """Return folders by channel. Raises UsageError for a word that is no NAME=FOLDER, or a name that occurs twice."""
+    found = dict[str, Path]()
+    for word in words or ():
+        name, equals, folder = word.partition("=")
+        if not (name and equals and folder) or name in found:
+            raise UsageError(f"--filter {word!r}: expected NAME=FOLDER, each name once, such as red=out/red")
+        found[name] = Path(folder)
+    return found or None
+
+
+def _show_calibration(found: CalibratedColour) -> None:
+    from rich.table import Table
+
+    known, out = found.calibration, console()
+    table = Table(title=f"{', '.join(known.channels)} to X, Y, Z in {unit_text(known.unit)}", title_justify="left")
+    table.add_column("kind of light", no_wrap=True)
+    table.add_column("u of a white's luminance", justify="right", no_wrap=True)
+    table.add_column("in the training")
+    for kind in known.errors:
+        table.add_row(kind, f"{100 * found.u_rel(kind):.2g} %", "yes" if kind in known.trained else "no")
+    out.print(table)
+    for assumption in known.provenance.assumptions:
+        out.print(f"assumed: {assumption}")
+    if found.out is not None:
+        out.print(f"wrote {found.out}")
+
+
+def _show_reading(found: ColourReading) -> None:
+    from rich.table import Table
+
+    table = Table(title=f"{found.source}: {found.kind or 'light of unstated kind'}", title_justify="left")
+    table.add_column("quantity", no_wrap=True)
+    table.add_column("value (k = 2)", justify="right", no_wrap=True)
+    names = {"u_prime": "u′", "v_prime": "v′", "cct": "CCT", "duv": "Duv"}
+    for name, one in found.quantities.items():
+        shown = "none" if one is None else with_u(one.value, 2 * one.u, unit_text(one.unit))
+        table.add_row(names.get(name, name), shown)
+    out = console()
+    out.print(table)
+    for flag in found.flags:
+        out.print(f"[yellow]flag[/yellow]: {flag}")
+    for assumption in found.assumptions:
+        out.print(f"assumed: {assumption}")

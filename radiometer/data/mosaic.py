@@ -1,0 +1,46 @@
+"""Frames of sensors with a mosaic of colour filters: a plane per colour, of its first pixel in every 2 × 2."""
+
+from __future__ import annotations
+
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from radiometer.data.capture_header import CameraDescription, LensDescription, PatchDescription
+
+COLOURS: Final = ("red", "green", "blue")
+_SIDE: Final = 2  # pixels of a cell in each direction
+
+
+def plane_of(numbers: NDArray[np.uint8] | NDArray[np.uint16], mosaic: str, colour: str) -> NDArray[np.uint16]:
+    """Return the plane of a colour, half the size of the frame in each direction.
+
+    Args:
+        numbers: Digital numbers, shape (height, width).
+        mosaic: Colours of a cell row by row, such as "RGGB".
+        colour: One of `COLOURS`.
+    """
+    row, column = divmod(mosaic.index(colour[0].upper()), _SIDE)
+    height, width = (size // _SIDE * _SIDE for size in numbers.shape)
+    return np.ascontiguousarray(numbers[row:height:_SIDE, column:width:_SIDE])
+
+
+def in_planes(
+    camera: CameraDescription, lens: LensDescription, patches: tuple[PatchDescription, ...]
+) -> tuple[CameraDescription, LensDescription, tuple[PatchDescription, ...]]:
+    """Return camera, lens and patches in pixels of a plane, where those of the file are pixels of the sensor."""
+    spacing_um, axis = camera.pixel_spacing_um or camera.pixel_pitch_um, lens.principal_point_px
+    return (
+        camera.model_copy(update={"pixel_spacing_um": None if spacing_um is None else _SIDE * spacing_um}),
+        lens.model_copy(update={"principal_point_px": axis and tuple((one - 0.5) / _SIDE for one in axis)}),
+        tuple(
+            one.model_copy(
+                update={
+                    **{name: -(-getattr(one, name) // _SIDE) for name in ("x", "y")},
+                    **{name: max(1, getattr(one, name) // _SIDE) for name in ("width", "height")},
+                }
+            )
+            for one in patches
+        ),
+    )

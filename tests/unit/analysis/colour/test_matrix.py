@@ -1,0 +1,202 @@
+"""The matrix of a colour camera: exact where one exists, and an uncertainty that holds where none does."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from radiometer.analysis.colour.calibration import ColourCalibration
+from radiometer.analysis.colour.chromaticity import coordinates
+from radiometer.analysis.colour.matrix import Training, fit_matrix
+from radiometer.analysis.colour.plausible import (
+    COLOURS,
+    GRID_NM,
+    on_grid,
+    plausible_lights,
+    tristimulus_of,
+)
+from radiometer.analysis.colour.train import ColourCamera, train_on_lights, train_on_responsivities
+from radiometer.analysis.photometry.photometry import spectrum
+from radiometer.errors import CalibrationError, UsageError
+from radiometer.typing import Array
+from simulators.cameras.colour_filters import ColourFilters
+
+NOISE_REL = 0.002
+LIGHTS = ("cie_d65", "cie_a", "white_led", "led_b5", "cie_fl11")
+CAMERA = np.stack([ColourFilters().responsivity(colour, GRID_NM) for colour in COLOURS])
+PLAIN: dict[str, Any] = {"powers": None, "per_kind": False, "u_rel": 0.0}
+GAIN = 0.02  # DN per s and unit of power: any
+
+
+def read(powers: Array, kinds: list[str], rng: np.random.Generator, camera: Array = CAMERA) -> Training:
+    """Return lights as a camera reads them, with noise, and their true X, Y, Z."""
+    exact = GAIN * powers @ camera.T
+    u_signal = NOISE_REL * exact
+    signal = exact + u_signal * rng.standard_normal(exact.shape)
+    names = tuple(f"light {n}" for n in range(len(powers)))
+    return Training(names, tuple(kinds), signal, u_signal, tristimulus_of(powers), np.full(len(powers), 1e-3))
+
+
+def deviations(known: ColourCalibration, lights: Training, kind: str | None) -> tuple[Array, Array, Array]:
+    """Return (measured − true)/u of X, Y, Z, and the relative errors of CCT and the errors of Duv."""
+    covariance = np.eye(3) * lights.u_signal[:, None, :] ** 2
+    xyz, u_xyz = known.convert(lights.signal, covariance, kind)
+    found, true = coordinates(xyz, u_xyz), coordinates(lights.xyz, np.zeros((3, 3)))
+    off = (xyz - lights.xyz) / np.sqrt(np.diagonal(u_xyz, axis1=1, axis2=2))
+    return off, found.cct_k / true.cct_k - 1.0, found.duv - true.duv
+
+
+@pytest.fixture(scope="module")
+def reflectances() -> Array:
+    """Return the 24 patches of a real chart."""
+    peer = pytest.importorskip("colour")
+    chart = peer.SDS_COLOURCHECKERS["BabelColor Average"]
+    return np.stack([np.interp(GRID_NM, one.wavelengths, one.values) for one in chart.values()])
+
+
+def test_a_camera_that_is_a_mixture_of_the_matching_functions_has_its_matrix() -> None:
+    """By Luther the matrix is the inverse of the mixture, for lights of any kind."""
+    rng = np.random.default_rng(46_021)
+    mixture = np.array([[0.9, 0.2, 0.1], [0.2, 1.1, 0.0], [0.0, 0.1, 0.8]])
+    powers = np.vstack([plausible_lights()["surfaces"][::9], plausible_lights()["coloured_leds"][::5]])
+    xyz = tristimulus_of(powers)
+    signal = xyz @ mixture.T
+    none = np.zeros(len(powers))
+    found = fit_matrix(Training(("",) * len(powers), ("",) * len(powers), signal, 0.0 * signal, xyz, none))
+    assert found.matrix == pytest.approx(np.linalg.inv(mixture), abs=1e-9)
+    assert np.sqrt(np.diag(found.error)).max() < 2e-4
+    light = rng.uniform(0.1, 1.0, 3)
+    assert found.matrix @ (mixture @ light) == pytest.approx(light)
+
+
+def trained(powers: Array, rng: np.random.Generator, kind: str = "surfaces", **more: Any) -> ColourCalibration:
+    """Return the calibration by lights that the camera reads."""
+    camera = ColourCamera(COLOURS, responsivities=more.pop("responsivities", None))
+    return train_on_lights(camera, read(powers, [kind] * len(powers), rng), **{**PLAIN, **more})
+
+
+def test_24_patches_under_five_lights_are_within_one_and_a_half_u(reflectances: Array) -> None:
+    """One matrix for all of them; each patch is read anew."""
+    rng = np.random.default_rng(46_022)
+    powers = np.vstack([reflectances * on_grid(spectrum(name)) for name in LIGHTS])
+    known = trained(powers, rng, responsivities=CAMERA)
+    off, _, _ = deviations(known, read(powers, ["surfaces"] * len(powers), rng), "surfaces")
+    assert np.mean(np.abs(off) < 1.5) >= 0.95
+
+
+@pytest.mark.parametrize("display", ["LCD-Dell", "OLED-Sony"])
+def test_a_display_has_a_matrix_whatever_the_camera(display: str, shared_data: Path) -> None:
+    """Three primaries add up, so white and four lights give any mixture: CCT of whites within 1 %, Duv 0.001."""
+    table = np.loadtxt(shared_data / f"displays/isetbio/{display}_spd_W_sr_m2_nm.csv", delimiter=",", skiprows=1)
+    primaries = np.stack([np.interp(GRID_NM, table[:, 0], table[:, n]) for n in (1, 2, 3)])
+    white, rng = primaries.sum(axis=0), np.random.default_rng(46_024)
+    known = trained(np.vstack([primaries, white, 0.5 * white]), rng, "mine")
+    lights = read(rng.uniform(0.6, 1.0, (40, 3)) @ primaries, ["mine"] * 40, rng)
+    off, cct, duv = deviations(known, lights, "mine")
+    assert np.mean(np.abs(off) < 2.0) >= 0.93
+    assert np.sqrt(np.mean(cct**2)) < 0.01
+    assert np.sqrt(np.mean(duv**2)) < 0.001
+    assert np.median(np.sqrt(known.error("mine")[1, 1])) < 0.02
+
+
+@pytest.mark.parametrize("camera", ["simulated", "Nikon 5100 (NPL)"])
+@pytest.mark.parametrize("responsivities", [True, False])
+def test_u_holds_for_spectra_outside_the_training_set(camera: str, responsivities: bool, reflectances: Array) -> None:
+    """A chart under daylight; then it under other lamps, lamps and displays: 93 % or more within k = 2, each alike."""
+    peer, rng = pytest.importorskip("colour"), np.random.default_rng(46_025)
+    own = CAMERA
+    if camera != "simulated":
+        measured = peer.MSDS_CAMERA_SENSITIVITIES[camera]
+        own = np.stack([np.interp(GRID_NM, measured.wavelengths, one) for one in measured.values.T])
+    more = {"responsivities": own} if responsivities else {}
+    powers = reflectances * on_grid(spectrum("cie_d65"))
+    kinds = ["surfaces"] * 24
+    known = train_on_lights(
+        ColourCamera(COLOURS, responsivities=more.get("responsivities")), read(powers, kinds, rng, own), **PLAIN
+    )
+    primaries = np.stack([on_grid(spectrum(f"display_{one}")) for one in COLOURS])
+    others = [(reflectances * on_grid(spectrum(name)), "surfaces") for name in LIGHTS[1:]]
+    others += [(plausible_lights()["white_leds"], "white_leds"), (rng.uniform(0, 1, (40, 3)) @ primaries, None)]
+    within = []
+    for lights, kind in others:
+        off, _, _ = deviations(known, read(lights, [""] * len(lights), rng, own), kind)
+        within.append(np.mean(np.abs(off) < 2.0))
+    assert np.mean(within) >= 0.93
+
+
+def test_responsivities_give_chromaticities_and_known_lights_the_scale(reflectances: Array) -> None:
+    """Without a known light X, Y, Z are relative; one known light gives them their scale, with its uncertainty."""
+    rng, powers = np.random.default_rng(46_026), reflectances * on_grid(spectrum("cie_d65"))
+    lights = read(powers, ["surfaces"] * 24, rng)
+    camera = ColourCamera(COLOURS, responsivities=CAMERA)
+    relative = train_on_responsivities(camera, None, per_kind=False, u_rel=0.0)
+    one = Training(*(part[18:19] for part in (lights.names, lights.kinds, lights.signal, lights.u_signal, lights.xyz,
+                                              lights.u_rel)))  # fmt: skip
+    absolute = train_on_responsivities(camera, one, per_kind=False, u_rel=0.01)
+    assert (relative.unit, absolute.unit) == ("relative", "cd m-2")
+    assert absolute.u_rel > 0.01
+    off, _, _ = deviations(absolute, lights, "surfaces")
+    assert np.mean(np.abs(off) < 2.0) >= 0.93
+    xyz, _ = relative.convert(lights.signal, np.zeros((3, 3)), None)
+    same, _ = absolute.convert(lights.signal, np.zeros((3, 3)), None)
+    assert xyz / xyz.sum(axis=1, keepdims=True) == pytest.approx(same / same.sum(axis=1, keepdims=True))
+
+
+def test_a_matrix_for_each_kind_is_better_for_it_and_asks_for_the_kind() -> None:
+    """Two displays have two matrices, each with less error than the one for both."""
+    rng, lights = np.random.default_rng(46_027), plausible_lights()
+    powers = np.vstack([lights["oled"], lights["ccfl_lcd"]])
+    kinds = ["oled"] * len(lights["oled"]) + ["ccfl_lcd"] * len(lights["ccfl_lcd"])
+    training = read(powers, kinds, rng)
+    each = train_on_lights(ColourCamera(("x", "y", "z")), training, **{**PLAIN, "per_kind": True})
+    both = train_on_lights(ColourCamera(("x", "y", "z")), training, **PLAIN)
+    for kind in ("oled", "ccfl_lcd"):
+        assert np.trace(each.error(kind)) < 0.5 * np.trace(both.error(kind))
+    with pytest.raises(UsageError, match="state --kind"):
+        each.convert(training.signal, np.zeros((3, 3)), None)
+
+
+def test_light_outside_the_training_set_is_told_and_less_sure(reflectances: Array) -> None:
+    """A laser is outside the hull of a chart's colours; a grey is inside."""
+    rng = np.random.default_rng(46_028)
+    daylight = on_grid(spectrum("cie_d65"))
+    known = trained(reflectances * daylight, rng)
+    lights = read(np.vstack([on_grid(spectrum("band:520,10")), 0.4 * daylight]), ["", ""], rng)
+    xyz, u_xyz = known.convert(lights.signal, np.zeros((2, 3, 3)), "surfaces")
+    found = coordinates(xyz, u_xyz)
+    assert known.is_outside(found.xy, 1e-6 * np.eye(2), "surfaces").tolist() == [True, False]
+    u_rel = np.sqrt(u_xyz[:, 1, 1]) / xyz.sum(axis=1)
+    assert u_rel[0] > 1.1 * u_rel[1]
+
+
+@pytest.mark.parametrize(
+    ("chosen", "said"),
+    [
+        ([0, 1, 2], "4 lights or more"),
+        ([3, 3, 3, 3, 3, 3], "fixed ratio|without light"),
+        ([0, 1, 2, 2, 2], "without light"),
+    ],
+)
+def test_lights_that_determine_no_matrix_are_refused(chosen: list[int], said: str) -> None:
+    """Too few, all alike, or one that no other confirms."""
+    powers = plausible_lights()["oled"][[0, 2, 8, 25]][chosen]
+    with pytest.raises(CalibrationError, match=said):
+        trained(powers, np.random.default_rng(46_029))
+
+
+def test_a_file_gives_back_the_calibration_with_its_raw_readings(tmp_path: Path) -> None:
+    """Matrix, errors and readings stay to the last digit; the matrix can be made anew from the file."""
+    rng = np.random.default_rng(46_030)
+    known = trained(plausible_lights()["oled"], rng, "oled")
+    known.write(tmp_path / "colour.yaml")
+    again = ColourCalibration.read(tmp_path / "colour.yaml")
+    assert again.to_mapping() | {"created": known.created} == known.to_mapping()
+    assert again.training is not None
+    assert fit_matrix(again.training).matrix == pytest.approx(known.fits["all"].matrix, rel=1e-12)
+    text = (tmp_path / "colour.yaml").read_text(encoding="utf-8")
+    (tmp_path / "other.yaml").write_text(text.replace("channels: [red, green, blue]", "channels: [red, green]"))
+    with pytest.raises(CalibrationError, match="has not 2 channels"):
+        ColourCalibration.read(tmp_path / "other.yaml")
