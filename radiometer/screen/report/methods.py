@@ -11,6 +11,7 @@ from typing import Final
 
 import numpy as np
 from scipy.optimize import curve_fit
+from scipy.special import ndtri
 
 from radiometer.data import Quantity, Reading
 from radiometer.devices import DisplayPatch
@@ -266,10 +267,12 @@ def _uniformity(examined: Examined) -> Section:
     own = np.array([math.sqrt(sum(c.u_rel**2 for c in one.budget if not c.correlated)) for one in readings]) * values
     low, high = int(values.argmin()), int(values.argmax())
     ratio = derived([readings[low], readings[high]], lambda v: float(v[0] / v[1]))
-    # The extreme of several equal places is extreme by noise as well: √(2·ln n) deviations bound it.
+    # Of n places that noise cannot part, the extreme is off by nothing where they differ, by the extreme of n draws of
+    # noise where they are equal. The middle of both is taken, as of a rectangle.
     ties = [np.sum(np.abs(values - values[i]) < 2.0 * np.hypot(own, own[i])) for i in (low, high)]
-    bound = [own[i] / values[i] * math.sqrt(2.0 * math.log(n) / 3.0) for i, n in zip((low, high), ties, strict=True)]
-    u = math.hypot(ratio.u, *(ratio.value * one for one in bound))
+    off = sum(own[i] / values[i] * _extreme(int(n)) for i, n in zip((low, high), ties, strict=True)) / 2.0
+    value = ratio.value * (1.0 + off)
+    u = math.hypot(ratio.u, value * off / math.sqrt(3.0))
     centre = places.index(CENTRE)
     rows = tuple(
         (
@@ -280,8 +283,8 @@ def _uniformity(examined: Examined) -> Section:
         for i, ((x, y), one) in enumerate(zip(places, readings, strict=True))
     )
     figures = (
-        Figure("uniformity", Quantity(ratio.value, u, "1")),
-        Figure("nonuniformity", Quantity(1.0 - ratio.value, u, "1")),
+        Figure("uniformity", Quantity(value, u, "1")),
+        Figure("nonuniformity", Quantity(1.0 - value, u, "1")),
         Figure("mean_luminance", examined.luminance(derived(readings, lambda v: float(v.mean()), "W sr-1 m-2"))),
     )
     return Section(
@@ -292,6 +295,11 @@ def _uniformity(examined: Examined) -> Section:
         ("place (from left, from top)", "luminance (cd·m⁻²)", "over the centre"),
         rows,
     )
+
+
+def _extreme(count: int) -> float:
+    """Return the expected largest of normal draws in standard deviations. Source: Blom 1958."""
+    return max(0.0, float(ndtri((count - 0.375) / (count + 0.25))))
 
 
 def _mura(examined: Examined) -> Section:
