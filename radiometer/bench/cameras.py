@@ -98,6 +98,7 @@ def _simulated(config: BenchConfig, wanted: SimulatedCameraConfig, where: Path) 
     from simulators.cameras.simulated_camera import SimulatedCamera
     from simulators.chain.camera_model import CameraModel
     from simulators.scenes import scene_from_mapping
+    from simulators.scenes.pulsed_light import PulsedLight
 
     if config.scene is None:
         raise ConfigurationError(f"{where}: key 'scene' is missing; a simulated camera needs something to look at")
@@ -115,6 +116,7 @@ def _simulated(config: BenchConfig, wanted: SimulatedCameraConfig, where: Path) 
         device_id=SIMULATED,
         limits=limits,
         temperature_c=wanted.temperature_C,
+        modulation=PulsedLight(light.frequency_Hz, light.modulation, light.duty) if (light := wanted.flicker) else None,
     )
 
 
