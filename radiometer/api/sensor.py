@@ -8,7 +8,7 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
 from radiometer.acquire.characterisation_ladder import LadderRequest, take_ladder
 from radiometer.analysis.characterise import Characterisation, read_subject
@@ -16,7 +16,16 @@ from radiometer.analysis.characterise import characterise as characterise_subjec
 from radiometer.analysis.characterise.emva_export import export_descriptor
 from radiometer.analysis.characterise.report import datasheet, draw_telling
 from radiometer.analysis.characterise.result import SYMBOLS, as_printed
-from radiometer.analysis.characterise.subject import with_known_radiance
+from radiometer.analysis.characterise.subject import Subject, with_known_radiance
+from radiometer.analysis.characterise.tap_report import HEADINGS, tap_mappings, tap_rows
+from radiometer.analysis.characterise.taps import (
+    Crosstalk,
+    TapFigures,
+    characterise_taps,
+    crosstalk,
+    differing,
+    taps_as_stated,
+)
 from radiometer.api.files import PathLike
 from radiometer.api.meter import PatchLike, as_patch
 from radiometer.api.result import Ask, Progress, Result
@@ -50,17 +59,28 @@ class Sensor(Result):
 
     Attributes:
         characterisation: Figures, steps, linearity and notes.
+        taps: Figures of each output amplifier; empty where the camera has one.
+        crosstalk: Shares of one tap's signal in another, where the frames determine them.
         limits: Limits of the camera that was driven, by name; None where the frames came from a folder.
         remarks: What the EMVA 1288 descriptor that was written leaves out.
     """
 
+    TAP_HEADINGS: ClassVar = HEADINGS
+
     characterisation: Characterisation
     limits: dict[str, Any] | None = None
     remarks: tuple[str, ...] = ()
+    taps: tuple[TapFigures, ...] = ()
+    crosstalk: tuple[Crosstalk, ...] = ()
 
     def to_mapping(self) -> dict[str, Any]:
         """Return the camera file as plain values."""
-        return self.characterisation.to_mapping(self.limits)
+        mapping = self.characterisation.to_mapping(self.limits)
+        if self.taps:
+            mapping["camera"]["taps"] = [one.tap.model_dump(mode="json", exclude_none=True) for one in self.taps]
+            mapping["taps"] = tap_mappings(self.taps)
+            mapping["crosstalk"] = [asdict(one) for one in self.crosstalk]
+        return mapping
 
     def write(self, path: PathLike) -> None:
         """Write the camera file (YAML). Raises OutputError if it cannot be written."""
@@ -68,7 +88,7 @@ class Sensor(Result):
 
     def write_report(self, path: PathLike) -> None:
         """Write the report (HTML). Raises OutputError if it cannot be written."""
-        write_text_atomic(Path(path), datasheet(self.characterisation))
+        write_text_atomic(Path(path), datasheet(self.characterisation, self.taps))
 
     @property
     def figures(self) -> Mapping[str, Quantity]:
@@ -86,6 +106,10 @@ class Sensor(Result):
             for key, one in SYMBOLS.items()
             if key in self.figures
         ]
+
+    def tap_rows(self) -> list[tuple[str, ...]]:
+        """Return name, rectangle and the main figures ± U (k = 2) of every tap as they are printed."""
+        return tap_rows(self.taps)
 
     def to_csv(self, path: PathLike) -> None:
         """Write `symbol,value,u,unit`. Raises UsageError for another ending, OutputError if it fails."""
@@ -130,6 +154,7 @@ def characterise(
     steps: int = 30,
     keep: PathLike | None = None,
     emva_descriptor: PathLike | None = None,
+    taps: str | None = None,
     ask: Ask | None = None,
     progress: Progress | None = None,
 ) -> Sensor:
@@ -150,6 +175,8 @@ def characterise(
         steps: With a camera: exposures from darkness to saturation.
         keep: With a camera: keep the frames as a capture set here.
         emva_descriptor: EMVA 1288 descriptor file to write, for other programs.
+        taps: Output amplifiers: "2x2" for columns × rows of equal parts, "find" for borders that the frames show. By
+            default those that the files or the camera file state.
         ask: Has the lens covered where the camera has no shutter.
         progress: Called after every frame.
 
@@ -174,9 +201,26 @@ def characterise(
             subject = with_known_radiance(subject, capture.header, shape, radiance, radiance_u_rel)
         if camera is not None and keep is None:
             subject = replace(subject, origin=f"camera {camera}")
-        found = characterise_subject(subject)
+        found, tapped, shares = _characterised(subject, folder, taps, region)
         remarks = tuple(export_descriptor(subject, found, Path(emva_descriptor))) if emva_descriptor else ()
-    return Sensor(found, limits, remarks)
+    return Sensor(found, limits, remarks, tapped, shares)
+
+
+def _characterised(
+    subject: Subject, folder: Path, how: str | None, region: Patch | None
+) -> tuple[Characterisation, tuple[TapFigures, ...], tuple[Crosstalk, ...]]:
+    """Return the figures of the frames, and those of each tap where there are several."""
+    if how is not None and region is not None:
+        raise UsageError("a patch is a part of some taps; name either the patch or the taps")
+    if (how is None and not subject.camera.taps) or region is not None or not subject.groups:
+        return characterise_subject(subject), (), ()
+    described = taps_as_stated(how, subject, next(subject.groups[0].read(subject.camera.full_scale_dn)).shape)
+    tapped = characterise_taps(subject, described)
+    if len(tapped) == 1:  # overscan around one amplifier: its pixels are the sensor's
+        subject = replace(subject, regions=(described[0].patch,), fluxes=(None,))
+    notes = tuple(text for symbol in ("K", "mu_y_dark", "sigma_d") if (text := differing(tapped, symbol)))
+    whole = characterise_subject(replace(subject, notes=(*subject.notes, *notes)))
+    return whole, tapped, crosstalk(subject, described)
 
 
 def _take(

@@ -16,6 +16,7 @@ from radiometer.data.capture_header import (
     LensDescription,
     PatchDescription,
     SourceDescription,
+    TapDescription,
 )
 from radiometer.data.capture_set import CaptureHeader, CaptureSet, CaptureSetWriter, FrameEntry, SettingStatistics
 from radiometer.data.frame import Frame, FrameSettings
@@ -54,6 +55,7 @@ __all__ = [
     "SensorNoise",
     "SettingStatistics",
     "SourceDescription",
+    "TapDescription",
     "SpectralResponse",
     "StatedUncertainties",
 ]

@@ -13,6 +13,27 @@ from radiometer.data.white_level import WhiteLevel
 LensHandling = Literal["reseated", "refocused", "iris_reset"]
 
 
+class TapDescription(FileSection):
+    """The pixels that one output amplifier reads, in pixels of the stored frame.
+
+    `overscan` holds rectangles (x, y, width, height) that it reads without light. `first_pixel` is the corner of its
+    rectangle that it reads first.
+    """
+
+    name: str
+    x: int = Field(ge=0)
+    y: int = Field(ge=0)
+    width: int = Field(gt=0)
+    height: int = Field(gt=0)
+    overscan: tuple[tuple[int, int, int, int], ...] = ()
+    first_pixel: Literal["upper left", "upper right", "lower left", "lower right"] | None = None
+
+    @property
+    def patch(self) -> Patch:
+        """Return the rectangle that light reaches."""
+        return Patch(self.x, self.y, self.width, self.height)
+
+
 class CameraDescription(FileSection):
     """The camera as its datasheet or calibration believes it to be; all but the bit depth may be unknown."""
 
@@ -32,6 +53,7 @@ class CameraDescription(FileSection):
     black_level_dn: float | None = None
     white_level_dn: float | None = Field(None, gt=0)  # from which pixels are saturated, where the camera states it
     quantum_efficiency: float | None = Field(None, gt=0, le=1)
+    taps: tuple[TapDescription, ...] | None = None  # of cameras with several output amplifiers
 
     @property
     def full_scale_dn(self) -> int:

@@ -25,7 +25,7 @@ _CODES_FROM: Final = 65_536  # pixels of a frame that show its codes
 _FEWEST_CLIPPED: Final = 4  # noise alone puts hardly two pixels on the same highest code
 _CAMERA_KEYS: Final = (
     "vendor", "model", "serial", "unit", "mode", "band", "wavelength_nm", "binning", "pixel_pitch_um",
-    "conversion_gain_e_per_dn", "read_noise_e",
+    "conversion_gain_e_per_dn", "read_noise_e", "taps",
 )  # fmt: skip
 _OWN_KEYS: Final = ("vendor", "model", "serial", "band", "binning", "mode")  # what a camera is called by among several
 _MASKED_SAME_DN: Final = 1.0  # masked rows are read to a fraction of a DN
@@ -235,6 +235,9 @@ def _camera(frames: Sequence[FoundFrame], codes: _Codes, options: ImportOptions)
             facts[key] = values.most_common(1)[0][0]
         if len(values) > 1:
             doubts.append(f"headers disagree on {key}: {', '.join(map(str, values))}; the most frequent is taken")
+    if "taps" in facts and (options.crop or options.sample > 1):
+        del facts["taps"]
+        doubts.append("the sections of amplifiers are left out: they hold for whole frames only")
     if codes.step_dn > 1:
         facts["code_step_dn"] = codes.step_dn
     if "pixel_pitch_um" in facts and options.sample > 1:

@@ -6,7 +6,7 @@ import io
 import math
 import re
 import warnings
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from datetime import UTC, datetime
@@ -33,6 +33,7 @@ from radiometer.data.statements import (
 from radiometer.errors import CaptureError, DamagedFileError, MissingLibrary
 from radiometer.importing.file_bytes import read_bytes
 from radiometer.importing.file_names import claims_of, contradictions
+from radiometer.importing.fits_sections import Mosaic, taps_of
 from radiometer.importing.found import FoundFrame
 from radiometer.units import BASE_ISO, read_number, unit_in_words
 
@@ -97,6 +98,8 @@ def read_fits_headers(path: Path, mapped: StatementMap = StatementMap()) -> list
     """
     with _opened(path) as units:
         pictures = _pictures(units, path)
+        if (mosaic := _mosaic(pictures)) is not None:
+            return [_of_mosaic(path, units, pictures, mosaic, mapped)]
         used = [unit for unit in pictures if _is_frame(unit, mapped)] if len(pictures) > 1 else []
         used = used if len(used) > 1 else pictures[:1]
         not_used = tuple(
@@ -128,15 +131,46 @@ def read_fits_pixels(path: Path, part: int) -> NDArray[Any]:
         CaptureError: If the file is damaged or truncated.
     """
     with _opened(path) as units:
-        for unit in _pictures(units, path):
+        pictures = _pictures(units, path)
+        if (mosaic := _mosaic(pictures)) is not None:
+            refuse_size(path, mosaic.shape, 4)
+            return mosaic.laid([_plane(path, units, unit, 0) for unit in pictures], path)
+        for unit in pictures:
             if part < _planes(unit):
                 break
             part -= _planes(unit)
-        refuse_size(path, unit.shape, max(1, abs(int(unit.header.get("BITPIX", 8))) // 8))
-        is_packed = type(unit).__name__ == "CompImageHDU"
-        values = _unpacked_picture(path, units.index(unit)) if is_packed else np.asarray(unit.data)
+        return _plane(path, units, unit, part)
+
+
+def _plane(path: Path, units: Any, unit: Any, part: int) -> NDArray[Any]:
+    refuse_size(path, unit.shape, max(1, abs(int(unit.header.get("BITPIX", 8))) // 8))
+    is_packed = type(unit).__name__ == "CompImageHDU"
+    values = _unpacked_picture(path, units.index(unit)) if is_packed else np.asarray(unit.data)
     plane = values.reshape(-1, *values.shape[-2:])[part]
     return _unsigned(plane.astype(plane.dtype.newbyteorder("="), copy=False))
+
+
+def _mosaic(pictures: Sequence[Any]) -> Mosaic | None:
+    """Return how the pictures of a file make one frame; None where each is a frame or none by itself."""
+    return Mosaic.of([_cards(unit.header) for unit in pictures], [_shape(unit) for unit in pictures])
+
+
+def _of_mosaic(path: Path, units: Any, pictures: Sequence[Any], mosaic: Mosaic, mapped: StatementMap) -> FoundFrame:
+    """Return the frame that units of amplifiers make; what they do not state alike is true of no whole frame."""
+    cards = [_cards(unit.header) for unit in pictures]
+    alike = {key: one for key, one in cards[0].items() if all(key in o and o[key] == one for o in cards)}
+    header = {**_cards(units[0].header), **alike}
+    frame = _frames(path, header, _history(units[0].header), mosaic.shape, _stored(pictures[0].header), range(1), 1,
+                    mapped)[0]  # fmt: skip
+    not_used = tuple(
+        f"unit {n} ({_described(unit)})" for n, unit in enumerate(units) if unit not in pictures and not _is_empty(unit)
+    )
+    differing = sorted({*cards[0]} & {place.name for place in (*_ELECTRONS_PER_DN, *_READ_NOISE)} - {*alike})
+    doubt = (f"its amplifiers state {', '.join(differing)} each: not used for the whole frame",) if differing else ()
+    return replace(
+        frame, camera={**frame.camera, "taps": mosaic.taps}, taken={**frame.taken, "taps": "DETSEC"},
+        doubts=(*frame.doubts, *doubt), not_used=not_used,
+    )  # fmt: skip
 
 
 @bounded_reader(apart="astropy")
@@ -250,6 +284,8 @@ def _frames(
     gain_db, mode = _gain(path, header, mapped, taken, doubts)
     filters = text_stated("filter", header, ("FILTER",), mapped, str(path))
     camera = _camera(path, header, mapped, taken, doubts) | ({"mode": mode} if mode else {})
+    if taps := taps_of(header, (shape[-2], shape[-1]), doubts):
+        camera, taken["taps"] = camera | {"taps": taps}, "data sections"
     settings = FrameSettings(
         exposure_s=exposure_s or 0.0,
         gain_db=gain_db,

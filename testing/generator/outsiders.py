@@ -38,15 +38,6 @@ def converter_ripple(world: World, rng: np.random.Generator, scale: float) -> Tr
     return {"depth_dn": depth, "period_dn": period}
 
 
-@outsider("tap_mismatch", "image_x", accepted=("display_nonuniformity", "column_pattern"))
-def tap_mismatch(world: World, rng: np.random.Generator, scale: float) -> Truth:
-    """Read the right half through an amplifier that is 0.8 % stronger."""
-    step = sign(rng) * 0.008 * scale
-    half = 1 + step * (np.arange(world.rig.columns) >= world.rig.columns // 2)[None, :]
-    world.voltage.append(lambda signal, shot, dice: signal * half)
-    return {"step": step}
-
-
 @outsider("stop_hysteresis", "f_number", accepted=("fnumber_tstop_error",))
 def stop_hysteresis(world: World, rng: np.random.Generator, scale: float) -> Truth:
     """Let every other stop of the iris close too far."""
@@ -100,16 +91,6 @@ def long_mode_black(world: World, rng: np.random.Generator, scale: float) -> Tru
     step = sign(rng) * 0.5 * scale
     world.digital.append(lambda value, shot: value + step * (shot.setting.exposure_s > 0.05))
     return {"step_dn": step}
-
-
-@outsider("amplifier_glow", "image_x", "image_y", "field_radius", "exposure_s", "temperature_C")
-def amplifier_glow(world: World, rng: np.random.Generator, scale: float) -> Truth:
-    """Let the output amplifier in a corner glow: 15 e-/s there, fading over 25 pixels."""
-    y, x = np.mgrid[: world.rig.rows, : world.rig.columns]
-    x0, y0 = rng.choice([0, world.rig.columns - 1]), rng.choice([0, world.rig.rows - 1])
-    glow = 15 * scale * np.exp(-np.hypot(x - x0, y - y0) / 25)
-    world.dark.append(lambda dark, shot, seconds: dark + glow * seconds)
-    return {"peak_e_per_s": 15 * scale, "x_px": float(x0), "y_px": float(y0)}
 
 
 @outsider("gain_noise", "signal", accepted=("conversion_gain_error",))

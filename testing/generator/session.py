@@ -17,6 +17,7 @@ from testing.generator import (  # noqa: F401  (they enter themselves into the r
     hidden_optics,
     hidden_response,
     hidden_source,
+    hidden_taps,
     hidden_timing,
     outsiders,
     variants,

@@ -329,7 +329,7 @@ def tangent_response(camera: Camera, dice: np.random.Generator, size: float) -> 
 # ---------------------------------------------------------------------------------------------- outsiders
 
 
-@hides("outsider", "bracket", "darks", stage="charge", along=("exposure_s", "image_xy"))
+@hides("law", "bracket", "darks", right=("amplifier_glow",), stage="charge", along=("exposure_s", "image_xy"))
 def corner_glow(camera: Camera, dice: np.random.Generator, size: float) -> Mapping[str, Any]:
     """Charge in proportion to exposure, a Gaussian from a corner: the glow of an amplifier."""
     y, x = camera.yx()

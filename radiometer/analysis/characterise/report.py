@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from radiometer.analysis.characterise.result import SYMBOLS, Characterisation, as_printed, upper_limit
+from radiometer.analysis.characterise.tap_report import tap_section
+from radiometer.analysis.characterise.taps import TapFigures
 from radiometer.data import Quantity
 from radiometer.numbers import rounded, unit_text, with_u
 from radiometer.reporting.page import folded, listed, page, paragraph, section, side_by_side, table
@@ -192,8 +194,8 @@ def _draw_dark(axes: Axes, result: Characterisation) -> None:
     dress(axes, "exposure in s", "μ_y.dark in DN")
 
 
-def datasheet(result: Characterisation) -> str:
-    """Return the report as one HTML page: outcome, picture, meaning, notes, plots, figures with U (k = 2)."""
+def datasheet(result: Characterisation, taps: Sequence[TapFigures] = ()) -> str:
+    """Return the report as one HTML page: outcome, picture, meaning, notes, taps, plots, figures with U (k = 2)."""
     camera = result.believed
     name = " ".join(part for part in (camera.vendor, camera.model) if part) or "Camera"
     made = result.provenance
@@ -208,6 +210,7 @@ def datasheet(result: Characterisation) -> str:
             story(result),
             section("What it means, and what to do", listed(meaning(result))),
             section("Remarks", *(paragraph(note, "flag") for note in result.notes)),
+            tap_section(taps),
             section("Further pictures", side_by_side(*further_pictures(result))),
             section("Figures", _figures(result), _gains(result)),
             folded("Steps of the photon transfer", _steps(result)),

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -12,6 +12,10 @@ from radiometer.cli.arguments import parse_patch, parse_relative
 from radiometer.cli.console import asker, console, note, progress
 from radiometer.cli.options import BenchOption, ReportOption
 from radiometer.cli.outputs import writes
+from radiometer.numbers import with_u
+
+if TYPE_CHECKING:
+    from rich.table import Table
 
 
 @writes("output", "report", "emva_descriptor", folder="keep")
@@ -36,6 +40,12 @@ def command(
     emva_descriptor: Annotated[
         Path | None, typer.Option(help="EMVA 1288 descriptor file to write, for other programs.")
     ] = None,
+    taps: Annotated[
+        str | None,
+        typer.Option(
+            help="Output amplifiers: COLUMNSxROWS of equal parts (2x2), or find. Default: what the files state."
+        ),
+    ] = None,
     json: Annotated[bool, typer.Option("--json", help="Print the camera file as JSON on standard output.")] = False,
 ) -> None:
     """Find gain, noise, dark current, saturation and linearity of a camera after EMVA 1288.
@@ -47,7 +57,7 @@ def command(
         found = rm.characterise(
             capture, parse_patch(patch), camera=camera, bench=bench, radiance=radiance,
             radiance_u_rel=parse_relative(radiance_u_rel, "--radiance-u-rel") or 0.0, steps=steps, keep=keep,
-            emva_descriptor=emva_descriptor, ask=asker(), progress=shown,
+            emva_descriptor=emva_descriptor, taps=taps, ask=asker(), progress=shown,
         )  # fmt: skip
     for remark in found.remarks:
         note(remark)
@@ -64,6 +74,17 @@ def command(
             note(f"wrote {written}")
 
 
+def _of_taps(found: rm.Sensor) -> Table:
+    from rich.table import Table
+
+    table = Table(title="Taps (± is U, k = 2)", title_justify="left")
+    for heading in found.TAP_HEADINGS:
+        table.add_column(heading)
+    for row in found.tap_rows():
+        table.add_row(*row)
+    return table
+
+
 def _show(found: rm.Sensor) -> None:
     from rich.table import Table
 
@@ -74,5 +95,10 @@ def _show(found: rm.Sensor) -> None:
     for row in found.rows():
         table.add_row(*row)
     out.print(table)
+    if found.taps:
+        out.print(_of_taps(found))
+    for one in found.crosstalk:
+        share = with_u(100 * one.share.value, 200 * one.share.u, "%", k=2)
+        out.print(f"tap {one.into} reads {share} of the signal of tap {one.of}")
     for remark in result.notes:
         out.print(f"[yellow]note[/yellow]  {remark}")

@@ -1,0 +1,42 @@
+"""Quarters of the sensor whose amplifiers have different gains."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+from simulators.effects.base import ELECTRONS, Stage, parameter
+from simulators.effects.catalogue import Scaling
+from simulators.effects.context import ExposureContext
+from simulators.effects.quarters import by_quarter, trials
+
+
+@dataclass(frozen=True)
+class TapGain(Scaling):
+    """Scales electrons behind the noise by a factor that is even within each quarter: 1 + a·s_x + b·s_y + c·s_x·s_y.
+
+    Noise is scaled as well, by which it differs from light that is uneven.
+
+    Source: Janesick (2001), Scientific Charge-Coupled Devices, ch. 2; typical 1 to 10 % between amplifiers.
+    """
+
+    name = "tap_gain"
+    stage = Stage.READOUT
+    unit_in = unit_out = ELECTRONS
+    where = "image_x"
+    block = "slope"
+    also = ("mean", "variance")
+    is_steep = True
+    signal_power = 1
+    log_prior_odds = -1.0
+    prior_reason = "most sensors have one amplifier, or a converter per column"
+    trials = trials((0.02, -0.02), ("across_rel", "along_rel", "corner_rel"))
+    fitted = ("across_rel", "along_rel", "corner_rel")
+    settles = "an even field, once as it is and once with the camera turned"
+    across_rel: float = parameter(0.0, "1", -0.4, 0.4, source="1 to 10 % between amplifiers")
+    along_rel: float = parameter(0.0, "1", -0.4, 0.4, source="1 to 10 % between amplifiers")
+    corner_rel: float = parameter(0.0, "1", -0.1, 0.1, source="1 to 10 % between amplifiers")
+
+    def factor(self, context: ExposureContext) -> Any:
+        """Return the gain over that of the sensor's mean."""
+        return 1.0 + by_quarter(context, self.across_rel, self.along_rel, self.corner_rel)
