@@ -36,9 +36,9 @@ _HOMES = {
     "radiometer.api.flicker": ("FlickerReport", "flicker"),
     "radiometer.api.importing": ("Imported", "import_capture"),
     "radiometer.api.light": (
-        "BoxStatus", "ButtonPress", "CalibratedBox", "Darkness", "ExposureAccount", "LitChannel", "light_account",
-        "light_blink", "light_calibrate", "light_off", "light_pulse", "light_set", "light_status",
-        "light_watch_buttons",
+        "BoxStatus", "ButtonPress", "CalibratedBox", "Darkness", "EngineLaws", "ExposureAccount", "LitChannel",
+        "light_account", "light_blink", "light_calibrate", "light_law", "light_off", "light_pulse", "light_set",
+        "light_status", "light_watch_buttons",
     ),
     "radiometer.api.logs": ("LogFinding", "log_fit"),
     "radiometer.api.reading": ("measure", "readings"),
@@ -54,6 +54,7 @@ _HOMES = {
         "CalibratedScreen", "ScreenLevel", "VerifiedScreen", "screen_calibrate", "screen_export", "screen_import",
         "screen_level", "screen_verify",
     ),
+    "radiometer.api.screen_report": ("DisplayReport", "screen_report"),
     "radiometer.api.view": ("view",),
     "radiometer.api.sensor": ("Sensor", "characterise"),
     "radiometer.data.reading": ("Patch", "Reading"),
@@ -123,11 +124,13 @@ if TYPE_CHECKING:
     from radiometer.api.light import ButtonPress as ButtonPress
     from radiometer.api.light import CalibratedBox as CalibratedBox
     from radiometer.api.light import Darkness as Darkness
+    from radiometer.api.light import EngineLaws as EngineLaws
     from radiometer.api.light import ExposureAccount as ExposureAccount
     from radiometer.api.light import LitChannel as LitChannel
     from radiometer.api.light import light_account as light_account
     from radiometer.api.light import light_blink as light_blink
     from radiometer.api.light import light_calibrate as light_calibrate
+    from radiometer.api.light import light_law as light_law
     from radiometer.api.light import light_off as light_off
     from radiometer.api.light import light_pulse as light_pulse
     from radiometer.api.light import light_set as light_set
@@ -161,6 +164,8 @@ if TYPE_CHECKING:
     from radiometer.api.screen import screen_import as screen_import
     from radiometer.api.screen import screen_level as screen_level
     from radiometer.api.screen import screen_verify as screen_verify
+    from radiometer.api.screen_report import DisplayReport as DisplayReport
+    from radiometer.api.screen_report import screen_report as screen_report
     from radiometer.api.sensor import Sensor as Sensor
     from radiometer.api.sensor import characterise as characterise
     from radiometer.api.view import view as view

@@ -21,6 +21,7 @@ from radiometer.analysis.regions.figures import (
     region_figures,
     vertical_illuminance,
 )
+from radiometer.analysis.regions.glare import glare_of
 from radiometer.api.files import PathLike
 from radiometer.api.meter import PatchLike, as_patch
 from radiometer.api.radiance import Radiance
@@ -58,6 +59,8 @@ class MapAnalysis(Result):
         contrast: Ratio of two regions' means.
         profile: Distance in pixels, values and standard uncertainty along the line.
         illuminance: Vertical illuminance of a fisheye picture.
+        ugr: Unified glare rating of a fisheye picture.
+        dgp: Daylight glare probability of a fisheye picture.
         assumptions: What was assumed, a sentence each.
     """
 
@@ -67,6 +70,8 @@ class MapAnalysis(Result):
     contrast: Quantity | None = None
     profile: tuple[Array, Array, Array] | None = None
     illuminance: Quantity | None = None
+    ugr: Quantity | None = None
+    dgp: Quantity | None = None
     assumptions: tuple[str, ...] = field(default=())
 
     def to_mapping(self) -> dict[str, Any]:
@@ -85,12 +90,19 @@ class MapAnalysis(Result):
             },
             "contrast": None if self.contrast is None else self.contrast.to_mapping(),
             "illuminance": None if self.illuminance is None else self.illuminance.to_mapping(),
+            "ugr": None if self.ugr is None else self.ugr.to_mapping(),
+            "dgp": None if self.dgp is None else self.dgp.to_mapping(),
             "assumptions": list(self.assumptions),
         }
         if self.profile is not None:
             names = ("distance_px", "value", "u")
             mapping["profile"] = {name: one.tolist() for name, one in zip(names, self.profile, strict=True)}
         return mapping
+
+    @property
+    def glare_indices(self) -> list[tuple[str, Quantity]]:
+        """Return UGR and DGP by name where they were asked for."""
+        return [(name, one) for name, one in (("UGR", self.ugr), ("DGP", self.dgp)) if one is not None]
 
     def write_csv(self, path: PathLike) -> None:
         """Write a row for each region and figure. Raises OutputError if it cannot be written."""
@@ -115,6 +127,7 @@ class MapAnalysis(Result):
         if self.illuminance is not None:
             value = with_u(self.illuminance.value, 2 * self.illuminance.u, unit_text(self.illuminance.unit))
             further.append(f"vertical illuminance: {value}")
+        further += [f"{name}: {with_u(one.value, 2 * one.u)}" for name, one in self.glare_indices]
         exposures = ", ".join(f"{one:.4g} s" for one in self.map.exposures_s)
         flags = [f"{one.name}: {flag}" for one in self.regions for flag in one.flags]
         parts = [
@@ -169,6 +182,7 @@ def analyse(
     field_of_view: float | None = None,
     field_of_view_u: float = 0.0,
     radius: float | None = None,
+    glare: bool = False,
 ) -> MapAnalysis:
     """Measure regions, contrast, a profile and the illuminance of a radiance map, each with its uncertainty.
 
@@ -189,14 +203,18 @@ def analyse(
         field_of_view: Full angle of its image circle in degrees.
         field_of_view_u: Its standard uncertainty in degrees.
         radius: Radius of its image circle in pixels; half of the shorter side by default.
+        glare: Find UGR and DGP of the fisheye picture, by evalglare; needs the extra `glare`.
 
     Raises:
         UsageError: If options need each other, or a region is not named.
         InputError: If the file is no map, or a region leaves it.
         MeasurementError: If a region or the image circle has too few values.
+        MissingLibrary: If glare is asked for and pyradiance is not installed.
     """
     if (fisheye is None) != (field_of_view is None):
         raise UsageError("--fisheye and --field-of-view need each other")
+    if glare and fisheye is None:
+        raise UsageError("--glare needs a fisheye picture: --fisheye and --field-of-view")
     found, origin = _map_of(source, spectrum)
     named = {name: as_patch(one) for name, one in (regions or {}).items()}
     patches = named or {"all": Patch(0, 0, found.shape[1], found.shape[0])}
@@ -213,10 +231,14 @@ def analyse(
     if fisheye is not None and field_of_view is not None:
         lux = vertical_illuminance(found, fisheye, field_of_view, field_of_view_u, radius)
         assumptions.append("illuminance: the axis is at the centre of the map, and the lens follows its projection")
+    ugr = dgp = None
+    if glare and fisheye is not None and field_of_view is not None:
+        ugr, dgp = glare_of(found, fisheye, field_of_view, field_of_view_u, radius)
+        assumptions.append("glare: sources as evalglare finds them by its defaults; nothing beyond the circle shines")
     along = None if line is None else profile(found, line[:2], line[2:], line_width)
     if spectrum is not None:
         assumptions.append(f"luminance: the light has the spectrum {spectrum} everywhere")
-    return MapAnalysis(origin, found, tuple(figures.values()), ratio, along, lux, tuple(assumptions))
+    return MapAnalysis(origin, found, tuple(figures.values()), ratio, along, lux, ugr, dgp, tuple(assumptions))
 
 
 def _map_of(source: Radiance | PathLike, spectrum: str | None) -> tuple[RadianceMap, str]:

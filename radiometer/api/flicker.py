@@ -10,11 +10,14 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from radiometer.acquire.light_series import take_series
 from radiometer.analysis.flicker.measures import Flicker, measure_flicker
 from radiometer.analysis.flicker.waveform import Waveform, find_period, read_waveform, waveform_of_rows
 from radiometer.api.files import PathLike
 from radiometer.api.meter import PatchLike, as_patch
 from radiometer.api.result import Notice, Result, unheard
+from radiometer.bench.assembly import open_bench_camera
+from radiometer.bench.instrument import central_patch, refuse_outside
 from radiometer.data import Quantity
 from radiometer.data.drawing import new_axes, picture, write_figure
 from radiometer.data.statements import StatementMap
@@ -27,6 +30,7 @@ if TYPE_CHECKING:
 _TABLES = (".csv", ".txt", ".tsv", ".dat")
 _CODED = (".jpg", ".jpeg")
 _MOST_DRAWN = 4000
+_LONGEST_S = 600.0  # of a camera's series: PstLM is defined over 180 s
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -108,8 +112,11 @@ class FlickerReport(Result):
 
 
 def flicker(
-    source: PathLike,
+    source: PathLike | None = None,
     *,
+    camera: str | None = None,
+    bench: PathLike | None = None,
+    duration: float = 1.0,
     dark: float | None = None,
     u_dark: float = 0.0,
     mapped: StatementMap | Sequence[str] = (),
@@ -130,15 +137,19 @@ def flicker(
 
     Args:
         source: Table of time and light, or a frame of a rolling-shutter camera in a linear form (TIFF, PNG, raw).
+        camera: Camera that takes a fast series of the light, instead of a file: "sim", id, serial number or address.
+        bench: Bench file of that camera; enough by itself where it names one.
+        duration: Length of that series in s.
         dark: Of a table: value of the light's column in darkness; 0 is assumed where it is not given.
         u_dark: Standard uncertainty of `dark`, or of the black level.
         mapped: Of a table: where time and light are, such as "timestamp=T:ms" and "number=CH1".
         row_time: Of a frame: time between the starts of two rows in s.
         known_frequency: Of a frame: frequency of the light in Hz, from which the row time is found.
-        exposure: Exposure time of a frame in s, or the time over which each sample of a table averages.
+        exposure: Exposure time of a frame in s, or the time over which each sample of a table averages. Of a series: by
+            itself where it is not given.
         black_level: Of a frame: black level in DN.
         flat: Of a frame: frame of the same field under steady light, which takes the fall-off away.
-        patch: Of a frame: region of an even field, all by default.
+        patch: Of a frame: region of an even field, all by default. Of a series: the bench's by default.
         notice: Gets what a user should know, a line each.
 
     Raises:
@@ -146,6 +157,13 @@ def flicker(
         InputError: If the file holds no waveform.
         MeasurementError: If its mean light is not above 0.
     """
+    if camera is not None or bench is not None:
+        others = (source, dark, row_time, known_frequency, black_level, flat)
+        if any(one is not None for one in others) or mapped:
+            raise UsageError("a camera's series needs no file: give --exposure, --patch and --duration alone")
+        return _of_camera(camera, bench, duration, exposure, patch)
+    if source is None:
+        raise UsageError("give a table or a frame, or --camera for a series of readings")
     path = Path(source)
     of_frame = {
         "--row-time": row_time, "--known-frequency": known_frequency, "--black-level": black_level,
@@ -176,6 +194,20 @@ def flicker(
         found_time = _row_time(rows, known_frequency)
         rows = replace(rows, rate_hz=1.0 / found_time.value)
     return FlickerReport(rows, measure_flicker(rows), found_time)
+
+
+def _of_camera(
+    name: str | None, bench: PathLike | None, duration_s: float, exposure_s: float | None, patch: PatchLike | None
+) -> FlickerReport:
+    if not 0.0 < duration_s <= _LONGEST_S:
+        raise UsageError(f"--duration {duration_s:g}: must be above 0 and at most {_LONGEST_S:g} s")
+    with open_bench_camera(None if bench is None else Path(bench), name) as (config, camera):
+        where = as_patch(patch) or (config.patch.patch if config.patch else central_patch(camera))
+        refuse_outside(where, camera)
+        series = take_series(camera, where, duration_s, exposure_s)
+        origin = f"camera {camera.identity.serial}"
+    found = Waveform(series.light, series.rate_hz, origin, series.u_dark, series.exposure_s, series.notes)
+    return FlickerReport(found, measure_flicker(found))
 
 
 def _plane(path: Path, patch: PatchLike | None) -> Any:

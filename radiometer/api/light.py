@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import contextlib
+import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Final
+
+import numpy as np
 
 from radiometer.api.files import PathLike
 from radiometer.api.meter import PatchLike, as_patch
@@ -30,6 +33,9 @@ from radiometer.devices import ChannelMode, ChannelState, CurrentRange, DriveLev
 from radiometer.devices.exposure_account import name_of_eye
 from radiometer.devices.light_box import Level
 from radiometer.errors import DeviceError, DeviceNotFound, UsageError
+from radiometer.importing.drive_table import DriveTable, read_drive_table
+from radiometer.numbers import with_u
+from radiometer.statistics.drive_law import DriveLaw, fit_drive_law
 
 _LOOK_S: Final = 0.25  # how often the light is looked at: half of the time in which a lost box must be reported
 _BUDGET_USED_UP: Final = 0.02  # of the full budget: it refills from the moment the light went out
@@ -454,10 +460,22 @@ class CalibratedBox(Result):
                 "common_u_rel": known[name].common_u_rel,
                 "drift_u_rel": known[name].drift_u_rel,
                 "settle_s": known[name].settle_s,
+                "drive_law": {one: law.to_mapping() for one, law in self.drive_laws(name).items()},
             }
             for name in self.channels
         }
         return {"box": self.calibration.box_serial, "file": str(self.file), "channels": report}
+
+    def drive_laws(self, channel: str) -> dict[str, DriveLaw]:
+        """Return the law of a channel over its duty on each current range that has points enough."""
+        known, laws = self.calibration.channels[channel], {}
+        for name in dict.fromkeys(point.current_range for point in known.points):
+            own = [point for point in known.points if point.current_range == name]
+            duty = np.array([point.duty_step / known.duty_steps for point in own])
+            law = fit_drive_law(duty / duty.max(), np.array([point.radiance_W_per_sr_m2 for point in own]))
+            if law is not None:
+                laws[str(name)] = law
+        return laws
 
     def __str__(self) -> str:
         """Return box, channels and file."""
@@ -532,6 +550,98 @@ def light_calibrate(
         found = survey_box(opened, instrument, request, progress)
     found.write(file)
     return CalibratedBox(found, channels, file)
+
+
+@dataclass(frozen=True, repr=False)
+class EngineLaws(Result):
+    """Drive laws of a light engine's channels, and how its twin differs.
+
+    Attributes:
+        table: What was read, and how.
+        laws: Law by channel; None where too few drives are lit.
+        twin: The twin's laws by channel; empty where none was given.
+    """
+
+    table: DriveTable
+    laws: dict[str, DriveLaw | None]
+    twin: dict[str, DriveLaw | None]
+
+    @property
+    def differences(self) -> dict[str, tuple[float, float]]:
+        """Return how far the twin's light at half drive is off, relative, with its standard uncertainty, by channel."""
+        found = {}
+        for name, own in self.laws.items():
+            other = self.twin.get(name)
+            if own is not None and other is not None:
+                ratio = (1.0 + other.deviation_rel) / (1.0 + own.deviation_rel)
+                parts = [one.u_deviation_rel / (1.0 + one.deviation_rel) for one in (own, other)]
+                found[name] = (ratio - 1.0, ratio * math.hypot(*parts))
+        return found
+
+    def to_mapping(self) -> dict[str, Any]:
+        """Return the documented JSON form."""
+        differences = self.differences
+        return {
+            "taken": list(self.table.taken),
+            "channels": {
+                name: {
+                    "drive_law": None if law is None else law.to_mapping(),
+                    "twin_at_half_drive": None
+                    if name not in differences
+                    else {"value": differences[name][0], "u": differences[name][1], "unit": "1"},
+                }
+                for name, law in self.laws.items()
+            },
+        }
+
+    def lines(self) -> list[str]:
+        """Return each channel's law in a line."""
+        return [
+            f"{name}: {'too few lit drives' if law is None else _law_text(law)}" for name, law in self.laws.items()
+        ] + [
+            f"{name}: the twin gives {with_u(100 * value, 200 * u, '%')} more at half drive"
+            for name, (value, u) in self.differences.items()
+        ]
+
+    def __str__(self) -> str:
+        """Return the channel that is least proportional."""
+        known = {name: law for name, law in self.laws.items() if law is not None}
+        if not known:
+            return "too few lit drives"
+        worst = max(known, key=lambda name: abs(known[name].deviation_rel))
+        return f"{len(self.laws)} channels; {worst}: {_law_text(known[worst])}"
+
+
+def _law_text(law: DriveLaw) -> str:
+    half = with_u(100 * law.deviation_rel, 200 * law.u_deviation_rel, "%")
+    return (
+        f"exponent {with_u(law.exponent, 2 * law.u_exponent)}, droop {with_u(law.droop, 2 * law.u_droop)}, "
+        f"half drive {half} off proportional, misfit {100 * law.misfit_rel:.2g} %"
+    )
+
+
+def light_law(table: PathLike, twin: PathLike | None = None) -> EngineLaws:
+    """Fit the law of light over drive to a table of a light engine, channel by channel.
+
+    Examples:
+        >>> import radiometer as rm
+        >>> rm.light_law("engine.csv")
+        <EngineLaws 2 channels; blue: exponent ..., droop ..., half drive ... off proportional, misfit ...>
+
+    Args:
+        table: CSV of channel, drive and light, or of a spectrum at each drive.
+        twin: Table of another engine of its type, to compare.
+
+    Raises:
+        InputError: If a table cannot be read, or a channel has too few drives.
+    """
+    known = read_drive_table(Path(table))
+    other = read_drive_table(Path(twin)) if twin is not None else None
+    return EngineLaws(known, _laws(known), {} if other is None else _laws(other))
+
+
+def _laws(table: DriveTable) -> dict[str, DriveLaw | None]:
+    return {one.name: fit_drive_law(one.drive, one.light) for one in table.channels}
 
 
 @contextlib.contextmanager

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, Final
 from radiometer.api.files import PathLike
 from radiometer.api.meter import PatchLike, as_patch
 from radiometer.api.result import Notice, Progress, Result, unheard
-from radiometer.bench.screen import BROWSER, ScreenBench, lights, open_screen_bench, primaries_of
+from radiometer.bench.screen import BROWSER, SIMULATED_SIZE, ScreenBench, lights, open_screen_bench, primaries_of
 from radiometer.data import Quantity
 from radiometer.data.drawing import check_plot_name, new_axes, own_axes, picture, write_figure
 from radiometer.data.statements import StatementMap
@@ -208,9 +208,9 @@ def screen_calibrate(
         chromaticities=known_xy,
     )  # fmt: skip
     lamps = lights(white, primaries_of(display, options.channels, primaries))
-    with _opened(display, bench, camera, calibration, patch, port, announce) as opened:
-        found = calibrate_screen(opened, options, lamps, progress=_advance(progress), waiting=_warming(progress))
-        _warn(opened.display, notice)
+    with opened_screen(display, bench, camera, calibration, patch, port, announce) as opened:
+        found = calibrate_screen(opened, options, lamps, progress=_advance(progress), waiting=warming(progress))
+        warn_of_page(opened.display, notice)
         serial = opened.instrument.camera.description.serial or ""
         found = replace(found, instrument=serial, measured_with=opened.measured_with)
     if out is not None:
@@ -322,16 +322,16 @@ def screen_verify(
     """
     known = calibration if isinstance(calibration, ScreenCalibration) else ScreenCalibration.read(Path(calibration))
     chosen = parse_levels(levels)
-    with _opened(display, bench, camera, camera_calibration, patch, port, announce) as opened:
+    with opened_screen(display, bench, camera, camera_calibration, patch, port, announce) as opened:
         found = verify_screen(
             opened, known, chosen, warm_up_limit_s=warm_up_s, patch_size=size, progress=_advance(progress),
-            waiting=_warming(progress),
+            waiting=warming(progress),
         )  # fmt: skip
-        _warn(opened.display, notice)
+        warn_of_page(opened.display, notice)
     return VerifiedScreen(known, found)
 
 
-def _opened(
+def opened_screen(
     display: str,
     bench: PathLike | None,
     camera: str | None,
@@ -339,7 +339,26 @@ def _opened(
     patch: PatchLike | None,
     port: int,
     announce: Callable[[str], None],
+    *,
+    seed: int = 1,
+    simulated_size: tuple[int, int] = SIMULATED_SIZE,
 ) -> AbstractContextManager[ScreenBench]:
+    """Return a context with an open display and the camera before it.
+
+    Args:
+        display: "browser", or a simulated one.
+        bench: Bench file.
+        camera: Camera by name.
+        calibration: The camera's calibration; the bench's by default.
+        patch: Where the camera sees the patch.
+        port: Port of the page.
+        announce: Called with the page's address.
+        seed: Seed of a simulated camera's noise.
+        simulated_size: Width and height of a simulated camera's picture in pixels.
+
+    Raises:
+        UsageError: If no camera looks at a browser's page.
+    """
     if display == BROWSER and camera is None and bench is None:
         raise UsageError(
             "a page in a browser is shown on a real screen, which the simulated camera does not see: name --camera or "
@@ -348,7 +367,7 @@ def _opened(
     known_bench, known_calibration = (Path(one) if one else None for one in (bench, calibration))
     return open_screen_bench(
         display, bench=known_bench, camera=camera, calibration=known_calibration, patch=as_patch(patch), port=port,
-        announce=announce,
+        announce=announce, seed=seed, simulated_size=simulated_size,
     )  # fmt: skip
 
 
@@ -357,12 +376,14 @@ def _advance(progress: Progress | None) -> Callable[[int, int, object], None]:
     return lambda done, total, _step: shown(done, total)
 
 
-def _warming(progress: Progress | None) -> Callable[[float, float], None]:
+def warming(progress: Progress | None) -> Callable[[float, float], None]:
+    """Return what is called while a screen warms up."""
     shown = counted(progress, "screen warms up, at most so many s")
     return lambda waited_s, longest_s: shown(round(waited_s), round(longest_s))
 
 
-def _warn(display: Display, notice: Notice) -> None:
+def warn_of_page(display: Display, notice: Notice) -> None:
+    """Hand on what on the page's side may falsify what it shows."""
     warnings = getattr(display, "warnings", None)
     for warning in warnings() if warnings else ():
         notice(f"warning: {warning}")

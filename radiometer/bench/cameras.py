@@ -102,6 +102,7 @@ def _simulated(config: BenchConfig, camera_config: SimulatedCameraConfig, where:
     from simulators.cameras.simulated_camera import SimulatedCamera
     from simulators.chain.camera_model import CameraModel
     from simulators.scenes import scene_from_mapping
+    from simulators.scenes.pulsed_light import PulsedLight
 
     if config.scene is None:
         raise ConfigurationError(f"{where}: key 'scene' is missing; a simulated camera needs something to look at")
@@ -124,6 +125,9 @@ def _simulated(config: BenchConfig, camera_config: SimulatedCameraConfig, where:
         limits=limits,
         filters=ColourFilters() if limits.pixel_formats[0].startswith("Bayer") else None,
         temperature_c=camera_config.temperature_C,
+        modulation=PulsedLight(light.frequency_Hz, light.modulation, light.duty)
+        if (light := camera_config.flicker)
+        else None,
     )
 
 

@@ -18,6 +18,14 @@ DEFAULT_BENCH = "bench-simulated.yaml"
 SIMULATED = "sim"
 
 
+class FlickerConfig(ConfigSection):
+    """How a simulated light changes in time: a sine, or a square wave of a duty."""
+
+    frequency_Hz: float = Field(gt=0, le=1e6)  # noqa: N815 (the file's key)
+    modulation: float = Field(1.0, ge=0, le=1)
+    duty: float = Field(0.0, ge=0, lt=1)
+
+
 class SimulatedCameraConfig(ConfigSection):
     """A simulated camera: datasheet preset, serial number, random seed, temperature and settings at power-on."""
 
@@ -32,6 +40,7 @@ class SimulatedCameraConfig(ConfigSection):
     width: int | None = Field(None, gt=0)
     height: int | None = Field(None, gt=0)
     model: str | None = None
+    flicker: FlickerConfig | None = None
 
 
 def _as_text(value: object) -> object:

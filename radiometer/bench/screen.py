@@ -11,6 +11,7 @@ from typing import Final
 
 import numpy as np
 
+from radiometer.analysis.merge.bracket import merge
 from radiometer.analysis.photometry.photometry import (
     CRT,
     DISPLAY_TYPES,
@@ -25,7 +26,7 @@ from radiometer.bench.box_holder import darken_held
 from radiometer.bench.cameras import SIMULATED, preset_path
 from radiometer.bench.config import BenchConfig, SimulatedCameraConfig, read_bench
 from radiometer.bench.instrument import Instrument, central_patch
-from radiometer.data import Calibration, Patch, Reading
+from radiometer.data import Calibration, Patch, RadianceMap, Reading
 from radiometer.devices import Camera, CameraPreset, CameraSettings, Display
 from radiometer.errors import ConfigurationError, InputError, UsageError
 from radiometer.reporting.origin import moment
@@ -36,8 +37,8 @@ from radiometer.screen.run import Light
 SIMULATED_DISPLAYS: Final = ("lcd", "pwm_lcd", "oled")
 BROWSER: Final = "browser"
 START_TIMEOUT_S: Final = 600.0  # from the page's opening until somebody presses its Start
-# The camera sees only the middle of a simulated screen; a small sensor shows as much and is quick.
-_SIMULATED_SIZE: Final = (96, 64)
+# The whole of a simulated screen fills the picture; a small sensor shows as much and is quick.
+SIMULATED_SIZE: Final = (96, 64)
 _FLICKER_FRAMES: Final = 16  # a scatter from 16 is known to 18 %
 PRIMARIES: Final = ("red", "green", "blue")
 _OBSERVERS: Final[tuple[Observer, ...]] = ("photopic", "scotopic")
@@ -51,6 +52,8 @@ class ScreenBench:
     instrument: Instrument  # the instrument
     sleep: Callable[[float], None]  # waits for a number of seconds on the clock of both
     clock: Callable[[], float]  # that clock in s
+    # Turns the display to an angle in degrees from its normal; None where a person has to
+    turn: Callable[[float], None] | None = None
 
     @property
     def measured_with(self) -> dict[str, str]:
@@ -65,6 +68,17 @@ class ScreenBench:
     def read(self) -> ScreenReading:
         """Return one reading of the patch (a Meter). Raises DeviceError, MeasurementError."""
         return screen_reading(self.instrument.measure(), self.clock())
+
+    def readings(self, places: Sequence[Patch]) -> list[Reading]:
+        """Return the radiance of places, all from one bracket. Raises DeviceError, MeasurementError."""
+        bracket = self.instrument.at(_around(places)).take_bracket()
+        return [self.instrument.at(place).read(bracket) for place in places]
+
+    def map_of(self, area: Patch) -> RadianceMap:
+        """Return the radiance of every pixel of an area. Raises DeviceError, MeasurementError."""
+        whole = merge(self.instrument.at(area).take_bracket(), self.instrument.setup)
+        parts = {name: getattr(whole, name)[area.slices] for name in ("radiance", "u_radiance", "mask")}
+        return replace(whole, **parts)
 
     def check_flicker(self, exposure_s: float = 1e-3) -> Flicker:
         """Return whether the display's light changes from one short frame to the next. Raises DeviceError."""
@@ -87,6 +101,13 @@ class ScreenBench:
         ys = np.linspace(0, limits.height - patch.height, rows).astype(int)
         places = [[Patch(int(x), int(y), patch.width, patch.height) for x in xs] for y in ys]
         return Uniformity.of([[self.instrument.at(place).measure().radiance.value for place in row] for row in places])
+
+
+def _around(places: Sequence[Patch]) -> Patch:
+    """Return the smallest patch that holds all."""
+    left, top = min(one.x for one in places), min(one.y for one in places)
+    right, bottom = max(one.x + one.width for one in places), max(one.y + one.height for one in places)
+    return Patch(left, top, right - left, bottom - top)
 
 
 def screen_reading(reading: Reading, time_s: float) -> ScreenReading:
@@ -166,6 +187,7 @@ def open_screen_bench(
     port: int = 0,
     announce: Callable[[str], None] = lambda url: None,
     seed: int = 1,
+    simulated_size: tuple[int, int] = SIMULATED_SIZE,
 ) -> Iterator[ScreenBench]:
     """Open a display and the camera before it for the block.
 
@@ -176,6 +198,8 @@ def open_screen_bench(
         calibration: Calibration file; the bench's own where None.
         patch: Where the camera sees the middle of the screen; the middle of its frame where None.
         announce: Called with the page's address.
+        seed: Seed of a simulated camera's noise.
+        simulated_size: Width and height in pixels of a simulated camera's picture.
 
     Raises:
         UsageError: If the display is unknown.
@@ -185,7 +209,7 @@ def open_screen_bench(
         with _browser_bench(bench, camera, calibration, patch, port, announce) as opened:
             yield opened
     elif display in SIMULATED_DISPLAYS:
-        with _simulated_bench(display, bench, calibration, seed) as opened:
+        with _simulated_bench(display, bench, calibration, seed, simulated_size) as opened:
             yield opened
     else:
         raise UsageError(f"display {display!r} is unknown; choose {BROWSER}, {', '.join(SIMULATED_DISPLAYS)}")
@@ -210,7 +234,9 @@ def _browser_bench(
 
 
 @contextmanager
-def _simulated_bench(name: str, bench: Path | None, calibration: Path | None, seed: int) -> Iterator[ScreenBench]:
+def _simulated_bench(
+    name: str, bench: Path | None, calibration: Path | None, seed: int, size: tuple[int, int]
+) -> Iterator[ScreenBench]:
     from simulators.chain.camera_model import CameraModel
     from simulators.displays import DISPLAYS, SimulatedDisplay, WatchingCamera
 
@@ -223,7 +249,7 @@ def _simulated_bench(name: str, bench: Path | None, calibration: Path | None, se
     file = preset_path(camera_config.preset, where)
     preset = CameraPreset.read(file)
     limits = preset.require_limits(str(file)).capabilities(has_shutter=True)
-    width, height = _SIMULATED_SIZE
+    width, height = size
     display = SimulatedDisplay(DISPLAYS[name])
     camera = WatchingCamera(
         CameraModel.ideal(preset.camera, config.lens_description),
@@ -241,7 +267,7 @@ def _simulated_bench(name: str, bench: Path | None, calibration: Path | None, se
         patch = Patch(width // 2 - 12, height // 2 - 12, 24, 24)
         instrument = _instrument(camera, patch, calibration or calibration_path(config, bench), config)
         clock = display.clock
-        yield ScreenBench(display, replace(instrument, clock=clock.now_s), clock.sleep, clock.now_s)
+        yield ScreenBench(display, replace(instrument, clock=clock.now_s), clock.sleep, clock.now_s, display.turn)
 
 
 def _instrument(camera: Camera, patch: Patch, calibration: Path | None, config: BenchConfig) -> Instrument:

@@ -32,6 +32,7 @@ class BrowserDisplay(BrowserPage):
             "surround": _codes(patch.surround_rgb),
             "width": _fraction("width", patch.width_fraction),
             "height": _fraction("height", patch.height_fraction),
+            "checkers": patch.checkers,
         }
         require_shown(self._ask(order).get("rgb"), expected)
 

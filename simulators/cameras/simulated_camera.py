@@ -35,6 +35,7 @@ from simulators.chain.virtual_sensor import VirtualSensor
 from simulators.clock import SimulatedClock
 from simulators.scenes.base import Scene
 from simulators.scenes.layout import LitScene
+from simulators.scenes.pulsed_light import PulsedLight
 
 _BITS: Final = {"Mono8": 8, "Mono10": 10, "Mono10p": 10, "Mono12": 12, "Mono12p": 12, "Mono16": 16} | {
     "BayerRG8": 8,
@@ -54,6 +55,7 @@ class SimulatedCamera(Opened):
         device_id: Id that it is opened by.
         filters: Its colour filters; None for a monochrome sensor.
         limits: What it can do; by default the BFS-U3-19S4M of the shipped preset, with a shutter.
+        modulation: How the light changes in time; steady by default.
     """
 
     def __init__(
@@ -68,6 +70,7 @@ class SimulatedCamera(Opened):
         filters: ColourFilters | None = None,
         clock: SimulatedClock | None = None,
         temperature_c: float = 40.0,
+        modulation: PulsedLight | None = None,
     ) -> None:
         self._filters = filters
         self.model, self.clock = model, clock or SimulatedClock()
@@ -79,7 +82,7 @@ class SimulatedCamera(Opened):
         self._sensor = VirtualSensor(
             model, self._filtered(scene), self._limits.width, self._limits.height, seed=seed, device_seed=device_seed
         )
-        self._temperature_c = temperature_c
+        self._temperature_c, self._modulation = temperature_c, modulation
         self._source_level, self._pattern = 1.0, scene.patterns[0]
         self._f_number = model.lens.f_number
         self._open = self._closed_shutter = False
@@ -267,12 +270,18 @@ class SimulatedCamera(Opened):
             shutter="closed" if self._closed_shutter else "open",
         )
         bits, roi = _BITS[self._settings.pixel_format], self._settings.roi
+        light = 1.0 if self._modulation is None else self._modulation.mean(self.clock.now_s(), settings.exposure_s)
         dn = self._sensor.expose(
-            settings, output_bit_depth=bits, binning=self._settings.binning, frame_index=self._since_change
+            replace(settings, source_level=light * self._source_level),
+            output_bit_depth=bits,
+            binning=self._settings.binning,
+            frame_index=self._since_change,
         )
         if roi is not None:
             dn = dn[roi.y : roi.y + roi.height, roi.x : roi.x + roi.width].copy()
-        self.clock.advance(max(settings.exposure_s, _READOUT_S))
+        # Rows are read one after the other: fewer of them come faster.
+        share = 1.0 if roi is None else roi.height / self._limits.height
+        self.clock.advance(max(settings.exposure_s, share * _READOUT_S))
         self._since_change += 1
         self._counted += 1
         return Frame(dn, bits, settings, frame_id=self._counted - 1)

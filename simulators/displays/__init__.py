@@ -1,6 +1,6 @@
 """Displays that do not exist: what they show follows from their drive, and a simulated camera can look at them."""
 
-from simulators.displays.base import DisplayModel, SimulatedDisplay
+from simulators.displays.base import DisplayModel, MuraSpot, SimulatedDisplay
 from simulators.displays.lcd import LCD
 from simulators.displays.oled import OLED
 from simulators.displays.pwm_lcd import PWM_LCD
@@ -8,4 +8,4 @@ from simulators.displays.watching_camera import WatchingCamera
 
 DISPLAYS: dict[str, DisplayModel] = {"lcd": LCD, "pwm_lcd": PWM_LCD, "oled": OLED}
 
-__all__ = ["DISPLAYS", "LCD", "OLED", "PWM_LCD", "DisplayModel", "SimulatedDisplay", "WatchingCamera"]
+__all__ = ["DISPLAYS", "LCD", "OLED", "PWM_LCD", "DisplayModel", "MuraSpot", "SimulatedDisplay", "WatchingCamera"]

@@ -1,16 +1,30 @@
-"""What a simulated display is: a curve, primaries, a black, a backlight that warms up and may be pulsed."""
+"""Simulated displays: a curve, primaries, a black, a backlight that warms up or is pulsed, light over the screen."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from radiometer.devices import DisplayPatch
 from radiometer.devices.opening import Opened
 from radiometer.errors import DeviceError, SettingOutOfRange
 from simulators.clock import SimulatedClock
+
+_STEEPEST_DEG: Final = 80.0  # beyond it a screen is seen as a line
+
+
+@dataclass(frozen=True, slots=True)
+class MuraSpot:
+    """A round spot whose light differs from its surroundings, with a Gaussian profile."""
+
+    x: float  # its middle from the left edge as a share of the width
+    y: float  # its middle from the upper edge as a share of the height
+    sigma: float  # its standard deviation as a share of the height
+    depth_rel: float  # relative change of light in its middle; below 0 for a dark spot
 
 
 @dataclass(frozen=True, slots=True)
@@ -28,6 +42,10 @@ class DisplayModel:
     pwm_hz: float = 0.0  # frequency of its dimming in Hz; 0 for none
     pwm_duty: float = 1.0  # share of the period in which it is lit
     edge_falloff: float = 0.0  # relative loss of light in the corners
+    mura: tuple[MuraSpot, ...] = ()  # spots of other light
+    halation_rel: float = 0.0  # share of the picture's mean radiance that the panel's glass spreads over the screen
+    angle_exponent: float = 0.0  # light above black falls with cos(angle) to this power
+    angle_leak: float = 0.0  # relative growth of black at 90°, in proportion to sin²(angle)
 
 
 class SimulatedDisplay(Opened):
@@ -42,6 +60,13 @@ class SimulatedDisplay(Opened):
         self.model, self.clock = model, clock or SimulatedClock()
         self._settling_s, self._open, self._on_since_s = settling_s, False, 0.0
         self.shown = DisplayPatch((0.0, 0.0, 0.0))
+        self.angle_deg = 0.0  # between its normal and whoever looks at it
+
+    def turn(self, angle_deg: float) -> None:
+        """Turn it so that it is seen at an angle from its normal. Raises SettingOutOfRange beyond ±80°."""
+        if not abs(angle_deg) <= _STEEPEST_DEG:
+            raise SettingOutOfRange(self.model.name, "angle", angle_deg, -_STEEPEST_DEG, _STEEPEST_DEG, "°")
+        self.angle_deg = angle_deg
 
     def open(self) -> None:
         """Switch it on. Raises DeviceError if it is on already."""
@@ -64,13 +89,34 @@ class SimulatedDisplay(Opened):
         self.clock.advance(self._settling_s)
 
     def radiance(self, rgb: tuple[float, float, float]) -> float:
-        """Return the radiance in W·sr⁻¹·m⁻² of a drive when warm, averaged over the dimming."""
+        """Return the radiance in W·sr⁻¹·m⁻² of a drive in the middle when warm, averaged over the dimming."""
         steps = 2**self.model.bits - 1
         light = sum(
             share * self.model.transfer(round(drive * steps) / steps)
             for share, drive in zip(self.model.primary_shares, rgb, strict=True)
         )
-        return self.model.black_radiance + (self.model.white_radiance - self.model.black_radiance) * light
+        angle = np.radians(self.angle_deg)
+        black = self.model.black_radiance * (1.0 + self.model.angle_leak * np.sin(angle) ** 2)
+        range_ = (self.model.white_radiance - self.model.black_radiance) * np.cos(angle) ** self.model.angle_exponent
+        return float(black + range_ * light)
+
+    def picture(self, width: int, height: int) -> NDArray[np.float64]:
+        """Return the radiance in W·sr⁻¹·m⁻² of what is shown over the screen when warm, shape (height, width)."""
+        model, shown = self.model, self.shown
+        y, x = np.mgrid[:height, :width]
+        across, down = (x + 0.5) / width, (y + 0.5) / height
+        u, v = 2 * across - 1, 2 * down - 1
+        if shown.checkers is not None:
+            columns, rows = shown.checkers
+            inside = (np.floor(across * columns) + np.floor(down * rows)) % 2 == 0
+        else:
+            inside = (np.abs(u) <= shown.width_fraction) & (np.abs(v) <= shown.height_fraction)
+        level = np.where(inside, self.radiance(shown.rgb), self.radiance(shown.surround_rgb))
+        level = level * (1.0 - model.edge_falloff * (u**2 + v**2) / 2)
+        for spot in model.mura:
+            away = (((across - spot.x) * width / height) ** 2 + (down - spot.y) ** 2) / spot.sigma**2
+            level = level * (1.0 + spot.depth_rel * np.exp(-away / 2))
+        return np.asarray(level + model.halation_rel * level.mean())
 
     def backlight(self, start_s: float, duration_s: float) -> float:
         """Return the mean output of the backlight over a window of time, 1 when warm and not dimmed."""

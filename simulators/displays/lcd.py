@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Final
 
-from simulators.displays.base import DisplayModel
+from simulators.displays.base import DisplayModel, MuraSpot
 
 # Radiance that stands for 250 and 0.1 cd/m² at some 340 lm/W, the efficacy of an LED-lit white.
 WHITE: Final = 250.0 / 340.0
@@ -16,4 +16,8 @@ def srgb_transfer(drive: float) -> float:
     return drive / 12.92 if drive <= 0.04045 else float(((drive + 0.055) / 1.055) ** 2.4)
 
 
-LCD: Final = DisplayModel("sRGB LCD", srgb_transfer, WHITE, BLACK, warm_up_rel=0.03, edge_falloff=0.08)
+# Falls off to the side and shines through when dark, as twisted and in-plane panels do; one dark spot of 1.5 %.
+LCD: Final = DisplayModel(
+    "sRGB LCD", srgb_transfer, WHITE, BLACK, warm_up_rel=0.03, edge_falloff=0.08, halation_rel=5e-4,
+    angle_exponent=1.5, angle_leak=4.0, mura=(MuraSpot(0.22, 0.72, 0.045, -0.015),),
+)  # fmt: skip

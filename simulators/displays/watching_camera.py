@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from radiometer.data import Frame, PatchDescription, SourceDescription
+from radiometer.devices import DisplayPatch
 from simulators.cameras.simulated_camera import SimulatedCamera
 from simulators.chain.camera_model import CameraModel
 from simulators.displays.base import SimulatedDisplay
@@ -20,13 +21,12 @@ _HEADROOM = 4.0
 
 @dataclass(frozen=True)
 class _Shown:
-    """What is on the display at one moment, as a scene: the patch in the middle, filling its share."""
+    """What is on the display at one moment, as a scene that fills the picture."""
 
     display: SimulatedDisplay
     wavelength_nm: float
-    rgb: tuple[float, float, float]
-    surround: tuple[float, float, float]
-    size: tuple[float, float]
+    patch: DisplayPatch
+    angle_deg: float
 
     @property
     def source(self) -> SourceDescription:
@@ -40,12 +40,8 @@ class _Shown:
 
     def render(self, width: int, height: int, pattern: str = "default") -> SceneImage:
         """Return the radiance at the backlight's highest output."""
-        y, x = np.mgrid[:height, :width]
-        u, v = 2 * (x + 0.5) / width - 1, 2 * (y + 0.5) / height - 1
-        inside = (np.abs(u) <= self.size[0]) & (np.abs(v) <= self.size[1])
-        level = np.where(inside, self.display.radiance(self.rgb), self.display.radiance(self.surround))
-        fall = 1.0 - self.display.model.edge_falloff * (u**2 + v**2) / 2
-        return SceneImage((_HEADROOM * level * fall).astype(np.float32), peak_radiance=_HEADROOM)
+        light = self.display.picture(width, height)
+        return SceneImage((_HEADROOM * light).astype(np.float32), peak_radiance=_HEADROOM)
 
     def patches(self, width: int, height: int) -> tuple[PatchDescription, ...]:
         """Return nothing: what is shown changes."""
@@ -83,6 +79,4 @@ class WatchingCamera(SimulatedCamera):
         return replace(frame, settings=replace(frame.settings, source_level=1.0))
 
     def _look(self) -> _Shown:
-        patch = self._display.shown
-        size = (patch.width_fraction, patch.height_fraction)
-        return _Shown(self._display, self._wavelength_nm, patch.rgb, patch.surround_rgb, size)
+        return _Shown(self._display, self._wavelength_nm, self._display.shown, self._display.angle_deg)

@@ -154,26 +154,38 @@ def covariance(first: Reading, second: Reading) -> float:
     return shared * abs(a) * abs(b)
 
 
+def propagated_u(readings: Sequence[Reading], gradient: Sequence[float] | NDArray[np.float64]) -> float:
+    """Return the standard uncertainty of a function of readings made with one calibration.
+
+    Args:
+        readings: The readings.
+        gradient: Derivative of the function by each radiance, shape (readings,).
+
+    Source: JCGM 100:2008, equation (13).
+    """
+    variance = sum((slope * one.radiance.u) ** 2 for slope, one in zip(gradient, readings, strict=True))
+    for i, one in enumerate(readings):
+        for j in range(i):
+            variance += 2.0 * gradient[i] * gradient[j] * covariance(one, readings[j])
+    return math.sqrt(max(float(variance), 0.0))
+
+
 def ratio(first: Reading, second: Reading) -> Quantity:
     """Return first/second: what the calibration shares drops out of its uncertainty.
 
     Raises:
         MeasurementError: If the second reading is 0.
     """
-    a, b = first.radiance, second.radiance
-    if b.value == 0.0:
+    a, b = first.radiance.value, second.radiance.value
+    if b == 0.0:
         raise MeasurementError("a ratio to a reading of 0 has no value")
-    value = a.value / b.value
-    variance = (
-        (a.u / b.value) ** 2 + (value * b.u / b.value) ** 2 - 2.0 * value * covariance(first, second) / b.value**2
-    )
-    return Quantity(value, math.sqrt(max(variance, 0.0)), "1")
+    return Quantity(a / b, propagated_u((first, second), (1.0 / b, -a / b**2)), "1")
 
 
 def difference(first: Reading, second: Reading) -> Quantity:
     """Return first − second, the shared part of the calibration taken into account."""
-    variance = first.radiance.u**2 + second.radiance.u**2 - 2.0 * covariance(first, second)
-    return Quantity(first.radiance.value - second.radiance.value, math.sqrt(max(variance, 0.0)), first.radiance.unit)
+    value = first.radiance.value - second.radiance.value
+    return Quantity(value, propagated_u((first, second), (1.0, -1.0)), first.radiance.unit)
 
 
 def mean(readings: Sequence[Reading]) -> Quantity:

@@ -38,6 +38,9 @@ def command(
     field_of_view: Annotated[float | None, typer.Option(help="Full angle of its image circle in degrees.")] = None,
     field_of_view_u: Annotated[float, typer.Option(min=0.0, help="Its standard uncertainty in degrees.")] = 0.0,
     radius: Annotated[float | None, typer.Option(min=1.0, help="Radius of its image circle in pixels.")] = None,
+    glare: Annotated[
+        bool, typer.Option("--glare", help="Find UGR and DGP of a fisheye picture by evalglare (extra: glare).")
+    ] = False,
     csv: Annotated[Path | None, typer.Option(help="Table of the figures to write.")] = None,
     report: ReportOption = None,
     json: JsonOption = False,
@@ -58,6 +61,7 @@ def command(
         field_of_view=field_of_view,
         field_of_view_u=field_of_view_u,
         radius=radius,
+        glare=glare,
     )
     if csv is not None:
         found.write_csv(csv)
@@ -108,6 +112,8 @@ def _show(found: MapAnalysis) -> None:
     if found.illuminance is not None:
         lux = with_u(found.illuminance.value, 2 * found.illuminance.u, unit_text(found.illuminance.unit))
         out.print(f"vertical illuminance: {lux} (k = 2)")
+    for name, index in found.glare_indices:
+        out.print(f"{name}: {with_u(index.value, 2 * index.u)} (k = 2)")
     for one in found.regions:
         for flag in one.flags:
             out.print(f"[yellow]flag[/yellow]: {one.name}: {flag}")

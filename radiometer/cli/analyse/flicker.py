@@ -10,7 +10,7 @@ import typer
 import radiometer as rm
 from radiometer.cli.arguments import parse_exposure, parse_patch, parse_seconds
 from radiometer.cli.console import console, note
-from radiometer.cli.options import JsonOption
+from radiometer.cli.options import BenchOption, CameraOption, JsonOption
 from radiometer.cli.outputs import writes
 from radiometer.numbers import with_u
 
@@ -21,8 +21,12 @@ if TYPE_CHECKING:
 @writes("plot")
 def command(
     source: Annotated[
-        Path, typer.Argument(help="Table of time and light (CSV), or a frame of a rolling-shutter camera (TIFF, raw).")
-    ],
+        Path | None,
+        typer.Argument(help="Table of time and light (CSV), or a frame of a rolling-shutter camera (TIFF, raw)."),
+    ] = None,
+    camera: CameraOption = None,
+    bench: BenchOption = None,
+    duration: Annotated[float, typer.Option(help="Of a camera: length of the series in s.")] = 1.0,
     dark: Annotated[float | None, typer.Option(help="Of a table: value of the light in darkness.")] = None,
     u_dark: Annotated[float, typer.Option(min=0.0, help="Standard uncertainty of --dark or --black-level.")] = 0.0,
     mapped: Annotated[
@@ -36,13 +40,13 @@ def command(
         float | None, typer.Option(min=0.0, help="Of a frame: frequency of the light in Hz, to find the row time.")
     ] = None,
     exposure: Annotated[
-        str | None, typer.Option(metavar="S", help="Exposure time of a frame or of each sample, such as 1/5000.")
+        str | None, typer.Option(metavar="S", help="Exposure time of a frame, a sample, or a camera, such as 1/5000.")
     ] = None,
     black_level: Annotated[float | None, typer.Option(min=0.0, help="Of a frame: black level in DN.")] = None,
     flat: Annotated[
         Path | None, typer.Option(help="Of a frame: frame of the same field under steady light, for the fall-off.")
     ] = None,
-    patch: Annotated[str | None, typer.Option(help="Of a frame: region X,Y,W,H of an even field.")] = None,
+    patch: Annotated[str | None, typer.Option(help="Of a frame or a camera: region X,Y,W,H of an even field.")] = None,
     plot: Annotated[Path | None, typer.Option(help="Draw some periods into this PNG, PDF or SVG file.")] = None,
     json: JsonOption = False,
 ) -> None:
@@ -52,6 +56,9 @@ def command(
     """
     found = rm.flicker(
         source,
+        camera=camera,
+        bench=bench,
+        duration=duration,
         dark=dark,
         u_dark=u_dark,
         mapped=mapped or (),

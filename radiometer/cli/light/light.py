@@ -184,9 +184,31 @@ def calibrate(
         console().print(
             f"{name:<10} {low:.3g} to {high:.3g} W·sr⁻¹·m⁻²  ± {u_rel:.2g} % (k = 2)  {entry['points']} levels"
         )
+        for current, law in entry["drive_law"].items():
+            off = law["deviation_at_half_drive"]
+            value = with_u(100 * off["value"], 200 * off["u"], "%")
+            misfit = 100 * law["misfit_rel"]
+            console().print(f"{'':<10} {current} current: half drive {value} off proportional, misfit {misfit:.2g} %")
     for assumption in found.calibration.provenance.assumptions:
         note(f"assumed: {assumption}")
     console().print(f"written    {found.file}")
+
+
+@app.command()
+def law(
+    table: Annotated[Path, typer.Argument(help="CSV of channel, drive and light, or of a spectrum at each drive.")],
+    twin: Annotated[Path | None, typer.Option(help="Table of another engine of its type, to compare.")] = None,
+    json: JsonOption = False,
+) -> None:
+    """Fit the law of light over drive to a table of a light engine, channel by channel."""
+    found = rm.light_law(table, twin)
+    if json:
+        print(found.to_json())
+        return
+    for line in found.lines():
+        console().print(line)
+    for taken in found.table.taken:
+        note(f"taken: {taken}")
 
 
 @app.command()

@@ -1,4 +1,4 @@
-"""Takes whatever a user names (capture set, photographs, EMVA descriptor, light-meter table) and reconciles it."""
+"""Takes whatever a user names (capture set, photographs, EMVA descriptor, table of a meter or lamp), reconciles it."""
 
 from __future__ import annotations
 
@@ -10,6 +10,8 @@ from radiometer.data import CaptureSet, Frame
 from radiometer.data.capture_set import CaptureHeader
 from radiometer.errors import CaptureError, OutputError
 from radiometer.importing import imported_of, is_foreign, open_capture, statistics_of
+from radiometer.importing.drive_table import is_drive_table
+from radiometer.reconciliation.drive.drive_fit import reconcile_drive_table
 from radiometer.reconciliation.engine import Say, examine, whole_catalogue
 from radiometer.reconciliation.inputs.light_meter import reconcile_meter_table
 from radiometer.reconciliation.inputs.photographs import reconcile_photographs
@@ -112,7 +114,9 @@ def reconcile_source(
     say: Say = lambda line: None,
     doubt: Say = lambda line: None,
 ) -> Done:
-    """Return the result for a capture set, photographs, files of a laboratory (FITS, TIFF, EMVA) or a meter table.
+    """Return the result for a capture set, photographs, files of a laboratory (FITS, TIFF, EMVA) or a table.
+
+    A table is of a light meter, or of a light engine's drives.
 
     Args:
         path: What the user names.
@@ -129,7 +133,7 @@ def reconcile_source(
     model = CameraModel.read(model_path) if model_path else None
     entries = {name: kind for name, kind in whole_catalogue().items() if name not in without}
     if path.suffix.lower() == ".csv" and statistics_of(path) is None:
-        return reconcile_meter_table(path)
+        return reconcile_drive_table(path) if is_drive_table(path) else reconcile_meter_table(path)
     if photographs:
         return reconcile_photographs(photographs[0], photographs[1:], str(path))
     if path.is_file() and not is_foreign(path):

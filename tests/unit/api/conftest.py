@@ -97,6 +97,12 @@ def _write_tables(folder: Path) -> None:
     levels = range(0, 256, 51)
     luminances = [f"{level},{0.1 + 119.9 * (level / 255) ** 2.2:.4f}" for level in levels]
     (folder / "luminances.csv").write_text("\n".join(["level,cd/m2", *luminances]) + "\n", encoding="utf-8")
+    engine = [
+        f"{name},{drive},{drive * (1 - bend * drive / 255):.5f}"
+        for name, bend in (("blue", 0.1), ("red", 0.0))
+        for drive in range(15, 256, 15)
+    ]
+    (folder / "engine.csv").write_text("\n".join(["channel,drive,light", *engine]) + "\n", encoding="utf-8")
     party = "{name: A, email: a@example.org, city: Bonn, country: DE}"
     (folder / "laboratory.yaml").write_text(
         f"format: radiometer-laboratory/1\nlaboratory: {party}\ncustomer: {party}\nresponsible: {{name: R. Smith}}\n"

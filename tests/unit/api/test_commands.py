@@ -122,6 +122,11 @@ CASES = (
         lambda out: rm.screen_import("luminances.csv", out / "elsewhere.yaml", meter_u_rel=0.03),
     ),
     Case(
+        "screen report --display oled --methods white,uniformity --warm-up 0 --json",
+        lambda out: rm.screen_report(display="oled", methods=["white", "uniformity"], warm_up_s=0.0),
+    ),
+    Case("light law engine.csv --twin engine.csv --json", lambda out: rm.light_law("engine.csv", "engine.csv")),
+    Case(
         "adapt run quick --subject S1 -o {out}/run.jsonl --simulate wanders --seed 4 --json",
         lambda out: rm.adapt_run("quick", "S1", out / "run.jsonl", simulate="wanders", seed=4),
     ),

@@ -1,0 +1,301 @@
+"""Report of a display: uniformity, contrast, gamma, primaries, black, warm-up, additivity, angles and mura, with u."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from radiometer.api.files import PathLike
+from radiometer.api.meter import PatchLike, as_patch
+from radiometer.api.result import Ask, Notice, Progress, Result, unheard
+from radiometer.api.screen import opened_screen, warming, warn_of_page
+from radiometer.bench.screen import BROWSER, PRIMARIES, SIMULATED_DISPLAYS, ScreenBench, lights, primaries_of
+from radiometer.data import Patch, Quantity
+from radiometer.data.drawing import new_axes, picture
+from radiometer.data.provenance import utc_now
+from radiometer.data.storage import write_text_atomic
+from radiometer.errors import UsageError
+from radiometer.numbers import unit_text, with_u
+from radiometer.progress import counted
+from radiometer.reporting.page import folded, listed, page, paragraph, section, table
+from radiometer.screen.plan import parse_levels
+from radiometer.screen.report.examination import chosen_methods, examine
+from radiometer.screen.report.figures import Examined, Figure, Section
+from radiometer.screen.report.geometry import POINTS, Geometry, geometry_of
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+_K = 2.0
+_SIMULATED_SIZE = (192, 128)  # px: a spot of mura covers several, and a bracket still takes a fraction of a second
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class DisplayReport(Result):
+    """Results of the methods of a display report; all uncertainties are standard ones (k = 1).
+
+    Examples:
+        >>> import radiometer as rm
+        >>> found = rm.screen_report(display="oled", methods=["uniformity"], warm_up_s=0)
+        >>> found.section("uniformity").figure("uniformity").quantity.unit
+        '1'
+
+    Attributes:
+        screen: Name of the screen.
+        geometry: How display and camera stood.
+        conditions: Measuring conditions that all methods share, a sentence each.
+        sections: Results, one section for each method.
+        created: When, as ISO 8601 in UTC.
+    """
+
+    screen: str
+    geometry: Geometry
+    conditions: tuple[str, ...]
+    sections: tuple[Section, ...]
+    created: str
+
+    def section(self, method: str) -> Section:
+        """Return the results of a method. Raises KeyError where it was not measured."""
+        return {one.method: one for one in self.sections}[method]
+
+    def to_mapping(self) -> dict[str, Any]:
+        """Return the documented JSON form."""
+        return {
+            "screen": self.screen,
+            "created": self.created,
+            "geometry": self.geometry.name,
+            "conditions": list(self.conditions),
+            "methods": {
+                one.method: {
+                    "title": one.title,
+                    "conditions": list(one.conditions),
+                    "figures": {
+                        each.name: {**each.quantity.to_mapping(), "bound": each.bound or None} for each in one.figures
+                    },
+                    "table": [
+                        {name: _plain(cell) for name, cell in zip(one.columns, row, strict=True)} for row in one.rows
+                    ],
+                    "notes": list(one.notes),
+                }
+                for one in self.sections
+            },
+        }
+
+    def write_report(self, path: PathLike) -> None:
+        """Write a self-contained page. Raises OutputError if it cannot be written."""
+        parts = [section("Measuring conditions", listed(self.conditions))]
+        for one in self.sections:
+            rows = [(_in_words(each.name), figure_text(each)) for each in one.figures]
+            cells = [tuple(_cell(cell) for cell in row) for row in one.rows]
+            parts.append(
+                section(
+                    one.title,
+                    listed(one.conditions),
+                    table(("result", "k = 2"), rows),
+                    "" if one.picture is None else picture(partial(_drawn, one), one.title),
+                    folded("All readings, k = 2", table(one.columns, cells)) if cells else "",
+                    *(paragraph(note, "flag") for note in one.notes),
+                )
+            )
+        outcome = f"{len(self.sections)} methods of the IDMS"
+        write_text_atomic(Path(path), page(f"display {self.screen}", outcome, parts, kind="display report"))
+
+    def lines(self) -> list[str]:
+        """Return every figure and note in plain lines."""
+        found = []
+        for one in self.sections:
+            found.append(one.title)
+            found += [f"  {_in_words(each.name):<28} {figure_text(each)}" for each in one.figures]
+            found += [f"  note: {note}" for note in one.notes]
+        return found
+
+    def plot(self, axes: Axes | None = None) -> Axes:
+        """Draw the mura, or an empty figure where it was not measured.
+
+        Args:
+            axes: Where to draw; a new figure by default.
+        """
+        where = axes if axes is not None else new_axes()
+        for one in self.sections:
+            if one.picture is not None:
+                return _drawn(one, where)
+        return where
+
+    def __str__(self) -> str:
+        """Return the main figure of every method."""
+        shown = [f"{one.method} {figure_text(one.figures[0])}" for one in self.sections if one.figures]
+        return f"{self.screen}: {', '.join(shown)} (k = 2)"
+
+
+def figure_text(figure: Figure) -> str:
+    """Return a figure as it is printed, with its expanded uncertainty or as a bound."""
+    one = figure.quantity
+    if figure.bound:
+        sign = ">" if figure.bound == "above" else "<"
+        return f"{sign} {one.value:.3g} {unit_text(one.unit)}".strip()
+    return with_u(one.value, _K * one.u, unit_text(one.unit))
+
+
+def _cell(cell: str | float | Quantity) -> str:
+    return with_u(cell.value, _K * cell.u) if isinstance(cell, Quantity) else str(cell)
+
+
+def _plain(cell: str | float | Quantity) -> Any:
+    return cell.to_mapping() if isinstance(cell, Quantity) else cell
+
+
+def _in_words(name: str) -> str:
+    return name.replace("_", " ").replace(" percent", " %").replace(" deg", "°")
+
+
+def _drawn(one: Section, axes: Axes) -> Axes:
+    if one.picture is not None:
+        largest = float(abs(one.picture).max()) or 1.0
+        shown = axes.imshow(one.picture, cmap="RdBu_r", vmin=-largest, vmax=largest)
+        axes.figure.colorbar(shown, ax=axes, label="band-passed, % of the shading")
+        axes.set_xlabel("x (px)")
+        axes.set_ylabel("y (px)")
+    return axes
+
+
+def screen_report(
+    out: PathLike | None = None,
+    display: str = BROWSER,
+    *,
+    name: str | None = None,
+    methods: Sequence[str] = (),
+    geometry: str = "direct",
+    angles: Sequence[float] | None = None,
+    points: int = 13,
+    checkers: tuple[int, int] = (4, 4),
+    levels: str = "17",
+    area: PatchLike | None = None,
+    warm_up_s: float = 900.0,
+    white: str = "white_led",
+    primaries: str | None = None,
+    camera: str | None = None,
+    bench: PathLike | None = None,
+    calibration: PathLike | None = None,
+    port: int = 0,
+    seed: int = 1,
+    ask: Ask | None = None,
+    announce: Callable[[str], None] = lambda url: None,
+    notice: Notice = unheard,
+    progress: Progress | None = None,
+) -> DisplayReport:
+    """Measure a display by methods of the Information Display Measurements Standard, each figure with its uncertainty.
+
+    Examples:
+        >>> import radiometer as rm
+        >>> rm.screen_report("lcd.html", "lcd", methods=["white", "black"], warm_up_s=0)
+        <DisplayReport lcd: white 2... ± ... cd·m⁻², black ... (k = 2)>
+
+    Args:
+        out: Page to write; none by default.
+        display: "browser", or a simulated one: "lcd", "pwm_lcd", "oled".
+        name: Name of the screen; the display's by default.
+        methods: Methods by name; all that the geometry has by default.
+        geometry: "direct", "viewing_angle" or "near_eye".
+        angles: Angles from the normal in degrees; the geometry's by default.
+        points: Places of the uniformity: 9, 13 or 25.
+        checkers: Columns and rows of the checkerboard, an even number of fields.
+        levels: Greys of the gamma: a count such as "17", or a list such as "0,64,128,255".
+        area: Where the camera sees the whole screen; all of a simulated camera's picture by default.
+        warm_up_s: Longest wait for the screen to settle in s.
+        white: Spectrum assumed for grey.
+        primaries: Spectra of red, green and blue: a display type, or a CSV of them.
+        camera: Camera by id, serial number or address; a browser's page needs it, or a bench.
+        bench: Bench file; before a simulated display the simulated bench by default.
+        calibration: The camera's calibration; the bench's by default.
+        port: Port of the page; 0 for any free one.
+        seed: Seed of a simulated camera's noise.
+        ask: Asks a person to turn the screen and returns once it is done; needed for angles of a real screen.
+        announce: Called with the page's address.
+        notice: Gets warnings of the page.
+        progress: Called after every method.
+
+    Raises:
+        UsageError: If a method, geometry or number is unknown, or a real screen's area is not stated.
+        MeasurementError: If white clips or is hardly brighter than black.
+        DeviceError: If display or camera fails.
+        OutputError: If the page cannot be written.
+    """
+    known = geometry_of(geometry)
+    turned = tuple(known.angles_deg if angles is None else angles)
+    chosen = chosen_methods(methods, turned=bool(turned))
+    _refuse(points, checkers, turned)
+    if display not in SIMULATED_DISPLAYS and area is None:
+        raise UsageError("where does the camera see the whole screen? Say --area X,Y,W,H in pixels of its picture")
+    greys = parse_levels(levels)
+    if "viewing_angle" in chosen and display not in SIMULATED_DISPLAYS and ask is None:
+        raise UsageError("a real screen is turned by hand: run this at a terminal, or leave viewing_angle out")
+    stated = primaries if primaries or display not in SIMULATED_DISPLAYS else primaries_of(display, PRIMARIES, None)
+    lamps = lights(white, stated)
+    with opened_screen(
+        display, bench, camera, calibration, as_patch(area), port, announce, seed=seed, simulated_size=_SIMULATED_SIZE
+    ) as opened:
+        size = opened.instrument.camera.capabilities
+        where = as_patch(area) or Patch(0, 0, size.width, size.height)
+        doubts = _conditions(opened, known, where, white, stated)
+        examined = Examined(opened, where, known, lamps, opened.turn or _by_hand(ask), points, checkers, greys, turned)
+        found = examine(
+            examined, chosen, warm_up_limit_s=warm_up_s, waiting=warming(progress),
+            progress=_advance(progress),
+        )  # fmt: skip
+        warn_of_page(opened.display, notice)
+    report = DisplayReport(name or display, known, doubts, found, utc_now())
+    if out is not None:
+        report.write_report(out)
+    return report
+
+
+def _refuse(points: int, checkers: tuple[int, int], angles: Sequence[float]) -> None:
+    if points not in POINTS:
+        raise UsageError(f"--points {points}: choose {', '.join(map(str, POINTS))}")
+    if min(checkers) < 1 or max(checkers) > 16 or checkers[0] * checkers[1] % 2:
+        raise UsageError(f"--checkers {checkers[0]}x{checkers[1]}: 1 to 16 columns and rows, an even number of fields")
+    for angle in angles:
+        if not abs(angle) <= 80.0:
+            raise UsageError(f"--angles {angle:g}: at most 80° from the normal")
+
+
+def _advance(progress: Progress | None) -> Callable[[int, int, str], None]:
+    shown = counted(progress, "methods of the report")
+    return lambda done, total, _name: shown(done, total)
+
+
+def _by_hand(ask: Ask | None) -> Callable[[float], None]:
+    def turn(angle_deg: float) -> None:
+        if ask is not None:
+            ask(f"turn the screen to {angle_deg:g}° from its normal")
+
+    return turn
+
+
+def _conditions(
+    opened: ScreenBench, geometry: Geometry, area: Patch, white: str, primaries: str | None
+) -> tuple[str, ...]:
+    """Return what all methods share, and what of the geometry is in doubt."""
+    camera, lens, known = opened.instrument.camera, opened.instrument.lens, opened.instrument.calibration
+    model = " ".join(word for word in (camera.identity.vendor, camera.identity.model, camera.identity.serial) if word)
+    scale = "none: values are relative" if known is None else f"{known.scale.reference or 'as stated'}, {known.created}"
+    lines = [
+        f"geometry {geometry.name}",
+        *geometry.conditions,
+        f"camera {model}; calibration: {scale}",
+        f"the screen fills {area.width} × {area.height} pixels at {area.x},{area.y} of the camera's picture",
+        f"luminance assumes the spectrum {white} for grey" + (f", {primaries} for the primaries" if primaries else ""),
+        "light of the room is in every figure; the room is assumed dark",
+    ]
+    if lens.focal_length_mm and lens.f_number:
+        pupil_mm = lens.focal_length_mm / lens.f_number
+        lines.append(f"entrance pupil of the lens {pupil_mm:.2g} mm")
+        if geometry.pupil_mm is not None and not geometry.pupil_mm[0] <= pupil_mm <= geometry.pupil_mm[1]:
+            low, high = geometry.pupil_mm
+            lines.append(f"doubt: {geometry.name} needs an entrance pupil of {low:g} to {high:g} mm, as an eye has")
+    elif geometry.pupil_mm is not None:
+        lines.append("doubt: focal length or f-number of the lens is unknown, so the entrance pupil is as well")
+    return tuple(lines)

@@ -1,0 +1,129 @@
+"""Table of a light engine: channel, drive and light, as one value or as a spectrum, at every drive tested."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+
+from radiometer.data.reader_limits import bounded_reader
+from radiometer.data.text_table import TextTable, read_export, read_table
+from radiometer.errors import InputError
+from radiometer.typing import Array
+
+_CHANNELS: Final = ("primary", "channel", "led", "primaries", "colour", "color")
+_DRIVES: Final = ("setting", "drive", "level", "duty", "current_ma", "current", "dac", "input")
+_LIGHTS: Final = ("light", "radiance", "luminance", "irradiance", "illuminance", "flux", "power", "reading", "counts",
+                  "signal", "lux", "cd_m2")  # fmt: skip
+_NEEDS: Final = "a drive (setting, level), the light (one column, or one per wavelength in nm) and perhaps a channel"
+_WAVELENGTH: Final = re.compile(r"([,;\t]\s*)(\d+(?:\.\d+)?)(?=\s*(?:[,;\t\r]|$))")
+_WAVELENGTHS_NM: Final = (150.0, 3000.0)  # headings that are numbers within it are wavelengths
+_FEWEST_BANDS: Final = 5  # fewer numbers as headings are no spectrum
+_FEWEST: Final = 6  # drives above 0 of a channel: a law of three parameters and some residuals
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ChannelDrive:
+    """One channel: drive over the largest of the table, light, and what the meter's range follows; shape (n,)."""
+
+    name: str
+    drive: Array
+    light: Array
+    reading: Array
+
+
+@dataclass(frozen=True, slots=True)
+class DriveTable:
+    """Channels of a light engine, and how the table was read."""
+
+    channels: tuple[ChannelDrive, ...]
+    taken: tuple[str, ...]
+
+
+def is_drive_table(path: Path) -> bool:
+    """Return whether a CSV has a column of drives and one or more of light. Raises InputError if it is no table."""
+    return _columns(_table(path)) is not None
+
+
+@bounded_reader(error=InputError)
+def read_drive_table(path: Path) -> DriveTable:
+    """Return the channels of a table.
+
+    Light at drive 0, where the table has it, is taken off. The reading that a meter's range follows is the light, or
+    the largest value of a spectrum.
+
+    Args:
+        path: CSV with a heading.
+
+    Raises:
+        InputError: If a column is missing, a value is no number, or a channel has fewer than six lit drives.
+    """
+    table = _table(path)
+    columns = _columns(table)
+    if columns is None:
+        shown = f"its columns are {', '.join(table.header[:6])}" if table.header else "no line names its columns"
+        raise InputError(f"{path}: {shown}; it needs {_NEEDS}")
+    channel, drive, lights = columns
+    names = [row[channel].strip() if channel is not None else "light" for _, row in table.rows]
+    settings = np.array([_number(table, line, row, drive) for line, row in table.rows])
+    values = np.array([[_number(table, line, row, at) for at in lights] for line, row in table.rows])
+    top = float(settings.max())
+    if settings.min() < 0.0 or top <= 0.0:
+        raise InputError(f"{path}: drives go from {settings.min():g} to {top:g}; expected 0 and above")
+    found = tuple(_channel(path, one, names, settings / top, values) for one in dict.fromkeys(names))
+    kind = f"sum of {len(lights)} wavelengths" if len(lights) > 1 else f"column {table.header[lights[0]]!r}"
+    taken = (f"light: {kind}", f"drive: column {table.header[drive]!r} over its largest value {top:g}")
+    return DriveTable(found, taken)
+
+
+def _table(path: Path) -> TextTable:
+    """Return a table; its wavelengths, which are numbers, count as names of columns."""
+    first, end, rest = read_export(path).partition("\n")
+    if first[:1].isalpha():
+        first = _WAVELENGTH.sub(r"\1nm\2", first)
+    return read_table(path, _NEEDS, first + end + rest)
+
+
+def _channel(path: Path, name: str, names: Sequence[str], drive: Array, values: Array) -> ChannelDrive:
+    own = np.array([one == name for one in names])
+    dark, lit = own & (drive == 0.0), own & (drive > 0.0)
+    if int(lit.sum()) < _FEWEST:
+        raise InputError(f"{path}: channel {name} has {int(lit.sum())} drives above 0; measure {_FEWEST} or more")
+    net = values[lit] - (values[dark].mean(axis=0) if dark.any() else 0.0)
+    order = np.argsort(drive[lit], kind="stable")
+    light = net.sum(axis=1)[order]
+    return ChannelDrive(name, drive[lit][order], light, net.max(axis=1)[order])
+
+
+def _number(table: TextTable, line: int, row: Sequence[str], at: int) -> float:
+    try:
+        value = float(row[at])
+    except ValueError as error:
+        raise InputError(f"{table.where(line)}: {table.header[at]} is {row[at][:20]!r}, not a number") from error
+    if not np.isfinite(value):
+        raise InputError(f"{table.where(line)}: {table.header[at]} is {row[at][:20]!r}, not a finite number")
+    return value
+
+
+def _columns(table: TextTable) -> tuple[int | None, int, tuple[int, ...]] | None:
+    """Return the columns of channel, drive and light; None where the last two are not there."""
+    drive = table.find(_DRIVES)
+    if drive is None:
+        return None
+    bands = tuple(n for n, name in enumerate(table.header) if n != drive and _is_wavelength(name))
+    if len(bands) >= _FEWEST_BANDS:
+        return table.find(_CHANNELS), drive, bands
+    light = next((n for n, name in enumerate(table.plain) if n != drive and name.startswith(_LIGHTS)), None)
+    return None if light is None else (table.find(_CHANNELS), drive, (light,))
+
+
+def _is_wavelength(name: str) -> bool:
+    try:
+        value = float(name.lower().removeprefix("nm").removesuffix("nm"))
+    except ValueError:
+        return False
+    return _WAVELENGTHS_NM[0] <= value <= _WAVELENGTHS_NM[1]

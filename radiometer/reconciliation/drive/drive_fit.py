@@ -1,0 +1,317 @@
+"""Reconciles a table of light over drive with proportional channels: a LED that droops, a meter whose ranges step.
+
+ln(light/drive) of each channel is constant where its light is proportional. A LED makes it a smooth curve of the
+channel's drive. A meter that changes its range makes it jump where the reading passes a threshold, in all channels at
+one reading and by one ratio. Both are fitted by least squares. Every name must predict drives held out better.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from scipy.ndimage import uniform_filter1d
+
+from radiometer.data.storage import write_text_atomic, write_yaml_atomic
+from radiometer.importing.drive_table import ChannelDrive, DriveTable, read_drive_table
+from radiometer.numbers import with_u
+from radiometer.reconciliation.result import FittedParameter, FoundEffect, Limit, ReconcileResult, Verdict
+from radiometer.reconciliation.thresholds import NAMED_NATS
+from radiometer.reporting.page import listed, page, section, table
+from radiometer.statistics.drive_law import LEAST_DRIVE, DriveLaw, columns_of, fit_drive_law
+from radiometer.typing import Array
+
+GAP_UNIT: Final = "reduced chi-square on held-out drives"
+DROOP, STEP = "led_droop", "meter_range_step"
+_FOLDS: Final = 5  # every fifth drive is held out: neighbours of it stay
+_MOST_STEPS: Final = 3  # ranges of a meter within one table
+_FEWEST_BESIDE: Final = 4  # readings on each side of a step: fewer fit any jump
+_LEAST_DEVIATION: Final = 0.005  # a law that moves half drive by less is no finding to act upon
+_NEIGHBOURS: Final = 12  # readings that give the noise at one of them to a fifth
+_SIGMAS: Final = 3.0
+_FLOOR: Final = 1e-6  # relative noise of a table without any
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Data:
+    """All channels in one: ln(light/drive), drive, reading and number of the channel, shape (n,)."""
+
+    target: Array
+    drive: Array
+    reading: Array
+    channel: Array
+
+    @property
+    def channels(self) -> int:
+        """Return the number of channels."""
+        return int(self.channel.max()) + 1
+
+    def per_channel(self, columns: Array) -> Array:
+        """Return columns of each channel, 0 in the others, shape (n, channels·columns)."""
+        own = self.channel[:, None] == np.arange(self.channels)[None, :]
+        return np.asarray((own[:, :, None] * columns[:, None, :]).reshape(self.target.size, -1))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class DriveFit:
+    """The outcome for a table; write_model, write_report and write_plan are those of every reconciled source."""
+
+    result: ReconcileResult
+    data: DriveTable
+    laws: dict[str, DriveLaw | None]
+    origin: str
+
+    def write_model(self, path: Path, *, provisional: bool = False) -> str:
+        """Write the laws and what was found; a light engine is no camera."""
+        effects = [
+            {"name": one.name, "enabled": True, "parameters": {n: p.value for n, p in one.parameters.items()}}
+            for one in self.result.effects
+        ]
+        laws = {name: None if one is None else one.to_mapping() for name, one in self.laws.items()}
+        write_yaml_atomic(path, {"format": "radiometer-light-engine/1", "drive_laws": laws, "effects": effects})
+        return str(path)
+
+    def write_report(self, path: Path) -> str:
+        """Write the laws of all channels and what was found as HTML."""
+        rows = [
+            (name, *("–",) * 4)
+            if one is None
+            else (
+                name,
+                with_u(one.exponent, 2 * one.u_exponent),
+                with_u(one.droop, 2 * one.u_droop),
+                with_u(100 * one.deviation_rel, 200 * one.u_deviation_rel, "%"),
+                f"{100 * one.misfit_rel:.2g} %",
+            )
+            for name, one in self.laws.items()
+        ]
+        head = ("channel", "exponent", "droop", "deviation at half drive", "misfit (rms)")
+        found = [
+            f"{one.name}: "
+            + ", ".join(f"{n} {with_u(p.value, 2 * (p.u or 0.0), p.unit)}" for n, p in one.parameters.items())
+            for one in self.result.effects
+        ]
+        parts = [
+            section("What was found", listed(found)),
+            section("Laws of the channels, k = 2", table(head, rows)),
+            section("Assumptions", listed([*self.data.taken, *self.result.assumptions])),
+        ]
+        write_text_atomic(path, page(self.origin, str(self.result.verdict), parts, kind="light engine"))
+        return str(path)
+
+    def write_plan(self, path: Path) -> bool:
+        """Write nothing: the next readings are of a meter, not of a camera."""
+        return False
+
+
+def reconcile_drive_table(path: Path) -> DriveFit:
+    """Return what makes the light of a table other than proportional to its drive.
+
+    Raises:
+        InputError: If the table cannot be read.
+    """
+    begun = time.monotonic()
+    known = read_drive_table(path)
+    laws = {one.name: fit_drive_law(one.drive, one.light) for one in known.channels}
+    data = _pooled(known.channels)
+    steps = _range_steps(data)
+    effects, gaps = _named(data, steps)
+    result = ReconcileResult(
+        verdict=_verdict(effects),
+        effects=effects,
+        gap_before=gaps[0],
+        gap_after=gaps[-1],
+        limits=_limits(data, effects),
+        captures=int(data.target.size),
+        assumptions=(
+            *known.taken,
+            f"drives below {100 * LEAST_DRIVE:g} % of full are left out: a LED's onset and noise decide there",
+            "relative noise of each channel is the same at all its drives",
+        ),
+        seconds=time.monotonic() - begun,
+        gap_unit=GAP_UNIT,
+        extra={"drive_laws": {name: None if one is None else one.to_mapping() for name, one in laws.items()}},
+    )
+    return DriveFit(result, known, laws, path.name)
+
+
+def _pooled(channels: Sequence[ChannelDrive]) -> _Data:
+    parts = [(one.drive >= LEAST_DRIVE) & (one.light > 0.0) for one in channels]
+    return _Data(
+        np.concatenate([np.log(c.light[k] / c.drive[k]) for c, k in zip(channels, parts, strict=True)]),
+        np.concatenate([c.drive[k] for c, k in zip(channels, parts, strict=True)]),
+        np.concatenate([c.reading[k] for c, k in zip(channels, parts, strict=True)]),
+        np.concatenate([np.full(int(k.sum()), n) for n, k in enumerate(parts)]),
+    )
+
+
+def _smooth(data: _Data) -> Array:
+    """Return the columns of a smooth law of each channel, freer than a LED's: no bend of a LED counts as a step."""
+    d = data.drive
+    return data.per_channel(np.column_stack([columns_of(d), d**2, d**3]))
+
+
+def _rss(data: _Data, design: Array) -> tuple[Array, Array]:
+    """Return the residual sum of squares and the number of readings of each channel."""
+    found = np.linalg.lstsq(design, data.target, rcond=None)[0]
+    residual = (data.target - design @ found) ** 2
+    sums = np.array([float(residual[data.channel == n].sum()) for n in range(data.channels)])
+    counts = np.array([int(np.sum(data.channel == n)) for n in range(data.channels)])
+    return np.maximum(sums, counts * _FLOOR**2), counts
+
+
+def _gain(data: _Data, before: Array, after: Array) -> float:
+    """Return the gain in log likelihood by further columns, each channel's noise unknown."""
+    (old, counts), (new, _) = _rss(data, before), _rss(data, after)
+    return float(np.sum(0.5 * counts * np.log(old / new)))
+
+
+def _range_steps(data: _Data) -> tuple[float, ...]:
+    """Return the readings at which the meter's range steps, none where no step is beyond chance."""
+    thresholds, found = np.unique(data.reading), list[float]()
+    design = _smooth(data)
+    for _ in range(_MOST_STEPS):
+        best, gain = None, 0.0
+        for low, high in pairwise(thresholds.tolist()):
+            edge = math.sqrt(low * high) if low > 0.0 else 0.5 * (low + high)
+            above = data.reading > edge
+            if min(int(above.sum()), int((~above).sum())) < _FEWEST_BESIDE:
+                continue
+            more = _gain(data, design, np.column_stack([design, above]))
+            if more > gain:
+                best, gain = edge, more
+        # Two parameters cost ln(n)/2 each (Schwarz 1978); the threshold was chosen among all readings.
+        price = math.log(data.target.size) + math.log(max(1, thresholds.size)) + NAMED_NATS
+        if best is None or gain < price:
+            break
+        stepped = np.column_stack([design, data.reading > best])
+        if _gain_by_place(data, design, stepped) < price:
+            break  # scatter that grows towards low readings, no jump
+        found.append(best)
+        design = stepped
+    return tuple(sorted(found))
+
+
+def _gain_by_place(data: _Data, before: Array, after: Array) -> float:
+    """Return the gain in log likelihood with noise as it is at each reading: among its neighbours in reading."""
+    old, new = (data.target - one @ np.linalg.lstsq(one, data.target, rcond=None)[0] for one in (before, after))
+    order = np.argsort(data.reading, kind="stable")
+    width = max(_NEIGHBOURS, data.target.size // 10)
+    variance = np.empty(data.target.size)
+    variance[order] = uniform_filter1d(new[order] ** 2, width, mode="nearest")
+    return float(0.5 * np.sum((old**2 - new**2) / np.maximum(variance, _FLOOR**2)))
+
+
+def _named(data: _Data, steps: tuple[float, ...]) -> tuple[tuple[FoundEffect, ...], tuple[float, ...]]:
+    """Return the effects in the order of their gain, and the held-out gap before and after each."""
+    flat = data.per_channel(np.ones((data.target.size, 1)))
+    law = data.per_channel(columns_of(data.drive))
+    jumps = np.column_stack([data.reading > edge for edge in steps]).astype(float) if steps else None
+
+    def joined(base: Array, *, stepped: bool) -> Array:
+        return np.column_stack([base, jumps]) if stepped and jumps is not None else base
+
+    sigma = _sigma(data, joined(_smooth(data), stepped=True))
+    gaps = [_held_out(data, flat, sigma)]
+    effects = []
+    with_steps = joined(flat, stepped=True)
+    if jumps is not None:
+        gaps.append(_held_out(data, with_steps, sigma))
+        effects.append(_step_effect(data, steps, joined(_smooth(data), stepped=True), sigma, (gaps[-2], gaps[-1])))
+    drooping = _drooping(data, joined(law, stepped=True), sigma)
+    curved = joined(law, stepped=True)
+    gain = _gain(data, with_steps, curved)
+    price = data.channels * math.log(max(2, data.target.size / data.channels)) + NAMED_NATS
+    if drooping and gain > price and (after := _held_out(data, curved, sigma)) < gaps[-1]:
+        size, u, count = drooping
+        share = {
+            "deviation_at_half_drive": FittedParameter(size, u, "1"),
+            "channels": FittedParameter(float(count), None, "1"),
+        }
+        effects.append(FoundEffect(DROOP, share, "drive", gaps[-1], after, gain_nats=gain, block="mean"))
+        gaps.append(after)
+    elif gain > price:
+        after = _held_out(data, curved, sigma)
+        if after < gaps[-1]:
+            effects.append(FoundEffect("unnamed", {}, "drive", gaps[-1], after, gain_nats=gain, block="mean"))
+            gaps.append(after)
+    return tuple(effects), tuple(gaps)
+
+
+def _drooping(data: _Data, design: Array, sigma: Array) -> tuple[float, float, int] | None:
+    """Return deviation at half drive of the channel that droops most, its u, and how many do; None where none does."""
+    weights = 1.0 / sigma[data.channel]
+    found = np.linalg.lstsq(design * weights[:, None], data.target * weights, rcond=None)[0]
+    spread = np.linalg.pinv((design * weights[:, None]).T @ (design * weights[:, None]))
+    half, seen = np.array([0.0, -math.log(2.0), 0.5]), []
+    for n in range(data.channels):
+        own = slice(3 * n, 3 * n + 3)
+        logarithm, u = float(half @ found[own]), math.sqrt(float(half @ spread[own, own] @ half))
+        if logarithm > max(_SIGMAS * u, _LEAST_DEVIATION):
+            seen.append((math.expm1(logarithm), math.exp(logarithm) * u))
+    return (*max(seen), len(seen)) if seen else None
+
+
+def _step_effect(
+    data: _Data, steps: tuple[float, ...], design: Array, sigma: Array, gaps: tuple[float, float]
+) -> FoundEffect:
+    weights = 1.0 / sigma[data.channel]
+    found = np.linalg.lstsq(design * weights[:, None], data.target * weights, rcond=None)[0][-len(steps) :]
+    spread = np.linalg.pinv((design * weights[:, None]).T @ (design * weights[:, None]))[-len(steps) :, -len(steps) :]
+    parameters: dict[str, FittedParameter] = {}
+    for n, (edge, size) in enumerate(zip(steps, found.tolist(), strict=True), 1):
+        tail = "" if len(steps) == 1 else f"_{n}"
+        below, above = data.reading[data.reading <= edge].max(), data.reading[data.reading > edge].min()
+        parameters[f"ratio{tail}"] = FittedParameter(
+            math.exp(size), math.exp(size) * math.sqrt(spread[n - 1, n - 1]), "1"
+        )
+        # The threshold is anywhere between two readings: a rectangle.
+        parameters[f"reading{tail}"] = FittedParameter(edge, float(above - below) / math.sqrt(12.0), "reading")
+    gain = _gain(data, _smooth(data), design)
+    return FoundEffect(STEP, parameters, "reading", *gaps, gain_nats=gain, block="mean")
+
+
+def _sigma(data: _Data, design: Array) -> Array:
+    """Return the relative noise of each channel about the freest model."""
+    sums, counts = _rss(data, design)
+    freedom = np.maximum(1.0, counts - design.shape[1] / data.channels)
+    return np.asarray(np.maximum(np.sqrt(sums / freedom), _FLOOR))
+
+
+def _held_out(data: _Data, design: Array, sigma: Array) -> float:
+    """Return the reduced chi-square of drives predicted from the others."""
+    total, place = 0.0, np.arange(data.target.size)
+    for fold in range(_FOLDS):
+        out = place % _FOLDS == fold
+        weights = (1.0 / sigma[data.channel])[~out]
+        found = np.linalg.lstsq(design[~out] * weights[:, None], data.target[~out] * weights, rcond=None)[0]
+        total += float(np.sum(((data.target[out] - design[out] @ found) / sigma[data.channel[out]]) ** 2))
+    return total / data.target.size
+
+
+def _limits(data: _Data, effects: Sequence[FoundEffect]) -> dict[str, Limit]:
+    """Return what would have shown at 5 sigma of what was not found."""
+    named = {one.name for one in effects}
+    sigma = float(np.median(_sigma(data, _smooth(data))))
+    per_channel = data.target.size / data.channels
+    known: dict[str, Any] = {}
+    if DROOP not in named:
+        known[DROOP] = Limit(5.0 * sigma * 2.0 / math.sqrt(per_channel), "deviation_at_half_drive", "1")
+    if STEP not in named:
+        known[STEP] = Limit(5.0 * sigma * 2.0 / math.sqrt(data.target.size), "ratio", "1")
+    return known
+
+
+def _verdict(effects: Sequence[FoundEffect]) -> Verdict:
+    names = {one.name for one in effects}
+    if not names:
+        return Verdict.AGREES
+    if names == {"unnamed"}:
+        return Verdict.UNNAMED
+    return Verdict.INCOMPLETE if "unnamed" in names else Verdict.EFFECTS_FOUND

@@ -1,0 +1,157 @@
+"""Figures of a display report: quantities derived from readings, sections, and what every method works with."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Final, Literal, Protocol
+
+import numpy as np
+
+from radiometer.analysis.reading.budget import propagated_u
+from radiometer.data import Flag, Patch, Quantity, RadianceMap, Reading
+from radiometer.devices import DisplayPatch
+from radiometer.errors import MeasurementError
+from radiometer.numbers import upper_limit
+from radiometer.screen.calibration_run import Instrumented
+from radiometer.screen.report.geometry import CENTRE, Geometry, field_at
+from radiometer.screen.run import Light
+from radiometer.typing import Array
+
+WHITE: Final = DisplayPatch((1.0, 1.0, 1.0))
+BLACK: Final = DisplayPatch((0.0, 0.0, 0.0))
+Bound = Literal["", "above", "below"]
+
+
+class ReportBench(Instrumented, Protocol):
+    """A display with a camera that reads places of it and takes its picture."""
+
+    def readings(self, places: Sequence[Patch]) -> list[Reading]:
+        """Return the radiance of places, all from the same frames. Raises DeviceError, MeasurementError."""
+
+    def map_of(self, area: Patch) -> RadianceMap:
+        """Return the radiance of every pixel of an area. Raises DeviceError, MeasurementError."""
+
+
+@dataclass(frozen=True, slots=True)
+class Figure:
+    """One result of a method; a bound is what the true value is above or below with 95 %."""
+
+    name: str
+    quantity: Quantity
+    bound: Bound = ""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Section:
+    """Results of one method.
+
+    Attributes:
+        method: Its name in commands and files.
+        title: Its name in the IDMS.
+        conditions: What was shown and how it was measured, a sentence each.
+        figures: Its results.
+        columns: Headings of its table.
+        rows: Cells of its table.
+        notes: What limits the results, a sentence each.
+        picture: Values over the screen, shape (height, width); None for none.
+    """
+
+    method: str
+    title: str
+    conditions: tuple[str, ...]
+    figures: tuple[Figure, ...]
+    columns: tuple[str, ...] = ()
+    rows: tuple[tuple[str | float | Quantity, ...], ...] = ()
+    notes: tuple[str, ...] = ()
+    picture: Array | None = None
+
+    def figure(self, name: str) -> Figure:
+        """Return a figure by name. Raises KeyError."""
+        return {one.name: one for one in self.figures}[name]
+
+
+@dataclass(frozen=True, slots=True)
+class Examined:
+    """A display before its camera, and how it is to be measured."""
+
+    bench: ReportBench
+    area: Patch  # where the camera sees the whole screen
+    geometry: Geometry
+    lights: Mapping[str, Light]  # light of every channel whose spectrum is known
+    turn: Callable[[float], None]  # turns the screen to an angle in degrees from its normal
+    points: int = 13
+    checkers: tuple[int, int] = (4, 4)
+    levels: tuple[int, ...] = ()
+    angles_deg: tuple[float, ...] = ()
+    unsettled_rel: float = 0.0  # standard uncertainty of the display's output between two readings
+
+    def shown(self, patch: DisplayPatch, places: Sequence[tuple[float, float]] = (CENTRE,)) -> list[Reading]:
+        """Show a patch and return the readings of places.
+
+        Raises:
+            DeviceError: If display or camera fail.
+            MeasurementError: If a reading clips.
+        """
+        self.bench.display.show(patch)
+        found = self.bench.readings([field_at(self.area, place) for place in places])
+        if any(Flag.SATURATED in one.flags for one in found):
+            raise MeasurementError(
+                "the screen clips even at the shortest exposure; close the aperture or use a grey filter"
+            )
+        return found
+
+    def luminance(self, radiance: Quantity, channel: str = "grey") -> Quantity:
+        """Return the luminance in cd·m⁻² of a radiance in a channel's light."""
+        factor = self.lights[channel].photopic_lm_per_w
+        return Quantity(radiance.value * factor, radiance.u * factor, "cd m-2")
+
+
+def derived(
+    readings: Sequence[Reading], of: Callable[[Array], float], unit: str = "1", drift_rel: float = 0.0
+) -> Quantity:
+    """Return a quantity that follows from readings of one calibration, with its standard uncertainty.
+
+    Args:
+        readings: The readings.
+        of: The quantity as a function of their radiances.
+        unit: Its unit.
+        drift_rel: Relative standard uncertainty of the display's output from one reading to the next.
+    """
+    values = np.array([one.radiance.value for one in readings])
+    own_u = np.array([one.radiance.u for one in readings])
+    # A thousandth of u: small against any bend within u, large against rounding.
+    steps = np.maximum(1e-3 * own_u, 1e-9 * np.abs(values).max())
+    gradient = np.zeros_like(values)
+    for i, step in enumerate(steps):
+        moved = np.zeros_like(values)
+        moved[i] = step
+        gradient[i] = (of(values + moved) - of(values - moved)) / (2 * step)
+    u = np.hypot(propagated_u(readings, gradient), float(np.linalg.norm(gradient * values)) * drift_rel)
+    return Quantity(float(of(values)), float(u), unit)
+
+
+def contrast_of(bright: Sequence[Reading], dark: Sequence[Reading], name: str, drift_rel: float = 0.0) -> Figure:
+    """Return the ratio of two means; a lower bound where the dark one does not rise above its uncertainty.
+
+    Args:
+        bright: Readings of white.
+        dark: Readings of black.
+        name: Name of the figure.
+        drift_rel: Relative standard uncertainty of the display's output from white to black.
+    """
+    count = len(bright)
+
+    def mean(values: Array) -> float:
+        return float(values.mean())
+
+    black = derived(dark, mean, dark[0].radiance.unit)
+    if black.value < 3.0 * black.u:  # three standard deviations of the blank: IUPAC's limit of detection
+        white = derived(bright, mean, bright[0].radiance.unit)
+        limit = upper_limit(black.value, black.u)
+        lowest = max(white.value - 2.0 * white.u, 0.0) / limit
+        return Figure(name, Quantity(lowest, float("nan"), "1"), "above")
+    ratio = derived([*bright, *dark], lambda v: mean(v[:count]) / mean(v[count:]))
+    # All readings of white are of one moment, all of black of another.
+    return Figure(name, Quantity(ratio.value, math.hypot(ratio.u, ratio.value * drift_rel), "1"))

@@ -1,0 +1,366 @@
+"""Methods of a display report, named as the Information Display Measurements Standard (IDMS, SID) names them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from functools import partial
+from types import MappingProxyType
+from typing import Final
+
+import numpy as np
+from scipy.optimize import curve_fit
+from scipy.special import ndtri
+
+from radiometer.data import Quantity, Reading
+from radiometer.devices import DisplayPatch
+from radiometer.numbers import upper_limit
+from radiometer.screen.checks import WarmUp
+from radiometer.screen.meter import ScreenReading
+from radiometer.screen.report.figures import BLACK, WHITE, Examined, Figure, Section, contrast_of, derived
+from radiometer.screen.report.geometry import CENTRE, FIELD_SHARE, POINTS
+from radiometer.screen.report.mura import COARSE_SHARE, FINE_SHARE, mura_of
+from radiometer.typing import Array
+
+_FIELD: Final = f"measuring field {100 * FIELD_SHARE:g} % of the screen's height"
+_TOP: Final = 255  # highest of the 8-bit levels that patches are made of
+_STEEP: Final = 0.9  # of the drive: above it the logarithm that a local gamma is divided by is nearly 0
+_LIMITS: Final = (0.05, 0.01)  # warm-up is over within 5 % of the final luminance (IDMS), or within 1 %
+_PRIMARIES: Final[Mapping[str, DisplayPatch]] = MappingProxyType(
+    {
+        "red": DisplayPatch((1.0, 0.0, 0.0)),
+        "green": DisplayPatch((0.0, 1.0, 0.0)),
+        "blue": DisplayPatch((0.0, 0.0, 1.0)),
+    }
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Method:
+    """A method by its name in commands, its title in the IDMS, and what measures it."""
+
+    name: str
+    title: str
+    measure: Callable[[Examined], Section]
+
+
+def warm_up_section(watched: list[ScreenReading], outcome: WarmUp, examined: Examined) -> Section:
+    """Return the warm-up that was watched before all other methods.
+
+    L(t) = L_end·(1 + a·e^(−t/τ)) is fitted where readings and their scatter allow it.
+
+    Args:
+        watched: Readings of white while it was waited for.
+        outcome: Whether it became steady.
+        examined: The display.
+    """
+    times = np.array([one.time_s - watched[0].time_s for one in watched])
+    values = np.array([one.radiance for one in watched])
+    own_u = np.array([one.u_independent for one in watched])
+    excess, figures, notes = values[0] / values[-1] - 1.0, [], list[str]()
+    u_excess = math.hypot(own_u[0] / values[0], own_u[-1] / values[-1])
+    fitted = _relaxation(times, values, own_u) if abs(excess) > 3.0 * u_excess else None
+    if fitted is not None:
+        figures.append(Figure("excess_at_start", fitted[0]))
+        figures += _times(*fitted)
+    else:
+        figures.append(Figure("excess_at_start", Quantity(float(excess), u_excess, "1")))
+        notes.append("the change is too small, or was watched for too short, for the time constant")
+    figures.append(Figure("drift_at_end", Quantity(outcome.drift_rel, u_excess, "1")))
+    if not outcome.steady:
+        notes.append("still drifting when the time was up: later figures hold this drift in their uncertainty")
+    rows = tuple(
+        (f"{t:.0f} s", examined.luminance(Quantity(v, u, "")))
+        for t, v, u in zip(times.tolist(), values.tolist(), own_u.tolist(), strict=True)
+    )
+    conditions = ("full-screen white from the moment the display was taken", _FIELD)
+    return Section(
+        "warm_up", "Warm-up time", conditions, tuple(figures), ("time", "luminance (cd·m⁻²)"), rows, tuple(notes)
+    )
+
+
+def _relaxation(times: Array, values: Array, own_u: Array) -> tuple[Quantity, Quantity, float] | None:
+    """Return amplitude, time constant in s and their covariance; None where the data do not hold them."""
+    if times.size < 4:
+        return None
+    start = (float(values[-1]), float(values[0] / values[-1] - 1.0), float(times[-1]) / 2.0)
+
+    def law(t: Array, end: float, size: float, tau: float) -> Array:
+        return np.asarray(end * (1.0 + size * np.exp(-t / tau)))
+
+    try:
+        found, spread = curve_fit(law, times, values, start, np.maximum(own_u, 1e-9 * values), absolute_sigma=True)
+    except RuntimeError:  # no convergence: the change is no single exponential
+        return None
+    gap = (values - law(times, *found)) / np.maximum(own_u, 1e-9 * values)
+    spread = spread * max(1.0, float(np.sum(gap**2)) / (times.size - 3))
+    u_size, u_tau = (float(np.sqrt(spread[i, i])) for i in (1, 2))
+    if found[2] <= 0.0 or u_tau > 0.5 * found[2]:
+        return None
+    return Quantity(float(found[1]), u_size, "1"), Quantity(float(found[2]), u_tau, "s"), float(spread[1, 2])
+
+
+def _times(size: Quantity, tau: Quantity, shared: float) -> list[Figure]:
+    """Return the time constant, and when luminance is within each limit of the final one: τ·ln(|a|/limit)."""
+    found = [Figure("time_constant", tau)]
+    for limit in _LIMITS:
+        name, ratio = f"warm_up_time_{100 * limit:g}_percent", abs(size.value) / limit
+        if ratio <= 1.0:
+            found.append(Figure(name, Quantity(0.0, 0.0, "s")))
+            continue
+        by_tau, by_size = math.log(ratio), tau.value / size.value
+        variance = (by_tau * tau.u) ** 2 + (by_size * size.u) ** 2 + 2.0 * by_tau * by_size * shared
+        found.append(Figure(name, Quantity(tau.value * by_tau, math.sqrt(max(variance, 0.0)), "s")))
+    return found
+
+
+def _white(examined: Examined) -> Section:
+    (reading,) = examined.shown(WHITE)
+    figures = (
+        Figure("luminance", examined.luminance(reading.radiance)),
+        Figure("radiance", reading.radiance),
+    )
+    return Section("white", "Full-screen white", ("full-screen white, centre", _FIELD), figures)
+
+
+def _black_figure(examined: Examined, reading: Reading) -> Figure:
+    black = examined.luminance(reading.radiance)
+    if black.value < 3.0 * black.u:
+        limit = upper_limit(black.value, black.u)
+        return Figure("luminance", Quantity(limit, float("nan"), black.unit), "below")
+    return Figure("luminance", black)
+
+
+def _black(examined: Examined) -> Section:
+    (reading,) = examined.shown(BLACK)
+    conditions = ("full-screen black, centre", _FIELD)
+    return Section("black", "Full-screen black", conditions, (_black_figure(examined, reading),))
+
+
+def _sequential(examined: Examined) -> Section:
+    white, black = examined.shown(WHITE), examined.shown(BLACK)
+    figure = contrast_of(white, black, "contrast", examined.unsettled_rel)
+    conditions = ("full-screen white, then full-screen black, centre", _FIELD)
+    return Section("sequential_contrast", "Sequential contrast", conditions, (figure,))
+
+
+def _checkerboard(examined: Examined) -> Section:
+    columns, rows = examined.checkers
+    fields = [(i, j) for j in range(rows) for i in range(columns)]
+    middles = {one: ((one[0] + 0.5) / columns, (one[1] + 0.5) / rows) for one in fields}
+    lit = [one for one in fields if sum(one) % 2 == 0]
+    dark = [one for one in fields if sum(one) % 2 == 1]
+    board = DisplayPatch((1.0, 1.0, 1.0), checkers=examined.checkers)
+    bright = examined.shown(board, [middles[one] for one in lit])
+    faint = examined.shown(board, [middles[one] for one in dark])
+    figure = contrast_of(bright, faint, "contrast", examined.unsettled_rel)
+    cells = tuple(
+        (f"column {i + 1}, row {j + 1}", kind, examined.luminance(reading.radiance))
+        for kind, places, readings in (("white", lit, bright), ("black", dark, faint))
+        for (i, j), reading in zip(places, readings, strict=True)
+    )
+    conditions = (
+        f"checkerboard of {columns} × {rows} fields; mean of the white over mean of the black fields' middles",
+        _FIELD,
+    )
+    notes = ("light that the lens scatters from white into black fields counts as far as the calibration states it",)
+    return Section(
+        "checkerboard_contrast",
+        f"Checkerboard luminance and contrast ({columns} × {rows}; ANSI contrast for 4 × 4)",
+        conditions,
+        (figure,),
+        ("field", "shown", "luminance (cd·m⁻²)"),
+        cells,
+        notes,
+    )
+
+
+def _gamma(examined: Examined) -> Section:
+    (black,), (white,) = examined.shown(BLACK), examined.shown(WHITE)
+    drives = np.array([level / _TOP for level in examined.levels if 0 < level < _TOP])
+    greys = [examined.shown(DisplayPatch((drive, drive, drive)))[0] for drive in drives.tolist()]
+    clear = [
+        one.radiance.value - black.radiance.value > 3.0 * math.hypot(one.radiance.u, black.radiance.u) for one in greys
+    ]
+    used = [one for one, kept in zip(greys, clear, strict=True) if kept]
+    logs = np.log(np.append(drives[clear], 1.0))
+    drift = examined.unsettled_rel
+
+    def above_black(values: Array) -> Array:
+        return np.asarray(np.log(np.maximum(values[1:] - values[0], 1e-300)))
+
+    readings = [black, *used, white]
+    exponent = derived(readings, lambda v: float(np.polyfit(logs, above_black(v), 1)[0]), drift_rel=drift)
+
+    def misfit(values: Array) -> float:
+        line = np.polyfit(logs, above_black(values), 1)
+        return float(np.sqrt(np.mean((above_black(values) - np.polyval(line, logs)) ** 2)))
+
+    rows = []
+    for drive, one, kept in zip(drives.tolist(), greys, clear, strict=True):
+        local: str | Quantity = "–"
+        if kept and drive <= _STEEP:
+            local = derived([black, one, white], partial(_local, drive=drive), drift_rel=drift)
+        rows.append((f"{round(drive * _TOP)}", examined.luminance(one.radiance), local))
+    notes = () if all(clear) else ("levels that do not rise above black by three standard uncertainties are left out",)
+    return Section(
+        "gamma",
+        "Gamma determination: log-log model fit",
+        (f"{len(drives)} greys, full screen, centre; slope of ln(L − L_black) over ln(level)", _FIELD),
+        (Figure("gamma", exponent), Figure("misfit_rms", derived(readings, misfit, drift_rel=drift))),
+        ("level", "luminance (cd·m⁻²)", "local gamma"),
+        tuple(rows),
+        notes,
+    )
+
+
+def _local(values: Array, drive: float) -> float:
+    """Return the exponent between a level and white: ln((L − L_black)/(L_white − L_black))/ln(drive)."""
+    share = max((values[1] - values[0]) / (values[2] - values[0]), 1e-300)
+    return float(math.log(share) / math.log(drive))
+
+
+def _primaries(examined: Examined) -> Section:
+    rows, figures, notes = [], [], []
+    for name, patch in (*_PRIMARIES.items(), ("white", WHITE)):
+        (reading,) = examined.shown(patch)
+        channel = "grey" if name == "white" else name
+        if channel not in examined.lights:
+            figures.append(Figure(f"{name}_radiance", reading.radiance))
+            continue
+        light = examined.luminance(reading.radiance, channel)
+        figures.append(Figure(f"{name}_luminance", light))
+        rows.append((name, reading.radiance, light, examined.lights[channel].spectrum))
+    if len(rows) == 1:
+        notes.append("luminances of the primaries need their spectra: --primaries")
+    notes.append("a grey camera does not see chromaticity: measure it with `radiometer colour`")
+    return Section(
+        "primaries",
+        "Full-screen primary colors and white",
+        ("full-screen red, green, blue and white, centre", _FIELD),
+        tuple(figures),
+        ("shown", "radiance (W·sr⁻¹·m⁻²)", "luminance (cd·m⁻²)", "spectrum assumed"),
+        tuple(rows),
+        tuple(notes),
+    )
+
+
+def _additivity(examined: Examined) -> Section:
+    readings = [examined.shown(one)[0] for one in (*_PRIMARIES.values(), WHITE, BLACK)]
+    # The black counts once in each of the three and once in white.
+    figure = derived(
+        readings, lambda v: float((v[:3].sum() - 3.0 * v[4]) / (v[3] - v[4]) - 1.0), drift_rel=examined.unsettled_rel
+    )
+    conditions = (
+        "full-screen red, green, blue, white and black, centre; radiance of the sum over white, less 1",
+        _FIELD,
+    )
+    notes = ("colours are compared in radiance, so no spectrum is assumed beyond the calibration's",)
+    return Section("additivity", "Color additivity", conditions, (Figure("additivity_error", figure),), notes=notes)
+
+
+def _uniformity(examined: Examined) -> Section:
+    places = POINTS[examined.points]
+    readings = examined.shown(WHITE, places)
+    values = np.array([one.radiance.value for one in readings])
+    own = np.array([math.sqrt(sum(c.u_rel**2 for c in one.budget if not c.correlated)) for one in readings]) * values
+    low, high = int(values.argmin()), int(values.argmax())
+    ratio = derived([readings[low], readings[high]], lambda v: float(v[0] / v[1]))
+    # Of n places that noise cannot part, the extreme is off by nothing where they differ, by the extreme of n draws of
+    # noise where they are equal. The middle of both is taken, as of a rectangle.
+    ties = [np.sum(np.abs(values - values[i]) < 2.0 * np.hypot(own, own[i])) for i in (low, high)]
+    off = sum(own[i] / values[i] * _extreme(int(n)) for i, n in zip((low, high), ties, strict=True)) / 2.0
+    value = ratio.value * (1.0 + off)
+    u = math.hypot(ratio.u, value * off / math.sqrt(3.0))
+    centre = places.index(CENTRE)
+    rows = tuple(
+        (
+            f"{100 * x:.1f} %, {100 * y:.1f} %",
+            examined.luminance(one.radiance),
+            derived([one, readings[centre]], lambda v: float(v[0] / v[1])) if i != centre else "centre",
+        )
+        for i, ((x, y), one) in enumerate(zip(places, readings, strict=True))
+    )
+    figures = (
+        Figure("uniformity", Quantity(value, u, "1")),
+        Figure("nonuniformity", Quantity(1.0 - value, u, "1")),
+        Figure("mean_luminance", examined.luminance(derived(readings, lambda v: float(v.mean()), "W sr-1 m-2"))),
+    )
+    return Section(
+        "uniformity",
+        f"Sampled uniformity ({examined.points} points)",
+        (f"full-screen white at {examined.points} points, all from the same frames; lowest over highest", _FIELD),
+        figures,
+        ("place (from left, from top)", "luminance (cd·m⁻²)", "over the centre"),
+        rows,
+    )
+
+
+def _extreme(count: int) -> float:
+    """Return the expected largest of normal draws in standard deviations. Source: Blom 1958."""
+    return max(0.0, float(ndtri((count - 0.375) / (count + 0.25))))
+
+
+def _mura(examined: Examined) -> Section:
+    examined.bench.display.show(WHITE)
+    found = mura_of(examined.bench.map_of(examined.area))
+    figures = (
+        Figure("largest_spot", found.spot),
+        Figure("largest_spot_x", found.x),
+        Figure("largest_spot_y", found.y),
+        Figure("rms", found.rms),
+    )
+    conditions = (
+        "full-screen white, every pixel of the camera's picture",
+        f"band-pass: Gaussians of {100 * FINE_SHARE:g} % and {100 * COARSE_SHARE:g} % of the height, shading taken off",
+    )
+    notes = ["the pattern of the camera's own pixels is in the map unless its calibration holds a flat field"]
+    if abs(found.spot.value) < found.detection_limit:
+        notes.insert(0, f"the largest spot is no larger than noise can be ({100 * found.detection_limit:.2g} %)")
+    return Section("mura", "Mura analysis", conditions, figures, notes=tuple(notes), picture=100.0 * found.relative)
+
+
+def _viewing_angle(examined: Examined) -> Section:
+    at: dict[float, tuple[list[Reading], list[Reading]]] = {}
+    try:
+        for angle in (0.0, *(one for one in examined.angles_deg if one != 0.0)):
+            examined.turn(angle)
+            at[angle] = examined.shown(WHITE), examined.shown(BLACK)
+    finally:
+        examined.turn(0.0)
+    rows, figures, drift = [], [], examined.unsettled_rel
+    normal = at[0.0]
+    for angle, (white, black) in sorted(at.items()):
+        share = derived([white[0], normal[0][0]], lambda v: float(v[0] / v[1]), drift_rel=drift)
+        contrast = contrast_of(white, black, f"contrast_at_{angle:g}_deg", drift)
+        if angle != 0.0:
+            figures += [Figure(f"white_at_{angle:g}_deg", share), contrast]
+        dark = _black_figure(examined, black[0])
+        cell: str | Quantity = f"< {dark.quantity.value:.2g}" if dark.bound else dark.quantity
+        rows.append((f"{angle:g}°", examined.luminance(white[0].radiance), cell, share if angle else "1"))
+    return Section(
+        "viewing_angle",
+        "Viewing-angle luminance and contrast",
+        ("full-screen white and black at each angle, centre; white over that at the normal", _FIELD),
+        tuple(figures),
+        ("angle", "white (cd·m⁻²)", "black (cd·m⁻²)", "white over the normal's"),
+        tuple(rows),
+    )
+
+
+METHODS: Final = {
+    one.name: one
+    for one in (
+        Method("white", "Full-screen white", _white),
+        Method("black", "Full-screen black", _black),
+        Method("sequential_contrast", "Sequential contrast", _sequential),
+        Method("checkerboard_contrast", "Checkerboard luminance and contrast", _checkerboard),
+        Method("gamma", "Gamma determination", _gamma),
+        Method("primaries", "Full-screen primary colors", _primaries),
+        Method("additivity", "Color additivity", _additivity),
+        Method("uniformity", "Sampled uniformity", _uniformity),
+        Method("mura", "Mura analysis", _mura),
+        Method("viewing_angle", "Viewing-angle luminance and contrast", _viewing_angle),
+    )
+}

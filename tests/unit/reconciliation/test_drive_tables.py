@@ -1,0 +1,116 @@
+"""Tables of light engines: the drive law is fitted, and what is not proportional gets its name."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import radiometer as rm
+from radiometer.cli.main import run
+
+DRIVES = np.arange(1, 33) / 32
+
+
+def _written(path: Path, light: dict[str, np.ndarray]) -> Path:
+    rows = [f"{name},{round(4095 * d)},{y:.9g}" for name, ys in light.items() for d, y in zip(DRIVES, ys, strict=True)]
+    path.write_text("\n".join(["primary,setting,radiance", *rows, *(f"{name},0,0" for name in light)]) + "\n")
+    return path
+
+
+def _engine(rng: np.random.Generator, droop: float, noise: float = 0.005) -> dict[str, np.ndarray]:
+    """Return three channels of different brightness, light = a·d·e^(−k·d), with relative noise."""
+    return {
+        name: size * DRIVES * np.exp(-droop * DRIVES) * (1.0 + noise * rng.standard_normal(DRIVES.size))
+        for name, size in (("blue", 1.0), ("green", 0.4), ("red", 2.5))
+    }
+
+
+def _stepped(light: dict[str, np.ndarray], at: float, ratio: float) -> dict[str, np.ndarray]:
+    return {name: np.where(ys > at, ratio * ys, ys) for name, ys in light.items()}
+
+
+@pytest.mark.parametrize("seed", [71, 72, 73])
+def test_proportional_engine_agrees(seed: int, tmp_path: Path) -> None:
+    """Noise alone has no name, and its law is proportional within 3 u."""
+    file = _written(tmp_path / "e.csv", _engine(np.random.default_rng(seed), 0.0))
+    assert [one.name for one in rm.reconcile(file).result.effects] == []
+    for law in rm.light_law(file).laws.values():
+        assert law is not None
+        assert abs(law.deviation_rel) <= 3.0 * law.u_deviation_rel
+
+
+@pytest.mark.parametrize("seed", [74, 75, 76])
+def test_saturating_channels_are_named_led_droop(seed: int, tmp_path: Path) -> None:
+    """A droop of 10 % at full drive is named alone; half drive is e^0.05 over proportional, within 3 u."""
+    file = _written(tmp_path / "e.csv", _engine(np.random.default_rng(seed), 0.1))
+    effects = rm.reconcile(file).result.effects
+    assert [one.name for one in effects] == ["led_droop"]
+    size = effects[0].parameters["deviation_at_half_drive"]
+    assert size.u is not None
+    assert abs(size.value - np.expm1(0.05)) <= 3.0 * size.u
+
+
+@pytest.mark.parametrize("seed", [77, 78, 79])
+def test_meter_that_changes_its_range_is_named(seed: int, tmp_path: Path) -> None:
+    """A jump of 3 % at one reading in all channels is the meter's; its ratio is found within 3 u, the reading too."""
+    light = _stepped(_engine(np.random.default_rng(seed), 0.0), 0.3, 1.03)
+    effects = rm.reconcile(_written(tmp_path / "e.csv", light)).result.effects
+    assert [one.name for one in effects] == ["meter_range_step"]
+    ratio, reading = (effects[0].parameters[name] for name in ("ratio", "reading"))
+    assert ratio.u is not None
+    assert abs(ratio.value - 1.03) <= 3.0 * ratio.u
+    assert reading.value == pytest.approx(0.3, rel=0.1)
+
+
+def test_both_are_named(tmp_path: Path) -> None:
+    """A droop and a step in one table get both names, and drives held out are predicted better by each."""
+    light = _stepped(_engine(np.random.default_rng(80), 0.15), 0.3, 1.04)
+    result = rm.reconcile(_written(tmp_path / "e.csv", light)).result
+    assert {one.name for one in result.effects} == {"led_droop", "meter_range_step"}
+    assert result.gap_after < 2.0 < result.gap_before
+
+
+def test_spectra_are_summed_and_twins_compared(tmp_path: Path) -> None:
+    """A table with a column for each wavelength gives the law of the sum; a twin of 8 % more at half drive is found."""
+    files = []
+    for name, droop in (("left", 0.0), ("right", 2 * np.log(1.08))):
+        bands = np.exp(-(((np.arange(500, 560, 5) - 530) / 15) ** 2))
+        rows = [["0", f"{round(1000 * d)}", *(f"{v:.8g}" for v in d * np.exp(-droop * d) * bands)] for d in DRIVES]
+        header = ["Primary", "Setting", *map(str, range(500, 560, 5))]
+        (tmp_path / f"{name}.csv").write_text("\n".join(",".join(row) for row in [header, *rows]) + "\n")
+        files.append(tmp_path / f"{name}.csv")
+    value, u = rm.light_law(*files).differences["0"]
+    assert value == pytest.approx(0.08, abs=0.002 + 3 * u)
+
+
+def test_commands_speak_json_and_write_a_page(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """`light law --json` holds the law with u; `reconcile` writes its report."""
+    file = _written(tmp_path / "e.csv", _engine(np.random.default_rng(81), 0.1))
+    assert run(["light", "law", str(file), "--json"]) == 0
+    law = json.loads(capsys.readouterr().out)["channels"]["blue"]["drive_law"]
+    assert law["droop"]["u"] > 0
+    assert run(["reconcile", str(file), "--report", str(tmp_path / "r.html")]) == 0
+    assert "led_droop" in (tmp_path / "r.html").read_text()
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("primary,colour\n0,red\n1,blue\n", "needs a drive"),
+        ("setting,radiance\n1,0.1\n2,x\n3,0.3\n", "line 3"),
+        ("setting,radiance\n1,0.1\n2,0.2\n3,0.3\n", "drives above 0"),
+        ("setting,radiance\n-1,0.1\n2,0.2\n3,0.3\n", "expected 0 and above"),
+    ],
+)
+def test_unusable_table_is_refused_in_one_line(
+    text: str, words: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The message names what is missing, with the line where one is wrong."""
+    (tmp_path / "e.csv").write_text(text)
+    assert run(["light", "law", str(tmp_path / "e.csv")]) == 1
+    error = capsys.readouterr().err
+    assert error.startswith("error:")
+    assert words in error
