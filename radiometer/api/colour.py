@@ -33,6 +33,7 @@ from radiometer.errors import InputError, MeasurementError, UsageError
 from radiometer.importing import open_capture
 from radiometer.numbers import unit_text, with_u
 from radiometer.progress import unseen
+from radiometer.reporting.origin import Origin, moment
 from radiometer.reporting.page import listed, page, section, table
 from radiometer.typing import Array
 
@@ -177,7 +178,10 @@ class ColourReading(Result):
             section("Raw readings, k = 2", table(("channel", "signal"), raw)),
             section("Flags and assumptions", listed([*self.flags, *self.assumptions])),
         ]
-        write_text_atomic(Path(path), page(f"colour of {self.source}", str(self), parts, kind="colour"))
+        origin = Origin(
+            "", calibration=f"of colours, {moment(self.calibration.created)}", further=(("source", self.source),)
+        )
+        write_text_atomic(Path(path), page(f"colour of {self.source}", str(self), parts, kind="colour", origin=origin))
 
     def write_maps(self, path: PathLike) -> None:
         """Write the quantities of every pixel as .exr or .tiff.

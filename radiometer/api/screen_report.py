@@ -20,6 +20,7 @@ from radiometer.data.storage import write_text_atomic
 from radiometer.errors import UsageError
 from radiometer.numbers import unit_text, with_u
 from radiometer.progress import counted
+from radiometer.reporting.origin import Origin, moment
 from radiometer.reporting.page import folded, listed, page, paragraph, section, table
 from radiometer.screen.plan import parse_levels
 from radiometer.screen.report.examination import chosen_methods, examine
@@ -101,7 +102,9 @@ class DisplayReport(Result):
                 )
             )
         outcome = f"{len(self.sections)} methods of the IDMS"
-        write_text_atomic(Path(path), page(f"display {self.screen}", outcome, parts, kind="display report"))
+        origin = Origin(moment(self.created), box=self.screen, protocol=f"geometry {self.geometry.name}")
+        text = page(f"display {self.screen}", outcome, parts, kind="display report", origin=origin)
+        write_text_atomic(Path(path), text)
 
     def lines(self) -> list[str]:
         """Return every figure and note in plain lines."""

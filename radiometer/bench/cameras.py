@@ -116,6 +116,8 @@ def _simulated(config: BenchConfig, camera_config: SimulatedCameraConfig, where:
         if camera_config.model
         else CameraModel.ideal(preset.camera, lens)
     )
+    flicker = camera_config.flicker
+    pulsed = PulsedLight(flicker.frequency_Hz, flicker.modulation, flicker.duty) if flicker else None
     return SimulatedCamera(
         model,
         scene_from_mapping(config.scene, f"{where}: scene", where.parent),
@@ -125,9 +127,7 @@ def _simulated(config: BenchConfig, camera_config: SimulatedCameraConfig, where:
         limits=limits,
         filters=ColourFilters() if limits.pixel_formats[0].startswith("Bayer") else None,
         temperature_c=camera_config.temperature_C,
-        modulation=PulsedLight(light.frequency_Hz, light.modulation, light.duty)
-        if (light := camera_config.flicker)
-        else None,
+        modulation=pulsed,
     )
 
 

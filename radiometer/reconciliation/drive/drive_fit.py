@@ -22,7 +22,8 @@ from radiometer.data.storage import write_text_atomic, write_yaml_atomic
 from radiometer.importing.drive_table import ChannelDrive, DriveTable, read_drive_table
 from radiometer.numbers import with_u
 from radiometer.reconciliation.result import FittedParameter, FoundEffect, Limit, ReconcileResult, Verdict
-from radiometer.reconciliation.thresholds import NAMED_NATS
+from radiometer.reconciliation.thresholds import CLOSED_GAP, NAMED_NATS, SCATTER_SIGMAS
+from radiometer.reporting.origin import Origin
 from radiometer.reporting.page import listed, page, section, table
 from radiometer.statistics.drive_law import LEAST_DRIVE, DriveLaw, columns_of, fit_drive_law
 from radiometer.typing import Array
@@ -102,7 +103,8 @@ class DriveFit:
             section("Laws of the channels, k = 2", table(head, rows)),
             section("Assumptions", listed([*self.data.taken, *self.result.assumptions])),
         ]
-        write_text_atomic(path, page(self.origin, str(self.result.verdict), parts, kind="light engine"))
+        origin = Origin(further=(("table", self.origin),))
+        write_text_atomic(path, page(self.origin, str(self.result.verdict), parts, kind="light engine", origin=origin))
         return str(path)
 
     def write_plan(self, path: Path) -> bool:
@@ -123,7 +125,7 @@ def reconcile_drive_table(path: Path) -> DriveFit:
     steps = _range_steps(data)
     effects, gaps = _named(data, steps)
     result = ReconcileResult(
-        verdict=_verdict(effects),
+        verdict=_verdict(effects, gaps[-1], data.target.size),
         effects=effects,
         gap_before=gaps[0],
         gap_after=gaps[-1],
@@ -308,10 +310,13 @@ def _limits(data: _Data, effects: Sequence[FoundEffect]) -> dict[str, Limit]:
     return known
 
 
-def _verdict(effects: Sequence[FoundEffect]) -> Verdict:
+def _verdict(effects: Sequence[FoundEffect], gap: float, readings: int) -> Verdict:
+    """Return the verdict; names are incomplete while the gap that they leave is more than chance."""
+    chance = 1.0 + SCATTER_SIGMAS * math.sqrt(2.0 / readings)
     names = {one.name for one in effects}
     if not names:
         return Verdict.AGREES
     if names == {"unnamed"}:
         return Verdict.UNNAMED
-    return Verdict.INCOMPLETE if "unnamed" in names else Verdict.EFFECTS_FOUND
+    is_open = gap > max(CLOSED_GAP, chance)
+    return Verdict.INCOMPLETE if "unnamed" in names or is_open else Verdict.EFFECTS_FOUND
