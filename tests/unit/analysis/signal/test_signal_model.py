@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from radiometer.analysis.signal.lens import known_f_number, lens_factor_sr, relative_sensitivity
-from radiometer.analysis.signal.model import UNKNOWN_DARK_E_PER_S, dark_levels, dark_u, signal_model
+from radiometer.analysis.signal.model import dark_levels, signal_model
 from radiometer.data import (
     BlackLevel,
     CameraDescription,
@@ -124,9 +124,9 @@ def test_without_dark_frames_the_model_stands_alone():
     (level,) = dark_levels([LIGHT], [], LINEAR, DOUBT)
     assert (level.signal, level.source) == (pytest.approx(2.5), "black level")
     assert (level.u_independent, level.u_common) == (0.0, pytest.approx(math.hypot(0.5, 0.4 * 2.5)))
-    assert dark_u(LIGHT, LINEAR, DOUBT) == pytest.approx(1.0)
     unknown = signal_model(CAMERA, None, SensorNoise(2.0, 6.0, assumed=("dark_current_e_per_s",)), BLACK)
-    assert dark_u(LIGHT, unknown, DOUBT) == pytest.approx(UNKNOWN_DARK_E_PER_S * 0.1 / 2.0)
+    (most,) = dark_levels([LIGHT], [], unknown, DOUBT, darkest=(30.0,))
+    assert 2.0 * most.u_unstated == pytest.approx(30.0, rel=0.01)
 
 
 def test_dark_frames_of_the_exposure_are_taken_as_they_are():
