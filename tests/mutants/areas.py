@@ -69,12 +69,13 @@ AREAS: dict[str, tuple[str, ...]] = {
         "radiometer/photographs/*.py",
         "radiometer/screen/*.py",
         "radiometer/screen/exports/*.py",
+        "radiometer/screen/report/*.py",
     ),
     "archive_and_bench": ("radiometer/archive/*.py", "radiometer/bench/*.py", "radiometer/devices/*.py"),
     "reconcile_rooms": (
         "radiometer/reconciliation/*.py",
         *(f"radiometer/reconciliation/{room}/*.py" for room in ("advice", "inputs", "logs", "measure", "model")),
-        *(f"radiometer/reconciliation/{room}/*.py" for room in ("propose", "report")),
+        *(f"radiometer/reconciliation/{room}/*.py" for room in ("propose", "report", "drive")),
     ),
     "alarms_and_networks": (
         "radiometer/adapters/*.py",
