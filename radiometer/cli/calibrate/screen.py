@@ -99,8 +99,8 @@ def report(
     methods: Annotated[
         str,
         typer.Option(
-            help="Some of warm_up, white, black, sequential_contrast, checkerboard_contrast, gamma, primaries, additivity, "
-            "uniformity, mura, viewing_angle, with commas between; all that the geometry has by default."
+            help="Some of warm_up, white, black, sequential_contrast, checkerboard_contrast, gamma, primaries, "
+            "additivity, uniformity, mura, viewing_angle, with commas between; all that the geometry has by default."
         ),
     ] = "",
     geometry: Annotated[str, typer.Option(help="direct, viewing_angle or near_eye.")] = "direct",
