@@ -93,7 +93,7 @@ def test_a_region_off_the_sensor_is_refused_with_its_limits(camera, settings, ro
 def test_an_unknown_pixel_format_is_refused_with_those_on_offer(camera, settings, subject):
     """The message names the formats that there are."""
     with pytest.raises(DeviceError, match=subject.native):
-        camera.configure(replace(settings, pixel_format="BayerRG8"))
+        camera.configure(replace(settings, pixel_format="YUV422_8"))
 
 
 def test_frames_have_the_region_and_the_settings_read_back(camera, settings, subject):
