@@ -2,21 +2,11 @@
 
 from __future__ import annotations
 
-from typing import Any, Final
+from typing import Any
 
 import numpy as np
 
 from simulators.effects.context import ExposureContext
-
-# Starting points: halves side by side, halves on top of each other, and one quarter of four.
-ARRANGEMENTS: Final = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.5, 0.5, 0.5))
-
-
-def trials(sizes: tuple[float, ...], names: tuple[str, str, str]) -> tuple[dict[str, float], ...]:
-    """Return starts of each size in each arrangement, for parameters of these names."""
-    return tuple(
-        {name: size * part for name, part in zip(names, parts, strict=True)} for size in sizes for parts in ARRANGEMENTS
-    )
 
 
 def by_quarter(context: ExposureContext, across: float, along: float, corner: float) -> Any:

@@ -8,7 +8,7 @@ from typing import Any, cast
 from simulators.effects.base import ELECTRONS, Stage, parameter
 from simulators.effects.catalogue import CatalogueEffect
 from simulators.effects.context import ExposureContext, Signal
-from simulators.effects.quarters import by_quarter, trials
+from simulators.effects.quarters import by_quarter
 
 
 @dataclass(frozen=True)
@@ -29,7 +29,9 @@ class TapNonlinearity(CatalogueEffect):
     is_steep = True
     log_prior_odds = -2.0
     prior_reason = "most sensors have one amplifier, and those of one sensor bend alike"
-    trials = trials((0.01, -0.01), ("across_rel", "along_rel", "corner_rel"))
+    trials = (
+        {"across_rel": 0.01, "along_rel": 0.01, "corner_rel": 0.01},
+    )  # the law is linear in them: one start reaches all
     fitted = ("across_rel", "along_rel", "corner_rel")
     settles = "even fields of many levels up to full well"
     across_rel: float = parameter(0.0, "1", -0.3, 0.3, source="0.1 to 3 % at full well")

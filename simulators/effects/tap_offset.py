@@ -8,7 +8,7 @@ from typing import Any
 from simulators.effects.base import DIGITAL_NUMBER, Stage, parameter
 from simulators.effects.catalogue import Offset
 from simulators.effects.context import ExposureContext
-from simulators.effects.quarters import by_quarter, trials
+from simulators.effects.quarters import by_quarter
 
 
 @dataclass(frozen=True)
@@ -28,7 +28,9 @@ class TapOffset(Offset):
     signal_power = 0
     log_prior_odds = -1.0
     prior_reason = "most sensors have one amplifier, or a converter per column"
-    trials = trials((2.0, -2.0), ("across_dn", "along_dn", "corner_dn"))
+    trials = (
+        {"across_dn": 1.0, "along_dn": 1.0, "corner_dn": 1.0},
+    )  # the law is linear in them: one start reaches all
     fitted = ("across_dn", "along_dn", "corner_dn")
     settles = "an average of many frames of no exposure"
     across_dn: float = parameter(0.0, "DN", -0.1, 0.1, source="some DN to hundreds", of_full_scale=True)
