@@ -8,7 +8,7 @@ from typing import Any
 from simulators.effects.base import ELECTRONS, Stage, parameter
 from simulators.effects.catalogue import Scaling
 from simulators.effects.context import ExposureContext
-from simulators.effects.quarters import by_quarter
+from simulators.effects.quarters import by_quarter, has_several_amplifiers, trials
 
 
 @dataclass(frozen=True)
@@ -28,16 +28,17 @@ class TapGain(Scaling):
     also = ("mean", "variance")
     is_steep = True
     signal_power = 1
-    log_prior_odds = -1.0
-    prior_reason = "most sensors have one amplifier, or a converter per column"
-    trials = (
-        {"across_rel": 0.01, "along_rel": 0.01, "corner_rel": 0.01},
-    )  # the law is linear in them: one start reaches all
+    trials = trials((0.02, -0.02), ("across_rel", "along_rel", "corner_rel"))
     fitted = ("across_rel", "along_rel", "corner_rel")
     settles = "an even field, once as it is and once with the camera turned"
     across_rel: float = parameter(0.0, "1", -0.4, 0.4, source="1 to 10 % between amplifiers")
     along_rel: float = parameter(0.0, "1", -0.4, 0.4, source="1 to 10 % between amplifiers")
     corner_rel: float = parameter(0.0, "1", -0.1, 0.1, source="1 to 10 % between amplifiers")
+
+    @classmethod
+    def usable(cls, context: ExposureContext) -> bool:
+        """Return whether the camera has several amplifiers."""
+        return has_several_amplifiers(context)
 
     def factor(self, context: ExposureContext) -> Any:
         """Return the gain over that of the sensor's mean."""

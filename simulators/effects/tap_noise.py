@@ -10,7 +10,7 @@ import numpy as np
 from simulators.effects.base import ELECTRONS, KeepsMean, Stage, parameter
 from simulators.effects.catalogue import CatalogueEffect
 from simulators.effects.context import ExposureContext, Signal
-from simulators.effects.quarters import by_quarter
+from simulators.effects.quarters import by_quarter, has_several_amplifiers, trials
 
 
 @dataclass(frozen=True)
@@ -27,16 +27,17 @@ class TapNoise(KeepsMean, CatalogueEffect):
     unit_in = unit_out = ELECTRONS
     where = "image_x"
     block = "variance"
-    log_prior_odds = -1.0
-    prior_reason = "most sensors have one amplifier, or a converter per column"
-    trials = (
-        {"across_e2": 2.0, "along_e2": 1.0, "corner_e2": 1.0},
-    )  # the law is linear in them: one start reaches all
+    trials = trials((4.0, -4.0), ("across_e2", "along_e2", "corner_e2"))
     fitted = ("across_e2", "along_e2", "corner_e2")
     settles = "many frames of no exposure"
     across_e2: float = parameter(0.0, "e-2", -1e5, 1e5, source="engineering prior; refined on a real rig")
     along_e2: float = parameter(0.0, "e-2", -1e5, 1e5, source="engineering prior; refined on a real rig")
     corner_e2: float = parameter(0.0, "e-2", -1e5, 1e5, source="engineering prior; refined on a real rig")
+
+    @classmethod
+    def usable(cls, context: ExposureContext) -> bool:
+        """Return whether the camera has several amplifiers."""
+        return has_several_amplifiers(context)
 
     def sample(self, signal: Signal, context: ExposureContext, rng: np.random.Generator) -> Signal:
         """Return the signal with the noise of each quarter."""

@@ -8,7 +8,7 @@ from typing import Any, cast
 from simulators.effects.base import ELECTRONS, Stage, parameter
 from simulators.effects.catalogue import CatalogueEffect
 from simulators.effects.context import ExposureContext, Signal
-from simulators.effects.quarters import by_quarter
+from simulators.effects.quarters import by_quarter, has_several_amplifiers, trials
 
 
 @dataclass(frozen=True)
@@ -27,11 +27,9 @@ class TapNonlinearity(CatalogueEffect):
     block = "mean"
     also = ("slope",)
     is_steep = True
-    log_prior_odds = -2.0
-    prior_reason = "most sensors have one amplifier, and those of one sensor bend alike"
-    trials = (
-        {"across_rel": 0.01, "along_rel": 0.01, "corner_rel": 0.01},
-    )  # the law is linear in them: one start reaches all
+    log_prior_odds = -1.0
+    prior_reason = "amplifiers of one sensor mostly bend alike"
+    trials = trials((0.01, -0.01), ("across_rel", "along_rel", "corner_rel"))
     fitted = ("across_rel", "along_rel", "corner_rel")
     settles = "even fields of many levels up to full well"
     across_rel: float = parameter(0.0, "1", -0.3, 0.3, source="0.1 to 3 % at full well")
@@ -40,8 +38,8 @@ class TapNonlinearity(CatalogueEffect):
 
     @classmethod
     def usable(cls, context: ExposureContext) -> bool:
-        """Return whether the full well is known, in shares of which the bend is stated."""
-        return context.camera.full_well_e is not None
+        """Return whether there are several amplifiers, and the full well is known, in shares of which the bend is."""
+        return has_several_amplifiers(context) and context.camera.full_well_e is not None
 
     def mean(self, signal: Signal, context: ExposureContext) -> Signal:
         """Return the bent signal in electrons."""

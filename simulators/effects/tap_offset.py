@@ -8,7 +8,7 @@ from typing import Any
 from simulators.effects.base import DIGITAL_NUMBER, Stage, parameter
 from simulators.effects.catalogue import Offset
 from simulators.effects.context import ExposureContext
-from simulators.effects.quarters import by_quarter
+from simulators.effects.quarters import by_quarter, has_several_amplifiers, trials
 
 
 @dataclass(frozen=True)
@@ -26,16 +26,17 @@ class TapOffset(Offset):
     also = ("slope",)
     is_steep = True
     signal_power = 0
-    log_prior_odds = -1.0
-    prior_reason = "most sensors have one amplifier, or a converter per column"
-    trials = (
-        {"across_dn": 1.0, "along_dn": 1.0, "corner_dn": 1.0},
-    )  # the law is linear in them: one start reaches all
+    trials = trials((2.0, -2.0), ("across_dn", "along_dn", "corner_dn"))
     fitted = ("across_dn", "along_dn", "corner_dn")
     settles = "an average of many frames of no exposure"
     across_dn: float = parameter(0.0, "DN", -0.1, 0.1, source="some DN to hundreds", of_full_scale=True)
     along_dn: float = parameter(0.0, "DN", -0.1, 0.1, source="some DN to hundreds", of_full_scale=True)
     corner_dn: float = parameter(0.0, "DN", -0.1, 0.1, source="some DN to hundreds", of_full_scale=True)
+
+    @classmethod
+    def usable(cls, context: ExposureContext) -> bool:
+        """Return whether the camera has several amplifiers."""
+        return has_several_amplifiers(context)
 
     def offset(self, context: ExposureContext) -> Any:
         """Return the offset in DN."""
