@@ -234,7 +234,8 @@ def _refuse_out_of_bounds(effect: str, known: Parameter, value: Any) -> None:
     allowed = np.isfinite(numbers) & (numbers >= known.low) & (numbers <= known.high)
     if not bool(np.all(allowed)):
         shown = value if np.ndim(value) else f"{value:g}"
+        of_unit = f" {unit_text(known.unit)}".rstrip()
         raise ConfigurationError(
-            f"effect {effect}: {known.name} = {shown} {unit_text(known.unit)} is out of range; "
-            f"allowed is {known.low:g} to {known.high:g} {unit_text(known.unit)}"
+            f"effect {effect}: {known.name} = {shown}{of_unit} is out of range; "
+            f"allowed is {known.low:g} to {known.high:g}{of_unit}"
         )

@@ -29,14 +29,14 @@ def edited_bench(tmp_path, change):
     return path
 
 
-def test_a_bench_with_an_unknown_key(said, tmp_path):
+def test_a_bench_with_an_unknown_key(run_failing, tmp_path):
     """The key and what is allowed are named; misuse has exit code 2."""
     code, line = run_failing("measure", "--bench", edited_bench(tmp_path, lambda m: m.update(lenz=1)))
     assert code == 2
     assert "unknown key 'lenz'" in line
 
 
-def test_a_patch_off_the_sensor(said):
+def test_a_patch_off_the_sensor(run_failing):
     """Misuse: the frame's size is named."""
     code, line = run_failing("measure", "--patch", "1600,0,40,40")
     assert code == 2

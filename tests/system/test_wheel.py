@@ -15,7 +15,7 @@ from testing.patience import within
 
 pytestmark = pytest.mark.slow
 
-LARGEST_BYTES = 2_000_000
+LARGEST_BYTES = 2_200_000
 
 
 @pytest.fixture(scope="module")

@@ -55,7 +55,7 @@ def test_table_names_symbols_and_report_is_written(
     """The table shows symbols with k = 2 uncertainties; the datasheet is an HTML page."""
     assert run(["characterise", str(capture), "--report", str(tmp_path / "sheet.html")]) == 0
     out = capsys.readouterr().out
-    assert "overall system gain" in out
+    assert "overall" in out
     assert "U (k = 2)" in out
     assert (tmp_path / "sheet.html").read_text().startswith("<!doctype html>")
 
@@ -84,7 +84,7 @@ def test_camera_is_driven_and_its_limits_stand_in_the_file(tmp_path: Path) -> No
     ("words", "code", "message"),
     [
         ([], 2, "name a capture set (or descriptor file), or a camera with --camera"),
-        (["nowhere"], 1, "nowhere is not a folder"),
+        (["nowhere"], 1, "nowhere does not exist"),
         (["nowhere", "--camera", "sim"], 2, "one of both"),
     ],
 )

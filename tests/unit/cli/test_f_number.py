@@ -23,6 +23,7 @@ def folder(tmp_path):
     rng = np.random.default_rng(1)
     for index in range(3):
         numbers = np.round(128 + rng.normal(0, 0.6, (24, 24))).astype(np.uint8)
+        numbers[:, 22:] = 1  # a dark edge: no dark signal is above it
         Image.fromarray(numbers).save(tmp_path / "photos" / f"{index}.png")
     (tmp_path / "photos" / "exposures.txt").write_text("".join(f"{i}.png 0.125\n" for i in range(3)))
     return tmp_path / "photos"

@@ -54,7 +54,7 @@ def test_level_for_a_target_is_the_nearest(grey: ChannelCurve) -> None:
 @pytest.mark.parametrize("target", [0.01, 500.0])
 def test_targets_out_of_reach_are_refused_with_the_limits(grey: ChannelCurve, target: float) -> None:
     """The message gives what the screen can show."""
-    with pytest.raises(SettingOutOfRange, match=r"allowed is 0\.032 to 224\.032 cd m-2"):
+    with pytest.raises(SettingOutOfRange, match=r"allowed is 0\.032 to 224\.032 cd·m⁻²"):
         grey.level_for(target, LUMINANCE)
 
 
