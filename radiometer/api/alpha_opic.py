@@ -121,7 +121,7 @@ def alpha_opic(
     Examples:
         >>> import radiometer as rm
         >>> rm.alpha_opic(100.0, "cd m-2", u=1.0, spectrum="white_led")
-        <AlphaOpicQuantities melanopic equivalent daylight 63... ± 1... cd m-2 (k = 2)>
+        <AlphaOpicQuantities melanopic equivalent daylight 63... ± 1... cd·m⁻² (k = 2)>
 
     Args:
         value: Value to convert, or a reading; one of value, reading file and screen is given.

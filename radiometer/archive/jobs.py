@@ -50,7 +50,7 @@ def captured_at(capture_set: CaptureSet) -> float | None:
     """Return when a capture was taken in s since 1970: its `created` key, else a first time stamp that is a date."""
     import datetime as dt
 
-    created = (capture_set.header.model_extra or {}).get("created")
+    created = capture_set.header.created
     if created is not None:
         try:
             moment = created if isinstance(created, dt.datetime) else dt.datetime.fromisoformat(str(created))

@@ -159,7 +159,7 @@ def _identity(capture: CaptureSet) -> tuple[str, ...]:
 
 
 def _taken(capture: CaptureSet) -> dt.datetime | None:
-    created = (capture.header.model_extra or {}).get("created")
+    created = capture.header.created
     try:
         moment = created if isinstance(created, dt.datetime) else dt.datetime.fromisoformat(str(created))
     except ValueError:

@@ -22,7 +22,7 @@ def test_a_header_becomes_settings(write_fits):
     entry, camera = capture.header.frames[0], capture.header.camera
     assert (entry.exposure_s, entry.temperature_C, entry.shutter) == (2.5, -5.25, "open")
     assert (camera.bit_depth, camera.conversion_gain_e_per_dn, camera.pixel_pitch_um) == (16, 2.06, 24.0)
-    assert capture.header.model_extra["created"].startswith("2017-09-08T20:48:41.5")
+    assert capture.header.created.startswith("2017-09-08T20:48:41.5")
     assert np.array_equal(capture.read_frame(0).dn, PICTURE + np.uint16(40_000))
 
 

@@ -122,12 +122,12 @@ def test_several_files_of_which_none_is_read_are_one_line(tmp_path, run_command)
 
 @pytest.mark.parametrize("there", [True, False])
 @pytest.mark.parametrize("command", ["import", "response", "reconcile", "characterise", "merge", "log", "log-fit"])
-def test_a_pipe_is_not_called_missing_and_what_is_missing_is(command, there, tmp_path, said):
+def test_a_pipe_is_not_called_missing_and_what_is_missing_is(command, there, tmp_path, run_command):
     """The line names what stands at the path; nothing waits for its content."""
     path = tmp_path / "pipe"
     if there:
         os.mkfifo(path)
-    code, _, err = said(command, path, *(["-o", tmp_path / "out.tiff"] if command in ("import", "merge") else []))
+    code, _, err = run_command(command, path, *(["-o", tmp_path / "out.tiff"] if command in ("import", "merge") else []))
     assert code == 1
     missing = any(words in err for words in ("does not exist", "there is no journal", "No such file"))
     assert missing is not there

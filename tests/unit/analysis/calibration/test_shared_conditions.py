@@ -158,4 +158,6 @@ def test_every_state_is_handled_as_the_table_says(quantity, state):
     if rule.term:
         assert budget[rule.term] > same[rule.term] + 1e-4
     else:
+        dark = "dark and black level"  # of a camera without an ISO speed an unstated dark current may be larger
+        assert budget.pop(dark) >= same.pop(dark) * 0.95
         assert budget == pytest.approx(same, rel=0.05, abs=1e-4)

@@ -336,4 +336,4 @@ def test_no_name_of_a_camera_is_markup(capture: CaptureSet) -> None:
     camera = result.believed.model_copy(update={"model": HOSTILE, "serial": HOSTILE})
     page = datasheet(replace(result, believed=camera, notes=(HOSTILE,)))
     assert "<script" not in page
-    assert page.count("&lt;script&gt;") == 5
+    assert page.count("&lt;script&gt;") >= 5
