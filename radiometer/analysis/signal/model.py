@@ -33,10 +33,8 @@ _OTHER_EXPOSURE_REL = 0.05  # dark frames that differ by less say nothing of the
 _AS_WARM_K = 3.0  # a third more dark current, or a third less
 _U_DOUBLING_K = 1.0  # dark currents in silicon double within 6 to 8 K
 _OTHER = "dark frames of other exposures"
-# Photographs end their dark signal at their black level; what it misses of a dark current near 40 °C: 0 to 20 e⁻/s.
-_UNKNOWN_OF_PHOTOGRAPHS_E_PER_S = 10.0
-# Most dark current of a camera that states none: 1 nA/cm² at 25 °C in pixels of 24 µm (CCDs without inversion), warm.
-_MOST_DARK_E_PER_S = 1e5
+# Of a camera that states no dark current: 0 to 20 e⁻/s, as of sensors without cooling near 40 °C. Darks show a larger one.
+_MOST_DARK_E_PER_S = 20.0
 _DARKEST_PERCENTILE = 5.0  # of a frame: its dark signal is not above that of its darkest pixels, hot ones left out
 # Masked pixels against those next to them: half a digital number (a rectangle), and a tenth of the modelled dark
 # signal.
@@ -383,7 +381,7 @@ def black_from_darks(dark_frames: Sequence[Frame], calibration: Calibration) -> 
         start = float(np.polynomial.polynomial.polyfit(times, means, 1)[0])
         return own.model_copy(update={"dn": max(start, 0.0)})
     modelled = gain * np.array([noise.dark_e(f.settings.exposure_s, f.settings.temperature_c) for f in used])
-    unknown_e = _UNKNOWN_OF_PHOTOGRAPHS_E_PER_S if "dark_current_e_per_s" in noise.assumed else 0.0
+    unknown_e = _MOST_DARK_E_PER_S / 2.0 if "dark_current_e_per_s" in noise.assumed else 0.0
     u_dark = math.hypot(gain * unknown_e * float(times[0]), own.dark_u_rel * float(modelled[0]))
     start = float(np.mean(means - modelled))
     return own.model_copy(update={"dn": max(start, 0.0), "u_dn": math.hypot(own.u_dn, u_dark)})
@@ -397,8 +395,6 @@ def _unknown_dark_u(settings: FrameSettings, model: SignalModel, darkest: float)
         model: Signal model of the camera.
         darkest: Signal x of the frame's darkest pixels; inf where it is not known.
     """
-    if settings.iso is not None:
-        return _UNKNOWN_OF_PHOTOGRAPHS_E_PER_S * settings.exposure_s / model.electrons_per_unit
     most = _MOST_DARK_E_PER_S * settings.exposure_s / model.electrons_per_unit
     lowest = min(max(darkest, 0.0), most)
     noise = math.sqrt(float(model.variance(lowest, settings)))  # a low percentile is that far below its level

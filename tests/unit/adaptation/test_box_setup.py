@@ -112,7 +112,7 @@ def test_spot_beyond_the_boxs_range_is_refused_with_the_range(quick: AdaptationP
     """Without its filter the spot does not get as dim as the rods see; what it reaches is stated."""
     refused = refusal(changed(quick, "spot", filter_density=0.0))
     assert not isinstance(refused, SettingOutOfRange)
-    assert "reaches -1.91 to 3.16 log10 scotopic cd·m⁻²" in str(refused)
+    assert "reaches -1.91 to 3.16 log₁₀ scotopic cd·m⁻²" in str(refused)
 
 
 def test_channel_of_another_colour_is_refused(quick: AdaptationProtocol) -> None:

@@ -127,7 +127,9 @@ def test_a_pipe_is_not_called_missing_and_what_is_missing_is(command, there, tmp
     path = tmp_path / "pipe"
     if there:
         os.mkfifo(path)
-    code, _, err = run_command(command, path, *(["-o", tmp_path / "out.tiff"] if command in ("import", "merge") else []))
+    code, _, err = run_command(
+        command, path, *(["-o", tmp_path / "out.tiff"] if command in ("import", "merge") else [])
+    )
     assert code == 1
     missing = any(words in err for words in ("does not exist", "there is no journal", "No such file"))
     assert missing is not there

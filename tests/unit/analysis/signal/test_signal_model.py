@@ -126,7 +126,7 @@ def test_without_dark_frames_the_model_stands_alone():
     assert (level.u_independent, level.u_common) == (0.0, pytest.approx(math.hypot(0.5, 0.4 * 2.5)))
     unknown = signal_model(CAMERA, None, SensorNoise(2.0, 6.0, assumed=("dark_current_e_per_s",)), BLACK)
     (most,) = dark_levels([LIGHT], [], unknown, DOUBT, darkest=(30.0,))
-    assert 30.0 <= 2.0 * most.u_unstated <= 45.0
+    assert most.u_unstated == pytest.approx(10.0 * 0.1 / 2.0)
 
 
 def test_dark_frames_of_the_exposure_are_taken_as_they_are():
