@@ -182,7 +182,7 @@ async def test_a_storm_of_hangups_is_one_reload_and_one_more(tmp_path: Path, eve
 async def test_who_may_connect_is_announced(tmp_path: Path, eventually: Eventually) -> None:
     """Networks that are let in, that a token is needed, and how pvAccess is served."""
     options = {"scpi_address": "0.0.0.0", "scpi_allow": parse_networks(["10.0.0.0/8", "192.0.2.0/24"])}
-    one = fresh(tmp_path, **options, token="a secret of sixteen", pva=PvaOptions("lab", isolated=True))
+    one = fresh(tmp_path, **options, token="a-secret-of-sixteen", pva=PvaOptions("lab", isolated=True))
     running = asyncio.create_task(one.service.run())
     await eventually(lambda: one.systemd.lines or running.done())
     scpi, web, pva, journal = one.announced

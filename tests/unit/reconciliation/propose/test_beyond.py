@@ -90,7 +90,7 @@ def test_a_single_cause_needs_the_odds_of_its_name(make_capture, monkeypatch, od
 
 @pytest.mark.slow
 def test_the_glow_of_an_amplifier_is_no_dark_current(tmp_path):
-    """A Gaussian from a corner in proportion to the exposure is named as glow, provisionally, and not as dark current."""
+    """A Gaussian from a corner in proportion to the exposure is named as glow, provisionally, not as dark current."""
     from radiometer.reconciliation.engine import reconcile_capture
 
     session = two.make(11, HIDDEN["corner_glow"], "darks")
