@@ -13,14 +13,12 @@ from typing import Final
 import numpy as np
 
 from radiometer.reconciliation.fit.comparison import FAMILY, TILE_BLOCKS, Comparison
-from radiometer.reconciliation.fit.covariance import fitted_parameters, is_misfit, scatter_of
-from radiometer.reconciliation.fit.covariates import covariates
-from radiometer.reconciliation.fit.descent import refit
+from radiometer.reconciliation.fit.descent import fitted_parameters, is_misfit, refit, scatter_of
 from radiometer.reconciliation.fit.state import FitState, with_effects, with_terms
+from radiometer.reconciliation.measure.frame_order import Periodic
 from radiometer.reconciliation.posterior import Posterior
 from radiometer.reconciliation.result import SURE, FittedParameter, FoundEffect, Verdict
-from radiometer.reconciliation.search.frame_order import Periodic
-from radiometer.reconciliation.search.localise import axis_of, departing, own_place
+from radiometer.reconciliation.search.localise import axis_of, covariates, departing, own_place
 from radiometer.reconciliation.search.outcome import Search, Step
 from radiometer.reconciliation.thresholds import (
     BOUND_CHI2,

@@ -75,7 +75,7 @@ AREAS: dict[str, tuple[str, ...]] = {
     "reconcile_rooms": (
         "radiometer/reconciliation/*.py",
         *(f"radiometer/reconciliation/{room}/*.py" for room in ("advice", "inputs", "logs", "measure", "model")),
-        *(f"radiometer/reconciliation/{room}/*.py" for room in ("propose", "report", "drive")),
+        *(f"radiometer/reconciliation/{room}/*.py" for room in ("propose", "report")),
     ),
     "alarms_and_networks": (
         "radiometer/adapters/*.py",

@@ -9,8 +9,7 @@ from typing import Final
 import numpy as np
 
 from radiometer.reconciliation.fit.comparison import FAMILY
-from radiometer.reconciliation.fit.held_out import leave_one_group_out
-from radiometer.reconciliation.fit.linear import descended
+from radiometer.reconciliation.fit.linear import descended, leave_one_group_out
 from radiometer.reconciliation.fit.state import FitState, ModelFit
 from radiometer.typing import Array
 from simulators.effects.catalogue import CatalogueEffect

@@ -16,12 +16,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from radiometer.reconciliation.chances import deviances, followed_scores, log_bias, sine_freedom
-from radiometer.reconciliation.measure.design import Design
+from radiometer.reconciliation.measure.design import COMB_PERIODS, CaptureStatistics, Design
 from radiometer.reconciliation.measure.row_bands import RowBins, wave_power
-from radiometer.reconciliation.measure.seen import COMB_PERIODS, CaptureStatistics
-from radiometer.reconciliation.noise.darkness import Darkness
-from radiometer.reconciliation.noise.fixed_patterns import renewed_patterns
-from radiometer.reconciliation.noise.repeatability import steady_wander2
+from radiometer.reconciliation.noise.repeatability import Darkness, steady_wander2
 from radiometer.reconciliation.noise.shared_errors import (
     Part,
     Repeatability,
@@ -34,6 +31,7 @@ from radiometer.reconciliation.noise.shared_errors import (
     phases_of_wave,
     relative_bands,
     relative_flicker,
+    renewed_patterns,
     shared_errors,
     unsteady_phases,
     whiteners,

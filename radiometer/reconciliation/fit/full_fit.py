@@ -9,8 +9,7 @@ import numpy as np
 
 from radiometer.errors import ConfigurationError
 from radiometer.reconciliation.fit.candidate_fit import FittedCandidate
-from radiometer.reconciliation.fit.covariance import is_far
-from radiometer.reconciliation.fit.descent import coarse_fit, converged_fit
+from radiometer.reconciliation.fit.descent import coarse_fit, converged_fit, is_far
 from radiometer.reconciliation.fit.state import FitState, with_effects
 from radiometer.reconciliation.thresholds import HUGE_NATS, NEAR_SHARE
 from simulators.effects.catalogue import CatalogueEffect

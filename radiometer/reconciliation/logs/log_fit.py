@@ -22,8 +22,7 @@ from numpy.typing import NDArray
 from radiometer.errors import MeasurementError
 from radiometer.importing.log_table import LogTable
 from radiometer.reconciliation.chances import chi2_beyond
-from radiometer.reconciliation.fit.held_out import Groups, HeldOut, leave_one_group_out
-from radiometer.reconciliation.fit.linear import LinearFit, RowBlock
+from radiometer.reconciliation.fit.linear import Groups, HeldOut, LinearFit, RowBlock, leave_one_group_out
 from radiometer.reconciliation.logs.log_model import (
     MEASURED_TOO,
     SIGNAL,

@@ -22,7 +22,7 @@ from scipy.special import ndtr
 from radiometer.errors import ConfigurationError, MeasurementError
 from radiometer.one_thread import on_one_blas_thread
 from radiometer.reconciliation.fit.candidate_fit import Candidate, FittedCandidate, fit_candidate, judged_gain
-from radiometer.reconciliation.fit.covariance import fitted_parameters, is_far, scatter_of
+from radiometer.reconciliation.fit.descent import fitted_parameters, is_far, scatter_of
 from radiometer.reconciliation.fit.full_fit import FullFits, UnfitError, contenders_of, included
 from radiometer.reconciliation.fit.linear import LinearFit
 from radiometer.reconciliation.fit.state import FitState
@@ -33,8 +33,7 @@ from radiometer.reconciliation.propose.law import Law, effect_of, round_to
 from radiometer.reconciliation.propose.proposal import Proposal, Rival
 from radiometer.reconciliation.search.localise import localise, significant
 from radiometer.reconciliation.search.moves import free_forms, in_a_looser_form, nowhere_near
-from radiometer.reconciliation.search.outcome import Search, Step
-from radiometer.reconciliation.search.score import worth
+from radiometer.reconciliation.search.outcome import Search, Step, worth
 from radiometer.reconciliation.search.screening import best_start
 from radiometer.reconciliation.statistics import STATISTICS
 from radiometer.reconciliation.thresholds import NAMED_NATS, PARAMETER_NATS, RIVAL_NATS, SMOOTH_SHARE

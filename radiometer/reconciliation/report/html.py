@@ -9,7 +9,7 @@ from typing import Final
 from radiometer.data.storage import write_text_atomic
 from radiometer.numbers import unit_text, with_u
 from radiometer.reconciliation.report import pictures
-from radiometer.reconciliation.report.words import along, axis_label, seen_in
+from radiometer.reconciliation.report.pictures import along, axis_label, seen_in
 from radiometer.reconciliation.result import FoundEffect, ReconcileResult, Verdict
 from radiometer.reconciliation.search.outcome import Reconciled
 from radiometer.reporting.origin import Origin

@@ -25,11 +25,10 @@ import numpy as np
 
 from radiometer.errors import ConfigurationError, MeasurementError
 from radiometer.reconciliation.fit.candidate_fit import Candidate, fit_candidate, judged_gain
-from radiometer.reconciliation.fit.covariance import is_misfit
-from radiometer.reconciliation.fit.descent import coarse_fit, converged_fit, refit
+from radiometer.reconciliation.fit.descent import coarse_fit, converged_fit, is_misfit, refit
 from radiometer.reconciliation.fit.full_fit import FullFits, UnfitError, contenders_of, included
 from radiometer.reconciliation.fit.state import FitState, reweighted, with_effects, with_terms
-from radiometer.reconciliation.search.score import likeliest, penalised_chi2, rated, worth
+from radiometer.reconciliation.search.outcome import likeliest, penalised_chi2, rated, worth
 from radiometer.reconciliation.search.screening import StartPool, directions_of, screen
 from radiometer.reconciliation.thresholds import (
     HUGE_NATS,

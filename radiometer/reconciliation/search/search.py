@@ -15,8 +15,7 @@ from radiometer.reconciliation.fit.candidate_fit import (
     fit_candidate,
     judged_gain,
 )
-from radiometer.reconciliation.fit.covariance import is_far, is_misfit, scatter_of
-from radiometer.reconciliation.fit.descent import refit
+from radiometer.reconciliation.fit.descent import is_far, is_misfit, refit, scatter_of
 from radiometer.reconciliation.fit.full_fit import FullFits, UnfitError, contenders_of
 from radiometer.reconciliation.fit.state import FitState, reweighted, with_terms
 from radiometer.reconciliation.search.localise import Disagreement, departing, localise, significant, smooth_term
@@ -30,8 +29,9 @@ from radiometer.reconciliation.search.moves import (
     pruned,
     simpler,
 )
-from radiometer.reconciliation.search.outcome import Search, Step
-from radiometer.reconciliation.search.score import (
+from radiometer.reconciliation.search.outcome import (
+    Search,
+    Step,
     by_itself,
     is_shown,
     likeliest,

@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 
 from radiometer.reconciliation.engine import whole_catalogue
-from radiometer.reconciliation.fit.covariance import fitted_parameters
-from radiometer.reconciliation.fit.descent import converged_fit, refit
+from radiometer.reconciliation.fit.descent import converged_fit, fitted_parameters, refit
 from radiometer.reconciliation.fit.full_fit import FullFits, UnfitError
 from radiometer.reconciliation.fit.state import FitState, with_effects
 from radiometer.reconciliation.search.moves import better, simpler

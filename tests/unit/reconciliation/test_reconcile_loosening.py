@@ -8,8 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from radiometer.reconciliation.fit.covariance import fitted_parameters
-from radiometer.reconciliation.fit.descent import converged_fit, refit
+from radiometer.reconciliation.fit.descent import converged_fit, fitted_parameters, refit
 from radiometer.reconciliation.fit.state import FitState, with_effects
 from radiometer.reconciliation.search.localise import departing, localise
 from radiometer.reconciliation.search.moves import LooserForms

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from radiometer.data import CameraDescription, CaptureHeader, FrameEntry, PatchDescription
-from radiometer.reconciliation.advice.sizes import limits
+from radiometer.reconciliation.advice.separability import limits
 from radiometer.reconciliation.fit.nuisances import NuisanceLayout, dark_current_is_free
 from radiometer.reconciliation.measure.design import Design
 from radiometer.reconciliation.measure.reduce import frame_reader, reduce_frames

@@ -5,13 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from radiometer.reconciliation.fit.covariance import fitted_parameters
-from radiometer.reconciliation.fit.descent import refit
+from radiometer.reconciliation.fit.descent import fitted_parameters, refit
 from radiometer.reconciliation.fit.state import with_effects
 from radiometer.reconciliation.propose.search import own_covariates
 from radiometer.reconciliation.result import Verdict
 from radiometer.reconciliation.search.moves import in_a_looser_form, in_place_of_all
-from radiometer.reconciliation.search.score import worth
+from radiometer.reconciliation.search.outcome import worth
 from simulators.effects.black_level_offset import BlackLevelOffset
 from simulators.effects.dark_current import DarkCurrent
 from simulators.effects.display_nonuniformity import DisplayNonuniformity

@@ -11,9 +11,9 @@ import pytest
 
 from radiometer.data import CameraDescription, FrameSettings
 from radiometer.reconciliation.model.tile_context import TileContext
-from radiometer.reconciliation.propose.effect_file import effect_source, source_of_test
 from radiometer.reconciliation.propose.grammar import FORMS, Term, finer, formula, terms_of
 from radiometer.reconciliation.propose.law import Law, acted, effect_of, round_to
+from radiometer.reconciliation.propose.proposal import effect_source, source_of_test
 from simulators.chain.law_stages import LINKS
 from simulators.effects import registry
 from simulators.effects.context import ExposureContext, FrameGeometry
