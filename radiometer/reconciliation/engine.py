@@ -54,7 +54,6 @@ from radiometer.reconciliation.verdict import (
     doubts_of,
     faint,
     insignificant_names,
-    is_doubted,
     rest_of,
     size_of_rest,
     sizes_by_own_law,
@@ -358,7 +357,7 @@ def examine(
     scenes = set(design.patterns).difference(frame.pattern for frame in header.frames)
     if scenes:
         notes.append(f"the scene changes: {1 + len(scenes)} scenes are shown, each with a separate pattern")
-    found = search(start, entries, say, lambda found: is_doubted(found, posterior_of(found.state, entries)))
+    found = search(start, entries, say)
     outcome = _optional_step("laws outside the catalogue", lambda: held_to_laws(found, entries, say), notes) or found
     levels = levels_of_brightest(header, read)
     well = shown_well(outcome.state, levels)

@@ -55,11 +55,6 @@ def verdict_of(
     return Verdict.UNNAMED if unnamed else Verdict.AGREES
 
 
-def is_doubted(outcome: Search, weighed: Posterior) -> bool:
-    """Return whether the names of a search are provisional though nothing structured is left."""
-    return not leaves_structure(outcome) and bool(doubts_of(outcome, weighed))
-
-
 def doubts_of(
     outcome: Search, weighed: Posterior, alternatives: Mapping[str, Collection[str]] | None = None
 ) -> list[str]:

@@ -37,7 +37,6 @@ from radiometer.reconciliation.search.outcome import (
     likeliest,
     log_chance,
     penalised_chi2,
-    rated,
     rivals_of,
     score,
     worth,
@@ -49,7 +48,6 @@ from radiometer.reconciliation.thresholds import (
     KEPT_NATS,
     MOST_STEPS,
     NAMED_NATS,
-    NEAR_SHARE,
     PARAMETER_NATS,
     SIGNIFICANCE,
     SMOOTH_SHARE,
@@ -141,7 +139,6 @@ _SMOOTHS_TRIED: Final = 4
 _NEAR_FORM: Final = 0.5
 _LITTLE_PROMISE: Final = 0.05  # of what a further effect brings: forms came to eleven times their promise at most
 _AFTER_A_LAW: Final = 3  # further steps next to one form or law in place of all
-_OTHER_WAYS: Final = 2  # that are gone where the first leaves doubts
 
 
 @dataclass(slots=True)
@@ -152,30 +149,13 @@ class _Run:
     refused: set[str] = field(default_factory=set)
     pool: StartPool = field(default_factory=StartPool)
     first: list[CatalogueEffect] = field(default_factory=list)  # what fitted best before anything was named
-    turns: list[_Turn] = field(default_factory=list)
     screened: list[Candidate] = field(default_factory=list)  # next to the model before
     forms: dict[tuple[str, bool], tuple[CatalogueEffect, ...]] = field(default_factory=dict)  # as they were fitted then
-    barred: str = ""  # a name that this step may not give
     fitted_with: dict[str, tuple[CatalogueEffect, ...]] = field(default_factory=dict)  # what was fitted with each name
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Turn:
-    """A step at which another entry was nearly chosen."""
-
-    state: FitState  # the model before it
-    tests: tuple[Disagreement, ...]  # its tests
-    chosen: str  # the name that was given
-    lead: float  # by what share of its score it was ahead of the next in the same statistic
-    steps: tuple[Step, ...]  # the steps before
-    refused: frozenset[str]  # what had been refused before
-
-
 def search(
-    start: FitState,
-    catalogue: Mapping[str, type[CatalogueEffect]],
-    say: Callable[[str], None] = lambda line: None,
-    is_doubted: Callable[[Search], bool] = lambda found: False,
+    start: FitState, catalogue: Mapping[str, type[CatalogueEffect]], say: Callable[[str], None] = lambda line: None
 ) -> Search:
     """Return the model with every missing effect that the data can name.
 
@@ -183,30 +163,9 @@ def search(
         start: The ideal camera fitted.
         catalogue: Entries to try, by name.
         say: Told what happens, line by line.
-        is_doubted: Tells whether what was found is provisional though nothing is left, so that the search is taken up
-            again from where another entry was nearly chosen.
     """
     run, first = _Run(catalogue, say), localise(start)
-    found = _to_its_end(start, start, first, run)
-    for turn in sorted(run.turns, key=lambda turn: turn.lead)[:_OTHER_WAYS]:
-        if not is_doubted(found):
-            break
-        say(f"another way: not {turn.chosen} after {', '.join(step.name for step in turn.steps) or 'nothing'}")
-        again = _Run(catalogue, say, [*turn.steps], {*turn.refused}, run.pool, run.first)
-        other = _to_its_end(start, turn.state, turn.tests, again, barred=turn.chosen)
-        run.fitted_with |= again.fitted_with
-        if rated(other.state) > rated(found.state) + NAMED_NATS:
-            say(f"better by {rated(other.state) - rated(found.state):.1f} nats: gap {other.state.gap:.3f}")
-            found = other
-    fit_swapped(found.state, run.fitted_with)
-    return replace(found, first_tests=first)
-
-
-def _to_its_end(
-    start: FitState, state: FitState, tests: tuple[Disagreement, ...], run: _Run, barred: str = ""
-) -> Search:
-    """Return the outcome of a search from a model on, where one name may not be given at once."""
-    state, tests = _stepped(state, tests, run, MOST_STEPS, barred)
+    state, tests = _stepped(start, first, run, MOST_STEPS)
     for change in (_as_one, _refined):
         changed = change(start, state, tests, run)
         if changed is None:
@@ -217,15 +176,15 @@ def _to_its_end(
             state, tests = further, later
         else:
             run.steps = steps
-    return Search(state, start, tuple(run.steps), significant(tests), tests, ())
+    fit_swapped(state, run.fitted_with)
+    return Search(state, start, tuple(run.steps), significant(tests), tests, first)
 
 
 def _stepped(
-    state: FitState, tests: tuple[Disagreement, ...], run: _Run, most: int, barred: str = ""
+    state: FitState, tests: tuple[Disagreement, ...], run: _Run, most: int
 ) -> tuple[FitState, tuple[Disagreement, ...]]:
-    """Return the model after up to so many steps, of which the first may not give one name, and its tests."""
-    for step in range(most):
-        run.barred = barred if step == 0 else ""
+    """Return the model after up to so many steps, and its tests."""
+    for _ in range(most):
         try:
             following = _one_step(state, tests, run)
         except UnfitError as unfit:
@@ -279,7 +238,7 @@ def _one_step(state: FitState, tests: tuple[Disagreement, ...], run: _Run) -> Fi
     screened = run.screened = screen(state, run.catalogue, run.pool, Before(run.screened, _FITTED + len(run.refused)))
     limit = float(np.log(SIGNIFICANCE / max(len(screened), 1)))
     promising = _promising(screened, limit, standing)
-    promising = [candidate for candidate in promising if candidate.effect.name not in {*run.refused, run.barred}]
+    promising = [candidate for candidate in promising if candidate.effect.name not in run.refused]
     departed = [] if standing else departing(tests, state.effects)
     if not standing and not promising and not departed:
         return None
@@ -289,7 +248,7 @@ def _one_step(state: FitState, tests: tuple[Disagreement, ...], run: _Run) -> Fi
     far = is_far(state)
     shown = [entry for entry in judged if is_shown(*entry, limit, later=bool(state.effects), far=far)]
     looser = LooserForms.of(state, None if standing else departed)
-    fits, steps, refused = FullFits(state), tuple(run.steps), frozenset(run.refused)
+    fits = FullFits(state)
     while shown:
         contenders = contenders_of(fits, shown)
         chosen = likeliest(contenders)
@@ -306,8 +265,6 @@ def _one_step(state: FitState, tests: tuple[Disagreement, ...], run: _Run) -> Fi
         following = _named(fits, chosen, others, run, outperformed=outperformed)
         if following is not None:
             run.fitted_with[chosen[0].name] = tuple(f.effect for f in fitted if f.name != chosen[0].name)
-            if (lead := _lead(chosen, others)) < NEAR_SHARE:
-                run.turns.append(_Turn(state, tests, chosen[0].name, lead, steps, refused))
             return following
         shown = [entry for entry in shown if entry[0].name != chosen[0].name]
     if looser.best is not None:
@@ -400,15 +357,6 @@ def _outperforms(other: tuple[FittedCandidate, float], chosen: tuple[FittedCandi
     """Return whether another entry predicts better, each parameter paid for, its prior probability left out."""
     mine, others = (nats - PARAMETER_NATS * fitted.parameters for fitted, nats in (chosen, other))
     return other[0].name != chosen[0].name and others > mine + PARAMETER_NATS
-
-
-def _lead(chosen: tuple[FittedCandidate, float], others: Sequence[tuple[FittedCandidate, float]]) -> float:
-    """Return by what share of its score a name is ahead of the next entry that shows in the same statistic."""
-    best, (mine, _) = score(chosen), chosen
-    same = (
-        score(other) for other in others if other[0].name != mine.name and other[0].effect.block == mine.effect.block
-    )
-    return 1.0 - max(same, default=-np.inf) / best if best > 0.0 else np.inf
 
 
 def _smooth_gain(state: FitState, test: Disagreement) -> float:
