@@ -53,7 +53,6 @@ class CatalogueEffect(Effect):
         profiled: Parameter that is searched on a dense grid, for the prediction jumps in it.
         repeats: Whether it may act more than once, as several wrong labels do; `joined` makes one effect of two.
         proportional: Whether a fixed pattern grows with the light.
-        stands_for: Other entries that may together be equivalent to this one.
         endless: Parameters whose range ends in a form of the effect as good as any, not where physics ends.
         log_prior_odds: Natural logarithm of how likely the effect is before any data, against a usual one; added to
             its score.
@@ -84,7 +83,6 @@ class CatalogueEffect(Effect):
     varies: ClassVar[str] = ""
     settles: ClassVar[str] = ""
     essential: ClassVar[tuple[str, ...]] = ()
-    stands_for: ClassVar[tuple[str, ...]] = ()
     endless: ClassVar[tuple[str, ...]] = ()
     profiled: ClassVar[str] = ""
     repeats: ClassVar[bool] = False
@@ -178,11 +176,6 @@ class CatalogueEffect(Effect):
     def responsivity_taken(self) -> float:
         """Return the factor on the mean signal that the fitted responsivity has taken up already."""
         return 1.0
-
-    @classmethod
-    def in_place_of_others(cls) -> Self:
-        """Return the effect that may be all that the entries of `stands_for` do, where it starts."""
-        return cls()
 
     def loosened(self, context: ExposureContext) -> tuple[Self, ...]:
         """Return more flexible forms that start from this one, tried where structure remains.

@@ -34,7 +34,6 @@ class NaturalVignetting(Scaling):
     trials = ({"strength": 0.02, "k4": 0.0}, {"strength": 0.1, "k4": 0.0}, {"strength": 0.0, "k4": 0.03})
     fitted = ("strength", "k4")
     settles = "the screen turned or shifted against the camera"
-    stands_for = ("angle_dependence",)  # where no stop changes it
     essential = ("strength",)  # every lens has it; a fall-off towards the corners alone is cut off, not oblique
     strength: float = parameter(0.0, "1", -0.3, 3.0, source="engineering prior; refined on a real rig")
     k4: float = parameter(0.0, "1", -1.0, 1.0, source="engineering prior; refined on a real rig")
@@ -46,10 +45,6 @@ class NaturalVignetting(Scaling):
         x, y = context.geometry.field_xy()
         rho2 = np.square(x - self.axis_x) + np.square(y - self.axis_y)
         return (1.0 + self.strength * rho2) ** -2.0 * (1.0 - self.k4 * rho2**2)
-
-    @classmethod
-    def in_place_of_others(cls) -> Self:
-        return cls(0.03)
 
     @classmethod
     def covers(cls, context: ExposureContext) -> tuple[Self, ...]:

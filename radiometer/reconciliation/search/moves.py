@@ -1,4 +1,4 @@
-"""Changes a model with names: drops, swaps or joins names, loosens a law, or gives one name a free law.
+"""Changes a model with names: drops names, loosens a law, or gives one name a free law.
 
 What was named first knew nothing of what came later. Each move is judged by the score that also adds names: the
 held-out log density, every parameter paid for.
@@ -26,10 +26,10 @@ import numpy as np
 from radiometer.errors import ConfigurationError, MeasurementError
 from radiometer.reconciliation.fit.candidate_fit import Candidate, fit_candidate, judged_gain
 from radiometer.reconciliation.fit.descent import coarse_fit, converged_fit, is_misfit, refit
-from radiometer.reconciliation.fit.full_fit import FullFits, UnfitError, contenders_of, included
+from radiometer.reconciliation.fit.full_fit import FullFits, UnfitError, included
 from radiometer.reconciliation.fit.state import FitState, reweighted, with_effects, with_terms
-from radiometer.reconciliation.search.outcome import likeliest, penalised_chi2, rated, worth
-from radiometer.reconciliation.search.screening import StartPool, directions_of, screen
+from radiometer.reconciliation.search.outcome import penalised_chi2, rated, worth
+from radiometer.reconciliation.search.screening import directions_of
 from radiometer.reconciliation.thresholds import (
     HUGE_NATS,
     KEPT_NATS,
@@ -99,36 +99,6 @@ def _log_density(state: FitState) -> float:
     return float(np.sum(state.held_out.log_density))
 
 
-def better(
-    state: FitState, name: str, catalogue: Mapping[str, type[CatalogueEffect]], pool: StartPool
-) -> tuple[FitState, CatalogueEffect] | None:
-    """Return the model with another entry in place of one, where it predicts better together with what was named later.
-
-    Returns:
-        The model and the entry as it was fitted; None where no entry predicts better.
-    """
-    own = next(effect for effect in state.effects if effect.name == name)
-    present = {effect.name for effect in state.effects}
-    try:
-        rest = converged_fit(coarse_fit(with_effects(state, [effect for effect in state.effects if effect is not own])))
-        others = [candidate for candidate in screen(rest, catalogue, pool) if candidate.effect.name not in present]
-        judged = [
-            (fitted, judged_gain(rest, fitted)) for fitted in (fit_candidate(rest, c) for c in others[:_EXCHANGED])
-        ]
-        fits = FullFits(rest)
-        chosen = likeliest(contenders_of(fits, judged))
-        if chosen is None:
-            return None
-        fitted = chosen[0]
-        changed = fits.included(fitted.effect, far=True)
-    except (UnfitError, np.linalg.LinAlgError, ConfigurationError):  # what cannot be fitted takes no place
-        return None
-    more = PARAMETER_NATS * (changed.parameters.size - state.parameters.size)
-    if changed.evidence - more < state.evidence + NAMED_NATS:
-        return None
-    return changed, next(effect for effect in changed.effects if effect.name == fitted.name)
-
-
 def fit_swapped(state: FitState, others: Mapping[str, Sequence[CatalogueEffect]]) -> None:
     """Fit other entries in the place of each of several names, so that their models are compared with the names'.
 
@@ -153,32 +123,6 @@ def fit_swapped(state: FitState, others: Mapping[str, Sequence[CatalogueEffect]]
             FullFits(rest).try_out(best.effect, far=False)
         except (np.linalg.LinAlgError, ConfigurationError):  # what cannot be fitted takes no place
             continue
-
-
-def simpler(state: FitState, catalogue: Mapping[str, type[CatalogueEffect]]) -> tuple[FitState, CatalogueEffect] | None:
-    """Return the model with one entry in place of those that it may replace, where fewer parameters predict as well.
-
-    Each parameter that is saved is worth what a further one must bring.
-
-    Returns:
-        The model and the entry as it was fitted; None where no entry predicts as well.
-    """
-    present = {effect.name: len(effect.free()) for effect in state.effects}
-    for name, kind in catalogue.items():
-        if not kind.stands_for or name in present or not present.keys() >= set(kind.stands_for):
-            continue
-        start = kind.in_place_of_others()
-        saved = PARAMETER_NATS * (sum(present[other] for other in kind.stands_for) - len(start.free()))
-        if saved <= 0:
-            continue
-        try:
-            rest = [effect for effect in state.effects if effect.name not in kind.stands_for]
-            joined = included(with_effects(state, rest), start, far=True)
-        except UnfitError:
-            continue
-        if joined.evidence + saved > state.evidence:
-            return joined, next(effect for effect in joined.effects if effect.name == name)
-    return None
 
 
 @dataclass(frozen=True, slots=True, eq=False)

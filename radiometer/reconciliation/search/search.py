@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any, Final
 
@@ -22,12 +22,10 @@ from radiometer.reconciliation.search.localise import Disagreement, departing, l
 from radiometer.reconciliation.search.moves import (
     Loosened,
     LooserForms,
-    better,
     by_a_free_law,
     fit_swapped,
     in_place_of_all,
     pruned,
-    simpler,
 )
 from radiometer.reconciliation.search.outcome import (
     Search,
@@ -190,14 +188,13 @@ def _stepped(
         except UnfitError as unfit:
             run.refused.add(str(unfit))
             continue
-        if following is None and (following := _exchanged(state, tests, run)) is None:
+        if following is None:
             break
         state, dropped = pruned(following, run.say)
         for name in dropped:
             _forget(run, name)
         if dropped:  # rivals were judged next to what is gone; what the plan cannot separate is determined again
             run.steps = [replace(step, rivals=()) for step in run.steps]
-        state = _joined(state, run)
         tests = localise(state)
     return state, tests
 
@@ -396,32 +393,6 @@ def _named(
         run.steps[again] = replace(old, gain_nats=old.gain_nats + nats, gap_after=following.gap)
     run.say(f"{fitted.name}: {nats:.1f} nats, gap {gap_before:.3f} → {following.gap:.3f}")
     return following
-
-
-def _joined(state: FitState, run: _Run) -> FitState:
-    """Return the model with one entry in place of names that it may explain."""
-    found = simpler(state, run.catalogue)
-    return state if found is None else _in_place(state, found, found[1].stands_for, run)
-
-
-def _exchanged(state: FitState, tests: tuple[Disagreement, ...], run: _Run) -> FitState | None:
-    """Return the model with another name in place of one that leaves structure after later ones, if any."""
-    for name in departing(tests, state.effects) if len(state.effects) > 1 else ():
-        found = better(state, name, run.catalogue, run.pool)
-        if found is not None:
-            run.refused.add(name)
-            return _in_place(state, found, (name,), run)
-    return None
-
-
-def _in_place(state: FitState, found: tuple[FitState, CatalogueEffect], names: Sequence[str], run: _Run) -> FitState:
-    changed, effect = found
-    old = [step for step in run.steps if step.name in names]
-    nats = sum(step.gain_nats for step in old) + changed.evidence - state.evidence
-    run.steps[run.steps.index(old[0])] = Step(effect.name, effect.where, nats, old[0].gap_before, changed.gap)
-    run.steps = [step for step in run.steps if step not in old]
-    run.say(f"{effect.name} in place of {' and '.join(names)}: gap {state.gap:.3f} → {changed.gap:.3f}")
-    return changed
 
 
 def _unnamed(
