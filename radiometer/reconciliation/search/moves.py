@@ -3,10 +3,6 @@
 What was named first knew nothing of what came later. Each move is judged by the score that also adds names: the
 held-out log density, every parameter paid for.
 
-A search adds what helps most, one name after the other, and comes to a looser form only by way of the plain one. A
-cause that the plain form describes badly is then reported as several that correct each other (wings of stray light as
-a display's gamma with a fall-off). Of models that predict equally well the one of a single cause is reported.
-
 Where structure stays in the end, the names that were found may be one cause by another law than the catalogue's. Each
 entry's change is then multiplied by a free curve along its own covariates (`simulators/effects/free_law.py`). It is
 tried alone from the start on or in the place of a name, by the score of all models. It is kept where it leaves
@@ -28,7 +24,7 @@ from radiometer.reconciliation.fit.candidate_fit import Candidate, fit_candidate
 from radiometer.reconciliation.fit.descent import coarse_fit, converged_fit, is_misfit, refit
 from radiometer.reconciliation.fit.full_fit import FullFits, UnfitError, included
 from radiometer.reconciliation.fit.state import FitState, reweighted, with_effects, with_terms
-from radiometer.reconciliation.search.outcome import penalised_chi2, rated, worth
+from radiometer.reconciliation.search.outcome import penalised_chi2, worth
 from radiometer.reconciliation.search.screening import directions_of
 from radiometer.reconciliation.thresholds import (
     HUGE_NATS,
@@ -267,7 +263,6 @@ def _acts(state: FitState, effect: CatalogueEffect, before: TileMoments) -> Mask
 
 
 _FORMS_FITTED: Final = 3  # forms that are fitted in full, the most promising first
-_LOOSER: Final = 2  # times that the best entry alone is made looser
 _NEAR: Final = 2.0  # times what was left beyond chance, under the same weights: a law that leaves more is far off
 _FEW: Final = 6  # iterations that tell how the others do alone
 
@@ -301,56 +296,6 @@ def nowhere_near(base: FitState, found: FitState) -> float:
     """
     left, count = base.comparison.residual(found.prediction), float(base.comparison.counts().sum())
     return count + _NEAR * max(float(left @ left) - count, 0.0) + 2.0 * HUGE_NATS
-
-
-def in_a_looser_form(
-    start: FitState, least: float, catalogue: Mapping[str, type[CatalogueEffect]], most: float = np.inf
-) -> FitState | None:
-    """Return the model with the entry of which a looser form alone does what others do; None where none does.
-
-    What has no plain part (a black level that ramps and is nothing in the middle) a search does not meet.
-
-    Args:
-        start: The starting camera fitted.
-        least: Score that the model needs.
-        most: χ² under the weights of the start that a form may leave.
-    """
-    context, best = start.model.context, list[FitState]()
-    several = [kind.starts(context) for kind in catalogue.values() if kind.usable(context)]
-    plain = [min(starts, key=lambda entry: len(entry.free())) for starts in several if starts]
-    for _ in range(_LOOSER):  # each time from the best so far
-        forms = [form for entry in plain for form in entry.loosened(context)]
-        promising = sorted(((promise(start, form), n) for n, form in enumerate(forms)), reverse=True)[:_FORMS_FITTED]
-        fitted = (_alone(start, forms[n], most) for promised, n in promising if promised > 0)
-        better = max((state for state in fitted if state is not None), key=rated, default=None)
-        if better is None or (best and rated(better) <= rated(best[-1])):
-            break
-        best.append(better)
-        plain = list(better.effects)
-    return best[-1] if best and rated(best[-1]) > least else None
-
-
-def _alone(start: FitState, form: CatalogueEffect, most: float) -> FitState | None:
-    """Return the model with a form alone; None where it cannot be fitted."""
-    try:
-        return included(start, form, far=True, most=most)
-    except (UnfitError, np.linalg.LinAlgError, ConfigurationError):  # what cannot be fitted does nothing
-        return None
-
-
-def in_place_of_all(
-    start: FitState, state: FitState, catalogue: Mapping[str, type[CatalogueEffect]]
-) -> FitState | None:
-    """Return the model with one entry in a looser form that predicts better than several names; None where none does.
-
-    Args:
-        start: The starting camera fitted.
-        state: What was found: names, and curves without a name.
-    """
-    curves = sum(term.is_smooth for term in state.terms)
-    if not state.effects or len(state.effects) + curves < 2:
-        return None
-    return in_a_looser_form(start, rated(state), catalogue, nowhere_near(start, state))
 
 
 def by_a_free_law(start: FitState, state: FitState, alone: Sequence[CatalogueEffect]) -> Refined | None:

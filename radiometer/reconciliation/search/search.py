@@ -24,7 +24,6 @@ from radiometer.reconciliation.search.moves import (
     LooserForms,
     by_a_free_law,
     fit_swapped,
-    in_place_of_all,
     pruned,
 )
 from radiometer.reconciliation.search.outcome import (
@@ -136,7 +135,7 @@ _JUDGED: Final = 4  # of them, those that are judged on held-out settings
 _SMOOTHS_TRIED: Final = 4
 _NEAR_FORM: Final = 0.5
 _LITTLE_PROMISE: Final = 0.05  # of what a further effect brings: forms came to eleven times their promise at most
-_AFTER_A_LAW: Final = 3  # further steps next to one form or law in place of all
+_AFTER_A_LAW: Final = 3  # further steps next to a free law
 
 
 @dataclass(slots=True)
@@ -164,10 +163,8 @@ def search(
     """
     run, first = _Run(catalogue, say), localise(start)
     state, tests = _stepped(start, first, run, MOST_STEPS)
-    for change in (_as_one, _refined):
-        changed = change(start, state, tests, run)
-        if changed is None:
-            continue
+    changed = _refined(start, state, tests, run)
+    if changed is not None:
         state, tests, steps = changed, localise(changed), list(run.steps)
         further, later = _stepped(state, tests, run, _AFTER_A_LAW)
         if worth(further) > worth(state):
@@ -197,17 +194,6 @@ def _stepped(
             run.steps = [replace(step, rivals=()) for step in run.steps]
         tests = localise(state)
     return state, tests
-
-
-def _as_one(start: FitState, state: FitState, tests: tuple[Disagreement, ...], run: _Run) -> FitState | None:
-    """Return the model with one entry in a looser form in place of several names, where it predicts better."""
-    found = in_place_of_all(start, state, run.catalogue)
-    if found is None:
-        return None
-    (effect,) = found.effects
-    run.say(f"{effect.name} in a looser form in place of all: gap {state.gap:.3f} → {found.gap:.3f}")
-    run.steps = [Step(effect.name, effect.where, found.evidence - start.evidence, start.gap, found.gap)]
-    return found
 
 
 def _refined(start: FitState, state: FitState, tests: tuple[Disagreement, ...], run: _Run) -> FitState | None:

@@ -5,16 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from radiometer.reconciliation.fit.descent import fitted_parameters, refit
-from radiometer.reconciliation.fit.state import with_effects
-from radiometer.reconciliation.propose.search import own_covariates
+from radiometer.reconciliation.fit.descent import fitted_parameters
+from radiometer.reconciliation.propose.search import in_a_looser_form, own_covariates
 from radiometer.reconciliation.result import Verdict
-from radiometer.reconciliation.search.moves import in_a_looser_form, in_place_of_all
 from radiometer.reconciliation.search.outcome import worth
 from simulators.effects.black_level_offset import BlackLevelOffset
 from simulators.effects.dark_current import DarkCurrent
 from simulators.effects.display_nonuniformity import DisplayNonuniformity
-from simulators.effects.dsnu import Dsnu
 from simulators.effects.led_thermal_droop import LedThermalDroop
 from simulators.effects.mechanical_vignetting import MechanicalVignetting
 from simulators.effects.natural_vignetting import NaturalVignetting
@@ -62,29 +59,6 @@ def test_a_ramp_that_is_nothing_in_the_middle_is_an_offset_s_looser_form(make_ca
     left = float(start.comparison.residual(found.prediction) @ start.comparison.residual(found.prediction))
     assert in_a_looser_form(start, worth(start), entries, most=left - 50.0) is None
     assert in_a_looser_form(start, worth(start), entries, most=left + 50.0) is not None
-
-
-def test_of_models_that_predict_as_well_the_one_of_a_single_cause_is_reported(make_capture):
-    """A ramp stands in place of two names that do not explain it, of the ramp next to an idle name, and of no single
-    name."""
-    start, entries = ramp(make_capture), {"black_level_offset": BlackLevelOffset}
-    tilted = in_a_looser_form(start, worth(start), entries)
-    one, idle = refit(with_effects(start, [DarkCurrent(2.0)])), Dsnu(0.01)
-    for several in ([DarkCurrent(2.0), idle], [idle, *tilted.effects]):
-        found = in_place_of_all(start, refit(with_effects(start, several)), entries)
-        assert [effect.name for effect in found.effects] == ["black_level_offset"]
-        assert found.evidence == pytest.approx(tilted.evidence)
-    assert in_place_of_all(start, one, entries) is None
-    assert in_place_of_all(start, start, entries) is None
-
-
-@pytest.mark.parametrize(("odds", "taken"), [(0.0, True), (-1e9, False)])
-def test_a_single_cause_needs_the_odds_of_its_name(make_capture, monkeypatch, odds, taken):
-    """An entry that is not expected beforehand pays for it against several names."""
-    start, entries = ramp(make_capture), {"black_level_offset": BlackLevelOffset}
-    monkeypatch.setattr(BlackLevelOffset, "log_prior_odds", odds)
-    several = refit(with_effects(start, [DarkCurrent(2.0), Dsnu(0.01)]))
-    assert (in_place_of_all(start, several, entries) is not None) is taken
 
 
 @pytest.mark.slow
