@@ -97,14 +97,6 @@ FEW_TRIES: Final = _row(
 SHOWN_CHI2: Final = _row(
     "SHOWN_CHI2", 8.0, "χ²", "a name that its own statistic does not support, only others that it happens to improve"
 )
-STATED_NATS: Final = _row(
-    "STATED_NATS",
-    6.0,
-    "nats",
-    "an error of calibration that depends on the level: radiances are measured once, their errors are correlated",
-    "sessions of a second generator with turned charts (docs/explanation/reconcile.md)",
-)
-STATED_SHARE: Final = _row("STATED_SHARE", 0.5, "1", "the same: share of the χ² from which they carry the evidence")
 OWN_LAW_NATS: Final = _row(
     "OWN_LAW_NATS", 2.0, "nats", "a rigid law that stays though its own tests speak against it already"
 )

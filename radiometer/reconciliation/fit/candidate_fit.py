@@ -45,7 +45,6 @@ class FittedCandidate:
     residual: Array  # whitened residual with the effect, nuisances where they were; prior rows included
     columns: Array  # −d(residual)/d(scaled parameter of the effect), prior rows included
     tries: int = 1  # number of starts that the entry had
-    stated: float = 0.0  # χ² that it explains in the stated radiances alone
     overrated: float = 0.0  # nats that the scores of few frames' variances promise beyond their exact likelihood
     forms: tuple[CatalogueEffect, ...] = ()  # the best of each variant: where to begin with another model
 
@@ -174,7 +173,6 @@ def _judged(state: FitState, best: _Trial, candidate: Candidate) -> FittedCandid
         best.residual,
         columns,
         candidate.tries,
-        stated,
         overrated,
     )
 

@@ -24,8 +24,6 @@ from radiometer.reconciliation.thresholds import (
     PARAMETER_NATS,
     RIVAL_NATS,
     SHOWN_CHI2,
-    STATED_NATS,
-    STATED_SHARE,
 )
 from simulators.effects.catalogue import CatalogueEffect
 
@@ -140,11 +138,9 @@ def is_shown(fitted: FittedCandidate, nats: float, limit: float, *, later: bool,
     """Return whether settings held out are predicted better, beyond chance, and in the statistic that must show it.
 
     Far off, where nuisances would have to move by much, the statistic is asked by the full fit alone. Of many starts
-    one fits by chance, and after a first effect a further one is less likely. The radiances of
-    patches are stated once: an error of their measurement that depends on the level looks like an effect.
+    one fits by chance, and after a first effect a further one is less likely.
     """
     needed = NAMED_NATS - fitted.effect.log_prior_odds + float(np.log(max(fitted.tries / FEW_TRIES, 1.0)))
-    needed += STATED_NATS if fitted.stated > STATED_SHARE * fitted.gain else 0.0
     needed += FLEXIBLE_NATS if fitted.flexible else 0.0
     beyond_chance = log_chance(fitted.gain, fitted.parameters) < limit
     in_its_own = fitted.evidence >= SHOWN_CHI2 or (far and nats > HUGE_NATS)
