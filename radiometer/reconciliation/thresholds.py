@@ -146,8 +146,5 @@ TESTED_NATS: Final = _row(
     "nats",
     "a size not separated from its form, believed though its law is hardly tested: from here it is, to a tenth",
 )
-BOUND_CHI2: Final = _row(
-    "BOUND_CHI2", 9.0, "χ²", "an entry bent to what it is not: what the end of a range brings over the usual value"
-)
 
 TABLE: Final[tuple[Threshold, ...]] = tuple(_ROWS.values())

@@ -7,7 +7,6 @@ above 1.
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import fields, replace
 from typing import Final
 
 import numpy as np
@@ -21,7 +20,6 @@ from radiometer.reconciliation.result import SURE, FittedParameter, FoundEffect,
 from radiometer.reconciliation.search.localise import axis_of, covariates, departing, own_place
 from radiometer.reconciliation.search.outcome import Search, Step
 from radiometer.reconciliation.thresholds import (
-    BOUND_CHI2,
     ESSENTIAL_SIGMAS,
     FAINT_NATS,
     SMOOTH_SHARE,
@@ -68,8 +66,7 @@ def doubts_of(
     alike: Mapping[str, Collection[str]] = alternatives or {
         step.name: [rival.name for rival in step.rivals] for step in outcome.steps
     }
-    doubts = [f"{name} is fitted at the end of its range: the data contain something else" for name in _at_bound(state)]
-    doubts += [
+    doubts = [
         f"{name} has a probability of {probability:.2f}, its alternatives included: other models predict as well"
         for name, probability in uncertain([effect.name for effect in effects], weighed, alike).items()
     ]
@@ -298,34 +295,6 @@ def sizes_by_own_law(state: FitState, effect: FreeLaw) -> dict[str, FittedParame
         if entry.u is not None:
             found[name] = FittedParameter(held, float(np.hypot(entry.u, entry.value - held)), entry.unit)
     return found
-
-
-def _at_bound(state: FitState) -> list[str]:
-    """Return what parameters the data push out of their physical range: the entry is bent to what it is not."""
-    own = state.parameters
-    low, high = own.on_bounds()  # what moves nothing where it stands is frozen too
-    ends = [index for index in sorted(state.frozen) if (low | high)[index] and own.values[index] != 0.0]
-    ends = [index for index in ends if own.names[index] not in own.effects[own.owner[index]].endless]
-    return [
-        f"{own.names[index]} of {own.effects[own.owner[index]].name}"
-        for index in ends
-        if _push(state, index) > BOUND_CHI2
-    ]
-
-
-def _push(state: FitState, index: int) -> float:
-    """Return the χ² that a parameter gains by the end of its range over its usual value, all others fitted anew."""
-    own = state.parameters
-    effect, name = own.effects[own.owner[index]], own.names[index]
-    usual = {entry.name: entry.default for entry in fields(effect)}.get(name)
-    if not isinstance(usual, float):
-        return 0.0
-    values = own.values
-    values[index] = usual
-    moved = with_effects(state, own.replaced(values))
-    if moved.parameters.size == own.size:  # else the effect is rigid there: the parameter is none of its free ones
-        moved = replace(moved, frozen=frozenset({index}))
-    return refit(moved, iterations=_REFITS).cost - state.cost
 
 
 # ---- what speaks against names --------------------------------------------------------------------------------------

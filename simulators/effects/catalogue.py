@@ -53,7 +53,6 @@ class CatalogueEffect(Effect):
         profiled: Parameter that is searched on a dense grid, for the prediction jumps in it.
         repeats: Whether it may act more than once, as several wrong labels do; `joined` makes one effect of two.
         proportional: Whether a fixed pattern grows with the light.
-        endless: Parameters whose range ends in a form of the effect as good as any, not where physics ends.
         log_prior_odds: Natural logarithm of how likely the effect is before any data, against a usual one; added to
             its score.
         prior_reason: Why they are not even.
@@ -83,7 +82,6 @@ class CatalogueEffect(Effect):
     varies: ClassVar[str] = ""
     settles: ClassVar[str] = ""
     essential: ClassVar[tuple[str, ...]] = ()
-    endless: ClassVar[tuple[str, ...]] = ()
     profiled: ClassVar[str] = ""
     repeats: ClassVar[bool] = False
     proportional: ClassVar[bool] = False

@@ -45,7 +45,6 @@ class StrayLightKernel(CatalogueEffect):
     fitted = ("share", "radius", "edge_share")
     settles = "one bright patch with several sizes of surround"
     essential = ("radius",)  # a kernel of any width is any glare
-    endless = ("beyond",)  # darkness beyond the border
     share: float = parameter(0.0, "1", -0.05, _MOST, source="engineering prior; refined on a real rig")
     radius: float = parameter(0.1, "1", 0.02, 1.0, source="sigma as a fraction of the longer side")
     edge_share: float = parameter(

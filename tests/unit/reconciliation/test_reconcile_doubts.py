@@ -2,21 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import pytest
 
-from radiometer.reconciliation.fit.descent import converged_fit, refit
-from radiometer.reconciliation.fit.state import ModelFit, with_effects
+from radiometer.reconciliation.fit.state import ModelFit
 from radiometer.reconciliation.posterior import Posterior, posterior
 from radiometer.reconciliation.result import FittedParameter
 from radiometer.reconciliation.search.localise import Disagreement, departing
-from radiometer.reconciliation.search.outcome import Search, Step
-from radiometer.reconciliation.verdict import doubts_of, insignificant_next_to_others, uncertain, without_essential
-from simulators.effects.black_level_drift import BlackLevelDrift
+from radiometer.reconciliation.search.outcome import Step
+from radiometer.reconciliation.verdict import insignificant_next_to_others, uncertain, without_essential
 from simulators.effects.catalogue import CatalogueEffect
 from simulators.effects.conversion_gain_error import ConversionGainError
 from simulators.effects.crosstalk import Crosstalk
@@ -25,11 +21,9 @@ from simulators.effects.natural_vignetting import NaturalVignetting
 from simulators.effects.psf_blur import PsfBlur
 from simulators.effects.rolling_shutter_banding import RollingShutterBanding
 from simulators.effects.stray_light_kernel import StrayLightKernel
-from testing.reduced import start_of
 
 BLUR_AND_GAIN = (PsfBlur(0.3), ConversionGainError(0.01))
 CROSSTALK = Crosstalk(0.01)
-WARM_DARKS = [{"t": 1e-3, "T": kelvin, "shutter": "closed"} for kelvin in (25.0, 35.0, 45.0) for _ in range(4)]
 
 
 def _step(name: str, *rivals: Crosstalk, nats: float = 50.0) -> Step:
@@ -121,18 +115,3 @@ def test_law_that_leaves_structure_in_its_own_place_departs() -> None:
     quiet = [test("mean", "exposure_s", 0.02), test("mean", "image_x", 0.001), test("variance", "exposure_s", 0.001)]
     assert departing(quiet, late) == []
     assert departing([*quiet, test("mean", "exposure_s", 0.001)], late) == ["exposure_time_offset"]
-
-
-@pytest.mark.parametrize(("offset_dn", "doubted"), [(4.0, True), (0.0, False)])
-def test_a_parameter_is_doubted_where_the_data_push_it_out_of_its_range(
-    make_capture: Callable[..., Any], offset_dn: float, doubted: bool
-) -> None:
-    """A black level 4 DN too high at every temperature pushes a drift's reference to −60 °C; nothing pushes 0."""
-    captured = make_capture(plan=WARM_DARKS, extra_dn=lambda setting: offset_dn)
-    state = start_of(captured)
-    found = with_effects(state, [BlackLevelDrift(0.05, -60.0)] if doubted else [BlackLevelDrift(1e-9, -60.0)])
-    found = converged_fit(refit(found)) if doubted else replace(found, frozen=frozenset({1}))
-    assert found.parameters.on_bounds()[0].any()
-    weighed = _weighed((found.effects, 100.0))
-    said = [line for line in doubts_of(Search(found, state, (), (), (), ()), weighed) if "end of its range" in line]
-    assert [line.startswith("reference_C of black_level_drift") for line in said] == [True] * doubted
