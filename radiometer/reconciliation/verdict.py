@@ -79,9 +79,6 @@ def doubts_of(
         for name in without_essential(outcome.steps, effects, fitted_parameters(state))
     ]
     doubts += [
-        f"{size}: smaller than this cause ever is, so another cause acts like it" for size in below_least(effects)
-    ]
-    doubts += [
         f"{name} with these parameters acts like other causes: no data are specific to it"
         for name in acting_as_others(state)
     ]
@@ -375,16 +372,6 @@ def without_essential(
         if any(u is not None and far < ESSENTIAL_SIGMAS * u for far, u in away):
             found.append(effect.name)
     return found
-
-
-def below_least(effects: Sequence[CatalogueEffect]) -> list[str]:
-    """Return names with a parameter that is nearer to its value without effect than where they are the cause."""
-    return [
-        f"{effect.name} with {name} = {getattr(effect, name):.6g}"
-        for effect in effects
-        for name, least in effect.least.items()
-        if abs(getattr(effect, name) - effect.neutral(name)) < least
-    ]
 
 
 def insignificant_next_to_others(steps: Sequence[Step], effects: Sequence[CatalogueEffect]) -> list[str]:

@@ -10,7 +10,6 @@ from abc import abstractmethod
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import lru_cache
-from types import MappingProxyType
 from typing import Any, ClassVar, Final, Literal, Self, cast
 
 import numpy as np
@@ -68,7 +67,6 @@ class CatalogueEffect(Effect):
         signal_power: Power of the signal with which a steep effect goes, where that is all: 0 for what is added, 1 for
             a factor. The result for one signal on the grid in each tile then holds for all.
         is_sudden: Whether it jumps along the signal: each pixel's noise decides on which side of the jump it is.
-        least: Least distance of a parameter from the value without effect where this is the cause, by its name.
         heated: Parameter that doubles within `doubling_K` and is stated at `reference_C`; a search states it at the
             temperature of the session that is nearest to the usual.
     """
@@ -97,7 +95,6 @@ class CatalogueEffect(Effect):
     is_steep: ClassVar[bool] = False
     is_sudden: ClassVar[bool] = False
     signal_power: ClassVar[int | None] = None
-    least: ClassVar[Mapping[str, float]] = MappingProxyType({})
     heated: ClassVar[str] = ""
 
     @classmethod
