@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 
@@ -49,86 +49,7 @@ from radiometer.reconciliation.thresholds import (
     SIGNIFICANCE,
     SMOOTH_SHARE,
 )
-from simulators.effects.base import DIGITAL_NUMBER, EXPOSURE, IRRADIANCE, Stage, parameter
-from simulators.effects.catalogue import CatalogueEffect, Offset, Scaling
-from simulators.effects.context import ExposureContext
-
-# ---- plain trends -------------------------------------------------------------------------------------------------
-# What no more freedom than an entry's explains better is not that entry. Trends are fitted like effects, in all
-# statistics at once, but belong to no catalogue: where one of them wins, the disagreement stays unnamed. A trend whose
-# `where` is empty answers for every covariate.
-
-
-@dataclass(frozen=True)
-class ConstantTrend(Offset):
-    """Adds the same to every digital number: y' = y + b.
-
-    Source: the constant term of any trend.
-    """
-
-    name = "constant_trend"
-    stage = Stage.READOUT
-    unit_in = DIGITAL_NUMBER
-    unit_out = DIGITAL_NUMBER
-    where = ""
-    block = "mean"
-    trials = ({"offset_dn": 1.0}, {"offset_dn": -1.0})
-    fitted = ("offset_dn",)
-    offset_dn: float = parameter(0.0, "DN", -1.0, 1.0, source="free", of_full_scale=True)
-
-    def offset(self, context: ExposureContext) -> float:
-        """Return b in DN."""
-        return self.offset_dn
-
-
-@dataclass(frozen=True)
-class RadialTrend(Scaling):
-    """Scales light by a polynomial of the field radius: E' = E·(1 + a₂·ρ² + a₄·ρ⁴).
-
-    Source: the first even terms of any curve about the lens's axis.
-    """
-
-    name = "radial_trend"
-    stage = Stage.OPTICS
-    unit_in = IRRADIANCE
-    unit_out = IRRADIANCE
-    where = ""
-    block = "slope"
-    trials = ({"a2": -0.03}, {"a2": 0.03})
-    fitted = ("a2", "a4")
-    a2: float = parameter(0.0, "1", -1.0, 1.0, source="free")
-    a4: float = parameter(0.0, "1", -1.0, 1.0, source="free")
-
-    def factor(self, context: ExposureContext) -> Any:
-        """Return the polynomial."""
-        rho2 = np.square(context.geometry.field_radius())
-        return np.maximum(1.0 + self.a2 * rho2 + self.a4 * rho2**2, 0.01)
-
-
-@dataclass(frozen=True)
-class ExposureTrend(Scaling):
-    """Scales light by a straight line along the logarithm of the exposure time: H' = H·(1 + b·ln(t/1 ms)).
-
-    Source: the first term of any slow curve along the exposures.
-    """
-
-    name = "exposure_trend"
-    stage = Stage.SHUTTER
-    unit_in = EXPOSURE
-    unit_out = EXPOSURE
-    where = "exposure_s"
-    block = "mean"
-    trials = ({"b": 0.005}, {"b": -0.005})
-    fitted = ("b",)
-    b: float = parameter(0.0, "1", -0.05, 0.05, source="free")
-
-    def factor(self, context: ExposureContext) -> Any:
-        """Return the line."""
-        return np.maximum(1.0 + self.b * np.log(np.asarray(context.settings.exposure_s) / 1e-3), 0.01)
-
-
-TRENDS: Final[tuple[type[CatalogueEffect], ...]] = (ConstantTrend, RadialTrend, ExposureTrend)
-
+from simulators.effects.catalogue import CatalogueEffect
 
 _FITTED: Final = 7  # candidates that are fitted in each step
 _JUDGED: Final = 4  # of them, those that are judged on held-out settings
@@ -239,12 +160,10 @@ def _one_step(state: FitState, tests: tuple[Disagreement, ...], run: _Run) -> Fi
             break
         if contenders is not shown:
             chosen = by_itself(contenders, shown, scatter_of(fits.included(chosen[0].effect, far=True)))
-        plain = _plain_leads(fits, chosen)
-        if not _convinces(state, chosen, standing, plain) or _is_likelier(fits, looser, chosen):
+        if not _convinces(state, chosen, standing) or _is_likelier(fits, looser, chosen):
             break
         others = judged if contenders is shown else contenders
-        outperformed = any(_is_plainer(kind, chosen[0]) and lead > 0.0 for kind, lead in plain.items())
-        outperformed |= any(_outperforms(other, chosen) for other in others)
+        outperformed = any(_outperforms(other, chosen) for other in others)
         following = _named(fits, chosen, others, run, outperformed=outperformed)
         if following is not None:
             run.fitted_with[chosen[0].name] = tuple(f.effect for f in fitted if f.name != chosen[0].name)
@@ -292,48 +211,13 @@ def _promising(candidates: list[Candidate], limit: float, standing: tuple[Disagr
     return [c for c in candidates if log_chance(c.gain, c.parameters) < slack * limit]
 
 
-def _convinces(
-    state: FitState,
-    chosen: tuple[FittedCandidate, float],
-    standing: tuple[Disagreement, ...],
-    plain: Mapping[type[CatalogueEffect], float],
-) -> bool:
+def _convinces(state: FitState, chosen: tuple[FittedCandidate, float], standing: tuple[Disagreement, ...]) -> bool:
     fitted, nats = chosen
-    if any(lead > (0.0 if _is_constant(kind, fitted) else NAMED_NATS) for kind, lead in plain.items()):
-        return False
     same = [test for test in standing if test.family == fitted.effect.block]
     if not same:
         return True
     smooth = _smooth_gain(state, same[0])
     return nats >= SMOOTH_SHARE * smooth or nats >= smooth - NAMED_NATS
-
-
-def _plain_leads(fits: FullFits, chosen: tuple[FittedCandidate, float]) -> dict[type[CatalogueEffect], float]:
-    """Return by how many nats each plain trend of no more freedom predicts better than the chosen effect."""
-    effect = chosen[0].effect
-    return {
-        kind: _plain_lead(fits, kind, chosen)
-        for kind in TRENDS
-        if kind.block == effect.block and kind.where in ("", effect.where) and len(kind.fitted) <= chosen[0].parameters
-    }
-
-
-def _plain_lead(fits: FullFits, kind: type[CatalogueEffect], chosen: tuple[FittedCandidate, float]) -> float:
-    state = fits.state
-    starts = kind.starts(state.model.context)
-    plain = fit_candidate(state, Candidate(starts[0], 0.0, len(kind.fitted), others=starts[1:]))
-    (_, named), (_, trend) = contenders_of(fits, [chosen, (plain, judged_gain(state, plain))], fewest=2)
-    return trend + PARAMETER_NATS * (chosen[0].parameters - plain.parameters) - named
-
-
-def _is_constant(kind: type[CatalogueEffect], fitted: FittedCandidate) -> bool:
-    """Return whether a trend is a mere constant, of fewer parameters than an effect that depends on some setting."""
-    return not kind.where and len(kind.fitted) == 1 < fitted.parameters
-
-
-def _is_plainer(kind: type[CatalogueEffect], fitted: FittedCandidate) -> bool:
-    """Return whether a trend follows an effect's very covariate with fewer parameters than it."""
-    return kind.where == fitted.effect.where and len(kind.fitted) < fitted.parameters
 
 
 def _outperforms(other: tuple[FittedCandidate, float], chosen: tuple[FittedCandidate, float]) -> bool:
