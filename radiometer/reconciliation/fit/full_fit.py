@@ -85,19 +85,16 @@ class FullFits:
             self.included(effect, far=far)
 
 
-def contenders_of(
-    fits: FullFits, judged: list[tuple[FittedCandidate, float]], fewest: int = 1
-) -> list[tuple[FittedCandidate, float]]:
+def contenders_of(fits: FullFits, judged: list[tuple[FittedCandidate, float]]) -> list[tuple[FittedCandidate, float]]:
     """Return the candidates, those of a very large and nearly equal gain judged anew after a full fit of each.
 
     Beside a huge disagreement the linearised nuisances and the weights of the old model are poor judges; where entries
-    are off by ten of their uncertainties and more, of all candidates. With fewer
-    than `fewest` left all are returned as they came.
+    are off by ten of their uncertainties and more, of all candidates.
     """
     best = max((nats for _, nats in judged), default=0.0)
     share = 1.0 if is_far(fits.state) else NEAR_SHARE
     near = [entry for entry in judged if entry[1] > best - share * best]
-    if best < HUGE_NATS or len(near) < max(fewest, 2):
+    if best < HUGE_NATS or len(near) < 2:
         return judged
     base = fits.state.evidence
     return [(f, fits.included(f.effect, far=True).evidence - base) for f, _ in near]

@@ -111,23 +111,6 @@ def likeliest(judged: list[tuple[FittedCandidate, float]]) -> tuple[FittedCandid
     return max(judged, key=score) if judged else None
 
 
-def by_itself(full: list[Judged], alone: list[Judged], scatter: float) -> Judged:
-    """Return of candidates that a full fit makes as good as the best the one that brings most by itself.
-
-    Where much is still wrong, an entry for which all else must move far may look like anything. Unexplained scatter
-    makes nats worth that much less. Within the nats of a rival, the gain with all else near its former place decides.
-
-    Args:
-        full: Candidates as their full fits judge them; not none.
-        alone: The same and others as they were judged with all else following linearly.
-        scatter: By how much χ² counts too high under the best of them.
-    """
-    near = max(score(entry) for entry in full) - RIVAL_NATS * scatter
-    own = {entry[0].name: score(entry) for entry in alone}
-    tied = [entry for entry in full if score(entry) >= near]
-    return max(tied, key=lambda entry: own.get(entry[0].name, -np.inf) if scatter > 1.0 else score(entry))
-
-
 def log_chance(gain: float, parameters: int) -> float:
     """Return ln of the chance that so many idle parameters gain so much χ²."""
     chance = chi2_beyond(max(gain, 1e-9), parameters)

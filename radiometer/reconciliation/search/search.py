@@ -29,7 +29,6 @@ from radiometer.reconciliation.search.moves import (
 from radiometer.reconciliation.search.outcome import (
     Search,
     Step,
-    by_itself,
     is_shown,
     likeliest,
     log_chance,
@@ -158,8 +157,6 @@ def _one_step(state: FitState, tests: tuple[Disagreement, ...], run: _Run) -> Fi
         chosen = likeliest(contenders)
         if chosen is None:
             break
-        if contenders is not shown:
-            chosen = by_itself(contenders, shown, scatter_of(fits.included(chosen[0].effect, far=True)))
         if not _convinces(state, chosen, standing) or _is_likelier(fits, looser, chosen):
             break
         others = judged if contenders is shown else contenders
