@@ -71,10 +71,6 @@ def doubts_of(
         for name, probability in uncertain([effect.name for effect in effects], weighed, alike).items()
     ]
     doubts += [
-        f"{name} is the likelier of two by its prior probability alone: the other predicts better"
-        for name in outperformed(outcome.steps, effects)
-    ]
-    doubts += [
         f"{name} fits by its secondary terms alone: its essential parameter is within three uncertainties of zero"
         for name in without_essential(outcome.steps, effects, fitted_parameters(state))
     ]
@@ -340,12 +336,6 @@ def uncertain(
     common = set.intersection(*alike.values()) if len(names) > 1 else set()
     found = {name: weighed.probability(name, *(alike[name] - common)) for name in names}
     return {name: probability for name, probability in found.items() if probability < SURE}
-
-
-def outperformed(steps: Sequence[Step], effects: Sequence[CatalogueEffect]) -> list[str]:
-    """Return the names that their prior probability alone speaks for: something else predicts better."""
-    present = {effect.name for effect in effects}
-    return [step.name for step in steps if step.outperformed and step.name in present]
 
 
 def without_essential(

@@ -41,9 +41,6 @@ class Step:
     # For an unnamed term, the closest entry and the share of it that it explains
     closest: tuple[str, float] | None = None
     block: str = ""  # for an unnamed term, the statistic that shows it
-    # Whether a plain trend of fewer parameters along the same covariate, or another entry, predicts better than the
-    # effect
-    outperformed: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,11 +101,6 @@ def score(entry: tuple[FittedCandidate, float]) -> float:
     """Return the nats of a judged candidate less what it pays."""
     fitted, nats = entry
     return nats - _penalty(fitted) - (FLEXIBLE_NATS if fitted.flexible else 0.0)
-
-
-def likeliest(judged: list[tuple[FittedCandidate, float]]) -> tuple[FittedCandidate, float] | None:
-    """Return the judged candidate of the highest score."""
-    return max(judged, key=score) if judged else None
 
 
 def log_chance(gain: float, parameters: int) -> float:

@@ -30,7 +30,6 @@ from radiometer.reconciliation.search.outcome import (
     Search,
     Step,
     is_shown,
-    likeliest,
     log_chance,
     penalised_chi2,
     rivals_of,
@@ -154,14 +153,11 @@ def _one_step(state: FitState, tests: tuple[Disagreement, ...], run: _Run) -> Fi
     fits = FullFits(state)
     while shown:
         contenders = contenders_of(fits, shown)
-        chosen = likeliest(contenders)
-        if chosen is None:
-            break
+        chosen = max(contenders, key=score)
         if not _convinces(state, chosen, standing) or _is_likelier(fits, looser, chosen):
             break
         others = judged if contenders is shown else contenders
-        outperformed = any(_outperforms(other, chosen) for other in others)
-        following = _named(fits, chosen, others, run, outperformed=outperformed)
+        following = _named(fits, chosen, others, run)
         if following is not None:
             run.fitted_with[chosen[0].name] = tuple(f.effect for f in fitted if f.name != chosen[0].name)
             return following
@@ -217,12 +213,6 @@ def _convinces(state: FitState, chosen: tuple[FittedCandidate, float], standing:
     return nats >= SMOOTH_SHARE * smooth or nats >= smooth - NAMED_NATS
 
 
-def _outperforms(other: tuple[FittedCandidate, float], chosen: tuple[FittedCandidate, float]) -> bool:
-    """Return whether another entry predicts better, each parameter paid for, its prior probability left out."""
-    mine, others = (nats - PARAMETER_NATS * fitted.parameters for fitted, nats in (chosen, other))
-    return other[0].name != chosen[0].name and others > mine + PARAMETER_NATS
-
-
 def _smooth_gain(state: FitState, test: Disagreement) -> float:
     term = smooth_term(state, test)
     columns = state.pad(term.build(state.comparison, state.prediction, state.sensitivity))
@@ -234,8 +224,6 @@ def _named(
     chosen: tuple[FittedCandidate, float],
     contenders: list[tuple[FittedCandidate, float]],
     run: _Run,
-    *,
-    outperformed: bool,
 ) -> FitState | None:
     """Return the model with the chosen effect; None where, all refitted, it does not predict better after all.
 
@@ -254,7 +242,7 @@ def _named(
     again = next((i for i, step in enumerate(run.steps) if step.name == fitted.name), None)
     if again is None:
         where = fitted.effect.where
-        run.steps.append(Step(fitted.name, where, nats, gap_before, following.gap, rivals, outperformed=outperformed))
+        run.steps.append(Step(fitted.name, where, nats, gap_before, following.gap, rivals))
     else:
         old = run.steps[again]
         run.steps[again] = replace(old, gain_nats=old.gain_nats + nats, gap_after=following.gap)
