@@ -32,7 +32,7 @@ from radiometer.reconciliation.propose.grammar import FORMS, PER_FRAME, PLACES, 
 from radiometer.reconciliation.propose.law import Law, effect_of, round_to
 from radiometer.reconciliation.propose.proposal import Proposal, Rival
 from radiometer.reconciliation.search.localise import localise, significant
-from radiometer.reconciliation.search.moves import free_forms, nowhere_near, promise
+from radiometer.reconciliation.search.moves import nowhere_near, promise
 from radiometer.reconciliation.search.outcome import Search, Step, rated, worth
 from radiometer.reconciliation.search.screening import best_start
 from radiometer.reconciliation.statistics import STATISTICS
@@ -319,7 +319,7 @@ def propose_law(state: FitState, along: Collection[str] = (), most: float = np.i
     judged = _judged(fits, _chosen([*singles, *products, *_noises(state, along)]))
     if not judged:
         return None
-    best = _without_its_second(fits, _plainest(judged), judged)
+    best = _plainest(judged)
     if _score(best) < NAMED_NATS:
         return None
     law, fitted, nats = best
@@ -492,27 +492,6 @@ def _plainest(judged: Sequence[_JudgedLaw]) -> _JudgedLaw:
     most = max(_score(entry) for entry in judged)
     near = [entry for entry in judged if most - _score(entry) < RIVAL_NATS]
     return min(near, key=lambda entry: (entry[0].link not in _PLAIN, -_score(entry)))
-
-
-def _without_its_second(fits: FullFits, best: _JudgedLaw, judged: Sequence[_JudgedLaw]) -> _JudgedLaw:
-    """Return a law without its second factor where a free curve along the first one's covariate does as well.
-
-    Where the disagreement is huge, a form that is a little off leaves more than chance. Any law that mostly depends
-    on its covariate would absorb that.
-    """
-    law, fitted, _ = best
-    if len(law.terms) < 2:
-        return best
-    try:
-        most = worth(fits.included(fitted.effect, far=True)) - NAMED_NATS
-        parts = [e for e in judged if e[0].link == law.link and set(_formula(e[0])) < set(_formula(law))]
-        for own in sorted(parts, key=_score, reverse=True):
-            forms = free_forms(fits.included(own[1].effect, far=True), own[1].effect)
-            if any(worth(included(fits.state, form, far=True)) > most for form in forms):
-                return own
-    except (UnfitError, np.linalg.LinAlgError, ConfigurationError):  # what cannot be fitted does not stand in for it
-        return best
-    return best
 
 
 def _holds(law: Law, other: Law) -> bool:
