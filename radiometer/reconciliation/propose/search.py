@@ -31,9 +31,9 @@ from radiometer.reconciliation.posterior import posterior_of
 from radiometer.reconciliation.propose.grammar import FORMS, PER_FRAME, PLACES, Term, finer, terms_of
 from radiometer.reconciliation.propose.law import Law, effect_of, round_to
 from radiometer.reconciliation.propose.proposal import Proposal, Rival
-from radiometer.reconciliation.search.localise import localise, significant
-from radiometer.reconciliation.search.moves import nowhere_near, promise
-from radiometer.reconciliation.search.outcome import Search, Step, rated, worth
+from radiometer.reconciliation.search.localise import significant
+from radiometer.reconciliation.search.moves import nowhere_near
+from radiometer.reconciliation.search.outcome import Search, Step, worth
 from radiometer.reconciliation.search.screening import best_start
 from radiometer.reconciliation.statistics import STATISTICS
 from radiometer.reconciliation.thresholds import NAMED_NATS, PARAMETER_NATS, RIVAL_NATS, SMOOTH_SHARE
@@ -515,10 +515,6 @@ def _score(entry: _JudgedLaw) -> float:
 # equation than the catalogue's is not meant by this: its own brings most of what any law along its covariate brings.
 
 
-_LOOSER: Final = 2  # times that the best entry alone is made looser
-_FORMS: Final = 3  # looser forms that are fitted in full, the most promising first
-
-
 def held_to_laws(
     outcome: Search,
     catalogue: Mapping[str, type[CatalogueEffect]],
@@ -527,7 +523,7 @@ def held_to_laws(
     """Return the outcome with what laws of no entry say of its names: nothing, a doubt, or that they are none.
 
     Args:
-        catalogue: The entries, one of which may hold the law in a looser form.
+        catalogue: The entries that may be named.
         say: Told what happens.
     """
     effects = outcome.state.effects
@@ -554,63 +550,10 @@ def held_to_laws(
         return replace(outcome, remarks=(*outcome.remarks, remark))
     named = " and ".join(step.name for step in outcome.steps if step.name != "unnamed")
     remark = f"{law.name}, a law outside the catalogue, predicts better than {named}"
-    if brings_most(outcome, law):
-        say(remark)
-        return replace(outcome, remarks=(*outcome.remarks, remark))
-    near = nowhere_near(outcome.start, law.after)
-    form = in_a_looser_form(outcome.start, worth(law.after) - RIVAL_NATS, catalogue, near)
-    if form is not None:
-        say(f"{form.effects[0].name} in a more flexible form explains what {law.name} explains, in place of {named}")
-        return by_one_form(outcome, form, law)
     say(remark)
+    if brings_most(outcome, law):
+        return replace(outcome, remarks=(*outcome.remarks, remark))
     return without_names(outcome, law, f"{remark} (gap {law.after.gap:.3g}), which is therefore not named")
-
-
-def in_a_looser_form(
-    start: FitState, least: float, catalogue: Mapping[str, type[CatalogueEffect]], most: float = np.inf
-) -> FitState | None:
-    """Return the model with the entry of which a looser form alone does what others do; None where none does.
-
-    What has no plain part (a black level that ramps and is nothing in the middle) a search does not meet.
-
-    Args:
-        start: The starting camera fitted.
-        least: Score that the model needs.
-        most: χ² under the weights of the start that a form may leave.
-    """
-    context, best = start.model.context, list[FitState]()
-    several = [kind.starts(context) for kind in catalogue.values() if kind.usable(context)]
-    plain = [min(starts, key=lambda entry: len(entry.free())) for starts in several if starts]
-    for _ in range(_LOOSER):  # each time from the best so far
-        forms = [form for entry in plain for form in entry.loosened(context)]
-        promising = sorted(((promise(start, form), n) for n, form in enumerate(forms)), reverse=True)[:_FORMS]
-        fitted = (_alone(start, forms[n], most) for promised, n in promising if promised > 0)
-        better = max((state for state in fitted if state is not None), key=rated, default=None)
-        if better is None or (best and rated(better) <= rated(best[-1])):
-            break
-        best.append(better)
-        plain = list(better.effects)
-    return best[-1] if best and rated(best[-1]) > least else None
-
-
-def _alone(start: FitState, form: CatalogueEffect, most: float) -> FitState | None:
-    """Return the model with a form alone; None where it cannot be fitted."""
-    try:
-        return included(start, form, far=True, most=most)
-    except (UnfitError, np.linalg.LinAlgError, ConfigurationError):  # what cannot be fitted does nothing
-        return None
-
-
-def by_one_form(outcome: Search, state: FitState, law: Proposal) -> Search:
-    """Return the outcome in which one entry in a looser form replaces all names; it is provisional."""
-    (effect,) = state.effects
-    nats, tests = state.evidence - outcome.start.evidence, localise(state)
-    step = Step(effect.name, effect.where, nats, outcome.start.gap, state.gap)
-    remark = (
-        f"{effect.name} follows a more flexible form of its equation, and {law.name}, a law of the grammar, "
-        "predicts as well"
-    )
-    return replace(outcome, state=state, steps=(step,), left=significant(tests), tests=tests, remarks=(remark,))
 
 
 def own_covariates(effect: CatalogueEffect) -> tuple[str, ...]:

@@ -2,14 +2,10 @@
 
 from __future__ import annotations
 
-import numpy as np
 import pytest
 
-from radiometer.reconciliation.fit.descent import fitted_parameters
-from radiometer.reconciliation.propose.search import in_a_looser_form, own_covariates
+from radiometer.reconciliation.propose.search import own_covariates
 from radiometer.reconciliation.result import Verdict
-from radiometer.reconciliation.search.outcome import worth
-from simulators.effects.black_level_offset import BlackLevelOffset
 from simulators.effects.dark_current import DarkCurrent
 from simulators.effects.display_nonuniformity import DisplayNonuniformity
 from simulators.effects.led_thermal_droop import LedThermalDroop
@@ -18,7 +14,6 @@ from simulators.effects.natural_vignetting import NaturalVignetting
 from simulators.effects.response_nonlinearity import ResponseNonlinearity
 from testing.outside import two
 from testing.outside.two_hidden import HIDDEN
-from testing.reduced import start_of
 
 
 @pytest.mark.parametrize(
@@ -34,31 +29,6 @@ from testing.reduced import start_of
 def test_the_covariates_of_laws_for_what_an_entry_goes_with(effect, along):
     """The charge and what the amplifier makes of it are one; a radius or a place of the screen is of the picture."""
     assert set(own_covariates(effect)) == along
-
-
-def ramp(make_capture):
-    """Return the starting camera fitted to darks whose black level rises by 2 DN over the rows, −1 to 1 DN."""
-    rows = np.arange(64.0)[:, None]
-    plan = [{"t": t, "g": g, "shutter": "closed"} for t in (1e-4, 1e-2) for g in (0.0, 12.0)] * 2
-    captured = make_capture(6, extra_dn=lambda setting: 2.0 * (rows / 63.0 - 0.5), plan=plan)
-    return start_of(captured)
-
-
-def test_a_ramp_that_is_nothing_in_the_middle_is_an_offset_s_looser_form(make_capture):
-    """A black level that rises over the rows, −1 to 1 DN, has no plain part: its tilt is met by itself."""
-    start = ramp(make_capture)
-    entries = {"dark_current": DarkCurrent, "black_level_offset": BlackLevelOffset}
-    found = in_a_looser_form(start, worth(start), entries)
-    reported = fitted_parameters(found)["black_level_offset"]
-    per_half_side = 2.0 * 48.0 / 63.0  # the longer side has 96 pixels
-    for name, value in (("offset_dn", 0.0), ("tilt_x_dn", 0.0), ("tilt_y_dn", per_half_side)):
-        assert reported[name].u is not None
-        assert abs(reported[name].value - value) < 3.5 * reported[name].u
-    assert in_a_looser_form(start, worth(found) + 1.0, entries) is None
-    assert in_a_looser_form(start, worth(start), {"dark_current": DarkCurrent}) is None
-    left = float(start.comparison.residual(found.prediction) @ start.comparison.residual(found.prediction))
-    assert in_a_looser_form(start, worth(start), entries, most=left - 50.0) is None
-    assert in_a_looser_form(start, worth(start), entries, most=left + 50.0) is not None
 
 
 @pytest.mark.slow
