@@ -94,8 +94,7 @@ def like(state: FitState, truth: CatalogueEffect, pool: StartPool) -> dict[str, 
         if candidate.gain < _WORTH_A_FIT * whole or candidate.flexible:
             continue
         left, fitted = left_by_fit(exact, truth, candidate)
-        if not fitted.unlike_itself(state.model.context):  # bent so far it does what another name stands for
-            found[fitted.name] = min(left, found.get(fitted.name, np.inf))
+        found[fitted.name] = min(left, found.get(fitted.name, np.inf))
     return {name: left for name, left in found.items() if left < 2.0 * RIVAL_NATS and name != truth.name}
 
 

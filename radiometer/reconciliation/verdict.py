@@ -75,10 +75,6 @@ def doubts_of(
         for name in without_essential(outcome.steps, effects, fitted_parameters(state))
     ]
     doubts += [
-        f"{name} with these parameters acts like other causes: no data are specific to it"
-        for name in acting_as_others(state)
-    ]
-    doubts += [
         f"{name} improves the prediction little; it may be another effect or the residual of one"
         for name in insignificant_next_to_others(outcome.steps, effects)
     ]
@@ -373,8 +369,3 @@ def insignificant_next_to_others(steps: Sequence[Step], effects: Sequence[Catalo
     named = [step for step in steps if step.name in present]
     most = max((step.gain_nats for step in named), default=0.0)
     return [s.name for s in named if s.gain_nats < FAINT_NATS and (s.rivals or s.gain_nats < most)]
-
-
-def acting_as_others(state: FitState) -> list[str]:
-    """Return the names of effects that, with their fitted parameters and these settings, act as other causes do."""
-    return [effect.name for effect in state.effects if effect.unlike_itself(state.model.context)]

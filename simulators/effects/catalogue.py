@@ -246,10 +246,6 @@ class CatalogueEffect(Effect):
         varying = scale**2 * left
         return after.changed(mean=after.mean + more, spatial_variance=after.spatial_variance + varying)
 
-    def unlike_itself(self, context: ExposureContext) -> bool:
-        """Tell whether, with its parameters and these settings, the effect does what other causes do just as well."""
-        return False
-
     @classmethod
     def usable(cls, context: ExposureContext) -> bool:
         """Tell whether the data hold what the effect needs at all; by default the setting that must vary."""

@@ -82,10 +82,6 @@ class StrayLightKernel(CatalogueEffect):
             return (*self.fitted, *further)
         return (*(f"wings[{k}]" for k in range(len(self.wings))), "edge_share", *further)
 
-    def unlike_itself(self, context: ExposureContext) -> bool:
-        """Tell whether more light is scattered than comes straight: no lens does, an even scene hides any share."""
-        return self._lost > _MOST
-
     def _kernels(self) -> tuple[tuple[float, float], ...]:
         """Return share and width of each kernel."""
         return tuple(zip(self.wings, _WIDTHS, strict=True)) if self.wings else ((self.share, self.radius),)

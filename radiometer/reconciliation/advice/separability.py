@@ -475,7 +475,7 @@ class ConfusablePair:
                 continue  # it came to where another form had come to
             gains.append(found.gain)
             left, paid = _left(self._exact, found.effect, self._least), _paid(self.target.effect, found.effect)
-            if left + paid < 2.0 * RIVAL_NATS and not found.effect.unlike_itself(context):
+            if left + paid < 2.0 * RIVAL_NATS:
                 return found.effect, left
         return None
 

@@ -37,7 +37,7 @@ from radiometer.reconciliation.search.outcome import Search, Step, worth
 from radiometer.reconciliation.search.screening import best_start
 from radiometer.reconciliation.statistics import STATISTICS
 from radiometer.reconciliation.thresholds import NAMED_NATS, PARAMETER_NATS, RIVAL_NATS, SMOOTH_SHARE
-from radiometer.reconciliation.verdict import acting_as_others, doubts_of, leaves_structure
+from radiometer.reconciliation.verdict import doubts_of, leaves_structure
 from radiometer.typing import Array
 from simulators.chain.law_stages import LINKS
 from simulators.effects.catalogue import CatalogueEffect
@@ -578,10 +578,8 @@ def brings_most(outcome: Search, law: Proposal) -> bool:
     """Return whether names stand though a law predicts better: it is their own law, by an equation unlike theirs.
 
     Their own equations need to bring most of what the law brings and to leave nothing, unless the law depends on the
-    covariate of the only name. One that acts as other causes would has brought nothing new.
+    covariate of the only name.
     """
-    if acting_as_others(outcome.state):
-        return False
     base = worth(outcome.start)
     if worth(by_own_equations(outcome)) - base < SMOOTH_SHARE * (worth(law.after) - base):
         return False
