@@ -467,7 +467,7 @@ class ConfusablePair:
 
     def fitted(self, name: str) -> tuple[CatalogueEffect, float] | None:
         """Return an entry that fits the noiseless data, and the χ² that it leaves; None where they are separable."""
-        context, gains = self._exact.model.context, list[float]()
+        gains = list[float]()
         for near in self.directions.near(self.target, name)[:_FITTED]:  # a limit that hardly acts shows no way on
             start = Candidate(near, self.directions.shown(self.target), max(len(near.free()), 1))
             found = fit_candidate(self._exact, start)
