@@ -75,10 +75,6 @@ def doubts_of(
         for name in without_essential(outcome.steps, effects, fitted_parameters(state))
     ]
     doubts += [
-        f"{name} improves the prediction little; it may be another effect or the residual of one"
-        for name in insignificant_next_to_others(outcome.steps, effects)
-    ]
-    doubts += [
         f"{name} is not exactly the law that the data follow: a residual remains where it acts"
         for name in departing(outcome.tests, effects)
     ]
@@ -358,14 +354,3 @@ def without_essential(
         if any(u is not None and far < ESSENTIAL_SIGMAS * u for far, u in away):
             found.append(effect.name)
     return found
-
-
-def insignificant_next_to_others(steps: Sequence[Step], effects: Sequence[CatalogueEffect]) -> list[str]:
-    """Return the names that bring little where another entry might absorb them, or where others bring more.
-
-    What is left of a law that is not quite the one that was named looks like one more effect, but a faint one.
-    """
-    present = {effect.name for effect in effects}
-    named = [step for step in steps if step.name in present]
-    most = max((step.gain_nats for step in named), default=0.0)
-    return [s.name for s in named if s.gain_nats < FAINT_NATS and (s.rivals or s.gain_nats < most)]

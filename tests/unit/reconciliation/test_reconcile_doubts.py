@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
@@ -12,7 +10,7 @@ from radiometer.reconciliation.posterior import Posterior, posterior
 from radiometer.reconciliation.result import FittedParameter
 from radiometer.reconciliation.search.localise import Disagreement, departing
 from radiometer.reconciliation.search.outcome import Step
-from radiometer.reconciliation.verdict import insignificant_next_to_others, uncertain, without_essential
+from radiometer.reconciliation.verdict import uncertain, without_essential
 from simulators.effects.catalogue import CatalogueEffect
 from simulators.effects.conversion_gain_error import ConversionGainError
 from simulators.effects.crosstalk import Crosstalk
@@ -92,17 +90,6 @@ def test_bands_without_a_time_from_row_to_row_are_any_flicker(u_s: float, doubte
     bands = RollingShutterBanding(0.02, 200.0, 2e-5)
     fitted = {"rolling_shutter_banding": {"row_time_s": FittedParameter(2e-5, u_s, "s")}}
     assert bool(without_essential([], (bands,), fitted)) is doubted
-
-
-def test_little_evidence_that_another_entry_claims_is_contested() -> None:
-    """Thirty nats with a rival within five, or with a name of more, are no certainty; many nats, or alone, are."""
-    blur = BLUR_AND_GAIN[:1]
-    assert insignificant_next_to_others([_step("psf_blur", CROSSTALK, nats=30.0)], blur) == ["psf_blur"]
-    assert insignificant_next_to_others([_step("psf_blur", CROSSTALK, nats=100.0)], blur) == []
-    assert insignificant_next_to_others([_step("psf_blur", nats=30.0)], blur) == []
-    both = [_step("psf_blur", nats=30.0), _step("conversion_gain_error", nats=3000.0)]
-    assert insignificant_next_to_others(both, BLUR_AND_GAIN) == ["psf_blur"]
-    assert insignificant_next_to_others([both[0], replace(both[1], name="unnamed")], BLUR_AND_GAIN) == []
 
 
 def test_law_that_leaves_structure_in_its_own_place_departs() -> None:
