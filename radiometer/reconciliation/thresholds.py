@@ -140,11 +140,5 @@ FAINT_NATS: Final = _row(
 ESSENTIAL_SIGMAS: Final = _row(
     "ESSENTIAL_SIGMAS", 3.0, "sigma", "an entry that fits by its further terms alone, its essential one being nothing"
 )
-TESTED_NATS: Final = _row(
-    "TESTED_NATS",
-    100.0,
-    "nats",
-    "a size not separated from its form, believed though its law is hardly tested: from here it is, to a tenth",
-)
 
 TABLE: Final[tuple[Threshold, ...]] = tuple(_ROWS.values())

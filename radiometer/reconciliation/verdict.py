@@ -23,7 +23,6 @@ from radiometer.reconciliation.thresholds import (
     ESSENTIAL_SIGMAS,
     FAINT_NATS,
     SMOOTH_SHARE,
-    TESTED_NATS,
 )
 from radiometer.statistics.least_squares import chi_square
 from radiometer.typing import Array
@@ -72,7 +71,7 @@ def doubts_of(
     ]
     doubts += [
         f"{name} fits by its secondary terms alone: its essential parameter is within three uncertainties of zero"
-        for name in without_essential(outcome.steps, effects, fitted_parameters(state))
+        for name in without_essential(effects, fitted_parameters(state))
     ]
     doubts += [
         f"{name} is not exactly the law that the data follow: a residual remains where it acts"
@@ -98,7 +97,8 @@ def insignificant_names(outcome: Search) -> list[str]:
     if not leaves_structure(outcome):
         return []
     faint = _fainter_than_the_rest(outcome)
-    return [*faint, *(name for name in _of_no_substance(outcome) if name not in faint)]
+    bare = without_essential(outcome.state.effects, fitted_parameters(outcome.state))
+    return [*faint, *(name for name in bare if name not in faint)]
 
 
 def _fainter_than_the_rest(outcome: Search) -> list[str]:
@@ -108,11 +108,6 @@ def _fainter_than_the_rest(outcome: Search) -> list[str]:
     unknown = max((step.gain_nats for step in outcome.steps if step.name == "unnamed"), default=0.0)
     needed = max(min(FAINT_NATS * scatter_of(outcome.state), most), (1.0 / SMOOTH_SHARE - 1.0) * unknown)
     return [step.name for step in named if step.gain_nats < needed]
-
-
-def _of_no_substance(outcome: Search) -> list[str]:
-    declared = [effect for effect in outcome.state.effects if effect.essential]
-    return without_essential(outcome.steps, declared, fitted_parameters(outcome.state)) if declared else []
 
 
 def faint(outcome: Search) -> list[str]:
@@ -331,26 +326,17 @@ def uncertain(
 
 
 def without_essential(
-    steps: Sequence[Step],
-    effects: Sequence[CatalogueEffect],
-    parameters: Mapping[str, Mapping[str, FittedParameter]],
+    effects: Sequence[CatalogueEffect], parameters: Mapping[str, Mapping[str, FittedParameter]]
 ) -> list[str]:
     """Return the names of effects of which an essential parameter is within three standard uncertainties of nothing.
-
-    Where an effect names none, the one that it is fitted by first is its size. A size that is not separated from the
-    form (a fall along a line, of any depth and as slow) makes the name doubtful only where little else tests its law.
 
     Args:
         parameters: Their fitted parameters by effect and name.
     """
-    gains = {step.name: step.gain_nats for step in steps}
     found = []
     for effect in effects:
-        fitted = parameters[effect.name]
-        if not effect.essential and gains.get(effect.name, 0.0) >= TESTED_NATS:
-            continue
-        sizes = ((name, fitted[name]) for name in effect.essential or effect.fitted[:1] if name in fitted)
-        away = ((abs(size.value - effect.neutral(name)), size.u) for name, size in sizes)
-        if any(u is not None and far < ESSENTIAL_SIGMAS * u for far, u in away):
+        sizes = {name: parameters[effect.name].get(name) for name in effect.essential}
+        known = ((abs(size.value - effect.neutral(name)), size.u) for name, size in sizes.items() if size is not None)
+        if any(u is not None and far < ESSENTIAL_SIGMAS * u for far, u in known):
             found.append(effect.name)
     return found

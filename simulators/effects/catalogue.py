@@ -47,8 +47,7 @@ class CatalogueEffect(Effect):
             fitted where any differs from its default.
         varies: Setting that must differ between captures: `f_number`, `gain_db` or `temperature_C`.
         settles: The capture that separates the effect from its likenesses, as advice to the user.
-        essential: Parameters without which it is not this effect, however well the others fit; by default the first
-            fitted one.
+        essential: Parameters without which it is not this effect, however well the others fit.
         profiled: Parameter that is searched on a dense grid, for the prediction jumps in it.
         repeats: Whether it may act more than once, as several wrong labels do; `joined` makes one effect of two.
         proportional: Whether a fixed pattern grows with the light.
