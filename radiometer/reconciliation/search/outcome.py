@@ -18,8 +18,6 @@ from radiometer.reconciliation.search.localise import Disagreement
 from radiometer.reconciliation.thresholds import (
     FEW_TRIES,
     FLEXIBLE_NATS,
-    HUGE_NATS,
-    LATER_NATS,
     NAMED_NATS,
     PARAMETER_NATS,
     RIVAL_NATS,
@@ -109,17 +107,14 @@ def log_chance(gain: float, parameters: int) -> float:
     return float(np.log(chance)) if chance > 0 else -np.inf
 
 
-def is_shown(fitted: FittedCandidate, nats: float, limit: float, *, later: bool, far: bool = False) -> bool:
-    """Return whether settings held out are predicted better, beyond chance, and in the statistic that must show it.
+def is_shown(fitted: FittedCandidate, nats: float) -> bool:
+    """Return whether settings held out are predicted better, and in the statistic that must show it too.
 
-    Far off, where nuisances would have to move by much, the statistic is asked by the full fit alone. Of many starts
-    one fits by chance, and after a first effect a further one is less likely.
+    Of many starts one fits by chance.
     """
     needed = NAMED_NATS - fitted.effect.log_prior_odds + float(np.log(max(fitted.tries / FEW_TRIES, 1.0)))
     needed += FLEXIBLE_NATS if fitted.flexible else 0.0
-    beyond_chance = log_chance(fitted.gain, fitted.parameters) < limit
-    in_its_own = fitted.evidence >= SHOWN_CHI2 or (far and nats > HUGE_NATS)
-    return beyond_chance and nats >= needed + (LATER_NATS if later else 0.0) and in_its_own
+    return nats >= needed and fitted.evidence >= SHOWN_CHI2
 
 
 def rivals_of(chosen: Judged, judged: Sequence[Judged]) -> tuple[CatalogueEffect, ...]:

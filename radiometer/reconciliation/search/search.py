@@ -15,7 +15,7 @@ from radiometer.reconciliation.fit.candidate_fit import (
     fit_candidate,
     judged_gain,
 )
-from radiometer.reconciliation.fit.descent import is_far, is_misfit, refit, scatter_of
+from radiometer.reconciliation.fit.descent import is_misfit, refit, scatter_of
 from radiometer.reconciliation.fit.full_fit import FullFits, UnfitError, contenders_of
 from radiometer.reconciliation.fit.state import FitState, reweighted, with_terms
 from radiometer.reconciliation.search.localise import Disagreement, departing, localise, significant, smooth_term
@@ -147,8 +147,7 @@ def _one_step(state: FitState, tests: tuple[Disagreement, ...], run: _Run) -> Fi
     fitted = sorted((_fitted(state, c, run) for c in promising[:_FITTED]), key=lambda f: -penalised_chi2(f))
     run.first = run.first or [candidate.effect for candidate in fitted]
     judged = [(f, judged_gain(state, f)) for f in fitted[:_JUDGED]]
-    far = is_far(state)
-    shown = [entry for entry in judged if is_shown(*entry, limit, later=bool(state.effects), far=far)]
+    shown = [entry for entry in judged if is_shown(*entry)]
     looser = LooserForms.of(state, None if standing else departed)
     fits = FullFits(state)
     while shown:
