@@ -8,6 +8,7 @@ A⁻¹ + A⁻¹·Jᵀ·X·J·A⁻¹.
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Iterator
 from dataclasses import replace
 from typing import Final
@@ -266,6 +267,79 @@ def _moved(state: FitState, step: Array, origin: FitState | None = None) -> FitS
         frozen=frozenset(at_bound),
         held_terms=state.term_block,
     )
+
+
+# ---- with a further effect ------------------------------------------------------------------------------------------
+
+
+class UnfitError(ArithmeticError):
+    """An effect cannot be fitted to the data, or not so far as it must; its name is the argument."""
+
+
+def accepted(state: FitState, effect: CatalogueEffect) -> FitState:
+    """Return the state with the effect in the model, not refitted yet; one that repeats joins its like."""
+    effects = tuple(old.joined(effect) if old.name == effect.name else old for old in state.effects)
+    if all(old.name != effect.name for old in state.effects):
+        effects = (*effects, effect)
+    return with_effects(state, effects)
+
+
+def included(
+    state: FitState, effect: CatalogueEffect, *, far: bool, most: float = np.inf, early_stop: bool = False
+) -> FitState:
+    """Return the state with the effect in the model, refitted in full.
+
+    Args:
+        state: The model without it.
+        effect: The effect at its best parameters, nuisances having followed linearly.
+        far: Whether the nuisances stand so far off that they had better move first, and the effect's parameters then.
+        most: χ² under the weights of the state that it may leave, to be refitted under its own.
+        early_stop: Whether it ends where it creeps (`refit`).
+
+    Raises:
+        UnfitError: If with it the model predicts what no camera does, or leaves more than that.
+    """
+    following = accepted(state, effect)
+    try:
+        if far:
+            own = following.parameters.owner
+            mine = frozenset(i for i, at in enumerate(own) if following.effects[at].name == effect.name)
+            following = replace(coarse_fit(replace(following, frozen=mine), early_stop=early_stop), frozen=frozenset())
+        near = coarse_fit(following, early_stop=early_stop)
+        if near.cost > most:
+            raise UnfitError(effect.name)
+        return converged_fit(near, early_stop=early_stop)
+    except (np.linalg.LinAlgError, ConfigurationError) as error:  # no covariance, or parameters that are no numbers
+        raise UnfitError(effect.name) from error
+
+
+class FullFits:
+    """Full fits from one model, kept so that nothing is fitted twice while a step is decided.
+
+    Attributes:
+        state: The model.
+        most: χ² under its weights that a fit may leave; with such a bound fits stop early, since they are compared
+            with what was found.
+    """
+
+    def __init__(self, state: FitState, most: float = np.inf) -> None:
+        self.state, self.most = state, most
+        self._known: list[tuple[CatalogueEffect, bool, FitState]] = []
+
+    def included(self, effect: CatalogueEffect, *, far: bool) -> FitState:
+        """Return `included` of the model and an effect."""
+        for known, was_far, fitted in self._known:
+            if known is effect and was_far is far:
+                return fitted
+        early_stop = bool(np.isfinite(self.most))
+        fitted = included(self.state, effect, far=far, most=self.most, early_stop=early_stop)
+        self._known.append((effect, far, fitted))
+        return fitted
+
+    def try_out(self, effect: CatalogueEffect, *, far: bool) -> None:
+        """Fit the model and an effect in full, so that its posterior probability is comparable, if it can be fitted."""
+        with contextlib.suppress(UnfitError):
+            self.included(effect, far=far)
 
 
 # ---- parameters and covariance --------------------------------------------------------------------------------------

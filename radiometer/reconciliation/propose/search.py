@@ -22,19 +22,18 @@ from scipy.special import ndtr
 from radiometer.errors import ConfigurationError, MeasurementError
 from radiometer.one_thread import on_one_blas_thread
 from radiometer.reconciliation.fit.candidate_fit import Candidate, FittedCandidate, fit_candidate, judged_gain
-from radiometer.reconciliation.fit.descent import fitted_parameters, is_far, scatter_of
-from radiometer.reconciliation.fit.full_fit import FullFits, UnfitError, contenders_of, included
+from radiometer.reconciliation.fit.descent import FullFits, UnfitError, fitted_parameters, included, is_far, scatter_of
 from radiometer.reconciliation.fit.linear import LinearFit
 from radiometer.reconciliation.fit.state import FitState
-from radiometer.reconciliation.model.tile_context import from_grid, rise_of
+from radiometer.reconciliation.model.tile_model import from_grid, rise_of
 from radiometer.reconciliation.posterior import posterior_of
 from radiometer.reconciliation.propose.grammar import FORMS, PER_FRAME, PLACES, Term, finer, terms_of
 from radiometer.reconciliation.propose.law import Law, effect_of, round_to
 from radiometer.reconciliation.propose.proposal import Proposal, Rival
 from radiometer.reconciliation.search.localise import significant
-from radiometer.reconciliation.search.moves import nowhere_near
-from radiometer.reconciliation.search.outcome import Search, Step, worth
+from radiometer.reconciliation.search.outcome import Search, Step, contenders_of, worth
 from radiometer.reconciliation.search.screening import best_start
+from radiometer.reconciliation.search.search import nowhere_near
 from radiometer.reconciliation.statistics import STATISTICS
 from radiometer.reconciliation.thresholds import NAMED_NATS, PARAMETER_NATS, RIVAL_NATS, SMOOTH_SHARE
 from radiometer.reconciliation.verdict import doubts_of, leaves_structure

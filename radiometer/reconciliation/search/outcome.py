@@ -12,13 +12,16 @@ import numpy as np
 
 from radiometer.reconciliation.chances import chi2_beyond
 from radiometer.reconciliation.fit.candidate_fit import FittedCandidate
+from radiometer.reconciliation.fit.descent import FullFits, is_far
 from radiometer.reconciliation.fit.state import FitState
 from radiometer.reconciliation.result import ReconcileResult
 from radiometer.reconciliation.search.localise import Disagreement
 from radiometer.reconciliation.thresholds import (
     FEW_TRIES,
     FLEXIBLE_NATS,
+    HUGE_NATS,
     NAMED_NATS,
+    NEAR_SHARE,
     PARAMETER_NATS,
     RIVAL_NATS,
     SHOWN_CHI2,
@@ -115,6 +118,21 @@ def is_shown(fitted: FittedCandidate, nats: float) -> bool:
     needed = NAMED_NATS - fitted.effect.log_prior_odds + float(np.log(max(fitted.tries / FEW_TRIES, 1.0)))
     needed += FLEXIBLE_NATS if fitted.flexible else 0.0
     return nats >= needed and fitted.evidence >= SHOWN_CHI2
+
+
+def contenders_of(fits: FullFits, judged: list[tuple[FittedCandidate, float]]) -> list[tuple[FittedCandidate, float]]:
+    """Return the candidates, those of a very large and nearly equal gain judged anew after a full fit of each.
+
+    Beside a huge disagreement the linearised nuisances and the weights of the old model are poor judges; where entries
+    are off by ten of their uncertainties and more, of all candidates.
+    """
+    best = max((nats for _, nats in judged), default=0.0)
+    share = 1.0 if is_far(fits.state) else NEAR_SHARE
+    near = [entry for entry in judged if entry[1] > best - share * best]
+    if best < HUGE_NATS or len(near) < 2:
+        return judged
+    base = fits.state.evidence
+    return [(f, fits.included(f.effect, far=True).evidence - base) for f, _ in near]
 
 
 def rivals_of(chosen: Judged, judged: Sequence[Judged]) -> tuple[CatalogueEffect, ...]:

@@ -51,7 +51,7 @@ def test_one_alternative_to_all_names_doubts_them() -> None:
 
 
 def test_fall_off_without_its_oblique_part_lacks_its_essential() -> None:
-    """A fall-off that only the term beyond the cos⁴ law carries is no natural vignetting; an offset has no such term."""
+    """A fall-off that only the term beyond the cos⁴ law carries is no natural vignetting; an offset has none."""
     lens, late = NaturalVignetting(0.001, 0.02), ExposureTimeOffset(2e-6)
 
     def fitted(strength: float) -> dict[str, dict[str, FittedParameter]]:

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from scipy.ndimage import convolve
 
-from radiometer.reconciliation.fit.full_fit import UnfitError, included
+from radiometer.reconciliation.fit.descent import UnfitError, included
 from radiometer.reconciliation.measure.design import Design
 from radiometer.reconciliation.measure.reduce import frame_reader, reduce_frames
 from radiometer.reconciliation.noise.shared_errors import mixing_of_bands, mixing_of_lines, renewed_patterns

@@ -11,7 +11,7 @@ import pytest
 from radiometer.reconciliation.fit.descent import converged_fit, fitted_parameters, refit
 from radiometer.reconciliation.fit.state import FitState, with_effects
 from radiometer.reconciliation.search.localise import departing, localise
-from radiometer.reconciliation.search.moves import LooserForms
+from radiometer.reconciliation.search.search import LooserForms
 from simulators.effects.catalogue import CatalogueEffect
 from simulators.effects.dark_current import DarkCurrent
 from simulators.effects.dark_current_nonuniformity import DarkCurrentNonuniformity
