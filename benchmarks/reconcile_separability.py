@@ -18,19 +18,19 @@ from typing import Final
 import numpy as np
 
 from benchmarks._sections import write_section
-from radiometer.reconciliation.advice.separability import (
-    Separability,
-    asked_sizes,
-    left_by_fit,
-    noiseless,
-    separability,
-)
 from radiometer.reconciliation.engine import whole_catalogue
 from radiometer.reconciliation.fit.descent import first_state
 from radiometer.reconciliation.fit.state import FitState
 from radiometer.reconciliation.measure.design import Design
 from radiometer.reconciliation.measure.reduce import frame_reader, reduce_frames
 from radiometer.reconciliation.search.screening import StartPool, screen
+from radiometer.reconciliation.separability import (
+    Separability,
+    asked_sizes,
+    left_by_fit,
+    noiseless,
+    separability,
+)
 from radiometer.reconciliation.thresholds import RIVAL_NATS
 from simulators.effects.catalogue import CatalogueEffect
 from testing.generator.plan import Setting

@@ -23,8 +23,6 @@ from radiometer.data.white_level import white_level_notes
 from radiometer.errors import CaptureError
 from radiometer.importing import open_capture
 from radiometer.one_thread import on_one_blas_thread
-from radiometer.reconciliation.advice.next_capture import propose, propose_for_blind, propose_for_unnamed
-from radiometer.reconciliation.advice.separability import Separability, inseparable, limits, separability
 from radiometer.reconciliation.fit.descent import first_state, fitted_parameters, is_misfit
 from radiometer.reconciliation.fit.nuisances import dark_current_is_free
 from radiometer.reconciliation.fit.state import FitState
@@ -32,9 +30,10 @@ from radiometer.reconciliation.full_well import ShownWell, levels_of_brightest, 
 from radiometer.reconciliation.measure.design import CaptureStatistics, Design
 from radiometer.reconciliation.measure.frame_order import FrameLight, Periodic, periodic, scenes_of, steadied
 from radiometer.reconciliation.measure.reduce import FrameReader, PatternImages, Progress, frame_reader, reduce_frames
-from radiometer.reconciliation.noise.repeatability import black_by_noise, drift_of_black, repeats_of, wander_of_black
+from radiometer.reconciliation.next_capture import propose, propose_for_blind, propose_for_unnamed
 from radiometer.reconciliation.posterior import UNNAMED, Posterior, posterior_of
 from radiometer.reconciliation.propose.search import held_to_laws
+from radiometer.reconciliation.repeatability import black_by_noise, drift_of_black, repeats_of, wander_of_black
 from radiometer.reconciliation.result import (
     CovariateGap,
     FittedParameter,
@@ -50,6 +49,7 @@ from radiometer.reconciliation.result import (
 from radiometer.reconciliation.search.localise import Disagreement, axis_of, global_p_value, places
 from radiometer.reconciliation.search.outcome import Reconciled, Search, Step
 from radiometer.reconciliation.search.search import search
+from radiometer.reconciliation.separability import Separability, inseparable, limits, separability
 from radiometer.reconciliation.verdict import (
     doubts_of,
     faint,

@@ -18,8 +18,8 @@ from numpy.typing import NDArray
 from radiometer.reconciliation.chances import deviances, followed_scores, log_bias, sine_freedom
 from radiometer.reconciliation.measure.design import COMB_PERIODS, CaptureStatistics, Design
 from radiometer.reconciliation.measure.row_bands import RowBins, wave_power
-from radiometer.reconciliation.noise.repeatability import Darkness, steady_wander2
-from radiometer.reconciliation.noise.shared_errors import (
+from radiometer.reconciliation.repeatability import Darkness, steady_wander2
+from radiometer.reconciliation.shared_errors import (
     Part,
     Repeatability,
     band_excess,

@@ -24,10 +24,10 @@ from radiometer.reconciliation.fit.nuisances import NuisanceLayout, rough_log_re
 from radiometer.reconciliation.fit.state import FitState, reweighted, value_of, weighted, with_effects
 from radiometer.reconciliation.measure.design import CaptureStatistics, Design
 from radiometer.reconciliation.measure.reduce import PatternImages
-from radiometer.reconciliation.model.tile_model import TileModel
-from radiometer.reconciliation.noise.shared_errors import chances_of_rows
 from radiometer.reconciliation.result import FittedParameter
+from radiometer.reconciliation.shared_errors import chances_of_rows
 from radiometer.reconciliation.thresholds import CLOSED_GAP, FAR_GAP, SCATTER_SIGMAS
+from radiometer.reconciliation.tile_model import TileModel
 from radiometer.typing import Array
 from simulators.effects.catalogue import CatalogueEffect
 

@@ -14,9 +14,8 @@ from radiometer.reconciliation.fit.comparison import Comparison, compare
 from radiometer.reconciliation.fit.linear import Groups, HeldOut, LinearFit, RowBlock, leave_one_group_out
 from radiometer.reconciliation.fit.nuisances import Change, NuisanceLayout
 from radiometer.reconciliation.measure.design import CaptureStatistics, Design
-from radiometer.reconciliation.model.tile_model import Nuisance, TileModel, Trace, predict_several
-from radiometer.reconciliation.noise.repeatability import capture_scale, estimate_tau
-from radiometer.reconciliation.noise.shared_errors import (
+from radiometer.reconciliation.repeatability import capture_scale, estimate_tau
+from radiometer.reconciliation.shared_errors import (
     FixedError,
     Repeatability,
     darkness_of,
@@ -28,6 +27,7 @@ from radiometer.reconciliation.noise.shared_errors import (
     relative_flicker,
 )
 from radiometer.reconciliation.statistics import Prediction, usable_entries
+from radiometer.reconciliation.tile_model import Nuisance, TileModel, Trace, predict_several
 from radiometer.typing import Array
 from simulators.effects.catalogue import CatalogueEffect
 

@@ -110,7 +110,7 @@ class DoneCapture:
 
     def write_plan(self, path: Path) -> bool:
         """Write the captures of this set and the next one as a plan, and return whether there is a next one."""
-        from radiometer.reconciliation.advice.next_capture import write_plan
+        from radiometer.reconciliation.next_capture import write_plan
 
         return write_plan(path, self._reconciled.result, self._reconciled.outcome.state.design)
 

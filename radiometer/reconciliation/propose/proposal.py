@@ -16,9 +16,9 @@ import numpy as np
 from radiometer.data import CameraDescription, FrameSettings
 from radiometer.data.storage import write_text_atomic, write_yaml_atomic
 from radiometer.errors import OutputError
-from radiometer.reconciliation.advice.next_capture import FORMAT as PLAN_FORMAT
-from radiometer.reconciliation.advice.next_capture import FRAMES, CapturePool
 from radiometer.reconciliation.fit.state import FitState
+from radiometer.reconciliation.next_capture import FORMAT as PLAN_FORMAT
+from radiometer.reconciliation.next_capture import FRAMES, CapturePool
 from radiometer.reconciliation.propose.grammar import COVARIATES, FORMS, OF_THE_PICTURE, SIDE, Term
 from radiometer.reconciliation.propose.law import Declared, Law, acted, declared, round_to, trials
 from radiometer.reconciliation.result import FittedParameter

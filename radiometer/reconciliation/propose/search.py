@@ -25,7 +25,6 @@ from radiometer.reconciliation.fit.candidate_fit import Candidate, FittedCandida
 from radiometer.reconciliation.fit.descent import FullFits, UnfitError, fitted_parameters, included, is_far, scatter_of
 from radiometer.reconciliation.fit.linear import LinearFit
 from radiometer.reconciliation.fit.state import FitState
-from radiometer.reconciliation.model.tile_model import from_grid, rise_of
 from radiometer.reconciliation.posterior import posterior_of
 from radiometer.reconciliation.propose.grammar import FORMS, PER_FRAME, PLACES, Term, finer, terms_of
 from radiometer.reconciliation.propose.law import Law, effect_of, round_to
@@ -36,6 +35,7 @@ from radiometer.reconciliation.search.screening import best_start
 from radiometer.reconciliation.search.search import nowhere_near
 from radiometer.reconciliation.statistics import STATISTICS
 from radiometer.reconciliation.thresholds import NAMED_NATS, PARAMETER_NATS, RIVAL_NATS, SMOOTH_SHARE
+from radiometer.reconciliation.tile_model import from_grid, rise_of
 from radiometer.reconciliation.verdict import doubts_of, leaves_structure
 from radiometer.typing import Array
 from simulators.chain.law_stages import LINKS

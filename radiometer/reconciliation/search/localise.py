@@ -21,9 +21,9 @@ from radiometer.reconciliation.fit.comparison import CAPTURE_BLOCKS, FAMILY, Com
 from radiometer.reconciliation.fit.linear import LinearFit
 from radiometer.reconciliation.fit.state import FitState, LinearTerm
 from radiometer.reconciliation.measure.design import Design
-from radiometer.reconciliation.model.tile_model import TileModel
 from radiometer.reconciliation.statistics import ADDITIVE, MULTIPLICATIVE, STATISTICS, Prediction
 from radiometer.reconciliation.thresholds import OWN_SIGNIFICANCE, SIGNIFICANCE
+from radiometer.reconciliation.tile_model import TileModel
 from radiometer.typing import Array
 from simulators.effects.catalogue import CatalogueEffect
 

@@ -14,7 +14,11 @@ import pytest
 from radiometer.cli.main import run
 from radiometer.data import CaptureSetWriter
 from radiometer.reconciliation import engine
-from radiometer.reconciliation.advice.separability import (
+from radiometer.reconciliation.engine import whole_catalogue
+from radiometer.reconciliation.fit.candidate_fit import Candidate
+from radiometer.reconciliation.fit.descent import refit
+from radiometer.reconciliation.fit.state import FitState, with_effects
+from radiometer.reconciliation.separability import (
     ConfusablePair,
     Directions,
     Separability,
@@ -23,10 +27,6 @@ from radiometer.reconciliation.advice.separability import (
     noiseless,
     separability,
 )
-from radiometer.reconciliation.engine import whole_catalogue
-from radiometer.reconciliation.fit.candidate_fit import Candidate
-from radiometer.reconciliation.fit.descent import refit
-from radiometer.reconciliation.fit.state import FitState, with_effects
 from simulators.effects.adc_saturation import AdcSaturation
 from simulators.effects.ambient_light_leak import AmbientLightLeak
 from simulators.effects.catalogue import CatalogueEffect

@@ -8,7 +8,7 @@ import pytest
 from radiometer.data import CameraDescription, CaptureHeader, FrameEntry, FrameSettings, PatchDescription
 from radiometer.reconciliation.measure.design import CaptureStatistics, Design
 from radiometer.reconciliation.measure.row_bands import RowBins, TileBands
-from radiometer.reconciliation.noise.shared_errors import (
+from radiometer.reconciliation.shared_errors import (
     Part,
     Repeatability,
     SharedError,

@@ -24,7 +24,7 @@ from radiometer.reconciliation.fit.nuisances import NuisanceLayout
 from radiometer.reconciliation.fit.state import FitState, reweighted, with_effects
 from radiometer.reconciliation.measure.design import Design, slope_lengths, tile_groups
 from radiometer.reconciliation.measure.reduce import frame_reader, reduce_frames
-from radiometer.reconciliation.model.tile_model import predict_several
+from radiometer.reconciliation.tile_model import predict_several
 from simulators.effects.exposure_time_offset import ExposureTimeOffset
 from simulators.effects.prnu import Prnu
 from simulators.effects.response_nonlinearity import ResponseNonlinearity

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from radiometer.data import CameraDescription, FrameSettings, LensDescription
-from radiometer.reconciliation.model.tile_model import TileContext
+from radiometer.reconciliation.tile_model import TileContext
 from simulators.chain.camera_model import CameraModel
 from simulators.effects.angle_dependence import AngleDependence
 from simulators.effects.context import ExposureContext, FrameGeometry

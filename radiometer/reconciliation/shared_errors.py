@@ -22,9 +22,9 @@ from radiometer.reconciliation.chances import frames_counted, score_slope
 from radiometer.reconciliation.measure.design import SURFACE_LINES, CaptureStatistics, Design, slope_lengths
 from radiometer.reconciliation.measure.edges import SHARPEST
 from radiometer.reconciliation.measure.row_bands import RowBins, TileBands
-from radiometer.reconciliation.model.tile_model import TileModel, Trace
-from radiometer.reconciliation.noise.repeatability import Darkness, drift_of_black, wander_of_black
+from radiometer.reconciliation.repeatability import Darkness, drift_of_black, wander_of_black
 from radiometer.reconciliation.statistics import STATISTICS, Prediction, Scale
+from radiometer.reconciliation.tile_model import TileModel, Trace
 from radiometer.typing import Array, Mask
 from simulators.effects.catalogue import CatalogueEffect
 from simulators.effects.context import ExposureContext

@@ -23,11 +23,11 @@ from typing import Any, Final
 
 import numpy as np
 
-from radiometer.reconciliation.advice.next_capture import separating_capture
 from radiometer.reconciliation.fit.candidate_fit import Candidate, fit_candidate
 from radiometer.reconciliation.fit.comparison import Comparison
 from radiometer.reconciliation.fit.descent import refit
 from radiometer.reconciliation.fit.state import FitState, ModelFit, ModelList, with_effects
+from radiometer.reconciliation.next_capture import separating_capture
 from radiometer.reconciliation.result import Limit
 from radiometer.reconciliation.search.screening import AT_ONCE, changes_where_possible, directions_of_each
 from radiometer.reconciliation.statistics import Prediction, partly_at_the_top
