@@ -34,35 +34,23 @@ def _row(name: str, value: float, unit: str, reason: str, measured: str = _TOGET
 
 
 _NULL: Final = "sets without an effect (docs/benchmarks/reconcile.md): share of false alarms and largest gap"
-_WEAK: Final = (
-    "effects at their smallest realistic size bring hundreds of nats, nearly all (docs/benchmarks/reconcile.md, weak)"
-)
 _ODDS: Final = "a statement about odds, not a measurement"
 
 # ---- whether anything disagrees -------------------------------------------------------------------------------------
 SIGNIFICANCE: Final = _row(
-    "SIGNIFICANCE", 0.005, "chance", "a false alarm among all tests of one pass; a search makes two or more", _NULL
-)
-OWN_SIGNIFICANCE: Final = _row(
-    "OWN_SIGNIFICANCE",
-    0.01,
+    "SIGNIFICANCE",
+    0.005,
     "chance",
-    "another cause that looks much alike: the few tests in a name's own place",
+    "a false alarm among all tests of one pass, and among the few in a name's own place",
     _NULL,
-)
-PERIOD_SIGNIFICANCE: Final = _row(
-    "PERIOD_SIGNIFICANCE",
-    0.001,
-    "chance",
-    "a period among frames that scatter at random",
-    "40 lamps that wander by 2 % (tests/unit/reconciliation/test_frame_order.py): none",
 )
 FRAME_SIGNIFICANCE: Final = _row(
     "FRAME_SIGNIFICANCE",
     0.001,
     "chance",
-    "one of equal frames reported as an outlier by chance",
-    "series drawn at random (tests/unit/reconciliation/test_repeats.py)",
+    "a period among frames that scatter at random, one of equal frames reported as an outlier by chance",
+    "40 lamps that wander by 2 % (tests/unit/reconciliation/test_frame_order.py), series drawn at random "
+    "(tests/unit/reconciliation/test_repeats.py): none",
 )
 SCATTER_SIGMAS: Final = _row(
     "SCATTER_SIGMAS", 5.0, "sigma", "scatter without any trend, which no test along a covariate sees", _NULL
@@ -87,9 +75,6 @@ NAMED_NATS: Final = _row(
     "nats",
     "a name, another law or another name in its place by chance: odds of 3000; also what a curve may predict better by",
     _ODDS,
-)
-LATER_NATS: Final = _row(
-    "LATER_NATS", 2.0, "nats", "further names after a first: they are less likely beforehand", _ODDS
 )
 FEW_TRIES: Final = _row(
     "FEW_TRIES", 2.0, "1", "one of many starts that fits by chance: ln(starts / 2) nats more", _ODDS
@@ -130,13 +115,6 @@ MOST_STEPS: Final = int(
 )
 
 # ---- doubts ---------------------------------------------------------------------------------------------------------
-FAINT_NATS: Final = _row(
-    "FAINT_NATS",
-    40.0,
-    "nats",
-    "the residual of a law that is not quite the one named, treated as one more effect",
-    _WEAK,
-)
 ESSENTIAL_SIGMAS: Final = _row(
     "ESSENTIAL_SIGMAS", 3.0, "sigma", "an entry that fits by its further terms alone, its essential one being nothing"
 )

@@ -21,7 +21,7 @@ from radiometer.reconciliation.search.localise import axis_of, covariates, depar
 from radiometer.reconciliation.search.outcome import Search, Step
 from radiometer.reconciliation.thresholds import (
     ESSENTIAL_SIGMAS,
-    FAINT_NATS,
+    NAMED_NATS,
     SMOOTH_SHARE,
 )
 from radiometer.statistics.least_squares import chi_square
@@ -106,7 +106,7 @@ def _fainter_than_the_rest(outcome: Search) -> list[str]:
     named = [step for step in outcome.steps if step.name in present]
     most = max((step.gain_nats for step in named), default=0.0)
     unknown = max((step.gain_nats for step in outcome.steps if step.name == "unnamed"), default=0.0)
-    needed = max(min(FAINT_NATS * scatter_of(outcome.state), most), (1.0 / SMOOTH_SHARE - 1.0) * unknown)
+    needed = max(min(NAMED_NATS * scatter_of(outcome.state), most), (1.0 / SMOOTH_SHARE - 1.0) * unknown)
     return [step.name for step in named if step.gain_nats < needed]
 
 

@@ -39,7 +39,6 @@ from radiometer.reconciliation.result import FittedParameter, FoundEffect, Limit
 from radiometer.reconciliation.thresholds import (
     ESSENTIAL_SIGMAS,
     FLEXIBLE_NATS,
-    LATER_NATS,
     MOST_STEPS,
     NAMED_NATS,
     PARAMETER_NATS,
@@ -328,7 +327,7 @@ def _search(start: LogState) -> tuple[LogState, tuple[LogStep, ...]]:
     state, steps = start, list[LogStep]()
     every = [term for term in catalogue(start.log) if not is_lost_in_scatter(start.log, term.where)]
     for _ in range(MOST_STEPS):
-        following = _one_step(state, every, later=bool(steps))
+        following = _one_step(state, every)
         if following is None:
             break
         state, step = following
@@ -337,15 +336,15 @@ def _search(start: LogState) -> tuple[LogState, tuple[LogStep, ...]]:
     return state, tuple(steps)
 
 
-def _one_step(state: LogState, every: Sequence[LogTerm], *, later: bool) -> tuple[LogState, LogStep] | None:
+def _one_step(state: LogState, every: Sequence[LogTerm]) -> tuple[LogState, LogStep] | None:
     there = {term.name for term in state.terms}
     tried = [(term, state.with_term(term)) for term in every if term.name not in there]
     known = {name for name, _ in state.trends}
     free = [name for name in axes(state.log) if name not in known and not is_lost_in_scatter(state.log, name)]
     curves = [(name, state.with_trend(name, trend(state.log, name))) for name in free]
     limit = SIGNIFICANCE / max(len(tried) + len(curves), 1)
-    named = [(term, one, _score(state, one, term)) for term, one in tried if _is_shown(state, one, limit, later=later)]
-    smooth = [(name, one, _score(state, one)) for name, one in curves if _is_shown(state, one, limit, later=later)]
+    named = [(term, one, _score(state, one, term)) for term, one in tried if _is_shown(state, one, limit)]
+    smooth = [(name, one, _score(state, one)) for name, one in curves if _is_shown(state, one, limit)]
     best = max(named, key=lambda entry: entry[2], default=None)
     plain = max(smooth, key=lambda entry: entry[2], default=None)
     if best is not None and (plain is None or best[2] >= SMOOTH_SHARE * plain[2]):
@@ -375,11 +374,10 @@ def _score(old: LogState, new: LogState, term: LogTerm | None = None) -> float:
     return gained - PARAMETER_NATS * (new.free - old.free) - flexible
 
 
-def _is_shown(old: LogState, new: LogState, limit: float, *, later: bool) -> bool:
-    needed = NAMED_NATS + (LATER_NATS if later else 0.0)
+def _is_shown(old: LogState, new: LogState, limit: float) -> bool:
     ways = _ways(old, new)
     chance = max(chi2_beyond(before.chi2 - after.chi2, new.free - old.free) for before, after in ways)
-    if chance >= limit or _score(old, new) + PARAMETER_NATS < needed:
+    if chance >= limit or _score(old, new) + PARAMETER_NATS < NAMED_NATS:
         return False
     known = len(new.terms) == len(old.terms) or _is_determined(new)
     return known and night_error(new) <= night_error(old)

@@ -508,7 +508,7 @@ def _score(entry: _JudgedLaw) -> float:
 # A search can only say names that it knows. Where its names leave something, are several, or are doubted, another
 # cause is a hypothesis too: names that one law outdoes by far are none. A single name that leaves
 # nothing is compared with the laws along its own covariate: where one of them predicts better, the name is provisional,
-# or none where it brings far less. A name that had to be bent to the data is provisional where a law predicts as well.
+# or none where it brings far less.
 # What is known of a name beforehand is its own equation: a table or a curve would follow any law. What names
 # bring is therefore what their own equations bring, without the curves that represent no cause. A name by another
 # equation than the catalogue's is not meant by this: its own brings most of what any law along its covariate brings.
@@ -538,15 +538,7 @@ def held_to_laws(
     if law is None:
         return outcome
     if lead_nats(outcome, law) <= NAMED_NATS:
-        bent = [effect.name for effect in effects if is_bent(effect, outcome)]
-        if not bent or lead_nats(outcome, law) <= -RIVAL_NATS:
-            return outcome
-        remark = (
-            f"{' and '.join(bent)} does not follow its catalogue equation, "
-            f"and {law.name}, a law outside the catalogue, predicts as well"
-        )
-        say(remark)
-        return replace(outcome, remarks=(*outcome.remarks, remark))
+        return outcome
     named = " and ".join(step.name for step in outcome.steps if step.name != "unnamed")
     remark = f"{law.name}, a law outside the catalogue, predicts better than {named}"
     say(remark)
@@ -567,8 +559,7 @@ def own_covariates(effect: CatalogueEffect) -> tuple[str, ...]:
 def lead_nats(outcome: Search, law: Proposal) -> float:
     """Return by how many nats a law predicts better than what was found, each parameter paid for.
 
-    An entry by its own equation is known beforehand, a law is not: it must lead by the odds of a name. An entry that
-    had to be bent has that no more; a rival is as good.
+    An entry is known beforehand, a law is not: it must lead by the odds of a name.
     """
     return (worth(law.after) - worth(outcome.state)) / scatter_of(outcome.state)
 
@@ -587,11 +578,6 @@ def brings_most(outcome: Search, law: Proposal) -> bool:
     return own or not leaves_structure(outcome)
 
 
-def is_bent(effect: CatalogueEffect, outcome: Search) -> bool:
-    """Return whether an effect took a form with parameters that its own equation has not, or a free law."""
-    return own_equation(effect, outcome) is not effect
-
-
 def own_equation(effect: CatalogueEffect, outcome: Search) -> CatalogueEffect:
     """Return an effect by its own equation, at the parameters that it shares with the form that it took."""
     own = effect.own if isinstance(effect, FreeLaw) else effect
@@ -605,7 +591,9 @@ def own_equation(effect: CatalogueEffect, outcome: Search) -> CatalogueEffect:
 def by_own_equations(outcome: Search) -> FitState:
     """Return the model with the names by their own equations, fitted anew, without any unnamed curve."""
     state = outcome.state
-    if not any(is_bent(effect, outcome) for effect in state.effects) and not any(t.is_smooth for t in state.terms):
+    if not any(own_equation(effect, outcome) is not effect for effect in state.effects) and not any(
+        t.is_smooth for t in state.terms
+    ):
         return state
     plain = outcome.start
     try:

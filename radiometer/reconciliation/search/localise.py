@@ -22,7 +22,7 @@ from radiometer.reconciliation.fit.linear import LinearFit
 from radiometer.reconciliation.fit.state import FitState, LinearTerm
 from radiometer.reconciliation.measure.design import Design
 from radiometer.reconciliation.statistics import ADDITIVE, MULTIPLICATIVE, STATISTICS, Prediction
-from radiometer.reconciliation.thresholds import OWN_SIGNIFICANCE, SIGNIFICANCE
+from radiometer.reconciliation.thresholds import SIGNIFICANCE
 from radiometer.reconciliation.tile_model import TileModel
 from radiometer.typing import Array
 from simulators.effects.catalogue import CatalogueEffect
@@ -380,6 +380,6 @@ def departing(tests: Sequence[Disagreement], effects: Sequence[CatalogueEffect])
     found = []
     for effect in effects:
         own = [t for t in tests if (axis_of(t.where, t.block), t.family) == own_place(effect)]
-        if any(test.p_value < OWN_SIGNIFICANCE / len(own) for test in own):
+        if any(test.p_value < SIGNIFICANCE / len(own) for test in own):
             found.append(effect.name)
     return found

@@ -251,7 +251,7 @@ def _named(
     (fitted, nats), state = chosen, fits.state
     following = fits.included(fitted.effect, far=nats > HUGE_NATS)
     brought = following.evidence - state.evidence
-    if brought < KEPT_NATS or brought < NAMED_NATS * scatter_of(following):
+    if brought < NAMED_NATS * scatter_of(following):
         run.refused.add(fitted.name)
         return None
     rivals = rivals_of(chosen, contenders)
