@@ -10,6 +10,7 @@ them in place would seem to disagree with them as soon as a radiance adapts to i
 
 from __future__ import annotations
 
+import operator
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -591,14 +592,13 @@ def own_equation(effect: CatalogueEffect, outcome: Search) -> CatalogueEffect:
 def by_own_equations(outcome: Search) -> FitState:
     """Return the model with the names by their own equations, fitted anew, without any unnamed curve."""
     state = outcome.state
-    if not any(own_equation(effect, outcome) is not effect for effect in state.effects) and not any(
-        t.is_smooth for t in state.terms
-    ):
+    own = [own_equation(effect, outcome) for effect in state.effects]
+    if all(map(operator.is_, own, state.effects)) and not any(term.is_smooth for term in state.terms):
         return state
     plain = outcome.start
     try:
-        for effect in state.effects:
-            plain = included(plain, own_equation(effect, outcome), far=True)
+        for effect in own:
+            plain = included(plain, effect, far=True)
     except (UnfitError, np.linalg.LinAlgError, ConfigurationError):  # they bring what those bring that can be fitted
         pass
     return plain
