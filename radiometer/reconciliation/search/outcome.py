@@ -10,7 +10,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from radiometer.reconciliation.chances import chi2_beyond
 from radiometer.reconciliation.fit.candidate_fit import FittedCandidate
 from radiometer.reconciliation.fit.descent import FullFits, is_far
 from radiometer.reconciliation.fit.state import FitState
@@ -84,11 +83,6 @@ def worth(state: FitState) -> float:
     return state.evidence - PARAMETER_NATS * (state.parameters.size + state.curves)
 
 
-def rated(state: FitState) -> float:
-    """Return the score of a model with the prior odds of its names."""
-    return worth(state) + sum(effect.log_prior_odds for effect in state.effects)
-
-
 def penalised_chi2(fitted: FittedCandidate) -> float:
     """Return the χ² that a candidate explains, less what it pays for its parameters and for being unlikely."""
     return fitted.gain - 2.0 * _penalty(fitted)
@@ -102,12 +96,6 @@ def score(entry: tuple[FittedCandidate, float]) -> float:
     """Return the nats of a judged candidate less what it pays."""
     fitted, nats = entry
     return nats - _penalty(fitted) - (FLEXIBLE_NATS if fitted.flexible else 0.0)
-
-
-def log_chance(gain: float, parameters: int) -> float:
-    """Return ln of the chance that so many idle parameters gain so much χ²."""
-    chance = chi2_beyond(max(gain, 1e-9), parameters)
-    return float(np.log(chance)) if chance > 0 else -np.inf
 
 
 def is_shown(fitted: FittedCandidate, nats: float) -> bool:

@@ -20,6 +20,7 @@ from typing import Final
 import numpy as np
 
 from radiometer.errors import ConfigurationError, MeasurementError
+from radiometer.reconciliation.chances import chi2_beyond
 from radiometer.reconciliation.fit.candidate_fit import (
     Candidate,
     FittedCandidate,
@@ -44,7 +45,6 @@ from radiometer.reconciliation.search.outcome import (
     Step,
     contenders_of,
     is_shown,
-    log_chance,
     penalised_chi2,
     rivals_of,
     score,
@@ -158,7 +158,7 @@ def _refined(start: FitState, state: FitState, tests: tuple[Disagreement, ...], 
 def _one_step(state: FitState, tests: tuple[Disagreement, ...], run: _Run) -> FitState | None:
     standing = significant(tests)
     screened = run.screened = screen(state, run.catalogue, run.pool, Before(run.screened, _FITTED + len(run.refused)))
-    limit = float(np.log(SIGNIFICANCE / max(len(screened), 1)))
+    limit = SIGNIFICANCE / max(len(screened), 1)
     promising = _promising(screened, limit, standing)
     promising = [candidate for candidate in promising if candidate.effect.name not in run.refused]
     departed = [] if standing else departing(tests, state.effects)
@@ -220,7 +220,7 @@ def _taken(state: FitState, looser: Loosened, run: _Run) -> FitState:
 def _promising(candidates: list[Candidate], limit: float, standing: tuple[Disagreement, ...]) -> list[Candidate]:
     """Return candidates whose gain is significant among all that were tried, or may yet become so."""
     slack = 0.5 if standing else 1.0  # a start far from the best parameters shows only part of its gain
-    return [c for c in candidates if log_chance(c.gain, c.parameters) < slack * limit]
+    return [c for c in candidates if chi2_beyond(max(c.gain, 1e-9), c.parameters) < limit**slack]
 
 
 def _convinces(state: FitState, chosen: tuple[FittedCandidate, float], standing: tuple[Disagreement, ...]) -> bool:
