@@ -17,10 +17,10 @@ from numpy.typing import NDArray
 from scipy.optimize import brentq
 from scipy.special import stdtr
 
-from radiometer.reconciliation.chances import chi2_beyond, chi2_quantile
 from radiometer.reconciliation.measure.design import CaptureStatistics, Design
 from radiometer.reconciliation.result import FittedParameter, Repeats, Series
 from radiometer.reconciliation.thresholds import FRAME_SIGNIFICANCE
+from radiometer.statistics.chances import chi2_beyond, chi2_quantile
 from radiometer.statistics.least_squares import solve
 from radiometer.statistics.model_choice import CLEARLY_BETTER, is_supported
 from radiometer.statistics.scale import MAD_TO_SIGMA, MEDIAN_U, robust_sigma

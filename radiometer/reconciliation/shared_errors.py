@@ -18,13 +18,12 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from radiometer.reconciliation.chances import frames_counted, score_slope
 from radiometer.reconciliation.measure.design import SURFACE_LINES, CaptureStatistics, Design, slope_lengths
-from radiometer.reconciliation.measure.edges import SHARPEST
-from radiometer.reconciliation.measure.row_bands import RowBins, TileBands
+from radiometer.reconciliation.measure.lines import SHARPEST, RowBins, TileBands
 from radiometer.reconciliation.repeatability import Darkness, drift_of_black, wander_of_black
 from radiometer.reconciliation.statistics import STATISTICS, Prediction, Scale
 from radiometer.reconciliation.tile_model import TileModel, Trace
+from radiometer.statistics.chances import frames_counted, score_slope
 from radiometer.typing import Array, Mask
 from simulators.effects.catalogue import CatalogueEffect
 from simulators.effects.context import ExposureContext

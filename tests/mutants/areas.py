@@ -61,7 +61,6 @@ AREAS: dict[str, tuple[str, ...]] = {
         "radiometer/reconciliation/shared_errors.py",
         "radiometer/reconciliation/verdict.py",
         "radiometer/reconciliation/statistics.py",
-        "radiometer/reconciliation/chances.py",
         "radiometer/reconciliation/search/*.py",
     ),
     "sensor_effects": ("simulators/effects/*.py",),
@@ -75,8 +74,7 @@ AREAS: dict[str, tuple[str, ...]] = {
     "archive_and_bench": ("radiometer/archive/*.py", "radiometer/bench/*.py", "radiometer/devices/*.py"),
     "reconcile_rooms": (
         "radiometer/reconciliation/*.py",
-        *(f"radiometer/reconciliation/{room}/*.py" for room in ("inputs", "logs", "measure")),
-        *(f"radiometer/reconciliation/{room}/*.py" for room in ("propose", "report")),
+        *(f"radiometer/reconciliation/{room}/*.py" for room in ("inputs", "logs", "measure", "propose")),
     ),
     "alarms_and_networks": (
         "radiometer/adapters/*.py",

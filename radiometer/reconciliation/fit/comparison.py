@@ -15,9 +15,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from radiometer.reconciliation.chances import deviances, followed_scores, log_bias, sine_freedom
 from radiometer.reconciliation.measure.design import COMB_PERIODS, CaptureStatistics, Design
-from radiometer.reconciliation.measure.row_bands import RowBins, wave_power
+from radiometer.reconciliation.measure.lines import RowBins, wave_power
 from radiometer.reconciliation.repeatability import Darkness, steady_wander2
 from radiometer.reconciliation.shared_errors import (
     Part,
@@ -47,6 +46,7 @@ from radiometer.reconciliation.statistics import (
     named,
     usable_entries,
 )
+from radiometer.statistics.chances import deviances, followed_scores, log_bias, sine_freedom
 from radiometer.typing import Array, Mask
 
 TILE_BLOCKS: Final = named(given=Given.TILE)

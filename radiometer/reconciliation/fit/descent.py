@@ -18,7 +18,6 @@ from numpy.typing import NDArray
 from scipy.linalg import solve_triangular
 
 from radiometer.errors import ConfigurationError
-from radiometer.reconciliation.chances import frames_counted
 from radiometer.reconciliation.fit.linear import descended
 from radiometer.reconciliation.fit.nuisances import NuisanceLayout, rough_log_responsivity
 from radiometer.reconciliation.fit.state import FitState, reweighted, value_of, weighted, with_effects
@@ -28,6 +27,7 @@ from radiometer.reconciliation.result import FittedParameter
 from radiometer.reconciliation.shared_errors import chances_of_rows
 from radiometer.reconciliation.thresholds import CLOSED_GAP, FAR_GAP, SCATTER_SIGMAS
 from radiometer.reconciliation.tile_model import TileModel
+from radiometer.statistics.chances import frames_counted
 from radiometer.typing import Array
 from simulators.effects.catalogue import CatalogueEffect
 

@@ -21,9 +21,8 @@ from radiometer.reconciliation.engine import Say, examine, whole_catalogue
 from radiometer.reconciliation.fit.descent import effect_covariance, fitted_parameters
 from radiometer.reconciliation.fit.state import FitState
 from radiometer.reconciliation.full_well import limit_at
-from radiometer.reconciliation.inputs.drive_fit import reconcile_drive_table
-from radiometer.reconciliation.inputs.light_meter import reconcile_meter_table
 from radiometer.reconciliation.inputs.photographs import reconcile_photographs
+from radiometer.reconciliation.inputs.tables import reconcile_drive_table, reconcile_meter_table
 from radiometer.reconciliation.measure.reduce import Progress
 from radiometer.reconciliation.propose import Proposal
 from radiometer.reconciliation.result import FoundEffect, ReconcileResult, Verdict
@@ -98,7 +97,7 @@ class DoneCapture:
 
     def write_report(self, path: Path) -> str:
         """Write the HTML report."""
-        from radiometer.reconciliation.report.html import write_report
+        from radiometer.reconciliation.report_page import write_report
 
         write_report(path, self._reconciled, self._source.name, self._origin())
         return str(path)

@@ -650,7 +650,7 @@ class CaptureStatistics:
     row_temporal_light: Array  # (captures,) what rows whose light differs by 100 % would add to it
     # (captures, orders) variance of a spatial frequency of the rows' light over what pixel noise alone gives
     bands: Array
-    bands_basis: Array  # (captures, 1 + orders, bins) functions of the rows, see `row_bands`
+    bands_basis: Array  # (captures, 1 + orders, bins) functions of the rows, see `lines`
     bands_of_rows: Array  # (captures, orders) what 1 DN² of row noise adds
     columns: Array  # (captures,) variance of fixed column means over what the fixed pixel pattern alone gives
     columns_weight: Array  # (captures,) its sensitivity in DN⁻²

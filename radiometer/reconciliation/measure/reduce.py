@@ -25,8 +25,7 @@ from radiometer.reconciliation.measure.design import (
     patch_sides,
     tile_groups,
 )
-from radiometer.reconciliation.measure.edges import edge_shares
-from radiometer.reconciliation.measure.row_bands import RowBins, row_light
+from radiometer.reconciliation.measure.lines import RowBins, edge_shares, row_light
 from radiometer.statistics.scale import MAD_TO_SIGMA, TWENTIETH_TO_SIGMA
 from radiometer.typing import Array, Mask
 from radiometer.units import gain_factor

@@ -16,7 +16,6 @@ import numpy as np
 from numpy.polynomial import legendre
 from scipy.special import chdtrc, gammaln
 
-from radiometer.reconciliation.chances import chi2_beyond, ranks
 from radiometer.reconciliation.fit.comparison import CAPTURE_BLOCKS, FAMILY, Comparison
 from radiometer.reconciliation.fit.linear import LinearFit
 from radiometer.reconciliation.fit.state import FitState, LinearTerm
@@ -24,6 +23,7 @@ from radiometer.reconciliation.measure.design import Design
 from radiometer.reconciliation.statistics import ADDITIVE, MULTIPLICATIVE, STATISTICS, Prediction
 from radiometer.reconciliation.thresholds import SIGNIFICANCE
 from radiometer.reconciliation.tile_model import TileModel
+from radiometer.statistics.chances import chi2_beyond, ranks
 from radiometer.typing import Array
 from simulators.effects.catalogue import CatalogueEffect
 

@@ -20,7 +20,6 @@ from typing import Final
 import numpy as np
 
 from radiometer.errors import ConfigurationError, MeasurementError
-from radiometer.reconciliation.chances import chi2_beyond
 from radiometer.reconciliation.fit.candidate_fit import (
     Candidate,
     FittedCandidate,
@@ -63,6 +62,7 @@ from radiometer.reconciliation.thresholds import (
     SIGNIFICANCE,
     SMOOTH_SHARE,
 )
+from radiometer.statistics.chances import chi2_beyond
 from radiometer.typing import Mask
 from simulators.chain.stages import place_for
 from simulators.effects.catalogue import CatalogueEffect

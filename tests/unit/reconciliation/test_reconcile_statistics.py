@@ -14,9 +14,8 @@ from radiometer.errors import CaptureError
 from radiometer.reconciliation.fit.descent import converged_fit, first_state, fitted_parameters, refit
 from radiometer.reconciliation.fit.state import LinearTerm, with_effects
 from radiometer.reconciliation.measure.design import LINES, Design, PatchSides, group_captures, patch_sides, tile_groups
-from radiometer.reconciliation.measure.edges import edge_shares
+from radiometer.reconciliation.measure.lines import RowBins, edge_shares
 from radiometer.reconciliation.measure.reduce import CaptureSums, frame_reader, reduce_frames
-from radiometer.reconciliation.measure.row_bands import RowBins
 from radiometer.reconciliation.search.localise import localise, significant
 from radiometer.reconciliation.separability import limits
 from radiometer.reconciliation.shared_errors import fixed_errors

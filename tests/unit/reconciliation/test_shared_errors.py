@@ -7,7 +7,7 @@ import pytest
 
 from radiometer.data import CameraDescription, CaptureHeader, FrameEntry, FrameSettings, PatchDescription
 from radiometer.reconciliation.measure.design import CaptureStatistics, Design
-from radiometer.reconciliation.measure.row_bands import RowBins, TileBands
+from radiometer.reconciliation.measure.lines import RowBins, TileBands
 from radiometer.reconciliation.shared_errors import (
     Part,
     Repeatability,
