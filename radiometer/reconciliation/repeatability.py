@@ -322,7 +322,7 @@ def _standing_out(series: Series, total: float, freedom: int) -> tuple[int, ...]
 
 _FEWEST_OF_A_LINE: Final = 4  # tiles
 _CLEAR_SLOPE: Final = 5.0  # standard uncertainties
-_FEWEST_REPEATED: Final = 1.0  # degrees of freedom of repeated dark frames that tell a wander
+_FEWEST_REPEATED: Final = 1.0  # degrees of freedom of repeated dark frames that show a wander
 _CHANCE: Final = 1e-4
 _MOST_SHARE: Final = 0.3  # of a pixel's own noise: a black level that differs by more is something to name
 

@@ -547,7 +547,7 @@ def _profile(state: FitState, name: str) -> tuple[Array, Array, Array]:
 def _binned(name: str, value: Array, standardised: Array) -> tuple[Array, Array, Array]:
     """Return centres in a reader's units, means, and standard uncertainties of bins along a covariate."""
     levels = np.unique(np.round(value, 6))
-    if levels.size <= _BINS:  # every setting has a point of its own
+    if levels.size <= _BINS:  # every setting has a separate point
         place = np.argmin(np.abs(value[:, None] - levels), axis=1)
     else:
         edges = np.unique(np.quantile(value, np.linspace(0, 1, _BINS + 1)))

@@ -40,7 +40,7 @@ _BLIND: Final = 1e-6  # share of a change that must survive the nuisances
 _LOOKS: Final = 12
 _STRIDE: Final = 30.0  # largest factor from one look to the next
 _CLOSE: Final = 0.1  # of ln χ²
-_NOTHING: Final = 1e-6  # a χ² that stands for none
+_NOTHING: Final = 1e-6  # a χ² that counts as none
 
 
 @dataclass(frozen=True, slots=True)
@@ -227,7 +227,7 @@ def limits(state: FitState, catalogue: Mapping[str, type[CatalogueEffect]]) -> d
 
 def _can_show(state: FitState, kind: type[CatalogueEffect], unit: str) -> bool:
     if kind.saturates == "sharply" and partly_at_the_top(state.design, state.seen, state.prediction).any():
-        return False  # the very tiles that would show it are left out, wherever it lies
+        return False  # exactly the tiles that would show it are left out, wherever it is
     return kind.usable(state.model.context) and (unit != _ABSOLUTE_LIGHT or state.design.has_known_radiance)
 
 

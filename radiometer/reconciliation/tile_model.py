@@ -134,7 +134,7 @@ class BatchSettings:
             design.exposure_s[:, None, None],
             design.gain_db[:, None, None],
             design.f_number[:, None, None],
-            np.nan_to_num(design.black_level_dn)[:, None, None],  # what is not declared is a link of its own
+            np.nan_to_num(design.black_level_dn)[:, None, None],  # what is not declared is a separate link
             design.temperature_c[:, None, None],
             design.timestamp_s[:, None, None],
             design.source_level[:, None, None],

@@ -424,7 +424,7 @@ def _jackknife(state: FitState, group: NDArray[np.intp], first: int) -> Array:
     known = fit.nuisances.rows[fit.nuisances.rows < size]
     columns[known, :first] = fit.nuisances.values[: known.size]
     columns[:, first:] = fit.effects[:size]
-    whitened = fit.half(columns.T).T  # parameters in units of what all rows tell of them
+    whitened = fit.half(columns.T).T  # parameters in units of what all rows show of them
     shifts = []
     for number in np.unique(group):
         mine = whitened[group == number]

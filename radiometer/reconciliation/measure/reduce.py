@@ -223,7 +223,7 @@ def _named(name: str, profile: tuple[float, float, float], repeats: int) -> dict
 
 
 OUTLIER_SIGMAS: Final = 6.0  # one false alarm in 5·10⁸ pixels of Gaussian pattern
-_NEARLY_FULL: Final = 0.98  # counts as clipped: the highest code in use may lie a little below full scale
+_NEARLY_FULL: Final = 0.98  # counts as clipped: the highest code in use may be a little below full scale
 _LOPSIDED: Final = 2.0  # a twentieth of the pixels as many times farther below: light cut off, no defects
 # Above this scatter (variance 15 DN²) an honest histogram shows no comb of period 5: exp(−2π²·15/25) = 7e-6. The
 # median deviation gives it, for one hot pixel does not move that.
@@ -533,7 +533,7 @@ def light_of_frames(means: Array, out: Mapping[str, Array], black_dn: float) -> 
 
 def _common_fluctuation(means: Array, out: Mapping[str, Array], black_dn: float) -> dict[str, float]:
     """Return the variance of the relative fluctuation that all tiles share, over what pixel noise alone gives."""
-    # The first frame may differ for a reason of its own (lag, dead time) and has a statistic of its own.
+    # The first frame may differ for a separate reason (lag, dead time) and has a separate statistic.
     means = means[1:] if means.shape[0] > 2 else means
     amplitude, information = _common_amplitude(means, out, black_dn)
     n = means.shape[0]
@@ -554,7 +554,7 @@ def _additive_fluctuation(means: Array, out: dict[str, Array], waves: Array) -> 
         out: Statistics of the tiles by name.
         waves: (tiles, waves) mean of each half wave over each tile.
     """
-    means = means[1:] if means.shape[0] > 2 else means  # the first frame may differ for a reason of its own
+    means = means[1:] if means.shape[0] > 2 else means  # the first frame may differ for a separate reason
     n = means.shape[0]
     taken = 1 if n < 3 else 2
     usable = _free(out) & (out["variance"] > 0)

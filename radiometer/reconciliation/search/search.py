@@ -339,7 +339,7 @@ def pruned(state: FitState, say: Callable[[str], None]) -> tuple[FitState, list[
 def _lost(state: FitState, smaller: FitState) -> float:
     """Return by how many nats a smaller model predicts held-out settings worse; infinity where it is far off."""
     nearer = refit(smaller, iterations=1).with_frozen(frozenset())
-    if nearer.promised - state.cost > _FAR_OFF:  # by derivatives of its own
+    if nearer.promised - state.cost > _FAR_OFF:  # by its derivatives
         return np.inf
     return _log_density(state) - _log_density(refit(nearer, iterations=5).recorded())
 
@@ -533,8 +533,8 @@ def _acts(state: FitState, effect: CatalogueEffect, before: TileMoments) -> Mask
 
 
 _FORMS_FITTED: Final = 3  # forms that are fitted in full, the most promising first
-_NEAR: Final = 2.0  # times what was left beyond chance, under the same weights: a law that leaves more is far off
-_FEW: Final = 6  # iterations that tell how the others do alone
+_NEAR: Final = 2.0  # times the residual beyond chance, under the same weights: a law that leaves more is far off
+_FEW: Final = 6  # iterations that show how the others do alone
 
 
 @dataclass(frozen=True, slots=True, eq=False)
