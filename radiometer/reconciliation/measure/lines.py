@@ -5,7 +5,7 @@ It is projected on smooth functions of the row: cosines of rising order, orthono
 first. Without bands each coefficient is white noise of variance 1. A wave of ν periods per row at a random phase adds
 A²/2·|z|² to the variance of one whose projection of exp(2πi·ν·y) is z.
 
-The share of a step that is in the last line before a border measures blur where the border runs along its line: the
+The share of a step that is in the last line before a border measures blur where the border runs along its line. The
 blend of a line that cuts a round outline is a matter of shape. The outline of a patch is not stated, so it is found
 from the pixels along each line. Behind a straight border all have the blend; along a cut outline each has one side's
 light or the other's. Of a side that bends, thirds are tried.
