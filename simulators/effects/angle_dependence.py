@@ -51,8 +51,8 @@ class AngleDependence(Scaling):
 
     @classmethod
     def covers(cls, context: ExposureContext) -> tuple[Self, ...]:
-        """Return the form with separate powers, and that of slant and cone apart."""
-        return cls(0.01, 2.5, -0.5), cls(0.03, 2.0, 0.0, 0.03)
+        """Return the form with separate powers."""
+        return (cls(0.01, 2.5, -0.5),)
 
     def free(self) -> tuple[str, ...]:
         """Return the parameters to fit: the cone where it acts apart, the powers where they are not the plain ones."""

@@ -83,6 +83,11 @@ def worth(state: FitState) -> float:
     return state.evidence - PARAMETER_NATS * (state.parameters.size + state.curves)
 
 
+def rated(state: FitState) -> float:
+    """Return the score of a model with the prior odds of its names."""
+    return worth(state) + sum(effect.log_prior_odds for effect in state.effects)
+
+
 def penalised_chi2(fitted: FittedCandidate) -> float:
     """Return the χ² that a candidate explains, less what it pays for its parameters and for being unlikely."""
     return fitted.gain - 2.0 * _penalty(fitted)

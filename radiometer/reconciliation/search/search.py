@@ -45,6 +45,7 @@ from radiometer.reconciliation.search.outcome import (
     contenders_of,
     is_shown,
     penalised_chi2,
+    rated,
     rivals_of,
     score,
     worth,
@@ -110,8 +111,19 @@ def search(
             state, tests = further, later
         else:
             run.steps = steps
-    fit_swapped(state, run.fitted_with)
+    likeliest, taken = swapped(state, run.fitted_with)
+    if taken:
+        say("; ".join(f"{effect.name} in place of {name}" for name, effect in taken.items()))
+        run.steps = [_renamed(step, taken.get(step.name), likeliest) for step in run.steps]
+        state, tests = likeliest, localise(likeliest)
     return Search(state, start, tuple(run.steps), significant(tests), tests, first)
+
+
+def _renamed(step: Step, effect: CatalogueEffect | None, state: FitState) -> Step:
+    """Return the step of a name with the entry that took its place, if any."""
+    if effect is None:
+        return step
+    return replace(step, name=effect.name, where=effect.where, gap_after=state.gap, rivals=())
 
 
 def _stepped(
@@ -310,7 +322,7 @@ def _forget(run: _Run, name: str) -> None:
 # ---- changes of a model with names ----------------------------------------------------------------------------------
 
 
-_EXCHANGED: Final = 4  # entries that are fitted in another's place
+_SWAPPED: Final = 4  # entries that are fitted in another's place
 _FAR_OFF: Final = 400.0  # χ² that a smaller model leaves by its own derivatives still, and is asked no further
 _REFITTED: Final = 2  # forms that are fitted in full, the most promising first
 
@@ -365,8 +377,10 @@ def _log_density(state: FitState) -> float:
     return float(np.sum(state.held_out.log_density))
 
 
-def fit_swapped(state: FitState, others: Mapping[str, Sequence[CatalogueEffect]]) -> None:
-    """Fit other entries in the place of each of several names, so that their models are compared with the names'.
+def swapped(
+    state: FitState, others: Mapping[str, Sequence[CatalogueEffect]]
+) -> tuple[FitState, dict[str, CatalogueEffect]]:
+    """Return the model with other entries in the place of names, where that is likelier, and these by the names.
 
     What was fitted at the step of a name did not know the later ones. The only name was compared at its step.
 
@@ -374,21 +388,23 @@ def fit_swapped(state: FitState, others: Mapping[str, Sequence[CatalogueEffect]]
         state: The model with all names.
         others: What was fitted with each name, the best first.
     """
-    present = {effect.name for effect in state.effects}
+    taken = dict[str, CatalogueEffect]()
     for effect in state.effects if len(state.effects) > 1 else ():
+        present = {other.name for other in state.effects}
         starts = [other for other in others.get(effect.name, ()) if other.name not in present]
         if not starts:
             continue
         try:
-            rest = with_effects(state, [other for other in state.effects if other is not effect])
-            fitted = [
-                fit_candidate(rest, Candidate(start, 0.0, len(start.free()) or 1)) for start in starts[:_EXCHANGED]
-            ]
+            rest = with_effects(state, [other for other in state.effects if other.name != effect.name])
+            fitted = [fit_candidate(rest, Candidate(start, 0.0, len(start.free()) or 1)) for start in starts[:_SWAPPED]]
             best = max(fitted, key=penalised_chi2)
             judged_gain(rest, best)
-            FullFits(rest).try_out(best.effect, far=False)
-        except (np.linalg.LinAlgError, ConfigurationError):  # what cannot be fitted takes no place
+            changed = included(rest, best.effect, far=False)
+        except (UnfitError, np.linalg.LinAlgError, ConfigurationError):  # what cannot be fitted takes no place
             continue
+        if rated(changed) > rated(state):
+            state, taken[effect.name] = changed, changed.effects[-1]
+    return state, taken
 
 
 @dataclass(frozen=True, slots=True, eq=False)
