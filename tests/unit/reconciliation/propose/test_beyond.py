@@ -33,10 +33,10 @@ def test_the_covariates_of_laws_for_what_an_entry_goes_with(effect, along):
 
 @pytest.mark.slow
 def test_the_glow_of_an_amplifier_is_no_dark_current(tmp_path):
-    """A Gaussian from a corner in proportion to the exposure is named as glow, provisionally, not as dark current."""
+    """A Gaussian from a corner in proportion to the exposure is named as glow, not as dark current."""
     from radiometer.reconciliation.engine import reconcile_capture
 
     session = two.make(11, HIDDEN["corner_glow"], "darks")
     result = reconcile_capture(session.write(tmp_path / "set")).result
-    assert result.verdict is Verdict.INCOMPLETE
+    assert result.verdict is Verdict.EFFECTS_FOUND
     assert [effect.name for effect in result.effects] == ["amplifier_glow"]
