@@ -402,7 +402,7 @@ def swapped(
             changed = included(rest, best.effect, far=False)
         except (UnfitError, np.linalg.LinAlgError, ConfigurationError):  # what cannot be fitted takes no place
             continue
-        if rated(changed) > rated(state):
+        if rated(changed) > rated(state) and not is_misfit(changed):  # else it takes up the residual of others
             state, taken[effect.name] = changed, changed.effects[-1]
     return state, taken
 
