@@ -36,6 +36,11 @@ def _row(name: str, value: float, unit: str, reason: str, measured: str = _TOGET
 _NULL: Final = "sets without an effect (docs/benchmarks/reconcile.md): share of false alarms and largest gap"
 _ODDS: Final = "a statement about odds, not a measurement"
 
+
+def _acted(sessions: int) -> str:
+    return f"acted in {sessions} of 79 sessions (docs/benchmarks/reconcile.md, rules that decide a name)"
+
+
 # ---- whether anything disagrees -------------------------------------------------------------------------------------
 SIGNIFICANCE: Final = _row(
     "SIGNIFICANCE",
@@ -67,7 +72,7 @@ PARAMETER_NATS: Final = _row(
     "freedom that is no knowledge: each parameter pays it beyond what held-out settings say",
 )
 FLEXIBLE_NATS: Final = _row(
-    "FLEXIBLE_NATS", 5.0, "nats", "a flexible form that takes a name from a rigid entry of another"
+    "FLEXIBLE_NATS", 5.0, "nats", "a flexible form that takes a name from a rigid entry of another", _acted(6)
 )
 NAMED_NATS: Final = _row(
     "NAMED_NATS",
@@ -77,16 +82,20 @@ NAMED_NATS: Final = _row(
     _ODDS,
 )
 FEW_TRIES: Final = _row(
-    "FEW_TRIES", 2.0, "1", "one of many starts that fits by chance: ln(starts / 2) nats more", _ODDS
+    "FEW_TRIES", 2.0, "1", "one of many starts that fits by chance: ln(starts / 2) nats more", _acted(2)
 )
 SHOWN_CHI2: Final = _row(
-    "SHOWN_CHI2", 8.0, "χ²", "a name that its own statistic does not support, only others that it happens to improve"
+    "SHOWN_CHI2",
+    8.0,
+    "χ²",
+    "a name that its own statistic does not support, only others that it happens to improve",
+    _acted(20),
 )
 OWN_LAW_NATS: Final = _row(
     "OWN_LAW_NATS", 2.0, "nats", "a rigid law that stays though its own tests speak against it already"
 )
 SMOOTH_SHARE: Final = _row(
-    "SMOOTH_SHARE", 0.8, "1", "a name that explains less than a curve without meaning along the covariate"
+    "SMOOTH_SHARE", 0.8, "1", "a name that explains less than a curve without meaning along the covariate", _acted(16)
 )
 LAW_SHARE: Final = _row(
     "LAW_SHARE",
