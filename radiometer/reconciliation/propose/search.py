@@ -285,6 +285,7 @@ _OF_NOISE: Final = ("power", "step")  # forms that are nowhere below 0
 _FITTED: Final = 16  # laws that are fitted to all statistics
 _JUDGED: Final = 9
 _MULTIPLIED: Final = 5  # laws of one term that are multiplied by another
+_CONSTANT: Final = ("analog", "digital")  # a constant there is a black level that is off
 _ALONE: Final = ("well", "range")  # what goes with the signal goes with nothing else, nor what comes back in turns
 _PLAIN: Final = ("digital", "optics")  # of two that no setting separates: what no gain amplifies, what scales light
 _OF_A_PLACE: Final = {*PLACES, "column_light"}
@@ -347,6 +348,8 @@ def _singles(state: FitState) -> Iterator[Law]:
     for link in (link for link in LINKS.values() if not link.is_noise):
         if "f_number" in link.goes_with and "f_number" not in known:
             continue  # it is light past the lens then
+        if link.key in _CONSTANT:
+            yield Law(link.key)
         for name in link.covariates:
             for term in terms.get(name, ()):
                 from_zero = (
@@ -403,7 +406,7 @@ def _products(state: FitState, singles: Iterable[Screened]) -> Iterator[Law]:
 
 
 def _goes_alone(law: Law) -> bool:
-    return law.link in _ALONE or "frame" in law.covariates
+    return not law.terms or law.link in _ALONE or "frame" in law.covariates
 
 
 def _links_of_product(link: str, first: str, second: str) -> tuple[str, ...]:
@@ -538,7 +541,8 @@ def held_to_laws(
     law = propose_law(outcome.start, along=along, most=nowhere_near(outcome.start, outcome.state))
     if law is None:
         return outcome
-    if lead_nats(outcome, law) <= NAMED_NATS:
+    is_plainer = law.law.size < outcome.state.parameters.size
+    if lead_nats(outcome, law) <= (0.0 if is_plainer else NAMED_NATS):
         return outcome
     named = " and ".join(step.name for step in outcome.steps if step.name != "unnamed")
     remark = f"{law.name}, a law outside the catalogue, predicts better than {named}"
@@ -560,7 +564,7 @@ def own_covariates(effect: CatalogueEffect) -> tuple[str, ...]:
 def lead_nats(outcome: Search, law: Proposal) -> float:
     """Return by how many nats a law predicts better than what was found, each parameter paid for.
 
-    An entry is known beforehand, a law is not: it must lead by the odds of a name.
+    An entry is known beforehand, a law is not: it must lead by the odds of a name, unless it needs fewer parameters.
     """
     return (worth(law.after) - worth(outcome.state)) / scatter_of(outcome.state)
 

@@ -57,6 +57,7 @@ WORKED = [
 ACTS = {
     "source": 1002.0,
     "scene": 1002.0,
+    "exposure": 1002.0,
     "optics": 1002.0,
     "light": 1002.0,
     "lens_light": 1008.0,  # at f/2, four times what f/4 lets through
