@@ -82,7 +82,7 @@ def test_effect_left_out_of_the_catalogue_gets_no_confident_false_name(make_capt
 
 
 def test_constant_offset_without_its_entry_is_no_other_entry(make_capture: Callable[..., Any]) -> None:
-    """A drift from a temperature far off imitates an offset with a parameter more: its name is never a confident one."""
+    """A drift from a far temperature imitates an offset with a parameter more: its name is never a confident one."""
     captured = make_capture(seed=13, extra_dn=lambda s: -1.5)
     result = reconcile(captured.header, captured.frames, without=("black_level_offset",), with_limits=False)
     assert result.verdict in (Verdict.UNNAMED, Verdict.INCOMPLETE)
