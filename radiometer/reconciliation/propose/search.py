@@ -509,10 +509,10 @@ def _score(entry: _JudgedLaw) -> float:
 
 
 # ---- names against laws ---------------------------------------------------------------------------------------------
-# A search can only say names that it knows. Where its names leave something, are several, or are doubted, another
-# cause is a hypothesis too: names that one law outdoes by far are none. A single name that leaves
-# nothing is compared with the laws along its own covariate: where one of them predicts better, the name is provisional,
-# or none where it brings far less.
+# A search can only report names that it knows. Where its names leave something, are several, or are doubted, another
+# cause is a hypothesis too: names that one law outdoes by far are none. A single name that leaves nothing is compared
+# with constants and with the laws along its covariate. Where one of them predicts better, the name is provisional, or
+# none where it brings far less.
 # What is known of a name beforehand is its own equation: a table or a curve would follow any law. What names
 # bring is therefore what their own equations bring, without the curves that represent no cause. A name by another
 # equation than the catalogue's is not meant by this: its own brings most of what any law along its covariate brings.
