@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from radiometer.statistics.scale import robust_sigma
 from radiometer.typing import Array
@@ -18,7 +19,7 @@ _WIDEST_PX: Final = 16  # columns on each side that a line is drawn through: sha
 _NARROWEST_PX: Final = 4
 
 
-def borders(pictures: Iterable[Array]) -> list[int]:
+def borders(pictures: Iterable[NDArray[Any]]) -> list[int]:
     """Return the columns at which a tap begins, in rising order.
 
     Args:
@@ -35,13 +36,13 @@ def borders(pictures: Iterable[Array]) -> list[int]:
     return sorted(kept)
 
 
-def _steps(picture: Array) -> list[tuple[int, float]]:
+def _steps(picture: NDArray[Any]) -> list[tuple[int, float]]:
     """Return the columns at which all strips of one half step alike, with the strength of the step in sigmas."""
     width = picture.shape[1]
     reach = min(_WIDEST_PX, width // 8)
     if reach < _NARROWEST_PX or picture.shape[0] < 2 * _STRIPS:
         return []
-    strips = np.stack([part.mean(axis=0) for part in np.array_split(picture, _STRIPS)])
+    strips = np.stack([part.mean(axis=0, dtype=np.float64) for part in np.array_split(picture, _STRIPS)])
     narrow = np.array([_step_sigmas(strip, _NARROWEST_PX) for strip in strips])
     wide = np.array([_step_sigmas(strip, reach) for strip in strips])
     sigmas = np.where(np.abs(wide) > np.abs(narrow), wide, narrow)

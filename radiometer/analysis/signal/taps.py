@@ -11,7 +11,7 @@ import itertools
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -220,7 +220,7 @@ def doubt_of_taps(values: Image, darks: Sequence[Frame]) -> tuple[str, ...]:
     pictures = [(values, True), *((frame.dn, False) for frame in darks[:1])]
     for picture, is_scene in pictures:
         for name, turned in (("column", picture), ("row", picture.T)):
-            thinned = turned[:: max(1, turned.shape[0] // _ROWS_LOOKED_AT)].astype(np.float64)
+            thinned = turned[:: max(1, turned.shape[0] // _ROWS_LOOKED_AT)]
             found = [one for one in borders([thinned]) if not is_scene or _is_border(thinned, one)]
             if found:
                 where = f"{'' if is_scene else 'dark '}frames step along {name} {found[0]}"
@@ -231,11 +231,11 @@ def doubt_of_taps(values: Image, darks: Sequence[Frame]) -> tuple[str, ...]:
     return ()
 
 
-def _is_border(picture: Array, column: int) -> bool:
+def _is_border(picture: NDArray[Any], column: int) -> bool:
     """Return whether a step is at an equal part of a picture, small, and of one ratio along half of the border."""
     if column * _PARTS % picture.shape[1]:
         return False
-    strips = np.stack([part.mean(axis=0) for part in np.array_split(picture, 8)])
+    strips = np.stack([part.mean(axis=0, dtype=np.float64) for part in np.array_split(picture, 8)])
     left = strips[:, column - _BORDER_PX : column].mean(axis=1)
     right = strips[:, column : column + _BORDER_PX].mean(axis=1)
     if np.any(left <= 0.0):
