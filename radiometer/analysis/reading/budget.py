@@ -629,7 +629,7 @@ def _taps(situation: PatchSituation) -> list[Term]:
     every = taps.u_rel(there)
     u_rel = next((float(u) for tap, u in zip(taps.taps, every[1:], strict=True) if tap.name == here), every.max())
     note = f"read by tap {here or 'several'}, calibrated with tap {there or 'unknown'}"
-    if taps.gain is None:
+    if taps.gain is None and u_rel > 0.0:
         note += ": their gains are not known, ±10 % is assumed"
     flag = Flag.OTHER_TAP if taps.gain is None else None
     return [Term("gain of taps", abs(situation.value) * u_rel, correlated=True, note=note, flag=flag)]

@@ -2,7 +2,8 @@
 
 Merge, readings and calibrations use it where the camera's description holds `taps`. Overscan is read with the light, so
 that it gives the black level of each tap and row of the frame. Where taps have none, dark frames give how their black
-levels differ. The gains are those of a characterisation.
+levels differ. The gains are those of a characterisation. Noise is that of the camera's one gain: where taps differ by
+5 %, its standard deviation is off by 2.5 %.
 """
 
 from __future__ import annotations
@@ -24,7 +25,7 @@ from radiometer.typing import Array, Image, Mask
 
 # Amplifiers of one sensor whose gains were not measured: ±10 % as a rectangle, assumed.
 UNKNOWN_GAIN_U_REL: Final = 0.1 / math.sqrt(3.0)
-_ROWS_LOOKED_AT: Final = 512  # of a picture in which borders are looked for
+_ROWS_LOOKED_AT: Final = 256  # of a picture in which borders are looked for: a step is one of whole lines
 _MISMATCH: Final = 0.2  # amplifiers of one sensor differ by less; edges of a scene mostly by more
 _ALIKE: Final = 0.25  # of the step, by which it may vary along the border
 _PARTS: Final = 16  # amplifiers stand side by side in so many equal parts, or half or a quarter of them

@@ -100,7 +100,8 @@ def test_every_tap_has_the_radiance_of_the_even_source(
     assert (found.value[overscan_of_map] == 0.0).all()
 
 
-def test_steps_between_taps_are_doubted_until_their_gains_are_known(tmp_path: Path) -> None:
+@pytest.mark.parametrize("how", ["2x2", "find"])
+def test_steps_between_taps_are_doubted_until_their_gains_are_known(tmp_path: Path, how: str) -> None:
     """Undescribed taps are reported by their step, described ones without gains by a note and a flag of readings."""
     frames = [one for one in bracket(4703, ()) if not one.settings.is_dark]
     lit = np.r_[0:48, 64:112]
@@ -109,11 +110,11 @@ def test_steps_between_taps_are_doubted_until_their_gains_are_known(tmp_path: Pa
     patches = [(8, 4, 24, 24), (56, 36, 24, 24)]
     unknown = rm.merge(folder)
     assert any("step along column 48" in text for text in unknown.map.not_in_u)
-    stated = rm.merge(folder, taps="2x2")
+    stated = rm.merge(folder, taps=how)
     assert not any("step along" in text for text in stated.assumptions)
     assert any("gain of taps not determined" in text for text in stated.assumptions)
     assert any("black level per tap not determined" in text for text in stated.assumptions)
-    made = rm.calibrate(folder, patch=patches[0], radiance=1.0, u_rel=1e-3, spectrum="equal_energy", taps="2x2")
+    made = rm.calibrate(folder, patch=patches[0], radiance=1.0, u_rel=1e-3, spectrum="equal_energy", taps=how)
     own, other = (
         rm.measure_photographs(folder, one, calibration=made.calibration, spectrum="equal_energy") for one in patches
     )
