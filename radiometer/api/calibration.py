@@ -8,6 +8,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
+import numpy as np
+
 from radiometer.analysis.calibration import calibrate as make
 from radiometer.analysis.calibration.calibrate import (
     KnownSource,
@@ -27,7 +29,7 @@ from radiometer.analysis.photometry.photometry import spectrum as spectrum_of
 from radiometer.analysis.photometry.photometry import spectrum_from_csv
 from radiometer.analysis.response.dynamic_range import DynamicRange, RangePoint, dynamic_range, with_dynamic_range
 from radiometer.analysis.signal.model import black_from_darks
-from radiometer.analysis.signal.taps import ReadOut
+from radiometer.analysis.signal.taps import ReadOut, doubt_of_taps
 from radiometer.api.files import PathLike, stack_of
 from radiometer.api.result import Progress, Result
 from radiometer.bench.assembly import open_instrument
@@ -485,9 +487,15 @@ def _base(
 
 
 def _of_taps(base: Calibration, seen: _Seen | None) -> tuple[str, ...]:
-    """Return what was used of the camera's taps, and what was not."""
-    taps = None if seen is None else ReadOut.of(Setup(base.camera, base.lens, base), seen.bracket.shape)
-    return () if taps is None or seen is None else taps.notes(has_darks=bool(seen.bracket.dark))
+    """Return what was used of the camera's taps, and what was not; a doubt where the frames show undescribed ones."""
+    if seen is None or seen.photographs is not None:
+        return ()
+    light, dark = seen.bracket.light, seen.bracket.dark
+    taps = ReadOut.of(Setup(base.camera, base.lens, base), seen.bracket.shape)
+    if taps is not None:
+        return taps.notes(has_darks=bool(dark))
+    longest = next((one for one in reversed(light) if one.dn.max() < one.saturated_dn), light[0])
+    return doubt_of_taps(longest.dn - np.float32(base.black_level.dn), dark)
 
 
 def _with_statements(

@@ -110,6 +110,8 @@ def test_steps_between_taps_are_doubted_until_their_gains_are_known(tmp_path: Pa
     patches = [(8, 4, 24, 24), (56, 36, 24, 24)]
     unknown = rm.merge(folder)
     assert any("step along column 48" in text for text in unknown.map.not_in_u)
+    plain = rm.calibrate(folder, patch=patches[0], radiance=1.0, u_rel=1e-3, spectrum="equal_energy")
+    assert any("step along column 48" in text for text in plain.calibration.provenance.assumptions)
     stated = rm.merge(folder, taps=how)
     assert not any("step along" in text for text in stated.assumptions)
     assert any("gain of taps not determined" in text for text in stated.assumptions)
