@@ -214,15 +214,17 @@ def doubt_of_taps(values: Image, darks: Sequence[Frame]) -> tuple[str, ...]:
     """Return a sentence where frames without described taps step along whole lines as those of several taps do.
 
     Args:
-        values: Radiance of every pixel, shape (height, width). Here the step must be of one ratio along the border, and
-            at an equal part of the frame: edges of a scene hardly are.
+        values: Radiance of every pixel, shape (height, width). Its step must be of one ratio along the border: edges of
+            a scene hardly are.
         darks: Dark frames, of which a scene shows nothing.
     """
     pictures = [(values, True), *((frame.dn, False) for frame in darks[:1])]
     for picture, is_scene in pictures:
         for name, turned in (("column", picture), ("row", picture.T)):
             thinned = turned[:: max(1, turned.shape[0] // _ROWS_LOOKED_AT)]
-            found = [one for one in borders([thinned]) if not is_scene or _is_border(thinned, one)]
+            # Bad columns of one amplifier make steps as well, at any place.
+            found = [one for one in borders([thinned]) if one * _PARTS % turned.shape[1] == 0]
+            found = [one for one in found if not is_scene or _is_mismatch(thinned, one)]
             if found:
                 where = f"{'' if is_scene else 'dark '}frames step along {name} {found[0]}"
                 return (
@@ -232,10 +234,8 @@ def doubt_of_taps(values: Image, darks: Sequence[Frame]) -> tuple[str, ...]:
     return ()
 
 
-def _is_border(picture: NDArray[Any], column: int) -> bool:
-    """Return whether a step is at an equal part of a picture, small, and of one ratio along half of the border."""
-    if column * _PARTS % picture.shape[1]:
-        return False
+def _is_mismatch(picture: NDArray[Any], column: int) -> bool:
+    """Return whether a step is small, and of one ratio along half of the border at least."""
     strips = np.stack([part.mean(axis=0, dtype=np.float64) for part in np.array_split(picture, 8)])
     left = strips[:, column - _BORDER_PX : column].mean(axis=1)
     right = strips[:, column : column + _BORDER_PX].mean(axis=1)
