@@ -101,7 +101,7 @@ def _likeness(
     if not issubclass(kind, CatalogueEffect):
         return None
     best = None
-    for trial in kind.trials[:: -(-len(kind.trials) // _TRIALS)]:
+    for trial in kind.trials[:: max(1, len(kind.trials) // _TRIALS)]:
         try:
             changed = _predicted(model.with_effect(kind(**trial)), settings, places, radiances)
         except (RadiometerError, TypeError, ValueError, ArithmeticError):
