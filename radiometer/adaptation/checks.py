@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from typing import Any, Final
 
 from radiometer.adaptation.protocol import AdaptationProtocol
+from radiometer.data.provenance import is_out_of_date
 from radiometer.errors import CalibrationError, MeasurementError, RadiometerError
 from radiometer.numbers import with_u
 
@@ -41,17 +42,20 @@ def judge_age(
         message = f"the calibration of {what} says {created!r} for when it was made; calibrate again"
         return Finding("check", {"what": "calibration", "of": what}, CalibrationError(message))
     limit_days = protocol.safety.calibration_days
-    stale = age_days > limit_days
+    stale = is_out_of_date(created, limit_days, now)
     facts = {"what": "calibration", "of": what, "age_days": round(age_days, 2), "limit_days": limit_days}
     if not stale:
         return Finding("check", facts)
     if accept_stale:
         return Finding("check", {**facts, "accepted_stale": True})
+    age = (
+        f"{age_days:.0f} days old" if age_days >= 0 else f"from the future ({-age_days:.0f} days; is the clock right?)"
+    )
     return Finding(
         "check",
         facts,
         CalibrationError(
-            f"the calibration of {what} is {age_days:.0f} days old, protocol {protocol.name} allows {limit_days:g}; "
+            f"the calibration of {what} is {age}, protocol {protocol.name} allows {limit_days:g}; "
             "calibrate again, or go on with --accept-stale (the journal will say so)"
         ),
     )

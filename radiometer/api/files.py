@@ -13,6 +13,7 @@ import numpy as np
 from radiometer.bench.sources import Source, open_source
 from radiometer.data import Bracket, CameraDescription, LensDescription, PatchDescription, SourceDescription
 from radiometer.data.capture_set import HEADER_NAME
+from radiometer.data.capture_set import refuse_inputs as refuse_inputs
 from radiometer.data.drawing import new_axes, picture
 from radiometer.data.frame import DigitalNumbers
 from radiometer.data.storage import check_new_folder as check_new_folder  # the command line asks here

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import datetime as dt
 import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass
@@ -132,7 +133,7 @@ def light_set(
         DeviceError: If the box fails or ends the light early.
     """
     expected, looks = _level(radiance, level, low=low), name_of_eye(subject, eye, no_eye=no_eye)
-    with _opened(box, calibration, preset, looks) as opened:
+    with _opened(box, calibration, preset, looks, notice) as opened:
         found = _found(opened, opened.box.set_level(channel, expected), radiance)
         lit(found)
         _stay(opened, hold_s, channel if found.state.drive.level else None, notice)
@@ -170,7 +171,7 @@ def light_pulse(
         RadiometerError: As `light_set`.
     """
     drive, looks = _level(radiance, level, low=low), name_of_eye(subject, eye, no_eye=no_eye)
-    with _opened(box, calibration, preset, looks) as opened:
+    with _opened(box, calibration, preset, looks, notice) as opened:
         found = _found(opened, opened.box.pulse(channel, drive, duration_s), radiance)
         lit(found)
         _stay(opened, duration_s, None, notice)
@@ -215,7 +216,7 @@ def light_blink(
     """
     drive, looks = _level(radiance, level, low=low), name_of_eye(subject, eye, no_eye=no_eye)
     lit_s = hold_s if hold_s is not None else (on_s + off_s) * count if count else None
-    with _opened(box, calibration, preset, looks) as opened:
+    with _opened(box, calibration, preset, looks, notice) as opened:
         found = _found(opened, opened.box.blink(channel, drive, on_s, off_s, count), radiance)
         lit(found)
         _stay(opened, lit_s, channel if count == 0 else None, notice)
@@ -646,10 +647,16 @@ def _laws(table: DriveTable) -> dict[str, DriveLaw | None]:
 
 @contextlib.contextmanager
 def _opened(
-    box: str | None, calibration: PathLike | None, preset: PathLike | None, eye: str | None
+    box: str | None, calibration: PathLike | None, preset: PathLike | None, eye: str | None, notice: Notice
 ) -> Iterator[OpenedBox]:
     known, bounds = (Path(one) if one else None for one in (calibration, preset))
     with open_light_box(box, calibration=known, preset=bounds, eye=eye) as opened:
+        made = opened.calibration
+        if made is not None and made.is_stale(dt.datetime.now(dt.UTC)):
+            notice(
+                f"warning: the calibration of light box {made.box_serial} of {made.created[:10]} is not within its "
+                f"{made.validity_days:g} days: radiances may be off; calibrate again"
+            )
         yield opened
 
 

@@ -26,7 +26,7 @@ from radiometer.data.storage import read_yaml, state_folder
 from radiometer.data.validation import ConfigSection, validate
 from radiometer.devices.exposure_account import ANY_EYE, NO_HISTORY, AccountStore, FileStore, MemoryStore
 from radiometer.devices.exposure_ledger import ExposureLedger
-from radiometer.devices.light_box import LightBoxIdentity
+from radiometer.devices.light_box import CurrentRange, LightBoxIdentity
 from radiometer.devices.retinal_safety import BLUE_WINDOW_S, DEFAULT_FRACTION, ChannelOptics, FlashLight
 from radiometer.errors import (
     CalibrationError,
@@ -49,6 +49,7 @@ TEND_SLICE_S: Final = 0.2  # a fifth of the box's dead-man time
 _SILENT: Final[
     dict[str, float]
 ] = {}  # ports that were asked and did not answer as a box, and when they were plugged in
+_DIMMEST_REL: Final = 1e-4  # of the preset's bound: neutral filters before a spot have a density of 3
 _LINKED_WITHIN_S: Final = 0.1  # a box links its terminal at once; the clock of file times ticks in 4 ms
 SIMULATED_PORTS: Final = "radiometer-light-boxes"
 
@@ -375,11 +376,33 @@ def open_light_box(
     with opened.box as box:
         file = calibration or calibration_file(box.identity.serial)
         known = read_box_calibration(file, box.identity.serial) if calibration or file.is_file() else None
+        if known is not None:
+            _require_plausible(known, file, box, config)
         box.calibration = known
         if opened.twin is None:
             remember(box.link.line.name, list_serial_ports())
         with nullcontext() if opened.twin else holding(box.identity.serial, box.link.line.name, box.darken):
             yield OpenedBox(box, config, known, opened.wait, opened.twin)
+
+
+def _require_plausible(known: LightCalibration, file: Path, box: SerialLightBox, config: LightBoxConfig) -> None:
+    """Refuse a calibration that is not of this box's channels: the account of the exposure would count too little."""
+    for name, channel in known.channels.items():
+        own, preset = box.channels.get(name), config.channels.get(name)
+        if own is None or channel.duty_steps != own.duty_steps:
+            steps = "no such channel" if own is None else f"{own.duty_steps}"
+            raise CalibrationError(
+                f"{file}: {name} has {channel.duty_steps} duty steps, the box states {steps}; it is of other firmware: "
+                "make one with `radiometer light calibrate`"
+            )
+        brightest = known.highest_radiance(name, own.level_limit[CurrentRange.HIGH], high=True)
+        if preset is not None and brightest is not None:
+            bound = preset.radiance_bound_W_per_sr_m2
+            if brightest < _DIMMEST_REL * bound:
+                raise CalibrationError(
+                    f"{file}: {name} has {brightest:.3g} W·sr⁻¹·m⁻² at its highest level, the preset's bound is "
+                    f"{bound:g}. Was a cap or filter before the camera? Calibrate again, or state the bound by --preset"
+                )
 
 
 def read_box_calibration(path: Path, serial: str) -> LightCalibration:

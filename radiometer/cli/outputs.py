@@ -34,11 +34,14 @@ def writes(*files: str, folder: str | None = None) -> Callable[[_Command], _Comm
 
         @functools.wraps(command)
         def checked(*args: Any, force: bool = False, **kwargs: Any) -> Any:
-            from radiometer.api.files import check_new_folder, check_outputs
+            from radiometer.api.files import check_new_folder, check_outputs, refuse_inputs
 
             given = signature.bind(*args, **kwargs, **({"force": force} if asks_itself else {}))
             given.apply_defaults()
-            check_outputs(*(path for name in files for path in _paths(given.arguments[name])), force=force)
+            outputs = [path for name in files for path in _paths(given.arguments[name])]
+            check_outputs(*outputs, force=force)
+            read = [path for name, value in given.arguments.items() if name not in files for path in _read(value)]
+            refuse_inputs(outputs, read)
             if folder is not None and given.arguments[folder] is not None:
                 check_new_folder(Path(given.arguments[folder]))
             return command(*given.args, **given.kwargs)
@@ -56,3 +59,9 @@ def _paths(value: Any) -> Iterable[Path]:
     if value is None or isinstance(value, str | Path):
         return () if value is None else (Path(value),)
     return (Path(one) for one in value)
+
+
+def _read(value: Any) -> Iterable[Path]:
+    """Return the files and folders that an argument names, alone or in a list."""
+    several = value if isinstance(value, list | tuple) else (value,)
+    return (one for one in several if isinstance(one, Path))

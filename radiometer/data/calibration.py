@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from pydantic import AwareDatetime, Field, model_validator
 
 from radiometer.data.capture_header import CameraDescription, LensDescription
-from radiometer.data.provenance import Provenance, utc_now
+from radiometer.data.provenance import Provenance, is_out_of_date, utc_now
 from radiometer.data.response_curve import ResponseCurve
 from radiometer.data.sensor_noise import SensorNoise
 from radiometer.data.storage import read_yaml, write_yaml_atomic
@@ -228,8 +228,8 @@ class Calibration:
         return self.scale.method != "relative"
 
     def is_stale(self, now: dt.datetime) -> bool:
-        """Return whether the calibration is older at `now` (with time zone) than its validity."""
-        return (now - dt.datetime.fromisoformat(self.created)).total_seconds() > self.validity_days * 86400.0
+        """Return whether the calibration is older at `now` (with time zone) than its validity, or from the future."""
+        return is_out_of_date(self.created, self.validity_days, now)
 
     def to_mapping(self) -> dict[str, Any]:
         """Return the mapping that is written to the file."""

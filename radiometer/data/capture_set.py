@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import shutil
 import tempfile
@@ -31,10 +32,11 @@ from radiometer.data.raw_files import RAW_SUFFIXES, read_raw_colours
 from radiometer.data.reader_limits import bounded_reader
 from radiometer.data.storage import check_new_folder, dump_yaml, read_yaml, state_folder, write_bytes_atomic
 from radiometer.data.validation import FileSection, validate
-from radiometer.errors import CaptureError, OutputError, UsageError
+from radiometer.errors import CaptureError, OutputError, OutputRefused, UsageError
 
 FORMAT = "radiometer-capture/1"
 HEADER_NAME = "capture.yaml"
+_PICTURES = (".png", ".tif", ".tiff", ".jpg", ".jpeg")  # of a folder of photographs
 
 
 # Each setting of a frame, and its key in the file.
@@ -530,3 +532,34 @@ class CaptureSetWriter:
         for folder in (self.path / "frames", self.path):
             if folder.is_dir() and not any(folder.iterdir()):
                 folder.rmdir()
+
+
+def refuse_inputs(outputs: Sequence[Path], inputs: Sequence[Path]) -> None:
+    """Refuse outputs that would replace what a command reads, `--force` or not.
+
+    Args:
+        outputs: Files to write.
+        inputs: Files and folders to read. Of a folder its `capture.yaml` counts, and the files that this names; without
+            one its pictures do.
+
+    Raises:
+        OutputRefused: If a file is one of them, under whatever name or link.
+    """
+    for path in outputs:
+        for source in inputs:
+            if path.exists() and source.exists() and _is_part(path, source):
+                raise OutputRefused(f"{path} belongs to the input {source}; name another file: no input is replaced")
+
+
+def _is_part(path: Path, source: Path) -> bool:
+    if not source.is_dir():
+        return path.samefile(source)
+    folder, whole = source.resolve(), path.resolve()
+    if not whole.is_relative_to(folder):
+        return False
+    listing = folder / HEADER_NAME
+    if not listing.is_file():
+        return whole.suffix.lower() in _PICTURES
+    with contextlib.suppress(OSError, UnicodeDecodeError):
+        return whole == listing or whole.relative_to(folder).as_posix() in listing.read_text(encoding="utf-8")
+    return False

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import AwareDatetime, Field, TypeAdapter
 
-from radiometer.data.provenance import Provenance, utc_now
+from radiometer.data.provenance import Provenance, is_out_of_date, utc_now
 from radiometer.data.storage import read_yaml, write_yaml_atomic
 from radiometer.data.validation import FileSection, validate
 from radiometer.errors import CalibrationError, SettingOutOfRange
@@ -137,8 +137,8 @@ class LightCalibration:
         return (choice.radiance_w_sr_m2 + COVERAGE * choice.u_w_sr_m2) * max(choice.start_rel, 1.0)
 
     def is_stale(self, now: dt.datetime) -> bool:
-        """Return whether it is older at `now` (with time zone) than its validity."""
-        return (now - dt.datetime.fromisoformat(self.created)).total_seconds() > self.validity_days * 86400.0
+        """Return whether it is older at `now` (with time zone) than its validity, or from the future."""
+        return is_out_of_date(self.created, self.validity_days, now)
 
     def write(self, path: Path) -> None:
         """Write it as YAML, whole or not at all. Raises OutputError."""

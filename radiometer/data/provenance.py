@@ -8,15 +8,31 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cache
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 import radiometer
 from radiometer.errors import InputError
+
+FUTURE_DAYS: Final = 1.0  # time zones that were mistaken, and clocks that drift, make less
 
 
 def utc_now() -> str:
     """Return the present time as ISO 8601 in UTC with microseconds."""
     return dt.datetime.now(dt.UTC).isoformat(timespec="microseconds").replace("+00:00", "Z")
+
+
+def is_out_of_date(created: str, validity_days: float, now: dt.datetime) -> bool:
+    """Return whether what was made then is older at `now` than it is valid for, or from the future.
+
+    A file from the future was made, or is read, by a clock that is wrong: nothing shows how old it is.
+
+    Args:
+        created: ISO 8601 time with its zone.
+        validity_days: How long it is valid in days.
+        now: The present, with its zone.
+    """
+    age_days = (now - dt.datetime.fromisoformat(created)).total_seconds() / 86400.0
+    return not -FUTURE_DAYS <= age_days <= validity_days
 
 
 @cache

@@ -9,13 +9,16 @@ from typing import Any
 
 import pytest
 
+import radiometer as rm
 from radiometer.adaptation.box_setup import SIMULATED_CALIBRATION, open_box_stage
 from radiometer.adaptation.checks import Finding, judge_age, judge_room
 from radiometer.adaptation.protocol import AdaptationProtocol, FlashBleach, read_protocol
 from radiometer.adaptation.request import RunRequest
+from radiometer.bench.boxes import open_light_box
 from radiometer.bench.served_box import served_box
 from radiometer.data.config_files import shipped_config
-from radiometer.data.light_calibration import LightCalibration
+from radiometer.data.light_calibration import ChannelCalibration, LightCalibration
+from radiometer.data.provenance import utc_now
 from radiometer.errors import (
     CalibrationError,
     MeasurementError,
@@ -71,6 +74,8 @@ def test_calibration_age_against_the_protocols_limit(quick: AdaptationProtocol) 
     refused = judge_age("box X", age[31], quick, NOW).refusal
     assert isinstance(refused, CalibrationError)
     assert all(word in str(refused) for word in ("box X", "31 days", "allows 30", "--accept-stale"))
+    future = judge_age("box X", (NOW + dt.timedelta(days=31)).isoformat(), quick, NOW).refusal
+    assert "from the future (31 days" in str(future)
     accepted = judge_age("box X", age[31], quick, NOW, accept_stale=True)
     assert accepted.refusal is None
     assert accepted.facts["accepted_stale"] is True
@@ -83,6 +88,40 @@ def test_own_calibration_of_a_box_is_checked_for_its_age(tmp_path: Path, quick: 
     assert isinstance(refusal(quick, calibration=tmp_path / "old.yaml"), CalibrationError)
     accepted = findings(quick, calibration=tmp_path / "old.yaml", accept_stale=True)
     assert [finding.refusal for finding in accepted] == [None, None]
+
+
+@pytest.mark.parametrize(
+    ("factor", "steps", "reason"), [(1e-6, 1024, "cap or filter"), (1.0, 8192, "8192 duty steps, the box states 1024")]
+)
+def test_a_calibration_that_belies_box_or_preset_gives_no_light(
+    tmp_path: Path, factor: float, steps: int, reason: str
+) -> None:
+    """By radiances a million times too low, the account of the exposure would count as much less."""
+    known = LightCalibration.read(shipped_config(SIMULATED_CALIBRATION))
+
+    def changed(one: ChannelCalibration) -> ChannelCalibration:
+        points = tuple(
+            p.model_copy(update={"radiance_W_per_sr_m2": factor * p.radiance_W_per_sr_m2}) for p in one.points
+        )
+        return one.model_copy(update={"points": points, "duty_steps": steps})
+
+    replace(known, channels={"field": changed(known.channels["field"])}).write(tmp_path / "c.yaml")
+    with pytest.raises(CalibrationError, match=reason), open_light_box("sim", calibration=tmp_path / "c.yaml"):
+        pass
+
+
+@pytest.mark.parametrize(
+    ("created", "warned"), [("2020-01-01T00:00:00Z", True), ("2090-01-01T00:00:00Z", True), (None, False)]
+)
+def test_light_by_a_calibration_out_of_date_is_given_with_a_warning(
+    tmp_path: Path, created: str | None, warned: bool
+) -> None:
+    """Also by one from the future."""
+    known = LightCalibration.read(shipped_config(SIMULATED_CALIBRATION))
+    replace(known, created=created or utc_now()).write(tmp_path / "c.yaml")
+    heard = list[str]()
+    rm.light_pulse("spot", 0.01, 0.001, box="sim", calibration=tmp_path / "c.yaml", notice=heard.append)
+    assert any("not within its" in line for line in heard) == warned
 
 
 def test_flash_beyond_the_box_is_refused_with_the_time_it_would_need(quick: AdaptationProtocol) -> None:

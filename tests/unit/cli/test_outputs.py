@@ -91,6 +91,28 @@ def test_an_output_is_checked_before_the_work(
     assert is_folder or any("--force" in one.opts for one in command.params)
 
 
+@pytest.mark.parametrize(
+    ("words", "precious"),
+    [
+        ("merge set -o set/frames/0.png", "set/frames/0.png"), ("response set -o set/capture.yaml", "set/capture.yaml"),
+        ("merge photos -o photos/a.png", "photos/a.png"), ("adapt fit f.csv --csv f.csv", "f.csv"),
+        ("adapt fit f.csv --report link.csv", "f.csv"),
+    ],
+)  # fmt: skip
+def test_no_output_replaces_an_input(
+    words: str, precious: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Not with --force either, under whatever name: exit code 2 and the file as it was."""
+    monkeypatch.chdir(tmp_path)
+    for name in ("set/frames/0.png", "set/capture.yaml", "photos/a.png", "f.csv"):
+        Path(name).parent.mkdir(parents=True, exist_ok=True)
+        Path(name).write_text("file: frames/0.png")
+    Path("link.csv").symlink_to("f.csv")
+    assert run([*words.split(), "--force"]) == 2
+    assert "no input is replaced" in capsys.readouterr().err
+    assert Path(precious).read_text() == "file: frames/0.png"
+
+
 _HOSTILE = ("..", "../../out", "/etc/x", "a/b", "-o", ".hidden", "x" * 300, "a\0b", "")
 
 

@@ -152,9 +152,12 @@ def replace_start(one: LightPoint, start_rel: float) -> LightPoint:
     return one.model_copy(update={"start_rel": start_rel})
 
 
-@pytest.mark.parametrize(("days", "stale"), [(-1.0, False), (0.0, False), (30.0, False), (30.001, True), (400.0, True)])
+@pytest.mark.parametrize(
+    ("days", "stale"),
+    [(-1.01, True), (-1.0, False), (0.0, False), (30.0, False), (30.001, True), (400.0, True)],
+)
 def test_a_calibration_is_stale_after_its_validity_and_not_before(days, stale):
-    """Thirty days from when it was made, to the second, in whatever time zone one asks."""
+    """Thirty days from when it was made, in whatever time zone one asks; one from the future is not valid either."""
     made = dt.datetime(2026, 3, 1, 12, tzinfo=dt.UTC)
     found = replace(calibration(point(16, 16.0), point(4096, 4096.0)), created=made.isoformat(), validity_days=30.0)
     assert found.is_stale((made + dt.timedelta(days=days)).astimezone(dt.timezone(dt.timedelta(hours=9)))) is stale
