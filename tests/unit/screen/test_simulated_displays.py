@@ -115,6 +115,21 @@ def test_simulated_display_is_a_display() -> None:
         display.show(DisplayPatch((1.2, 0, 0)))
 
 
+@pytest.mark.parametrize("name", DISPLAYS)
+def test_each_primary_adds_its_share_of_the_light_above_black(name: str) -> None:
+    """At half drive and seen from the side, light is black plus each primary's share of white's range."""
+    display = SimulatedDisplay(DISPLAYS[name])
+    display.turn(30.0)
+    model, level = display.model, round(0.5 * (2**display.model.bits - 1)) / (2**display.model.bits - 1)
+    cosine = np.cos(np.radians(30.0))
+    black = model.black_radiance * (1.0 + model.angle_leak * (1.0 - cosine**2))
+    of_white = (model.white_radiance - model.black_radiance) * cosine**model.angle_exponent * model.transfer(level)
+    for primary, share in enumerate(model.primary_shares):
+        only = tuple(0.5 * (primary == k) for k in range(3))
+        assert display.radiance(only) == pytest.approx(black + share * of_white, rel=1e-9)
+    assert display.radiance((0.5, 0.5, 0.5)) == pytest.approx(black + of_white, rel=1e-9)
+
+
 def test_pwm_averages_out_over_whole_periods_only() -> None:
     """Over four periods the output is its mean; over a quarter of one it is all or nothing."""
     display = SimulatedDisplay(DISPLAYS["pwm_lcd"], SimulatedClock(1e6))
