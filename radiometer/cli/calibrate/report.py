@@ -34,7 +34,7 @@ def show_report(report: dict[str, Any]) -> None:
         )
     if ratio := report.get("meter_over_source"):
         out.print(f"meter over source  {with_u(ratio['value'], 2 * ratio['u'], k=2)}")
-    if flat := report.get("flat_fiel"):
+    if flat := report.get("flat_field"):
         out.print(
             f"flat field fitted about {flat['principal_point_px'][0]:.1f}, {flat['principal_point_px'][1]:.1f} px, "
             f"± {200 * flat['u_rel']:.2g} % (k = 2)"

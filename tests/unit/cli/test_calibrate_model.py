@@ -108,10 +108,18 @@ def test_what_the_user_states_stays(tmp_path):
     assert with_found_effects(BASE, path, stated=("glare_u",)).uncertainties.glare_u == BASE.uncertainties.glare_u
 
 
-def test_what_readings_cannot_be_corrected_for_is_refused(tmp_path):
-    """By name, with what can be."""
-    path = model_file(tmp_path, "crosstalk", {}, {})
-    with pytest.raises(InputError, match="crosstalk"):
+@pytest.mark.parametrize(
+    ("effect", "parameters", "u", "message"),
+    [
+        ("crosstalk", {}, {}, "crosstalk"),
+        ("veiling_glare", {"share": 0.01, "bowl": 0.2}, {"share": 5e-4, "bowl": 0.01}, r"its 'bowl' \(0\.2\)"),
+        ("veiling_glare", {"share": 0.01}, {}, r"notes\.u\.share"),
+    ],
+)
+def test_what_readings_cannot_be_corrected_for_is_refused(tmp_path, effect, parameters, u, message):
+    """Other effects, what differs over the picture, and what has no uncertainty; each by name."""
+    path = model_file(tmp_path, effect, parameters, u)
+    with pytest.raises(InputError, match=message):
         with_found_effects(BASE, path, stated=())
 
 
@@ -151,20 +159,6 @@ def test_a_fall_off_becomes_a_flat_field(tmp_path, parameters):
     assert flat.at(39.5 + 40.0 * rho, 29.5 + 30.0 * rho) == pytest.approx(expected, abs=1e-4)
     assert flat.u_rel == pytest.approx(math.hypot(0.02 / (1.0 + s), 0.02 * bool(k4)))
     with pytest.raises(InputError, match="picture's size"):
-        with_found_effects(BASE, path, stated=())
-
-
-def test_what_differs_over_the_picture_is_refused(tmp_path):
-    """One figure for all places would be wrong at each."""
-    path = model_file(tmp_path, "veiling_glare", {"share": 0.01, "bowl": 0.2}, {"share": 5e-4, "bowl": 0.01})
-    with pytest.raises(InputError, match=r"its 'bowl' \(0\.2\)"):
-        with_found_effects(BASE, path, stated=())
-
-
-def test_an_effect_without_its_uncertainty_is_refused(tmp_path):
-    """A correction of unknown worth corrects nothing."""
-    path = model_file(tmp_path, "veiling_glare", {"share": 0.01}, {})
-    with pytest.raises(InputError, match=r"notes\.u\.share"):
         with_found_effects(BASE, path, stated=())
 
 
@@ -222,20 +216,17 @@ def test_known_glare_is_taken_off():
     assert wrong.radiance.value > 0.11
 
 
-def test_a_map_is_corrected_for_exposure_and_black_too():
-    """The same settings in every pixel; with the offset unknown the map would be 12 % too bright."""
-    world = {"offset_s": 5e-5}
-    base = replace(BASE, found=FoundEffects(exposure_offset_s=5e-5))
-    _, known = read(base, frames(even(), 2e-3, **world), frames(even(0.5), 4e-4, **world))
-    found = merge(frames(even(0.5), 4e-4, **world), Setup(CAMERA, LENS, known))
-    assert found.radiance.mean() == pytest.approx(0.5, rel=3e-3)
-
-
-def test_a_map_is_corrected_for_the_sensor_s_warmth_too():
-    """20 K warmer at 0.2 %/K, as a reading; u is that of the coefficient as it was found."""
-    base = replace(BASE, found=FoundEffects(temperature_slope_per_k=2e-3))
-    _, known = read(base, frames(even(), 2e-3), frames(even(0.5), 4e-4))
-    found = merge(frames(even(0.5), 4e-4, t_c=45.0, warm=1.04), Setup(CAMERA, LENS, known))
+@pytest.mark.parametrize(
+    ("effects", "world", "warmer"),
+    [
+        (FoundEffects(exposure_offset_s=5e-5), {"offset_s": 5e-5}, {}),
+        (FoundEffects(temperature_slope_per_k=2e-3), {}, {"t_c": 45.0, "warm": 1.04}),
+    ],
+)
+def test_a_map_is_corrected_as_a_reading_is(effects, world, warmer):
+    """With the offset unknown the map would be 12 % too bright; 20 K warmer at 0.2 %/K, 4 %."""
+    _, known = read(replace(BASE, found=effects), frames(even(), 2e-3, **world), frames(even(0.5), 4e-4, **world))
+    found = merge(frames(even(0.5), 4e-4, **world, **warmer), Setup(CAMERA, LENS, known))
     assert found.radiance.mean() == pytest.approx(0.5, rel=3e-3)
 
 

@@ -93,25 +93,19 @@ def test_text_that_is_no_yaml_is_refused_with_its_line(capture):
         CaptureSet.read(capture)
 
 
-def test_values_above_full_scale_are_refused(capture):
-    """A 13-bit value in a 12-bit capture set means that the header or the frame is wrong."""
-    cv2.imwrite(str(capture / "frames" / "0001.png"), np.full((6, 8), 5000, np.uint16))
-    with pytest.raises(CaptureError, match="holds the value 5000, above the full scale 4095"):
-        CaptureSet.read(capture).read_frame(1)
-
-
-def test_mixed_sizes_are_refused(capture):
-    """All frames of a set need one size; the error names the file and both sizes."""
-    cv2.imwrite(str(capture / "frames" / "0001.png"), np.full((5, 8), 50, np.uint16))
-    with pytest.raises(CaptureError, match=r"0001\.png: is 8 × 5 pixels, the frames before 8 × 6"):
+@pytest.mark.parametrize(
+    ("picture", "message"),
+    [
+        (np.full((6, 8), 5000, np.uint16), "holds the value 5000, above the full scale 4095"),
+        (np.full((5, 8), 50, np.uint16), r"0001\.png: is 8 × 5 pixels, the frames before 8 × 6"),
+        (np.zeros((6, 8, 3), np.uint16), "expected one channel"),
+    ],
+)
+def test_frames_that_contradict_the_header_or_each_other_are_refused(capture, picture, message):
+    """All have one size and one channel, and numbers of as many bits as stated; the error names the file."""
+    cv2.imwrite(str(capture / "frames" / "0001.png"), picture)
+    with pytest.raises(CaptureError, match=message):
         list(CaptureSet.read(capture).frames())
-
-
-def test_colour_frames_are_refused(capture):
-    """A capture set holds one channel."""
-    cv2.imwrite(str(capture / "frames" / "0001.png"), np.zeros((6, 8, 3), np.uint16))
-    with pytest.raises(CaptureError, match="expected one channel"):
-        CaptureSet.read(capture).read_frame(1)
 
 
 @pytest.mark.parametrize(

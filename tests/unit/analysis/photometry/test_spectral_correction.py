@@ -10,19 +10,13 @@ from radiometer.errors import InputError
 HEADER = "wavelength_nm,responsivity\n"
 
 
-def test_photon_counter_goes_as_wavelength():
-    """With a flat quantum efficiency the responsivity per watt is proportional to λ."""
-    assert spectral_factor("line:550", 453.0, 0.0) == pytest.approx(550 / 453, rel=1e-9)
-
-
-def test_same_light_needs_no_correction():
-    """Calibrated and measured with the same line: factor 1."""
-    assert spectral_factor("line:640", 640.0, 0.0) == pytest.approx(1.0, rel=1e-12)
-
-
-def test_narrow_line_acts_as_its_mean_wavelength():
-    """A symmetric line of 20 nm is its centre's wavelength to a part in 10⁴."""
-    assert spectral_factor("line:550", 640.0, 20.0) == pytest.approx(550 / 640, rel=1e-4)
+@pytest.mark.parametrize(
+    ("line_nm", "peak_nm", "width_nm", "rel"),
+    [(550, 453.0, 0.0, 1e-9), (640, 640.0, 0.0, 1e-12), (550, 640.0, 20.0, 1e-4)],
+)
+def test_photon_counter_goes_as_wavelength(line_nm, peak_nm, width_nm, rel):
+    """Per watt in proportion to λ, so the same light needs no correction; a line of 20 nm acts as its centre."""
+    assert spectral_factor(f"line:{line_nm}", peak_nm, width_nm) == pytest.approx(line_nm / peak_nm, rel=rel)
 
 
 def test_stated_responsivity_is_used(tmp_path):

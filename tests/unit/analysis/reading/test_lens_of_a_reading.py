@@ -39,17 +39,11 @@ def line(reading, name):
 
 
 def test_an_unknown_f_number_is_refused_and_asked_for(rig, seen):
-    """Frames that do not state it are not read as if they had the calibration's."""
-    frames = without_f_number(seen[0])
-    with pytest.raises(CalibrationError, match="--f-number"):
-        read_patch(frames, PATCH, Setup(rig.description, LensDescription(), rig.calibration()))
-
-
-def test_an_unknown_f_number_gives_no_map_either(rig, seen):
-    """The same holds for every pixel of a merged bracket."""
-    frames = without_f_number(seen[0])
-    with pytest.raises(CalibrationError, match="--f-number"):
-        merge(frames, Setup(rig.description, LensDescription(), rig.calibration()))
+    """Frames that do not state it are not read or merged as if they had the calibration's."""
+    frames, setup = without_f_number(seen[0]), Setup(rig.description, LensDescription(), rig.calibration())
+    for use in (lambda: read_patch(frames, PATCH, setup), lambda: merge(frames, setup)):
+        with pytest.raises(CalibrationError, match="--f-number"):
+            use()
 
 
 def test_a_lens_that_states_its_f_number_speaks_for_frames_that_do_not(rig, seen):

@@ -66,29 +66,21 @@ def test_chunks_are_switched_on_one_by_one(chunked):
     assert notes == []
 
 
-def test_a_chunk_that_is_locked_is_noted_and_done_without(chunked):
-    """The others are switched on all the same, and the note says what it means."""
-    camera, features = chunked(locked=("Gain",))
+@pytest.mark.parametrize(
+    ("camera_has", "chunks", "note"),
+    [
+        ({"locked": ("Gain",)}, ("ExposureTime", "BlackLevel"), "camera W1: the camera refused ([ChunkEnable] node is"),
+        ({"locked": ("Gain",), "on": ("Gain",)}, ("ExposureTime", "Gain", "BlackLevel"), None),
+        ({"refused": ("ChunkModeActive",)}, (), "thrown away by number"),
+    ],
+)
+def test_what_is_locked_or_refused_is_noted_and_done_without(chunked, camera_has, chunks, note):
+    """The others are switched on all the same; a locked switch that is on already is used."""
+    camera, features = chunked(**camera_has)
     notes: list[str] = []
-    assert switch_on_chunks(camera, features, notes) == ("ExposureTime", "BlackLevel")
-    assert len(notes) == 1
-    assert "no chunk Gain (camera W1: the camera refused ([ChunkEnable] node is locked)" in notes[0]
-
-
-def test_a_locked_chunk_that_is_on_already_is_used(chunked):
-    """A switch that cannot be turned need not be where it stands right."""
-    camera, features = chunked(locked=("Gain",), on=("Gain",))
-    notes: list[str] = []
-    assert switch_on_chunks(camera, features, notes) == ("ExposureTime", "Gain", "BlackLevel")
-    assert notes == []
-
-
-def test_a_camera_that_refuses_the_chunk_mode_opens_without_chunks(chunked):
-    """A refused ChunkModeActive is a note; that the camera vanished is an error."""
-    camera, features = chunked(refused=("ChunkModeActive",))
-    notes: list[str] = []
-    assert switch_on_chunks(camera, features, notes) == ()
-    assert "thrown away by number" in notes[0]
+    assert switch_on_chunks(camera, features, notes) == chunks
+    assert len(notes) == (note is not None)
+    assert note is None or note in notes[0]
 
 
 def test_a_camera_that_vanishes_among_its_chunks_is_lost(chunked, library_error):

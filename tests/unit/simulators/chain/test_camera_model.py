@@ -126,16 +126,11 @@ def test_missing_stage_is_refused_by_the_name_of_the_effect_that_does_not_fit(mo
         model.without_effect("shutter")
 
 
-def test_failing_effect_names_itself(model: CameraModel) -> None:
-    """An error inside an effect reaches the user under the effect's name."""
+def test_an_effect_that_fails_or_gives_nan_names_itself(model: CameraModel) -> None:
+    """An error and what is not finite reach the user under the name of the effect that made it."""
     context = model.context(SETTINGS, FrameGeometry.of_image(2, 2))
     with pytest.raises(MeasurementError, match=r"effect 'broken' failed: out of coffee"):
         model.with_effect(Broken()).sample(np.ones((2, 2)), context, (0,))
-
-
-def test_effect_that_gives_nan_names_itself(model: CameraModel) -> None:
-    """What is not finite is caught at the effect that made it."""
-    context = model.context(SETTINGS, FrameGeometry.of_image(2, 2))
     with pytest.raises(MeasurementError, match=r"effect 'not_finite' gave values that are not finite"):
         model.with_effect(NotFinite()).mean(np.ones((2, 2)), context)
 
