@@ -104,6 +104,7 @@ def test_a_bent_photon_transfer_is_reported_with_and_without_darks():
         assert len(reported) == (0 if straight else 1)
         assert (found.transfer.bend_u > 0.0) is not straight
         assert found.figures["K"].u >= found.transfer.bend_u
+        assert [step.light for step in found.steps] == pytest.approx(SIGNALS / 6000.0)  # exposures, for want of photons
 
 
 @pytest.mark.parametrize(("off", "reported"), [(1.0, 0), (30.0, 1)])

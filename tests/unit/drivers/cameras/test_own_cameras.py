@@ -186,6 +186,17 @@ def test_an_opening_that_fails_leaves_the_camera_to_be_tried_again(webcam):
         assert camera.counts.frames == 0
 
 
+@pytest.mark.parametrize(("which", "link"), [("webcam", V4l2Link), ("pi", PiLink), ("body", TetheredLink)])
+def test_a_program_opens_a_camera_once(which, link, request):
+    """Also where the library would let it be opened twice: the second is refused until the first is closed."""
+    device, camera = request.getfixturevalue(which)
+    again = PlainCamera(link(device, camera.identity))
+    with camera, pytest.raises(DeviceInUse, match="by this program already"):
+        again.open()
+    with again:
+        assert len(again.capture(1)) == 1
+
+
 def test_a_pis_frame_says_what_it_was_taken_with(pi):
     """Exposure in µs and gain as a factor become s and dB, the black level comes from 16 bits to 12."""
     _, camera = pi
