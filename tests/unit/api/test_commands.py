@@ -54,10 +54,7 @@ CASES = (
         lambda out: rm.quality_take(out / "session", "range", ["12dB"], bench="bench.yaml"),
         "session/range/12dB/capture.yaml",
     ),
-    Case(
-        "quality report lines --source-u-rel 0.2% --json",
-        lambda out: rm.quality_report("lines", source_u_rel=0.002),
-    ),
+    Case("quality report lines --source-u-rel 0.2% --json", lambda out: rm.quality_report("lines", source_u_rel=0.002)),
     Case(
         "import statistics.csv -o {out}/imported --json",
         lambda out: rm.import_capture("statistics.csv", out / "imported"),

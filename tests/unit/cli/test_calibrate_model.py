@@ -182,10 +182,7 @@ def test_a_fall_off_becomes_a_flat_field(tmp_path, parameters):
             FoundEffects(black_slope_dn=4.0, black_from_db=6.0, black_bend=0.5),
             {"gain_db": 18.0, "gained_black": 4.0 * (10**0.6 - 1.0 + 0.5 * (10**0.6 - 1.0) ** 2)},
         ),
-        (
-            FoundEffects(exposure_further_s=2e-5, exposure_above_db=3.0),
-            {"gain_db": 12.0, "gained_s": 2e-5},
-        ),
+        (FoundEffects(exposure_further_s=2e-5, exposure_above_db=3.0), {"gain_db": 12.0, "gained_s": 2e-5}),
         (FoundEffects(well_a2=0.04, well_a3=0.02, well_e=24500.0), {"bend": (0.04, 0.02)}),
     ],
 )

@@ -140,13 +140,8 @@ def test_both_ends_of_what_was_measured_are_held_and_nothing_beyond():
 @pytest.mark.parametrize(("start_rel", "bound"), [(1.1, 110.0), (0.9, 100.0)])
 def test_what_is_brighter_at_its_start_stays_below_that(start_rel, bound):
     """A start above the settled radiance counts, one below it does not make light safer."""
-    points = [replace_start(point(step, float(step), u_rel=0.0), start_rel) for step in (16, 4096)]
+    points = [point(step, float(step), u_rel=0.0).model_copy(update={"start_rel": start_rel}) for step in (16, 4096)]
     assert calibration(*points).highest_radiance("spot", 800, True) == pytest.approx(bound)
-
-
-def replace_start(one: LightPoint, start_rel: float) -> LightPoint:
-    """Return a measured level with another start."""
-    return one.model_copy(update={"start_rel": start_rel})
 
 
 @pytest.mark.parametrize(("days", "stale"), [(-1.0, False), (0.0, False), (30.0, False), (30.001, True), (400.0, True)])

@@ -7,20 +7,11 @@ import json
 import numpy as np
 import pytest
 
-from radiometer.analysis.calibration.flat_field import (
-    fit_flat_field,
-)
+from radiometer.analysis.calibration.flat_field import fit_flat_field
 from radiometer.analysis.merge.bracket import merge
 from radiometer.analysis.reading.reading import read_patch
 from radiometer.cli.main import run
-from radiometer.data import (
-    Bracket,
-    Calibration,
-    CaptureSetWriter,
-    FlatField,
-    Patch,
-    RadianceMap,
-)
+from radiometer.data import Bracket, Calibration, CaptureSetWriter, FlatField, Patch, RadianceMap
 from radiometer.data.setup import Setup
 from radiometer.errors import CalibrationError, MeasurementError
 

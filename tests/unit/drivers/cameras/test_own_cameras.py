@@ -26,14 +26,7 @@ from radiometer.cli.main import run
 from radiometer.data import CaptureSet, CaptureSetWriter, LensDescription
 from radiometer.devices import CameraIdentity, CameraSettings, Health, Roi
 from radiometer.errors import DeviceError, DeviceInUse, DeviceLost, DeviceTimeout, MissingLibrary
-from testing.edge_devices import (
-    ControlRange,
-    SimulatedPiCamera,
-    SimulatedTether,
-    SimulatedWebcam,
-    dng_bytes,
-    mosaic_of,
-)
+from testing.edge_devices import ControlRange, SimulatedPiCamera, SimulatedTether, SimulatedWebcam, dng_bytes, mosaic_of
 from testing.patience import within
 
 DN_PER_S = 20_000.0  # of the even field, above black, at gain 0 dB and in the numbers of each camera
