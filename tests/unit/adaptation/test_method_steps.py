@@ -25,7 +25,6 @@ from radiometer.adaptation.protocol import (
 )
 from radiometer.adaptation.quest_plus import QuestPlusSearch
 from radiometer.adaptation.run import run_test
-from radiometer.adaptation.simulated_stage import simulated_stage
 from radiometer.errors import DeviceLost, MissingLibrary
 from simulators.observers.eye_kinetics import Eye, eye_after_bleach
 from testing.scripted_adaptation import ScriptedStage, eye, threshold
@@ -84,10 +83,17 @@ def test_a_spot_whose_levels_are_reversed_is_refused() -> None:
             Spot(device="light_box", channel="spot", peak_nm=453, lowest_log10=-3.0, highest_log10=highest)
 
 
-def test_break_is_that_of_the_eye_after_the_protocols_bleach(tmp_path: Path) -> None:
+@pytest.fixture(scope="module")
+def classic(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return the journal of a whole run of the classic protocol by the steady observer, its thresholds next to it."""
+    journal = tmp_path_factory.mktemp("classic") / "run.jsonl"
+    rm.adapt_run("classic", "S1", journal, simulate="steady")
+    return journal
+
+
+def test_break_is_that_of_the_eye_after_the_protocols_bleach(classic: Path) -> None:
     """9,000 cd/m² for 180 s through 7 mm: the fit finds the break of that eye, within 1 min (95 % of a run: 0.8)."""
-    rm.adapt_run("classic", "S1", tmp_path / "run.jsonl", simulate="steady")
-    found = rm.adapt_fit(tmp_path / "run.csv", bootstrap=0).fit.estimates["break_min"].value
+    found = rm.adapt_fit(classic.with_suffix(".csv"), bootstrap=0).fit.estimates["break_min"].value
     expected = eye_after_bleach(Eye(pupil_mm=7.0), 9000.0, 180.0).break_min(505.0)
     assert expected is not None
     assert found == pytest.approx(expected, abs=1.0)
@@ -99,11 +105,9 @@ def test_weak_bleach_of_a_screen_shows_no_break(tmp_path: Path) -> None:
     assert not rm.adapt_fit(tmp_path / "run.csv", bootstrap=0).fit.has_break
 
 
-def test_false_alarms_are_as_rare_as_the_subjects_habit(tmp_path: Path) -> None:
+def test_false_alarms_are_as_rare_as_the_subjects_habit(classic: Path) -> None:
     """A blink without light is answered in 1 % of the cases, whichever trials are drawn as catches."""
-    stage = simulated_stage(read_protocol("classic"), "steady", seed=0)
-    with RunJournal(tmp_path / "j") as journal:
-        run_test(stage.protocol, stage, journal, subject="S1")
+    with RunJournal(classic) as journal:
         dark = [blink for blink in journal.of_kind("blink") if blink["log10_level"] is None and "of" not in blink]
     pressed = sum(bool(blink["presses_s"]) for blink in dark)
     assert len(dark) > 50
