@@ -96,6 +96,7 @@ def responses_known() -> dict[object, object]:
 @pytest.fixture
 def recovered_once(monkeypatch: pytest.MonkeyPatch, responses_known: dict[object, object]) -> None:
     """Recover the response of the same photographs once: it takes a second and is the same again."""
+    import radiometer.api.response  # noqa: F401  it keeps the function by name, and has the real one
     from radiometer.analysis.response import auto
 
     recover = auto.recover_colours_auto
