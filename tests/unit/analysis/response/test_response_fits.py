@@ -17,8 +17,7 @@ from radiometer.analysis.response.estimate import inner_range, median_uncertaint
 from radiometer.analysis.response.fit import eliminate_groups, fit_response, information, solve_penalised
 from radiometer.analysis.response.limits import ValueLimits
 from radiometer.analysis.response.noise import LogNoise, dn_at, fit_log_noise, mean_exposure_dn
-from radiometer.analysis.response.samples import gather_samples
-from radiometer.data import Bracket, Frame, FrameSettings, ResponseCurve
+from radiometer.data import ResponseCurve
 from radiometer.data.provenance import Provenance
 from radiometer.errors import MeasurementError
 from testing.golden.nist_linear import LONGLEY, NORRIS
@@ -288,14 +287,6 @@ def test_figures_of_the_diagnostics():
 
 
 TIMES = (0.5, 1.0, 2.0, 4.0)
-
-
-@pytest.fixture(scope="module")
-def samples():
-    """Return samples of a straight line over four exposures."""
-    radiance = np.exp(np.random.default_rng(1).uniform(-4.0, 0.0, (64, 64)))
-    frames = [Frame(np.clip(np.round(radiance * t * 250), 0, 255).astype(np.uint8), 8, FrameSettings(t)) for t in TIMES]
-    return gather_samples(Bracket.from_frames(frames))
 
 
 @pytest.fixture(scope="module")

@@ -229,14 +229,6 @@ LINE = np.log(np.maximum(np.arange(256.0), 0.5) / 128.0)
 TIMES = (0.5, 1.0, 2.0, 4.0)
 
 
-@pytest.fixture(scope="module")
-def samples():
-    """Return samples of a straight line over four exposures."""
-    radiance = np.exp(np.random.default_rng(1).uniform(-4.0, 0.0, (64, 64)))
-    frames = [Frame(np.clip(np.round(radiance * t * 250), 0, 255).astype(np.uint8), 8, FrameSettings(t)) for t in TIMES]
-    return gather_samples(Bracket.from_frames(frames))
-
-
 def curve(g, u=0.01, valid=(10, 240)):
     return ResponseCurve(np.asarray(g, dtype=float), np.full(len(g), u), valid_dn=valid)
 
@@ -428,18 +420,7 @@ def test_repeats_of_an_exposure_are_no_step(apart, slope, samples):
     assert slope_at(kinked, np.array([101.0]), near) == pytest.approx([slope], rel=1e-6)
 
 
-@pytest.fixture(scope="module")
-def line_samples():
-    """Return samples of a straight line over four exposures."""
-    radiance = np.exp(np.random.default_rng(1).uniform(-4.0, 0.0, (64, 64)))
-    frames = [
-        Frame(np.clip(np.round(radiance * t * 250), 0, 255).astype(np.uint8), 8, FrameSettings(float(t)))
-        for t in (0.5, 1.0, 2.0, 4.0)
-    ]
-    return gather_samples(Bracket.from_frames(frames))
-
-
-def test_a_grouped_jackknife_of_a_mean(line_samples):
+def test_a_grouped_jackknife_of_a_mean(samples):
     """s² = (F − 1)/F·Σ(θ_f − θ̄)², widened by (F − 1)/(F − 3), of ten folds."""
     left = []
 
@@ -447,28 +428,28 @@ def test_a_grouped_jackknife_of_a_mean(line_samples):
         left.append(np.array([part.dn.mean()]))
         return left[-1]
 
-    found = u_by_groups(line_samples, solve)
+    found = u_by_groups(samples, solve)
     values = np.array(left)
     assert len(left) == 10
     assert found == pytest.approx(np.sqrt(0.9 * ((values - values.mean(0)) ** 2).sum(0) * 9 / 7))
 
 
-def test_residuals_are_from_the_group_s_weighted_mean(line_samples):
+def test_residuals_are_from_the_group_s_weighted_mean(samples):
     """ln H − ln t less the weighted mean of the group, and the row's share in it, by a loop."""
     rng = np.random.default_rng(2)
-    log_exposure, weight = rng.normal(size=line_samples.dn.size), rng.uniform(0.5, 2.0, line_samples.dn.size)
-    residual, share = group_residual(line_samples, log_exposure, weight)
-    for group in np.unique(line_samples.group)[:20]:
-        rows = line_samples.group == group
-        light = (log_exposure - line_samples.log_time)[rows]
+    log_exposure, weight = rng.normal(size=samples.dn.size), rng.uniform(0.5, 2.0, samples.dn.size)
+    residual, share = group_residual(samples, log_exposure, weight)
+    for group in np.unique(samples.group)[:20]:
+        rows = samples.group == group
+        light = (log_exposure - samples.log_time)[rows]
         assert residual[rows] == pytest.approx(light - np.average(light, weights=weight[rows]))
         assert share[rows] == pytest.approx(weight[rows] / weight[rows].sum())
 
 
-def test_the_slope_is_taken_over_a_whole_step(line_samples):
+def test_the_slope_is_taken_over_a_whole_step(samples):
     """g = ln M: half a stop to either side of M are M·√2 and M/√2: ln 2 over that distance."""
     g = np.log(np.maximum(np.arange(256.0), 0.5))
-    found = slope_at(g, np.array([60.0, 100.0]), line_samples)
+    found = slope_at(g, np.array([60.0, 100.0]), samples)
     assert found == pytest.approx(np.log(2.0) / (np.array([60.0, 100.0]) * (2**0.5 - 2**-0.5)), rel=2e-3)
     assert value_at(g, np.array([10.5])) == pytest.approx((g[10] + g[11]) / 2)
 
@@ -492,12 +473,12 @@ def test_ratios_of_exposures_stand_in_the_order_of_the_frames():
     assert found.u_exposure_ratios.tolist() == [0.0, 0.0]
 
 
-def test_what_no_difference_shows_counts_by_its_square(line_samples, monkeypatch):
+def test_what_no_difference_shows_counts_by_its_square(samples, monkeypatch):
     """A doubt twice as large brings four times the variance, at every number."""
     variance = []
     for factor in (0.0, 1.0, 2.0):
         monkeypatch.setattr(debevec, "unseen_factor", lambda *_, factor=factor: factor)
-        variance.append(debevec.curve_debevec1997(line_samples).u_log_exposure[40:200] ** 2)
+        variance.append(debevec.curve_debevec1997(samples).u_log_exposure[40:200] ** 2)
     assert variance[2] - variance[0] == pytest.approx(4.0 * (variance[1] - variance[0]), rel=1e-6, abs=1e-14)
     assert (variance[1] > variance[0]).mean() > 0.9
 
