@@ -1,4 +1,4 @@
-"""What any light box does, real, simulated or in firmware: its contract, and on a line with noise."""
+"""Contract of every light box, simulated or with real firmware, also on a line with noise."""
 
 from __future__ import annotations
 
