@@ -19,7 +19,7 @@ from radiometer.adaptation.prompts import prompts_after
 from radiometer.adaptation.protocol import AdaptationProtocol, read_protocol
 from radiometer.adaptation.run import run_test
 from radiometer.adaptation.run_facts import facts_of
-from radiometer.errors import ConfigurationError, DeviceLost, InputError, MeasurementError, UsageError
+from radiometer.errors import ConfigurationError, DeviceLost, InputError, MeasurementError, OutputError, UsageError
 from testing.scripted_adaptation import Eye, ScriptedStage, eye, threshold
 
 
@@ -126,10 +126,22 @@ def test_spot_that_goes_no_dimmer_ends_the_test_with_what_is_known(tmp_path: Pat
 
 def test_journal_of_another_subject_is_refused(tmp_path: Path, classic: AdaptationProtocol) -> None:
     """No two subjects in one file."""
-    stage = ScriptedStage(eye, classic)
-    _run(tmp_path, stage)
+    _run(tmp_path, ScriptedStage(lambda level, seconds: False, classic))
     with RunJournal(tmp_path / "j") as journal, pytest.raises(UsageError, match="belongs to subject 'A1'"):
         run_test(classic, ScriptedStage(eye, classic), journal, subject="B2", seed=3)
+
+
+def test_a_run_is_not_taken_up_with_another_age_or_pupil(tmp_path: Path, classic: AdaptationProtocol) -> None:
+    """Its head states them once; a run that stated none may learn them later."""
+    broken = ScriptedStage(eye, classic)
+    broken.dies_after = 125.0
+    with RunJournal(tmp_path / "j") as journal, pytest.raises(DeviceLost):
+        run_test(classic, broken, journal, subject="A1", seed=3, visit={"age_years": 31.0})
+    with RunJournal(tmp_path / "j") as journal, pytest.raises(UsageError, match=r"age_years 31\.0, not 70\.0"):
+        run_test(classic, ScriptedStage(eye, classic), journal, subject="A1", seed=3, visit={"age_years": 70.0})
+    later = {"age_years": 31.0, "pupil_mm": 7.0}
+    with RunJournal(tmp_path / "j") as journal:
+        run_test(classic, ScriptedStage(eye, classic), journal, subject="A1", seed=3, visit=later)
 
 
 def test_refused_check_is_journalled_and_keeps_the_bleach_away(tmp_path: Path, classic: AdaptationProtocol) -> None:
@@ -505,6 +517,20 @@ def test_half_written_line_is_cut_and_the_next_event_follows(tmp_path: Path) -> 
         assert len(journal.events) == 1
         journal.write("trial", 2.0)
     assert [e["time_s"] for e in read_events(file)] == [0.0, 2.0]
+
+
+def test_two_programs_never_write_one_test(tmp_path: Path) -> None:
+    """Neither while one runs it, nor after it went on since the other read it."""
+    file = tmp_path / "j"
+    with RunJournal(file) as running:
+        running.write("start", 0.0)
+        late = RunJournal(file)
+        with pytest.raises(OutputError, match="another program runs this test"):
+            late.__enter__()
+        running.write("trial", 1.0)
+    with pytest.raises(OutputError, match="meanwhile"):
+        late.__enter__()
+    assert len(read_events(file)) == 2
 
 
 @pytest.mark.parametrize("damage", [b"{not json}\n", b'{"sequence": 5, "kind": "trial", "time_s": 1}\n'])
