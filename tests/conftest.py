@@ -87,6 +87,30 @@ def laws_left_out(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(engine, "held_to_laws", lambda found, *further: found)
 
 
+@pytest.fixture(scope="session")
+def responses_known() -> dict[object, object]:
+    """Return the responses that were recovered so far, by the frames that they were recovered from."""
+    return {}
+
+
+@pytest.fixture
+def recovered_once(monkeypatch: pytest.MonkeyPatch, responses_known: dict[object, object]) -> None:
+    """Recover the response of the same photographs once: it takes a second and is the same again."""
+    import radiometer.api.response  # noqa: F401  it keeps the function by name, and has the real one
+    from radiometer.analysis.response import auto
+
+    recover = auto.recover_colours_auto
+
+    def once(brackets: list[Any]) -> object:
+        frames = [frame for one in brackets for frame in (*one.light, *one.dark)]
+        key = tuple((frame.dn.tobytes(), frame.dn.shape, repr(frame.settings)) for frame in frames)
+        if key not in responses_known:
+            responses_known[key] = recover(brackets)
+        return responses_known[key]
+
+    monkeypatch.setattr(auto, "recover_colours_auto", once)
+
+
 @pytest.fixture
 def unrendered(monkeypatch: pytest.MonkeyPatch) -> None:
     """Leave figures as they are drawn, without a picture of them: for those who read the text alone."""

@@ -1,4 +1,4 @@
-"""`radiometer response` from the outside: its files, its JSON, its one-line errors."""
+"""`radiometer response` on captures and on photographs, whole and damaged."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ import cv2
 import numpy as np
 import pytest
 
+from radiometer.bench.sources import open_source
 from radiometer.cli.main import run
 from radiometer.data import ResponseCurve
 
@@ -71,18 +72,6 @@ def test_two_folders_are_fitted_jointly(tmp_path, capsys):
     assert json.loads(capsys.readouterr().out)["curves"][0]["pixels"] == 2 * 90 * 120
 
 
-def _one_exposure(folder: Path) -> None:
-    _photographs(folder, times=(0.04,))
-
-
-def _all_saturated(folder: Path) -> None:
-    _photographs(folder, times=(2.0, 4.0, 8.0))
-
-
-def _empty(folder: Path) -> None:
-    folder.mkdir()
-
-
 def _lie(folder: Path) -> None:
     _photographs(folder)
     listed = folder / "exposures.txt"
@@ -105,9 +94,9 @@ def _unfinished(folder: Path) -> None:
 @pytest.mark.parametrize(
     ("make", "message"),
     [
-        (_empty, "is empty"),
-        (_one_exposure, "holds one exposure only"),
-        (_all_saturated, "all frames are clipped"),
+        (Path.mkdir, "is empty"),
+        (lambda folder: _photographs(folder, times=(0.04,)), "holds one exposure only"),
+        (lambda folder: _photographs(folder, times=(2.0, 4.0, 8.0)), "all frames are clipped"),
         (_lie, "p3.png says 0.015 s but looks like a longer exposure"),
         (_no_times, "has no exposure time"),
         (_unfinished, "was not finished"),
@@ -141,3 +130,35 @@ def test_misuse_is_refused(tmp_path, monkeypatch, capsys, words, code, message):
     _photographs(tmp_path / "p")
     assert run(["response", "p", *words]) == code
     assert message in capsys.readouterr().err
+
+
+BLUE, GREEN, RED = 0, 1, 2
+
+
+@pytest.fixture(scope="module")
+def memorial(shared_data):
+    """Return (folder, radiance map in the order blue, green, red, mask of pixels that no frame's border covers)."""
+    folder = shared_data / "stacks" / "memorial_film"
+    reference = cv2.imread(str(folder / "memorial.hdr"), cv2.IMREAD_UNCHANGED)
+    border = np.zeros(reference.shape[:2], bool)
+    for file in folder.glob("memorial00*.png"):
+        image = cv2.imread(str(file))
+        border |= (image[..., BLUE] == 255) & (image[..., GREEN] < 40) & (image[..., RED] < 40)
+    return folder, reference, cv2.dilate(border.astype(np.uint8), np.ones((9, 9))) == 0
+
+
+@pytest.mark.parametrize(("channel", "index"), [("red", RED), ("green", GREEN), ("blue", BLUE)])
+def test_memorial_radiance_follows_the_published_map(memorial, tmp_path, channel, index):
+    """Log radiance through the recovered curve correlates by 0.99 or more with Debevec's own radiance map."""
+    folder, reference, inside = memorial
+    target = tmp_path / "curve.csv"
+    assert run(["response", str(folder), "-o", str(target), "--channel", channel]) == 0
+    g = ResponseCurve.read(target).log_exposure
+    total, weights = np.zeros(inside.shape), np.zeros(inside.shape)
+    for frame in open_source(folder, channel).brackets[0].light:
+        weight = np.interp(frame.dn, [20, 128, 250], [0.0, 1.0, 0.0])
+        total += weight * (g[frame.dn] - np.log(frame.settings.exposure_s))
+        weights += weight
+    used = inside & (weights > 0) & (reference[..., index] > 0)
+    log_radiance, log_reference = total[used] / weights[used], np.log(reference[..., index][used])
+    assert np.corrcoef(log_radiance, log_reference)[0, 1] >= 0.99

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -25,16 +26,10 @@ def camera_before(scene, **limits):
     """Return an open simulated Blackfly of 100 × 40 pixels before a scene."""
     preset = CameraPreset.shipped("BFS-U3-19S4M").camera
     model = CameraModel.ideal(preset, LensDescription(focal_length_mm=16, f_number=4.0))
-    capabilities = LIMITS if not limits else CameraCapabilities(**{**capabilities_as_dict(), **limits})
-    camera = SimulatedCamera(model, scene_from_mapping(scene), seed=3, limits=capabilities)
+    camera = SimulatedCamera(model, scene_from_mapping(scene), seed=3, limits=replace(LIMITS, **limits))
     camera.open()
     camera.configure(CameraSettings(0.01, black_level_dn=64.0))
     return camera
-
-
-def capabilities_as_dict():
-    """Return LIMITS as keyword arguments."""
-    return {name: getattr(LIMITS, name) for name in LIMITS.__dataclass_fields__}
 
 
 CHART = {"kind": "step_chart", "steps": {"count": 10, "lowest": 1e-4, "highest": 10.0}}

@@ -1,26 +1,32 @@
-"""Exposure plans: every pixel well exposed twice, nothing more than needed, limits respected."""
+"""Plans of exposures, of captures and of a characterisation."""
 
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
+import yaml
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from radiometer.acquire.exposure_plan import (
-    ExposurePlan,
-    ExposureWindow,
-    exposure_ladder,
-    plan_exposures,
-    repeats_for,
-)
-from radiometer.data import CameraDescription
-from radiometer.errors import SettingOutOfRange, UsageError
+from radiometer.acquire.capture_plan import CapturePlan, take_capture_plan
+from radiometer.acquire.characterisation_ladder import LadderRequest, saturating_exposure_s, take_ladder
+from radiometer.acquire.exposure_plan import ExposurePlan, ExposureWindow, exposure_ladder, plan_exposures, repeats_for
+from radiometer.cli.main import run
+from radiometer.data import CameraDescription, CaptureSet, LensDescription, Patch
+from radiometer.devices import CameraPreset, CameraSettings
+from radiometer.errors import MeasurementError, SettingOutOfRange, UsageError
+from simulators.cameras.simulated_camera import SimulatedCamera, default_limits
+from simulators.chain.camera_model import CameraModel
+from simulators.scenes import UniformScene
+from simulators.scenes.factory import scene_from_mapping
 
 CAMERA = CameraDescription(bit_depth=12, conversion_gain_e_per_dn=2.6, read_noise_e=2.4, full_well_e=10500)
+
 LIMITS_S = (11e-6, 30.0)
+
 WINDOW = ExposureWindow.of(CAMERA, 0.0, 64.0)
 
 
@@ -185,3 +191,173 @@ def test_every_camera_has_an_octave_to_expose_in(bits, gain_e, read_e, well_e, g
     window = ExposureWindow.of(camera, gain_db, 8.0)
     assert 0.0 < 2.0 * window.lowest_dn <= window.highest_dn * (1 + 1e-12)
     assert window.highest_dn < window.clipping_dn
+
+
+PLAN = {
+    "format": "radiometer-plan/1",
+    "reasons": ["separates exposure_time_offset from parasitic_light_sensitivity"],
+    "frames": [
+        {"exposure_s": 0.01, "gain_db": 6.0, "repeat": 2},
+        {"exposure_s": 0.02, "shutter": "closed", "repeat": 1},
+        {"exposure_s": 0.04, "source_level": 0.5, "f_number": 8.0},
+    ],
+}
+
+
+@pytest.fixture
+def plan_file(tmp_path):
+    """Return a function that writes a plan."""
+
+    def write(**changes):
+        path = tmp_path / "plan.yaml"
+        path.write_text(yaml.safe_dump({**PLAN, **changes}))
+        return path
+
+    return write
+
+
+@pytest.mark.slow
+def test_a_plan_is_taken_as_it_stands(plan_file, tmp_path):
+    """Order, repeats, gain, shutter, source level and f-number are those of the plan, and so is the light."""
+    assert run(["bracket", str(tmp_path / "out"), "--plan", str(plan_file())]) == 0
+    frames = list(CaptureSet.read(tmp_path / "out").frames())
+    settings = [frame.settings for frame in frames]
+    assert [s.exposure_s for s in settings] == [0.01, 0.01, 0.02, 0.04]
+    assert [s.gain_db for s in settings] == [6.0, 6.0, 0.0, 0.0]
+    assert [s.shutter for s in settings] == ["open", "open", "closed", "open"]
+    assert (settings[3].source_level, settings[3].f_number) == (0.5, 8.0)
+    # Dark: the black level and under one DN of dark current; 2 million pixels average the noise away.
+    assert frames[2].dn.mean() == pytest.approx(64.0, abs=0.1)
+    # Patch "middle": gain 6 dB at 10 ms and f/4 against 0 dB at 40 ms, half the light and f/8 (a quarter of it).
+    bright, dim = (frames[k].dn[240:360, 840:960].mean() - 64.0 for k in (0, 3))
+    assert bright / dim == pytest.approx(10 ** (6 / 20) / (4 * 0.5 * 0.25), rel=0.01)
+
+
+def small_camera():
+    preset = CameraPreset.shipped("BFS-U3-19S4M").camera
+    model = CameraModel.ideal(preset, LensDescription(focal_length_mm=16, f_number=4.0))
+    limits = replace(default_limits(), width=40, height=30)
+    return SimulatedCamera(model, scene_from_mapping({"kind": "uniform", "radiance_W_per_sr_m2": 0.1}), limits=limits)
+
+
+def test_every_frame_is_staged_and_set_as_planned():
+    """Each entry is staged once before its frames, which have its exposure, gain, level, shutter and number."""
+    planned, staged = CapturePlan.model_validate(PLAN), []
+    with small_camera() as camera:
+        frames = [frame.settings for frame in take_capture_plan(camera, planned, staged.append)]
+    assert [one.exposure_s for one in staged] == [0.01, 0.02, 0.04]
+    assert (planned.total, [s.exposure_s for s in frames]) == (4, pytest.approx([0.01, 0.01, 0.02, 0.04], rel=1e-3))
+    assert [s.gain_db for s in frames] == pytest.approx([6.0, 6.0, 0.0, 0.0])
+    assert [s.shutter for s in frames] == ["open", "open", "closed", "open"]
+    assert [s.source_level for s in frames] == [1.0, 1.0, 1.0, 0.5]
+
+
+def test_a_frame_is_filed_under_the_f_number_that_was_staged():
+    """A lens set by hand is not known to the camera: the plan's f-number stands in the frame all the same."""
+    planned = CapturePlan.model_validate({**PLAN, "frames": [{"exposure_s": 0.01, "f_number": 8.0}]})
+    with small_camera() as camera:
+        (frame,) = take_capture_plan(camera, planned, stage=lambda planned: None)
+    assert frame.settings.f_number == 8.0
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"frames": []}, "frames"),
+        ({"frames": [{"exposure_s": -1}]}, "exposure_s = -1"),
+        ({"format": "radiometer-plan/7"}, "radiometer-plan/7"),
+    ],
+)
+def test_a_wrong_plan_is_misuse(plan_file, tmp_path, capsys, changes, message):
+    """Key and value are named; nothing is written."""
+    assert run(["bracket", str(tmp_path / "out"), "--plan", str(plan_file(**changes))]) == 2
+    assert message in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()
+
+
+REGION = Patch(8, 8, 32, 24)
+
+
+def _camera(radiance: float) -> SimulatedCamera:
+    preset = CameraPreset.shipped("BFS-U3-19S4M")
+    limits = replace(preset.require_limits("test").capabilities(has_shutter=True), width=64, height=48)
+    model = CameraModel.ideal(preset.camera, LensDescription(f_number=4.0))
+    camera = SimulatedCamera(model, UniformScene(radiance_W_per_sr_m2=radiance), limits=limits)
+    camera.open()
+    camera.configure(CameraSettings(exposure_s=0.01, black_level_dn=64.0))
+    return camera
+
+
+@pytest.mark.parametrize("radiance", [1e-3, 0.3, 50.0])
+def test_saturating_exposure_is_found_over_decades(radiance: float) -> None:
+    """4031 DN above black are reached at 4031·5.95 e- over the photocurrent, within the noise of the region."""
+    camera = _camera(radiance)
+    per_s = 0.62 * 3.141592653589793 * radiance / 64 * (4.5e-6) ** 2 / (6.62607015e-34 * 299_792_458.0 / 550e-9)
+    assert saturating_exposure_s(camera, REGION) == pytest.approx(4031 * 5.95 / (per_s + 4.42), rel=2e-3)
+
+
+@pytest.mark.parametrize(("radiance", "word"), [(1e-7, "dim"), (1e6, "bright")])
+def test_light_that_cannot_saturate_is_refused(radiance: float, word: str) -> None:
+    """The message says which way the light is wrong."""
+    with pytest.raises(MeasurementError, match=f"too {word}"):
+        saturating_exposure_s(_camera(radiance), REGION)
+
+
+def test_ladder_takes_pairs_a_stack_and_the_same_darks() -> None:
+    """Bright pairs cross saturation; dark frames repeat the exposures and add the long ones; the shutter reopens."""
+    camera = _camera(0.3)
+    request = LadderRequest(REGION, steps=9, stack=4, dark_exposures_s=(1.0,))
+    frames = list(take_ladder(camera, request))
+    bright = [f for f in frames if not f.settings.is_dark]
+    dark = [f for f in frames if f.settings.is_dark]
+    assert len(frames) == request.frames()
+    assert {f.settings.exposure_s for f in dark} == {f.settings.exposure_s for f in bright} | {1.0}
+    assert max(f.dn[REGION.slices].min() for f in bright) == 4095
+    assert not camera.capture()[0].settings.is_dark
+
+
+def test_shutter_by_hand_is_asked_for_and_given_back() -> None:
+    """Where a callback closes the shutter it is asked to open it again, even when taking stops midway."""
+    camera, asked = _camera(0.3), list[bool]()
+
+    def ask(closed: bool) -> None:
+        asked.append(closed)
+        camera.set_shutter(closed=closed)
+
+    frames = take_ladder(camera, LadderRequest(REGION, steps=6, stack=3), ask)
+    for frame in frames:
+        if frame.settings.is_dark:
+            break
+    frames.close()  # type: ignore[attr-defined]
+    assert asked == [True, False]
+
+
+def test_two_thirds_of_the_ladder_rise_evenly_and_a_third_passes_through_saturation() -> None:
+    """Of nine steps six run from 2 to 88 % of the saturating exposure and three from 90 to 108 %; the stack at 50 %."""
+    camera = _camera(0.3)
+    saturating_s = saturating_exposure_s(camera, REGION)
+    request = LadderRequest(REGION, steps=9, stack=4)
+    bright = [f.settings.exposure_s for f in take_ladder(camera, request) if not f.settings.is_dark]
+    ladder, stack = bright[:-4], bright[-4:]
+    shares = [0.02, 0.192, 0.364, 0.536, 0.708, 0.88, 0.90, 0.99, 1.08]
+    twice = [share * saturating_s for share in shares for _ in range(2)]
+    assert ladder == pytest.approx(twice, rel=0.01)
+    assert stack == pytest.approx([0.5 * saturating_s] * 4, rel=0.01)
+
+
+def test_dark_frames_of_1_2_and_4_s_are_taken_besides() -> None:
+    """Without a wish of one's own the dark current is determined by these, two each."""
+    camera = _camera(0.3)
+    frames = list(take_ladder(camera, LadderRequest(REGION, steps=6, stack=3)))
+    long = [f.settings.exposure_s for f in frames if f.settings.exposure_s > 0.5]
+    assert long == pytest.approx([1.0, 1.0, 2.0, 2.0, 4.0, 4.0], rel=1e-3)
+    assert len(frames) == LadderRequest(REGION, steps=6, stack=3).frames()
+
+
+def test_a_region_beyond_the_frame_is_refused() -> None:
+    """One that ends with the frame is taken; a pixel further it does not lie on its 64 × 48 pixels."""
+    camera = _camera(0.3)
+    assert saturating_exposure_s(camera, Patch(56, 40, 8, 8)) > 0.0
+    for region in (Patch(57, 40, 8, 8), Patch(56, 41, 8, 8)):
+        with pytest.raises(MeasurementError, match="64 × 48 pixels"):
+            saturating_exposure_s(camera, region)

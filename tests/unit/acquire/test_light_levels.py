@@ -1,20 +1,26 @@
-"""Measuring a light box's levels: darkness off, drift out, and each doubt in the point's or the channel's u."""
+"""Series of light levels and of exposures that the light stays steady for."""
 
 from __future__ import annotations
 
 import itertools
+import json
 import math
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
+import radiometer as rm
+from radiometer.acquire.exposure_plan import STEADY_FRAMES, STEADY_SHORT_FRAMES, ExposurePlan, steadied
 from radiometer.acquire.light_levels import LevelSurvey, Measured, SpectralCorrection, assemble, plan_levels
+from radiometer.cli.main import run
 from radiometer.data import Contribution, Patch, Quantity, Reading
 from radiometer.devices.light_box import ChannelCapabilities, ChannelMode, ChannelState, CurrentRange, DriveLevel
 from radiometer.errors import MeasurementError, UnsafeStimulus
 
 CHANNEL = ChannelCapabilities("spot", 460.0, 4096, 1000.0, {CurrentRange.LOW: 65535, CurrentRange.HIGH: 30000})
+
 LEVEL = DriveLevel(20_000)
 
 
@@ -238,3 +244,94 @@ def test_what_does_not_stand_out_of_the_noise_is_no_point():
     found = points_of(Noisy())
     assert min(one.radiance_W_per_sr_m2 for one in found.points) > 3.0 * 0.02
     assert len(found.points) < len(plan_levels(CHANNEL, 1.0))
+
+
+BENCH = """\
+format: radiometer-bench/1
+camera: {{kind: simulated, preset: BFS-U3-19S4M, serial: "22500001", seed: {seed}, width: 96, height: 64,
+         black_level_dn: 64, flicker: {{frequency_Hz: {hz}, modulation: {depth}}}}}
+lens: {{focal_length_mm: 16, f_number: 4}}
+scene: {{kind: uniform, radiance_W_per_sr_m2: 0.4}}
+patch: {{x: 32, y: 30, width: 32, height: 2}}
+"""
+
+
+def _bench(folder: Path, seed: int, hz: float, depth: float) -> Path:
+    file = folder / f"bench{seed}.yaml"
+    file.write_text(BENCH.format(seed=seed, hz=hz, depth=depth))
+    return file
+
+
+@pytest.mark.slow
+def test_sine_of_known_modulation_is_covered(tmp_path: Path) -> None:
+    """Over 8 seeds, frequency and SVM of a sine are within k·u in 93 %, within chance (6 of 8 or more)."""
+    inside = {"frequency": 0, "svm": 0}
+    for seed in range(8101, 8109):
+        depth, hz = 0.1 + 0.05 * (seed % 7), 90.0 + 3.7 * (seed % 11)
+        found = rm.flicker(bench=_bench(tmp_path, seed, hz, depth), duration=0.25).measures
+        svm = depth / (2.865e-5 * hz**1.543 + 0.225)  # Perz et al. 2018: one component
+        assert found.frequency is not None
+        assert found.svm is not None
+        inside["frequency"] += abs(found.frequency.value - hz) <= found.coverage_factor * found.frequency.u
+        inside["svm"] += abs(found.svm.value - svm) <= found.coverage_factor * found.svm.u
+    assert min(inside.values()) >= 6, inside
+
+
+def test_long_exposure_is_reported_as_averaging(tmp_path: Path) -> None:
+    """An exposure of 2 ms leaves sinc(0.2) = 94 % of 100 Hz; the result warns of it."""
+    found = rm.flicker(bench=_bench(tmp_path, 8120, 100.0, 0.3), duration=0.3, exposure=2e-3).measures
+    assert any("94 %" in warning for warning in found.warnings)
+
+
+def test_command_prints_rate_and_measure_flags_the_light(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """`flicker --bench` is JSON with the frame rate's limit; `measure` of the same light has the flag `flicker`."""
+    bench = _bench(tmp_path, 8130, 137.0, 0.5)  # no exposure made for mains light averages it
+    assert run(["flicker", "--bench", str(bench), "--duration", "0.3", "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert found["frequency"]["value"] == pytest.approx(137.0, abs=0.5)
+    assert any("wrong frequency" in line for line in found["assumptions"])
+    run(["measure", "--bench", str(bench), "--uncalibrated", "--json"])
+    assert "flicker" in json.loads(capsys.readouterr().out)["flags"]
+
+
+@pytest.mark.parametrize(
+    ("words", "expected"),
+    [
+        ([], "--camera"),
+        (["lamp.csv", "--camera", "sim"], "no file"),
+        (["--camera", "sim", "--duration", "0"], "above 0"),
+        (["--camera", "sim", "--dark", "0.1"], "no file"),
+    ],
+)
+def test_misuse_is_one_line(words: list[str], expected: str, capsys: pytest.CaptureFixture[str]) -> None:
+    """What contradicts is named, exit code 2."""
+    assert run(["flicker", *words]) == 2
+    assert expected in capsys.readouterr().err
+
+
+def times(*exposures_s, flicker_hz=None, limit_s=60.0):
+    return steadied(ExposurePlan(exposures_s), flicker_hz, limit_s).exposures_s
+
+
+def test_short_exposures_are_taken_often_enough():
+    """At 1 ms nine frames, the given ones among them, the longer one more often."""
+    found = times(1e-3, 1.4e-3)
+    assert len(found) == STEADY_SHORT_FRAMES >= 5
+    assert set(found) == {1e-3, 1.4e-3}
+
+
+@pytest.mark.parametrize(("planned", "taken"), [(0.0123, 0.01), (0.049, 0.04), (0.0734, 0.05), (1.234, 1.2)])
+def test_long_exposures_are_whole_periods_of_mains_light(planned, taken):
+    """Multiples of 1/20 s average 100 and 120 Hz, below that multiples of 1/100 s average 100 Hz."""
+    found = times(planned)
+    assert found == pytest.approx((taken,) * STEADY_FRAMES)
+
+
+def test_a_known_flicker_sets_the_period():
+    """A screen at 60 Hz: 0.04 s holds two of its frames."""
+    assert times(0.04, flicker_hz=60.0) == pytest.approx((2 / 60,) * STEADY_FRAMES)
+
+
+def test_the_time_limit_holds():
+    """Three frames of 30 s do not fit into a minute: two stay."""
+    assert times(30.0, limit_s=60.0) == pytest.approx((30.0, 30.0))

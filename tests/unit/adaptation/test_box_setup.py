@@ -1,4 +1,4 @@
-"""What is checked before a test on the box: age of its calibration, its and the eye's limits, the dark room."""
+"""Setting up a test on the light box from its protocol."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import pytest
 import radiometer as rm
 from radiometer.adaptation.box_setup import SIMULATED_CALIBRATION, open_box_stage
 from radiometer.adaptation.checks import Finding, judge_age, judge_room
-from radiometer.adaptation.protocol import AdaptationProtocol, FlashBleach, read_protocol
+from radiometer.adaptation.protocol import SHIPPED, AdaptationProtocol, FlashBleach, read_protocol
 from radiometer.adaptation.request import RunRequest
 from radiometer.bench.boxes import open_light_box
 from radiometer.bench.served_box import served_box
@@ -21,6 +21,7 @@ from radiometer.data.light_calibration import ChannelCalibration, LightCalibrati
 from radiometer.data.provenance import utc_now
 from radiometer.errors import (
     CalibrationError,
+    ConfigurationError,
     MeasurementError,
     RadiometerError,
     SettingOutOfRange,
@@ -225,8 +226,7 @@ def _preset(path: Path, text: str) -> Path:
 
 
 @pytest.mark.parametrize(
-    ("stated", "why"),
-    [("", "states no `place`"), (", place: {temporal_deg: 5, below_deg: 0}", "is 5° temporal")],
+    ("stated", "why"), [("", "states no `place`"), (", place: {temporal_deg: 5, below_deg: 0}", "is 5° temporal")]
 )
 def test_box_whose_red_light_stands_elsewhere_says_that_fixation_is_not_checked(
     tmp_path: Path, quick: AdaptationProtocol, stated: str, why: str
@@ -240,3 +240,44 @@ def test_box_whose_red_light_stands_elsewhere_says_that_fixation_is_not_checked(
 def test_spot_of_a_channel_that_stands_elsewhere_is_refused(quick: AdaptationProtocol) -> None:
     """The red channel of the reference box stands in the blind spot: no one would see it as a test spot."""
     assert "is 15.6° from it" in str(refusal(changed(quick, "spot", channel="spot_red", peak_nm=640.0)))
+
+
+@pytest.mark.parametrize("name", SHIPPED)
+def test_shipped_protocols_are_valid(name: str) -> None:
+    """Each is read by its name and carries it."""
+    assert read_protocol(name).name == name
+
+
+def test_classic_is_the_test_of_the_literature() -> None:
+    """9,000 cd/m² for 180 s through 7 mm, 505 nm, 2° at 5°, up to 40 min; the blue one 453 nm at 8°."""
+    classic = read_protocol("classic")
+    assert (classic.bleach.luminance_cd_m2, classic.bleach.duration_s) == (9000, 180)
+    assert (classic.spot.peak_nm, classic.spot.size_deg, classic.spot.eccentricity_deg) == (505, 2, 5)
+    blue = read_protocol("classic-blue")
+    assert (blue.spot.peak_nm, blue.spot.eccentricity_deg, blue.bleach) == (453, 8, classic.bleach)
+    assert classic.end.duration_min == 40
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ("duration_s: 180", "duration_s: -1", "duration_s"),
+        ("kind: limits", "kind: guess", "method"),
+        ("end: {", "ende: {", "unknown key 'ende'"),
+        ("duration_min: 40", "duration_min: 40, criterion_log10: -9", "outside the spot's levels"),
+    ],
+)
+def test_wrong_protocols_are_refused(tmp_path: Path, project_root: Path, old: str, new: str, message: str) -> None:
+    """The error names what is wrong."""
+    text = (project_root / "configs" / "protocols" / "classic.yaml").read_text()
+    assert old in text
+    file = tmp_path / "p.yaml"
+    file.write_text(text.replace(old, new))
+    with pytest.raises(ConfigurationError, match=message):
+        read_protocol(file)
+
+
+def test_unknown_protocol_lists_the_shipped_ones() -> None:
+    """The way out is in the message."""
+    with pytest.raises(ConfigurationError, match="classic, classic-blue, rapid, quick"):
+        read_protocol("nothing.yaml")

@@ -1,9 +1,10 @@
-"""Running a test: thresholds are found, catches and absence noticed, a crash costs nothing."""
+"""Running a test: thresholds, catches, absence, crashes, pauses, and checks of fixation."""
 
 from __future__ import annotations
 
 import math
 import os
+from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 
@@ -11,11 +12,14 @@ import numpy as np
 import pytest
 
 from radiometer.adaptation.checks import Finding, judge_room
-from radiometer.adaptation.journal import RunJournal
+from radiometer.adaptation.controls import Controls
+from radiometer.adaptation.journal import Event, RunJournal, read_events
 from radiometer.adaptation.outcome import Outcome, Verdict
+from radiometer.adaptation.prompts import prompts_after
 from radiometer.adaptation.protocol import AdaptationProtocol, read_protocol
 from radiometer.adaptation.run import run_test
-from radiometer.errors import DeviceLost, MeasurementError, UsageError
+from radiometer.adaptation.run_facts import facts_of
+from radiometer.errors import ConfigurationError, DeviceLost, InputError, MeasurementError, OutputError, UsageError
 from testing.scripted_adaptation import Eye, ScriptedStage, eye, threshold
 
 
@@ -122,8 +126,7 @@ def test_spot_that_goes_no_dimmer_ends_the_test_with_what_is_known(tmp_path: Pat
 
 def test_journal_of_another_subject_is_refused(tmp_path: Path, classic: AdaptationProtocol) -> None:
     """No two subjects in one file."""
-    stage = ScriptedStage(eye, classic)
-    _run(tmp_path, stage)
+    _run(tmp_path, ScriptedStage(lambda level, seconds: False, classic))
     with RunJournal(tmp_path / "j") as journal, pytest.raises(UsageError, match="belongs to subject 'A1'"):
         run_test(classic, ScriptedStage(eye, classic), journal, subject="B2", seed=3)
 
@@ -183,3 +186,372 @@ def test_without_a_seed_catches_are_those_of_seed_nought(tmp_path: Path, classic
 
     assert lines("none") == lines("nought", seed=0)
     assert lines("none again") != lines("one", seed=1)
+
+
+@pytest.fixture
+def protocol() -> AdaptationProtocol:
+    return read_protocol("classic")
+
+
+@pytest.fixture
+def stage(protocol: AdaptationProtocol) -> ScriptedStage:
+    return ScriptedStage(eye, protocol)
+
+
+def _run_with(path: Path, stage: ScriptedStage, controls: Controls | None = None) -> tuple[Outcome, RunJournal]:
+    with RunJournal(path) as journal:
+        return run_test(stage.protocol, stage, journal, subject="A1", seed=3, controls=controls), journal
+
+
+def test_pause_stops_the_blinks_and_the_eye_adapts_on(tmp_path: Path, stage: ScriptedStage) -> None:
+    """From 300 s to 360 s nothing is shown; the test still ends 40 min after the bleach."""
+    controls = Controls()
+    stage.at = {300.0: controls.pause, 360.0: controls.resume}
+    outcome, journal = _run_with(tmp_path / "j", stage, controls)
+    (pause,), (resume,) = journal.of_kind("pause"), journal.of_kind("resume")
+    assert pause["by"] == resume["by"] == "operator"
+    assert pause["time_s"] == pytest.approx(
+        300.0, abs=4.0
+    )  # what is under way, a blink or the rest after it, ends first
+    assert resume["paused_s"] == pytest.approx(resume["time_s"] - pause["time_s"], abs=1e-3)
+    assert not [b for b in journal.of_kind("blink") if pause["time_s"] <= b["onset_s"] < resume["time_s"]]
+    assert outcome.verdict is Verdict.COMPLETE
+    assert 39 < outcome.times_min[-1] < 40.5
+
+
+def _undisturbed(path: Path, stage: ScriptedStage, number: int) -> Event:
+    """Return a trial of an undisturbed run: the first that is no catch from a number on."""
+    _, journal = _run_with(path, ScriptedStage(eye, stage.protocol))
+    return next(trial for trial in journal.of_kind("trial")[number:] if not trial["catch"])
+
+
+@pytest.mark.slow
+def test_trial_that_a_pause_cuts_is_begun_anew(tmp_path: Path, stage: ScriptedStage) -> None:
+    """Its blinks before the pause count for nothing: the threshold has moved meanwhile."""
+    cut_s = _undisturbed(tmp_path / "whole", stage, 5)["time_s"] - 1.5
+    controls = Controls()
+    stage.at = {cut_s: controls.pause, cut_s + 60.0: controls.resume}
+    _, journal = _run_with(tmp_path / "j", stage, controls)
+    pause, resume = journal.of_kind("pause")[0]["sequence"], journal.of_kind("resume")[0]["sequence"]
+    trial = next(trial for trial in journal.of_kind("trial") if trial["sequence"] > resume)
+    assert journal.events[pause - 1]["kind"] == "blink"
+    assert trial["blinks"] == trial["sequence"] - resume - 1
+
+
+def test_long_press_pauses_and_the_next_press_goes_on(tmp_path: Path, stage: ScriptedStage) -> None:
+    """The subject's own pause, without anybody at the keyboard."""
+    stage.at = {300.0: lambda: setattr(stage, "held_since", 301.0)}
+    stage.presses_in_pause = [330.0]
+    _, journal = _run_with(tmp_path / "j", stage)
+    assert [event["by"] for event in journal.of_kind("pause")] == ["subject"]
+    assert journal.of_kind("resume")[0]["time_s"] == pytest.approx(330.0, abs=0.5)
+
+
+@pytest.mark.slow
+def test_press_that_became_a_long_one_is_no_answer(tmp_path: Path, stage: ScriptedStage) -> None:
+    """The trial that it ended is void: its threshold is not among the results."""
+    trial = _undisturbed(tmp_path / "whole", stage, 2)
+    stage.at = {trial["time_s"] + 2.0: lambda: setattr(stage, "held_since", trial["time_s"] - 0.6)}
+    stage.presses_in_pause = [trial["time_s"] + 20.0]
+    outcome, journal = _run_with(tmp_path / "j", stage)
+    assert journal.of_kind("pause")[0]["voids"] == trial["sequence"]
+    assert trial["minutes"] not in outcome.times_min
+
+
+def test_operators_pause_is_not_ended_by_a_press(tmp_path: Path, stage: ScriptedStage) -> None:
+    """Only the operator knows why."""
+    controls = Controls()
+    stage.at = {300.0: controls.pause, 400.0: controls.resume}
+    stage.presses_in_pause = [330.0]
+    _, journal = _run_with(tmp_path / "j", stage, controls)
+    assert journal.of_kind("resume")[0]["time_s"] == pytest.approx(400.0, abs=0.5)
+
+
+def test_pause_without_an_end_ends_the_test(tmp_path: Path, stage: ScriptedStage) -> None:
+    """After the protocol's 10 min the subject counts as gone."""
+    controls = Controls()
+    stage.at = {300.0: controls.pause}
+    outcome, journal = _run_with(tmp_path / "j", stage, controls)
+    assert outcome.verdict is Verdict.LEFT
+    assert journal.events[-1]["time_s"] - journal.of_kind("pause")[0]["time_s"] == pytest.approx(600.0, abs=0.5)
+
+
+@pytest.mark.parametrize("paused", [False, True])
+def test_stop_ends_the_test_at_once_and_for_good(tmp_path: Path, stage: ScriptedStage, paused: bool) -> None:
+    """Running or paused; the same command afterwards finds it over."""
+    controls = Controls()
+    stage.at = {500.0: lambda: controls.stop("subject's wish")}
+    if paused:
+        stage.at[400.0] = controls.pause
+    outcome, journal = _run_with(tmp_path / "j", stage, controls)
+    assert outcome.verdict is Verdict.STOPPED
+    assert not outcome.can_be_fitted
+    assert journal.of_kind("stop")[0]["by"] == "subject's wish"
+    assert journal.events[-1]["time_s"] == pytest.approx(500.0, abs=1.0)
+    before = (tmp_path / "j").read_bytes()
+    again, _ = _run_with(tmp_path / "j", ScriptedStage(eye, stage.protocol))
+    assert again.verdict is Verdict.STOPPED
+    assert (tmp_path / "j").read_bytes() == before
+
+
+def test_restart_ends_a_pause_that_a_crash_met(tmp_path: Path, protocol: AdaptationProtocol) -> None:
+    """Whoever starts the program again wants to go on; the time away has passed for the eye too."""
+
+    def crash() -> None:
+        raise KeyboardInterrupt
+
+    first, controls = ScriptedStage(eye, protocol), Controls()
+    first.unix, first.at = 1e9, {300.0: controls.pause, 330.0: crash}
+    with pytest.raises(KeyboardInterrupt):
+        _run_with(tmp_path / "j", first, controls)
+    second = ScriptedStage(eye, protocol)
+    second.unix = 1e9 + 390.0  # Unix time of the new stage's zero: 90 s after the pause began
+    outcome, journal = _run_with(tmp_path / "j", second)
+    taken_up, resume = journal.of_kind("taken_up")[0], journal.of_kind("resume")[0]
+    assert taken_up["time_s"] == pytest.approx(390.0)
+    assert resume["by"] == "restart"
+    assert outcome.verdict is Verdict.COMPLETE
+
+
+def test_controls_keep_the_first_who_asked() -> None:
+    """A second pause changes nothing; toggling ends it; a stop cannot be taken back."""
+    controls = Controls()
+    controls.pause("subject")
+    controls.pause()
+    assert controls.paused_by == "subject"
+    controls.toggle()
+    assert controls.paused_by is None
+    controls.stop()
+    controls.resume()
+    assert controls.stopped_by == "operator"
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("stopped", [False, True])
+def test_operators_wishes_are_lived_through_again(tmp_path: Path, stage: ScriptedStage, stopped: bool) -> None:
+    """A simulated run that is taken up pauses, goes on and stops where it did, without anybody at the keyboard."""
+    controls = Controls()
+    stage.at = {301.3: controls.pause, 362.2: controls.resume}
+    if stopped:
+        stage.at[500.0] = controls.stop
+    _run_with(tmp_path / "whole", stage, controls)
+    whole = (tmp_path / "whole").read_bytes()
+    (tmp_path / "cut").write_bytes(whole if stopped else whole[: whole.index(b'"resume"') + 2000])
+    again = ScriptedStage(eye, stage.protocol)
+    with RunJournal(tmp_path / "cut", relive=True) as journal:
+        run_test(again.protocol, again, journal, subject="A1", seed=3)
+    assert (tmp_path / "cut").read_bytes() == whole
+
+
+@pytest.mark.slow
+def test_run_that_died_in_a_pause_goes_on_when_lived_through_again(tmp_path: Path, stage: ScriptedStage) -> None:
+    """Whoever starts the program again wants to go on, in simulated time too."""
+    controls = Controls()
+    stage.at = {301.3: controls.pause, 362.2: controls.resume}
+    _run_with(tmp_path / "whole", stage, controls)
+    whole = (tmp_path / "whole").read_bytes()
+    cut = whole[: whole.index(b"\n", whole.index(b'"pause"')) + 1]
+    (tmp_path / "cut").write_bytes(cut)
+    again = ScriptedStage(eye, stage.protocol)
+    with RunJournal(tmp_path / "cut", relive=True) as journal:
+        outcome = run_test(again.protocol, again, journal, subject="A1", seed=3)
+    assert outcome.verdict is Verdict.COMPLETE
+    assert (tmp_path / "cut").read_bytes().startswith(cut)
+    assert journal.of_kind("resume")[0]["paused_s"] == 0.0
+
+
+def test_stop_during_the_bleach_lets_nothing_blink(tmp_path: Path, stage: ScriptedStage) -> None:
+    """Lights off while the bleach is on ends the test before the first blink."""
+    controls = Controls()
+    controls.stop("lights off")
+    outcome, journal = _run_with(tmp_path / "j", stage, controls)
+    assert outcome.verdict is Verdict.STOPPED
+    assert journal.of_kind("stop")[0]["by"] == "lights off"
+    assert journal.of_kind("blink") == []
+
+
+class StageWithBlindSpot(ScriptedStage):
+    """A scripted stage with a light in the blind spot."""
+
+    def __init__(self, sees: Callable[[int], bool], protocol: AdaptationProtocol, *, has_one: bool = True) -> None:
+        super().__init__(eye, protocol)
+        self.sees, self.checks_fixation, self.shown_min = sees, has_one, list[float]()
+        self.dies_at_check = -1
+
+    def blink_blind_spot(self, trial: int, number: int) -> list[float]:
+        self.shown_min.append((self.time - self.dark_since) / 60)
+        seen = self.sees(len(self.shown_min))
+        self.pass_time(self.protocol.spot.cycle_s)
+        return [0.4] if seen else []
+
+    def long_press(self, at_least_s: float) -> float | None:
+        if len(self.shown_min) == self.dies_at_check:
+            self.dies_at_check = -1
+            raise DeviceLost("the box went away")
+        return super().long_press(at_least_s)
+
+
+@pytest.fixture
+def short() -> AdaptationProtocol:
+    whole = read_protocol("classic")
+    return whole.model_copy(update={"end": whole.end.model_copy(update={"duration_min": 25.0})})
+
+
+def _run_fixating(path: Path, stage: ScriptedStage) -> tuple[Outcome, RunJournal]:
+    with RunJournal(path) as journal:
+        return run_test(stage.protocol, stage, journal, subject="A1", seed=3, eye="left"), journal
+
+
+def test_light_is_shown_in_its_share_of_the_trials_once_the_cones_are_back(
+    tmp_path: Path, short: AdaptationProtocol
+) -> None:
+    """6 % of the trials from 4 min on (within four sigmas), none before; who never sees it looks at the mark."""
+    stage = StageWithBlindSpot(lambda _: False, short)
+    outcome, journal = _run_fixating(tmp_path / "j", stage)
+    trials = [t for t in journal.of_kind("trial") if t.get("minutes", 0) > 4]
+    expected = 0.06 * len(trials)
+    assert abs(len(stage.shown_min) - expected) < 4 * expected**0.5
+    assert min(stage.shown_min) >= 4.0
+    assert outcome.reliability.fixation.of == len(stage.shown_min)
+    assert outcome.reliability.rates["fixation_losses"].value == 0.0
+    assert (outcome.verdict, journal.of_kind("fixation")) == (Verdict.COMPLETE, [])
+    assert facts_of(short, None, outcome.reliability)["seen_at_blind_spot"] == f"0/{len(stage.shown_min)}"
+    assert journal.events[0]["eye"] == "left"
+
+
+@pytest.mark.slow
+def test_without_a_place_nothing_is_checked(tmp_path: Path, short: AdaptationProtocol) -> None:
+    """Neither by a stage that cannot, nor by one that could but has none, nor where the protocol does not want it."""
+    no_check = short.model_copy(update={"fixation_check": None})
+    for name, stage in (
+        ("a", ScriptedStage(eye, short)),
+        ("b", StageWithBlindSpot(lambda _: True, short, has_one=False)),
+        ("c", StageWithBlindSpot(lambda _: True, no_check)),
+    ):
+        outcome, _ = _run_fixating(tmp_path / name, stage)
+        assert "fixation_losses" not in outcome.reliability.rates
+        assert outcome.verdict is Verdict.COMPLETE
+
+
+def test_light_that_is_always_seen_leaves_nothing_to_be_fitted(tmp_path: Path, short: AdaptationProtocol) -> None:
+    """The verdict says that fixation was lost."""
+    outcome, _ = _run_fixating(tmp_path / "j", StageWithBlindSpot(lambda _: True, short))
+    assert outcome.verdict is Verdict.FIXATION_LOST
+    assert not outcome.can_be_fitted
+    assert "mark" in outcome.explanation
+
+
+def test_loss_is_announced_when_two_of_three_are_seen_and_counted_anew_then(
+    tmp_path: Path, short: AdaptationProtocol
+) -> None:
+    """Seen at the 2nd, 4th, 5th and 6th: reported after the 4th (2, 4 of 2–4) and after the 6th (5, 6 of 5–6)."""
+    outcome, journal = _run_fixating(tmp_path / "j", StageWithBlindSpot(lambda n: n in (2, 4, 5, 6), short))
+    checks = [t["sequence"] for t in journal.of_kind("trial") if t.get("of") == "blind_spot"]
+    reported = journal.of_kind("fixation")
+    assert [(event["sequence"] - 1, event["lost"], event["of"]) for event in reported] == [
+        (checks[3], 2, 3),
+        (checks[5], 2, 2),
+    ]
+    assert prompts_after(reported[0]) == ("mark",)
+    assert outcome.verdict is Verdict.COMPLETE
+
+
+def test_bright_spots_are_ten_times_above_the_last_threshold_and_missed_ones_are_lapses(
+    tmp_path: Path, short: AdaptationProtocol
+) -> None:
+    """Some 4 % of the trials; an eye that sees what is above its threshold misses none."""
+    outcome, journal = _run_fixating(tmp_path / "j", ScriptedStage(eye, short))
+    last, above = None, []
+    for event in journal.events:
+        if event["kind"] == "blink" and event.get("of") == "bright":
+            above.append(event["log10_level"] - last)
+        if event["kind"] == "trial" and event["threshold"] is not None:
+            last = event["threshold"]
+    assert above
+    assert all(level == pytest.approx(1.0, abs=1e-3) or 0.5 <= level < 1.0 for level in above)
+    assert outcome.reliability.lapses.of == len(above)
+    assert outcome.reliability.lapses.hits == 0
+    lazy = ScriptedStage(lambda level, s: level is not None and 0 <= level - threshold(s) < 0.7, short)
+    missed, _ = _run_fixating(tmp_path / "k", lazy)
+    assert missed.reliability.lapses.hits == missed.reliability.lapses.of > 0
+
+
+def test_check_that_a_crash_has_cut_stays_one(tmp_path: Path, short: AdaptationProtocol) -> None:
+    """The light was shown, the press journalled, then the box went away: the trial is ended as what it was."""
+    stage = StageWithBlindSpot(lambda n: n == 3, short)
+    stage.dies_at_check = 3
+    with pytest.raises(DeviceLost):
+        _run_fixating(tmp_path / "j", stage)
+    _, journal = _run_fixating(tmp_path / "j", stage)
+    checks = [t for t in journal.of_kind("trial") if t.get("of") == "blind_spot"]
+    assert [t["seen"] for t in checks[:4]] == [False, False, True, False]
+
+
+@pytest.mark.parametrize("wrong", ["temporal_deg: 10", "below_deg: 8", "size_deg: 5"])
+def test_light_next_to_the_blind_spot_is_refused(tmp_path: Path, project_root: Path, wrong: str) -> None:
+    """Its place and size are those of the optic disc."""
+    text = (project_root / "configs" / "protocols" / "classic.yaml").read_text()
+    (tmp_path / "p.yaml").write_text(text.replace("{share: 0.06}", "{" + wrong + "}"))
+    with pytest.raises(ConfigurationError, match=wrong.split(":")[0]):
+        read_protocol(tmp_path / "p.yaml")
+
+
+def test_events_read_back_in_order(tmp_path: Path) -> None:
+    """What was written is what is read, numbered."""
+    with RunJournal(tmp_path / "j") as journal:
+        journal.write("start", 0.0, subject="A")
+        journal.write("trial", 1.5, threshold=-1.0)
+    events = read_events(tmp_path / "j")
+    assert [e["kind"] for e in events] == ["start", "trial"]
+    assert events[1] == {"sequence": 1, "kind": "trial", "time_s": 1.5, "threshold": -1.0}
+
+
+def test_half_written_line_is_cut_and_the_next_event_follows(tmp_path: Path) -> None:
+    """A crash in the middle of a write costs that event only."""
+    file = tmp_path / "j"
+    with RunJournal(file) as journal:
+        journal.write("start", 0.0)
+        journal.write("trial", 1.0)
+    file.write_bytes(file.read_bytes()[:-7])
+    with RunJournal(file) as journal:
+        assert len(journal.events) == 1
+        journal.write("trial", 2.0)
+    assert [e["time_s"] for e in read_events(file)] == [0.0, 2.0]
+
+
+def test_two_programs_never_write_one_test(tmp_path: Path) -> None:
+    """Neither while one runs it, nor after it went on since the other read it."""
+    file = tmp_path / "j"
+    with RunJournal(file) as running:
+        running.write("start", 0.0)
+        late = RunJournal(file)
+        with pytest.raises(OutputError, match="another program runs this test"):
+            late.__enter__()
+        running.write("trial", 1.0)
+    with pytest.raises(OutputError, match="meanwhile"):
+        late.__enter__()
+    assert len(read_events(file)) == 2
+
+
+@pytest.mark.parametrize("damage", [b"{not json}\n", b'{"sequence": 5, "kind": "trial", "time_s": 1}\n'])
+def test_damage_in_the_middle_is_refused_with_its_line(tmp_path: Path, damage: bytes) -> None:
+    """A journal with a hole is not taken up."""
+    file = tmp_path / "j"
+    file.write_bytes(b'{"sequence": 0, "kind": "start", "time_s": 0}\n' + damage + b"{}\n")
+    with pytest.raises(InputError, match="line 2"):
+        read_events(file)
+
+
+def test_an_event_is_on_the_disk_unless_it_need_not_last(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Without a word each event waits for the disk; one that need not last only leaves the program."""
+    synced: list[int] = []
+    monkeypatch.setattr(os, "fsync", synced.append)
+    with RunJournal(tmp_path / "j") as journal:
+        journal.write("start", 0.0)
+        after_start = len(synced)
+        journal.write("blink", 1.0, lasting=False)
+        assert len(synced) == after_start
+        assert [e["kind"] for e in read_events(tmp_path / "j")] == ["start", "blink"]
+        journal.write("trial", 2.0)
+        assert len(synced) == after_start + 1
+    assert after_start >= 1

@@ -1,18 +1,25 @@
-"""Tables of thresholds as people have them."""
+"""Files of thresholds: tables, R and OPI."""
 
 from __future__ import annotations
 
+import bz2
+import gzip
 import math
+import sys
+from collections.abc import Callable
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from radiometer.adaptation.threshold_files import read_table
 from radiometer.adaptation.threshold_series import ThresholdSeries
+from radiometer.adaptation.trial_lists import column_of_onsets
 from radiometer.cli.main import run
 from radiometer.errors import InputError
 
 MINUTES, LEVELS = [0.5, 2.0, 10.0], [1.0, -1.0, -3.0]
+
 EXPECTED = np.column_stack([MINUTES, LEVELS])
 
 SAME = {
@@ -121,3 +128,168 @@ def test_two_thresholds_of_one_minute_are_both_kept():
     assert ThresholdSeries(np.array([1.0, 2.0, 2.0]), np.array([1.0, 0.5, 0.4])).time_min.tolist() == [1.0, 2.0, 2.0]
     with pytest.raises(InputError, match="must ascend"):
         ThresholdSeries(np.array([1.0, 2.0, 1.9]), np.array([1.0, 0.5, 0.4]))
+
+
+NIL = "254"
+
+
+def _symbol(name: str) -> list[str]:
+    return ["1", "262153", str(len(name)), name]
+
+
+def _reals(values: list[float]) -> list[str]:
+    return ["14", str(len(values)), *map(repr, values)]
+
+
+def _strings(values: list[str]) -> list[str]:
+    return ["16", str(len(values)), *(word for value in values for word in ("262153", str(len(value)), value))]
+
+
+def _dark(time: list[float], thrs: list[float]) -> list[str]:
+    """Return a list of class "dark" as R serialises it: R Internals, section 1.8 (a list with attributes: 787)."""
+    attributes = ["1026", *_symbol("names"), *_strings(["time", "thrs"])]
+    attributes += ["1026", *_symbol("class"), *_strings(["dark"]), NIL]
+    return ["787", "2", *_reals(time), *_reals(thrs), *attributes]
+
+
+def _rds(words: list[str]) -> bytes:
+    """Return what `saveRDS(ascii = TRUE, version = 2)` writes."""
+    return "\n".join(["A", "2", "197888", "131840", *words, ""]).encode()
+
+
+def _rda(named: dict[str, list[str]]) -> bytes:
+    """Return what `save(ascii = TRUE, version = 2)` writes: a pairlist of named objects."""
+    pairs = [word for name, words in named.items() for word in ("1026", *_symbol(name), *words)]
+    return b"RDA2\n" + _rds([*pairs, NIL])
+
+
+PACKED: dict[str, Callable[[bytes], bytes]] = {"plain": lambda raw: raw, "gzip": gzip.compress, "bzip2": bz2.compress}
+
+
+@pytest.mark.parametrize("packed", PACKED)
+@pytest.mark.parametrize("form", ["rds", "rda"])
+def test_dark_object_that_r_saved_is_read(tmp_path: Path, form: str, packed: str) -> None:
+    """`saveRDS` and `save`, in the packings that R uses: minutes, log10 thresholds, and the object's name."""
+    raw = _rds(_dark(MINUTES, LEVELS)) if form == "rds" else _rda({"subject7": _dark(MINUTES, LEVELS)})
+    file = tmp_path / f"curve.{form}"
+    file.write_bytes(PACKED[packed](raw))
+    found = read_table(file)
+    np.testing.assert_allclose(found.rows, np.column_stack([MINUTES, LEVELS]))
+    assert any("a file of R" in text for text in found.taken)
+    assert form == "rds" or any("subject7" in text for text in found.taken)
+
+
+@pytest.mark.parametrize(
+    ("raw", "message"),
+    [
+        (_rda({"a": _dark(MINUTES, LEVELS), "b": _dark(MINUTES, LEVELS)}), "several objects: a, b"),
+        (_rda({"a": _reals(LEVELS)}), "no object with time and thrs"),
+        (_rds(_dark(MINUTES, LEVELS[:2])), "3 times and 2 thresholds"),
+        (b"RDX3\nX\n\x00\x00", "cannot be read"),
+        (gzip.compress(b"no R at all", mtime=0), "cannot be read"),
+    ],
+)
+def test_r_file_without_one_curve_is_refused_with_the_way_out(tmp_path: Path, raw: bytes, message: str) -> None:
+    """Named, with the line that writes text in R where that helps."""
+    (tmp_path / "x.rda").write_bytes(raw)
+    with pytest.raises(InputError, match=r"x\.rda") as refused:
+        read_table(tmp_path / "x.rda")
+    assert message in str(refused.value)
+
+
+def test_without_its_reader_the_line_for_r_is_reported(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The extra, or `write.csv`."""
+    monkeypatch.setitem(sys.modules, "rdata", None)
+    (tmp_path / "x.rds").write_bytes(_rds(_dark(MINUTES, LEVELS)))
+    with pytest.raises(InputError, match=r"radiometer\[r\].*write\.csv"):
+        read_table(tmp_path / "x.rds")
+
+
+def _trials(threshold_db: float, *, reaction: bool = True) -> str:
+    """Return three ascents of an OPI session: 2 dB brighter per trial until seen, from 6 dB dimmer."""
+    head = '"onset_s","level","seen",' + ('"time"' if reaction else '"x"')
+    rows, onset_s = [], 30.0
+    for start in (8.0, 6.0, 4.0):
+        level = threshold_db + start
+        while True:
+            seen = level <= threshold_db
+            rows.append(f"{onset_s},{level},{'TRUE' if seen else 'FALSE'},{400 if seen else -1}")
+            onset_s += 2.0
+            if seen:
+                break
+            level -= 2.0
+    return head + "\n" + "\n".join(rows) + "\n"
+
+
+def test_opi_trials_give_a_threshold_wherever_the_answer_changes(tmp_path: Path) -> None:
+    """Seen at 20 dB, not at 22: 21 dB below 10 000/π cd/m², at the mean of the two onsets, not at reaction times."""
+    (tmp_path / "t.csv").write_text("# OPI: Octopus900\n# level: dB\n" + _trials(20.0).replace("level", "level_dB"))
+    found = read_table(tmp_path / "t.csv")
+    assert found.rows[:, 1] == pytest.approx([math.log10(1e4 / math.pi) - 2.1] * 3)
+    assert found.rows[:, 0] * 60 == pytest.approx([37.0, 45.0, 51.0])
+    assert any("a list of 12 trials: 3 thresholds" in text for text in found.taken)
+
+
+def test_the_steps_of_a_search_say_how_far_apart_two_levels_may_be(tmp_path: Path) -> None:
+    """Steps up of 0.1 count and new beginnings 0.4 lower do not, though there are as many; of steps down alone, all."""
+    ascents = [(0, -1.0, "no"), (2, -0.9, "yes"), (4, -1.3, "no"), (6, -1.2, "yes"), (8, -1.6, "no"), (10, -1.5, "yes")]
+    descents = [(0, -1.0, "yes"), (2, -1.4, "no"), (4, -0.6, "yes"), (6, -1.0, "no")]
+    for name, trials, found in (("up", ascents, [-0.95, -1.25, -1.55]), ("down", descents[:2], [-1.2])):
+        rows = "".join(f"{onset},{level},{seen}\n" for onset, level, seen in trials)
+        (tmp_path / name).write_text("onset_s,log10_level,seen\n" + rows)
+        assert read_table(tmp_path / name).rows[:, 1] == pytest.approx(found)
+
+
+def test_false_alarm_in_a_list_of_trials_is_no_threshold(tmp_path: Path) -> None:
+    """A dim level seen, then a brighter one not: one of the answers was wrong, neither change counts."""
+    text = "onset_s,log10_level,seen\n0,-1.0,no\n2,-0.9,no\n4,-1.4,yes\n6,-0.9,no\n8,-0.8,yes\n"
+    (tmp_path / "t.csv").write_text(text)
+    assert read_table(tmp_path / "t.csv").rows[:, 1] == pytest.approx([-0.85])
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("level,seen,time\n1,TRUE,400\n0.9,FALSE,-1\n0.8,TRUE,350\n", "reaction time"),
+        ("onset_s,level,seen\n0,1,maybe\n2,2,TRUE\n", "neither TRUE nor FALSE"),
+        ("onset_s,level,seen\n0,1,TRUE\n2,2,TRUE\n", "never changes"),
+        ("onset_s,colour,seen\n0,1,TRUE\n2,2,FALSE\n", "without a column `level`"),
+    ],
+)
+def test_trials_that_give_no_thresholds_are_refused(tmp_path: Path, text: str, message: str) -> None:
+    """What is missing is named; reaction times are not taken for times in the dark."""
+    (tmp_path / "t.csv").write_text(text)
+    with pytest.raises(InputError) as refused:
+        read_table(tmp_path / "t.csv")
+    assert message in str(refused.value)
+
+
+ASCENDING, REACTIONS, LEVELS_SHOWN = ("0", "2", "2", "5.5"), ("400", "-1", "350", "-1"), ("8", "6", "7", "9")
+
+
+@pytest.mark.parametrize(
+    ("columns", "when"),
+    [
+        ({"trial": ASCENDING, "level": LEVELS_SHOWN, "onset_s": ASCENDING}, 2),
+        ({"time": ASCENDING, "level": LEVELS_SHOWN, "onset": ASCENDING}, 2),
+        ({"onset": REACTIONS, "level": LEVELS_SHOWN, "time": ASCENDING}, 2),
+        ({"Elapsed [ms]": ASCENDING, "level": LEVELS_SHOWN}, 0),
+        ({"level": LEVELS_SHOWN, "start of blink": ASCENDING}, 1),
+        ({"level": LEVELS_SHOWN, "wall clock": ASCENDING}, 1),
+        ({"trial": ASCENDING, "level": LEVELS_SHOWN, "time": REACTIONS}, None),
+        ({"onset": ("3", "3", "3", "3"), "level": LEVELS_SHOWN}, None),
+        ({"onset": ("a", "b", "c", "d"), "level": LEVELS_SHOWN}, None),
+        ({"downtime": ASCENDING, "timer": ASCENDING, "level": LEVELS_SHOWN}, None),
+    ],
+)
+def test_the_time_of_a_trial_is_a_column_by_its_name_and_its_numbers(
+    columns: dict[str, tuple[str, ...]], when: int | None
+) -> None:
+    """The best known of the names, alone or as the first or last word, of a column that ascends; a count is no time."""
+    header = [*columns, "seen"]
+    rows = [[*row, "TRUE"] for row in zip(*columns.values(), strict=True)]
+    if when is None:
+        with pytest.raises(InputError, match="without the time at which each was shown"):
+            column_of_onsets(Path("t.csv"), header, rows, without=len(columns))
+    else:
+        assert column_of_onsets(Path("t.csv"), header, rows, without=len(columns)) == when

@@ -45,10 +45,7 @@ def desk(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 CASES: dict[str, tuple[list[str], Callable[[], Any]]] = {
     "merge photographs": (["merge", "colour", "-o", "a.exr"], lambda: rm.merge("colour", out="b.exr")),
-    "merge a stack": (
-        ["merge", "colour", "-o", "a.exr"],
-        lambda: rm.merge(rm.read_photographs("colour"), out="b.exr"),
-    ),
+    "merge a stack": (["merge", "colour", "-o", "a.exr"], lambda: rm.merge(rm.read_photographs("colour"), out="b.exr")),
     "merge a capture set": (
         ["merge", "set", "--calibration", "cal.yaml", "--luminance", "-o", "a.exr"],
         lambda: rm.merge("set", calibration="cal.yaml", luminance=True, out="b.exr"),

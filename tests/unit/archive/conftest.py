@@ -7,14 +7,7 @@ import datetime as dt
 import numpy as np
 import pytest
 
-from radiometer.data import (
-    CameraDescription,
-    CaptureSetWriter,
-    Frame,
-    FrameSettings,
-    LensDescription,
-    PatchDescription,
-)
+from radiometer.data import CameraDescription, CaptureSetWriter, Frame, FrameSettings, LensDescription, PatchDescription
 
 CAMERA = CameraDescription(
     bit_depth=12, conversion_gain_e_per_dn=2.6, read_noise_e=2.4, full_well_e=10500, black_level_dn=64

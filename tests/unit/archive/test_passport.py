@@ -104,9 +104,12 @@ def test_a_dark_current_that_falls_with_the_temperature_follows_no_law():
 
 
 def test_temperatures_that_go_with_sessions_judge_nothing():
-    """One temperature per session cannot tell an older sensor from a warmer one."""
-    law = fit_dark_law([session("a", temperatures=(-10,)), session("b", temperatures=(10,))])
-    assert law.offset is None
+    """One temperature per session, or one session, cannot separate an older sensor from a warmer one."""
+    for sessions in ([session("a", temperatures=(-10,)), session("b", temperatures=(10,))],
+                     [session("a", temperatures=(-10, 0, 10))]):  # fmt: skip
+        law = fit_dark_law(sessions)
+        assert law.offset is None
+        assert law.is_one
 
 
 def test_a_header_gain_wrong_by_six_percent():

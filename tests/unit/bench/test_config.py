@@ -1,16 +1,18 @@
-"""Bench files: validated, with errors that name key, value and what is allowed."""
+"""Bench files and the cameras that they name."""
 
 from __future__ import annotations
 
+import sys
 from contextlib import closing
 
 import pytest
 import yaml
 
-from radiometer.bench.cameras import make_camera, open_camera
+from drivers.cameras.aravis_camera import load_library
+from radiometer.bench.cameras import list_cameras, make_camera, open_camera
 from radiometer.bench.config import read_bench
 from radiometer.data.config_files import shipped_config
-from radiometer.errors import ConfigurationError
+from radiometer.errors import ConfigurationError, MissingLibrary
 
 
 @pytest.fixture
@@ -75,3 +77,32 @@ def test_a_serial_number_may_stand_as_a_number(edited, number):
     """Decimals as people write them, which YAML takes for a whole number, and hexadecimal digits as USB has them."""
     path = edited(lambda m: m.update(camera={"kind": "genicam", "id": number}))
     assert read_bench(path)[0].camera.id == str(number)
+
+
+@pytest.fixture
+def hidden_library(monkeypatch):
+    """Hide PyGObject, as on a computer without it."""
+    load_library.cache_clear()
+    monkeypatch.setitem(sys.modules, "gi", None)
+    yield
+    load_library.cache_clear()
+
+
+def test_without_the_library_the_simulated_camera_is_still_listed(hidden_library):
+    """A missing library is reported next to the cameras that can be opened, not instead of them."""
+    found, reason = list_cameras(*read_bench())
+    assert [camera.device_id for camera in found] == ["sim"]
+    assert reason is not None
+    assert "PyGObject" in reason
+
+
+def test_without_the_library_a_real_camera_is_an_error_that_names_the_packages(hidden_library):
+    """Asking for a camera by serial number says what to install."""
+    with pytest.raises(MissingLibrary, match="apt install"):
+        make_camera(*read_bench(), "22500001")
+
+
+def test_without_the_library_the_simulated_camera_still_works(hidden_library):
+    """Everything else runs: the simulated camera opens and captures."""
+    with make_camera(*read_bench(), "sim") as camera:
+        assert len(camera.capture(1)) == 1

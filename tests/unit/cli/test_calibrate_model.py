@@ -108,10 +108,18 @@ def test_what_the_user_states_stays(tmp_path):
     assert with_found_effects(BASE, path, stated=("glare_u",)).uncertainties.glare_u == BASE.uncertainties.glare_u
 
 
-def test_what_readings_cannot_be_corrected_for_is_refused(tmp_path):
-    """By name, with what can be."""
-    path = model_file(tmp_path, "crosstalk", {}, {})
-    with pytest.raises(InputError, match="crosstalk"):
+@pytest.mark.parametrize(
+    ("effect", "parameters", "u", "message"),
+    [
+        ("crosstalk", {}, {}, "crosstalk"),
+        ("veiling_glare", {"share": 0.01, "bowl": 0.2}, {"share": 5e-4, "bowl": 0.01}, r"its 'bowl' \(0\.2\)"),
+        ("veiling_glare", {"share": 0.01}, {}, r"notes\.u\.share"),
+    ],
+)
+def test_what_readings_cannot_be_corrected_for_is_refused(tmp_path, effect, parameters, u, message):
+    """Other effects, what differs over the picture, and what has no uncertainty; each by name."""
+    path = model_file(tmp_path, effect, parameters, u)
+    with pytest.raises(InputError, match=message):
         with_found_effects(BASE, path, stated=())
 
 
@@ -154,20 +162,6 @@ def test_a_fall_off_becomes_a_flat_field(tmp_path, parameters):
         with_found_effects(BASE, path, stated=())
 
 
-def test_what_differs_over_the_picture_is_refused(tmp_path):
-    """One figure for all places would be wrong at each."""
-    path = model_file(tmp_path, "veiling_glare", {"share": 0.01, "bowl": 0.2}, {"share": 5e-4, "bowl": 0.01})
-    with pytest.raises(InputError, match=r"its 'bowl' \(0\.2\)"):
-        with_found_effects(BASE, path, stated=())
-
-
-def test_an_effect_without_its_uncertainty_is_refused(tmp_path):
-    """A correction of unknown worth corrects nothing."""
-    path = model_file(tmp_path, "veiling_glare", {"share": 0.01}, {})
-    with pytest.raises(InputError, match=r"notes\.u\.share"):
-        with_found_effects(BASE, path, stated=())
-
-
 @pytest.mark.parametrize(
     ("found", "world"),
     [
@@ -188,10 +182,7 @@ def test_an_effect_without_its_uncertainty_is_refused(tmp_path):
             FoundEffects(black_slope_dn=4.0, black_from_db=6.0, black_bend=0.5),
             {"gain_db": 18.0, "gained_black": 4.0 * (10**0.6 - 1.0 + 0.5 * (10**0.6 - 1.0) ** 2)},
         ),
-        (
-            FoundEffects(exposure_further_s=2e-5, exposure_above_db=3.0),
-            {"gain_db": 12.0, "gained_s": 2e-5},
-        ),
+        (FoundEffects(exposure_further_s=2e-5, exposure_above_db=3.0), {"gain_db": 12.0, "gained_s": 2e-5}),
         (FoundEffects(well_a2=0.04, well_a3=0.02, well_e=24500.0), {"bend": (0.04, 0.02)}),
     ],
 )
@@ -222,20 +213,17 @@ def test_known_glare_is_taken_off():
     assert wrong.radiance.value > 0.11
 
 
-def test_a_map_is_corrected_for_exposure_and_black_too():
-    """The same settings in every pixel; with the offset unknown the map would be 12 % too bright."""
-    world = {"offset_s": 5e-5}
-    base = replace(BASE, found=FoundEffects(exposure_offset_s=5e-5))
-    _, known = read(base, frames(even(), 2e-3, **world), frames(even(0.5), 4e-4, **world))
-    found = merge(frames(even(0.5), 4e-4, **world), Setup(CAMERA, LENS, known))
-    assert found.radiance.mean() == pytest.approx(0.5, rel=3e-3)
-
-
-def test_a_map_is_corrected_for_the_sensor_s_warmth_too():
-    """20 K warmer at 0.2 %/K, as a reading; u is that of the coefficient as it was found."""
-    base = replace(BASE, found=FoundEffects(temperature_slope_per_k=2e-3))
-    _, known = read(base, frames(even(), 2e-3), frames(even(0.5), 4e-4))
-    found = merge(frames(even(0.5), 4e-4, t_c=45.0, warm=1.04), Setup(CAMERA, LENS, known))
+@pytest.mark.parametrize(
+    ("effects", "world", "warmer"),
+    [
+        (FoundEffects(exposure_offset_s=5e-5), {"offset_s": 5e-5}, {}),
+        (FoundEffects(temperature_slope_per_k=2e-3), {}, {"t_c": 45.0, "warm": 1.04}),
+    ],
+)
+def test_a_map_is_corrected_as_a_reading_is(effects, world, warmer):
+    """With the offset unknown the map would be 12 % too bright; 20 K warmer at 0.2 %/K, 4 %."""
+    _, known = read(replace(BASE, found=effects), frames(even(), 2e-3, **world), frames(even(0.5), 4e-4, **world))
+    found = merge(frames(even(0.5), 4e-4, **world, **warmer), Setup(CAMERA, LENS, known))
     assert found.radiance.mean() == pytest.approx(0.5, rel=3e-3)
 
 

@@ -10,25 +10,13 @@ import pytest
 import tifffile
 from PIL import Image
 
-from radiometer.analysis.response import auto
 from radiometer.cli.main import run
 
 TIMES = (0.004, 0.01, 0.025, 0.0625, 0.15)
 LIGHT = np.geomspace(0.4, 200.0, 12)  # fields of a chart, one next to the other
 
 
-@pytest.fixture(autouse=True)
-def _recovered_once(monkeypatch):
-    """Let every command recover the response of the same photographs once: it takes a second and is the same again."""
-    kept, recover = {}, auto.recover_colours_auto
-
-    def once(brackets):
-        key = tuple((f.dn.tobytes(), f.dn.shape, f.settings.exposure_s) for bracket in brackets for f in bracket.light)
-        if key not in kept:
-            kept[key] = recover(brackets)
-        return kept[key]
-
-    monkeypatch.setattr(auto, "recover_colours_auto", once)
+pytestmark = pytest.mark.usefixtures("recovered_once")
 
 
 @pytest.fixture

@@ -26,11 +26,7 @@ from radiometer.data import (
     Scale,
     SensorNoise,
 )
-from radiometer.photographs.response import (
-    offset_in_words,
-    shutter_offset_of,
-    with_offset_of_response,
-)
+from radiometer.photographs.response import offset_in_words, shutter_offset_of, with_offset_of_response
 from radiometer.photographs.scene import Photographs, prepared
 
 OFFSET_S, U_S = 3e-5, 4e-6

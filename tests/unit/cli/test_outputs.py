@@ -113,6 +113,13 @@ def test_no_output_replaces_an_input(
     assert Path(precious).read_text() == "file: frames/0.png"
 
 
+def test_no_command_replaces_a_file_unasked() -> None:
+    """--force is off unless it is given, in every command that has it."""
+    asked = {" ".join(path): one.default for path, command in _ALL for one in command.params if "--force" in one.opts}
+    assert len(asked) > 20
+    assert {name for name, default in asked.items() if default} == set()
+
+
 _HOSTILE = ("..", "../../out", "/etc/x", "a/b", "-o", ".hidden", "x" * 300, "a\0b", "")
 
 

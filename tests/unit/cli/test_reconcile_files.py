@@ -1,15 +1,19 @@
-"""`radiometer reconcile` gives its answer even where a file that was asked for next to it cannot be written."""
+"""Files of reconcile, and a response that says nothing."""
 
 from __future__ import annotations
 
 import json
 from pathlib import Path
 
+import numpy as np
 import pytest
+from PIL import Image
 
+from radiometer.analysis.response.estimate import ResponseEstimate, telling
 from radiometer.api import results
 from radiometer.cli.main import run
-from radiometer.errors import OutputError
+from radiometer.data import ResponseCurve
+from radiometer.errors import MeasurementError, OutputError
 from radiometer.reconciliation.result import ReconcileResult, Verdict
 
 
@@ -63,3 +67,65 @@ def test_a_program_gets_the_answer_without_the_file(monkeypatch, tmp_path, capsy
     assert answer["gap"]["before"] == 1.25
     assert answer["report"] is None
     assert "no space left" in err
+
+
+def photographs(folder, times_s, picture):
+    """Write one picture per exposure time, and the list of the times."""
+    folder.mkdir()
+    for index in range(len(times_s)):
+        Image.fromarray(picture(index)).save(folder / f"{index}.png")
+    (folder / "exposures.txt").write_text("".join(f"{i}.png {t}\n" for i, t in enumerate(times_s)))
+    return folder
+
+
+@pytest.mark.parametrize("method", ["auto", "mitsunaga1999"])
+def test_frames_that_all_look_alike_give_no_curve(tmp_path, capsys, method):
+    """The same ramp at four times a stop apart: refused in one line, exit code 1, and nothing is written."""
+    rng = np.random.default_rng(1)
+    ramp = np.linspace(10.0, 240.0, 96)[None, :].repeat(72, axis=0)
+
+    def alike(index):
+        return np.clip(np.rint(ramp + rng.normal(0.0, 0.5, ramp.shape)), 0, 255).astype(np.uint8)
+
+    folder = photographs(tmp_path / "alike", (0.01, 0.02, 0.04, 0.08), alike)
+    assert run(["response", str(folder), "--method", method, "-o", str(tmp_path / "curve.yaml")]) == 1
+    printed = capsys.readouterr().err
+    assert printed.startswith("error: ")
+    assert "Traceback" not in printed
+    assert not (tmp_path / "curve.yaml").exists()
+
+
+def estimate(stops, u):
+    """Return an estimate whose curve spans so many stops, ln H known to u."""
+    curve = ResponseCurve(np.linspace(0.0, stops * np.log(2.0), 256), np.full(256, u), valid_dn=(0, 255))
+    return ResponseEstimate(curve, "auto", 1, 1, 1, 0.0, 0.0, None, np.ones(1), np.zeros(1), "a gauge")
+
+
+@pytest.mark.parametrize(("stops", "u", "refused"), [(0.05, 0.01, True), (5.0, 1.2, True), (5.0, 0.9, False)])
+def test_no_range_or_no_factor_of_e_is_refused(stops, u, refused):
+    """A twentieth of a stop is no curve; neither is one known to a factor of 3; the message says both figures."""
+    if not refused:
+        assert telling(estimate(stops, u), "photos").curve.log_exposure[-1] > 0.0
+        return
+    with pytest.raises(
+        MeasurementError, match=rf"photos: no response .* {stops:.3g} stops of exposure, ln H known to {u:.2g}"
+    ):
+        telling(estimate(stops, u), "photos")
+
+
+@pytest.mark.slow
+def test_no_map_is_made_with_a_curve_that_says_nothing(tmp_path, capsys):
+    """Plain walls that grow by 1.5 DN a stop: `merge` refuses as `response` does, and writes neither curve nor map."""
+    rng = np.random.default_rng(0)
+
+    def wall(index):
+        return np.rint(rng.normal(100.0 + 1.5 * index, 1.0, (60, 80))).astype(np.uint8)
+
+    folder = photographs(tmp_path / "walls", (1, 2, 4, 8), wall)
+    assert run(["response", str(folder)]) == 1
+    by_itself = capsys.readouterr().err.splitlines()[-1]
+    assert run(["merge", str(folder), "-o", str(tmp_path / "map.exr")]) == 1
+    assert capsys.readouterr().err.splitlines()[-1] == by_itself
+    assert "no response follows from these frames" in by_itself
+    assert run(["measure", "--photographs", str(folder), "--uncalibrated", "--patch", "4,4,9,9"]) == 1
+    assert not list(tmp_path.glob("map*"))

@@ -9,23 +9,20 @@ from radiometer.cli.main import run
 from radiometer.errors import ConfigurationError
 
 
-def test_the_devices_are_listed(capsys):
-    """`radiometer simulate --help` lists what can be simulated."""
-    assert run(["simulate", "--help"]) == 0
-    assert "camera" in capsys.readouterr().out
-
-
-def test_without_a_device_it_is_misused(capsys):
-    """Without a device the list is shown and the exit code is 2."""
-    assert run(["simulate"]) == 2
+@pytest.mark.parametrize(
+    ("words", "code", "shown"),
+    [
+        (["--help"], 0, "camera"),
+        ([], 2, "camera"),
+        (["camrea"], 2, "'camera'"),
+        (["camera", "--scene", "no/none.yaml"], 2, "none.yaml"),
+    ],
+)
+def test_devices_are_listed_and_what_is_not_there_is_reported(capsys, words, code, shown):
+    """A mistyped device gets a hint; a missing scene is one line."""
+    assert run(["simulate", *words]) == code
     printed = capsys.readouterr()
-    assert "camera" in printed.out + printed.err
-
-
-def test_a_device_that_there_is_not_is_reported_with_the_nearest(capsys):
-    """A mistyped device gets a hint."""
-    assert run(["simulate", "camrea"]) == 2
-    assert "'camera'" in capsys.readouterr().err
+    assert shown in printed.out + printed.err
 
 
 def test_a_scene_with_an_unknown_kind_is_refused(tmp_path):
@@ -34,12 +31,6 @@ def test_a_scene_with_an_unknown_kind_is_refused(tmp_path):
     file.write_text("kind: moonlight\n", encoding="utf-8")
     with pytest.raises(ConfigurationError, match=r"scene\.yaml.*moonlight"):
         served_camera(scene=str(file))
-
-
-def test_a_missing_scene_file_is_reported(capsys, tmp_path):
-    """A file that is not there is one line and exit code 2."""
-    assert run(["simulate", "camera", "--scene", str(tmp_path / "none.yaml")]) == 2
-    assert "none.yaml" in capsys.readouterr().err
 
 
 def test_only_a_simulated_bench_can_be_served(tmp_path):

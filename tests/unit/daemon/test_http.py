@@ -397,6 +397,7 @@ async def test_the_table_is_the_whole_range(base: str, session: aiohttp.ClientSe
     for form, header in (("csv", 1), ("jsonl", 0)):
         async with session.get(f"{base}/readings?format={form}") as reply:
             assert len((await reply.text()).splitlines()) == 8 + header
+            assert ("readings.csv" in reply.headers.get("Content-Disposition", "")) is (form == "csv")
         async with session.get(f"{base}/readings?format={form}&after=6") as reply:
             assert len((await reply.text()).splitlines()) == 2 + header
         async with session.get(f"{base}/readings?format={form}&limit=2") as reply:

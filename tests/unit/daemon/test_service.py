@@ -94,6 +94,15 @@ async def test_the_watchdog_is_fed_unless_a_call_takes_ten_minutes(
     await ended(running)
 
 
+async def test_an_alarm_of_descriptors_ends_once_some_are_free(tmp_path: Path, eventually: Eventually) -> None:
+    """The running daemon looks for itself: no client has to come first."""
+    one = fresh(tmp_path)
+    one.station.alarms.put_up("descriptors", "no file descriptor is free")
+    running = asyncio.create_task(one.service.run())
+    await eventually(lambda: one.systemd.lines and not one.station.alarms.active)
+    await ended(running)
+
+
 async def test_a_loop_that_ended_ends_the_daemon_with_its_error(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -56,8 +56,7 @@ def test_a_written_calibration_reads_back_the_same(calibration, tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("change", "named"),
-    [({"model": "other"}, "model"), ({"serial": "8"}, "serial"), ({"bit_depth": 8}, "bit depth")],
+    ("change", "named"), [({"model": "other"}, "model"), ({"serial": "8"}, "serial"), ({"bit_depth": 8}, "bit depth")]
 )
 def test_another_camera_is_refused(calibration, change, named):
     """The message names what differs."""

@@ -62,16 +62,13 @@ def test_common_uncertainty_is_in_every_level():
     assert choice.u_w_sr_m2 / choice.radiance_w_sr_m2 == pytest.approx(0.01, rel=1e-3)
 
 
-def test_falling_radiance_is_refused():
-    """More duty with less light is a measurement that went wrong."""
-    with pytest.raises(CalibrationError, match="must rise"):
-        calibration(point(16, 16.0), point(32, 15.0)).choose("spot", 15.5)
-
-
-def test_uncalibrated_channel_is_named():
-    """A channel that was not measured says how to measure it."""
-    with pytest.raises(CalibrationError, match="light calibrate --channel bleach"):
-        calibration(point(16, 16.0), point(32, 32.0)).choose("bleach", 1.0)
+@pytest.mark.parametrize(
+    ("top", "channel", "message"), [(15.0, "spot", "must rise"), (32.0, "bleach", "light calibrate --channel bleach")]
+)
+def test_falling_radiance_and_an_uncalibrated_channel_are_refused(top, channel, message):
+    """More duty with less light is a measurement that went wrong; a channel that was not measured says how to."""
+    with pytest.raises(CalibrationError, match=message):
+        calibration(point(16, 16.0), point(32, top)).choose(channel, 15.5)
 
 
 def test_both_ranges_serve_and_the_nearer_step_wins():
@@ -143,13 +140,8 @@ def test_both_ends_of_what_was_measured_are_held_and_nothing_beyond():
 @pytest.mark.parametrize(("start_rel", "bound"), [(1.1, 110.0), (0.9, 100.0)])
 def test_what_is_brighter_at_its_start_stays_below_that(start_rel, bound):
     """A start above the settled radiance counts, one below it does not make light safer."""
-    points = [replace_start(point(step, float(step), u_rel=0.0), start_rel) for step in (16, 4096)]
+    points = [point(step, float(step), u_rel=0.0).model_copy(update={"start_rel": start_rel}) for step in (16, 4096)]
     assert calibration(*points).highest_radiance("spot", 800, True) == pytest.approx(bound)
-
-
-def replace_start(one: LightPoint, start_rel: float) -> LightPoint:
-    """Return a measured level with another start."""
-    return one.model_copy(update={"start_rel": start_rel})
 
 
 @pytest.mark.parametrize(

@@ -1,11 +1,19 @@
-"""Readings: the documented JSON form."""
+"""Readings, brackets, serial numbers and provenance as data."""
 
 from __future__ import annotations
 
 import json
 import math
+from dataclasses import replace
+from typing import Any
 
-from radiometer.data import Flag, Patch, Quantity, Reading
+import numpy as np
+import pytest
+
+from radiometer.data import Bracket, Flag, Frame, FrameSettings, Patch, Quantity, Reading
+from radiometer.data.provenance import Provenance, source_hash
+from radiometer.data.serials import other_notation, same_serial, serial_shown
+from radiometer.errors import InputError
 
 
 def test_a_reading_speaks_the_documented_json():
@@ -80,3 +88,94 @@ def test_the_expanded_uncertainty_follows_the_stated_factor():
     spoken = json.loads(reading.to_json())
     assert spoken["U_rel"] == 4.53 * 0.05
     assert (spoken["coverage_factor"], spoken["degrees_of_freedom"]) == (4.53, 2.0)
+
+
+def bracket() -> Bracket:
+    settings = (FrameSettings(2.0), FrameSettings(1.0), FrameSettings(2.0, shutter="closed"))
+    return Bracket.from_frames([Frame(np.zeros((4, 5), np.uint16), 12, one) for one in settings], origin="here")
+
+
+def test_a_loop_over_a_bracket_is_an_error_that_names_both():
+    """Neither the light frames alone nor all of them: whoever loops must say which."""
+    with pytest.raises(TypeError, match=r"bracket\.light, bracket\.dark"):
+        list(bracket())
+
+
+def test_light_and_dark_frames_are_apart():
+    """Light ones ascend in exposure; new light frames keep the dark ones."""
+    one = bracket()
+    assert [frame.settings.exposure_s for frame in one.light] == [1.0, 2.0]
+    assert [frame.settings.is_dark for frame in one.every_frame] == [True, False, False]
+    assert one.with_light(one.light[:1]).dark == one.dark
+
+
+def test_it_prints_in_one_line():
+    """Counts, size, bits and times."""
+    assert repr(bracket()) == "<Bracket here: 2 + 1 dark frames of 5 × 4 pixels, 12 bits, 1 to 2 s>"
+
+
+@pytest.mark.parametrize(
+    ("one", "other", "same"),
+    [
+        ("0138C343", "20497219", True),
+        ("20497219", "0138c343", True),
+        ("0138C343", "0138c343", True),
+        ("22500001", "22500001", True),
+        ("0138C343", "20497220", False),
+        ("138C343", "20497219", False),
+        ("GV77", "GV78", False),
+    ],
+)
+def test_both_notations_mean_one_number(one, other, same):
+    """0138C343 is 20497219 in hexadecimal; seven digits are no USB serial number."""
+    assert same_serial(one, other) is same
+
+
+@pytest.mark.parametrize(
+    ("serial", "other"), [("0138C343", "20497219"), ("22500001", ""), ("01575361", "22500193"), ("GV77", "")]
+)
+def test_a_plainly_hexadecimal_number_is_shown_in_decimal_too(serial, other):
+    """Zeros in front or letters show that it is hexadecimal; a decimal number stands alone."""
+    assert other_notation(serial) == other
+    assert serial_shown(serial) == (f"{serial} ({other})" if other else serial)
+
+
+def test_what_is_written_reads_back() -> None:
+    """Method, inputs, assumptions and settings come back in order; the rest as text."""
+    made = Provenance("debevec1997", ("a.png", "b.png"), ("no flicker",), {"groups": 350}, "2026-01-02", "radiometer 1")
+    assert Provenance.from_mapping(made.to_mapping(), "file") == made
+
+
+@pytest.mark.parametrize("emptied", ["inputs", "assumptions", "parameters", "method", "created", "software"])
+def test_an_entry_left_empty_holds_nothing(emptied: str) -> None:
+    """A key with nothing behind it, as an editor leaves it, is as good as none."""
+    made = Provenance("m", created="now", software="s")
+    nothing = {"method": "unknown", "inputs": (), "assumptions": (), "parameters": {}, "created": "", "software": ""}
+    expected = replace(made, **{emptied: nothing[emptied]})
+    assert Provenance.from_mapping({**made.to_mapping(), emptied: None}, "file") == expected
+
+
+def test_a_file_without_provenance_is_of_unknown_method() -> None:
+    """Nothing at all is no error."""
+    assert Provenance.from_mapping(None, "file").method == "unknown"
+
+
+@pytest.mark.parametrize(
+    ("stated", "named"),
+    [
+        ("by hand", "provenance is 'by hand', not a mapping"),
+        ({"inputs": 5}, r"provenance\.inputs is '5', not a list"),
+        ({"assumptions": "none"}, r"provenance\.assumptions is 'none', not a list"),
+        ({"parameters": [1, 2]}, r"provenance\.parameters is .*, not a mapping"),
+    ],
+)
+def test_another_shape_is_refused_by_name(stated: Any, named: str) -> None:
+    """The message says which file and which key."""
+    with pytest.raises(InputError, match=f"cal.yaml: {named}"):
+        Provenance.from_mapping(stated, "cal.yaml")
+
+
+def test_a_hash_over_no_source_is_refused() -> None:
+    """A folder that was renamed has no source: its hash would never change, and stored results would never age."""
+    with pytest.raises(ValueError, match="no source"):
+        source_hash("analysis", "no_such_room")

@@ -1,4 +1,4 @@
-"""Camera files: what ships, and what is refused."""
+"""Presets of a camera, and settings out of range."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import pytest
 from radiometer.data import CameraDescription
 from radiometer.data.storage import read_yaml
 from radiometer.devices import CameraPreset
-from radiometer.errors import CalibrationError, ConfigurationError
+from radiometer.errors import CalibrationError, ConfigurationError, SettingOutOfRange
 
 
 def test_shipped_blackfly_has_the_figures_of_its_specification_page() -> None:
@@ -91,3 +91,19 @@ def test_file_of_another_camera_is_refused(other: dict[str, object]) -> None:
     preset = CameraPreset.from_mapping(CHARACTERISED, "camera.yaml")
     with pytest.raises(CalibrationError, match=rf"camera\.yaml is of another camera: its {next(iter(other))} is"):
         preset.applied_to(described, "camera.yaml")
+
+
+@pytest.mark.parametrize(
+    ("value", "reported"),
+    [
+        (50.0, "50 dB"),
+        (48.00000001, "48.00000001 dB"),
+        (-1e-9, "-1e-09 dB"),
+        (48.0 + 7.2e-15, "48.000000000000007 dB"),
+        (float("nan"), "nan dB"),
+    ],
+)
+def test_a_hair_beyond_is_seen(value, reported):
+    """48 dB is not out of a range that ends at 48 dB; 48.00000001 dB is."""
+    error = SettingOutOfRange("camera", "gain", value, 0.0, 48.0, "dB")
+    assert str(error) == f"camera: gain {reported} is out of range; allowed is 0 to 48 dB"

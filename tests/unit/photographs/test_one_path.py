@@ -16,6 +16,8 @@ from radiometer.cli.main import run
 from radiometer.data import Calibration, Flag, ResponseCurve
 from radiometer.errors import CalibrationError, UsageError
 
+pytestmark = pytest.mark.usefixtures("recovered_once")
+
 # Whole stops: EXIF prints them exactly enough for the stop behind to be taken.
 TIMES_S = tuple(2.0**-k for k in (9, 8, 7, 6, 5, 4))
 SHAPE = (64, 96)

@@ -19,6 +19,7 @@ from radiometer.reconciliation.measure.reduce import CaptureSums, frame_reader, 
 from radiometer.reconciliation.search.localise import localise, significant
 from radiometer.reconciliation.separability import limits
 from radiometer.reconciliation.shared_errors import fixed_errors
+from radiometer.reconciliation.statistics import usable_entries
 from simulators.effects.black_level_drift import BlackLevelDrift
 from simulators.effects.black_level_offset import BlackLevelOffset
 from simulators.effects.pixel_mixing import disc_edge_share
@@ -118,6 +119,18 @@ def test_hot_pixel_in_a_dark_is_left_out_everywhere() -> None:
     sigma_of_a_tile_mean = 2.1 / np.sqrt(12 * 12)
     np.testing.assert_allclose(seen.mean[0], 500, atol=5 * sigma_of_a_tile_mean)
     assert seen.outliers.tolist() == [0.0, 1.0]
+
+
+def test_a_histogram_cut_off_below_full_scale_is_not_compared() -> None:
+    """Codes that a saturation of 900 DN removes are no missing codes of the converter; a dimmer capture's count."""
+    rng = np.random.default_rng(12)
+    frames = [
+        Frame(np.minimum(rng.poisson(level, (96, 144)), 900).astype(np.uint16), 12, FrameSettings(level / 400.0))
+        for level in (400.0, 890.0) for _ in range(4)
+    ]  # fmt: skip
+    state = start_of(taken(frames))
+    counts = usable_entries(state.design, state.seen, state.prediction)["comb"]
+    assert counts.any(axis=1).tolist() == [True, False]
 
 
 def test_values_cut_off_below_full_scale_make_no_defects() -> None:

@@ -369,7 +369,9 @@ def log_variant(draw: st.DrawFn) -> tuple[dict[str, Any], Callable[[Path], Calla
     """Return a log whose exposure and temperature have some unit, with rows that mean "no reading"."""
     unit = draw(st.sampled_from(["", *TIME_UNITS]))
     factor = TIME_UNITS.get(unit, 1.0)
-    degrees, of_celsius = draw(st.sampled_from([("C", lambda c: c), ("K", lambda c: c + 273.15), ("F", _fahrenheit)]))
+    degrees, of_celsius = draw(
+        st.sampled_from([("C", lambda c: c), ("K", lambda c: c + 273.15), ("F", lambda c: 32.0 + 1.8 * c)])
+    )
     lost = draw(st.sampled_from([-999.0, None]))
     times = [f"2026-03-{night:02d}T21:{10 * k:02d}:00" for night in range(1, 5) for k in range(5)]
     columns = {
@@ -395,10 +397,6 @@ def log_variant(draw: st.DrawFn) -> tuple[dict[str, Any], Callable[[Path], Calla
         return read
 
     return {"s": 0.5 if factor else -1.0} | {f"C {n}": 20.0 for n in range(20)}, made
-
-
-def _fahrenheit(celsius: float) -> float:
-    return 32.0 + 1.8 * celsius
 
 
 @st.composite

@@ -94,27 +94,19 @@ def test_every_level_is_acknowledged(shown: tuple[BrowserDisplay, FakePage]) -> 
     assert len({o["sequence"] for o in page.orders}) == 256
 
 
-def test_wrong_level_read_back_is_an_error() -> None:
-    """A page that paints something else (night colours in the browser) is found out."""
-    page = FakePage(lambda order: {**_echo(order), "rgb": [254, 250, 230]})
-    with BrowserDisplay(announce=page.open) as display, pytest.raises(DeviceError, match=r"shows \[254, 250, 230\]"):
-        display.show(DisplayPatch((1, 1, 1)))
-
-
-def test_page_that_never_answers_times_out() -> None:
-    """An answer to another order does not count."""
-    page = FakePage(lambda order: {**_echo(order), "sequence": -5})
-    with (
-        BrowserDisplay(announce=page.open, show_timeout_s=0.2) as display,
-        pytest.raises(DeviceTimeout, match=r"within 0\.2 s"),
-    ):
-        display.show(DisplayPatch((1, 1, 1)))
-
-
-def test_page_that_closes_is_lost_at_once() -> None:
-    """The error comes when the page goes, not at the end of the time limit."""
-    page = FakePage(lambda order: None)
-    with BrowserDisplay(announce=page.open, show_timeout_s=30) as display, pytest.raises(DeviceLost):
+@pytest.mark.parametrize(
+    ("answer", "timeout_s", "error", "message"),
+    [
+        (lambda order: {**_echo(order), "rgb": [254, 250, 230]}, 30.0, DeviceError, r"shows \[254, 250, 230\]"),
+        (lambda order: {**_echo(order), "sequence": -5}, 0.2, DeviceTimeout, r"within 0\.2 s"),
+        (lambda order: None, 30.0, DeviceLost, None),
+    ],
+    ids=["night colours in the browser", "an answer to another order", "closed"],
+)
+def test_a_page_that_does_not_show_what_it_was_sent_is_an_error(answer, timeout_s, error, message) -> None:
+    """What it paints, or that it did not answer; where the page goes, at once and not at the end of the limit."""
+    page = FakePage(answer)
+    with BrowserDisplay(announce=page.open, show_timeout_s=timeout_s) as display, pytest.raises(error, match=message):
         display.show(DisplayPatch((1, 1, 1)))
 
 

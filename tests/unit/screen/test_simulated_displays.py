@@ -1,6 +1,9 @@
-"""Simulated displays: the truth is what is asked for, and a calibration of each finds it."""
+"""Calibrations of simulated and of real displays find what they show."""
 
 from __future__ import annotations
+
+import csv
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -10,7 +13,9 @@ from radiometer.devices import Display, DisplayPatch
 from radiometer.errors import DeviceError, SettingOutOfRange
 from radiometer.screen import ScreenCalibration
 from radiometer.screen.calibration_run import Options, calibrate_screen
+from radiometer.screen.interpolation import LevelTable
 from radiometer.screen.plan import parse_levels
+from radiometer.screen.transfer_models import fit_transfer
 from simulators.clock import SimulatedClock
 from simulators.displays import DISPLAYS, SimulatedDisplay
 
@@ -115,6 +120,21 @@ def test_simulated_display_is_a_display() -> None:
         display.show(DisplayPatch((1.2, 0, 0)))
 
 
+@pytest.mark.parametrize("name", DISPLAYS)
+def test_each_primary_adds_its_share_of_the_light_above_black(name: str) -> None:
+    """At half drive and seen from the side, light is black plus each primary's share of white's range."""
+    display = SimulatedDisplay(DISPLAYS[name])
+    display.turn(30.0)
+    model, level = display.model, round(0.5 * (2**display.model.bits - 1)) / (2**display.model.bits - 1)
+    cosine = np.cos(np.radians(30.0))
+    black = model.black_radiance * (1.0 + model.angle_leak * (1.0 - cosine**2))
+    of_white = (model.white_radiance - model.black_radiance) * cosine**model.angle_exponent * model.transfer(level)
+    for primary, share in enumerate(model.primary_shares):
+        only = tuple(0.5 * (primary == k) for k in range(3))
+        assert display.radiance(only) == pytest.approx(black + share * of_white, rel=1e-9)
+    assert display.radiance((0.5, 0.5, 0.5)) == pytest.approx(black + of_white, rel=1e-9)
+
+
 def test_pwm_averages_out_over_whole_periods_only() -> None:
     """Over four periods the output is its mean; over a quarter of one it is all or nothing."""
     display = SimulatedDisplay(DISPLAYS["pwm_lcd"], SimulatedClock(1e6))
@@ -130,3 +150,119 @@ def test_backlight_warms_up_with_its_time_constant() -> None:
     display = SimulatedDisplay(DISPLAYS["lcd"])
     display.open()
     assert display.backlight(600.0, 1e-3) == pytest.approx(1 + 0.03 / np.e, rel=1e-5)
+
+
+def _dell(shared_data: Path) -> tuple[np.ndarray, np.ndarray]:
+    """Return drive and luminance of a Dell U2412M's greys (SpyderX), repeats averaged."""
+    file = next((shared_data / "displays").glob("*gray_luminance.csv"))
+    rows = list(csv.DictReader(file.read_text().splitlines()))
+    drive, value = (np.array([float(r[k]) for r in rows]) for k in ("drive_percent", "Y_cd_m2"))
+    levels = np.unique(drive)
+    return levels / 100, np.array([value[drive == n].mean() for n in levels])
+
+
+def _dell_patches(shared_data: Path) -> np.ndarray:
+    """Return all patches of that monitor: drive of red, green and blue in %, then X, Y and Z, shape (175, 6)."""
+    text = next((shared_data / "displays").glob("*.ti3")).read_text(encoding="utf-8")
+    rows = text.split("BEGIN_DATA\n")[1].split("END_DATA")[0].split("\n")
+    return np.array([[float(word) for word in row.split()[1:]] for row in rows if row.strip()])
+
+
+def _grid_scatter(patches: np.ndarray) -> float:
+    """Return the rms relative error of Y when every level of each primary has its own light and these add up.
+
+    The grid of 5 × 5 × 5 patches has 13 unknowns: what is left is the reading's noise and what does not add up, and no
+    property of any level.
+    """
+    percent = np.array([0, 25, 50, 75, 100])
+    grid = patches[np.isin(patches[:, :3], percent).all(axis=1)]
+    columns = [np.ones(len(grid))]
+    columns += [(grid[:, channel] == level) * 1.0 for channel in range(3) for level in percent[1:]]
+    weight = 1.0 / grid[:, 4]
+    design = np.stack(columns, axis=1) * weight[:, np.newaxis]
+    solved, *_ = np.linalg.lstsq(design, grid[:, 4] * weight, rcond=None)
+    return float(np.sqrt(np.sum((1.0 - design @ solved) ** 2) / (len(grid) - design.shape[1])))
+
+
+def _oled(shared_data: Path) -> tuple[np.ndarray, np.ndarray]:
+    table = np.genfromtxt(shared_data / "displays" / "isetbio" / "OLED-Sony_gamma.csv", delimiter=",", names=True)
+    return table["level"] / table["level"][-1], 157.1 * table["gray"]
+
+
+def _left_out(levels: np.ndarray, values: np.ndarray) -> np.ndarray:
+    """Return the relative error at each inner level of a table without it."""
+    errors = []
+    for i in range(1, len(levels) - 1):
+        keep = np.arange(len(levels)) != i
+        errors.append(float(LevelTable(levels[keep], values[keep]).at(levels[i])) / values[i] - 1)
+    return np.array(errors)
+
+
+def test_table_meets_left_out_levels_of_a_real_monitor(shared_data: Path) -> None:
+    """Of the greys above 2 % of white 85 % are met within 0.5 % when left out, their rms is below 0.35 %.
+
+    What is missed alternates in sign from level to level: the monitor's own steps, which no smooth curve follows
+    (worst 0.9 %). Below 2 % of white the colorimeter repeats no better than some hundredths of a cd/m². In units of
+    white every level is met within 0.5 %.
+    """
+    levels, values = _dell(shared_data)
+    errors, inner = _left_out(levels, values), values[1:-1]
+    bright = np.abs(errors[inner > 0.02 * values[-1]])
+    assert np.mean(bright < 0.005) >= 0.85
+    assert np.sqrt(np.mean(bright**2)) < 0.0035
+    assert bright.max() < 0.009
+    assert np.abs(errors * inner).max() < 0.005 * values[-1]
+
+
+def test_what_is_missed_on_a_real_monitor_is_its_own_steps(shared_data: Path) -> None:
+    """A reading is good to some 0.12 %, which explains half of the rms: the rest is no smooth curve's.
+
+    A level left out is missed by its own error and by its neighbours': a cubic weighs these with 9/16 and −1/16, so
+    that independent errors s give 1.28·s. In blue (Z) and green (Y) what is missed has nothing in common: were it the
+    backlight or the reading, it would; steps of each channel's own do not. A smooth curve through the neighbours
+    cannot know them, however it is drawn.
+    """
+    patches = _dell_patches(shared_data)
+    noise = _grid_scatter(patches)
+    assert 0.0005 < noise < 0.0015
+    greys = patches[(patches[:, 0] == patches[:, 1]) & (patches[:, 1] == patches[:, 2])]
+    levels = np.unique(greys[:, 0])
+    values = np.array([greys[greys[:, 0] == n, 3:].mean(axis=0) for n in levels])
+    bright = values[1:-1, 1] > 0.1 * values[-1, 1]
+    y, z = (_left_out(levels / 100, values[:, n])[bright] for n in (1, 2))
+    spread = np.sqrt(1 + 2 * ((9 / 16) ** 2 + (1 / 16) ** 2))
+    own = np.sqrt(np.mean(y**2) / spread**2 - noise**2)
+    assert own > 1.5 * noise
+    assert abs(np.corrcoef(y, z)[0, 1]) < 2.5 / np.sqrt(bright.sum())
+
+
+@pytest.mark.parametrize(("channel", "worst"), [("R", 0.006), ("G", 0.006), ("B", 0.021)])
+def test_table_of_all_levels_meets_left_out_ones(shared_data: Path, channel: str, worst: float) -> None:
+    """All 256 levels of an LCD's primaries: left-out ones above 1 % are met within 0.5 % in 99 of 100."""
+    table = np.genfromtxt(shared_data / "displays" / "isetbio" / "LCD-Dell_gamma.csv", delimiter=",", names=True)
+    levels, values = table["level"] / table["level"][-1], table[channel]
+    errors = np.abs(_left_out(levels, np.maximum(values, 1e-12))[values[1:-1] > 0.01])
+    assert np.mean(errors < 0.005) >= 0.99
+    assert np.sqrt(np.mean(errors**2)) < 0.0015
+    assert errors.max() < worst
+
+
+def test_table_meets_left_out_levels_of_an_oled(shared_data: Path) -> None:
+    """With every eighth of 1024 levels in the table, the middles of the gaps are met within 0.3 % rms above 1 %."""
+    levels, values = _oled(shared_data)
+    table = LevelTable(levels[::8], values[::8])
+    middle = slice(4, 1020, 8)
+    bright = values[middle] > 0.01 * values[-1]
+    error = (table.at(levels[middle]) / np.maximum(values[middle], 1e-12) - 1)[bright]
+    assert np.sqrt(np.mean(error**2)) < 0.003
+    assert np.mean(np.abs(error) < 0.005) > 0.9
+
+
+def test_models_errors_on_a_real_monitor_are_ranked(shared_data: Path) -> None:
+    """A plain gamma errs by more than 50 % near black; Pelli–Zhang's worst error is at least five times less."""
+    levels, values = _dell(shared_data)
+    u = np.hypot(0.02, 0.001 * values)
+    plain, best = (fit_transfer(n, levels, values, u) for n in ("gamma", "pelli_zhang1991"))
+    assert plain.max_rel > 0.5
+    assert best.max_rel < plain.max_rel / 5
+    assert best.max_of_peak == pytest.approx(0.0, abs=0.02)

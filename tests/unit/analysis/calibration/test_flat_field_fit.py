@@ -7,20 +7,11 @@ import json
 import numpy as np
 import pytest
 
-from radiometer.analysis.calibration.flat_field import (
-    fit_flat_field,
-)
+from radiometer.analysis.calibration.flat_field import fit_flat_field
 from radiometer.analysis.merge.bracket import merge
 from radiometer.analysis.reading.reading import read_patch
 from radiometer.cli.main import run
-from radiometer.data import (
-    Bracket,
-    Calibration,
-    CaptureSetWriter,
-    FlatField,
-    Patch,
-    RadianceMap,
-)
+from radiometer.data import Bracket, Calibration, CaptureSetWriter, FlatField, Patch, RadianceMap
 from radiometer.data.setup import Setup
 from radiometer.errors import CalibrationError, MeasurementError
 
@@ -153,6 +144,9 @@ def test_the_command_fits_stores_and_applies_it(rig, tmp_path, capsys):
     assert run(words) == 0
     report = json.loads(capsys.readouterr().out)
     assert report["flat_field"]["shape"] == list(SHAPE)
+    assert run([*(word for word in words if word != "--json"), "--force"]) == 0
+    x, y = report["flat_field"]["principal_point_px"]
+    assert f"flat field fitted about {x:.1f}, {y:.1f} px" in " ".join(capsys.readouterr().out.split())
     calibration = Calibration.read(tmp_path / "cal.yaml")
     frames = [rig.frame(0.3 * radiance * sensitivity, 1e-3, rng) for _ in range(4)]
     reading = read_patch(frames, Patch(2, 100, 16, 16), Setup(camera, lens, calibration))

@@ -1,4 +1,4 @@
-"""Characterising capture sets: gains, temperatures, patches, photons, the camera file, and what is refused."""
+"""Characterisation of capture sets, of CCDs as well."""
 
 from __future__ import annotations
 
@@ -10,7 +10,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from radiometer.analysis.characterise import EmvaDescriptor, characterise, read_subject, subject_of_capture
+from radiometer.analysis.characterise import (
+    Characterisation,
+    EmvaDescriptor,
+    characterise,
+    read_subject,
+    subject_of_capture,
+)
 from radiometer.analysis.characterise.emva_export import export_descriptor
 from radiometer.analysis.characterise.report import datasheet, meaning
 from radiometer.analysis.characterise.result import SYMBOLS
@@ -23,6 +29,7 @@ from radiometer.numbers import with_u
 from radiometer.reporting.page import prose
 from simulators.chain.camera_model import CameraModel
 from simulators.scenes import StepChartScene, UniformScene
+from testing.golden.emva import REF001, REF001_LOOSE
 from testing.report_checks import HOSTILE
 from testing.simulated_capture import simulate_capture
 
@@ -37,7 +44,9 @@ CAMERA = CameraDescription(
     black_level_dn=64,
     quantum_efficiency=0.62,
 )
+
 BELIEVED = CameraDescription(bit_depth=12, model="BFS-U3-19S4M", pixel_pitch_um=4.5)
+
 EXPOSURES = np.linspace(0.002, 0.05, 16)
 
 
@@ -337,3 +346,41 @@ def test_no_name_of_a_camera_is_markup(capture: CaptureSet) -> None:
     page = datasheet(replace(result, believed=camera, notes=(HOSTILE,)))
     assert "<script" not in page
     assert page.count("&lt;script&gt;") >= 5
+
+
+@pytest.fixture(scope="module")
+def folder(shared_data: Path) -> Path:
+    return shared_data / "emva" / "ref001_ccd_12bit"
+
+
+@pytest.fixture(scope="module")
+def ccd(folder: Path) -> Characterisation:
+    return characterise(read_subject(folder))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", sorted(REF001))
+def test_figure_agrees_with_the_package(ccd: Characterisation, name: str) -> None:
+    """K within 1 %, the rest within 2 %: the fit here is weighted by the noise, the package's is not."""
+    allowed = 0.01 if name == "K" else 0.02
+    assert ccd.figures[name].value == pytest.approx(REF001[name], rel=allowed)
+
+
+@pytest.mark.parametrize(("name", "value"), list(REF001_LOOSE.items()))
+def test_figure_of_few_frames_agrees_within_its_uncertainty(ccd: Characterisation, name: str, value: float) -> None:
+    """What four frames or short exposures hardly determine differs by less than one standard uncertainty."""
+    assert abs(ccd.figures[name].value - value) < ccd.figures[name].u
+
+
+def test_scatter_beyond_noise_is_reported(ccd: Characterisation) -> None:
+    """The real photon transfer is not quite straight; the note says so and K's uncertainty holds it."""
+    assert any("scatters" in note for note in ccd.notes)
+    assert ccd.figures["K"].u_rel > 0.002
+
+
+def test_descriptor_with_backslashes_is_read(folder: Path) -> None:
+    """All images of the descriptor are found, bright and dark."""
+    descriptor = EmvaDescriptor.read(folder / "EMVA1288_Data.txt")
+    assert (descriptor.bit_depth, descriptor.width, descriptor.height) == (12, 640, 480)
+    assert {group.settings.shutter for group in descriptor.groups} == {"open", "closed"}
+    assert len([file for group in descriptor.groups for file in group.files]) == 108

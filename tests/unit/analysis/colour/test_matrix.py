@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -11,13 +12,7 @@ import pytest
 from radiometer.analysis.colour.calibration import ColourCalibration
 from radiometer.analysis.colour.chromaticity import coordinates
 from radiometer.analysis.colour.matrix import Training, fit_matrix
-from radiometer.analysis.colour.plausible import (
-    COLOURS,
-    GRID_NM,
-    on_grid,
-    plausible_lights,
-    tristimulus_of,
-)
+from radiometer.analysis.colour.plausible import COLOURS, GRID_NM, on_grid, plausible_lights, tristimulus_of
 from radiometer.analysis.colour.train import ColourCamera, train_on_lights, train_on_responsivities
 from radiometer.analysis.photometry.photometry import spectrum
 from radiometer.errors import CalibrationError, UsageError
@@ -143,6 +138,19 @@ def test_responsivities_give_chromaticities_and_known_lights_the_scale(reflectan
     xyz, _ = relative.convert(lights.signal, np.zeros((3, 3)), None)
     same, _ = absolute.convert(lights.signal, np.zeros((3, 3)), None)
     assert xyz / xyz.sum(axis=1, keepdims=True) == pytest.approx(same / same.sum(axis=1, keepdims=True))
+
+
+def test_a_known_light_five_times_as_bright_scales_x_y_z_and_each_term_of_their_u() -> None:
+    """Readings, matrix and errors of other lights: the covariance of all three together grows by 25."""
+    lights = read(plausible_lights()["surfaces"][:24], ["surfaces"] * 24, np.random.default_rng(46_031))
+    camera, noise = ColourCamera(COLOURS, responsivities=CAMERA), np.eye(3) * lights.u_signal[:, None, :] ** 2
+    found = []
+    for brighter in (1.0, 5.0):
+        known = replace(lights, xyz=brighter * lights.xyz)
+        made = train_on_responsivities(camera, known, per_kind=False, u_rel=0.0)
+        found.append((*made.convert(lights.signal, noise, "surfaces"), made.fits["all"].spread))
+    for one, five, power in zip(*found, (1, 2, 2), strict=True):
+        assert five == pytest.approx(5.0**power * one, rel=1e-9)
 
 
 def test_a_matrix_for_each_kind_is_better_for_it_and_asks_for_the_kind() -> None:

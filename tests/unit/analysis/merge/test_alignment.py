@@ -8,12 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from radiometer.analysis.merge.alignment import (
-    Alignment,
-    Movement,
-    aligned,
-    find_alignment,
-)
+from radiometer.analysis.merge.alignment import Alignment, Movement, aligned, find_alignment
 from radiometer.data import Bracket, Frame, FrameSettings
 
 HEIGHT, WIDTH = 220, 300

@@ -1,16 +1,34 @@
-"""Parts of a merge by hand: which frames agree, whose edge goes with it, displacement, where pictures lie."""
+"""Parts of a merge: tables of a curve, defects, and the climb to the likeliest radiance."""
 
 from __future__ import annotations
 
 import itertools
 import math
 
+import cv2
 import numpy as np
 import pytest
 
 from radiometer.analysis.merge import bracket
+from radiometer.analysis.merge.alignment import Climb
+from radiometer.analysis.merge.bracket import repair_defects
 from radiometer.analysis.merge.displaced import MeanDisplacement, relative_shift
-from radiometer.analysis.merge.tables import MergeTables
+from radiometer.analysis.merge.frames import frame_terms
+from radiometer.analysis.merge.tables import MergeTables, merge_tables
+from radiometer.analysis.signal.situation import situation_of
+from radiometer.data import (
+    BlackLevel,
+    Calibration,
+    CameraDescription,
+    FrameSettings,
+    LensDescription,
+    PixelMask,
+    ResponseCurve,
+    Scale,
+    SensorNoise,
+)
+from radiometer.data.setup import Setup
+from radiometer.errors import MeasurementError
 
 
 def tables(exposures, *, variance=25.0, kappa=0.0, slack=0.01, clips_at=4000.0, sigma_clip=5.0, bounds=(4000.0, 1.0)):
@@ -68,3 +86,153 @@ def test_all_cores_together_do_every_pixel_once(shape, cores, monkeypatch):
     assert all(start % shape[1] == stop % shape[1] == 0 for start, stop in done)
     assert len(done) <= 4 * (cores or 1)
     assert len(done) > 2 * (cores or 1) or len(done) == shape[0]
+
+
+CODES = np.arange(256)
+
+TIMES = (1.0, 2.0, 4.0)
+
+CAMERA, LENS = CameraDescription(bit_depth=8), LensDescription()
+
+NOISE = SensorNoise(conversion_gain_e_per_dn=8000.0 / 255.0, read_noise_e=6.0, full_well_e=8000.0, post_curve_dn2=0.4)
+
+
+@pytest.mark.parametrize("gain_db", [0.0, 6.0])
+def test_every_code_has_its_own_doubt_and_variance(gain_db):
+    """A curve M = 255·x^(1/2.2) whose u grows from 1 % at black to 5 %, and to 20 % at white: to 2 % of them."""
+    with np.errstate(divide="ignore"):
+        g = 2.2 * np.log(CODES / 255.0)
+    u_log = np.linspace(0.01, 0.05, 256)
+    u_log[-1] = 0.2
+    curve = ResponseCurve(g, u_log, absolute=True, valid_dn=(1, 254))
+    scale = Scale(value=1.0, u_rel=0.0, method="relative")
+    calibration = Calibration(CAMERA, LENS, scale, curve, NOISE, BlackLevel(dn=0.0, u_dn=0.0))
+    situation = situation_of(Setup(CAMERA, LENS, calibration))
+    settings = [FrameSettings(seconds, gain_db) for seconds in TIMES]
+    tables = merge_tables([frame_terms(s, situation, (), through_lens=False) for s in settings], situation.model)
+    codes = np.array([8.0, 20.0, 90.0, 200.0, 253.0, 254.5, 255.0])
+    gain = 10.0 ** (gain_db / 20.0)
+    at_0_db = np.interp(codes, CODES, np.exp(g))  # between two codes the model is a straight line
+    variance, u_rel = tables.variance(np.tile(at_0_db / gain, (len(TIMES), 1)))
+    for k, one in enumerate(settings):
+        assert u_rel[k] == pytest.approx(np.interp(codes, CODES, u_log), rel=0.02)
+        assert variance[k] == pytest.approx(situation.model.variance(at_0_db / gain, one), rel=0.02)
+
+
+def images(size=5):
+    """Return a picture that rises by one a pixel, u 0.1 everywhere, and an empty mask."""
+    radiance = np.arange(float(size * size), dtype=np.float32).reshape(size, size)
+    return radiance, np.full((size, size), 0.1, np.float32), np.zeros((size, size), np.uint8)
+
+
+@pytest.mark.parametrize(("x", "y", "count"), [(2, 2, 8), (0, 0, 3), (4, 2, 5)])
+def test_a_defect_takes_the_mean_of_its_sound_neighbours(x, y, count):
+    """Eight, five at the side, three in the corner; u is the mean's noise and the neighbours' scatter in squares."""
+    radiance, u, mask = images()
+    window = [
+        float(radiance[j, i])
+        for j in range(max(y - 1, 0), min(y + 2, 5))
+        for i in range(max(x - 1, 0), min(x + 2, 5))
+        if (i, j) != (x, y)
+    ]
+    radiance[y, x], u[y, x] = 1e6, 1e3
+    repair_defects(radiance, u, mask, [(x, y)])
+    assert len(window) == count
+    assert radiance[y, x] == pytest.approx(np.mean(window))
+    assert u[y, x] == pytest.approx(math.sqrt(0.01 / count + np.var(window, ddof=1)))
+    assert mask[y, x] == PixelMask.DEFECTIVE
+    assert np.count_nonzero(mask) == 1
+
+
+def test_neighbours_that_are_defective_or_clipped_tell_nothing():
+    """Only sound ones count; marked defects keep their other marks; those outside the picture are none."""
+    radiance, u, mask = images()
+    mask[1, 1], mask[2, 2] = PixelMask.SATURATED, PixelMask.INCONSISTENT
+    radiance[1, 1] = radiance[2, 3] = 1e6
+    repair_defects(radiance, u, mask, [(2, 2), (3, 2), (-1, 0), (0, 5), (5, 5)])
+    assert radiance[2, 2] == pytest.approx(np.mean([7, 8, 11, 16, 17, 18]))
+    assert mask[2, 2] == PixelMask.DEFECTIVE | PixelMask.INCONSISTENT
+    assert np.count_nonzero(mask & PixelMask.DEFECTIVE) == 2
+    lonely = np.array([[5.0, 6.0]], np.float32), np.array([[0.1, 0.1]], np.float32), np.zeros((1, 2), np.uint8)
+    repair_defects(*lonely, [(0, 0)])
+    assert (lonely[0][0, 0], lonely[1][0, 0]) == (5.0, 5.0)
+
+
+STILL = np.eye(2, 3)
+
+
+def scene(seed=1, shape=(150, 200)):
+    """Return a smooth picture in DN."""
+    rough = np.random.default_rng(seed).normal(0.0, 400.0, shape).astype(np.float32)
+    return np.asarray(cv2.GaussianBlur(rough, (0, 0), 3.0) + 100.0, np.float32)
+
+
+def place(right, down, degrees):
+    """Return a movement."""
+    cos, sin = math.cos(math.radians(degrees)), math.sin(math.radians(degrees))
+    return np.array([[cos, -sin, right], [sin, cos, down]])
+
+
+def moved(picture, movement):
+    """Return the picture that shows at each pixel's new place what the given one shows at the pixel."""
+    size = picture.shape[::-1]
+    return np.asarray(cv2.warpAffine(picture, movement, size, flags=cv2.INTER_CUBIC, borderMode=cv2.BORDER_REFLECT))
+
+
+@pytest.mark.parametrize("movement", [(0.0, 0.0, 0.0), (0.3, -0.2, 0.0), (1.5, 0.7, 0.4), (-2.0, 1.0, -0.8)])
+def test_the_movement_that_was_made_is_found(movement):
+    """To two of the 32nd parts of a pixel that OpenCV moves pictures by."""
+    here, there = scene(), moved(scene(), place(*movement))
+    correlation, found = Climb(here, there, np.ones(here.shape, np.uint8)).climbed(STILL, 60)
+    assert found == pytest.approx(place(*movement), abs=0.0625)
+    assert correlation > 0.99
+
+
+@pytest.mark.parametrize("pedestal_dn", [0.0, 3000.0, 30000.0])
+@pytest.mark.parametrize("left_out", ["nothing", "a rim", "a patch"])
+def test_little_contrast_on_a_pedestal_is_climbed(pedestal_dn, left_out):
+    """Thirty DN about a black level not subtracted, whatever is left out: to a tenth of a pixel at the corners.
+
+    Up to the edges of the picture: beyond them is no light of 0 DN.
+    """
+    movement = place(1.5, 0.7, 0.4)
+    here, there = (0.75 * picture - 75.0 for picture in (scene(4), moved(scene(4), movement)))
+    assert here.std() == pytest.approx(30.0, rel=0.2)
+    inside = np.full(here.shape, left_out != "a rim", np.uint8)
+    inside[8:-8, 8:-8] = 1
+    if left_out == "a patch":
+        inside[40:70, 90:160] = 0
+        there[45:65, 95:155] += 200.0
+    here, there = (np.asarray(one + pedestal_dn, np.float32) for one in (here, there))
+    correlation, found = Climb(here, there, inside).climbed(STILL, 60)
+    corners = np.array([(0.0, 0.0, 1.0), (199.0, 0.0, 1.0), (0.0, 149.0, 1.0), (199.0, 149.0, 1.0)])
+    assert np.linalg.norm(corners @ (found - movement).T, axis=1).max() < 0.1
+    assert correlation > 0.99
+
+
+def test_a_start_is_left_as_it_is():
+    """A climb may be made again from the same place."""
+    here, start = scene(), place(0.4, 0.0, 0.1)
+    pair, kept = Climb(here, moved(here, place(1.0, 0.0, 0.0)), np.ones(here.shape, np.uint8)), start.copy()
+    first, again = (pair.climbed(start, 5) for _ in range(2))
+    assert np.array_equal(start, kept)
+    assert first[0] == again[0]
+    assert np.array_equal(first[1], again[1])
+
+
+@pytest.mark.parametrize("way", ["flat", "opposite", "nothing shown"])
+def test_pictures_that_are_not_alike_are_reported(way):
+    """One without structure, one whose bright is the other's dark, and two of which nothing is shown."""
+    here = scene()
+    there = {"flat": np.full_like(here, 80.0), "opposite": 200.0 - here, "nothing shown": here}[way]
+    inside = np.full(here.shape, way != "nothing shown", np.uint8)
+    with pytest.raises(MeasurementError):
+        Climb(here, there, inside).climbed(STILL, 15)
+
+
+def test_stripes_are_left_where_they_are():
+    """A picture of one slope and its copy: no step is the right one along the stripes, and none is made."""
+    stripes = np.tile(100.0 + 50.0 * np.sin(np.arange(160.0) / 8.0), (90, 1)).astype(np.float32)
+    correlation, found = Climb(stripes, stripes, np.ones(stripes.shape, np.uint8)).climbed(STILL, 5)
+    assert correlation == pytest.approx(1.0, abs=1e-6)
+    assert found == pytest.approx(STILL, abs=1e-4)

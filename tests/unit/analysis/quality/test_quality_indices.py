@@ -10,8 +10,18 @@ import pytest
 
 from radiometer.analysis.quality.indices import Figure, v_lambda_mismatch
 from radiometer.analysis.quality.procedures import PROCEDURES
-from radiometer.analysis.quality.session import Evaluation, Index, evaluate
+from radiometer.analysis.quality.session import Evaluation, Index, evaluate, patch_of
 from radiometer.analysis.reading.budget import coverage_factor
+from radiometer.data import (
+    CameraDescription,
+    CaptureSet,
+    CaptureSetWriter,
+    Frame,
+    FrameSettings,
+    LensDescription,
+    Patch,
+    PatchDescription,
+)
 from radiometer.data.calibration import SpectralResponse
 from radiometer.errors import InputError
 from testing import quality_stations as stations
@@ -40,6 +50,20 @@ def test_index_finds_what_was_planted(name, plant, truth, known_to, tmp_path):
     figure = figure_of(tmp_path, name)
     assert held(figure, truth)
     assert figure.u < known_to * truth
+
+
+def test_a_capture_without_a_patch_is_read_in_its_middle(tmp_path):
+    """A tenth of the picture across and down; a stated patch, or that of the capture, goes before."""
+    own = PatchDescription(name="own", x=1, y=2, width=3, height=4)
+    for patches, stated, expected in (
+        ((), None, Patch(40, 27, 9, 6)),
+        ((own,), None, Patch(1, 2, 3, 4)),
+        ((own,), Patch(5, 6, 7, 8), Patch(5, 6, 7, 8)),
+    ):
+        folder = tmp_path / str(expected.x)
+        with CaptureSetWriter(folder, CameraDescription(bit_depth=12), LensDescription(), patches=patches) as writer:
+            writer.add(Frame(np.zeros((60, 90), np.uint16), 12, FrameSettings(1.0)))
+        assert patch_of(CaptureSet.read(folder), stated) == expected
 
 
 def test_linearity_follows_the_bend(tmp_path):

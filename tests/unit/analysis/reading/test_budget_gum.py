@@ -1,26 +1,54 @@
-"""The budget: linear against Monte Carlo, degrees of freedom, and what two readings share."""
+"""Uncertainty budgets by the Guide: its examples, a peer, and the law of propagation."""
 
 from __future__ import annotations
 
+import datetime as dt
 import math
 from dataclasses import replace
 
+import GTC
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
+from radiometer.analysis.characterise.line_fit import fit_line, is_bent
 from radiometer.analysis.reading import budget
-from radiometer.analysis.reading.budget import Term
+from radiometer.analysis.reading.budget import (
+    Term,
+    combined_u,
+    coverage_factor,
+    difference,
+    effective_degrees_of_freedom,
+    mean,
+    ratio,
+    shares,
+)
 from radiometer.analysis.reading.monte_carlo import Distribution, propagate_distributions
 from radiometer.analysis.reading.reading import patch_situation, read_patch
-from radiometer.data import BlackLevel, Contribution, FlatField, Patch, Quantity, Reading, Scale, StatedUncertainties
+from radiometer.data import (
+    BlackLevel,
+    Contribution,
+    FlatField,
+    LensDescription,
+    Patch,
+    Quantity,
+    Reading,
+    Scale,
+    ScaleConditions,
+    StatedUncertainties,
+)
 from radiometer.data.setup import Setup
 from radiometer.errors import MeasurementError
+from testing.golden import gum
 
 # What a test of single contributions leaves out: everything outside the model.
 EXACT = StatedUncertainties(**dict.fromkeys(StatedUncertainties.model_fields, 0.0))
+
 FLAT = FlatField(
     principal_point_px=(8.0, 8.0), radius_px=12.0, coefficients=(-0.1, 0.0, 0.0), shape=(16, 16), u_rel=0.01
 )
+
 # (light as a part of full scale, exposures in s, what differs in the calibration)
 TEN = [
     (0.5, (1e-3,), {}),
@@ -165,3 +193,248 @@ def test_ends_agree_to_half_of_the_second_digit_of_u(u: float) -> None:
     assert told["tolerance"] == pytest.approx(max(half_digit, 0.05 * u))
     if u == 0.01:
         assert (told["low_differs_by"], told["high_differs_by"]) == pytest.approx((0.0, 0.002))
+
+
+positive = st.floats(0.1, 10.0)
+
+parts = st.floats(0.001, 0.1)
+
+
+def test_the_end_gauge():
+    """H.1: u = 32 nm of 16 degrees of freedom, k = 2.92 for 99 %, U = 93 nm."""
+    terms = [Term(str(n), u, degrees_of_freedom=freedom) for n, (u, freedom) in enumerate(gum.END_GAUGE)]
+    assert combined_u(terms) == pytest.approx(gum.END_GAUGE_U_NM, abs=0.5)
+    freedom = effective_degrees_of_freedom(terms)
+    assert math.floor(freedom) == gum.END_GAUGE_FREEDOM
+    factor = coverage_factor(math.floor(freedom), 0.99)
+    assert round(factor, 2) == gum.END_GAUGE_K99
+    assert factor * combined_u(terms) == pytest.approx(gum.END_GAUGE_U99_NM, abs=1.0)
+
+
+def test_the_end_gauge_s_smaller_contributions():
+    """H.1: the comparator's 9.7 nm with 25.6 degrees of freedom; expansion 2.9 nm and temperature 16.6 nm."""
+    parts = [Term(str(n), u, degrees_of_freedom=freedom) for n, (u, freedom) in enumerate(gum.COMPARATOR)]
+    (_, (comparator, freedom), (expansion, _), (temperature, _)) = gum.END_GAUGE
+    assert round(combined_u(parts), 1) == comparator
+    rounded_first = (comparator / combined_u(parts)) ** 4  # as the Guide does
+    assert round(effective_degrees_of_freedom(parts) * rounded_first, 1) == freedom
+    assert pytest.approx(expansion, abs=0.05) == gum.GAUGE_NM * gum.U_EXPANSION_PER_K * gum.DEVIATION_K
+    assert pytest.approx(temperature, abs=0.05) == gum.GAUGE_NM * gum.EXPANSION_PER_K * gum.U_DIFFERENCE_K
+
+
+def test_the_impedance_of_correlated_voltage_and_current():
+    """H.2: V/I of means that five simultaneous observations correlate by −0.36 is 254.260 Ω with u = 0.236 Ω."""
+    values = np.array([gum.VOLTAGE, gum.CURRENT_MA])
+    covariance = np.cov(values) / values.shape[1]
+    (v, i), (u_v, u_i) = values.mean(axis=1), np.sqrt(np.diag(covariance))
+    assert (round(u_v, 4), round(u_i, 4)) == (gum.VOLTAGE_U, gum.CURRENT_U_MA)
+    assert round(covariance[0, 1] / (u_v * u_i), 2) == gum.CORRELATION
+    shared = math.sqrt(-covariance[0, 1] / (v * i))  # what raises the one and lowers the other
+    readings = [
+        Reading(Quantity(x, u, "1"), Patch(0, 0, 1, 1), "1", budget=(Contribution("both", part, correlated=True),))
+        for x, u, part in ((v, u_v, shared), (i / 1e3, u_i / 1e3, -shared))
+    ]
+    found = ratio(*readings)
+    assert round(found.value, 2) == round(gum.IMPEDANCE, 2)
+    assert found.u == pytest.approx(gum.IMPEDANCE_U, abs=0.0005)
+    each = values[0] / values[1] * 1e3  # H.2.4: the mean of the five ratios has the same
+    assert found.u == pytest.approx(each.std(ddof=1) / math.sqrt(5), rel=2e-3)
+
+
+@pytest.mark.parametrize("row", gum.STUDENT, ids=[f"{row[0]} degrees" for row in gum.STUDENT])
+def test_student_s_factors(row):
+    """Table G.2 to its digits, for three probabilities."""
+    freedom, *factors = row
+    found = [coverage_factor(freedom, probability) for probability in (0.6827, 0.9545, 0.9973)]
+    assert found == pytest.approx(factors, rel=1e-3, abs=0.0051)
+
+
+def test_the_thermometer():
+    """H.3: line, uncertainties and scatter; readings of unit weight with the scatter in the Birge ratio."""
+    t, b = np.array(gum.THERMOMETER).T
+    line = fit_line(t, b, np.full(t.size, 1e-6))
+    assert (round(line.intercept, 4), round(line.u_intercept, 4)) == gum.THERMOMETER_INTERCEPT
+    assert (round(line.slope, 5), round(line.u_slope, 5)) == gum.THERMOMETER_SLOPE
+    assert round(line.birge_ratio * 1e-6, 4) == gum.THERMOMETER_SCATTER
+    assert line.degrees_of_freedom == 9
+    honest = fit_line(t, b, np.full(t.size, 1.0))  # scatter below what is stated narrows nothing
+    assert honest.u_slope == pytest.approx(1.0 / math.sqrt(float(((t - t.mean()) ** 2).sum())))
+
+
+def test_a_line_through_the_origin_and_one_of_unequal_weights():
+    """Σwxy/Σwx²; and the weighted mean and slope by hand."""
+    x, y, u = np.array([1.0, 2.0, 4.0]), np.array([1.1, 1.9, 4.2]), np.array([0.1, 0.2, 0.4])
+    tied = fit_line(x, y, u, through_origin=True)
+    w = u**-2
+    assert tied.slope == pytest.approx((w * x * y).sum() / (w * x * x).sum())
+    assert (tied.intercept, tied.u_intercept, tied.degrees_of_freedom) == (0.0, 0.0, 2)
+    assert tied.u_slope == pytest.approx((w * x * x).sum() ** -0.5 * max(1.0, tied.birge_ratio))
+    line = fit_line(x, y, u)
+    middle_x, middle_y = (w * x).sum() / w.sum(), (w * y).sum() / w.sum()
+    slope = (w * (x - middle_x) * (y - middle_y)).sum() / (w * (x - middle_x) ** 2).sum()
+    assert line.slope == pytest.approx(slope)
+    assert line.intercept == pytest.approx(middle_y - slope * middle_x)
+    with pytest.raises(ValueError, match="1 points"):
+        fit_line([1.0], [1.0], [1.0])
+
+
+def test_a_bend_is_seen_above_the_noise_only():
+    """y = x + 0.01·x² over 0 to 10 bends by many u of 0.001 and by none of 1; three points show no bend."""
+    x = np.linspace(0.0, 10.0, 21)
+    for tied in (False, True):
+        assert is_bent(x, x + 0.01 * x**2, np.full(21, 1e-3), through_origin=tied)
+        assert not is_bent(x, x + 0.01 * x**2, np.full(21, 1.0), through_origin=tied)
+    assert not is_bent(x[:3], x[:3] ** 2, np.full(3, 1e-3))
+
+
+def reading(value, own, shared):
+    u = abs(value) * math.hypot(own, shared)
+    lines = (Contribution("noise", own), Contribution("scale", shared, correlated=True))
+    return Reading(Quantity(value, u, "1"), Patch(0, 0, 1, 1), "1", budget=lines)
+
+
+@given(positive, positive, parts, parts, parts)
+def test_what_two_readings_share(a, b, own_a, own_b, shared):
+    """F.1.2.3 by hand: it drops out of a ratio, counts with the difference in a difference, and whole in a mean."""
+    one, two = reading(a, own_a, shared), reading(b, own_b, shared)
+    assert ratio(one, two).value == pytest.approx(a / b)
+    assert ratio(one, two).u == pytest.approx(a / b * math.hypot(own_a, own_b), rel=1e-6)
+    expected = math.sqrt((a * own_a) ** 2 + (b * own_b) ** 2 + (shared * (a - b)) ** 2)
+    assert difference(one, two).u == pytest.approx(expected, rel=1e-6)
+    together = mean([one, two])
+    expected = math.sqrt((a * own_a) ** 2 + (b * own_b) ** 2 + (shared * (a + b)) ** 2) / 2
+    assert (together.value, together.u) == (pytest.approx((a + b) / 2), pytest.approx(expected, rel=1e-6))
+
+
+@given(st.lists(parts, min_size=1, max_size=6), st.floats(1.0, 100.0))
+def test_contributions_add_in_squares_and_lines_are_relative(parts, value):
+    """u² = Σu², shares sum to one in falling order, a line is u over the value."""
+    terms = [Term(str(n), u * value) for n, u in enumerate(parts)]
+    assert combined_u(terms) == pytest.approx(value * math.sqrt(sum(u**2 for u in parts)))
+    lines = [term.contribution(value) for term in terms]
+    assert [line.u_rel for line in lines] == pytest.approx(parts)
+    found = shares(lines)
+    assert sum(share for _, share in found) == pytest.approx(1.0)
+    assert [line.u_rel for line, _ in found] == pytest.approx(sorted(parts, reverse=True))
+    assert [share for _, share in shares([Contribution("nothing", 0.0)] * 2)] == [0.0, 0.0]
+    assert effective_degrees_of_freedom(terms) == math.inf
+    assert coverage_factor(math.inf) == pytest.approx(2.0, abs=1e-3)
+
+
+NOTHING = StatedUncertainties(**dict.fromkeys(StatedUncertainties.model_fields, 0.0))
+
+PATCH = Patch(1, 1, 10, 10)
+
+NOON = dt.datetime(2026, 1, 1, 12, tzinfo=dt.UTC)
+
+
+def only(**figures):
+    return NOTHING.model_copy(update=figures)
+
+
+def calibrated(rig, stated, conditions=None, **scale):
+    """Return a calibration with stated uncertainties; u of the black level 0."""
+    black = BlackLevel(dn=64.0, u_dn=0.0, dark_u_rel=0.0)
+    base = rig.calibration(uncertainties=stated, black_level=black, created=NOON.isoformat())
+    update = {"conditions": conditions or ScaleConditions(temperature_c=25.0), **scale}
+    return replace(base, scale=base.scale.model_copy(update=update))
+
+
+def frames_of(rig, level=0.5, exposures=(1e-3,) * 5, seed=3):
+    scene = np.full((12, 12), level * rig.radiance_of_full_scale(1e-3))
+    return rig.frames(scene, np.random.default_rng(seed), exposures)
+
+
+def noise_of(rig, frames, calibration, lens=None):
+    """Return the uncertain mean signal per s of frames of one exposure, in DN, from numbers of photons alone."""
+    mean = float(np.mean([frame.dn[PATCH.slices].mean() for frame in frames])) - rig.black_dn
+    electrons = mean * rig.gain_e_per_dn
+    variance = electrons + rig.read_e**2 + rig.gain_e_per_dn**2 / 12.0
+    sigma = math.sqrt(variance / (100.0 * len(frames))) / rig.gain_e_per_dn
+    return GTC.ureal(mean, sigma) / frames[0].settings.exposure_s
+
+
+def lens_sr(number=4.0, tau=1.0):
+    return math.pi * tau / (4.0 * number * number)
+
+
+def agrees(reading, expected):
+    """Tell whether value, u and degrees of freedom are those of GTC to 1 %."""
+    assert reading.radiance.value == pytest.approx(expected.x, rel=1e-3)
+    assert reading.radiance.u == pytest.approx(expected.u, rel=0.01)
+    if math.isfinite(expected.df):
+        assert reading.degrees_of_freedom == pytest.approx(expected.df, rel=0.01)
+
+
+def test_scale_of_few_degrees_of_freedom(rig):
+    """A scale from five repeats, 2 %, and the noise of dim light: L = s·x/(t·π/4N²), degrees of freedom and k too."""
+    calibration = calibrated(rig, NOTHING, u_rel=0.02, degrees_of_freedom=4.0)
+    frames = frames_of(rig, level=0.0005, seed=1)  # frames and pixels that by chance scatter by no more than noise
+    found = read_patch(frames, PATCH, Setup(rig.description, rig.lens, calibration), now=NOON)
+    value = rig.true_scale
+    expected = GTC.ureal(value, 0.02 * value, 4.0) * noise_of(rig, frames, calibration) / lens_sr()
+    agrees(found, expected)
+    assert found.coverage_factor == pytest.approx(GTC.reporting.k_factor(found.degrees_of_freedom, 95.45), rel=0.01)
+
+
+def test_another_stop_and_a_filter(rig):
+    """f/8 for f/4 to 2 %, τ = 0.09 to 3 % for 0.9 to 1 %, a scale to 0.5 %: powers and quotients."""
+    lens = LensDescription(focal_length_mm=16.0, f_number=4.0, transmittance=0.9, transmittance_u_rel=0.01)
+    calibration = replace(calibrated(rig, only(f_number_u_rel=0.02), u_rel=0.005), lens=lens)
+    frames = [replace(f, settings=replace(f.settings, f_number=8.0)) for f in frames_of(rig)]
+    used = LensDescription(f_number=8.0, transmittance=0.09, transmittance_u_rel=0.03)
+    found = read_patch(frames, PATCH, Setup(rig.description, used, calibration), now=NOON)
+    tau, reference = GTC.ureal(0.09, 0.09 * 0.03), GTC.ureal(0.9, 0.009)
+    number = GTC.ureal(8.0, 0.16)
+    value = rig.true_scale
+    scale = GTC.ureal(value, 0.005 * value) * 0.9 / reference  # the scale was got through the clear lens
+    expected = scale * noise_of(rig, frames, calibration) * 4.0 * number**2 / (math.pi * tau)
+    agrees(found, expected * (reference.x / 0.9))
+
+
+def test_an_exposure_offset_that_calibration_and_reading_share(rig):
+    """The same unknown 3 µs in the calibration's 4 ms and the reading's 1 ms: L = L₀·(x/(t + δ))/(x₀/(t₀ + δ))."""
+    stated = only(exposure_u_s=3e-6)
+    calibration = calibrated(rig, stated, ScaleConditions(inverse_exposure_per_s=250.0, temperature_c=25.0))
+    frames = frames_of(rig)
+    found = read_patch(frames, PATCH, Setup(rig.description, rig.lens, calibration), now=NOON)
+    offset = GTC.ureal(0.0, 3e-6)
+    signal = noise_of(rig, frames, calibration) * 1e-3
+    scale_of_true_time = rig.true_scale * (4e-3 + offset) / 4e-3
+    agrees(found, scale_of_true_time * signal / ((1e-3 + offset) * lens_sr()))
+
+
+def test_a_temperature_coefficient_that_both_share(rig):
+    """Reading at 25 °C under a calibration at 13 °C, the coefficient 0 ± 0.1 %/K in both responsivities."""
+    stated = only(temperature_u_rel_per_k=1e-3)
+    calibration = calibrated(rig, stated, ScaleConditions(temperature_c=13.0), u_rel=0.004)
+    frames = frames_of(rig)
+    found = read_patch(frames, PATCH, Setup(rig.description, rig.lens, calibration), now=NOON)
+    slope, value = GTC.ureal(0.0, 1e-3), rig.true_scale
+    scale = GTC.ureal(value, 0.004 * value) * (1.0 + slope * 13.0)
+    agrees(found, scale * noise_of(rig, frames, calibration) / (lens_sr() * (1.0 + slope * 25.0)))
+
+
+def test_veiling_glare_that_both_share(rig):
+    """A surround four times the patch, 2 times at calibration: L = m − g·(S − S₀·L) with the same g in both."""
+    scene = np.full((48, 48), 0.8 * rig.radiance_of_full_scale(1e-3))
+    scene[16:32, 16:32] /= 4.0
+    frames = rig.frames(scene, np.random.default_rng(3), (1e-3,) * 5)
+    calibration = calibrated(rig, only(glare_u=0.01), ScaleConditions(temperature_c=25.0, surround=2.0))
+    found = read_patch(frames, Patch(19, 19, 10, 10), Setup(rig.description, rig.lens, calibration), now=NOON)
+    glare, patch = GTC.ureal(0.0, 0.01), float(scene[24, 24])
+    seen = found.radiance.value
+    expected = seen - glare * (float(scene.mean()) / patch * seen - 2.0 * seen)
+    noise = next(line.u_rel for line in found.budget if line.name == "repeatability") * seen
+    assert found.radiance.u == pytest.approx(math.hypot(expected.u, noise), rel=0.01)
+
+
+def test_a_ratio_of_readings_that_share_their_scale(rig):
+    """Two radiances by one calibration known to 5 %: what is left of their ratio is the noise of both."""
+    calibration = calibrated(rig, NOTHING, u_rel=0.05)
+    several = [frames_of(rig, level, seed=seed) for level, seed in ((0.02, 1), (0.01, 9))]
+    readings = [read_patch(f, PATCH, Setup(rig.description, rig.lens, calibration), now=NOON) for f in several]
+    scale = GTC.ureal(rig.true_scale, 0.05 * rig.true_scale)
+    first, second = (scale * noise_of(rig, f, calibration) / lens_sr() for f in several)
+    found, expected = budget.ratio(*readings), first / second
+    assert found.u == pytest.approx(expected.u, rel=0.01)

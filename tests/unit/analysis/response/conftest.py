@@ -1,4 +1,4 @@
-"""Stacks through known responses, made here from nothing that the analysis uses."""
+"""Stacks through known responses, made here from nothing that the analysis uses, and the samples of one."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ import pytest
 from numpy.typing import NDArray
 from scipy.interpolate import PchipInterpolator
 
+from radiometer.analysis.response.samples import ResponseSamples, gather_samples
 from radiometer.data import Bracket, Frame, FrameSettings, ResponseCurve
 
 Response = Callable[[NDArray[np.float64]], NDArray[np.float64]]
@@ -144,3 +145,12 @@ def inner_error(
         return (curve.log_exposure - true_log_exposure(response, curve.bit_depth))[inside]
 
     return errors
+
+
+@pytest.fixture(scope="session")
+def samples() -> ResponseSamples:
+    """Return samples of a straight line over exposures of 0.5, 1, 2 and 4 s."""
+    radiance = np.exp(np.random.default_rng(1).uniform(-4.0, 0.0, (64, 64)))
+    times = (0.5, 1.0, 2.0, 4.0)
+    frames = [Frame(np.clip(np.round(radiance * t * 250), 0, 255).astype(np.uint8), 8, FrameSettings(t)) for t in times]
+    return gather_samples(Bracket.from_frames(frames))

@@ -84,22 +84,14 @@ USB = [
 ]
 
 
-@pytest.mark.parametrize("name", ["0138C343", "0138c343", "20497219", "FLIR-1E100138C343-0138C343"])
-def test_a_usb_camera_is_found_by_either_notation_of_its_number(name):
+@pytest.mark.parametrize(
+    ("name", "serial"),
+    [*((n, "0138C343") for n in ("0138C343", "0138c343", "20497219", "FLIR-1E100138C343-0138C343")),
+     *((n, "22500002") for n in ("22500002", "FLIR-22500002-01"))],
+)  # fmt: skip
+def test_a_camera_is_found_by_id_and_by_any_notation_of_its_number(name, serial):
     """USB reports the number in hexadecimal, its label and people in decimal: both mean the same camera."""
-    assert find_camera(SimpleNamespace(), name, lambda: USB).serial == "0138C343"
-
-
-def test_an_unknown_usb_camera_is_reported_with_both_notations():
-    """Those that answer are listed with the number on their label too."""
-    with pytest.raises(DeviceNotFound, match=r"serial 0138C344 \(20497220\)"):
-        find_camera(SimpleNamespace(), "20497218", lambda: USB)
-
-
-@pytest.mark.parametrize("name", ["22500002", "FLIR-22500002-01"])
-def test_a_camera_is_found_by_serial_number_or_id(name):
-    """Serial number and device id mean the same camera."""
-    assert find_camera(SimpleNamespace(), name, lambda: TWO).serial == "22500002"
+    assert find_camera(SimpleNamespace(), name, lambda: TWO + USB).serial == serial
 
 
 def test_an_address_needs_no_discovery():
@@ -111,16 +103,18 @@ def test_an_address_needs_no_discovery():
     assert find_camera(SimpleNamespace(), "127.0.0.1", never).device_id == "127.0.0.1"
 
 
-def test_an_unknown_name_is_reported_with_those_that_answer():
-    """The message lists ids and serial numbers."""
-    with pytest.raises(DeviceNotFound, match=r"no camera 7 answers.*FLIR-22500001-01 \(serial 22500001\)"):
-        find_camera(SimpleNamespace(), "7", lambda: TWO)
-
-
-def test_several_cameras_and_no_name_is_an_error():
-    """Without a name there must be just one camera."""
-    with pytest.raises(DeviceNotFound, match="several cameras answer; name one"):
-        find_camera(SimpleNamespace(), None, lambda: TWO)
+@pytest.mark.parametrize(
+    ("name", "there", "message"),
+    [
+        ("7", TWO, r"no camera 7 answers.*FLIR-22500001-01 \(serial 22500001\)"),
+        ("20497218", USB, r"serial 0138C344 \(20497220\)"),
+        (None, TWO, "several cameras answer; name one"),
+    ],
+)
+def test_an_unknown_name_or_none_of_several_is_reported_with_those_that_answer(name, there, message):
+    """The message lists ids and serial numbers, those of USB in both notations."""
+    with pytest.raises(DeviceNotFound, match=message):
+        find_camera(SimpleNamespace(), name, lambda: there)
 
 
 def raw_frame(**chunks: float) -> RawFrame:

@@ -1,19 +1,31 @@
-"""What opening a camera does with features that are locked, refuse, or want another value."""
+"""Opening a camera: checks, quirks, features and access to settings."""
 
 from __future__ import annotations
 
+import re
+from dataclasses import replace
 from types import SimpleNamespace
 
 import pytest
 
-from drivers.cameras import camera_opening
-from drivers.cameras.camera_checks import check_features
+from drivers.cameras import aravis_camera, camera_opening
+from drivers.cameras.aravis_camera import AravisCamera
+from drivers.cameras.camera_checks import USB3_BYTES_S, check_features
 from drivers.cameras.camera_opening import open_session
-from drivers.cameras.camera_quirks import quirks_for
+from drivers.cameras.camera_quirks import CameraMatch, load_preset, quirks_for
 from drivers.cameras.chunk_data import changed_chunks, switch_on_chunks
+from drivers.cameras.feature_access import FeatureAccess, translated
+from drivers.cameras.feature_hygiene import (
+    FALSIFYING_FEATURES,
+    FalsifyingFeature,
+    HygieneFinding,
+    switch_off_falsifiers,
+)
 from drivers.cameras.link_throughput import LIMIT, SPEED, choose_throughput
-from radiometer.devices import CameraIdentity, CameraSettings, Health
-from radiometer.errors import DeviceInUse, DeviceLost
+from drivers.cameras.settings_access import SettingsAccess
+from radiometer.data.config_files import shipped_config
+from radiometer.devices import CameraIdentity, CameraSettings, Health, Roi
+from radiometer.errors import ConfigurationError, DeviceError, DeviceInUse, DeviceLost, SettingOutOfRange
 
 OFFERED = ("Image", "CRC", "FrameID", "ExposureTime", "Gain", "BlackLevel")
 
@@ -66,29 +78,21 @@ def test_chunks_are_switched_on_one_by_one(chunked):
     assert notes == []
 
 
-def test_a_chunk_that_is_locked_is_noted_and_done_without(chunked):
-    """The others are switched on all the same, and the note says what it means."""
-    camera, features = chunked(locked=("Gain",))
+@pytest.mark.parametrize(
+    ("camera_has", "chunks", "note"),
+    [
+        ({"locked": ("Gain",)}, ("ExposureTime", "BlackLevel"), "camera W1: the camera refused ([ChunkEnable] node is"),
+        ({"locked": ("Gain",), "on": ("Gain",)}, ("ExposureTime", "Gain", "BlackLevel"), None),
+        ({"refused": ("ChunkModeActive",)}, (), "thrown away by number"),
+    ],
+)
+def test_what_is_locked_or_refused_is_noted_and_done_without(chunked, camera_has, chunks, note):
+    """The others are switched on all the same; a locked switch that is on already is used."""
+    camera, features = chunked(**camera_has)
     notes: list[str] = []
-    assert switch_on_chunks(camera, features, notes) == ("ExposureTime", "BlackLevel")
-    assert len(notes) == 1
-    assert "no chunk Gain (camera W1: the camera refused ([ChunkEnable] node is locked)" in notes[0]
-
-
-def test_a_locked_chunk_that_is_on_already_is_used(chunked):
-    """A switch that cannot be turned need not be where it stands right."""
-    camera, features = chunked(locked=("Gain",), on=("Gain",))
-    notes: list[str] = []
-    assert switch_on_chunks(camera, features, notes) == ("ExposureTime", "Gain", "BlackLevel")
-    assert notes == []
-
-
-def test_a_camera_that_refuses_the_chunk_mode_opens_without_chunks(chunked):
-    """A refused ChunkModeActive is a note; that the camera vanished is an error."""
-    camera, features = chunked(refused=("ChunkModeActive",))
-    notes: list[str] = []
-    assert switch_on_chunks(camera, features, notes) == ()
-    assert "thrown away by number" in notes[0]
+    assert switch_on_chunks(camera, features, notes) == chunks
+    assert len(notes) == (note is not None)
+    assert note is None or note in notes[0]
 
 
 def test_a_camera_that_vanishes_among_its_chunks_is_lost(chunked, library_error):
@@ -186,3 +190,356 @@ def test_an_open_usb_camera_reports_its_link_itself(wooden_camera, speed, health
     assert found["link"].health is health
     assert ("USB 3 port" in found["link"].cure) is (health is Health.WARNING)
     assert (found["opening"].health, found["opening"].message) == (Health.NOTE, "it was so")
+
+
+@pytest.mark.parametrize(
+    ("vendor", "model", "info", "discarded"),
+    [
+        ("FLIR", "Blackfly S BFS-U3-19S4M", "", 2),
+        ("Point Grey Research", "BFS-PGE-19S4M", "", 2),
+        ("FLIR", "BFS-U3-19S4M", "simulated by radiometer", 0),
+        ("Aravis", "Fake", "none", 0),
+        ("Basler", "acA1920-40gm", "", 2),
+    ],
+)
+def test_a_family_is_known_by_vendor_model_and_info(vendor, model, info, discarded):
+    """Each family gets its own file, an unknown one the cautious default."""
+    assert quirks_for(vendor, model, info).discard_after_change == discarded
+
+
+@pytest.mark.parametrize(
+    "model", ["BFS-U3-19S4M", "Blackfly S BFS-U3-19S4M", "BFS-PGE-19S4M", "Blackfly S BFS-PGE-19S4M-C"]
+)
+def test_the_target_and_its_twin_find_their_preset(model):
+    """USB3 and GigE model share a sensor and therefore a preset."""
+    preset = quirks_for("FLIR", model).preset_of(model)
+    assert preset is not None
+    assert preset.model == "BFS-U3-19S4M"
+
+
+def test_a_model_without_a_preset_has_none():
+    """A Blackfly S of another sensor does not get the target's figures."""
+    assert quirks_for("FLIR", "BFS-U3-51S5M").preset_of("BFS-U3-51S5M") is None
+
+
+def test_every_figure_of_a_quirk_file_has_a_source():
+    """What a quirk file sets beyond the default is explained."""
+    for path in shipped_config("cameras/quirks/generic.yaml").parent.glob("*.yaml"):
+        text = path.read_text(encoding="utf-8")
+        assert "sources:" in text, path
+        assert "  discard_after_change:" in text, path
+
+
+def test_an_unknown_preset_is_refused_with_those_that_there_are():
+    """The message lists the presets."""
+    with pytest.raises(ConfigurationError, match=r"BFS-U3-19S4M\.yaml"):
+        load_preset("BFS-U3-99")
+
+
+def test_a_pattern_must_fit_the_whole_name():
+    """A pattern does not fit a name that merely begins alike."""
+    assert not CameraMatch(vendor="FLIR", model="BFS-U3-19S4M").fits("FLIR", "BFS-U3-19S4M-SPECIAL")
+
+
+GAMMA = FalsifyingFeature("GammaEnable", False, "digital numbers are bent")
+
+SHARP = FalsifyingFeature("SharpeningEnable", False, "edges shine")
+
+
+class Features:
+    """Features that answer what they are given."""
+
+    def __init__(self, **values):
+        self.values = values
+
+    def read_if_there(self, name, kind):
+        return self.values.get(name)
+
+    def call(self, function):
+        return function()
+
+
+def camera(*, hygiene=(), notes=(), gige=False, packet=1400, believed=0, **features):
+    session = SimpleNamespace(
+        hygiene=hygiene,
+        notes=notes,
+        identity=SimpleNamespace(interface="eth0" if gige else ""),
+        quirks=SimpleNamespace(mono16_left_aligned_bits=believed),
+        features=Features(**features),
+        camera=SimpleNamespace(is_gv_device=lambda: gige, gv_get_packet_size=lambda: packet),
+    )
+    return SimpleNamespace(session=session)
+
+
+def found(name, **reported):
+    return [f for f in check_features(camera(**reported)) if f.check == name]
+
+
+def test_what_falsifies_and_could_not_be_switched_off_is_a_fault():
+    """With the way out; what was switched off is a note, what was off already is named together."""
+    hygiene = (
+        HygieneFinding(GAMMA, True, True, "still_on", "it is locked"),
+        HygieneFinding(SHARP, True, False, "switched_off", ""),
+    )
+    (gamma,), (sharp,) = (found(f"feature {name}", hygiene=hygiene) for name in ("GammaEnable", "SharpeningEnable"))
+    assert (gamma.health, sharp.health) == (Health.FAULT, Health.NOTE)
+    assert "power-on user set" in gamma.cure
+    assert "was True and has been switched off, else edges shine" in sharp.message
+    assert found("features", hygiene=hygiene) == []
+    off = tuple(HygieneFinding(one, False, False, "off", "") for one in (GAMMA, SHARP))
+    (together,) = found("features", hygiene=off)
+    assert (together.health, together.message) == (Health.OK, "off as they must be: GammaEnable, SharpeningEnable")
+    (none,) = found("features")
+    assert none.health is Health.NOTE
+
+
+@pytest.mark.parametrize(("packet", "health"), [(1400, Health.NOTE), (1500, Health.NOTE), (8952, Health.OK)])
+def test_small_packets_are_noted(packet, health):
+    """Up to 1500 bytes the interface's MTU may be raised."""
+    (link,) = found("link", gige=True, packet=packet)
+    assert link.health is health
+    assert f"packets of {packet} bytes" in link.message
+    assert bool(link.cure) is (health is Health.NOTE)
+
+
+@pytest.mark.parametrize(
+    ("speed", "health"),
+    [(None, Health.OK), (USB3_BYTES_S, Health.OK), (USB3_BYTES_S - 1, Health.WARNING), (48_000_000, Health.WARNING)],
+)
+def test_a_usb_2_link_is_a_warning(speed, health):
+    """500 MB/s are USB 3; what is not reported is not judged."""
+    (link,) = found("link", DeviceLinkSpeed=speed)
+    assert link.health is health
+    assert ("USB 2 link" in link.message) is (health is Health.WARNING)
+
+
+@pytest.mark.parametrize(
+    ("depth", "believed", "warned"),
+    [("Bit12", 12, False), ("Bit10", 12, True), ("Bit10", 0, False), ("Bit99", 12, False), (None, 12, False)],
+)
+def test_mono16_that_lies_otherwise_than_believed_is_a_warning(depth, believed, warned):
+    """Only where both the converter's depth and the quirk file's are known and differ."""
+    findings = found("Mono16", believed=believed, AdcBitDepth=depth)
+    assert [f.health for f in findings] == ([Health.WARNING] if warned else [])
+
+
+WANTED = CameraSettings(0.005, gain_db=6.0, black_level_dn=81.9, pixel_format="Mono12p", roi=Roi(16, 8, 64, 48))
+
+
+class WoodenAravis:
+    """Remembers what it was set to, in its own units."""
+
+    def __init__(self) -> None:
+        self.set = {"exposure_time": 10_000.0, "gain": 0.0, "black_level": 0.0}
+        self.format, self.region = "Mono8", (0, 0, 1616, 1240)
+
+    def is_feature_available(self, _name: str) -> bool:
+        return False
+
+    def is_gain_available(self) -> bool:
+        return True
+
+    is_black_level_available = is_gain_available
+
+    def is_binning_available(self) -> bool:
+        return False
+
+    def get_exposure_time_bounds(self) -> tuple[float, float]:
+        return (11.0, 30e6)
+
+    def get_gain_bounds(self) -> tuple[float, float]:
+        return (0.0, 47.9943)
+
+    def get_black_level_bounds(self) -> tuple[float, float]:
+        return (0.0, 12.5)
+
+    def dup_available_pixel_formats_as_strings(self) -> list[str]:
+        return ["Mono8", "Mono12p", "Mono16", "BayerRG8"]
+
+    def get_sensor_size(self) -> SimpleNamespace:
+        return SimpleNamespace(width=1616, height=1240)
+
+    def get_pixel_format_as_string(self) -> str:
+        return self.format
+
+    def set_pixel_format_from_string(self, name: str) -> None:
+        self.format = name
+
+    def set_region(self, *region: int) -> None:
+        self.region = region
+
+    def get_region(self) -> SimpleNamespace:
+        return SimpleNamespace(**dict(zip(("x", "y", "width", "height"), self.region, strict=True)))
+
+    def get_device(self) -> SimpleNamespace:
+        return SimpleNamespace(get_feature=lambda _name: SimpleNamespace(get_unit=lambda: "%"))
+
+    def __getattr__(self, name: str):
+        kind, _, setting = name.partition("_")
+        if kind == "set" and setting in self.set:
+            return lambda value: self.set.__setitem__(setting, value)
+        if kind == "get" and setting in self.set:
+            return lambda: self.set[setting]
+        if name.endswith("_increment"):
+            return lambda: 4
+        raise AttributeError(name)
+
+
+@pytest.fixture
+def access(library_error) -> SettingsAccess:
+    """Return the settings of a wooden Blackfly."""
+    camera = WoodenAravis()
+    features = FeatureAccess(camera, "camera W1", library_error)
+    return SettingsAccess(camera, features, quirks_for("FLIR", "BFS-U3-19S4M"), "camera W1")
+
+
+def test_the_camera_is_sent_microseconds_and_per_cent(access):
+    """5 ms are 5000 µs; 81.9 DN of 4095 are 2 %; 6 dB are 6 dB."""
+    access.write(WANTED)
+    assert access.camera.set == pytest.approx({"exposure_time": 5000.0, "gain": 6.0, "black_level": 2.0})
+    assert access.camera.region == (16, 8, 64, 48)
+
+
+def test_what_is_read_back_is_what_the_camera_says(access):
+    """Its own rounding comes back in s, dB and DN: 4999.16 µs are not 5 ms."""
+    access.write(WANTED)
+    access.camera.set.update(exposure_time=4999.16, gain=5.9998, black_level=1.953125)
+    found = access.read()
+    assert found.exposure_s == pytest.approx(4.99916e-3, rel=1e-12)
+    assert (found.gain_db, found.pixel_format, found.roi) == (5.9998, "Mono12p", Roi(16, 8, 64, 48))
+    assert found.black_level_dn == pytest.approx(79.98046875)
+
+
+@pytest.mark.parametrize(("name", "full_scale"), [("Mono8", 255), ("Mono12p", 4095), ("Mono16", 4095)])
+def test_limits_come_in_seconds_and_in_the_formats_own_numbers(access, name, full_scale):
+    """Mono16 of this family holds twelve bits, so that a per cent of black level is 40.95 DN in it too."""
+    limits = access.capabilities(name)
+    assert limits.exposure_s == pytest.approx((11e-6, 30.0))
+    assert limits.black_level_dn == pytest.approx((0.0, 0.125 * full_scale))
+    assert limits.pixel_formats == ("Mono8", "Mono12p", "Mono16", "BayerRG8")
+
+
+@pytest.mark.parametrize("exposure_s", [10e-6, 31.0])
+def test_nothing_is_written_where_a_value_is_out_of_range(access, exposure_s):
+    """The refusal gives the limits in s, and the camera keeps what it had."""
+    before = dict(access.camera.set)
+    with pytest.raises(SettingOutOfRange, match=r"allowed is 1\.1e-05 to 30 s"):
+        access.check(replace(WANTED, exposure_s=exposure_s))
+    assert access.camera.set == before
+
+
+@pytest.mark.parametrize("error", [DeviceInUse("held by another"), DeviceLost("gone"), DeviceError("refused")])
+def test_an_opening_that_fails_says_why_and_can_be_tried_again(monkeypatch, error):
+    """The reason reaches whoever opens, and the camera is not taken for open: a second try asks it again."""
+    asked = []
+
+    def fail(*_arguments: object) -> None:
+        asked.append(1)
+        raise error
+
+    monkeypatch.setattr(aravis_camera, "open_session", fail)
+    monkeypatch.setattr(
+        aravis_camera, "load_library", lambda: SimpleNamespace(aravis=None, glib=SimpleNamespace(Error=RuntimeError))
+    )
+    camera = AravisCamera(CameraIdentity("FLIR", "BFS", "W1", "FLIR-W1"))
+    for _ in range(2):
+        with pytest.raises(type(error), match=str(error)):
+            camera.open()
+    assert len(asked) == 2
+
+
+HARMFUL = {bool: True, str: "Continuous", float: 0.8}
+
+
+@pytest.mark.parametrize("feature", FALSIFYING_FEATURES, ids=lambda feature: feature.name)
+def test_what_falsifies_is_switched_off_and_read_back(wooden_camera, feature):
+    """Each falsifying feature that is on is switched off, and the finding says what it was."""
+    camera, features = wooden_camera({feature.name: HARMFUL[type(feature.harmless)]})
+    (finding,) = switch_off_falsifiers(features)
+    assert finding.state == "switched_off"
+    assert camera.features[feature.name] == feature.harmless
+    assert finding.now == feature.harmless
+
+
+class SelectedPatterns(dict):
+    """Two test patterns behind one name, as a selector chooses them."""
+
+    def __init__(self, **patterns: str) -> None:
+        super().__init__(TestPatternGeneratorSelector="Sensor")
+        self.patterns = patterns
+
+    def __contains__(self, name: object) -> bool:
+        return name in ("TestPattern", "TestPatternGeneratorSelector")
+
+    def __getitem__(self, name: str) -> str:
+        if name == "TestPattern":
+            return self.patterns[super().__getitem__("TestPatternGeneratorSelector")]
+        return str(super().__getitem__(name))
+
+    def __setitem__(self, name: str, value: str) -> None:
+        if name == "TestPattern":
+            self.patterns[super().__getitem__("TestPatternGeneratorSelector")] = value
+        else:
+            super().__setitem__(name, value)
+
+
+def test_every_test_pattern_generator_is_switched_off(wooden_camera):
+    """A pattern drawn behind the second selector entry is found and ended, as the one behind the first."""
+    camera, features = wooden_camera({})
+    camera.features = SelectedPatterns(Sensor="Off", PipelineStart="Increment")
+    assert [found.state for found in switch_off_falsifiers(features)] == ["off", "switched_off"]
+    assert camera.features.patterns == {"Sensor": "Off", "PipelineStart": "Off"}
+
+
+def test_what_is_off_is_not_written(wooden_camera):
+    """A feature that is harmless already is left alone."""
+    camera, features = wooden_camera({"GammaEnable": False, "Gamma": 1.0, "ExposureAuto": "Off"})
+    assert {finding.state for finding in switch_off_falsifiers(features)} == {"off"}
+    assert camera.written == []
+
+
+def test_a_feature_that_keeps_its_value_is_reported(wooden_camera):
+    """What takes the write but stays on is reported with what it does to the measurement."""
+    _, features = wooden_camera({"GammaEnable": True}, stuck=("GammaEnable",))
+    (finding,) = switch_off_falsifiers(features)
+    assert finding.state == "still_on"
+    assert "no longer proportional to light" in str(finding)
+
+
+def test_a_feature_that_refuses_the_write_is_reported(wooden_camera):
+    """What refuses to be written is reported with the camera's reason, and the others are still treated."""
+    camera, features = wooden_camera({"GainAuto": "Continuous", "LUTEnable": True}, refused=("GainAuto",))
+    states = {finding.feature.name: finding.state for finding in switch_off_falsifiers(features)}
+    assert states == {"GainAuto": "still_on", "LUTEnable": "switched_off"}
+    assert camera.features["LUTEnable"] is False
+
+
+def test_a_lost_camera_is_not_taken_for_a_stubborn_one(wooden_camera, library_error):
+    """A camera that stops answering while it is being cleaned raises DeviceLost."""
+    camera, _ = wooden_camera({"GammaEnable": True})
+
+    def vanish(name: str, value: bool) -> None:
+        raise library_error("read_register timeout", code=5)
+
+    camera.set_boolean = vanish
+    with pytest.raises(DeviceLost):
+        switch_off_falsifiers(FeatureAccess(camera, "camera W1", library_error))
+
+
+@pytest.mark.parametrize(
+    ("code", "kind"), [(5, DeviceLost), (4, DeviceLost), (2, DeviceLost), (10, DeviceInUse), (1, DeviceError)]
+)
+def test_errors_of_the_library_become_the_projects_own(library_error, code, kind):
+    """Each code of the library becomes the error that says what to do, with the camera's name."""
+    error = translated(library_error("text of the library", code), "camera W1")
+    assert type(error) is kind
+    assert "camera W1" in str(error)
+
+
+def test_the_target_has_most_of_the_listed_features(shared_data):
+    """The names are not invented: FLIR's description of the target's twin knows the greater part of them."""
+    text = (shared_data / "genicam" / "FLIR_BFS_PGE_19S4M.xml").read_text(encoding="utf-8", errors="replace")
+    known = [f.name for f in FALSIFYING_FEATURES if re.search(rf'<(Boolean|Enumeration|Float) Name="{f.name}"', text)]
+    assert len(known) >= 10
+    assert {"ExposureAuto", "GainAuto", "Gamma", "GammaEnable", "SharpeningEnable", "LUTEnable"} <= set(known)
+    assert {"DefectCorrectStaticEnable", "BlackLevelClampingEnable"} <= set(known)

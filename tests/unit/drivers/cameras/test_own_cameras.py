@@ -26,14 +26,7 @@ from radiometer.cli.main import run
 from radiometer.data import CaptureSet, CaptureSetWriter, LensDescription
 from radiometer.devices import CameraIdentity, CameraSettings, Health, Roi
 from radiometer.errors import DeviceError, DeviceInUse, DeviceLost, DeviceTimeout, MissingLibrary
-from testing.edge_devices import (
-    ControlRange,
-    SimulatedPiCamera,
-    SimulatedTether,
-    SimulatedWebcam,
-    dng_bytes,
-    mosaic_of,
-)
+from testing.edge_devices import ControlRange, SimulatedPiCamera, SimulatedTether, SimulatedWebcam, dng_bytes, mosaic_of
 from testing.patience import within
 
 DN_PER_S = 20_000.0  # of the even field, above black, at gain 0 dB and in the numbers of each camera
@@ -184,6 +177,17 @@ def test_an_opening_that_fails_leaves_the_camera_to_be_tried_again(webcam):
     device.is_open = False
     with camera:
         assert camera.counts.frames == 0
+
+
+@pytest.mark.parametrize(("which", "link"), [("webcam", V4l2Link), ("pi", PiLink), ("body", TetheredLink)])
+def test_a_program_opens_a_camera_once(which, link, request):
+    """Also where the library would let it be opened twice: the second is refused until the first is closed."""
+    device, camera = request.getfixturevalue(which)
+    again = PlainCamera(link(device, camera.identity))
+    with camera, pytest.raises(DeviceInUse, match="by this program already"):
+        again.open()
+    with again:
+        assert len(again.capture(1)) == 1
 
 
 def test_a_pis_frame_says_what_it_was_taken_with(pi):

@@ -26,26 +26,26 @@ def gige_packed(values, bits: int) -> bytes:
     return bytes(packed)
 
 
-@pytest.mark.parametrize(("name", "bits"), [("Mono10p", 10), ("Mono12p", 12)])
+@pytest.mark.parametrize(("pack", "form"), [(bit_stream, "Mono{}p"), (gige_packed, "Mono{}Packed")])
+@pytest.mark.parametrize("bits", [10, 12])
 @pytest.mark.parametrize("width", [4, 7])
-def test_bit_streams_are_unpacked(name, bits, width):
-    """Mono10p and Mono12p come out as they went in, also where the pixels do not fill the last group."""
+def test_packed_formats_are_unpacked(pack, form, bits, width):
+    """Bit streams and GigE's pairs come out as they went in, also where the pixels do not fill the last group."""
     values = np.random.default_rng(4).integers(0, 1 << bits, 3 * width)
-    assert unpack_pixels(bit_stream(values, bits), name, width, 3).ravel().tolist() == values.tolist()
+    assert unpack_pixels(pack(values, bits), form.format(bits), width, 3).ravel().tolist() == values.tolist()
 
 
-@pytest.mark.parametrize(("name", "bits"), [("Mono10Packed", 10), ("Mono12Packed", 12)])
-@pytest.mark.parametrize("width", [4, 7])
-def test_gige_packed_pairs_are_unpacked(name, bits, width):
-    """Mono10Packed and Mono12Packed come out as they went in, also with an odd number of pixels."""
-    values = np.random.default_rng(5).integers(0, 1 << bits, 3 * width)
-    assert unpack_pixels(gige_packed(values, bits), name, width, 3).ravel().tolist() == values.tolist()
-
-
-@pytest.mark.parametrize("name", ["Mono10", "Mono12", "Mono14", "Mono16"])
-def test_words_are_little_endian(name):
-    """Unpacked formats are little-endian words."""
-    assert unpack_pixels(b"\x01\x02\x03\x00", name, 2, 1).tolist() == [[0x0201, 0x0003]]
+@pytest.mark.parametrize(
+    ("raw", "name", "options", "row"),
+    [(b"\x01\x02\x03\x00", f"Mono{bits}", {}, [0x0201, 0x0003]) for bits in (10, 12, 14, 16)]
+    + [
+        (b"\xf0\xff\x10\x00", "Mono16", {"left_aligned_bits": 12}, [4095, 1]),
+        (b"\x01\x02\x03\x00", "Mono16", {"big_endian": True}, [0x0102, 0x0300]),
+    ],
+)
+def test_words_are_little_endian_and_at_the_right_unless_stated(raw, name, options, row):
+    """A camera may put its 12 bits at the top of Mono16, or send the high byte first."""
+    assert unpack_pixels(raw, name, 2, 1, **options).tolist() == [row]
 
 
 def test_mono8_stays_bytes():
@@ -55,26 +55,17 @@ def test_mono8_stays_bytes():
     assert pixels.tolist() == [[1, 2], [3, 4]]
 
 
-def test_left_aligned_mono16_is_shifted_to_the_right():
-    """A camera that puts its 12 bits at the top of Mono16 gives 12-bit numbers."""
-    assert unpack_pixels(b"\xf0\xff\x10\x00", "Mono16", 2, 1, left_aligned_bits=12).tolist() == [[4095, 1]]
-
-
-def test_big_endian_mono16_is_turned():
-    """A camera that sends the high byte first gives the same numbers."""
-    assert unpack_pixels(b"\x01\x02", "Mono16", 1, 1, big_endian=True).tolist() == [[0x0102]]
-
-
-def test_a_short_payload_is_refused():
-    """A payload with bytes missing is damage, reported in bytes."""
-    with pytest.raises(DeviceError, match="takes 12 bytes, but only 11 came"):
-        unpack_pixels(bytes(11), "Mono12p", 4, 2)
-
-
-def test_a_developed_format_is_refused():
-    """A format without the sensor's numbers is refused with those that have them."""
-    with pytest.raises(DeviceError, match="RGB8Packed cannot be measured with; choose one of Mono8"):
-        unpack_pixels(bytes(12), "RGB8Packed", 2, 2)
+@pytest.mark.parametrize(
+    ("raw", "name", "message"),
+    [
+        (bytes(11), "Mono12p", "takes 12 bytes, but only 11 came"),
+        (bytes(16), "RGB8Packed", "RGB8Packed cannot be measured with; choose one of Mono8"),
+    ],
+)
+def test_damaged_and_developed_frames_are_refused(raw, name, message):
+    """Missing bytes are reported in bytes; a format without the sensor's numbers with those that have them."""
+    with pytest.raises(DeviceError, match=message):
+        unpack_pixels(raw, name, 4, 2)
 
 
 @pytest.mark.parametrize("like", ["Mono8", "Mono10", "Mono10p", "Mono12", "Mono12p", "Mono12Packed"])

@@ -1,4 +1,4 @@
-"""The stream's bookkeeping without a library: buffers of wood, handed over in a set order."""
+"""Frames of a stream: fresh, stale, late or lost."""
 
 from __future__ import annotations
 
@@ -10,7 +10,15 @@ import pytest
 from drivers.cameras import fresh_frames
 from drivers.cameras.camera_quirks import quirks_for
 from drivers.cameras.feature_access import FeatureAccess
-from drivers.cameras.frame_stream import BUFFER_COUNT, MAX_ATTEMPTS, FrameStream, LossyLink, RawFrame, Tally
+from drivers.cameras.frame_stream import (
+    BUFFER_COUNT,
+    MAX_ATTEMPTS,
+    FrameStream,
+    LossyLink,
+    RawFrame,
+    Tally,
+    missed_between,
+)
 from drivers.cameras.fresh_frames import FreshFrames
 from radiometer.data import LensDescription
 from radiometer.devices import CameraSettings
@@ -48,6 +56,7 @@ class WoodenBuffer:
 
 
 WOODEN_STATUS = {name: SimpleNamespace(value_nick=name) for name in (WHOLE, BROKEN)}
+
 ARAVIS = SimpleNamespace(
     Buffer=SimpleNamespace(new_allocate=lambda size: f"buffer of {size}"),
     BufferStatus=SimpleNamespace(SUCCESS=WOODEN_STATUS[WHOLE]),
@@ -269,6 +278,7 @@ def test_frames_after_a_change_are_discarded_by_count(fresh):
 
 
 OLD, NEW = 9000.0, 5000.0  # µs; the wooden session is set to the second
+
 BEFORE = CameraSettings(exposure_s=0.009, pixel_format="Mono8")
 
 
@@ -425,3 +435,33 @@ def test_a_camera_without_an_answer_is_lost_at_once(monkeypatch):
     with pytest.raises(DeviceLost):
         frames.next()
     assert tally.extra["restarts"] == 0
+
+
+@pytest.mark.parametrize(
+    ("last_id", "frame_id", "missed"),
+    [
+        (None, 65401, 0),
+        (7, 8, 0),
+        (7, 10, 2),
+        (65535, 1, 0),
+        (65534, 2, 2),
+        (10, 9, -1),
+        (1, 65535, -1),
+        (70_000, 70_003, 2),
+        (70_003, 70_001, -1),
+    ],
+    ids=[
+        "first",
+        "next",
+        "gap",
+        "wrap",
+        "gap over the wrap",
+        "late",
+        "late over the wrap",
+        "64-bit gap",
+        "64-bit late",
+    ],
+)
+def test_gaps_in_running_numbers_are_counted(last_id, frame_id, missed):
+    """Frames that never arrived are counted, over the 16-bit wrap too; a late one is taken back."""
+    assert missed_between(last_id, frame_id) == missed

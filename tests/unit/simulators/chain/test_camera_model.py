@@ -1,4 +1,4 @@
-"""The chain of effects: order, units, naming of what fails, moments against samples."""
+"""The camera model: its stages, its checks, and what its header does not declare."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ import pytest
 from radiometer.data import CameraDescription, FrameSettings, LensDescription
 from radiometer.errors import ConfigurationError, MeasurementError
 from simulators.chain.camera_model import CameraModel
+from simulators.chain.undeclared import Undeclared, completed, undeclared_chain
 from simulators.effects.base import ELECTRONS, Effect, Stage, parameter
 from simulators.effects.catalogue import declared_dark_e
 from simulators.effects.context import ExposureContext, FrameGeometry, Signal
@@ -26,7 +27,9 @@ CAMERA = CameraDescription(
     black_level_dn=64,
     quantum_efficiency=0.62,
 )
+
 LENS = LensDescription(focal_length_mm=16, f_number=4.0, transmittance=0.95)
+
 SETTINGS = FrameSettings(exposure_s=0.01, f_number=4.0, black_level_dn=64.0)
 
 
@@ -126,16 +129,11 @@ def test_missing_stage_is_refused_by_the_name_of_the_effect_that_does_not_fit(mo
         model.without_effect("shutter")
 
 
-def test_failing_effect_names_itself(model: CameraModel) -> None:
-    """An error inside an effect reaches the user under the effect's name."""
+def test_an_effect_that_fails_or_gives_nan_names_itself(model: CameraModel) -> None:
+    """An error and what is not finite reach the user under the name of the effect that made it."""
     context = model.context(SETTINGS, FrameGeometry.of_image(2, 2))
     with pytest.raises(MeasurementError, match=r"effect 'broken' failed: out of coffee"):
         model.with_effect(Broken()).sample(np.ones((2, 2)), context, (0,))
-
-
-def test_effect_that_gives_nan_names_itself(model: CameraModel) -> None:
-    """What is not finite is caught at the effect that made it."""
-    context = model.context(SETTINGS, FrameGeometry.of_image(2, 2))
     with pytest.raises(MeasurementError, match=r"effect 'not_finite' gave values that are not finite"):
         model.with_effect(NotFinite()).mean(np.ones((2, 2)), context)
 
@@ -225,3 +223,21 @@ def test_cos4_falls_off_with_the_field_angle() -> None:
     geometry = FrameGeometry.of_image(1001, 1, principal_point_px=(0.0, 0.0), pixel_spacing_um=4.5)
     irradiance = model.mean(np.ones((1, 1001)), model.context(SETTINGS, geometry), until=Stage.OPTICS)
     assert irradiance[0, 1000] / irradiance[0, 0] == pytest.approx(0.25, rel=1e-12)
+
+
+def test_fitted_figures_stay_within_what_a_camera_can_have() -> None:
+    """A step of a fit by e^30 of the gain or the noise ends at the bound: 1e-4 and 1e4 e⁻/DN, 1e4 e⁻, 1e7 e⁻."""
+    camera = CameraDescription(bit_depth=12)
+    assert completed(camera, Undeclared(log_gain=30.0)).conversion_gain_e_per_dn == 1e-4
+    far = completed(camera, Undeclared(log_gain=-30.0, log_read=60.0))
+    assert (far.conversion_gain_e_per_dn, far.read_noise_e, far.full_well_e) == (1e4, 1e4, 1e7)
+    near = completed(camera, Undeclared(log_gain=np.log(2.0), log_read=2.0 * np.log(3.0)))
+    assert (near.conversion_gain_e_per_dn, near.read_noise_e) == pytest.approx((1.25, 15.0))
+    assert near.full_well_e == pytest.approx(4.0 * 4095 * 1.25)
+
+
+def test_declared_figures_are_refused_out_of_their_bounds() -> None:
+    """They are not moved to the bound without a word."""
+    camera = CameraDescription(bit_depth=12, conversion_gain_e_per_dn=2e4)
+    with pytest.raises(ConfigurationError, match=r"conversion_gain_e_per_dn = 20000 .* is out of range"):
+        undeclared_chain(camera, LensDescription(), Undeclared(), np.zeros(1, dtype=np.intp), ends_in_well=True)

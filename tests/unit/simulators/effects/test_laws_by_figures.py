@@ -1,4 +1,4 @@
-"""Laws of effects by figures worked out by hand: the factor, the offset or the noise at one setting each."""
+"""Laws of the effects in figures, and the ranges of their parameters."""
 
 from __future__ import annotations
 
@@ -10,9 +10,13 @@ import numpy as np
 import pytest
 
 from radiometer.data import CameraDescription, FrameSettings, LensDescription
+from simulators.effects.adc_saturation import AdcSaturation
 from simulators.effects.ambient_light_leak import AmbientLightLeak
+from simulators.effects.base import Parameter
 from simulators.effects.black_level_drift import BlackLevelDrift
 from simulators.effects.black_level_gain_slope import BlackLevelGainSlope
+from simulators.effects.black_level_offset import BlackLevelOffset
+from simulators.effects.catalogue import well_e
 from simulators.effects.context import ExposureContext, FrameGeometry
 from simulators.effects.conversion_gain import ConversionGain
 from simulators.effects.dark_current import DarkCurrent
@@ -34,13 +38,16 @@ from simulators.effects.polarisation import Polarisation
 from simulators.effects.pwm_flicker import PwmFlicker
 from simulators.effects.quantum_efficiency_temperature import QuantumEfficiencyTemperature
 from simulators.effects.reciprocity_failure import ReciprocityFailure
+from simulators.effects.registry import EFFECTS
 from simulators.effects.response_nonlinearity import ResponseNonlinearity
 from simulators.effects.source_not_proportional_to_exposure import SourceNotProportionalToExposure
 from simulators.effects.source_warmup_drift import SourceWarmupDrift
 from simulators.effects.spectral_mismatch import SpectralMismatch
 from simulators.effects.tile_moments import TileMoments
+from testing.effect_context import effect_context
 
 CAMERA = CameraDescription(bit_depth=12, full_well_e=10_000.0, read_noise_e=3.0)
+
 SIX_DB = 20.0 * math.log10(2.0)
 
 
@@ -214,3 +221,65 @@ def test_a_printed_stop_gives_the_light_of_the_exact_one():
     time, stop = 60 / 64, (5.6 / 2**2.5) ** 2
     for times, stops, factor in ((1.0, 1.0, time * stop), (1.0, 0.0, time), (0.0, 1.0, stop)):
         assert NominalSettings(times, stops).factor(context) == pytest.approx(factor)
+
+
+FILLS = np.array([0.0, 0.3, 1.0, 1.2, 1.67, 3.0])
+
+
+@pytest.mark.parametrize(("a2", "a3"), [(0.018, -0.0025), (-0.02, 0.0), (0.0, 0.004)])
+def test_the_curve_goes_on_beyond_the_declared_full_well(a2: float, a3: float) -> None:
+    """S·(1 − a₂·z − a₃·z²) at every fill: a full well that is declared too small makes no kink."""
+    context, effect = effect_context(), ResponseNonlinearity(a2=a2, a3=a3)
+    signal = FILLS * well_e(context)
+    np.testing.assert_allclose(effect.mean(signal, context), signal * (1 - a2 * FILLS - a3 * FILLS**2), rtol=1e-12)
+    np.testing.assert_allclose(effect.slope(signal, context), 1 - 2 * a2 * FILLS - 3 * a3 * FILLS**2, rtol=1e-12)
+
+
+@pytest.mark.parametrize(("a2", "a3"), [(0.3, 0.0), (0.5, 0.5), (-0.2, 0.2), (-0.5, -0.5), (0.0, 0.0)])
+def test_more_light_never_gives_less(a2: float, a3: float) -> None:
+    """Where the polynomial would fall, the response stays; far beyond it goes straight on; no light stays none."""
+    context, effect = effect_context(), ResponseNonlinearity(a2=a2, a3=a3)
+    signal = np.linspace(-0.1, 40.0, 4001) * well_e(context)
+    bent = effect.mean(signal, context)
+    assert np.all(np.diff(bent) >= -1e-9 * well_e(context))
+    np.testing.assert_allclose(bent[signal < 0], signal[signal < 0], rtol=1e-9)
+    assert effect.mean(np.zeros(1), context).item() == 0.0
+
+
+@pytest.mark.parametrize(("a2", "a3"), [(0.02, 0.01), (0.3, 0.1), (-0.1, 0.05)])
+def test_the_slope_is_that_of_the_curve(a2: float, a3: float) -> None:
+    """Differences of the curve over a thousandth of a full well, next to its ends too, to 2e-3."""
+    context, effect = effect_context(), ResponseNonlinearity(a2=a2, a3=a3)
+    step = 1e-3 * well_e(context)
+    signal = np.linspace(0.01, 6.0, 600) * well_e(context)
+    rise = (effect.mean(signal + step, context) - effect.mean(signal - step, context)) / (2 * step)
+    np.testing.assert_allclose(effect.slope(signal, context), rise, atol=2e-3)
+
+
+@pytest.mark.parametrize("kind", EFFECTS.values(), ids=lambda kind: kind.name)
+def test_no_range_is_a_number_of_codes_of_one_bit_depth(kind: type) -> None:
+    """Every parameter in digital numbers has a range that is a share of the camera's full scale."""
+    for known in kind.parameters():
+        assert known.of_full_scale == known.unit.startswith("DN")
+
+
+def test_a_deeper_converter_has_a_wider_range() -> None:
+    """A black level of 16 bits may be off by up to 65535, one of 8 bits by up to 255."""
+    offset = _known(BlackLevelOffset, "offset_dn")
+    assert offset.bounds(65535.0) == pytest.approx((-65535.0, 65535.0))
+    assert offset.bounds(255.0) == pytest.approx((-255.0, 255.0))
+
+
+def test_ranges_in_other_units_stay() -> None:
+    """What is no digital number has one range for all cameras."""
+    exposure = _known(EFFECTS["exposure_time_offset"], "offset_s")
+    assert exposure.bounds(65535.0) == (exposure.low, exposure.high)
+
+
+def test_an_effect_may_be_tried_beyond_the_camera_s_own_codes() -> None:
+    """A search steps a little beyond the highest code of 16 bits without being refused."""
+    assert AdcSaturation(65535.0).with_parameters(clip_dn=70646.4).clip_dn == 70646.4
+
+
+def _known(kind: type, name: str) -> Parameter:
+    return next(entry for entry in kind.parameters() if entry.name == name)

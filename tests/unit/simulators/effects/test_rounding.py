@@ -1,9 +1,10 @@
-"""Moments of rounded values against rounding itself."""
+"""Rounding and missing codes."""
 
 from __future__ import annotations
 
 from dataclasses import replace
 from functools import cache
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -19,6 +20,7 @@ from simulators.effects.tile_moments import TileMoments
 _CONTEXT = ExposureContext(FrameSettings(1e-3), FrameGeometry.of_image(8, 6), CameraDescription(bit_depth=12))
 
 PIXELS, FRAMES = 20_000, 100
+
 # Mean, noise and fixed pattern in DN: on a code, between two, at the border, hardly any noise, mostly pattern, fine.
 CASES = [(60.0, 0.23, 0.0), (60.3, 0.23, 0.0), (60.45, 0.06, 0.0), (60.4, 0.3, 0.2), (7.5, 0.1, 0.3), (9.2, 0.7, 0.4)]
 
@@ -148,3 +150,14 @@ def test_less_than_no_noise_is_none() -> None:
     average, variance, _ = rounded_normal(mean, np.array([-4.0, -1e-9, 0.0, 0.0]))
     np.testing.assert_allclose(average, [60.0, 8.0, 60.0, 8.0])
     np.testing.assert_allclose(variance, 0.0, atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("period", "kept"), [(2, 1), (4, 1), (8, 1), (16, 1), (3, 2), (4, 2), (4, 3), (8, 7), (16, 15)]
+)
+def test_a_search_tries_the_codes_that_converters_leave_out(period: int, kept: int) -> None:
+    """Bits that are stuck, one code of a period that never comes: some trial leaves exactly those codes."""
+    codes, anywhere = np.arange(64.0), cast(Any, None)
+    expected = set(codes[codes % period < kept])
+    found = [set(np.ravel(MissingCodes(**trial).mean(codes, anywhere))) for trial in MissingCodes.trials]
+    assert expected in found

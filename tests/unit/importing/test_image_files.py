@@ -1,0 +1,419 @@
+"""Pictures of other programs: TIFF, Micro-Manager, FITS."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+import tifffile
+import yaml
+
+import radiometer as rm
+from radiometer.cli.main import run
+from radiometer.data import Patch
+from radiometer.errors import CaptureError
+from radiometer.importing import ImportOptions, import_sources, imported_of, is_foreign, open_capture
+from radiometer.importing.maker_models import FallOff, RowExposure, corners_of_plane
+from radiometer.importing.xmp import numbers, read_xmp
+
+PICTURE = ((np.arange(40 * 60).reshape(40, 60) % 3000 + 300) * 16).astype(np.uint16)
+
+
+def test_exif_becomes_settings(write_raw_tiff):
+    """Exposure in s, ISO as dB above ISO 100, black level, padding of four bits."""
+    capture = open_capture(write_raw_tiff("a.tif", PICTURE, iso=200, exposure=(1, 500)))
+    entry = capture.header.frames[0]
+    assert (entry.exposure_s, entry.black_level_dn) == (0.002, 4800)
+    assert entry.gain_db == pytest.approx(6.0206, abs=1e-4)
+    assert capture.header.camera.code_step_dn == 16
+    assert np.array_equal(capture.read_frame(0).dn, PICTURE)
+
+
+def test_masked_rows_off_the_black_level_tag_are_named(write_raw_tiff):
+    """Offset and gain slope of the masked rows are named with their size at each gain."""
+    write_raw_tiff("s/a_1.tif", PICTURE, iso=100, dark=5000)
+    folder = write_raw_tiff("s/b_1.tif", PICTURE, iso=200, dark=5200).parent
+    doubts_found = " ".join(imported_of(open_capture(folder)).doubts)
+    assert "+200 DN at 0 dB, +400 DN at 6.02 dB: black_level_offset and black_level_gain_slope" in doubts_found
+
+
+def test_masked_rows_come_with_the_frame(write_raw_tiff):
+    """Readings take the dark level from them."""
+    assert open_capture(write_raw_tiff("a.tif", PICTURE, dark=5100)).read_frame(0).masked_dn == 5100.0
+
+
+def test_masked_rows_at_the_tag_raise_no_doubt(write_raw_tiff):
+    """Masked rows that read what the tag says are no finding."""
+    doubts_found = imported_of(open_capture(write_raw_tiff("a.tif", PICTURE, dark=4800))).doubts
+    assert not any("masked" in line for line in doubts_found)
+
+
+def test_bands_are_cameras_of_their_own(write_raw_tiff):
+    """A folder of two bands is refused as one set; a pattern takes one."""
+    write_raw_tiff("s/IMG_1.tif", PICTURE, band="Blue")
+    folder = write_raw_tiff("s/IMG_2.tif", PICTURE, band="Red").parent
+    with pytest.raises(CaptureError, match=r"Blue.*Red"):
+        open_capture(folder)
+    assert open_capture(folder / "IMG_2*").header.camera.model_extra["band"] == "Red"
+
+
+def test_fall_off_is_the_makers_polynomial():
+    """Relative illumination 1 + k1·r + k2·r², at a corner 50 px from the centre."""
+    model = FallOff((30.0, 40.0), (-0.001, -1e-4))
+    assert model.corners((81, 61))[0] == pytest.approx(1 - 0.05 - 0.25)
+    assert model.relative_illumination(np.array([30.0]), np.array([40.0]))[0] == 1.0
+
+
+def test_row_exposure_is_added_per_row():
+    """Row 500 at 1 ms with 1e-7 s per row gains 5 %, less a3 per row."""
+    assert RowExposure(1e-7, 1e-5).gain_at(500, 1e-3) == pytest.approx(1 + 0.05 - 0.005)
+
+
+def test_corners_of_a_polynomial_in_x_and_y():
+    """Terms x and y² over a frame from 0 to 1, relative to its middle."""
+    properties = {"VignettingPolynomial2DName": ("0,0,1,0,0,2",), "VignettingPolynomial2D": ("1,0.2,-0.4",)}
+    middle = 1 + 0.1 - 0.1
+    assert corners_of_plane(properties) == pytest.approx(np.array([1.0, 1.2, 0.6, 0.8]) / middle)
+
+
+def test_the_frame_carries_corners_and_row_gain(write_raw_tiff):
+    """The maker's models stand in the capture set as numbers a user can judge."""
+    header = open_capture(write_raw_tiff("a.tif", PICTURE)).header
+    expected = FallOff((30.0, 20.0), (-0.001, -1e-4)).corners((40, 60))
+    assert header.lens.model_extra["maker_corner_illumination"] == pytest.approx(expected, abs=1e-4)
+    assert header.frames[0].model_extra["maker_row_gain_last"] == pytest.approx(
+        1 + 1e-7 * 39 / 0.002 + 5e-6 * 39, abs=1e-4
+    )
+    doubts = header.model_extra["imported"]["doubts"]
+    assert any("0.83 to 0.85 of the middle" in line and "natural_vignetting" in line for line in doubts), doubts
+    assert not any("row_dependent_exposure" in line for line in doubts)  # 0.2 % are too little to be reported
+
+
+def test_rows_that_are_exposed_for_times_of_their_own_are_recognised_by_the_entrys_name(write_raw_tiff):
+    """A row more has 0.02 and 0.04 % of the light more at two exposures: 0.8 and 1.6 % over 40 rows."""
+    for name, exposure_s in (("a.tif", (1, 2000)), ("b.tif", (1, 4000))):
+        path = write_raw_tiff(name, PICTURE, exposure=exposure_s)
+    doubts = open_capture(path.parent).header.model_extra["imported"]["doubts"]
+    (line,) = [line for line in doubts if "row_dependent_exposure" in line]
+    assert "+0.8 to +1.6 % more light than the first" in line
+
+
+def test_xmp_attributes_and_sequences():
+    """Properties are read as attributes and as sequences; a damaged packet gives none."""
+    packet = (
+        b'<x:xmpmeta xmlns:x="adobe:ns:meta/"><r:RDF xmlns:r="http://www.w3.org/1999/02/22-rdf-syntax-ns#">'
+        b'<r:Description xmlns:c="u" c:T="32.5"><c:S><r:Seq><r:li>1,2</r:li><r:li>3</r:li></r:Seq></c:S>'
+        b"</r:Description></r:RDF></x:xmpmeta>"
+    )
+    found = read_xmp(packet)
+    assert numbers(found, "T") == (32.5,)
+    assert numbers(found, "S") == (1.0, 2.0, 3.0)
+    assert read_xmp(packet[:-60]) == {}
+
+
+def test_plain_photographs_are_not_taken_for_raw_frames(tmp_path, write_raw_tiff):
+    """A TIFF without a camera's raw facts stays a photograph."""
+    import tifffile
+
+    (tmp_path / "photos").mkdir()
+    tifffile.imwrite(tmp_path / "photos" / "a.tif", PICTURE)
+    assert not is_foreign(tmp_path / "photos")
+    assert is_foreign(write_raw_tiff("raw/a.tif", PICTURE).parent)
+
+
+RECORDED = Path(__file__).parent / "recorded"
+
+STACK_PICTURE = (np.arange(12 * 16).reshape(12, 16) * 3 + 200).astype(np.uint16)
+
+
+def _stack(path, planes, pictures=None, **common):
+    """Write pages with Micro-Manager's tag, as its MMStack files have it."""
+    with tifffile.TiffWriter(path) as writer:
+        for number, plane in enumerate(planes):
+            text = json.dumps(common | plane)
+            picture = STACK_PICTURE if pictures is None else pictures[number]
+            writer.write(picture, extratags=[(51123, "s", 0, text, True)], metadata=None, contiguous=False)
+    return path
+
+
+def test_ome_stack_of_pymmcore_plus_is_read():
+    """Exposures and times of each plane, and the gain of the camera in its own unit, which is doubted."""
+    path = RECORDED / "stack.ome.tiff"
+    assert is_foreign(path)
+    capture = open_capture(path)
+    assert [entry.exposure_s for entry in capture.header.frames] == [0.005, 0.01, 0.02]
+    stamps = [entry.timestamp_s for entry in capture.header.frames]
+    assert stamps[0] == 0.0
+    assert stamps[1] == pytest.approx(0.026067, abs=1e-5)
+    assert capture.header.created.startswith("2026-11-22T17:17")
+    assert capture.header.camera.model == "Camera"
+    text = imported_of(capture)
+    assert any("gain is 6.0 in a unit of the camera's own" in line for line in text.doubts)
+    assert "exposure_s from OME-XML (3 frames)" in text.taken
+    assert capture.header.frames[0].model_extra["device_gain"] == "6.0"
+    # The camera that wrote it gives 100 DN + 20 DN per ms.
+    means = [float(capture.read_frame(n).dn.mean()) for n in range(3)]
+    assert means == pytest.approx([200.0, 300.0, 500.0], abs=2.0)
+
+
+def test_radiance_of_a_stack_follows_its_exposures(tmp_path, capsys):
+    """Imported and merged, the stack's light per exposure is one: 20 DN per ms above black."""
+    assert run(["import", str(RECORDED / "stack.ome.tiff"), "-o", str(tmp_path / "set")]) == 0
+    assert "exposure_s from OME-XML" in capsys.readouterr().err
+    stack = rm.read(tmp_path / "set")
+    assert [frame.settings.exposure_s for frame in stack.bracket.light] == [0.005, 0.01, 0.02]
+    header = tmp_path / "set" / "capture.yaml"
+    text = yaml.safe_load(header.read_text())
+    text["camera"]["black_level_dn"] = 100
+    header.write_text(yaml.safe_dump(text))
+    bright, whole = (rm.merge(rm.read(folder)).value for folder in (tmp_path / "set", RECORDED / "stack.ome.tiff"))
+    assert float(np.median(bright)) == pytest.approx((500.0 - 100.0) / 0.02, rel=0.02)
+    assert whole.shape == bright.shape
+
+
+def test_image_sequence_of_pymmcore_plus_is_read():
+    """The JSON next to the pictures holds their exposures."""
+    assert is_foreign(RECORDED / "sequence")
+    capture = open_capture(RECORDED / "sequence")
+    assert [entry.exposure_s for entry in capture.header.frames] == [0.005, 0.01]
+    assert "exposure_s from _frame_metadata.json (2 frames)" in imported_of(capture).taken
+
+
+def test_tags_of_micro_manager_are_read(tmp_path):
+    """Exposure in ms, elapsed time, bit depth, binning, temperature and a gain that says dB."""
+    planes = [{"Exposure-ms": 4.0 * 2**n, "ElapsedTime-ms": 1000.0 * n} for n in range(3)]
+    own = {"Camera": "Zyla", "Zyla-Gain (dB)": "12", "Zyla-CCDTemperature": "-5.5", "Binning": "2", "BitDepth": 12}
+    capture = open_capture(_stack(tmp_path / "a_MMStack.ome.tif", planes, **own))
+    assert [entry.exposure_s for entry in capture.header.frames] == [0.004, 0.008, 0.016]
+    assert [entry.timestamp_s for entry in capture.header.frames] == [0.0, 1.0, 2.0]
+    assert {entry.gain_db for entry in capture.header.frames} == {12.0}
+    assert {entry.temperature_C for entry in capture.header.frames} == {-5.5}
+    assert capture.header.camera.bit_depth == 12
+    assert capture.header.camera.model_extra["binning"] == "2"
+    assert "exposure_s from tag MicroManagerMetadata (3 frames)" in imported_of(capture).taken
+
+
+def test_wrapped_values_of_micro_manager_2_are_read(tmp_path):
+    """Version 2 keeps device properties in a mapping of their own, each value wrapped."""
+    own = {"Camera": "Cam", "ScopeData": {"Cam-Exposure": {"PropType": "STRING", "PropVal": "50.00"}}}
+    capture = open_capture(_stack(tmp_path / "b.tif", [{}], **own))
+    assert capture.header.frames[0].exposure_s == 0.05
+
+
+def test_gains_of_unknown_unit_are_sets_of_their_own(tmp_path):
+    """Frames of two gains in the device's unit are never mixed as if they were one."""
+    planes = [{"Exposure-ms": 10, "Cam-Gain": gain} for gain in ("1", "1", "4")]
+    path = _stack(tmp_path / "g.tif", planes, Camera="Cam")
+    assert sorted(len(one.frames) for one in import_sources([path], ImportOptions())) == [1, 2]
+    with pytest.raises(CaptureError, match="2 cameras"):
+        open_capture(path)
+
+
+def test_metadata_text_next_to_single_pictures_is_read(tmp_path):
+    """`metadata.txt` names each picture's file."""
+    for number in range(2):
+        tifffile.imwrite(tmp_path / f"img_{number:09d}_Default_000.tif", STACK_PICTURE, metadata=None)
+    text = {
+        f"FrameKey-{n}-0-0": {"FileName": f"img_{n:09d}_Default_000.tif", "Exposure-ms": 5.0 * (n + 1), "Camera": "C"}
+        for n in range(2)
+    }
+    (tmp_path / "metadata.txt").write_text(json.dumps({"Summary": {"Frames": 2}} | text))
+    capture = open_capture(tmp_path)
+    assert [entry.exposure_s for entry in capture.header.frames] == [0.005, 0.01]
+
+
+def test_damaged_metadata_is_as_none(tmp_path):
+    """A JSON file that is cut short leaves the pictures without exposure, which is stated in one line."""
+    shutil.copytree(RECORDED / "sequence", tmp_path / "s")
+    (tmp_path / "s" / "_frame_metadata.json").write_text('{"00000_.tif": {')
+    with pytest.raises(CaptureError, match="exposure"):
+        import_sources([tmp_path / "s"], ImportOptions())
+
+
+def test_planes_are_distinguished_by_their_place(tmp_path):
+    """Planes of OME-XML may stand in any order; the dimension order says which page is whose, and units are kept."""
+    xml = (
+        '<OME xmlns="http://www.openmicroscopy.org/Schemas/OME/2016-06"><Image ID="Image:0"><Pixels ID="Pixels:0" '
+        'DimensionOrder="XYTCZ" Type="uint16" SizeX="16" SizeY="12" SizeZ="1" SizeC="2" SizeT="2" SignificantBits="12">'
+        + "".join(
+            f'<Plane TheZ="0" TheT="{t}" TheC="{c}" ExposureTime="{10 * t + c + 1}" ExposureTimeUnit="ms"/>'
+            for c in (1, 0)
+            for t in (1, 0)
+        )
+        + "</Pixels></Image></OME>"
+    )
+    path = tmp_path / "p.ome.tif"
+    tifffile.imwrite(path, np.stack([STACK_PICTURE] * 4), description=xml, metadata=None, photometric="minisblack")
+    capture = open_capture(path)
+    found = {entry.file: entry.exposure_s for entry in capture.header.frames}
+    assert [found[f"p.ome.tif#{n}"] for n in range(4)] == pytest.approx([0.001, 0.011, 0.002, 0.012])
+    assert capture.header.camera.bit_depth == 12
+
+
+FITS_PICTURE = (np.arange(48 * 64).reshape(48, 64) + 1000).astype(np.uint16)
+
+
+def test_a_header_becomes_settings(write_fits):
+    """Exposure in s, temperature in °C, shutter, conversion gain and values above 32767 come out as they were."""
+    path = write_fits(
+        "a.fits.gz", FITS_PICTURE + np.uint16(40_000), EXPTIME=2.5, CCD_TEMP=-5.25, SET_TEMP=-5.0, EGAIN=2.06,
+        IMAGETYP="Flat Field", DATE_OBS="2017-09-08T20:48:41.5", INSTRUME="STL", XPIXSZ=24.0,
+    )  # fmt: skip
+    capture = open_capture(path)
+    entry, camera = capture.header.frames[0], capture.header.camera
+    assert (entry.exposure_s, entry.temperature_C, entry.shutter) == (2.5, -5.25, "open")
+    assert (camera.bit_depth, camera.conversion_gain_e_per_dn, camera.pixel_pitch_um) == (16, 2.06, 24.0)
+    assert capture.header.created.startswith("2017-09-08T20:48:41.5")
+    assert np.array_equal(capture.read_frame(0).dn, FITS_PICTURE + np.uint16(40_000))
+
+
+@pytest.mark.parametrize("message", ["Bias Frame", "DARK", "zero", "Dark Frame          "])
+def test_darkness_is_recognised_by_imagetyp(write_fits, message):
+    """Bias and dark frames have a closed shutter, a bias frame an exposure of 0 s."""
+    entry = open_capture(write_fits("a.fit", FITS_PICTURE, EXPTIME=0.0, IMAGETYP=message)).header.frames[0]
+    assert (entry.shutter, entry.exposure_s) == ("closed", 0.0)
+
+
+def test_a_temperature_in_kelvins(write_fits):
+    """268.15 in a header can only be kelvins: -5 °C."""
+    entry = open_capture(
+        write_fits("a.fit", FITS_PICTURE, EXPTIME=1.0, IMAGETYP="dark", DET_TEMP=268.15)
+    ).header.frames[0]
+    assert entry.temperature_C == pytest.approx(-5.0)
+
+
+def test_frames_stand_in_the_order_they_were_taken(write_fits):
+    """Times count from the first frame, whatever the names."""
+    write_fits("s/b.fits", FITS_PICTURE, EXPTIME=1.0, IMAGETYP="dark", DATE_OBS="2020-01-01T00:00:10")
+    folder = write_fits("s/a.fits", FITS_PICTURE, EXPTIME=1.0, IMAGETYP="dark", DATE_OBS="2020-01-01T00:01:10").parent
+    entries = open_capture(folder).header.frames
+    assert [(e.file, e.timestamp_s) for e in entries] == [("b.fits", 0.0), ("a.fits", 60.0)]
+
+
+def test_a_name_that_contradicts_its_header_is_doubted(write_fits):
+    """A file called expos1 that holds 60 s is taken as 60 s and named."""
+    capture = open_capture(write_fits("darks-expos1-x.0001.fits", FITS_PICTURE, EXPTIME=60.0, IMAGETYP="dark"))
+    assert capture.header.frames[0].exposure_s == 60.0
+    assert any("darks-expos1-x" in line and "60 s" in line for line in imported_of(capture).doubts)
+
+
+@pytest.mark.parametrize("name", ["dark_0c_1m30s.fits", "dark-expos90s-x.fits", "dark_90000ms.fits", "d_1p5min.fits"])
+def test_a_name_that_agrees_raises_no_doubt(write_fits, name):
+    """Minutes, seconds and milliseconds in names are understood."""
+    assert imported_of(open_capture(write_fits(name, FITS_PICTURE, EXPTIME=90.0, IMAGETYP="dark"))).doubts == ()
+
+
+def test_processing_is_doubted(write_fits):
+    """A HISTORY that speaks of dark subtraction and a combined frame are named."""
+    path = write_fits(
+        "a.fits", FITS_PICTURE, ("Dark Subtract with m.fits",), EXPTIME=1.0, IMAGETYP="light", NCOMBINE=5
+    )  # fmt: skip
+    doubts_found = " ".join(imported_of(open_capture(path)).doubts)
+    assert "dark subtract" in doubts_found
+    assert "5 frames" in doubts_found
+
+
+def test_the_cooler_that_had_not_settled_is_doubted(write_fits):
+    """A sensor 3 K off the requested temperature is named; 0.2 K is not."""
+    warm = open_capture(write_fits("a.fits", FITS_PICTURE, EXPTIME=1.0, IMAGETYP="dark", CCD_TEMP=-7.0, SET_TEMP=-10.0))
+    fine = open_capture(write_fits("b.fits", FITS_PICTURE, EXPTIME=1.0, IMAGETYP="dark", CCD_TEMP=-9.8, SET_TEMP=-10.0))
+    assert "-7.0" in imported_of(warm).doubts[0]
+    assert imported_of(fine).doubts == ()
+
+
+def test_a_cube_is_one_frame_per_plane(write_fits):
+    """Planes of a cube share the header and keep their order."""
+    path = write_fits(
+        "c.fits", np.stack([FITS_PICTURE, FITS_PICTURE + 1, FITS_PICTURE + 2]).astype(np.uint16), EXPTIME=1.0
+    )
+    capture = open_capture(path)
+    assert [int(frame.dn[0, 0]) for frame in capture.frames()] == [1000, 1001, 1002]
+
+
+def test_crop_and_sampling(write_fits):
+    """A crop keeps its region, sampling every n-th row and column of it."""
+    path = write_fits("a.fits", FITS_PICTURE, EXPTIME=1.0, XPIXSZ=5.0)
+    capture = open_capture(path, ImportOptions(crop=Patch(8, 4, 20, 10), sample=2))
+    assert np.array_equal(capture.read_frame(0).dn, FITS_PICTURE[4:14:2, 8:28:2])
+    assert capture.header.camera.pixel_spacing_um == 10.0
+
+
+def test_floating_point_needs_a_full_scale(write_fits):
+    """Floats are refused with the option that takes them; with it, full scale becomes 65535."""
+    path = write_fits("f.fits", np.linspace(0, 2, 48 * 64).reshape(48, 64).astype(np.float32), EXPTIME=1.0)
+    with pytest.raises(CaptureError, match="--full-scale"):
+        open_capture(path)
+    dn = open_capture(path, ImportOptions(full_scale=4.0)).read_frame(0).dn
+    assert (int(dn[0, 0]), int(dn[-1, -1])) == (0, round(65535 * 2 / 4))
+
+
+def test_integers_of_32_bits_are_kept_where_they_fit(write_fits):
+    """A stated full scale of up to 65535 leaves whole numbers as they are, one above scales them."""
+    path = write_fits("i.fits", FITS_PICTURE.astype(np.int32) * 10, EXPTIME=1.0)
+    assert np.array_equal(open_capture(path, ImportOptions(full_scale=65535)).read_frame(0).dn, FITS_PICTURE * 10)
+    scaled = open_capture(path, ImportOptions(full_scale=131070)).read_frame(0).dn
+    assert int(scaled[0, 0]) == 5000
+
+
+def test_a_value_above_the_stated_full_scale_is_refused(write_fits):
+    """What cannot be is not clipped."""
+    path = write_fits("i.fits", FITS_PICTURE.astype(np.int32) * 10, EXPTIME=1.0)
+    with pytest.raises(CaptureError, match="above the full scale"):
+        open_capture(path, ImportOptions(full_scale=20_000))
+
+
+def test_negative_numbers_need_a_pedestal(write_fits):
+    """A dark-subtracted frame is refused with the pedestal that takes it."""
+    path = write_fits("n.fits", FITS_PICTURE.astype(np.int16) - 1040, EXPTIME=1.0)
+    with pytest.raises(CaptureError, match="--pedestal 40"):
+        open_capture(path)
+    assert int(open_capture(path, ImportOptions(pedestal=40)).read_frame(0).dn[0, 0]) == 0
+
+
+def test_fewer_bits_are_told_by_where_pixels_pile_up(write_fits):
+    """Pixels that pile up at 4095 tell a 12-bit converter in a 16-bit file."""
+    capture = open_capture(write_fits("t.fits", np.minimum(FITS_PICTURE + 2000, 4095).astype(np.uint16), EXPTIME=1.0))
+    assert capture.header.camera.bit_depth == 12
+
+
+def test_one_filter_of_several_is_a_pattern(write_fits):
+    """Frames through two filters see different light; darks belong to neither."""
+    write_fits("s/a.fits", FITS_PICTURE, EXPTIME=1.0, IMAGETYP="flat", FILTER="R")
+    write_fits("s/b.fits", FITS_PICTURE, EXPTIME=1.0, IMAGETYP="flat", FILTER="V")
+    folder = write_fits("s/c.fits", FITS_PICTURE, EXPTIME=1.0, IMAGETYP="dark", FILTER="V").parent
+    patterns = {e.file: e.pattern for e in open_capture(folder).header.frames}
+    assert patterns == {"a.fits": "R", "b.fits": "V", "c.fits": "default"}
+
+
+def test_two_cameras_are_not_mixed(write_fits):
+    """Frames of two sizes are refused as one set, each named."""
+    write_fits("s/a.fits", FITS_PICTURE, EXPTIME=1.0, INSTRUME="one")
+    folder = write_fits("s/b.fits", FITS_PICTURE, EXPTIME=1.0, INSTRUME="two").parent
+    with pytest.raises(CaptureError, match=r"2 cameras.*one.*two"):
+        open_capture(folder)
+
+
+def test_no_exposure_anywhere_is_an_error(write_fits):
+    """Without an exposure a frame says nothing; the message names it."""
+    with pytest.raises(CaptureError, match=r"a\.fits"):
+        open_capture(write_fits("a.fits", FITS_PICTURE, IMAGETYP="flat"))
+
+
+@pytest.mark.parametrize(
+    ("cards", "white_dn"),
+    [
+        ({"SATURATE": 50_000}, 50_000), ({"SATLEVEL": 50_000.0}, 50_000), ({"DATAMAX": 9_000}, None),
+        ({"SATURATE": (50_000, "saturation level [e-]")}, None), ({"SATURATE": 200_000}, None),
+    ],
+)  # fmt: skip
+def test_a_stated_saturation_is_the_white_level(tmp_path, write_fits, cards, white_dn):
+    """SATURATE in DN; DATAMAX is the largest value of one frame, and electrons or numbers beyond 16 bits are none."""
+    dn = np.full((20, 30), 9_000, np.uint16)
+    for k, seconds in enumerate((1.0, 2.0)):
+        write_fits(f"f/{k}.fits", dn + np.uint16(k), EXPTIME=seconds, IMAGETYP="Light", **cards)
+    camera = open_capture(tmp_path / "f").header.camera
+    assert camera.white_level_dn == white_dn
+    assert camera.saturated_dn == (white_dn or 65_535)
