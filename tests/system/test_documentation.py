@@ -27,7 +27,7 @@ pytestmark = [pytest.mark.slow, pytest.mark.timeout(900)]
 
 DOCS = Path(__file__).resolve().parents[2] / "docs"
 # Pages whose commands need a package manager or a camera that is not there yet.
-NOT_FOLLOWED = {"install", "add-a-camera"}
+NOT_FOLLOWED = {"install"}
 FOLLOWED = (
     DOCS / "tutorial.md",
     *sorted(page for page in (DOCS / "how-to").glob("*.md") if page.stem not in NOT_FOLLOWED),

@@ -18,6 +18,7 @@ def show_report(report: dict[str, Any]) -> None:
     )
     if scale["reference"]:
         out.print(f"from       {scale['reference']}")
+    out.print(f"spectrum   {report['spectrum']}")
     for name, share in sorted(_shares(budget).items(), key=lambda entry: -entry[1])[:3]:
         out.print(f"  {100 * share:5.1f} %  {name} (u = {100 * budget[name]:.2g} %)")
     if metered := report.get("metered"):
