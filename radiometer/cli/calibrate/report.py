@@ -26,7 +26,9 @@ def show_report(report: dict[str, Any]) -> None:
             entry = metered[name]
             out.print(f"{name:<10} {with_u(entry['value'], 2 * entry['u'], unit, k=2)}  (metered surface)")
         thesis = metered["thesis_spectral_radiance"]["value"]
-        out.print(f"thesis     {thesis:.4f} W·sr⁻¹·m⁻²·µm⁻¹  (equation 2.10: a spectral radiance, for comparison only)")
+        out.print(
+            f"per µm     {thesis:.4f} W·sr⁻¹·m⁻²·µm⁻¹  (L_v/(683·0.1068): a spectral radiance, for comparison only)"
+        )
     if ranged := report.get("dynamic_range"):
         exponent, u = ranged["exponent"], ranged["u_exponent"]
         out.print(
