@@ -151,7 +151,7 @@ def site(project_root: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_the_site_loads_nothing_from_anywhere_else(site):
-    """Every script, style, font and picture of every page lies in the site itself."""
+    """Every script, style, font and picture of every page is in the site itself."""
     pages = sorted(site.rglob("*.html"))
     assert len(pages) > 30
     for page in pages:
@@ -175,7 +175,7 @@ def test_the_site_shows_formulas_without_a_script(site):
 
 
 def test_the_reference_holds_every_public_name_command_effect_and_threshold(site):
-    """What can be imported, typed or switched on stands in the reference, with its words."""
+    """What can be imported, typed or switched on is in the reference, with its words."""
     names = (site / "reference" / "python.html").read_text(encoding="utf-8")
     for name in radiometer.__all__:
         assert f'id="{radiometer.home_of(name)}.{name}"' in names, name
