@@ -27,8 +27,11 @@ if "PYTEST_DEBUG_TEMPROOT" not in os.environ and os.access(MEMORY, os.W_OK) and 
 # Results that cannot be written where they belong are saved in the user's state folder: not in the developer's.
 os.environ["XDG_STATE_HOME"] = tempfile.mkdtemp(prefix="radiometer-state-", dir=os.environ.get("PYTEST_DEBUG_TEMPROOT"))
 # Neither an example's time nor that of making one says anything of the code. Half of the usual hundred examples find
-# what a draw of mistakes holds, in half the time; each run draws others.
-settings.register_profile("patient", max_examples=50, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+# what a draw of mistakes holds, in half the time. They are the same in every run, so that a change breaks the test that
+# it breaks; `--hypothesis-profile=search` draws others.
+patient = settings(max_examples=50, deadline=None, suppress_health_check=[HealthCheck.too_slow], derandomize=True)
+settings.register_profile("patient", patient)
+settings.register_profile("search", patient, derandomize=False, max_examples=500)
 settings.load_profile("patient")
 # A shell's background job ignores Ctrl-C, and so would every program that a test starts and ends by it.
 with contextlib.suppress(ValueError):  # a worker's thread that is not its main one

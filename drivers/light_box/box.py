@@ -5,9 +5,11 @@ from __future__ import annotations
 import math
 import threading
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from typing import Final, Protocol
+
+import structlog
 
 from drivers.light_box.answers import (
     RANGE_LETTERS,
@@ -47,6 +49,7 @@ from radiometer.errors import (
     UsageError,
 )
 
+_LOG = structlog.get_logger(__name__)
 TEND_INTERVAL_S: Final = 0.25  # a quarter of the box's dead-man time
 START_UP_S: Final = 4.0  # opening the port resets an Arduino, whose boot loader waits 1 to 2 s
 LISTEN_S: Final = 0.02  # a press is read within this time; its time is the box's
@@ -257,18 +260,40 @@ class SerialLightBox(Opened):
         """Darken one channel."""
         with self._exchanging():
             self.link.request(f"OF {self._index(channel)}")
+            self._require_dark(channel)
             self.ledger.darken(channel)
+
+    def darken(self) -> None:
+        """Darken every channel and see that each is dark.
+
+        Raises:
+            DeviceError: If one is not, or the box does not answer: it gets no further word, and its dead-man timer ends
+                the light.
+        """
+        with self._lock:
+            dark_after_s = DARK_AFTER_S
+            try:
+                self.link.request("OF *", attempts=ATTEMPTS // 2)
+                self._require_dark(*self._channels)
+                dark_after_s = 0.0
+            except DeviceError:
+                self.link.ask_for_darkness()
+                raise
+            finally:
+                self.ledger.darken(within_s=dark_after_s)
 
     def safe(self) -> None:
         """Darken every channel; never raises, for the box darkens itself where it cannot be reached."""
-        with self._lock:
-            dark_after_s = 0.0
-            try:
-                self.link.request("OF *", attempts=ATTEMPTS // 2)
-            except DeviceError:  # silent or gone: its dead-man timer ends the light
-                self.link.ask_for_darkness()
-                dark_after_s = DARK_AFTER_S
-            self.ledger.darken(within_s=dark_after_s)
+        with suppress(DeviceError):
+            self.darken()
+
+    def _require_dark(self, *channels: str) -> None:
+        for channel in channels:
+            if self.read_channel(channel).drive.level:
+                self.link.give_up(
+                    f"{self._name}: {channel} stays lit though it was darkened; the box gets no further word and goes"
+                    " dark by its dead-man timer within 1 s. Unplug it if it does not, and flash its firmware"
+                )
 
     def read_channel(self, channel: str) -> ChannelState:
         """Return what a channel is doing."""
@@ -347,6 +372,8 @@ class SerialLightBox(Opened):
         for index in range(count):
             channel, bucket = read_capabilities(self._name, self.link.request(f"CH {index}"))
             self._channels[channel.name], self._buckets[channel.name] = channel, bucket
+            if self.ledger.take_colour(channel.name, channel.peak_nm):
+                _LOG.warning("the preset is of another box: the light counts as the box says", channel=channel.name)
         self.ledger.open(self._identity.serial)  # a session starts dark, however the one before has ended
 
     def _hello(self) -> tuple[str, ...]:
@@ -394,6 +421,7 @@ class SerialLightBox(Opened):
         if drive.level == 0 and not ramp_s:  # darkness needs no account
             with self._exchanging():
                 self.link.request(words)
+                self._require_dark(channel)
                 self.ledger.darken(channel)
                 return self.read_channel(channel)
         radiance = self._highest_radiance(channel, drive)

@@ -15,6 +15,10 @@ from radiometer.errors import MeasurementError
 TICK_S: Final = 4e-6  # the box stamps in steps of 4 µs
 # A ceramic resonator, as on the Arduino Uno, is within 0.5 % of its frequency (Murata CSTCE, data sheet).
 RATE_PRIOR: Final = 0.005
+MOST_RATE: Final = 0.01  # what the account of the exposure adds for the box's times
+# Three spans in a row must show a rate: a program or simulated box that waited for the processor shows it in one.
+SPANS: Final = 3
+SPAN_S: Final = 0.7  # delays of 7 ms are as much as MOST_RATE in it
 WINDOW: Final = 512  # samples; older ones say nothing of the rate of the box's clock now
 DELAY_SLACK_S: Final = 0.0005  # samples whose free delay exceeds the least by more are left out
 
@@ -73,6 +77,22 @@ class BoxClock:
         """
         offset_s, u_offset_s, _, _ = self._fit(box_time_s)
         return box_time_s + offset_s, u_offset_s
+
+    def least_rate(self) -> float:
+        """Return by how much the clocks' rates differ at least in each of the latest spans, wherever delays were.
+
+        It is 0 where they run alike, or too little time has passed.
+        """
+        later, rates = self._latest(), list[float]()
+        for sample in reversed(self.samples):
+            if later.sent_s - sample.sent_s >= SPAN_S:
+                moved_s = later.offset_s - sample.offset_s
+                least_s = abs(moved_s) - (later.free_delay_s + sample.free_delay_s) / 2.0
+                rates.append(math.copysign(max(least_s, 0.0), moved_s) / (later.box_received_s - sample.box_received_s))
+                later = sample
+                if len(rates) == SPANS:
+                    return max(0.0, min(rates), -max(rates))
+        return 0.0
 
     def _latest(self) -> ClockSample:
         if not self.samples:

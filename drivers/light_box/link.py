@@ -10,7 +10,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 from typing import Final, NoReturn
 
-from drivers.light_box.clock import BoxClock, ClockSample
+from drivers.light_box.clock import MOST_RATE, BoxClock, ClockSample
 from drivers.light_box.events import EventInbox
 from drivers.light_box.frames import (
     ERROR_TEXTS,
@@ -206,6 +206,12 @@ class BoxLink:
                 answer_bytes * self.byte_time_s,
             )
         )
+        if (off := self.clock.least_rate()) > MOST_RATE:
+            self.ask_for_darkness()
+            self.give_up(
+                f"the clock of the light box on {self.line.name} is off by {100 * off:.2g} % or more, so its light"
+                f" lasts longer or shorter than asked; replace its resonator, or flash its firmware; {DARK_SOON}"
+            )
         self._fetch_lost_events(latest_event)
 
     def _fetch_lost_events(self, latest: int) -> None:

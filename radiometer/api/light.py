@@ -660,7 +660,8 @@ def _level(radiance: float | None, level: int | None, *, low: bool) -> Level:
         if low:
             raise UsageError("--low belongs to --level; a radiance chooses its range by itself")
         return Radiance(radiance)
-    assert level is not None
+    if not isinstance(level, int) or isinstance(level, bool):
+        raise UsageError(f"level {level!r}: a raw level is a whole number from 0 to 65535")
     return DriveLevel(level, CurrentRange.LOW if low else CurrentRange.HIGH)
 
 

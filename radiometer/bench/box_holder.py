@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
-from radiometer.errors import DeviceInUse, OutputError
+from radiometer.errors import DeviceError, DeviceInUse, OutputError
 
 _PATIENCE_S: Final = 3.0  # the box answers, or is dark by its dead-man timer, in less
 _LONGEST_WORD: Final = 4400  # characters: a path of 4095 bytes, a serial number and a process
@@ -66,7 +66,7 @@ def holding(serial: str, port: str, darken: Callable[[], None]) -> Iterator[None
 
     Args:
         serial: Serial number of the box held.
-        darken: Darkens every channel; called from a separate thread.
+        darken: Darkens every channel, or raises DeviceError; called from a separate thread.
     """
     folder = runtime_folder("radiometer-held-boxes")
     address = folder / f"{hashlib.sha256(port.encode()).hexdigest()[:12]}-{os.getpid()}-{threading.get_ident()}"
@@ -169,7 +169,10 @@ def _serve(listener: socket.socket, name: str, darken: Callable[[], None]) -> No
 
 def _answer(word: str, name: str, darken: Callable[[], None]) -> str:
     if word == "off":
-        darken()
+        try:
+            darken()
+        except DeviceError:
+            return "not dark"
         return "dark"
     return name if word == "who" else "?"
 

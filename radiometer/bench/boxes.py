@@ -10,9 +10,9 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Final, Literal
+from typing import Final, Literal, Self
 
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from drivers.light_box.box import FLASH, SerialLightBox
 from drivers.light_box.link import BoxLink
@@ -67,11 +67,18 @@ class ChannelConfig(ConfigSection):
     """
 
     peak_nm: float | None = Field(None, gt=300, lt=1100)
-    fwhm_nm: float = Field(20.0, ge=0)
+    fwhm_nm: float = Field(20.0, ge=0)  # of a peak; a white channel has none
     subtense_deg: float = Field(gt=0, le=180)
-    radiance_bound_W_per_sr_m2: float = Field(gt=0)  # noqa: N815 (the file's key)
-    low_range_ratio_bound: float = Field(0.01, gt=0, le=1)
+    # Below the absolute threshold of the eye (about 1e-6 scotopic cd·m⁻²) a bound is in a wrong unit.
+    radiance_bound_W_per_sr_m2: float = Field(ge=1e-9)  # noqa: N815 (the file's key)
+    low_range_ratio_bound: float = Field(0.01, ge=1e-6, le=1)
     place: PlaceConfig | None = None
+
+    @model_validator(mode="after")
+    def _has_a_width(self) -> Self:
+        if self.peak_nm is not None and self.fwhm_nm <= 0.0:
+            raise ValueError("fwhm_nm must be above 0 where there is a peak_nm")
+        return self
 
     @property
     def optics(self) -> ChannelOptics:
@@ -371,7 +378,7 @@ def open_light_box(
         box.calibration = known
         if opened.twin is None:
             remember(box.link.line.name, list_serial_ports())
-        with nullcontext() if opened.twin else holding(box.identity.serial, box.link.line.name, box.safe):
+        with nullcontext() if opened.twin else holding(box.identity.serial, box.link.line.name, box.darken):
             yield OpenedBox(box, config, known, opened.wait, opened.twin)
 
 

@@ -71,8 +71,9 @@ def served_box(
     faults_in, faults_out = (LineFaults(corrupt, drop, rng=np.random.default_rng((seed, way))) for way in (0, 1))
     if firmware is not None and subject is not None:
         raise UsageError("a simulated subject sees the LEDs of the twin, not of the firmware: leave out one of them")
-    with exposure_store().change() as account:
-        account.begin(serial)  # a box that is simulated from now on: no eye was before it
+    store = exposure_store()
+    with store.change() as account:
+        account.begin(serial, store.holder)  # a box that is simulated from now on: no eye was before it
     if firmware is not None:
         avr = AvrBox(firmware, serial)
         server = PtyServer(avr, place, faults_in, faults_out)

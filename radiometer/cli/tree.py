@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib
 import inspect
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
@@ -24,7 +25,22 @@ def application(name: str) -> Any:
         app = module.app
     command = typer.main.get_command(app)
     command.name, command.short_help = name, COMMANDS[name].summary
+    _require_finite(command)
     return command
+
+
+def _require_finite(command: Any) -> None:
+    """Let no option of a command, and of those below it, take nan or infinity: a limit lets nan pass."""
+    for one in command.params:
+        one.callback = one.callback or _finite
+    for inner in getattr(command, "commands", {}).values():
+        _require_finite(inner)
+
+
+def _finite(context: Any, parameter: Any, value: Any) -> Any:
+    if isinstance(value, float) and not math.isfinite(value):
+        raise typer.BadParameter(f"{value} is no finite number", ctx=context, param=parameter)
+    return value
 
 
 class Commands(TyperGroup):

@@ -12,6 +12,7 @@ import math
 import os
 import sqlite3
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from types import TracebackType
@@ -106,6 +107,7 @@ class Journal:
         self._file = path  # where symbolic links lead to, once it is open
         self._lock_file: IO[str] | None = None
         self._descriptor: int | None = None
+        self._wal: os.stat_result | None = None  # SQLite's log beside it, as the last transaction left it
         self._last_sequence = 0
         self.newest_at_opening_us: int | None = None
         self.clock_doubt_us = 0
@@ -139,6 +141,7 @@ class Journal:
             self._release_locks()
             raise
         self._connection = connection
+        self._wal = self._wal_now()
         if not self._was_open:
             self._was_open = True
             self._learn_times(connection)
@@ -181,6 +184,8 @@ class Journal:
             connection.executemany(_ADD_TO_TREND, filter(None, map(_trend_row, numbered)))
             connection.execute("UPDATE counters SET value = ? WHERE name = 'last_sequence'", (last + len(numbered),))
         self._last_sequence = last + len(numbered)
+        with suppress(OSError):  # a full disk: the readings are in the journal
+            self._note_given()
         return numbered
 
     def note(self, kind: str, message: str) -> None:
@@ -277,6 +282,28 @@ class Journal:
             (page_size,) = connection.execute("PRAGMA page_size").fetchone()
             connection.execute(f"PRAGMA max_page_count = {max(1, self._max_bytes // page_size)}")
         self._verify(connection)
+        if tables:
+            self._require_all_given(connection)
+
+    def _require_all_given(self, connection: sqlite3.Connection) -> None:
+        """Refuse a journal that has lost readings: its lock file holds the last number that was given."""
+        assert self._lock_file is not None
+        self._lock_file.seek(0)
+        noted = self._lock_file.read(20).strip()
+        (last,) = connection.execute("SELECT value FROM counters WHERE name = 'last_sequence'").fetchone()
+        if noted.isdigit() and int(noted) > last:
+            raise OutputError(
+                f"{self.path} has lost its readings {last + 1} to {int(noted)}: its -wal file was deleted or cut, or an"
+                f" older copy was put in its place. Put the files back; or delete {self._file.name}.lock, and these"
+                " numbers are given again"
+            )
+
+    def _note_given(self) -> None:
+        assert self._lock_file is not None
+        self._lock_file.seek(0)
+        self._lock_file.truncate()
+        self._lock_file.write(f"{self._last_sequence}\n")
+        self._lock_file.flush()
 
     def _learn_times(self, connection: sqlite3.Connection) -> None:
         """Note the time of the newest reading, and how far the clock that stamped it is in doubt."""
@@ -319,6 +346,7 @@ class Journal:
         except OSError:
             standing = None
         if standing is not None and os.path.samestat(standing, held):
+            self._require_log_in_place()
             return
         if standing is None and held.st_nlink == 0:
             self._write_anew()
@@ -326,6 +354,35 @@ class Journal:
         happened = "deleted, and another file took its place" if held.st_nlink == 0 else "moved or replaced"
         remedy = "move that file away" if held.st_nlink == 0 else "put it back, or restart the daemon for a new one"
         raise JournalError(f"the journal {self.path} was {happened} while the daemon writes it; {remedy}")
+
+    def _wal_now(self) -> os.stat_result | None:
+        try:
+            return self._file.with_name(self._file.name + "-wal").stat()
+        except OSError:
+            return None
+
+    def _require_log_in_place(self) -> None:
+        """Refuse to write where SQLite's log was deleted, replaced or cut: after a crash its readings would be gone.
+
+        A checkpoint by another program cuts the log, too. Then a further one has nothing to read that is not there.
+        """
+        left, now = self._wal, self._wal_now()
+        if left is None or self._connection is None:
+            return
+        if now is None or not os.path.samestat(left, now):
+            self._write_anew()
+            raise JournalError(
+                f"the log {self._file.name}-wal of the journal {self.path} was deleted or replaced; the journal was"
+                " written anew with all of its readings"
+            )
+        if now.st_size < left.st_size:
+            try:
+                self._connection.execute("PRAGMA wal_checkpoint(PASSIVE)").fetchall()
+            except sqlite3.Error as error:
+                raise JournalError(
+                    f"the log {self._file.name}-wal of the journal {self.path} was cut while the daemon writes it: the"
+                    " newest readings in it are lost; restart the daemon"
+                ) from error
 
     def _write_anew(self) -> None:
         """Copy the whole journal from the open connection to where its deleted file was, and go on with the copy."""
@@ -376,7 +433,7 @@ class Journal:
         try:
             self._file = self.path.resolve()
             self._file.parent.mkdir(parents=True, exist_ok=True)
-            self._lock_file = self._file.with_name(self._file.name + ".lock").open("a", encoding="ascii")
+            self._lock_file = self._file.with_name(self._file.name + ".lock").open("a+", encoding="ascii")
             fcntl.flock(self._lock_file, fcntl.LOCK_EX | fcntl.LOCK_NB)
             self._descriptor = os.open(self._file, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o644)
             fcntl.flock(self._descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
@@ -420,6 +477,7 @@ class _Transaction:
         try:
             if error is None:
                 self._connection.execute("COMMIT")
+                self._journal._wal = self._journal._wal_now()
                 return
         except sqlite3.Error as failure:
             self._roll_back()

@@ -63,7 +63,7 @@ class ReadingFilter:
             ("time_us < ?", self.until_us),
             ("sequence > ?", self.after),
             ("stream = ?", self.stream),
-            ("(' ' || flags || ' ') LIKE ('% ' || ? || ' %')", self.flag),
+            ("instr(' ' || flags || ' ', ' ' || ? || ' ') > 0", self.flag),
         ):
             if value is not None:
                 terms.append(condition)

@@ -180,27 +180,44 @@ class Account:
     planned: dict[str, Planned] = field(default_factory=dict)  # what is open, by its name
     # Why the history of a box that it does not know is unknown
     reason: str = NO_HISTORY
+    # Boxes that are known by their simulation alone, and the program that runs it
+    simulated: dict[str, str] = field(default_factory=dict)
 
     @property
     def now_s(self) -> float:
         """Return the uptime at which it was brought up to date, in s."""
         return self.moment.uptime_s
 
-    def meet(self, serial: str) -> None:
-        """Take up a box; one that the account does not know counts as used up for the window from now on."""
+    def meet(self, serial: str, lives: Callable[[str], bool]) -> None:
+        """Take up a box; one that the account does not know counts as used up for the window from now on.
+
+        Args:
+            serial: Its serial number.
+            lives: Returns whether a program runs: once its simulation has ended, a box of that number is another one.
+        """
         key = box_key(serial)
-        if key not in self.given:
-            self.given[key] = {}
+        if key not in self.given or (key in self.simulated and not lives(self.simulated[key])):
+            self.given.setdefault(key, {})
+            self.simulated.pop(key, None)
             self.assumed[key] = self.now_s + BLUE_WINDOW_S, self.reason
 
-    def begin(self, serial: str) -> None:
-        """Take up a box that was just made, as simulated ones are; a box that is known keeps its history."""
-        self.given.setdefault(box_key(serial), {})
+    def begin(self, serial: str, holder: str | None = None) -> None:
+        """Take up a box that was just made, as simulated ones are; a box that is known keeps its history.
+
+        Args:
+            serial: Its serial number.
+            holder: The program that simulates it; None where the account ends with the simulation.
+        """
+        key = box_key(serial)
+        if holder is not None and (key not in self.given or key in self.simulated):
+            self.simulated[key] = holder
+        self.given.setdefault(key, {})
 
     def confirm(self, serial: str) -> None:
         """Take a person's word that no eye was exposed within the window; what is known to be given stays."""
         self.given.setdefault(box_key(serial), {})
         self.assumed.pop(box_key(serial), None)
+        self.simulated.pop(box_key(serial), None)
 
     def settle(self, name: str, dark_s: float) -> None:
         """Turn what was planned into what was given, knowing that it is dark from an uptime on."""
@@ -450,6 +467,7 @@ def render_account(account: Account) -> str:
             },
             "assumed": {key: [until_s - now_s, why] for key, (until_s, why) in account.assumed.items()},
             "planned": {name: _planned_to_json(planned, now_s) for name, planned in account.planned.items()},
+            "simulated": account.simulated,
         },
         ascii_only=True,
     )
@@ -476,6 +494,7 @@ def parse_account(content: bytes) -> Account | None:
             },
             {key: (now_s + float(until_s), str(why)) for key, (until_s, why) in known["assumed"].items()},
             {name: _planned_from_json(entry, now_s) for name, entry in known["planned"].items()},
+            simulated={key: str(holder) for key, holder in known.get("simulated", {}).items()},
         )
     except (ValueError, KeyError, TypeError, AttributeError, RecursionError):
         return None

@@ -6,7 +6,7 @@ import math
 import threading
 import uuid
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Final
 
 from radiometer.devices.exposure_account import ANY_EYE, Account, AccountStore, Phase, Planned, box_key, eye_keys
@@ -17,11 +17,14 @@ from radiometer.devices.retinal_safety import (
     HazardFractions,
     hazard_fractions,
     refuse_unsafe,
+    weighted_fractions,
 )
 from radiometer.errors import UnsafeStimulus
 
 # An Arduino's ceramic resonator runs up to 0.5 % slow (docs/reference/light-box-protocol.md); twice that counts.
 BOX_CLOCK_FACTOR: Final = 1.01
+_LINE_NM: Final = 20.0  # width of a coloured LED where the preset states none
+_BY_FAR: Final = 1.5  # LEDs of one type differ by up to 10 nm, which is 1.3 times in the steepest part of B(λ)
 # A command may be repeated for 1.6 s, each time feeding the dead man, who waits 1 s: the old light may last that long.
 CHANGE_S: Final = 3.0
 
@@ -73,13 +76,29 @@ class ExposureLedger:
             self._box = serial
             try:
                 with self.store.change() as account:
-                    account.meet(serial)
+                    self._meet(account)
                     for name, planned in list(account.planned.items()):
                         if planned.box == serial and not self.store.lives(planned.holder):
                             account.settle(name, account.now_s)
             except UnsafeStimulus:
                 return  # `reserve` meets the same trouble and reports it
             self._open, self._dark_s = {}, {}
+
+    def take_colour(self, channel: str, peak_nm: float | None) -> bool:
+        """Count a channel as the box itself describes it where that harms more, and return whether it does by far.
+
+        Args:
+            channel: Its name.
+            peak_nm: Its peak wavelength in nm as the box reports it; None for white.
+        """
+        stated = self.optics.get(channel)
+        if stated is None:
+            return False
+        own = replace(stated, peak_nm=peak_nm, fwhm_nm=stated.fwhm_nm or _LINE_NM)
+        (blue, _), (own_blue, _) = weighted_fractions(stated), weighted_fractions(own)
+        if own_blue > blue:
+            self.optics = {**self.optics, channel: own}
+        return own_blue > _BY_FAR * blue
 
     def refuse_unsafe(self, channel: str, radiance_w_sr_m2: float, bright_s: float) -> None:
         """Raise UnsafeStimulus if a stimulus, with all that was given before, exceeds the allowed fraction.
@@ -115,7 +134,7 @@ class ExposureLedger:
         name = uuid.uuid4().hex
         with self._lock:
             with self.store.change() as account:
-                account.meet(self._box)
+                self._meet(account)
                 self._settle_known(account)
                 planned = self._planned(account, stimulus)
                 refusal = self._refusal(account, planned)
@@ -148,7 +167,7 @@ class ExposureLedger:
     def note(self, stimulus: Stimulus) -> None:
         """Enter light that was given without having been asked for. Raises UnsafeStimulus where it cannot be stored."""
         with self._lock, self.store.change() as account:
-            account.meet(self._box)
+            self._meet(account)
             name = uuid.uuid4().hex
             account.planned[name] = self._planned(account, stimulus)
             account.settle(name, math.inf)
@@ -190,13 +209,16 @@ class ExposureLedger:
                 return  # darkness needs no account; the next stimulus stores it
             self._dark_s = {}
 
+    def _meet(self, account: Account) -> None:
+        account.meet(self._box, lambda holder: holder == self.store.holder or self.store.lives(holder))
+
     def _settle_known(self, account: Account) -> None:
         for name, dark_s in self._dark_s.items():
             account.settle(name, dark_s)
 
     def _looked_at(self) -> Account:
         account = self.store.look()
-        account.meet(self._box)
+        self._meet(account)
         self._settle_known(account)
         return account
 

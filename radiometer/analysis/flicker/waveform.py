@@ -26,6 +26,7 @@ _STEP_ROUNDING: Final = 0.02  # of a step: what decimals of a table may move a t
 _MOST_HARMONICS: Final = 12  # that take part in finding the period; further ones hold little of a lamp's power
 # A period is accepted where its harmonics hold so much of the modulation that noise or chance cannot.
 _PERIODIC_SHARE: Final = 0.5
+_ALIKE: Final = 0.5  # of the strongest line's power: only a pulse of some samples has harmonics so much alike
 _LEAST_SHARE: Final = 1e-6  # of the variance that a longer period must explain: more than rounding
 _FREQUENCY_TOLERANCE: Final = 1e-6  # of a line's width, at which the search for the frequency ends
 _MOST_SAMPLES: Final = 10_000  # to find the period of: some 200 periods, which give it to parts in 100,000
@@ -188,22 +189,23 @@ class Period:
 def find_period(waveform: Waveform) -> Period | None:
     """Return the repetition of a waveform by least squares of harmonics; None where there is none.
 
-    The frequency is the one whose fundamental and harmonics hold most of the variance. A fundamental of half or a third
-    of it counts where it halves what is not explained. The uncertainty is the bound for a sinusoid in white noise,
-    u² = 6σ²·rate²/(π²·A²·n³) with the amplitude A (Rife and Boorstyn 1974).
+    The frequency is the one whose fundamental and harmonics hold most of the variance. It is that of the strongest
+    line unless another halves what is not explained: a half or a third of it, or the lowest line that is about as
+    strong, for the harmonics of a short pulse are all alike. The uncertainty is the bound for a sinusoid in white
+    noise, u² = 6σ²·rate²/(π²·A²·n³) with the amplitude A (Rife and Boorstyn 1974).
     """
     variance = float(np.var(waveform.light))
     if not variance > 0.0:
         return None
-    peak_hz = _strongest_line_hz(waveform)
-    if peak_hz is None:
+    lines_hz = _strong_lines_hz(waveform)
+    if not lines_hz:
         return None
-    rate_hz, light = _excerpt(waveform, peak_hz)
+    rate_hz, light = _excerpt(waveform, lines_hz[0])
     duration_s = light.size / rate_hz
     best_hz, share = 0.0, 0.0
-    for divisor in (1, 2, 3):
-        if peak_hz / divisor * duration_s >= 2.0:  # fewer periods show no repetition
-            found_hz, held = _refined(light, rate_hz, peak_hz / divisor)
+    for near_hz in (lines_hz[0], lines_hz[0] / 2.0, lines_hz[0] / 3.0, *lines_hz[1:]):
+        if near_hz * duration_s >= 2.0:  # fewer periods show no repetition
+            found_hz, held = _refined(light, rate_hz, near_hz)
             if best_hz == 0.0 or 1.0 - held < 0.5 * (1.0 - share) - _LEAST_SHARE:
                 best_hz, share = found_hz, held
     if share < _PERIODIC_SHARE:
@@ -214,14 +216,23 @@ def find_period(waveform: Waveform) -> Period | None:
     return Period(best_hz, u_hz, share)
 
 
-def _strongest_line_hz(waveform: Waveform) -> float | None:
-    """Return where the spectrum is highest, to about a tenth of a line's width; None below one period in the record."""
+def _strong_lines_hz(waveform: Waveform) -> list[float]:
+    """Return the strongest line, then the lowest of about its power where that is another; none below one period.
+
+    Frequencies in Hz hold to about a tenth of a line's width.
+    """
     light = (waveform.light - waveform.light.mean()) * np.hanning(waveform.light.size)
     padded = next_fast_len(4 * light.size, real=True)
     power = np.abs(rfft(light, padded)) ** 2
     frequency_hz = rfftfreq(padded, 1.0 / waveform.rate_hz)
     power[frequency_hz * waveform.duration_s < 1.5] = 0.0  # the width of the window's own line
-    return float(frequency_hz[int(np.argmax(power))]) if power.any() else None
+    if not power.any():
+        return []
+    strongest = int(np.argmax(power))
+    lowest = int(np.argmax(power >= _ALIKE * power[strongest]))
+    while lowest < strongest and power[lowest + 1] > power[lowest]:
+        lowest += 1
+    return [float(frequency_hz[at]) for at in dict.fromkeys((strongest, lowest))]
 
 
 def _excerpt(waveform: Waveform, line_hz: float) -> tuple[float, Array]:

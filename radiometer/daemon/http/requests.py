@@ -16,6 +16,7 @@ from radiometer.data import Patch
 from radiometer.data.json_text import RepeatedKey, parsed_json
 from radiometer.errors import UsageError
 
+_LONGEST_NUMBER: Final = 20  # signs: SQLite holds whole numbers of 63 bits
 _BODY_DEADLINE_S: Final = 5.0  # 16 kB, the most that is taken, come in it at 26 kbit/s
 _Model = TypeVar("_Model", bound=BaseModel)
 
@@ -118,6 +119,8 @@ def read_query(request: web.Request, known: Sequence[QueryParameter]) -> dict[st
     for name, text in request.query.items():
         if name not in kinds:
             raise UsageError(f"there is no parameter {name[:40]!r}; there are: {', '.join(kinds) or 'none'}")
+        if name in values:
+            raise UsageError(f"{name} is given twice; leave one of them out")
         values[name] = _converted(name, text, kinds[name])
     return values
 
@@ -125,9 +128,12 @@ def read_query(request: web.Request, known: Sequence[QueryParameter]) -> dict[st
 def _converted(name: str, text: str, kind: str) -> Any:
     if kind == "integer":
         try:
-            return int(text[:20])
-        except ValueError as error:
-            raise UsageError(f"{name} must be a whole number, not {text[:20]!r}") from error
+            number = int(text) if len(text) <= _LONGEST_NUMBER else None
+        except ValueError:
+            number = None
+        if number is None:
+            raise UsageError(f"{name} must be a whole number, not {text[:20]!r}")
+        return number
     if kind == "boolean":
         if text.lower() not in ("1", "0", "true", "false", "on", "off", ""):
             raise UsageError(f"{name} must be true or false, not {text[:20]!r}")

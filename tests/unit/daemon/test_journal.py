@@ -227,7 +227,7 @@ def _sequences(path: Path) -> list[int]:
     return [json.loads(line)["sequence"] for line in JournalReader(path).lines(ReadingFilter())]
 
 
-@pytest.mark.parametrize("endings", [("",), ("", "-wal", "-shm"), ("", "-wal", "-shm", ".lock")])
+@pytest.mark.parametrize("endings", [("",), ("-wal",), ("", "-wal", "-shm"), ("", "-wal", "-shm", ".lock")])
 def test_a_deleted_journal_is_written_anew_with_all_that_it_held(
     tmp_path: Path, make_reading: Callable[..., Reading], endings: tuple[str, ...]
 ) -> None:
@@ -244,6 +244,39 @@ def test_a_deleted_journal_is_written_anew_with_all_that_it_held(
         assert _sequences(path) == list(range(1, 17))
     with Journal(path) as journal:
         assert journal.append([make_reading()])[0].sequence == 17
+
+
+def test_a_log_that_was_cut_is_reported_unless_a_checkpoint_cut_it(
+    tmp_path: Path, make_reading: Callable[..., Reading]
+) -> None:
+    """Readings that are in the log alone would be missing after a crash."""
+    path = tmp_path / "j.sqlite"
+    with Journal(path) as journal:
+        journal.append([make_reading()] * 5)
+        with sqlite3.connect(path) as other:
+            other.execute("PRAGMA wal_checkpoint(TRUNCATE)").fetchall()
+        assert journal.append([make_reading()])[0].sequence == 6
+        os.truncate(path.with_name("j.sqlite-wal"), 100)
+        with pytest.raises(JournalError, match="cut"):
+            journal.append([make_reading()])
+
+
+def test_readings_that_were_lost_after_a_crash_are_reported(
+    tmp_path: Path, make_reading: Callable[..., Reading]
+) -> None:
+    """Their numbers are not given to others before a person has decided so; a journal begun anew has lost none."""
+    path, crashed = tmp_path / "j.sqlite", tmp_path / "crashed.sqlite"
+    with Journal(path) as journal:
+        journal.append([make_reading()] * 5)
+    with Journal(path) as journal:
+        journal.append([make_reading()] * 3)
+        for ending in ("", ".lock"):  # as after a kill, without the log
+            shutil.copy(f"{path}{ending}", f"{crashed}{ending}")
+    with pytest.raises(OutputError, match=r"lost its readings 6 to 8.*crashed.sqlite.lock"):
+        Journal(crashed).open()
+    crashed.unlink()
+    with Journal(crashed) as journal:
+        assert journal.append([make_reading()])[0].sequence == 1
 
 
 def test_a_moved_journal_takes_no_reading_until_it_is_back(

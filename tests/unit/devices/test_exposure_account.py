@@ -222,6 +222,22 @@ def test_a_box_that_this_computer_has_never_seen_counts_as_used_up(desk):
     desk.pulse(desk.open("LB000002"), 50.0)
 
 
+def test_a_simulated_box_vouches_for_no_real_one_of_its_number(desk):
+    """While it runs, no eye was before it; once it has ended, a box that answers by that number is unknown."""
+    desk.living = {"twin"}
+    with desk.store("twin").change() as account:
+        account.begin("LB000002", "twin")
+    desk.pulse(desk.open("LB000002"), 50.0)
+    desk.living = set()
+    with pytest.raises(UnsafeStimulus, match="no account of its light"):
+        desk.pulse(desk.open("LB000002"), 0.001, 0.001)
+    with desk.store("twin").change() as account:
+        account.begin("LB000002", "twin")  # it was met as a real one meanwhile
+    desk.living = {"twin"}
+    with pytest.raises(UnsafeStimulus, match="no account of its light"):
+        desk.pulse(desk.open("LB000002"), 0.001, 0.001)
+
+
 def test_an_eye_carries_its_exposure_from_box_to_box(desk):
     """6 % in one box and 6 % in another are too much for one eye, and not for the other eye."""
     with desk.store("setup").change() as account:
@@ -414,7 +430,7 @@ def _take_three_percent(folder: Path, start: object, taken: object) -> None:
 def test_of_six_programs_at_once_three_get_three_percent_each(tmp_path, monkeypatch):
     """Six boxes before one eye, all asked at the same moment."""
     monkeypatch.setattr(
-        "radiometer.devices.exposure_account.Account.meet", lambda account, serial: account.begin(serial)
+        "radiometer.devices.exposure_account.Account.meet", lambda account, serial, lives: account.begin(serial)
     )
     context = multiprocessing.get_context("fork")
     start, taken = context.Event(), context.Queue()

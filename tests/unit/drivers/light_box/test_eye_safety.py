@@ -3,19 +3,21 @@
 from __future__ import annotations
 
 import math
+from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
 from drivers.light_box.box import SerialLightBox
+from drivers.light_box.frames import request_line
 from drivers.light_box.link import BoxLink
 from radiometer.devices.exposure_account import FileStore, Moment
 from radiometer.devices.exposure_ledger import ExposureLedger
 from radiometer.devices.light_box import CurrentRange, DriveLevel
 from radiometer.devices.retinal_safety import ChannelOptics
 from radiometer.errors import DeviceLost, DeviceTimeout, UnsafeStimulus
-from simulators.light_box.box import SimulatedLightBox
+from simulators.light_box.box import SimulatedBoxSettings, SimulatedLightBox
 from simulators.light_box.line_faults import LineFaults
 from simulators.light_box.virtual_line import VirtualLine
 from testing.eye_world import PROMISED, Eye, live_through
@@ -28,8 +30,11 @@ FIELD = ChannelOptics(None, 0.0, 40.0, BRIGHT)
 class Bench:
     """A simulated box whose port any number of programs open, one after the other, with an account in a folder."""
 
-    def __init__(self, folder: Path, optics: ChannelOptics = FIELD, rate: float = WHITE_BLUE) -> None:
-        self.twin, self.folder, self.optics, self.eye = SimulatedLightBox(), folder, optics, Eye()
+    def __init__(
+        self, folder: Path, optics: ChannelOptics = FIELD, rate: float = WHITE_BLUE, clock_ppm: float = 0.0
+    ) -> None:
+        self.twin = SimulatedLightBox(SimulatedBoxSettings(clock_ppm=clock_ppm))
+        self.folder, self.optics, self.eye = folder, optics, Eye()
         self.line = VirtualLine(self.twin, latency_s=0.0003)
         self._since_s, self._radiance, self._rate = 0.0, 0.0, rate
         self.twin.watch = self.look
@@ -168,3 +173,49 @@ def test_no_sequence_gives_an_eye_more_than_the_promised_share(tmp_path, seeds):
     assert max(desks.shares) > 0.09  # and what is allowed is given
     happened = {"killed in the midst", "rebooted", "clock set", "account harmed", "lines lost", "replugged", "refused"}
     assert happened <= {name for name, times in desks.count.items() if times > 0}
+
+
+@pytest.mark.parametrize("peak_nm", [640.0, None, 437.5])
+def test_light_counts_as_the_box_or_its_preset_says_whichever_harms_more(tmp_path: Path, peak_nm: float | None):
+    """The box says that its field is white: by a preset of a red one it would count 400 times less."""
+    bench = Bench(tmp_path, replace(FIELD, peak_nm=peak_nm, fwhm_nm=20.0, radiance_bound_w_sr_m2=1000.0))
+    box = bench.open()
+    box.pulse("field", DriveLevel(60000), 1.0)
+    bench.wait(6.0, box)
+    given = bench.store.look().blue("box TWIN0001")
+    blue = {437.5: 0.97}.get(peak_nm, WHITE_BLUE)  # of a line 20 nm wide about the peak of B(λ)
+    assert given == pytest.approx(blue * 1000.0 * 60000 / 65535 / 1e6, rel=0.05)
+
+
+@pytest.mark.parametrize(("clock_ppm", "taken"), [(-500_000, False), (-20_000, False), (-5000, True), (9e5, False)])
+def test_a_box_whose_clock_is_off_gives_no_timed_light(tmp_path: Path, clock_ppm: float, taken: bool):
+    """At half the rate a blink of 5 s lasts 10 s: the box is given up within some 3 s, and dark."""
+    bench = Bench(tmp_path, clock_ppm=clock_ppm)
+    box = bench.open()
+    box.blink("field", DriveLevel(1000), 5.0, 10.0, 1)
+    with nullcontext() if taken else pytest.raises(DeviceLost, match="clock"):
+        bench.wait(4.0, box)
+    bench.wait(0.1)  # until the request for darkness has come
+    assert (bench.twin.duty("field") > 0) == taken
+
+
+def test_darkness_is_reported_where_the_box_is_dark(tmp_path: Path):
+    """A box that answers OK and stays lit hears no further word: its dead-man timer ends the light."""
+
+    class StaysLit(LineFaults):
+        """Makes another request of every one for darkness."""
+
+        def apply(self, raw: bytes) -> bytes:
+            return request_line(int(raw[1:3], 16), "ST") if b" OF " in raw else raw
+
+    for darken in (lambda box: box.off("field"), lambda box: box.darken()):
+        bench = Bench(tmp_path)
+        box = bench.open()
+        box.set_level("field", DriveLevel(100))
+        bench.line.faults = StaysLit()
+        with pytest.raises(DeviceLost, match="stays lit"):
+            darken(box)
+        with pytest.raises(DeviceLost, match="stays lit"):
+            box.tend()
+        bench.wait(1.1)
+        assert bench.twin.duty("field") == 0
