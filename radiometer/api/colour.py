@@ -43,6 +43,7 @@ if TYPE_CHECKING:
 TrainedOn = Literal["chart", "responsivities"]
 _UNSTATED: Final = "light"  # kind of lights whose kind no chart and no option states
 _WRITERS: Final = {".exr": write_exr, ".tif": write_tiff, ".tiff": write_tiff}
+_SYMBOLS: Final = {"u_prime": "u′", "v_prime": "v′", "cct": "CCT", "duv": "Duv"}
 _ELLIPSE_K: Final = 2.4477  # radius that holds 95 % of a normal distribution in two dimensions
 _ROWS: Final = 64  # of a picture that are converted at a time
 
@@ -164,17 +165,20 @@ class ColourReading(Result):
         where.legend(loc="upper right", fontsize="small")
         return where
 
+    def rows(self) -> list[tuple[str, str]]:
+        """Return the symbol of every quantity, and its value with U (k = 2)."""
+        return [(_SYMBOLS.get(name, name), _shown(one)) for name, one in self.quantities.items()]
+
     def write_plot(self, path: PathLike) -> None:
         """Draw it into a PNG, PDF or SVG file. Raises UsageError for another ending, OutputError."""
         write_figure(Path(path), self.plot(), (6.4, 6.8))
 
     def write_report(self, path: PathLike) -> None:
         """Write a self-contained page. Raises OutputError if it cannot be written."""
-        rows = [(name, _shown(one)) for name, one in self.quantities.items()]
         raw = [(name, with_u(one.value, 2 * one.u)) for name, one in self.signals.items()]
         parts = [
             picture(self.plot, f"{self.source}: CIE 1931 chromaticity, ellipse at 95 %"),
-            section("Colour, k = 2", table(("quantity", "value"), rows)),
+            section("Colour, k = 2", table(("quantity", "value"), self.rows())),
             section("Raw readings, k = 2", table(("channel", "signal"), raw)),
             section("Flags and assumptions", listed([*self.flags, *self.assumptions])),
         ]
@@ -200,7 +204,8 @@ class ColourReading(Result):
     def __str__(self) -> str:
         """Return luminance, chromaticity and colour temperature in one line."""
         names = ("Y", "x", "y", "cct", "duv")
-        return ", ".join(f"{name} {_shown(self.quantities[name])}" for name in names) + " (k = 2)"
+        shown = (f"{_SYMBOLS.get(name, name)} {_shown(self.quantities[name])}" for name in names)
+        return f"{', '.join(shown)} (k = 2)"
 
 
 def _shown(quantity: Quantity | None) -> str:

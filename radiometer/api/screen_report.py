@@ -101,7 +101,8 @@ class DisplayReport(Result):
                     *(paragraph(note, "flag") for note in one.notes),
                 )
             )
-        outcome = f"{len(self.sections)} methods of the IDMS"
+        main = [f"{_in_words(one.method)} {figure_text(one.figures[0])}" for one in self.sections if one.figures]
+        outcome = f"{', '.join(main[:3])}{', …' if len(main) > 3 else ''} (k = 2)"
         origin = Origin(moment(self.created), box=self.screen, protocol=f"geometry {self.geometry.name}")
         text = page(f"display {self.screen}", outcome, parts, kind="display report", origin=origin)
         write_text_atomic(Path(path), text)
@@ -284,7 +285,11 @@ def _conditions(
     """Return what all methods share, and what of the geometry is in doubt."""
     camera, lens, known = opened.instrument.camera, opened.instrument.lens, opened.instrument.calibration
     model = " ".join(word for word in (camera.identity.vendor, camera.identity.model, camera.identity.serial) if word)
-    scale = "none: values are relative" if known is None else f"{known.scale.reference or 'as stated'}, {known.created}"
+    scale = (
+        "none: values are relative"
+        if known is None
+        else f"{known.scale.reference or 'as stated'}, {moment(known.created)}"
+    )
     lines = [
         f"geometry {geometry.name}",
         *geometry.conditions,

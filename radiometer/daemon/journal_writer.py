@@ -15,14 +15,15 @@ from radiometer.daemon.alarms import Alarms
 from radiometer.daemon.clock_watch import Jump, RetentionClock
 from radiometer.daemon.instrument import Origin
 from radiometer.daemon.journal import Journal, JournalError
+from radiometer.daemon.timestamps import now_us
 from radiometer.data import Reading
+from radiometer.data.storage import write_text_atomic
 from radiometer.errors import OutputError
 
 _log = structlog.get_logger(__name__)
 _T = TypeVar("_T")
 ALARM: Final = "journal"
 _RETENTION_PERIOD_S: Final = 3600.0  # readings stay up to an hour longer than asked
-_CLOSING_DEADLINE_S: Final = 5.0  # systemd kills after 90 s; a blocked disk is given up long before
 
 
 class JournalWriter:
@@ -36,6 +37,8 @@ class JournalWriter:
         capacity: Readings that may wait; when as many wait, `wait_for_room` blocks, so measuring pauses.
         keep_days: Age at which readings are deleted; None keeps all.
         retry_s: Pause in s between two tries while the journal cannot be written.
+        closing_s: Time in s in which readings that wait are still committed at the end: a blocked disk is given up, long
+            before systemd kills after 90 s.
         sleep: Waits for a number of seconds.
     """
 
@@ -48,10 +51,12 @@ class JournalWriter:
         capacity: int = 1000,
         keep_days: float | None = None,
         retry_s: float = 0.5,
+        closing_s: float = 5.0,
         sleep: Callable[[float], Awaitable[None]] = asyncio.sleep,
     ) -> None:
         self._journal, self._alarms, self._on_commit = journal, alarms, on_commit
         self._capacity, self._keep_days, self._retry_s, self._sleep = capacity, keep_days, retry_s, sleep
+        self._closing_s = closing_s
         self._waiting: deque[tuple[Reading, asyncio.Future[Reading], Origin | None]] = deque()
         self._events: deque[tuple[str, str]] = deque(maxlen=capacity)
         self._jumps_us = 0
@@ -136,17 +141,26 @@ class JournalWriter:
                 await self._wait_for_work()
 
     async def close(self) -> None:
-        """Commit what waits, log what cannot be committed within a deadline, and close the journal."""
+        """Commit what waits, save elsewhere what cannot be committed within a deadline, and close the journal.
+
+        Raises:
+            OutputError: If readings were not committed; the message names the file that they are in.
+        """
+        lines = ""
         try:
-            async with asyncio.timeout(_CLOSING_DEADLINE_S):
+            async with asyncio.timeout(self._closing_s):
                 await self._commit_until_empty()
         except TimeoutError:
-            for reading, _, _ in self._waiting:
-                _log.error("reading could not be committed", reading=reading.to_json())
+            lines = "".join(f"{reading.to_json()}\n" for reading, _, _ in self._waiting)
         for _, future, _ in self._waiting:
             future.cancel()
         await self._in_thread(self._journal.close)
         self._thread.shutdown(wait=False)
+        if lines:
+            path = self._journal.path
+            place = path.with_name(f"{path.name}-waiting-{now_us()}.jsonl")
+            write_text_atomic(place, lines)  # where the disk is full, in the user's state folder
+            raise OutputError(f"{len(lines.splitlines())} readings are not in the journal {path}: they are in {place}")
 
     async def _wait_for_work(self) -> None:
         try:

@@ -141,9 +141,11 @@ class Service:
         await self._scpi.close()
         if self._pva is not None:
             await self._pva.stop()
-        await self._station.stop()
-        if self._mqtt is not None:
-            await self._mqtt.stop()
+        try:
+            await self._station.stop()
+        finally:
+            if self._mqtt is not None:
+                await self._mqtt.stop()
 
     def _reload(self) -> None:
         """Reload the calibration, or once more after a reload that runs: many signals are one."""

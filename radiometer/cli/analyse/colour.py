@@ -13,7 +13,7 @@ from radiometer.cli.console import console, note, progress
 from radiometer.cli.options import JsonOption, PatchOption, ReportOption, command_group
 from radiometer.cli.outputs import writes
 from radiometer.errors import UsageError
-from radiometer.numbers import unit_text, with_u
+from radiometer.numbers import unit_text
 
 if TYPE_CHECKING:
     from radiometer import CalibratedColour, ColourReading
@@ -144,10 +144,8 @@ def _show_reading(found: ColourReading) -> None:
     table = Table(title=f"{found.source}: {found.kind or 'light of unstated kind'}", title_justify="left")
     table.add_column("quantity", no_wrap=True)
     table.add_column("value (k = 2)", justify="right", no_wrap=True)
-    names = {"u_prime": "u′", "v_prime": "v′", "cct": "CCT", "duv": "Duv"}
-    for name, one in found.quantities.items():
-        shown = "none" if one is None else with_u(one.value, 2 * one.u, unit_text(one.unit))
-        table.add_row(names.get(name, name), shown)
+    for row in found.rows():
+        table.add_row(*row)
     out = console()
     out.print(table)
     for flag in found.flags:

@@ -24,6 +24,9 @@ from radiometer.errors import OutputError, UsageError
 
 _log = structlog.get_logger(__name__)
 _KEEP_ALIVE_S: Final = 30.0  # twice the heartbeat of a stream
+# Between two requests of a busy client: with all places taken a connection that waits for so long makes room, so that
+# "Lights off" always gets in. A client of HTTP connects again.
+_IDLE_S: Final = 0.1
 _PAGE: Final = {
     "/": ("index.html", "text/html"),
     "/page.css": ("page.css", "text/css"),
@@ -72,7 +75,7 @@ class HttpServer:
         self._station, self._limits, self._token = station, limits or Limits(), token
         if token is not None:
             check_token(token)
-        self._places: Places[web.RequestHandler] = Places(self._limits.http_connections)
+        self._places: Places[web.RequestHandler] = Places(self._limits.http_connections, idle_s=_IDLE_S)
         self._runner = web.AppRunner(
             application(station, self._limits, token, self._places),
             access_log=None,

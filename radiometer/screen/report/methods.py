@@ -69,7 +69,7 @@ def warm_up_section(watched: list[ScreenReading], outcome: WarmUp, examined: Exa
         notes.append("the change is too small, or was watched for too short, for the time constant")
     figures.append(Figure("drift_at_end", Quantity(outcome.drift_rel, u_excess, "1")))
     if not outcome.steady:
-        notes.append("still drifting when the time was up: later figures hold this drift in their uncertainty")
+        notes.append("not steady when the time was up: later figures hold the change of white in their uncertainty")
     rows = tuple(
         (f"{t:.0f} s", examined.luminance(Quantity(v, u, "")))
         for t, v, u in zip(times.tolist(), values.tolist(), own_u.tolist(), strict=True)
@@ -234,7 +234,7 @@ def _primaries(examined: Examined) -> Section:
         rows.append((name, reading.radiance, light, examined.lights[channel].spectrum))
     if len(rows) == 1:
         notes.append("luminances of the primaries need their spectra: --primaries")
-    notes.append("a grey camera does not see chromaticity: measure it with `radiometer colour`")
+    notes.append("a grey camera does not see chromaticity: measure it with radiometer colour")
     return Section(
         "primaries",
         "Full-screen primary colors and white",

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import AsyncIterator
+from contextlib import suppress
 from dataclasses import replace
 from typing import Any
 
@@ -45,6 +46,28 @@ async def test_clients_that_drip_bodies_do_not_lock_others_out(base: str) -> Non
             writers += [await _open(base, head) for _ in range(2 * _LIMITS.http_connections)]
             async with asyncio.timeout(within(10.0)), session.get(f"{base}/healthz") as reply:
                 assert reply.status == 200
+    for writer in writers:
+        writer.close()
+
+
+async def test_lights_go_off_while_busy_clients_hold_every_place(base: str) -> None:
+    """Each keeps its connection and asks three times a second; one that waits between two requests makes room."""
+    head = "GET /healthz HTTP/1.1\r\nHost: localhost\r\n\r\n"
+    writers = [await _open(base, head) for _ in range(_LIMITS.http_connections)]
+
+    async def poll() -> None:
+        while True:
+            await asyncio.sleep(0.3)
+            for writer in writers:
+                with suppress(OSError):
+                    writer.write(head.encode())
+
+    polling = asyncio.create_task(poll())
+    await asyncio.sleep(1.0)
+    async with aiohttp.ClientSession() as session, session.get(f"{base}/healthz") as reply:
+        assert reply.status in (200, 503)  # 503: an alarm of this station, with its names
+        assert "alarms" in await reply.text()
+    polling.cancel()
     for writer in writers:
         writer.close()
 

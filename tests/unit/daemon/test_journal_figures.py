@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import json
 import sqlite3
 from collections.abc import Callable
 from pathlib import Path
@@ -185,6 +186,27 @@ async def test_a_jump_that_could_not_be_written_is_written_later(
     assert len(pauses) == 1
     with Journal(tmp_path / "j.sqlite") as again:
         assert again.clock_doubt_us == 10_000_000
+
+
+async def test_readings_that_still_wait_at_the_end_are_saved(
+    tmp_path: Path, make_reading: Make, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The disk stays full: the daemon fails, and names the file that holds them."""
+    journal = Journal(tmp_path / "j.sqlite")
+
+    def full(readings: object) -> None:
+        raise JournalError("disk full")
+
+    writer = JournalWriter(journal, Alarms(lambda *_: None), lambda *_: None, retry_s=0.01, closing_s=0.05)
+    await writer.open()
+    monkeypatch.setattr(journal, "append", full)
+    for value in (5.0, 3.0):
+        writer.submit(make_reading(radiance=Quantity(value, 0.1, "1")))
+    with pytest.raises(OutputError, match="2 readings are not in the journal"):
+        await writer.close()
+    (saved,) = tmp_path.glob("j.sqlite-waiting-*.jsonl")
+    values = [json.loads(line)["radiance"]["value"] for line in saved.read_text(encoding="utf-8").splitlines()]
+    assert values == [5.0, 3.0]
 
 
 async def test_there_is_room_for_so_many_readings_and_no_more(tmp_path: Path, make_reading: Make) -> None:

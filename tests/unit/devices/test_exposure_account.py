@@ -8,6 +8,7 @@ import multiprocessing
 import os
 import subprocess
 import sys
+import time
 from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
@@ -21,6 +22,7 @@ from radiometer.devices.exposure_account import (
     FileStore,
     MemoryStore,
     Moment,
+    machine_moment,
     name_of_eye,
     parse_account,
     render_account,
@@ -220,6 +222,14 @@ def test_a_box_that_this_computer_has_never_seen_counts_as_used_up(desk):
         desk.pulse(desk.open("LB000002"), 0.001, 0.001)
     desk.clock.wait(WINDOW_S)
     desk.pulse(desk.open("LB000002"), 50.0)
+
+
+def test_a_faked_clock_does_not_free_the_account(monkeypatch):
+    """A preloaded library shifts what the clocks answer; the system's own file does not move."""
+    before = machine_moment()
+    clock = time.clock_gettime
+    monkeypatch.setattr(time, "clock_gettime", lambda which: clock(which) + 20_000.0)
+    assert 0.0 <= machine_moment().uptime_s - before.uptime_s + 0.01 < 60.0
 
 
 def test_a_simulated_box_vouches_for_no_real_one_of_its_number(desk):
