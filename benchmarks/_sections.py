@@ -14,11 +14,12 @@ _PAGES: Final = {
     "measuring": ("merge", "main-job", "characterise", "honest", "trend_claims", "archive"),
     "wire": ("wire",),
     "daemon": ("daemon",),
-    "reconcile": ("reconcile", "peer", "naming"),
+    "reconcile": ("reconcile", "peer"),
     "adaptation": ("adaptation",),
     "files": ("reader",),
     "light-box": ("eye",),
     "sensors": ("real-sensors",),
+    "naming": ("naming",),
 }
 
 

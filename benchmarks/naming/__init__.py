@@ -7,3 +7,5 @@ Any tool can take part. It reads the capture sets of `sessions/` and writes one 
 
 An empty list of names with `something_missing` is an abstention: something is missing, and no name fits.
 """
+
+from benchmarks.naming.command import main as main

@@ -1,4 +1,4 @@
-"""Scores answers: exact, inseparable, wrong, confidently wrong, calibration of the probabilities, and time."""
+"""Scores answers: exact, inseparable, confidently wrong, calibration of the probabilities, and time."""
 
 from __future__ import annotations
 
@@ -35,30 +35,36 @@ def judged(answer: Mapping[str, Any], truth: Mapping[str, Any]) -> dict[str, Any
     return {
         "exact": exact,
         "inseparable": not exact and bool(names) and all(h or n for h, n in zip(hits, near, strict=True)),
-        "wrong": bool(wrong),
         "confidently_wrong": any(name["probability"] >= SURE for name in wrong),
         "stated": [(name["probability"], hit) for name, hit in zip(names, hits, strict=True)],
         "seconds": answer["seconds"],
     }
 
 
-def table(answers: Mapping[str, Mapping[str, Any]], truth: Mapping[str, Mapping[str, Any]]) -> str:
-    """Return the results of one tool as a Markdown table, a row per kind of session, and the calibration below it."""
-    results = {key: judged(answers[key], truth[key]) for key in truth}
-    rows = [
-        "| kind | sessions | exact | inseparable | wrong name | confidently wrong | seconds, median and longest |",
-        "|---|---|---|---|---|---|---|",
-    ]
-    for kind in dict.fromkeys(one["kind"] for one in truth.values()):
-        own = [results[key] for key in truth if truth[key]["kind"] == kind]
-        counts = [sum(bool(r[c]) for r in own) for c in ("exact", "inseparable", "wrong", "confidently_wrong")]
-        times = [r["seconds"] for r in own]
-        rows.append(
-            f"| {kind} | {len(own)} | "
-            + " | ".join(map(str, counts))
-            + f" | {np.median(times):.1f}, {max(times):.1f} |"
-        )
-    return "\n".join([*rows, "", calibration([pair for one in results.values() for pair in one["stated"]])])
+def report(answers: Mapping[str, Mapping[str, Any]], truth: Mapping[str, Mapping[str, Any]]) -> str:
+    """Return a table of tasks by tools, and how the tools' probabilities are calibrated, in Markdown.
+
+    Args:
+        answers: By tool, of each session; a session that a tool did not answer counts as neither right nor wrong.
+        truth: Of each session.
+    """
+    columns = ("exact", "inseparable", "confidently_wrong")
+    named = [f"{tool}: {column.replace('_', ' ')}" for tool in answers for column in (*columns, "median s")]
+    rows = [f"| task | sessions | {' | '.join(named)} |", "|---" * (len(named) + 2) + "|"]
+    kinds = [*dict.fromkeys(one["kind"] for one in truth.values()), "all"]
+    for kind in kinds:
+        own = [key for key in truth if kind in (truth[key]["kind"], "all")]
+        cells = []
+        for tool in answers.values():
+            results = [judged(tool[key], truth[key]) for key in own if key in tool]
+            cells += [f"{sum(bool(r[c]) for r in results)}/{len(results)}" for c in columns]
+            cells.append(f"{np.median([r['seconds'] for r in results]):.1f}" if results else "")
+        rows.append(f"| {kind} | {len(own)} | {' | '.join(cells)} |")
+    parts = ["\n".join(rows)]
+    for name, tool in answers.items():
+        stated = [pair for key in truth if key in tool for pair in judged(tool[key], truth[key])["stated"]]
+        parts.append(f"Probabilities of {name}:\n\n{calibration(stated)}")
+    return "\n\n".join(parts)
 
 
 def calibration(stated: list[tuple[float, bool]]) -> str:

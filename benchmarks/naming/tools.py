@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from dataclasses import replace
+from itertools import groupby
 from pathlib import Path
 from typing import Any, Final
 
@@ -20,6 +22,7 @@ from simulators.effects.context import FrameGeometry
 from simulators.effects.registry import all_effects
 
 _LEVEL: Final = 0.001  # of the chi-square test: one null in a thousand is called wrong
+_TRIALS: Final = 6  # sizes of each entry, evenly over those that it starts from: one has thousands
 _ALIKE: Final = 0.9  # of the cosine between residual and template, below which the baseline gives no name
 
 
@@ -56,26 +59,26 @@ def template(folder: Path) -> dict[str, Any]:
     return {"names": names, "something_missing": missing, "seconds": time.process_time() - begun}
 
 
-def _seen(capture: CaptureSet) -> tuple[np.ndarray, list[FrameSettings], FrameGeometry, list[np.ndarray], float]:
-    """Return means and variances of every patch in every frame, settings, places, radiances and pixels of a patch."""
+def _seen(capture: CaptureSet) -> tuple[np.ndarray, list[FrameSettings], FrameGeometry, list[np.ndarray], np.ndarray]:
+    """Return means and variances of every patch in repeats of a setting, settings, places, radiances and pixels."""
     header = capture.header
     patches = [one.patch for one in header.patches]
     height, width = capture.read_frame(0).shape
     x, y = (np.array([p.x + p.width / 2 for p in patches]), np.array([p.y + p.height / 2 for p in patches]))
-    means, variances, settings, radiances = [], [], [], []
-    for entry in header.frames:
-        dn = capture.read_numbers(entry.file).astype(float)
-        parts = [dn[p.slices] for p in patches]
-        means.append([part.mean() for part in parts])
-        variances.append([part.var(ddof=1) for part in parts])
-        one = entry.settings
+    means, variances, settings, radiances, pixels = [], [], [], [], []
+    for one, repeats in groupby(header.frames, key=lambda entry: replace(entry.settings, timestamp_s=None)):
+        files = [entry.file for entry in repeats]
+        parts = [[dn[p.slices].astype(float) for p in patches] for dn in map(capture.read_numbers, files)]
+        means.append(np.mean([[part.mean() for part in frame] for frame in parts], axis=0))
+        variances.append(np.mean([[part.var(ddof=1) for part in frame] for frame in parts], axis=0))
+        pixels.append(np.array([p.width * p.height * len(files) for p in patches]))
         settings.append(one)
         known = [p.radiance_W_per_sr_m2 for p in header.patches]
         own = np.array([r.get(one.pattern, 0.0) if isinstance(r, dict) else r or 0.0 for r in known])
         radiances.append(np.zeros_like(own) if one.is_dark else own)
     geometry = FrameGeometry(x, y, width, height)
     seen = np.concatenate([np.ravel(means), np.ravel(variances)])
-    return seen, settings, geometry, radiances, float(patches[0].width * patches[0].height)
+    return seen, settings, geometry, radiances, np.ravel(pixels)
 
 
 def _predicted(
@@ -98,7 +101,7 @@ def _likeness(
     if not issubclass(kind, CatalogueEffect):
         return None
     best = None
-    for trial in kind.trials:
+    for trial in kind.trials[:: max(1, len(kind.trials) // _TRIALS)]:
         try:
             changed = _predicted(model.with_effect(kind(**trial)), settings, places, radiances)
         except (RadiometerError, TypeError, ValueError, ArithmeticError):

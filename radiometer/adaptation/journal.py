@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import errno
+import fcntl
 import os
 from collections import deque
 from pathlib import Path
@@ -31,6 +33,7 @@ class RunJournal:
 
     def __init__(self, path: Path, *, relive: bool = False) -> None:
         self.path = path
+        self._size = path.stat().st_size if path.exists() else 0
         known = read_events(path) if path.exists() else []
         tried = max((number + 1 for number, event in enumerate(known) if event["kind"] == REFUSED), default=0)
         self._past: deque[Event] = deque(known[tried:] if relive else [])
@@ -42,10 +45,24 @@ class RunJournal:
     def __enter__(self) -> Self:
         try:
             self._stream = self.path.open("ab")
+            self._take_lock()
             self._cut_torn_line()
         except OSError as error:
+            self.__exit__()
             raise OutputError(f"cannot write {self.path}: {error.strerror or error}") from error
         return self
+
+    def _take_lock(self) -> None:
+        """Let no other program append: two runs in one file destroy both."""
+        assert self._stream is not None
+        try:
+            fcntl.flock(self._stream, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except OSError as error:
+            if error.errno in (errno.ENOLCK, errno.EOPNOTSUPP):  # a file system without locks
+                return
+            raise OSError(errno.EBUSY, "another program runs this test; end it, or name another file") from error
+        if self.path.stat().st_size != self._size:
+            raise OSError(errno.EBUSY, "another program has written it meanwhile; run the command again")
 
     def write(self, kind: str, time_s: float, *, lasting: bool = True, **facts: Any) -> Event:
         """Append an event and return it.

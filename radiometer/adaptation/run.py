@@ -116,9 +116,10 @@ class _Run:
 
     def _check_journal(self) -> None:
         begun = self.journal.events[0]
-        mine_by_key = {"subject": self.subject, "protocol": self.protocol.name, "seed": self.seed, "eye": self.eye}
-        for key, mine in mine_by_key.items():
-            known = begun.get(key, self.eye if key == "eye" else None)
+        mine_by_key = {"subject": self.subject, "protocol": self.protocol.name, "seed": self.seed}
+        later = {"eye": self.eye, "age_years": self.visit.get("age_years"), "pupil_mm": self.visit.get("pupil_mm")}
+        for key, mine in {**mine_by_key, **later}.items():
+            known = begun.get(key, later.get(key))  # a run that began without may state it now
             if known != mine and mine is not None:
                 raise UsageError(f"{self.journal.path}: belongs to {key} {known!r}, not {mine!r}; name another journal")
 

@@ -8,6 +8,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
+import numpy as np
+
 from radiometer.analysis.calibration import calibrate as make
 from radiometer.analysis.calibration.calibrate import (
     KnownSource,
@@ -19,6 +21,7 @@ from radiometer.analysis.calibration.calibrate import (
 )
 from radiometer.analysis.calibration.flat_field import fit_flat_field
 from radiometer.analysis.calibration.shared import require_channel
+from radiometer.analysis.characterise.taps import camera_with_taps
 from radiometer.analysis.exports.certificate import read_certificate
 from radiometer.analysis.merge.bracket import merge
 from radiometer.analysis.photometry import photometry
@@ -26,6 +29,7 @@ from radiometer.analysis.photometry.photometry import spectrum as spectrum_of
 from radiometer.analysis.photometry.photometry import spectrum_from_csv
 from radiometer.analysis.response.dynamic_range import DynamicRange, RangePoint, dynamic_range, with_dynamic_range
 from radiometer.analysis.signal.model import black_from_darks
+from radiometer.analysis.signal.taps import ReadOut, doubt_of_taps
 from radiometer.api.files import PathLike, stack_of
 from radiometer.api.result import Progress, Result
 from radiometer.bench.assembly import open_instrument
@@ -174,6 +178,7 @@ def calibrate(
     bench: PathLike | None = None,
     camera_file: PathLike | None = None,
     model: PathLike | None = None,
+    taps: str | None = None,
     stated: Mapping[str, float] | None = None,
     progress: Progress | None = None,
 ) -> Calibrated:
@@ -218,6 +223,8 @@ def calibrate(
         bench: Bench file for `camera`.
         camera_file: Camera file of `characterise`: gain, noise, saturation as measured.
         model: Model of `reconcile`: readings are corrected for its effects.
+        taps: Of a capture set: output amplifiers, "2x2" for columns × rows of equal parts, or "find". By default those
+            that the capture set or the camera file states. Readings take them from the calibration.
         stated: Uncertainties of readings that are known better, by name.
         progress: Called as files are read.
 
@@ -237,7 +244,7 @@ def calibrate(
         radiance, u_rel = _certified(Path(radiance), u_rel)
     by_source = radiance is not None or luminance is not None
     needed = by_source or luminance_meter_k is None
-    seen = _seen(capture, camera, bench, patch, channel, pattern, align, speeds, iso, progress, needed=needed)
+    seen = _seen(capture, camera, bench, patch, channel, pattern, align, speeds, iso, taps, progress, needed=needed)
     if seen is not None and needed:
         seen = _with_f_number(seen, f_number, required=luminance_meter_k is None)
     settings = _meter_settings(luminance_meter_k, f_number, exposure_s, real_iso, as_printed=as_printed)
@@ -263,7 +270,8 @@ def calibrate(
     other = next((scale for scale in scales if scale is not chosen), None)
     files = (capture, None if isinstance(response, ResponseCurve) else response, camera_file, flat, model)
     inputs = tuple(Path(path).name for path in files if path)
-    done = make.scaled_calibration(base, chosen, inputs, other, further=(*of_black, *(seen.assumed if seen else ())))
+    further = (*of_black, *_of_taps(base, seen), *(seen.assumed if seen else ()))
+    done = make.scaled_calibration(base, chosen, inputs, other, further)
     if out is not None:
         done.write(Path(out))
     return Calibrated(done, tuple(scales), meter, ranged, Path(out) if out else None, seen.notes if seen else ())
@@ -314,12 +322,15 @@ def _seen(
     align: str,
     speeds: IsoSpeeds,
     iso: float | None,
+    taps: str | None,
     progress: Progress | None,
     *,
     needed: bool,
 ) -> _Seen | None:
     if capture is not None and camera is not None:
         raise UsageError("give a capture set or --camera, not both")
+    if taps is not None and (capture is None or is_photographs(Path(capture))):
+        raise UsageError("--taps belongs to capture sets; of a camera state them in its camera file (--camera-file)")
     if capture is not None and is_photographs(Path(capture)):
         where = _numbers(patch)
         if where is None and needed:
@@ -334,7 +345,7 @@ def _seen(
         depth = CameraDescription(bit_depth=bracket.bit_depth)
         return _Seen(bracket, where, depth, LensDescription(), photographs=taken)
     if capture is not None:
-        return _seen_in_capture(Path(capture), patch, pattern, needed=needed)
+        return _seen_in_capture(Path(capture), patch, pattern, taps, needed=needed)
     if camera is not None or bench is not None:
         with open_instrument(Path(bench) if bench else None, camera, _numbers(patch), uncalibrated=True) as instrument:
             device = instrument.camera
@@ -349,7 +360,9 @@ def _numbers(patch: PatchLike | str | None) -> Patch | None:
     return patch if isinstance(patch, Patch | None) else Patch(*patch)
 
 
-def _seen_in_capture(path: Path, patch: PatchLike | str | None, pattern: str | None, *, needed: bool) -> _Seen:
+def _seen_in_capture(
+    path: Path, patch: PatchLike | str | None, pattern: str | None, taps: str | None, *, needed: bool
+) -> _Seen:
     capture = open_capture(path)
     notes = tuple(f"{path.name}: {line}" for line in imported_of(capture).lines()) if capture.store is not None else ()
     header = capture.header
@@ -367,7 +380,8 @@ def _seen_in_capture(path: Path, patch: PatchLike | str | None, pattern: str | N
         there = ", ".join(named) or "none"
         raise UsageError(f"--patch {patch!r}: {path} has no patch of that name; there are: {there}")
     where = known.patch if known else _numbers(patch)
-    return _Seen(capture.lit_bracket(pattern), where, header.camera, header.lens, known, notes=notes)
+    camera = camera_with_taps(capture, taps)
+    return _Seen(capture.lit_bracket(pattern), where, camera, header.lens, known, notes=notes)
 
 
 def _timed(seen: _Seen, curve: ResponseCurve | None, *, in_model: bool) -> _Seen:
@@ -470,6 +484,18 @@ def _base(
     if measured is not None:
         return replace(base, black_level=measured), (f"black level by {len(seen.bracket.dark)} dark frames",)
     return base, () if curve is not None else ("black level 0 DN, which nothing states",)
+
+
+def _of_taps(base: Calibration, seen: _Seen | None) -> tuple[str, ...]:
+    """Return what was used of the camera's taps, and what was not; a doubt where the frames show undescribed ones."""
+    if seen is None or seen.photographs is not None:
+        return ()
+    light, dark = seen.bracket.light, seen.bracket.dark
+    taps = ReadOut.of(Setup(base.camera, base.lens, base), seen.bracket.shape)
+    if taps is not None:
+        return taps.notes(has_darks=bool(dark))
+    longest = next((one for one in reversed(light) if one.dn.max() < one.saturated_dn), light[0])
+    return doubt_of_taps(longest.dn - np.float32(base.black_level.dn), dark)
 
 
 def _with_statements(

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from radiometer.analysis.characterise.taps import camera_with_taps
 from radiometer.analysis.exports.curves import read_curves
 from radiometer.analysis.exports.maps import MapPicture, in_luminance, writer_for
 from radiometer.analysis.merge.bracket import merge as merge_bracket
@@ -317,6 +318,7 @@ def merge(
     luminance: bool = False,
     spectrum: str | None = None,
     scale: tuple[float, float] | None = None,
+    taps: str | None = None,
     out: PathLike | Sequence[PathLike] = (),
     progress: Progress | None = None,
 ) -> Radiance:
@@ -353,6 +355,8 @@ def merge(
         luminance: Return cd·m⁻² instead of W·sr⁻¹·m⁻².
         spectrum: Spectrum for the luminance; the calibration's by default.
         scale: Lowest and highest value of the false colours; the picture's by default.
+        taps: Of a capture set: output amplifiers, "2x2" for columns × rows of equal parts, or "find". By default those
+            that the capture set or the calibration states.
         out: Files to write: .exr, .hdr, .tiff or .png. A recovered response is kept next to the first.
         progress: Called as the work goes on.
 
@@ -376,7 +380,7 @@ def merge(
     map_path = files[0] if files else None
     asked = _Asked(
         known, response, channel, dict(measured_iso or {}), iso, f_number, linear, demosaic, align, keep_ghosts,
-        None if vignetting is None else str(vignetting), lens, map_path,
+        None if vignetting is None else str(vignetting), lens, map_path, taps,
     )  # fmt: skip
     found = (
         _of_stack(source, asked, pattern, progress or unseen)
@@ -409,6 +413,7 @@ class _Asked:
     vignetting: str | None
     lens: str | None
     map_path: Path | None
+    taps: str | None
 
     def curves(self, bit_depth: int) -> dict[str, ResponseCurve]:
         """Return the response as given, by channel."""
@@ -434,6 +439,8 @@ def _several(
 def _of_path(path: Path, asked: _Asked, pattern: str | None, progress: Progress | None) -> Radiance:
     """Return the maps of a capture set, its frames in memory one at a time, or of a folder of photographs."""
     if is_photographs(path):
+        if asked.taps is not None:
+            raise UsageError("--taps belongs to capture sets; photographs are read as pictures")
         by_colour = asked.calibration is None and not set(asked.curves(8)) - {"red", "green", "blue"}
         channel = asked.channel or ("each" if by_colour else "luminance")
         report = counted(progress, "reading")
@@ -446,10 +453,10 @@ def _of_path(path: Path, asked: _Asked, pattern: str | None, progress: Progress 
     notes = tuple(imported_of(capture).lines()) if capture.store is not None else ()
     dark, lit = capture.lit_indices(pattern)
     levels = [capture.header.frames[i].settings.black_level_dn for i in lit]
-    maps = {}
+    maps, camera = {}, camera_with_taps(capture, asked.taps)
     for name, plane in _planes(capture, asked):
         frames = _streamed(plane, (*dark, *lit), counted(progress, "merging"))
-        maps[name] = _of_capture(frames, levels, capture.header.camera, capture.header.lens, asked).map
+        maps[name] = _of_capture(frames, levels, camera, capture.header.lens, asked).map
     return Radiance(maps, notes=tuple(f"{path.name}: {line}" for line in notes))
 
 
@@ -472,6 +479,8 @@ def _streamed(capture: CaptureSet, indices: Sequence[int], report: Callable[[int
 
 
 def _of_stack(stack: Stack, asked: _Asked, pattern: str | None, progress: Progress) -> Radiance:
+    if asked.taps is not None:
+        raise UsageError("taps say how a capture set is read: give its folder, or describe them in its camera.taps")
     if stack.photographs:
         if asked.channel or asked.demosaic:
             raise UsageError("channel and demosaic say how a folder is read: give them to read_photographs")

@@ -51,6 +51,13 @@ FNumberOption = Annotated[
         help="f-number (1 of a lens whose iris cannot change) where the frames or the bench do not state it.",
     ),
 ]
+TapsOption = Annotated[
+    str | None,
+    typer.Option(
+        "--taps",
+        help="Output amplifiers: COLUMNSxROWS of equal parts (2x2), or find. Default: what the files state.",
+    ),
+]
 SeedOption = Annotated[int, typer.Option("--seed", min=0, help="Seed of the random draws.")]
 
 

@@ -107,7 +107,7 @@ class Journal:
         self._file = path  # where symbolic links lead to, once it is open
         self._lock_file: IO[str] | None = None
         self._descriptor: int | None = None
-        self._wal: os.stat_result | None = None  # SQLite's log beside it, as the last transaction left it
+        self._wal: os.stat_result | None = None  # SQLite's log next to it, as the last transaction left it
         self._last_sequence = 0
         self.newest_at_opening_us: int | None = None
         self.clock_doubt_us = 0

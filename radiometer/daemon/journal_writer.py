@@ -37,8 +37,8 @@ class JournalWriter:
         capacity: Readings that may wait; when as many wait, `wait_for_room` blocks, so measuring pauses.
         keep_days: Age at which readings are deleted; None keeps all.
         retry_s: Pause in s between two tries while the journal cannot be written.
-        closing_s: Time in s in which readings that wait are still committed at the end: a blocked disk is given up, long
-            before systemd kills after 90 s.
+        closing_s: Time in s in which waiting readings are still committed at the end. A blocked disk is given up then,
+            long before systemd kills after 90 s.
         sleep: Waits for a number of seconds.
     """
 

@@ -18,7 +18,8 @@ class TapDescription(FileSection):
     """The pixels that one output amplifier reads, in pixels of the stored frame.
 
     `overscan` holds rectangles (x, y, width, height) that it reads without light. `first_pixel` is the corner of its
-    rectangle that it reads first.
+    rectangle that it reads first. Its conversion gain and the relative standard uncertainty of that are those of a
+    characterisation.
     """
 
     name: str
@@ -28,6 +29,8 @@ class TapDescription(FileSection):
     height: int = Field(gt=0)
     overscan: tuple[tuple[int, int, int, int], ...] = ()
     first_pixel: Literal["upper left", "upper right", "lower left", "lower right"] | None = None
+    conversion_gain_e_per_dn: float | None = Field(None, gt=0)
+    conversion_gain_u_rel: float | None = Field(None, ge=0)
 
     @property
     def patch(self) -> Patch:

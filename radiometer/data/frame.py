@@ -65,6 +65,9 @@ class Frame:
     extra: dict[str, float | int | str] = field(default_factory=dict)
     # The camera's own raw file that the numbers were read from; None where there is none
     file: CameraFile | None = None
+    # Black level of each pixel above that of the settings, in DN, shape (height, width): of sensors with several taps
+    black_offset_dn: NDArray[np.float32] | None = None
+    black_u_dn: float = 0.0  # standard uncertainty of a row's part of it in DN
 
     @property
     def masked_dn(self) -> float | None:

@@ -21,6 +21,7 @@ class PixelMask(IntFlag):
     DEFECTIVE = 8  # interpolated from its neighbours
     INCONSISTENT = 16  # frames disagree beyond their noise (flicker, motion)
     MOVED = 32  # something moved: the value is that of the frames that agree
+    UNLIT = 64  # overscan, which gathers no light: no value
 
 
 @dataclass(frozen=True, slots=True, eq=False)

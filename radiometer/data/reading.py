@@ -46,6 +46,7 @@ class Flag(StrEnum):
     LINEARITY = "linearity"
     EXPOSURE_UNCONFIRMED = "exposure_unconfirmed"
     REPEATED_FRAME = "repeated_frame"
+    OTHER_TAP = "other_tap"
 
 
 @dataclass(frozen=True, slots=True, order=True)

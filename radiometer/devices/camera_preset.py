@@ -110,8 +110,8 @@ class CameraPreset(FileSection):
                     f"{where} is of another camera: its {name} is {mine}, the camera's is {theirs}; "
                     "use this camera's own file, or make one with `radiometer characterise`"
                 )
-        known = self.camera.model_dump(exclude_none=True, exclude={"vendor", "model", "serial", "bit_depth"})
-        return camera.model_copy(update=known)
+        stated = self.camera.model_dump(exclude_none=True, exclude={"vendor", "model", "serial", "bit_depth"})
+        return camera.model_copy(update={name: getattr(self.camera, name) for name in stated})
 
     def figure_u_rel(self, symbol: str) -> float | None:
         """Return the relative standard uncertainty of a characterised figure by its EMVA 1288 symbol, such as "R".

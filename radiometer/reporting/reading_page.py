@@ -53,6 +53,7 @@ FLAG_MEANINGS: Final[Mapping[Flag, str]] = {
         "the camera states another exposure time than was set: the value may be wrong by their ratio"
     ),
     Flag.REPEATED_FRAME: "the camera delivered the same frame again: the value may be an old one",
+    Flag.OTHER_TAP: "read by another tap than calibrated, whose gain is not known: characterise the camera's taps",
     Flag.LINEARITY: ("the signal is far from the calibration's level, and the sensor was assumed to be linear"),
 }
 _LEAST_SHARE: Final = 1e-3  # of the variance; smaller contributions are no bar that can be seen

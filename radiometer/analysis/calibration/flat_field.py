@@ -92,7 +92,7 @@ def _tiles(even: RadianceMap) -> _Tiles:
     side = max(1, min(height, width) // _TILES_ACROSS)
     rows, columns = height // side, width // side
     cut = (slice(0, rows * side), slice(0, columns * side))
-    bad = PixelMask.SATURATED | PixelMask.DEFECTIVE | PixelMask.INCONSISTENT
+    bad = PixelMask.SATURATED | PixelMask.DEFECTIVE | PixelMask.INCONSISTENT | PixelMask.UNLIT
     sound = (even.mask[cut] & bad == 0) & (even.radiance[cut] > 0)
 
     def total(values: Array) -> Array:

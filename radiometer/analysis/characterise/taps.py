@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Final
@@ -14,19 +14,15 @@ import numpy as np
 from radiometer.analysis.characterise.characterise import characterise
 from radiometer.analysis.characterise.group_statistics import GroupStatistics
 from radiometer.analysis.characterise.result import Characterisation
-from radiometer.analysis.characterise.subject import FrameGroup, Subject
-from radiometer.data import Patch, Quantity, TapDescription
+from radiometer.analysis.characterise.subject import FrameGroup, Subject, subject_of_capture
+from radiometer.analysis.signal.borders import borders
+from radiometer.data import CameraDescription, CaptureSet, Patch, Quantity, TapDescription
 from radiometer.errors import MeasurementError, UsageError
 from radiometer.statistics.scale import robust_sigma
 from radiometer.typing import Array
 
 FIND: Final = "find"
 _FRAMES_LOOKED_AT: Final = 8  # a mean of them has a third of one frame's noise
-_STRIPS: Final = 8  # a border is in all strips of one half of the frame at least: an edge of the scene hardly is
-_SIGMAS: Final = 6.0  # of a step in a strip, over all strips: chance exceeds it at one of 1e9 places
-_STRIP_SIGMAS: Final = 2.5  # of a step in one strip
-_WIDEST_PX: Final = 16  # columns on each side that a line is drawn through: shading is straight over so few
-_NARROWEST_PX: Final = 4
 _UNLIT: Final = 0.1  # of the frame's light, below which columns are overscan
 _BRIGHT_SHARE: Final = 0.5  # of the brightest signal: light, and no clipping
 _EVEN: Final = 2.0  # times the temporal noise: fixed patterns of the same size are even, a scene is not
@@ -112,10 +108,39 @@ def characterise_taps(subject: Subject, taps: Sequence[TapDescription]) -> tuple
         blacks = [one for one in statistics if at <= one.region < at + len(tap.overscan)]
         at += len(tap.overscan)
         try:
-            found.append(TapFigures(tap, characterise(own, mine), _mean(blacks)))
+            figures = characterise(own, mine)
+            found.append(TapFigures(_with_gain(tap, figures), figures, _mean(blacks)))
         except MeasurementError as error:
             found.append(TapFigures(tap, None, _mean(blacks), str(error)))
     return tuple(found)
+
+
+def _with_gain(tap: TapDescription, found: Characterisation) -> TapDescription:
+    """Return a tap with its gain, which merge and readings use."""
+    gain = found.figures.get("K")
+    if gain is None:
+        return tap
+    return tap.model_copy(update={"conversion_gain_e_per_dn": 1.0 / gain.value, "conversion_gain_u_rel": gain.u_rel})
+
+
+def camera_with_taps(capture: CaptureSet, how: str | None) -> CameraDescription:
+    """Return the camera of a capture set with the taps that a user states.
+
+    Args:
+        capture: The capture set.
+        how: As for `taps_as_stated`.
+
+    Raises:
+        UsageError: If the frames have a mosaic of colours, or cannot be parted so.
+        MeasurementError: If borders are to be found and the frames show none.
+    """
+    camera = capture.header.camera
+    if how is None:
+        return camera
+    if camera.mosaic is not None:
+        raise UsageError("--taps: frames of a mosaic of colours are read without taps; leave the option out")
+    taps = taps_as_stated(how, subject_of_capture(capture), capture.read_frame(0).shape)
+    return camera.model_copy(update={"taps": taps})
 
 
 def _mean(groups: Sequence[GroupStatistics]) -> Quantity | None:
@@ -155,8 +180,8 @@ def find_taps(subject: Subject) -> tuple[TapDescription, ...]:
     """
     pictures = _pictures(subject)
     height, width = pictures[0].shape
-    x_edges = [0, *_borders(pictures), width]
-    y_edges = [0, *_borders([picture.T for picture in pictures]), height]
+    x_edges = [0, *borders(pictures), width]
+    y_edges = [0, *borders([picture.T for picture in pictures]), height]
     cells = _grid(x_edges, y_edges)
     level = float(np.median(pictures[0]))
     lit = [float(np.median(pictures[0][cell.patch.slices])) > _UNLIT * level for cell in cells]
@@ -199,61 +224,6 @@ def _moments(group: FrameGroup, top: int) -> tuple[Array, Array | None]:
     frames = [dn.astype(np.float64) for dn, _ in zip(group.read(top), range(_FRAMES_LOOKED_AT), strict=False)]
     stack = np.stack(frames)
     return stack.mean(axis=0), stack.var(axis=0, ddof=1) if len(frames) > 1 else None
-
-
-def _borders(pictures: Iterable[Array]) -> list[int]:
-    """Return the columns at which a tap begins, in rising order."""
-    found: dict[int, float] = {}
-    for picture in pictures:
-        for column, strength in _steps(picture):
-            found[column] = max(strength, found.get(column, 0.0))
-    kept: list[int] = []
-    for column in sorted(found, key=lambda at: -found[at]):
-        if all(abs(column - other) >= _NARROWEST_PX for other in kept):
-            kept.append(column)
-    return sorted(kept)
-
-
-def _steps(picture: Array) -> list[tuple[int, float]]:
-    """Return the columns at which all strips of one half step alike, with the strength of the step in sigmas."""
-    width = picture.shape[1]
-    reach = min(_WIDEST_PX, width // 8)
-    if reach < _NARROWEST_PX or picture.shape[0] < 2 * _STRIPS:
-        return []
-    strips = np.stack([part.mean(axis=0) for part in np.array_split(picture, _STRIPS)])
-    narrow = np.array([_step_sigmas(strip, _NARROWEST_PX) for strip in strips])
-    wide = np.array([_step_sigmas(strip, reach) for strip in strips])
-    sigmas = np.where(np.abs(wide) > np.abs(narrow), wide, narrow)
-    halves = sigmas[: _STRIPS // 2], sigmas[_STRIPS // 2 :]
-    strength = np.max([_common(half) for half in halves], axis=0)
-    found = []
-    for column in np.flatnonzero(strength > _SIGMAS):
-        around = strength[max(column - reach, 0) : column + reach + 1]
-        if strength[column] == around.max():
-            found.append((int(column), float(strength[column])))
-    return found
-
-
-def _common(sigmas: Array) -> Array:
-    """Return the strength of a step that all strips share: 0 where one steps another way or hardly."""
-    weakest = np.minimum(np.abs(sigmas.min(axis=0)), np.abs(sigmas.max(axis=0)))
-    alike = (np.sign(sigmas) == np.sign(sigmas[0])).all(axis=0) & (weakest > _STRIP_SIGMAS)
-    return np.where(alike, np.abs(sigmas.mean(axis=0)) * math.sqrt(len(sigmas)), 0.0)
-
-
-def _step_sigmas(profile: Array, reach: int) -> Array:
-    """Return at every column the step between lines through the columns on each side, over the profile's noise."""
-    place = np.arange(reach) + 0.5
-    centred = place - place.mean()
-    weight = 1.0 / reach - place.mean() * centred / np.sum(centred**2)  # of the line's value at the border
-    padded = np.pad(profile, reach, mode="reflect", reflect_type="odd")
-    windows = np.lib.stride_tricks.sliding_window_view(padded, reach)
-    right = windows[reach : reach + profile.size] @ weight
-    left = windows[: profile.size] @ weight[::-1]
-    step = right - left
-    step[:_NARROWEST_PX] = step[-_NARROWEST_PX:] = 0.0
-    spread = robust_sigma(step, 0.0)
-    return np.asarray(step / spread if spread > 0 else np.zeros_like(step))
 
 
 def crosstalk(subject: Subject, taps: Sequence[TapDescription]) -> tuple[Crosstalk, ...]:

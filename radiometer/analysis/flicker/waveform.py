@@ -190,8 +190,8 @@ def find_period(waveform: Waveform) -> Period | None:
     """Return the repetition of a waveform by least squares of harmonics; None where there is none.
 
     The frequency is the one whose fundamental and harmonics hold most of the variance. It is that of the strongest
-    line unless another halves what is not explained: a half or a third of it, or the lowest line that is about as
-    strong. (The harmonics of a short pulse are all alike.) The uncertainty is the bound for a sinusoid in white
+    line unless another halves what is not explained: a half or a third of it, or the lowest line about as strong.
+    The harmonics of a short pulse are all alike. The uncertainty is the bound for a sinusoid in white
     noise, u² = 6σ²·rate²/(π²·A²·n³) with the amplitude A (Rife and Boorstyn 1974).
     """
     variance = float(np.var(waveform.light))

@@ -21,7 +21,7 @@ from radiometer.analysis.merge.displaced import (
     with_shift,
 )
 from radiometer.analysis.merge.finish import finish
-from radiometer.analysis.merge.frames import FrameTerms, frame_terms
+from radiometer.analysis.merge.frames import FrameTerms, frame_terms, with_taps
 from radiometer.analysis.merge.sums import (
     MANY,
     Images,
@@ -34,8 +34,14 @@ from radiometer.analysis.merge.tables import merge_tables
 from radiometer.analysis.photometry.photometry import KINDS
 from radiometer.analysis.reading.budget import common_u_rel, frame_u_rel, unstated_u_rel
 from radiometer.analysis.signal.lens import falloff_known, known_f_number, lens_factor_sr, relative_sensitivity
-from radiometer.analysis.signal.model import corrected_settings, darkest_signal, temperature_factor
+from radiometer.analysis.signal.model import (
+    corrected_settings,
+    darkest_signal,
+    some_lit_pixels,
+    temperature_factor,
+)
 from radiometer.analysis.signal.situation import flat_field_for, situation_of
+from radiometer.analysis.signal.taps import ReadOut, doubt_of_taps
 from radiometer.data import (
     Bracket,
     FoundEffects,
@@ -193,6 +199,7 @@ class StreamingMerge:
         self._terms: list[FrameTerms] = []
         self._dark: list[Frame] = []
         self._shape: tuple[int, int] | None = None
+        self._taps: ReadOut | None = None
         self._sums: MergeSums | None = None
         self._pending: list[MergeSample] = []
         self._finished = False
@@ -402,14 +409,22 @@ class StreamingMerge:
         if len(self._terms) == MOST_FRAMES:
             raise MeasurementError(f"more than {MOST_FRAMES} frames; merge fewer, or average repeats first")
         known_f_number(self._calibration, frame.settings, self._situation.lens)
+        if self._taps is not None:
+            if not self._terms:
+                self._taps = self._taps.with_darks(self._dark)
+                self._dark = [self._taps.levelled(dark) for dark in self._dark]
+            frame = self._taps.levelled(frame)
+        few = some_lit_pixels(frame, None if self._taps is None else self._taps.lit)
+        darkest = darkest_signal(few, self._situation.model)
         terms = frame_terms(
             frame.settings,
             self._situation,
             self._dark,
             through_lens=self._through_lens,
             masked_dn=frame.masked_dn,
-            darkest=darkest_signal(frame, self._situation.model),
+            darkest=darkest,
         )
+        terms = with_taps(terms, frame, self._situation.model)
         if self._terms and frame.settings.source_level != self._terms[0].settings.source_level:
             raise MeasurementError("the frames were taken at different source levels; merge those of one level")
         self._refuse_foreign_darks(frame, terms)
@@ -432,7 +447,8 @@ class StreamingMerge:
             )
 
     def _refuse_misfit(self, frame: Frame) -> None:
-        self._shape = self._shape or frame.shape
+        if self._shape is None:
+            self._shape, self._taps = frame.shape, ReadOut.of(self._situation.setup, frame.shape)
         if frame.shape != self._shape:
             raise MeasurementError(
                 f"frames differ in size ({frame.shape[1]} × {frame.shape[0]} and "
@@ -469,10 +485,14 @@ class StreamingMerge:
         rows, columns = np.divmod(pixels, shape[1])
         flat = flat_field_for(self._calibration, shape)
         place = relative_sensitivity(self._camera, self._situation.lens, flat, shape, columns, rows)
+        if self._taps is not None and self._taps.gain is not None:
+            place = place * self._taps.gain[self._taps.number[rows, columns]]
         return np.asarray(self._on_axis() / place, dtype=np.float32)
 
     def _even(self) -> bool:
         """Return whether the sensitivity is taken as the same everywhere."""
+        if self._taps is not None and self._taps.gain is not None:
+            return False
         if self._calibration is None:
             return True
         flat = flat_field_for(self._calibration, self._known_shape())
@@ -518,13 +538,35 @@ class StreamingMerge:
             on_axis = self._on_axis() * self._terms[0].exposure
             np.hypot(u_radiance, np.float32(u_rate * on_axis), out=u_radiance)
 
+    def _of_taps(
+        self, radiance: NDArray[np.float32], u_radiance: NDArray[np.float32], mask: NDArray[np.uint8]
+    ) -> tuple[tuple[str, ...], tuple[str, ...]]:
+        """Mark what gathers no light, add the uncertainty of the taps' gains, and return what to say of the taps.
+
+        Returns:
+            What was used of them; and what the uncertainty does not hold.
+        """
+        taps = self._taps
+        if taps is None:
+            return (), doubt_of_taps(radiance, self._dark)
+        unlit = ~taps.lit
+        radiance[unlit] = 0.0
+        mask[unlit] = PixelMask.UNLIT | PixelMask.BELOW_NOISE
+        if taps.gain is not None:
+            scaled_in = self._calibration.scale.conditions.tap if self._calibration else None
+            u_rel = taps.u_rel(scaled_in).astype(np.float32)[taps.number]
+            np.hypot(u_radiance, u_rel * radiance, out=u_radiance)
+        gains_db = {terms.settings.gain_db for terms in self._terms}
+        return taps.notes(has_darks=gains_db <= set(taps.by_darks_dn)), ()
+
     def _stray_light(self, radiance: NDArray[np.float32]) -> tuple[str, ...]:
         """Return what to say of the light that the lens spreads over the picture, which no pixel's u holds."""
         calibration = self._calibration
         share = math.hypot(calibration.uncertainties.glare_u, calibration.found.glare) if calibration else 0.0
         if calibration is None or share == 0.0:
             return ()
-        light = share * float(np.mean(radiance))  # pairwise: right to parts in a million
+        lit = radiance if self._taps is None else radiance[self._taps.lit]
+        light = share * float(np.mean(lit))  # pairwise: right to parts in a million
         unit = unit_text(RADIANCE_UNIT) if calibration.absolute else "of these relative values"
         return (f"no stray light: the lens may add {light:.2g} {unit} (k = 1) to every pixel, which u does not hold",)
 
@@ -596,10 +638,11 @@ class StreamingMerge:
         white = white_level_notes(terms.settings.white_level for terms in self._terms)
         self._doubt_exposures(*images[:2])
         self._doubt_dark_current(images[1])
+        used, doubtful = self._of_taps(*images)
         of_time = self._exposure_offset()
         in_u = of_time if self._exposures_in_u else ()
         of_light = self._stray_light(images[0])
-        not_in_u = (*of_light, *(() if self._exposures_in_u else of_time), *self._bend(), *self._light())
+        not_in_u = (*of_light, *(() if self._exposures_in_u else of_time), *self._bend(), *self._light(), *doubtful)
         return RadianceMap(
             *images,
             unit=RADIANCE_UNIT if calibration is not None and calibration.absolute else RELATIVE_UNIT,
@@ -607,7 +650,7 @@ class StreamingMerge:
             exposures_s=tuple(sorted({terms.settings.exposure_s for terms in self._terms})),
             provenance=Provenance(
                 "maximum-likelihood merge",
-                assumptions=(*self._situation.assumptions, *white, *in_u, *not_in_u),
+                assumptions=(*self._situation.assumptions, *white, *used, *in_u, *not_in_u),
                 parameters={
                     "frames": len(self._terms),
                     "dark_frames": len(self._dark),

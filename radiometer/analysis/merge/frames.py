@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from radiometer.analysis.signal.lens import lens_factor_sr
-from radiometer.analysis.signal.model import SignalModel, dark_levels, matching_darks
+from radiometer.analysis.signal.model import SignalModel, dark_levels, matching_darks, signal_of
 from radiometer.analysis.signal.situation import Situation
 from radiometer.data import Frame, FrameSettings
 from radiometer.units import gain_factor
@@ -77,6 +77,15 @@ def frame_terms(
     )
 
 
+def with_taps(terms: FrameTerms, frame: Frame, model: SignalModel) -> FrameTerms:
+    """Return a frame's constants with the black level that each pixel has by its tap, where the frame holds it."""
+    if frame.black_offset_dn is None:
+        return terms
+    slope = float(model.at_dn(model.slope, model.black_dn)) / terms.gain
+    dark = np.asarray(terms.dark + slope * frame.black_offset_dn.ravel(), dtype=np.float32)
+    return replace(terms, dark=dark, variance=terms.variance + (slope * frame.black_u_dn) ** 2)
+
+
 def _dark_variance(model: SignalModel, settings: FrameSettings, gain: float) -> float:
     dark_e = model.noise.dark_e(settings.exposure_s, settings.temperature_c)
     quantisation = model.noise.code_variance_dn2 / gain**2 if model.linear else 0.0
@@ -95,9 +104,8 @@ def _dark_map(
     matching = matching_darks(settings, dark_frames)
     if not matching:
         return np.full(1, level, np.float32), 0.0
-    table = model.table(settings).astype(np.float32)
-    total = table[matching[0].dn.ravel()]
+    total = signal_of(matching[0], model, settings).ravel().astype(np.float32)
     for frame in matching[1:]:
-        total += table[frame.dn.ravel()]
+        total += signal_of(frame, model, settings).ravel().astype(np.float32)
     total /= np.float32(len(matching))
     return total, float(model.variance(0.0, settings)) / len(matching)

@@ -28,6 +28,7 @@ from radiometer.analysis.photometry.photometry import (
 from radiometer.analysis.reading.estimate import PatchEstimate
 from radiometer.analysis.signal.model import DarkLevel, PatchFrame, SignalModel
 from radiometer.analysis.signal.situation import Situation
+from radiometer.analysis.signal.taps import ReadOut
 from radiometer.data import (
     Calibration,
     Contribution,
@@ -430,6 +431,7 @@ class PatchSituation:
     falloff: Falloff  # what is known of the sensitivity over the picture
     now: dt.datetime  # time of the reading, with time zone
     stray: float = 0.0  # radiance that is taken off for known veiling glare
+    taps: ReadOut | None = None  # the camera's taps; None where it has one
 
     @property
     def model(self) -> SignalModel:
@@ -457,6 +459,12 @@ class PatchSituation:
         return self.scale * self.shown.estimate.rate - self.stray
 
     @property
+    def notes_on_taps(self) -> tuple[str, ...]:
+        """Return what was used of the taps, and what was not."""
+        by_darks = all(one.source != "black level" for one in self.shown.dark)
+        return () if self.taps is None else self.taps.notes(has_darks=by_darks)
+
+    @property
     def shares_level(self) -> bool:
         """Return whether the signal is as high as at calibration, so that the response's error drops out."""
         if self.calibration is None or "conditions" not in self.calibration.scale.model_fields_set:
@@ -472,6 +480,7 @@ def budget_terms(situation: PatchSituation) -> list[Term]:
         *_dark(situation),
         *_stated(situation),
         *_outside(situation),
+        *_taps(situation),
         *_clipped(situation),
     ]
 
@@ -609,6 +618,21 @@ def _outside(situation: PatchSituation) -> list[Term]:
         ),
         stray_light(situation.value, situation.scale * situation.surround.rate, calibration),
     ]
+
+
+def _taps(situation: PatchSituation) -> list[Term]:
+    """Return the contribution of the gain of the patch's tap against that of the tap at calibration."""
+    taps, calibration, here = situation.taps, situation.calibration, situation.conditions.tap
+    if taps is None or calibration is None or len(taps.taps) == 1:
+        return []
+    there = calibration.scale.conditions.tap
+    every = taps.u_rel(there)
+    u_rel = next((float(u) for tap, u in zip(taps.taps, every[1:], strict=True) if tap.name == here), every.max())
+    note = f"read by tap {here or 'several'}, calibrated with tap {there or 'unknown'}"
+    if taps.gain is None and u_rel > 0.0:
+        note += ": their gains are not known, ±10 % is assumed"
+    flag = Flag.OTHER_TAP if taps.gain is None else None
+    return [Term("gain of taps", abs(situation.value) * u_rel, correlated=True, note=note, flag=flag)]
 
 
 def _f_number(situation: PatchSituation, value: float) -> Term:

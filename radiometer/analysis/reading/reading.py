@@ -38,6 +38,7 @@ from radiometer.analysis.signal.model import (
     without_glare,
 )
 from radiometer.analysis.signal.situation import Situation, flat_field_for, situation_of
+from radiometer.analysis.signal.taps import levelled_frames
 from radiometer.data import (
     Bracket,
     Calibration,
@@ -107,7 +108,9 @@ def patch_situation(
     settled, calibration, camera = situation_of(setup), setup.calibration, setup.camera
     if calibration is not None:
         frames = corrected_frames(frames, calibration.found, settled.black.dn)
-    light, dark_frames, shape = crop_frames(frames, patch, settled.model)
+    levelled, taps = levelled_frames(frames, setup)
+    light, dark_frames, shape = crop_frames(levelled, patch, settled.model, None if taps is None else taps.lit)
+    tap = None if taps is None else taps.tap_of(patch)
     if calibration is not None and settled.model.linear:
         light = [_straightened(one, calibration.found, settled.model) for one in light]
     chosen = [one for one in light if one.usable] or [one for one in light if one.unclipped] or [light[0]]
@@ -118,19 +121,22 @@ def patch_situation(
         [one.settings for one in chosen], dark_frames, settled.model, settled.black, masked_dn=masked,
         darkest=[one.darkest for one in chosen],
     )  # fmt: skip
+    dark = [replace(d, u_independent=math.hypot(d.u_independent, f.u_black)) for d, f in zip(dark, chosen, strict=True)]
+    gain = 1.0 if taps is None else taps.gain_of(patch)
     place = _sensitivity(calibration, camera, settled.lens, shape, patch)
-    factors = float(place.mean()) * _lens_factors(light, calibration, settled.lens)
+    factors = float(place.mean() * np.mean(gain)) * _lens_factors(light, calibration, settled.lens)
     surround = _surround(light, factors, settled)
     kept = [any(one is other for other in chosen) for one in light]
-    chosen = [_evened(one, level.signal, place) for one, level in zip(chosen, dark, strict=True)]
+    chosen = [_evened(one, level.signal, place * gain) for one, level in zip(chosen, dark, strict=True)]
     exposures = np.array([one.settings.exposure_s for one in chosen]) * factors[kept]
     estimate = estimate_patch(chosen, dark, exposures, good, settled.model)
     field = _field(camera, settled.lens, shape, patch)
-    conditions = _conditions(estimate, chosen, settled, surround, place, field)
+    conditions = _conditions(estimate, chosen, settled, surround, place, field).model_copy(update={"tap": tap})
     scale, stray = _corrected_scale(settled.scale, surround, conditions, calibration)
     shown = Shown(estimate, tuple(chosen), tuple(dark), good, len(light), _unsteady(light))
     falloff = _falloff(calibration, camera, settled.lens, chosen, place)
-    return PatchSituation(settled, shown, scale, conditions, surround, falloff, now or dt.datetime.now(dt.UTC), stray)
+    now = now or dt.datetime.now(dt.UTC)
+    return PatchSituation(settled, shown, scale, conditions, surround, falloff, now, stray, taps)
 
 
 def _straightened(frame: PatchFrame, found: FoundEffects, model: SignalModel) -> PatchFrame:
@@ -281,6 +287,7 @@ def _reading(situation: PatchSituation, patch: Patch, sequence: int) -> Reading:
             assumptions=(
                 *settled.assumptions,
                 *white_level_notes(one.settings.white_level for one in situation.shown.frames),
+                *situation.notes_on_taps,
             ),
             parameters={
                 "frames": situation.shown.light_frames,

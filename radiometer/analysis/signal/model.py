@@ -286,10 +286,9 @@ def _as_warm(one_c: float | None, other_c: float | None) -> bool:
 
 
 def _from_frames(settings: FrameSettings, frames: list[Frame], model: SignalModel) -> DarkLevel:
-    table = model.table(settings)
     means, count = [], 0
     for frame in frames:
-        means.append(float(table[frame.dn].mean()))
+        means.append(float(signal_of(frame, model, settings).mean()))
         count += frame.dn.size
     sigma = float(np.sqrt(model.variance(0.0, settings) / count))
     return DarkLevel(float(np.mean(means)), sigma, 0.0, "dark frames")
@@ -408,10 +407,43 @@ def _unknown_dark_u(
     return min(most, lowest + 2.0 * noise) / 2.0
 
 
-def darkest_signal(frame: Frame, model: SignalModel) -> float:
-    """Return the signal x of a frame's darkest pixels, from pixels evenly over it."""
+def signal_of(frame: Frame, model: SignalModel, settings: FrameSettings | None = None) -> NDArray[np.float64]:
+    """Return the signal x of every pixel of a frame, dark signal not yet taken off, shape (height, width).
+
+    Args:
+        frame: Where its pixels have black levels of their taps, these count with its own settings.
+        model: Signal model of the camera.
+        settings: Those of a light frame that a dark frame is compared with; the frame's by default.
+    """
+    if frame.black_offset_dn is None:
+        return model.table(settings or frame.settings)[frame.dn]
+    return model.at_dn(model.table(frame.settings), frame.dn - frame.black_offset_dn)
+
+
+def cut(frame: Frame, where: tuple[slice, slice]) -> Frame:
+    """Return a part of a frame, copied: the whole can be released."""
+    offset = None if frame.black_offset_dn is None else frame.black_offset_dn[where].copy()
+    return replace(frame, dn=frame.dn[where].copy(), black_offset_dn=offset)
+
+
+def some_lit_pixels(frame: Frame, lit: NDArray[np.bool_] | None = None) -> Frame:
+    """Return some thousand pixels evenly over a frame, in one row: overscan gathers no light and is left out.
+
+    Args:
+        frame: The frame.
+        lit: Its pixels that gather light, shape (height, width); None for all.
+    """
     step = max(1, math.isqrt(frame.dn.size // _PIXELS_OF_THE_WHOLE))
-    return float(model.table(frame.settings)[int(np.percentile(frame.dn[::step, ::step], _DARKEST_PERCENTILE))])
+    few = cut(frame, (slice(None, None, step), slice(None, None, step)))
+    if lit is None:
+        return few
+    kept, offset = lit[::step, ::step], few.black_offset_dn
+    return replace(few, dn=few.dn[kept][None], black_offset_dn=None if offset is None else offset[kept][None])
+
+
+def darkest_signal(few: Frame, model: SignalModel) -> float:
+    """Return the signal x of the darkest of some pixels of a frame that gather light."""
+    return float(np.percentile(signal_of(few, model), _DARKEST_PERCENTILE))
 
 
 def corrected_settings(settings: FrameSettings, found: FoundEffects, black_dn: float) -> FrameSettings:
@@ -528,10 +560,11 @@ class PatchFrame:
     whole_clipped: float  # part of the whole picture that clips; the mean is too low then
     masked_dn: float | None = None  # what the sensor's masked pixels read, in DN; None where it is not stated
     darkest: float = math.inf  # signal x of the darkest pixels of the whole picture, dark level not yet taken off
+    u_black: float = 0.0  # standard uncertainty of the patch's signal x by the black level of its tap in this frame
 
 
 def crop_frames(
-    frames: Bracket | Iterable[Frame], patch: Patch, model: SignalModel
+    frames: Bracket | Iterable[Frame], patch: Patch, model: SignalModel, lit: NDArray[np.bool_] | None = None
 ) -> tuple[list[PatchFrame], list[Frame], tuple[int, int]]:
     """Return the patch in every light frame, the dark frames cut to the patch, and the frames' (height, width).
 
@@ -539,6 +572,7 @@ def crop_frames(
         frames: Frames in any order; each is released after its patch is cut out.
         patch: Where to read.
         model: Signal model of the camera.
+        lit: Pixels that gather light, shape (height, width); None for all.
 
     Raises:
         MeasurementError: If there is no light frame, the patch is outside the frame, or the frames do not belong
@@ -551,9 +585,9 @@ def crop_frames(
         shape = shape or frame.shape
         _refuse_misfit(frame, patch, shape, model)
         if frame.settings.is_dark:
-            dark.append(replace(frame, dn=frame.dn[patch.slices].copy()))
+            dark.append(cut(frame, patch.slices))
         else:
-            light.append(_crop(frame, patch, model))
+            light.append(_crop(frame, patch, model, lit))
     if not light or shape is None:
         raise MeasurementError("there is no frame with the shutter open; capture at least one")
     levels = {one.settings.source_level for one in light}
@@ -581,25 +615,24 @@ def _refuse_misfit(frame: Frame, patch: Patch, shape: tuple[int, int], model: Si
         )
 
 
-def _crop(frame: Frame, patch: Patch, model: SignalModel) -> PatchFrame:
-    dn = frame.dn[patch.slices].copy()
+def _crop(frame: Frame, patch: Patch, model: SignalModel, lit: NDArray[np.bool_] | None) -> PatchFrame:
+    part = cut(frame, patch.slices)
+    dn = part.dn
     limit = model.saturation_dn(frame.settings)
     end = model.saturation_dn(frame.settings, within_data=False)
     clipped = dn >= limit
     few = clipped.sum() <= _DEFECT_FRACTION * dn.size
     brightest = _brightest_part(dn) if few else float(dn.max())
-    expected = model.table(frame.settings)
-    signal = expected[dn]
     sigma = max(_neighbour_noise(dn), _noise_dn(model, frame.settings, brightest))
     usable = bool(few and brightest + _CLEAR_OF_CLIPPING_SIGMA * sigma < limit)
     unclipped = usable or bool(dn.max() < end and brightest + _CLEAR_OF_CLIPPING_SIGMA * sigma < end)
-    step = max(1, math.isqrt(frame.dn.size // _PIXELS_OF_THE_WHOLE))
-    few_of_all = frame.dn[::step, ::step]
-    whole, whole_clipped = float(expected[few_of_all].mean()), float(np.mean(few_of_all >= end))
-    darkest = darkest_signal(frame, model)
+    few_of_all = some_lit_pixels(frame, lit)
+    whole, whole_clipped = float(signal_of(few_of_all, model).mean()), float(np.mean(few_of_all.dn >= end))
+    slope = float(model.at_dn(model.slope, model.black_dn)) / gain_factor(frame.settings.gain_db)
     return PatchFrame(
-        frame.settings, dn, signal, usable, unclipped, clipped, whole, whole_clipped, frame.masked_dn, darkest
-    )
+        frame.settings, dn, signal_of(part, model), usable, unclipped, clipped, whole, whole_clipped, frame.masked_dn,
+        darkest_signal(few_of_all, model), slope * frame.black_u_dn / math.sqrt(patch.height),
+    )  # fmt: skip
 
 
 def _brightest_part(dn: DigitalNumbers) -> float:

@@ -11,6 +11,7 @@ import radiometer as rm
 from radiometer.cli.analyse.merge_report import show_map_report
 from radiometer.cli.arguments import F_NUMBER_HELP, ISO_HELP, UNSTATED_ISO_HELP, parse_bounds, parse_measured_iso
 from radiometer.cli.console import note, progress
+from radiometer.cli.options import TapsOption
 from radiometer.cli.outputs import writes
 from radiometer.errors import UsageError
 
@@ -54,6 +55,7 @@ def command(
     luminance: Annotated[bool, typer.Option("--luminance", help="Write cd·m⁻² instead of W·sr⁻¹·m⁻².")] = False,
     spectrum: Annotated[str | None, typer.Option(help="Spectrum for the luminance; the calibration's.")] = None,
     scale: Annotated[str | None, typer.Option(help="LOW,HIGH of the false colours; the picture's.")] = None,
+    taps: TapsOption = None,
     json: Annotated[bool, typer.Option("--json", help="Report as JSON on standard output.")] = False,
 ) -> None:
     """Merge a bracket into radiance per pixel.
@@ -70,8 +72,8 @@ def command(
             path, response or None, calibration=calibration, channel=channel, pattern=pattern,
             measured_iso=parse_measured_iso(measured_iso), iso=iso, f_number=f_number, linear=linear,
             demosaic=demosaic, align=align, keep_ghosts=keep_ghosts, vignetting=vignetting, lens=lens,
-            luminance=luminance, spectrum=spectrum, scale=parse_bounds(scale, "--scale") if scale else None, out=out,
-            progress=shown,
+            luminance=luminance, spectrum=spectrum, scale=parse_bounds(scale, "--scale") if scale else None, taps=taps,
+            out=out, progress=shown,
         )  # fmt: skip
     for text in found.notes:
         note(text)

@@ -11,6 +11,7 @@ import radiometer as rm
 from radiometer.cli.arguments import ISO_HELP, parse_measured_iso, parse_patch, parse_radiance, parse_seconds
 from radiometer.cli.calibrate.report import show_report
 from radiometer.cli.console import note, progress
+from radiometer.cli.options import TapsOption
 from radiometer.cli.outputs import writes
 from radiometer.errors import UsageError
 
@@ -73,6 +74,7 @@ def command(
     flat_u_rel: Annotated[float, typer.Option(min=0.0, help="Relative u of that source's evenness (k = 1).")] = 0.0,
     camera: Annotated[str | None, typer.Option(help="Capture now with this camera: sim, id, serial, address.")] = None,
     bench: Annotated[Path | None, typer.Option(help="Bench file for --camera.")] = None,
+    taps: TapsOption = None,
     camera_file: Annotated[
         Path | None, typer.Option(help="Camera file of `radiometer characterise`: gain, noise, saturation as measured.")
     ] = None,
@@ -101,7 +103,8 @@ def command(
             reference_dn=reference_dn, dynamic_range=[_region(word) for word in dynamic_range or ()],
             as_printed=as_printed, spectrum=spectrum, black_level=black_level, validity_days=validity_days,
             spectral_response=spectral_response, flat=flat, flat_u_rel=flat_u_rel, camera=camera, bench=bench,
-            camera_file=camera_file, model=model, stated=dict(_stated(word) for word in stated or ()), progress=shown,
+            camera_file=camera_file, model=model, taps=taps, stated=dict(_stated(word) for word in stated or ()),
+            progress=shown,
         )  # fmt: skip
     for text in found.notes:
         note(text)

@@ -10,7 +10,7 @@ import typer
 import radiometer as rm
 from radiometer.cli.arguments import parse_patch, parse_relative
 from radiometer.cli.console import asker, console, note, progress
-from radiometer.cli.options import BenchOption, ReportOption
+from radiometer.cli.options import BenchOption, ReportOption, TapsOption
 from radiometer.cli.outputs import writes
 from radiometer.numbers import with_u
 
@@ -40,12 +40,7 @@ def command(
     emva_descriptor: Annotated[
         Path | None, typer.Option(help="EMVA 1288 descriptor file to write, for other programs.")
     ] = None,
-    taps: Annotated[
-        str | None,
-        typer.Option(
-            help="Output amplifiers: COLUMNSxROWS of equal parts (2x2), or find. Default: what the files state."
-        ),
-    ] = None,
+    taps: TapsOption = None,
     json: Annotated[bool, typer.Option("--json", help="Print the camera file as JSON on standard output.")] = False,
 ) -> None:
     """Find gain, noise, dark current, saturation and linearity of a camera after EMVA 1288.

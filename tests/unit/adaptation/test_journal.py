@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from radiometer.adaptation.journal import RunJournal, read_events
-from radiometer.errors import InputError
+from radiometer.errors import InputError, OutputError
 
 
 def test_events_read_back_in_order(tmp_path: Path) -> None:
@@ -32,6 +32,20 @@ def test_half_written_line_is_cut_and_the_next_event_follows(tmp_path: Path) -> 
         assert len(journal.events) == 1
         journal.write("trial", 2.0)
     assert [e["time_s"] for e in read_events(file)] == [0.0, 2.0]
+
+
+def test_two_programs_never_write_one_test(tmp_path: Path) -> None:
+    """Neither while one runs it, nor after it went on since the other read it."""
+    file = tmp_path / "j"
+    with RunJournal(file) as running:
+        running.write("start", 0.0)
+        late = RunJournal(file)
+        with pytest.raises(OutputError, match="another program runs this test"):
+            late.__enter__()
+        running.write("trial", 1.0)
+    with pytest.raises(OutputError, match="meanwhile"):
+        late.__enter__()
+    assert len(read_events(file)) == 2
 
 
 @pytest.mark.parametrize("damage", [b"{not json}\n", b'{"sequence": 5, "kind": "trial", "time_s": 1}\n'])

@@ -128,6 +128,19 @@ def test_journal_of_another_subject_is_refused(tmp_path: Path, classic: Adaptati
         run_test(classic, ScriptedStage(eye, classic), journal, subject="B2", seed=3)
 
 
+def test_a_run_is_not_taken_up_with_another_age_or_pupil(tmp_path: Path, classic: AdaptationProtocol) -> None:
+    """Its head states them once; a run that stated none may learn them later."""
+    broken = ScriptedStage(eye, classic)
+    broken.dies_after = 125.0
+    with RunJournal(tmp_path / "j") as journal, pytest.raises(DeviceLost):
+        run_test(classic, broken, journal, subject="A1", seed=3, visit={"age_years": 31.0})
+    with RunJournal(tmp_path / "j") as journal, pytest.raises(UsageError, match=r"age_years 31\.0, not 70\.0"):
+        run_test(classic, ScriptedStage(eye, classic), journal, subject="A1", seed=3, visit={"age_years": 70.0})
+    later = {"age_years": 31.0, "pupil_mm": 7.0}
+    with RunJournal(tmp_path / "j") as journal:
+        run_test(classic, ScriptedStage(eye, classic), journal, subject="A1", seed=3, visit=later)
+
+
 def test_refused_check_is_journalled_and_keeps_the_bleach_away(tmp_path: Path, classic: AdaptationProtocol) -> None:
     """No one is dazzled for nothing, and the journal says why; the next try begins with the checks again."""
     stage = ScriptedStage(eye, classic)

@@ -58,6 +58,7 @@ def test_flags_are_the_documented_words():
         "lens_changed",
         "linearity",
         "nonuniform",
+        "other_tap",
         "polarisation",
         "repeated_frame",
         "saturated",

@@ -1,4 +1,4 @@
-"""`python -m benchmarks.naming FOLDER`: make sealed sessions, have the tools name what is missing, and score them.
+"""`python -m benchmarks naming`: make sealed sessions, have the tools name what is missing, score them, write the page.
 
 Another tool takes part by its own program: `--only make` writes the sessions, the program writes
 `answers/<tool>.json` (session number to answer), and `--only score` scores every file of answers.
@@ -11,7 +11,7 @@ import json
 from pathlib import Path
 
 from benchmarks._sections import write_section
-from benchmarks.naming.score import table
+from benchmarks.naming.score import report
 from benchmarks.naming.sessions import make
 from benchmarks.naming.tools import TOOLS
 
@@ -31,12 +31,11 @@ def solve(folder: Path, tool: str) -> None:
 
 def main() -> None:
     """Run the benchmark, or one step of it."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("folder", type=Path)
-    parser.add_argument("--count", type=int, default=6, help="sessions of each kind")
-    parser.add_argument("--first-seed", type=int, default=940_000)
+    parser = argparse.ArgumentParser(prog="python -m benchmarks naming", description=__doc__)
+    parser.add_argument("--folder", type=Path, default=Path("naming"), help="sessions, truth and answers; kept")
+    parser.add_argument("--count", type=int, default=2, help="sessions of each kind")
+    parser.add_argument("--first-seed", type=int, default=961_000)
     parser.add_argument("--only", choices=_STEPS)
-    parser.add_argument("--write", action="store_true", help="write the page of the documentation")
     chosen = parser.parse_args()
     steps = (chosen.only,) if chosen.only else _STEPS
     if "make" in steps and not (chosen.folder / "truth.json").exists():
@@ -46,16 +45,9 @@ def main() -> None:
             solve(chosen.folder, tool)
     if "score" in steps:
         truth = json.loads((chosen.folder / "truth.json").read_text(encoding="utf-8"))
-        bodies = []
-        for file in sorted((chosen.folder / "answers").glob("*.json")):
-            answers = json.loads(file.read_text(encoding="utf-8"))
-            bodies.append(f"### {file.stem}\n\n{table(answers, truth)}")
-        body = "\n\n".join(bodies)
+        files = sorted((chosen.folder / "answers").glob("*.json"))
+        answers = {file.stem: json.loads(file.read_text(encoding="utf-8")) for file in files}
+        body = report(answers, truth)
         print(body)
-        if chosen.write:
-            command = f"python -m benchmarks.naming FOLDER --count {chosen.count} --first-seed {chosen.first_seed}"
-            write_section("naming", "Naming what is missing", command, body)
-
-
-if __name__ == "__main__":
-    main()
+        command = f"python -m benchmarks naming --count {chosen.count} --first-seed {chosen.first_seed}"
+        write_section("naming", "Naming what is missing", command, body)
