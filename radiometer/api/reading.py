@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from radiometer.analysis.reading.monte_carlo import propagate_distributions
+from radiometer.analysis.signal.situation import situation_of
 from radiometer.api.files import PathLike
 from radiometer.api.meter import PatchLike, as_patch
 from radiometer.api.result import Ask, Notice, Progress, unheard
@@ -153,11 +154,11 @@ def _introduce(instrument: Instrument, notice: Notice) -> None:
     who, patch = instrument.camera.identity, instrument.patch
     name = f"{who.vendor} {who.model} {serial_shown(who.serial)}"
     notice(f"{name}, patch {patch.x},{patch.y} {patch.width} × {patch.height} pixels")
-    if instrument.calibration is None:
-        notice("assumed: the response is linear above the black level")
-        return
-    notice(f"calibrated {instrument.calibration.created[:10]} by {instrument.calibration.scale.reference}")
-    for assumption in instrument.calibration.provenance.assumptions:
+    of_calibration: tuple[str, ...] = ()
+    if instrument.calibration is not None:
+        notice(f"calibrated {instrument.calibration.created[:10]} by {instrument.calibration.scale.reference}")
+        of_calibration = instrument.calibration.provenance.assumptions
+    for assumption in dict.fromkeys((*of_calibration, *situation_of(instrument.setup).assumptions)):
         notice(f"assumed: {assumption}")
 
 

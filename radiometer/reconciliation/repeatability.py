@@ -208,10 +208,10 @@ def _relaxing(time: Array, since_s: float) -> Array:
 
 
 _OF_MEDIAN: Final = MEDIAN_U * MAD_TO_SIGMA  # standard error of a median of normal values, from their median deviation
-_FEWEST_TILES: Final = 4  # whose median deviation tells their scatter within a factor of two
-_FEWEST: Final = 2  # degrees of freedom that tell a scatter
+_FEWEST_TILES: Final = 4  # whose median deviation determines their scatter within a factor of two
+_FEWEST: Final = 2  # degrees of freedom that determine a scatter
 _ROUNDS: Final = 4  # by which the weights of series settle
-_LIT_DN: Final = 1.0  # per unit of ln light, below which nothing is said of light
+_LIT_DN: Final = 1.0  # per unit of ln light, below which nothing is reported of light
 
 Tiles = Callable[[tuple[int, ...]], Array]
 

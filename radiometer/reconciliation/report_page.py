@@ -264,7 +264,7 @@ def _covariate_table(result: ReconcileResult) -> str:
         (along(name), f"{gap.before:.1f}", f"{gap.after:.1f}")
         for name, gap in sorted(result.covariates.items(), key=lambda item: -item[1].before)
     ]
-    note = "Largest trend's χ² per degree of freedom; 1 is chance."
+    note = "Largest trend's χ² per degree of freedom; a single trend has 1 by chance."
     return table(("covariate", "before", "after"), rows) + paragraph(note, "small")
 
 

@@ -158,7 +158,10 @@ class FoundEffect:
 
 @dataclass(frozen=True, slots=True)
 class CovariateGap:
-    """Disagreement along one covariate: the largest trend's χ² per degree of freedom, 1 by chance alone."""
+    """Disagreement along one covariate: the largest trend's χ² per degree of freedom.
+
+    A single trend has 1 by chance, the largest of many tests more.
+    """
 
     before: float
     after: float

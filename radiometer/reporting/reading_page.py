@@ -40,7 +40,8 @@ FLAG_MEANINGS: Final[Mapping[Flag, str]] = {
     Flag.DARK_ASSUMED: "dark current and black level dominate the uncertainty: take dark frames (--darks)",
     Flag.FALLOFF_ASSUMED: "no flat field: the natural fall-off of the lens was assumed; calibrate with --flat",
     Flag.SPECTRUM_ASSUMED: (
-        "the light's spectrum is not stated, or it dominates the uncertainty: state it (--spectrum)"
+        "the light's spectrum is not stated (--spectrum), or it differs from the calibration's and dominates the "
+        "uncertainty: calibrate under such light, or with the camera's --spectral-response"
     ),
     Flag.SMALL_PATCH: ("the patch is so small that pixels' differences dominate the uncertainty: read a larger one"),
     Flag.TEMPERATURE: "the difference from the calibration's temperature dominates the uncertainty",

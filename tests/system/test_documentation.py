@@ -27,7 +27,7 @@ pytestmark = [pytest.mark.slow, pytest.mark.timeout(900)]
 
 DOCS = Path(__file__).resolve().parents[2] / "docs"
 # Pages whose commands need a package manager or a camera that is not there yet.
-NOT_FOLLOWED = {"install", "add-a-camera"}
+NOT_FOLLOWED = {"install"}
 FOLLOWED = (
     DOCS / "tutorial.md",
     *sorted(page for page in (DOCS / "how-to").glob("*.md") if page.stem not in NOT_FOLLOWED),
@@ -151,7 +151,7 @@ def site(project_root: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_the_site_loads_nothing_from_anywhere_else(site):
-    """Every script, style, font and picture of every page lies in the site itself."""
+    """Every script, style, font and picture of every page is in the site itself."""
     pages = sorted(site.rglob("*.html"))
     assert len(pages) > 30
     for page in pages:
@@ -175,7 +175,7 @@ def test_the_site_shows_formulas_without_a_script(site):
 
 
 def test_the_reference_holds_every_public_name_command_effect_and_threshold(site):
-    """What can be imported, typed or switched on stands in the reference, with its words."""
+    """What can be imported, typed or switched on is in the reference, with its words."""
     names = (site / "reference" / "python.html").read_text(encoding="utf-8")
     for name in radiometer.__all__:
         assert f'id="{radiometer.home_of(name)}.{name}"' in names, name

@@ -387,8 +387,11 @@ def scaled_calibration(
         further: What else was assumed.
     """
     doubt = base.uncertainties.efficacy_u_rel
-    known = f", its luminous efficacy to {100 * doubt:.2g} % (k = 1)" if doubt else ""
-    assumptions = [f"source spectrum {base.spectrum}{known}"]
+    assumptions = list[str]()
+    if doubt:
+        assumptions.append(
+            f"reference of spectrum {base.spectrum}, its luminous efficacy to {100 * doubt:.2g} % (k = 1)"
+        )
     if base.found.names:
         assumptions.append("corrected for what reconcile found: " + ", ".join(base.found.names))
     if base.response is None:

@@ -191,7 +191,7 @@ def errors_of_other_lights(
     if powers is None:
         pool = np.vstack([lights[kind] for kind in lights if kind in training.kinds] or list(lights.values()))
         read, there = _normal(training.xyz)[:, :2], _normal(tristimulus_of(pool))[:, :2]
-        if responsivities is not None:  # what the camera sees tells lamps apart that look alike
+        if responsivities is not None:  # the camera distinguishes lamps that look alike
             read = np.hstack([read, _normal(training.signal)])
             there = np.hstack([there, _normal(_signal(pool, responsivities))])
         powers = pool[np.argmin(np.sum((read[:, None] - there) ** 2, axis=-1), axis=1)]

@@ -97,7 +97,8 @@ def _line(text: str) -> tuple[float, float, float, float]:
 def _show(found: MapAnalysis) -> None:
     from rich.table import Table
 
-    title = f"{found.origin}: regions in {unit_text(found.map.unit) or 'relative units'}; k = 2"
+    unit = "relative units" if found.map.unit in ("1", "relative") else unit_text(found.map.unit)
+    title = f"{found.origin}: regions in {unit}; k = 2"
     table = Table(title=title, title_justify="left")
     table.add_column("region", no_wrap=True)
     for name in ("mean", "lowest", "highest", "uniformity"):

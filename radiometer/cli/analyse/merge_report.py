@@ -1,4 +1,4 @@
-"""What `radiometer merge` says of a picture: values, noise and flags of every channel, and what was assumed."""
+"""Print the report of `radiometer merge`: values, noise and flags of every channel, and what was assumed."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from collections.abc import Callable
 from typing import Any
 
 from radiometer.cli.console import console
+from radiometer.numbers import unit_text
 
 
 def displacement_in_words(px: float, u_px: float) -> str:
@@ -31,7 +32,7 @@ def show_map_report(report: dict[str, Any]) -> None:
         report: As of `Radiance.to_mapping`.
     """
     out, total = console(), report["width"] * report["height"]
-    unit = "relative values" if report["unit"] == "relative" else f"in {report['unit']}"
+    unit = "relative values" if report["unit"] == "relative" else f"in {unit_text(report['unit'])}"
     out.print(f"{report['width']} × {report['height']} pixels, {len(report['exposures_s'])} exposures, {unit}")
     for text in _of_channels(report, _values_in_words):
         out.print(f"values     {text}")

@@ -229,7 +229,7 @@ def _show_covariates(result: ReconcileResult) -> None:
         return
     from rich.table import Table
 
-    table = Table(title="disagreement along each covariate (1 = chance)", title_justify="left", box=None)
+    table = Table(title="largest trend along each covariate (χ² per degree of freedom)", title_justify="left", box=None)
     for heading in ("covariate", "before", "after"):
         table.add_column(heading, justify="left" if heading == "covariate" else "right")
     for name, gap in sorted(result.covariates.items(), key=lambda item: -item[1].before):

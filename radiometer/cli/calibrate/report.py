@@ -18,6 +18,7 @@ def show_report(report: dict[str, Any]) -> None:
     )
     if scale["reference"]:
         out.print(f"from       {scale['reference']}")
+    out.print(f"spectrum   {report['spectrum']}")
     for name, share in sorted(_shares(budget).items(), key=lambda entry: -entry[1])[:3]:
         out.print(f"  {100 * share:5.1f} %  {name} (u = {100 * budget[name]:.2g} %)")
     if metered := report.get("metered"):
@@ -25,7 +26,9 @@ def show_report(report: dict[str, Any]) -> None:
             entry = metered[name]
             out.print(f"{name:<10} {with_u(entry['value'], 2 * entry['u'], unit, k=2)}  (metered surface)")
         thesis = metered["thesis_spectral_radiance"]["value"]
-        out.print(f"thesis     {thesis:.4f} W·sr⁻¹·m⁻²·µm⁻¹  (equation 2.10: a spectral radiance, for comparison only)")
+        out.print(
+            f"per µm     {thesis:.4f} W·sr⁻¹·m⁻²·µm⁻¹  (L_v/(683·0.1068): a spectral radiance, for comparison only)"
+        )
     if ranged := report.get("dynamic_range"):
         exponent, u = ranged["exponent"], ranged["u_exponent"]
         out.print(

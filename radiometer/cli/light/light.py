@@ -17,9 +17,10 @@ from radiometer.numbers import with_u
 _JUMP_SHOWN = 0.005  # a start further off than half a per cent matters next to a calibration's 1 %
 
 app = command_group(
-    "The light box: LED channels, timed by the box, and a button. Channels: bleach, spot, spot_red, fixation."
+    "The light box: LED channels, timed by the box, and a button. Channels: bleach, field, spot, spot_green, "
+    "spot_red, fixation."
 )
-Channel = Annotated[str, typer.Argument(help="bleach, spot, spot_red or fixation.")]
+Channel = Annotated[str, typer.Argument(help="bleach, field, spot, spot_green, spot_red or fixation.")]
 RadianceOption = Annotated[float | None, typer.Option(help="Radiance in W·sr⁻¹·m⁻²; needs a calibrated channel.")]
 LevelOption = Annotated[int | None, typer.Option(min=0, max=65535, help="Raw level instead of a radiance.")]
 LowOption = Annotated[bool, typer.Option("--low", help="Raw level on the low current range.")]

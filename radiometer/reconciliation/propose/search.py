@@ -126,7 +126,7 @@ class _Look:
             curvature = rows[mine] @ rows[mine].T - part[:, mine].T @ part[:, mine]
             whole = float(squares[mine].sum())
             if whole < _FAINT or float(np.linalg.eigvalsh(curvature)[0]) < 1e-6 * whole:
-                continue  # nothing of it is left beside the nuisances
+                continue  # the nuisances explain all of it
             best = np.linalg.solve(curvature, slope[mine])
             found.append(_turned(law, np.asarray(best), float(best @ slope[mine])))
         return found

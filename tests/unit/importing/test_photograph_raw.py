@@ -33,7 +33,7 @@ def _write(path: Path, mosaic: np.ndarray, **more: Any) -> None:
 
 
 def test_raw_file_gives_the_sensors_values(tmp_path):
-    """Each colour of the mosaic comes out unscaled at half size, 12 bits, black level beside it."""
+    """Each colour of the mosaic comes out unscaled at half size, 12 bits, with its black level."""
     _write(tmp_path / "a.dng", _plain_colours())
     (tmp_path / "exposures.txt").write_text("a.dng 0.5\n")
     frames = [bracket.light[0] for bracket in read_photographs(tmp_path, "each")]

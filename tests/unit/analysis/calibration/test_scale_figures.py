@@ -257,7 +257,6 @@ def test_a_spectral_response_rises_along_its_wavelengths(wavelength_nm, relative
     [
         ({"read_noise_e": None}, {}, "typical values for read_noise_e"),
         ({}, {}, "response taken as linear above the black level"),
-        ({}, {}, "source spectrum cie_a"),
         ({}, {"transmittance": None}, "lens transmittance 1"),
     ],
 )
