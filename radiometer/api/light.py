@@ -430,7 +430,7 @@ def light_account(box: str | None = None, *, confirm_unexposed: bool = False) ->
     if box is not None or confirm_unexposed:
         box = require_known_box(box)
     if confirm_unexposed:
-        confirm_no_exposure(box or "")
+        confirm_no_exposure(box)
     reports, wrong = exposure_reports()
     consequence = "what it held is lost; each box counts as used up for 10⁴ s from its next opening"
     notes = (f"{wrong}; {consequence}: radiometer light status",) if wrong else ()

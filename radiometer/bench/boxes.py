@@ -288,7 +288,7 @@ def exposure_store() -> FileStore:
     return FileStore(Path.home() / (os.environ.get(STATE_VARIABLE) or state_folder()))
 
 
-def confirm_no_exposure(serial: str) -> None:
+def confirm_no_exposure(serial: str | None) -> None:
     """Take a person's word that no eye that will look into a light box was exposed in the last 10⁴ s.
 
     It ends the time for which a box without a history counts as used up. What the account knows to be given stays.
@@ -297,10 +297,12 @@ def confirm_no_exposure(serial: str) -> None:
         serial: Serial number of the box.
 
     Raises:
-        UnsafeStimulus: If the account cannot be stored.
+        UsageError: If the account does not know the box.
+        UnsafeStimulus: If the account cannot be read or stored.
     """
+    known = require_known_box(serial)
     with exposure_store().change() as account:
-        account.confirm(serial)
+        account.confirm(known)
 
 
 def require_known_box(serial: str | None) -> str:

@@ -84,6 +84,11 @@ class PatchBook:
         self._writer.note("patch", f"limits of {name}: {shown}")
         self._changed()
 
+    @property
+    def limited(self) -> list[str]:
+        """Return the names of the patches that have limits."""
+        return [name for name, watch in self.watches.items() if (watch.limits.low, watch.limits.high) != (None, None)]
+
     def latest_of(self, name: str) -> Reading | None:
         """Return the latest reading of a patch, "main" for the one for all. Raises UsageError if there is no such."""
         return self._watch(name).latest

@@ -66,10 +66,11 @@ class Station:
         self._initial_settings = settings or MeasurementSettings()
         self.acquisition.settings = self._initial_settings
         self.patches = PatchBook(
-            self.acquisition, self.lateness, self.writer, self.alarms, self.metrics, self.tell_status
+            self.acquisition, self.lateness, self.writer, self.alarms, self.metrics, self._patches_changed
         )
         self.clock = ClockWatch(self._clock_jumped)
         self.latest_jump: Jump | None = None
+        self._was_stopped = False  # by a client: a daemon that measures on demand alone was not
         self.started = time.monotonic()
         self.on_change: list[Callable[[], None]] = []
         self._tasks: list[asyncio.Task[None]] = []
@@ -133,7 +134,21 @@ class Station:
 
     def set_every(self, every_s: float | None) -> None:
         """Set the period of continuous measurement in s; None stops it. Raises SettingOutOfRange."""
+        before = self.acquisition.every_s
         self.acquisition.set_every(every_s)
+        self._was_stopped = every_s is None and (before is not None or self._was_stopped)
+        if before is not None and before != every_s:
+            now = "stopped" if every_s is None else f"set to a period of {every_s:g} s"
+            self.writer.note("period", f"continuous measurement, every {before:g} s before, was {now}")
+        self._patches_changed()
+
+    def _patches_changed(self) -> None:
+        """Alarm where a client stopped the measurement that watches the limits of patches."""
+        if self._was_stopped and self.patches.limited:
+            limited = ", ".join(self.patches.limited)
+            self.alarms.put_up("stopped", f"continuous measurement was stopped: limits of {limited} are not watched")
+        else:
+            self.alarms.clear("stopped")
         self.tell_status()
 
     def annotate(self, message: str) -> None:

@@ -126,6 +126,10 @@ class CaptureHeader(FileSection):
     def _refuse_nothing(self) -> Self:
         if not self.frames and not self.statistics:
             raise ValueError("frames is missing or empty: a capture set holds at least one frame")
+        exposures = dict[str, float]()
+        for one in self.frames:
+            if exposures.setdefault(one.file, one.exposure_s) != one.exposure_s:
+                raise ValueError(f"frames names {one.file} for two exposure times; name the file of each")
         return self
 
     def to_mapping(self) -> dict[str, Any]:

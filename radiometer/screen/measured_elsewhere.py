@@ -185,7 +185,18 @@ def _ti3(path: Path, text: str) -> ScreenReadings:
         raise InputError(f"{path}: needs the columns {', '.join(expected)}; it has {', '.join(columns)}")
     at = [columns.index(name) for name in expected]
     rows = [line.split() for line in data.splitlines() if line.strip()]
+    announced = re.search(r"^NUMBER_OF_SETS\s+(\d+)", text, re.MULTILINE)
+    if announced is not None and int(announced.group(1)) != len(rows):
+        raise InputError(
+            f"{path}: states {announced.group(1)} sets and holds {len(rows)}; it was cut or edited: copy it again, or"
+            " correct NUMBER_OF_SETS"
+        )
     patches = [tuple(float(row[n]) for n in at) for row in rows]
+    for number, patch in enumerate(patches, 1):
+        if not all(map(math.isfinite, patch)) or patch[3] < -_LEAST_Y_REL * max(one[3] for one in patches):
+            raise InputError(
+                f"{path}, set {number}: XYZ_Y {patch[3]:g} is no luminance; measure it again, or delete it"
+            )
     if max(max(patch[:3]) for patch in patches) > _MOST_PERCENT:
         raise InputError(f"{path}: RGB go above 100; a .ti3 has them in per cent: divide them by 2.55")
     scale, note = _ti3_scale(path, keys, max(patch[3] for patch in patches))
@@ -234,6 +245,7 @@ def chromaticities_in(path: Path) -> Mapping[str, tuple[float, float]]:
 
 
 _MOST_PERCENT: Final = 100.5
+_LEAST_Y_REL: Final = 1e-3  # of white, by which noise may bring the black of a meter below 0
 _SAME_WHITE_REL: Final = 0.02  # rows repeat white; LUMINANCE_XYZ_CDM2 is one reading of it
 
 

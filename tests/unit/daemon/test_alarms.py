@@ -89,6 +89,10 @@ CASES: dict[str, tuple[Callable[[World], Any], Callable[[World], Any]]] = {
         lambda w: w.station.patches.set_limits("lamp", PatchLimits(high=1.0)),
         lambda w: w.station.patches.set_limits("lamp", PatchLimits(high=99.0)),
     ),
+    "stopped": (
+        lambda w: (w.station.patches.set_limits("lamp", PatchLimits(high=99.0)), w.station.set_every(None)),
+        lambda w: w.station.set_every(0.05),
+    ),
     "calibration": (lambda w: w.reload(CalibrationError("no calibration")), lambda w: w.reload(None)),
     "descriptors": (
         lambda w: Descriptors(w.station.alarms).take_error(

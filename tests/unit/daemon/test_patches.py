@@ -52,6 +52,20 @@ async def test_a_patch_with_a_name_is_measured_next_to_the_shared_one(
     assert b'radiometer_radiance{unit="W sr-1 m-2"} 17.0' in station.metrics.render()
 
 
+async def test_a_client_that_stops_measuring_silences_no_limit(station: Station) -> None:
+    """With limits it is an alarm until measuring goes on or the limits go; the journal keeps every change."""
+    station.set_every(5.0)
+    station.set_every(None)
+    assert [alarm.name for alarm in station.alarms.active] == []
+    station.patches.set_limits("main", PatchLimits(high=3.0))
+    assert [alarm.name for alarm in station.alarms.active] == ["stopped"]
+    station.set_every(1.0)
+    assert [alarm.name for alarm in station.alarms.active] == []
+    station.set_every(None)
+    station.patches.set_limits("main", PatchLimits())
+    assert [alarm.name for alarm in station.alarms.active] == []
+
+
 async def test_patches_and_limits_outlive_a_restart(instrument: Any, tmp_path: Path, eventually: Eventually) -> None:
     """They are kept in the journal; a deleted one is not."""
     for turn in range(2):

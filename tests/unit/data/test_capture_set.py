@@ -74,6 +74,7 @@ def test_keys_of_other_programs_are_kept(capture):
         (lambda m: m["frames"][1].update(file="a\0.png"), "is not a file name"),
         (lambda m: m.update(format="radiometer-capture/9"), "this version reads"),
         (lambda m: m.update(frames=[]), "frames is missing or empty"),
+        (lambda m: m.update(frames=[m["frames"][0], m["frames"][0] | {"exposure_s": 9.0}]), "for two exposure times"),
         (lambda m: m["frames"][1].update(exposure_s=0), "shutter: closed"),
         (lambda m: m["frames"][1].update(shutter="ajar"), r"frames\.1\.shutter"),
         (lambda m: m["frames"][1].update(source_level=-0.1), r"source_level = -0\.1"),

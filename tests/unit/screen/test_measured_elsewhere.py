@@ -36,6 +36,20 @@ END_DATA
 """
 
 
+@pytest.mark.parametrize(
+    ("sets", "y", "reason"), [("999", "20", "it was cut or edited"), ("2", "-20", "set 2"), ("2", "nan", "set 2")]
+)
+def test_ti3_that_was_cut_or_holds_no_luminance_is_refused(tmp_path: Path, sets: str, y: str, reason: str) -> None:
+    """Fewer sets than it states, and a value that no light has."""
+    file = tmp_path / "a.ti3"
+    file.write_text(
+        f'CTI3\n\nNORMALIZED_TO_Y_100 "NO"\nNUMBER_OF_SETS {sets}\nBEGIN_DATA_FORMAT\n'
+        f"RGB_R RGB_G RGB_B XYZ_X XYZ_Y XYZ_Z\nEND_DATA_FORMAT\nBEGIN_DATA\n100 100 100 95 100 108\n50 50 50 20 {y} 21\nEND_DATA\n"
+    )
+    with pytest.raises(InputError, match=reason):
+        read_screen_readings(file)
+
+
 def test_ti3_is_scaled_by_its_white_and_repeats_are_kept(tmp_path: Path) -> None:
     """Y of 22 at a white of 200 cd/m² is 44; two whites of 200 and 198 give 199; red's three levels are read."""
     file = tmp_path / "a.ti3"
