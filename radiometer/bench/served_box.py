@@ -15,7 +15,7 @@ import numpy as np
 from radiometer.bench.box_holder import runtime_folder
 from radiometer.bench.boxes import SIMULATED_PORTS, exposure_store, read_preset
 from radiometer.bench.seated_subject import places_of, seat_subject
-from radiometer.errors import OutputError, UsageError
+from radiometer.errors import OutputError, OutputRefused, UsageError
 from simulators.light_box.avr_box import AvrBox
 from simulators.light_box.box import SimulatedBoxSettings, SimulatedLightBox
 from simulators.light_box.line_faults import LineFaults
@@ -64,6 +64,8 @@ def served_box(
         UnsafeStimulus: If the account of its exposure cannot be stored.
     """
     place = link or runtime_folder(SIMULATED_PORTS) / serial
+    if place.exists() and not place.is_symlink():
+        raise OutputRefused(f"{place} exists already and is no link; name another place with --link")
     try:
         place.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
     except OSError as error:

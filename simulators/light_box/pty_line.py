@@ -47,6 +47,7 @@ class PtyServer:
     _latest_s: float = 0.0
     _master: int = -1
     _slave: int = -1
+    _target: str = ""  # where the link leads
     _thread: threading.Thread | None = None
     _stopping: threading.Event = field(default_factory=threading.Event)
 
@@ -78,9 +79,11 @@ class PtyServer:
             tty.setraw(self._slave)
             os.set_blocking(self._master, False)
             if self.link is not None:
-                self.link.unlink(missing_ok=True)
+                if self.link.is_symlink():  # of a box that was killed; a file is never replaced
+                    self.link.unlink()
                 # Through this process: if it is killed the link leads nowhere, and never to another program's terminal.
-                self.link.symlink_to(f"/proc/{os.getpid()}/fd/{self._slave}")
+                self._target = f"/proc/{os.getpid()}/fd/{self._slave}"
+                self.link.symlink_to(self._target)
 
     def unplug(self) -> None:
         """Take the pseudo-terminal away, as a pulled cable does; the device goes on running."""
@@ -89,8 +92,8 @@ class PtyServer:
                 if handle >= 0:
                     os.close(handle)
             self._master = self._slave = -1
-            if self.link is not None:
-                self.link.unlink(missing_ok=True)
+            if self.link is not None and self.link.is_symlink() and os.readlink(self.link) == self._target:
+                self.link.unlink()  # another box may have taken the name meanwhile
 
     def say(self, raw: bytes) -> None:
         """Send bytes to the host that the device never sent, as a boot loader or a loose contact does."""

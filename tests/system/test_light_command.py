@@ -209,3 +209,12 @@ def test_a_simulated_box_that_was_ended_leaves_no_port(surroundings, project_roo
     finally:
         boxes[1].kill()
         boxes[1].communicate()
+
+
+def test_a_simulated_box_replaces_no_file_by_its_port(tmp_path, surroundings, capsys):
+    """Only a link that a killed one left is replaced; the exit code is that of misuse."""
+    file = tmp_path / "precious.txt"
+    file.write_text("precious")
+    assert run(["simulate", "box", "--link", str(file)]) == 2
+    assert "is no link" in capsys.readouterr().err
+    assert file.read_text() == "precious"

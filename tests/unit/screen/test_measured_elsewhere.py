@@ -42,10 +42,10 @@ END_DATA
 def test_ti3_that_was_cut_or_holds_no_luminance_is_refused(tmp_path: Path, sets: str, y: str, reason: str) -> None:
     """Fewer sets than it states, and a value that no light has."""
     file = tmp_path / "a.ti3"
-    file.write_text(
-        f'CTI3\n\nNORMALIZED_TO_Y_100 "NO"\nNUMBER_OF_SETS {sets}\nBEGIN_DATA_FORMAT\n'
-        f"RGB_R RGB_G RGB_B XYZ_X XYZ_Y XYZ_Z\nEND_DATA_FORMAT\nBEGIN_DATA\n100 100 100 95 100 108\n50 50 50 20 {y} 21\nEND_DATA\n"
-    )
+    table = f"100 100 100 95 100 108\n50 50 50 20 {y} 21\n"
+    columns = "BEGIN_DATA_FORMAT\nRGB_R RGB_G RGB_B XYZ_X XYZ_Y XYZ_Z\nEND_DATA_FORMAT\n"
+    head = f'CTI3\n\nNORMALIZED_TO_Y_100 "NO"\nNUMBER_OF_SETS {sets}\n'
+    file.write_text(f"{head}{columns}BEGIN_DATA\n{table}END_DATA\n")
     with pytest.raises(InputError, match=reason):
         read_screen_readings(file)
 
