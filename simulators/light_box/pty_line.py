@@ -92,7 +92,7 @@ class PtyServer:
                 if handle >= 0:
                     os.close(handle)
             self._master = self._slave = -1
-            if self.link is not None and self.link.is_symlink() and os.readlink(self.link) == self._target:
+            if self.link is not None and self.link.is_symlink() and str(self.link.readlink()) == self._target:
                 self.link.unlink()  # another box may have taken the name meanwhile
 
     def say(self, raw: bytes) -> None:
