@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 from scipy.stats import chi2, rankdata
 
-from radiometer.reconciliation.fit.linear import LinearFit, RowBlock
-from radiometer.statistics.chances import (
+from radiometer.reconciliation.chances import (
     chi2_beyond,
     chi2_quantile,
     deviances,
@@ -20,6 +19,7 @@ from radiometer.statistics.chances import (
     score_slope,
     sine_freedom,
 )
+from radiometer.reconciliation.fit.linear import LinearFit, RowBlock
 
 
 def test_parameters_take_up_their_projection_of_many_changes_at_once() -> None:

@@ -1,0 +1,1 @@
+"""Writes the findings as result, report and camera model."""
