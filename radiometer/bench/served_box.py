@@ -60,6 +60,7 @@ def served_box(
     Raises:
         UsageError: If a subject is to sit before the firmware, whose LEDs are not simulated, or is unknown.
         OutputError: If the link cannot be made.
+        OutputRefused: If a file is where the link is to be.
         MissingLibrary: If simavr is asked for and not installed.
         UnsafeStimulus: If the account of its exposure cannot be stored.
     """

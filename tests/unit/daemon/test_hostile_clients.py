@@ -69,6 +69,7 @@ async def test_lights_go_off_while_busy_clients_hold_every_place(base: str) -> N
             await asyncio.sleep(0.07)
             async with session.get(f"{base}/healthz", headers={"Connection": "close"}) as reply:
                 replies.append(await reply.text())
+    assert "alarms" in replies[-1]
     polling.cancel()
     for writer in writers:
         writer.close()
