@@ -300,7 +300,7 @@ async def test_nonsense_from_a_browser_is_passed_over() -> None:
 
 
 async def test_devices_that_do_not_answer_are_shown_so() -> None:
-    """The run is not disturbed by a box that does not tell how it is."""
+    """The run is not disturbed by a box that does not report its state."""
 
     def silent() -> dict[str, str]:
         raise DeviceTimeout("the box does not answer")

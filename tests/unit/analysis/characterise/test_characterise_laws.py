@@ -389,7 +389,7 @@ def test_on_a_phone_the_panels_stand_one_below_the_other(monkeypatch):
 def test_variances_of_few_lines_scatter_by_their_stated_uncertainty():
     """Of 4 rows, or 4 columns, of their own offsets: over 1500 pictures the scatter of s² is the mean of its u, to 8 %.
 
-    Three degrees of freedom of a normal distribution: σ(s²) = s²·√(2/3), which 1500 draws tell to 3 %.
+    Three degrees of freedom of a normal distribution: σ(s²) = s²·√(2/3), which 1500 draws determine to 3 %.
     """
     rng = np.random.default_rng(31)
     quiet = NoiseLeft(0.0, 0.0, 0.0)
@@ -809,7 +809,7 @@ def test_a_typical_pixel_is_no_hot_one():
 
 @pytest.mark.parametrize(("part", "count", "named"), [(0.89, 16, 1), (0.91, 16, 0), (0.5, 6, 1), (0.5, 5, 0)])
 def test_a_step_contradicts_its_neighbours_from_a_tenth_on(part, count, named):
-    """A step at 89 % of what its light says is named, at 91 % not; of five steps no one can tell."""
+    """A step at 89 % of what its light says is named, at 91 % not; five steps are too few to decide."""
     signals = SIGNALS[:count].copy()
     signals[count // 2] *= part
     bright = [group(BLACK_DN + s, 100.0, photons=2.0 * x) for s, x in zip(signals, SIGNALS, strict=False)]

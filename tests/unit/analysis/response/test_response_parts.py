@@ -367,7 +367,7 @@ def test_fewer_groups_than_folds_are_left_out_one_by_one(samples):
 
 
 def test_a_mean_is_moved_by_half_its_noise_at_most():
-    """g = 20·ln M bends more than second order can tell: half a standard deviation, to the side of more light."""
+    """g = 20·ln M bends more than second order can follow: half a standard deviation, to the side of more light."""
     steep = 20.0 * LINE
     moved = mean_exposure_dn(np.array([120.0]), np.array([400.0 + 1 / 12]), steep, ValueLimits(0, 255))
     assert moved == pytest.approx([130.0])
