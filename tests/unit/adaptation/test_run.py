@@ -562,14 +562,14 @@ def test_a_full_disk_names_the_journal_and_keeps_what_was_measured(tmp_path: Pat
     """The error states the file and that the same command goes on; the events before are read back."""
     file = tmp_path / "j"
     before = resource.getrlimit(resource.RLIMIT_FSIZE)
-    with RunJournal(file) as journal:
-        journal.write("start", 0.0)
-        try:
+    try:
+        with RunJournal(file) as journal:
+            journal.write("start", 0.0)
             resource.setrlimit(resource.RLIMIT_FSIZE, (200, before[1]))
             with pytest.raises(OutputError, match=r"cannot write .*/j: .*goes on"):
                 journal.write("trial", 1.0, text="x" * 400)
-        finally:
-            resource.setrlimit(resource.RLIMIT_FSIZE, before)
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
     with RunJournal(file) as journal:
         assert [event["kind"] for event in journal.events] == ["start"]
 
