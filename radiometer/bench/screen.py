@@ -224,7 +224,7 @@ def _browser_bench(
     port: int,
     announce: Callable[[str], None],
 ) -> Iterator[ScreenBench]:
-    from radiometer.screen.browser_display import BrowserDisplay
+    from radiometer.screen.browser_page import BrowserDisplay
 
     with open_bench_camera(bench, name) as (config, camera):
         where = patch or (config.patch.patch if config.patch else central_patch(camera))
