@@ -20,7 +20,6 @@ PRACTICE_CATCHES = 0.3
 # Conditions of the published rod intercept at 5·10⁻³ scotopic cd·m⁻²: spot of about 2°, 500 to 510 nm, 5° from
 # fixation. The bleach covered three quarters to four fifths of the rods (Jackson and Edwards 2008; Jackson et al. #
 # 2014).
-RIT_CRITERION_CD_M2 = 5e-3
 RIT_SIZE_DEG = (1.5, 2.5)
 RIT_PEAK_NM = (500.0, 510.0)
 RIT_ECCENTRICITY_DEG = (4.0, 6.0)

@@ -232,16 +232,15 @@ def simulated_port_folder() -> Path:
     return Path(base) / f"{SIMULATED_PORTS}-{os.getuid()}"
 
 
-def find_boxes(ports: list[str] | None = None) -> tuple[list[LightBoxIdentity], list[str]]:
+def find_boxes() -> tuple[list[LightBoxIdentity], list[str]]:
     """Return the light boxes that answer, and ports that another program holds.
 
-    Args:
-        ports: Ports to try; all candidates where None. Opening a port resets an Arduino on it. One that was neither
-            named nor simulated is asked with one line; if that is not answered, it is left alone until replugged.
+    Opening a port resets an Arduino on it. One that was neither named nor simulated is asked with one line; if that is
+    not answered, it is left alone until replugged.
     """
     found, held = [], []
-    for port in candidate_ports() if ports is None else ports:
-        mild = ports is None and not _is_named_or_simulated(port)
+    for port in candidate_ports():
+        mild = not _is_named_or_simulated(port)
         if mild and _SILENT.get(port) == _when_plugged(port):
             continue
         box = _asked_box(port, mild=mild)

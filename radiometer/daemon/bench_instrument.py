@@ -151,7 +151,6 @@ class BenchInstrument:
         bench: Bench file; the simulated bench where None.
         camera_name: "sim", or a GenICam id, serial number or address; the bench's own camera where None.
         calibration: Calibration file; the bench's own where None.
-        spectrum_name: Spectrum assumed for the luminance; the bench's, else the calibration's, where None.
 
     Raises:
         ConfigurationError: If the bench file is wrong.
@@ -165,12 +164,11 @@ class BenchInstrument:
         calibration: Path | None = None,
         *,
         uncalibrated: bool = False,
-        spectrum_name: str | None = None,
     ) -> None:
         self._config, self._where = read_bench(bench, camera_name)
         self._name = camera_name
         self._path = None if uncalibrated else calibration or calibration_path(self._config, bench)
-        self._spectrum = spectrum_name or self._config.spectrum
+        self._spectrum = self._config.spectrum
         self._calibration = self._read_calibration()
         self._camera: WatchedCamera | None = None
         self._limits: CameraCapabilities | None = None

@@ -101,7 +101,6 @@ def measure_steps(
     *,
     repeats: int = 1,
     patch_size: float = 1.0,
-    bits: int = 8,
     progress: Progress | None = None,
 ) -> list[Measured]:
     """Show every step and read it.
@@ -119,7 +118,7 @@ def measure_steps(
     """
     done: list[Measured] = []
     for step in plan:
-        display.show(step.patch(bits, patch_size))
+        display.show(step.patch(patch_size))
         readings = tuple(meter.read() for _ in range(repeats))
         if any("saturated" in r.flags for r in readings):
             raise MeasurementError(
@@ -146,7 +145,7 @@ def _require_contrast(references: Sequence[Measured]) -> None:
 
 
 def curves_of(
-    measured: Sequence[Measured], lights: Mapping[str, Light], *, bits: int = 8, unsettled_rel: float = 0.0
+    measured: Sequence[Measured], lights: Mapping[str, Light], *, unsettled_rel: float = 0.0
 ) -> tuple[dict[str, ChannelCurve], Drift]:
     """Return the channels' curves with the display's drift taken out, and the drift.
 
@@ -168,7 +167,7 @@ def curves_of(
             levels[entry.step.channel][entry.step.level] = entry.mean
     unsettled = math.hypot(unsettled_rel, drift.range_rel) / math.sqrt(3.0)  # a rectangle of that half-width
     limit = _detection_limit([m.mean for m in measured if m.step.level == 0])
-    return {n: _curve(n, readings, lights[n], drift, (limit, unsettled), bits) for n, readings in levels.items()}, drift
+    return {n: _curve(n, readings, lights[n], drift, (limit, unsettled)) for n, readings in levels.items()}, drift
 
 
 def _detection_limit(blacks: Sequence[ScreenReading]) -> float:
@@ -186,7 +185,7 @@ def _detection_limit(blacks: Sequence[ScreenReading]) -> float:
 
 
 def _curve(
-    name: str, readings: Mapping[int, ScreenReading], light: Light, drift: Drift, limits: tuple[float, float], bits: int
+    name: str, readings: Mapping[int, ScreenReading], light: Light, drift: Drift, limits: tuple[float, float]
 ) -> ChannelCurve:
     if len(readings) < 3:
         raise MeasurementError(f"channel {name}: {len(readings)} levels are too few; take three or more")
@@ -204,5 +203,4 @@ def _curve(
         light.scotopic_lm_per_w,
         light.spectrum,
         detection_limit=limits[0],
-        bits=bits,
     )
