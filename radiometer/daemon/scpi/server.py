@@ -1,4 +1,9 @@
-"""SCPI over raw TCP and a Unix socket: one message per line."""
+"""SCPI over raw TCP and a Unix socket: one message per line.
+
+A web page may have the browser of this machine send bytes of its choice to any loopback port: the body of a POST, line
+by line. The browser cannot help sending its request line and headers before them; by these it is known. No program
+message of ours begins so: a mnemonic holds no hyphen, and no blank follows a root header but before its arguments.
+"""
 
 from __future__ import annotations
 
@@ -21,7 +26,6 @@ from radiometer.daemon.places import Places
 from radiometer.daemon.scpi.errors import ScpiError
 from radiometer.daemon.scpi.lexer import block_end
 from radiometer.daemon.scpi.session import Session
-from radiometer.daemon.scpi.strangers import is_strange
 from radiometer.daemon.scpi.table import command_table
 from radiometer.daemon.station import Station
 from radiometer.errors import OutputError, UsageError
@@ -41,6 +45,25 @@ _GUEST_S: Final = 2.0
 _DARKENS: Final = re.compile(
     rb"\s*:?outp(?:ut)?:all\s+(?:off|0)\s*(?:;\s*(?::?outp(?:ut)?:)?(?:all\?|\*opc\?)\s*)*", re.IGNORECASE
 )
+_METHODS: Final = rb"GET|HEAD|POST|PUT|DELETE|OPTIONS|CONNECT|PRI|PROPFIND"
+_METHODS_WITH_TARGET: Final = rb"(?:TRACE|PATCH)[ \t]+[/*h]"  # both are also long forms of our own mnemonics
+_HEADERS: Final = rb"Host|Connection|Accept|Origin|Referer|Cookie|Upgrade|Expect|Pragma|Range|[a-z]+(?:-[a-z]+)+"
+_STRANGE: Final = re.compile(
+    rb"(?:\A|\n)[\x00-\x09\x0b-\x20]*"  # what the lexer passes over at the beginning of a message
+    rb"(?:(?:" + _METHODS + rb")[ \t]|" + _METHODS_WITH_TARGET + rb"|(?:" + _HEADERS + rb")[ \t]*:"
+    rb"|[^\n]{0,4096}[ \t]HTTP/\d)"
+    rb"|(?:\A|\n)\x16\x03",  # a TLS record: handshake, version 3.x (RFC 8446, 5.1)
+    re.IGNORECASE,
+)
+
+
+def is_strange(received: bytes | bytearray) -> bool:
+    """Return whether bytes that begin with a line hold the beginning of a line of HTTP or TLS.
+
+    Args:
+        received: What came, from the beginning of a line on; its last line may be unfinished.
+    """
+    return _STRANGE.search(received) is not None
 
 
 class ScpiConnection(asyncio.Protocol):
