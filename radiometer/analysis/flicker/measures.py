@@ -104,10 +104,8 @@ def measure_flicker(waveform: Waveform) -> Flicker:
         )
     else:
         svm = with_u(stroboscopic_visibility)
-        other = stroboscopic_visibility(part, period, tn006_threshold)
-        assumptions.append(
-            f"SVM: weighted by the thresholds of Perz et al. 2018; those of CIE TN 006:2016 give {other:.3g}"
-        )
+        other = stroboscopic_visibility(part, period, power_law_threshold)
+        assumptions.append(f"SVM: thresholds of CIE TN 006:2016; those of Perz et al. 2018 give {other:.3g}")
         if waveform.duration_s < 1.0:
             assumptions.append(f"SVM: the light goes on after {waveform.duration_s:.3g} s as it did before")
     if waveform.rate_hz < _PST_RATE_HZ:
@@ -162,24 +160,23 @@ def svm_threshold(frequency_hz: Array) -> Array:
     Args:
         frequency_hz: Frequencies, any shape.
 
-    Source: Perz et al. 2018, J. Opt. Soc. Am. A 35, 309: T = 2.865e-5·(f/Hz)^1.543 + 0.225. Its constants were not
-    compared with the text of IEC TR 63158:2018, which is not public.
+    Source: CIE TN 006:2016, T = 1/(1 + exp(−0.00518·(f/Hz − 306.6))) + 20·exp(−f/10 Hz). The SVM meter of Aalto
+    University has the same constants, and agrees with the verification waveforms of IEC TR 63158:2018 (Mantela et al.
+    2023, Lighting Res. Technol., doi 10.1177/14771535231212404).
     """
-    return np.asarray(2.865e-5 * np.power(frequency_hz, 1.543) + 0.225)
+    f = np.asarray(frequency_hz, dtype=np.float64)
+    return np.asarray(1.0 / (1.0 + np.exp(-0.00518 * (f - 306.6))) + 20.0 * np.exp(-f / 10.0))
 
 
-def tn006_threshold(frequency_hz: Array) -> Array:
-    """Return the earlier fit of the same thresholds: 1.4 % below at 100 Hz, 19 % above at 400 Hz, 1 at most.
+def power_law_threshold(frequency_hz: Array) -> Array:
+    """Return a later fit of that threshold: 1.4 % above at 100 Hz, 16 % below at 400 Hz, and above 1 from 750 Hz.
 
     Args:
         frequency_hz: Frequencies, any shape.
 
-    Source: CIE TN 006:2016; with these constants in github.com/MantelV/Aalto-implementations-for-flickermeter-and-
-    SVM-meter (Aalto University, MIT): T = 1/(1 + exp(−0.00518·(f/Hz − 306.6))) + 20·exp(−f/10 Hz).
+    Source: Perz et al. 2018, J. Opt. Soc. Am. A 35, 309: T = 2.865e-5·(f/Hz)^1.543 + 0.225.
     """
-    return np.asarray(
-        1.0 / (1.0 + np.exp(-0.00518 * (frequency_hz - 306.6))) + 20.0 * np.exp(-np.asarray(frequency_hz) / 10.0)
-    )
+    return np.asarray(2.865e-5 * np.power(frequency_hz, 1.543) + 0.225)
 
 
 def stroboscopic_visibility(
