@@ -172,8 +172,8 @@ def test_a_known_light_five_times_as_bright_scales_x_y_z_and_each_term_of_their_
 def test_a_matrix_for_each_kind_is_better_for_it_and_asks_for_the_kind() -> None:
     """Two displays have two matrices, each with less error than the one for both."""
     rng, lights = np.random.default_rng(46_027), plausible_lights()
-    powers = np.vstack([lights["oled"], lights["ccfl_lcd"]])
-    kinds = ["oled"] * len(lights["oled"]) + ["ccfl_lcd"] * len(lights["ccfl_lcd"])
+    powers = np.vstack([lights["oled"][:26], lights["ccfl_lcd"][:26]])  # the mixtures of one display each
+    kinds = ["oled"] * 26 + ["ccfl_lcd"] * 26
     training = read(powers, kinds, rng)
     each = train_on_lights(ColourCamera(("x", "y", "z")), training, **{**PLAIN, "per_kind": True})
     both = train_on_lights(ColourCamera(("x", "y", "z")), training, **PLAIN)
