@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Final
 
 import numpy as np
 
 EXPOSURES_S: Final = (0.1, 0.2, 0.4, 0.8, 1.2, 1.6, 2.0)
 E_PER_S: Final = 9000.0
+OVERSCAN_PX: Final = 8  # columns of overscan of each tap's unit in a FITS file
 
 
 @dataclass(frozen=True)
@@ -46,6 +48,35 @@ class Taps:
             for kind in ("flat", "dark"):
                 for copy in range(copies):
                     yield kind, exposure_s, copy, self.frame(rng, exposure_s, shape, dark=kind == "dark")
+
+    def write_units(
+        self, path: Path, rng: np.random.Generator, whole: np.ndarray, exposure_s: float, kind: str
+    ) -> None:
+        """Write the taps of a picture as units of a FITS file, each with eight columns of overscan behind its data.
+
+        Taps of odd columns are read from their right end, as their `DETSEC` states.
+        """
+        from astropy.io import fits
+
+        units = [fits.PrimaryHDU()]
+        units[0].header.update({"EXPTIME": exposure_s, "IMAGETYP": kind})
+        for number, (x, y, width, height) in enumerate(self.rectangles(whole.shape)):
+            row, column = divmod(number, self.gain.shape[1])
+            part, x1, x2 = whole[y : y + height, x : x + width], x + 1, x + width
+            if column % 2:
+                part, x1, x2 = part[:, ::-1], x2, x1
+            electrons = rng.normal(0.0, self.noise[row, column], (height, OVERSCAN_PX))
+            overscan = np.rint(self.black[row, column] + self.gain[row, column] * electrons).astype(np.uint16)
+            unit = fits.ImageHDU(np.hstack([part, overscan]), name=chr(ord("A") + number))
+            unit.header.update(
+                {
+                    "DETSEC": f"[{x1}:{x2},{y + 1}:{y + height}]",
+                    "DATASEC": f"[1:{width},1:{height}]",
+                    "BIASSEC": f"[{width + 1}:{width + OVERSCAN_PX},1:{height}]",
+                }
+            )
+            units.append(unit)
+        fits.HDUList(units).writeto(path)
 
 
 def spread(values: np.ndarray, shape: tuple[int, int]) -> np.ndarray:

@@ -74,37 +74,13 @@ def test_units_of_amplifiers_make_one_frame_of_taps(tmp_path: Path) -> None:
     folder = tmp_path / "set"
     folder.mkdir()
     for kind, exposure_s, copy, whole in truth.frames(rng, (64, 96)):
-        write_units(folder / f"{kind}{exposure_s}{copy}.fits", whole, exposure_s, kind, truth)
+        truth.write_units(folder / f"{kind}{exposure_s}{copy}.fits", rng, whole, exposure_s, kind)
     found = rm.characterise(folder)
     assert [one.tap.name for one in found.taps] == ["A", "B", "C", "D"]
     assert {one.tap.first_pixel for one in found.taps} == {"upper left", "upper right"}
     for one, gain, black in zip(found.taps, truth.gain.flat, truth.black.flat, strict=True):
         assert abs(one.characterisation.figures["K"].value - gain) < 4 * one.characterisation.figures["K"].u
         assert one.overscan.value == pytest.approx(black, abs=0.5)
-
-
-def write_units(path: Path, whole: np.ndarray, exposure_s: float, kind: str, truth: Taps) -> None:
-    """Write the quarters of a picture as units of a file, each with eight columns of overscan behind its data."""
-    units = [fits.PrimaryHDU()]
-    units[0].header.update({"EXPTIME": exposure_s, "IMAGETYP": kind})
-    height, width = whole.shape[0] // 2, whole.shape[1] // 2
-    for number, name in enumerate("ABCD"):
-        row, column = divmod(number, 2)
-        part = whole[row * height : (row + 1) * height, column * width : (column + 1) * width]
-        x1, x2 = column * width + 1, (column + 1) * width
-        if column:
-            part, x1, x2 = part[:, ::-1], x2, x1
-        overscan = np.full((height, 8), round(truth.black[row, column]), dtype=np.uint16)
-        unit = fits.ImageHDU(np.hstack([part, overscan]), name=name)
-        unit.header.update(
-            {
-                "DETSEC": f"[{x1}:{x2},{row * height + 1}:{(row + 1) * height}]",
-                "DATASEC": f"[1:{width},1:{height}]",
-                "BIASSEC": f"[{width + 1}:{width + 8},1:{height}]",
-            }
-        )
-        units.append(unit)
-    fits.HDUList(units).writeto(path)
 
 
 def test_cross_talk_is_the_share_of_a_spot_that_an_even_tap_repeats(tmp_path: Path) -> None:
