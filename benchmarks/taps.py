@@ -13,7 +13,7 @@ import argparse
 import json
 import tempfile
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
 
@@ -26,10 +26,8 @@ from radiometer.data import CameraDescription, CaptureSetWriter, Frame, FrameSet
 from radiometer.errors import MeasurementError
 from radiometer.reconciliation import reconcile
 from testing.generator.rig import Rig
-from testing.generator.scene import Chart
-from testing.generator.session import Session, make_session, session_in, settings_of
-from testing.generator.world import World
-from testing.tap_camera import Taps, spread
+from testing.generator.session import Session, make_session, session_of_taps
+from testing.tap_camera import Taps
 
 RESULTS: Final = Path("out") / "taps.jsonl"
 GRIDS: Final = {"4 taps": (2, 2), "16 taps": (2, 8)}  # rows and columns of taps
@@ -101,27 +99,8 @@ def hidden(kind: str, name: str, seed: int) -> dict[str, Any]:
     if kind == "4 taps":
         session = make_session(*([name] if name else []), camera_seed=seed)
     else:
-        world = World(rig, Chart.scrambled(rig, np.random.default_rng([seed, 1])))
-        if name:
-            _in_taps(world, name, grid, np.random.default_rng([seed, 8]))
-        session = session_in(world, (), {}, settings_of("rich", [seed, 2]), [seed, 2], known_patches=True)
+        session = session_of_taps(name, grid, seed)
     return with_taps(session, grid, (rig.rows, rig.columns))
-
-
-def _in_taps(world: World, name: str, grid: tuple[int, int], dice: np.random.Generator) -> None:
-    """Hide an effect whose size is drawn tap by tap: the spreads are those of the generator's quarters, twice."""
-    values = dice.standard_normal(grid)
-    own = spread((values - values.mean()) / values.std(), world.shape)
-    rig = world.rig
-    hooks: Mapping[str, Callable[[], None]] = {
-        "tap_offset": lambda: world.digital.append(lambda value, shot: value + 2.0 * own),
-        "tap_gain": lambda: world.gain.append(lambda gain, shot: gain * (1 + 0.04 * own)),
-        "tap_noise": lambda: world.read_noise.append(lambda sigma, shot: sigma * (1 + 0.6 * (own - own.min()))),
-        "tap_nonlinearity": lambda: world.voltage.append(
-            lambda signal, shot, rng: signal * (1 + 0.02 / rig.full_well_e * own * signal)
-        ),
-    }
-    hooks[name]()
 
 
 def judged(name: str, answer: Mapping[str, Any]) -> dict[str, bool]:
