@@ -189,7 +189,7 @@ def test_hot_pixels_that_stand_out_are_counted() -> None:
 
 
 def test_taps_that_are_no_quarters_have_a_size_each() -> None:
-    """Four taps side by side, one column each, of sizes 0, 1, 2 and 5 %: gains of −2, −1, 0 and 3 % about their mean."""
+    """Four taps of one column each, of sizes 0, 1, 2 and 5 %: gains of −2, −1, 0 and 3 % about their mean."""
     taps = tuple(TapDescription(name=str(x), x=x, y=0, width=1, height=3) for x in range(4))
     context = replace(at(), camera=CAMERA.model_copy(update={"taps": taps}))
     (cover,) = TapGain.covers(context)
