@@ -67,42 +67,48 @@ def emva1288(folder: Path) -> Figures:
 
 
 def msfc_ccd(folder: Path) -> Figures:
-    """Return black levels of the overscan by `TapData.bias`, and noise of the difference of two unbiased dark frames.
+    """Return gain and noise by its photon transfer and read-out noise, and the black level by its bias.
 
-    The gain is an input of that program. Its sensors have two by two taps.
+    Its sensors have two by two taps, and columns without light in front of the lit ones: the overscan is put there. It
+    needs columns behind them too, which get the last lit one.
     """
     import astropy.units as u
     import msfc_ccd as peer
     import named_arrays as na
 
-    def opened(path: Path) -> Any:
-        with fits.open(path) as units:
-            a, b, c, d = (np.asarray(unit.data, dtype=float) for unit in units[1:])
-        whole = np.vstack([np.hstack([a, b[:, ::-1]]), np.hstack([c, d[:, ::-1]])[::-1]])
-        shape = dict(zip(("detector_y", "detector_x"), whole.shape, strict=True))
-        index = na.indices(shape)
+    def whole(path: Path) -> np.ndarray:
+        a, b, c, d = (
+            np.hstack([read(path, tap, "BIASSEC"), read(path, tap)]).astype(float) for tap in names_of(folder)
+        )
+        return np.vstack([np.hstack([a, b[:, ::-1]]), np.hstack([c, d[:, ::-1]])[::-1]])
+
+    def opened(kind: str) -> Any:
+        stack = np.array([[whole(path) for path in paths] for paths in files_of(folder, kind).values()])
+        axes = ("level", "copy", "detector_y", "detector_x")
+        index = na.indices(dict(zip(axes[2:], stack.shape[2:], strict=True)))
+        times = na.ScalarArray(np.zeros(stack.shape[:2]), axes=axes[:2])
         header = peer.ImageHeader(
             pixel=na.Cartesian2dVectorArray(index["detector_x"], index["detector_y"]),
-            time_start=na.ScalarArray(0),
-            timedelta=1 * u.s,
-            timedelta_requested=1 * u.s,
+            time_start=times,
+            timedelta=times * u.s,
+            timedelta_requested=times * u.s,
         )
-        sensor = peer.TeledyneCCD230(num_blank=0, num_overscan=len(read(path, "A", "BIASSEC")[0]))
-        values = na.ScalarArray(whole << u.DN, axes=("detector_y", "detector_x"))
+        blank = read(next(folder.glob("*.fits")), "A", "BIASSEC").shape[1]
+        sensor = peer.TeledyneCCD230(num_blank=blank, num_overscan=1, num_masked=0)
+        values = na.ScalarArray(stack << u.DN, axes=axes)
         return peer.SensorData(inputs=header, outputs=values, camera=peer.Camera(sensor=sensor)).taps
 
-    darks = [opened(path) for paths in files_of(folder, "dark").values() for path in paths]
-    black = [one.bias().outputs for one in darks]
-    axes = ("detector_x", "detector_y")
-    active = {"detector_x": slice(None, -darks[0].camera.sensor.num_overscan)}
-    noise = [(one.unbiased.outputs[active] - other.unbiased.outputs[active]).std(axis=axes) / np.sqrt(2)
-             for one, other in zip(darks[::2], darks[1::2], strict=True)]  # fmt: skip
+    darks = opened("dark")
+    gain = peer.gain.photon_transfer(opened("flat"), "copy").outputs
+    noise, black = peer.noise.readout(darks, "copy").outputs, darks.bias().outputs
     found = {}
     for name, (x, y) in zip("ABCD", ((0, 0), (1, 0), (0, 1), (1, 1)), strict=True):
         at = {"tap_x": x, "tap_y": y}
-        level = float(np.mean([part[at].ndarray.to_value(u.DN) for part in black]))
-        spread = float(np.sqrt(np.mean([part[at].ndarray.to_value(u.DN) ** 2 for part in noise])))
-        found[name] = {"black": level, "noise": spread}
+        found[name] = {
+            "K": float(1.0 / gain[at].ndarray.to_value(u.electron / u.DN)),
+            "black": float(np.mean(black[at].ndarray.to_value(u.DN))),
+            "noise": float(np.sqrt(np.mean(np.square(noise[at].ndarray.to_value(u.DN))))),
+        }
     return found
 
 
@@ -116,12 +122,8 @@ def sigima(folder: Path) -> Figures:
 
     def by_stats(image: Any) -> tuple[float, float]:
         table = stats(image)
-        values = dict(table.items()) if hasattr(table, "items") else table.value
-        if not isinstance(values, dict):
-            values = dict(zip(table.labels, np.ravel(table.array)[1:], strict=True))
-        mean = next(float(v) for k, v in values.items() if str(k).startswith(("<z> ", "mean")) or k == "<z>")
-        sigma = next(float(v) for k, v in values.items() if str(k).startswith(("σ(z)", "std")))
-        return mean, sigma
+        values = dict(zip(table.headers, table.data[0], strict=True))
+        return float(values["mean"]), float(values["std"])
 
     def moments(paths: list[Path], tap: str) -> tuple[float, float]:
         one, other = (create_image(path.name, read(path, tap).astype(float)) for path in paths)
