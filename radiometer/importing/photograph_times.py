@@ -14,6 +14,7 @@ from radiometer.data.reader_limits import bounded_reader
 from radiometer.data.storage import read_text
 from radiometer.errors import CaptureError, InputError
 from radiometer.importing.exif import exposure_of, f_number_of, iso_of, read_exif_header
+from radiometer.plausible import PLAUSIBLE
 from radiometer.units import exact_exposure_s, exact_f_number, heading_parts, read_number, unit_of
 
 _LONGEST_NAME: Final = 1_000  # characters; no file system has names of so many
@@ -205,7 +206,7 @@ def _settings_of_line(words: list[str], reciprocal: bool, unit: str, where: str)
             f"{where}: {shown!r} after {words[0]!r} is no exposure time; expected seconds above 0, such as 0.5, "
             f"1/125 or 20 ms"
         )
-    seconds = 1.0 / seconds if reciprocal else seconds
+    seconds = PLAUSIBLE["exposure"].check(where, 1.0 / seconds if reciprocal else seconds, CaptureError)
     return PhotographSettings(exposure_s=seconds, nominal_exposure_s=seconds)
 
 
