@@ -18,6 +18,7 @@ _MINUTES_AND_SECONDS: Final = re.compile(rf"(?<![\da-z.]){_NUMBER}m{_NUMBER}s(?!
 _TIME: Final = re.compile(rf"(?<![\d.,]){_NUMBER}({_UNITS})(?![a-z\d])")
 _BARE: Final = re.compile(rf"(?:expos|exposure|exptime|exp){_NUMBER}(?![\d.,]*[a-z])")
 _KINDS: Final = {"bias": "dark", "zero": "dark", "dark": "dark", "flat": "light", "light": "light"}
+DARK_FLAT: Final = re.compile(r"dark[ _-]*flat|flat[ _-]*dark")  # dark frames for flats; "bias-corrected flat" is none
 _SAME_REL: Final = 0.02  # names round exposures to two digits
 
 
@@ -35,7 +36,7 @@ def claims_of(file: Path) -> NameClaims:
     """Return what a file's name claims, such as 90 s and darkness in `dark_series_0c_1m30s.00000001.DARK.FIT`."""
     words = file.name.lower()
     found = [kind for word, kind in _KINDS.items() if word in words]
-    kind = found[0] if len(set(found)) == 1 else ""
+    kind = "dark" if DARK_FLAT.search(words) else found[0] if len(set(found)) == 1 else ""
     seconds, has_unit = _exposure(words)
     doubt = "" if has_unit or seconds is None else f"the file's name states {seconds:g} without a unit: s is assumed"
     if (fraction := _FRACTION.search(words)) and int(fraction[1]) > 0:

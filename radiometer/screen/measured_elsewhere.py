@@ -175,6 +175,7 @@ def _scatter(levels: Array, values: Array) -> Array:
 
 def _ti3(path: Path, text: str) -> ScreenReadings:
     """Return greys and primaries of an ArgyllCMS .ti3; its XYZ are relative to white where it says so."""
+    text = re.split(r"(?<=\bEND_DATA)\b", text, maxsplit=1)[0]  # further tables have other keywords
     keys = dict(re.findall(r'^([A-Z_0-9]+)\s+"([^"]*)"', text, re.MULTILINE))
     names, data = _block(text, "DATA_FORMAT"), _block(text, "DATA")
     if names is None or data is None:
