@@ -256,7 +256,8 @@ def _entry(
     if variance is not None and variance < 0:
         raise CaptureError(f"{where}: exposure and variance must be 0 or above")
     frames = int(value("frames") or 2)
-    return SettingStatistics.model_validate(
+    return validate(
+        SettingStatistics,
         {
             "exposure_s": exposure_s,
             "mean_dn": mean,
@@ -272,7 +273,9 @@ def _entry(
             "spatial_variance_dn2": value("spatial"),
             "clipped_share": _clipped(row, value, where),
             "floor_share": value("floor") or 0.0,
-        }
+        },
+        where,
+        CaptureError,
     )
 
 
