@@ -136,6 +136,7 @@ _LUMINANCE: Final = {
         _times(1.0),
     ),
     **_all("mcd/m2|mcd m2|mcd m-2|mnit", _times(1e-3)),
+    **_all("ucd/m2|ucd m2|ucd m-2", _times(1e-6)),
     **_all("kcd/m2|kcd m2", _times(1e3)),
     **_all("asb|apostilb|apostilbs", _times(1.0 / math.pi)),
     **_all("fL|ftL|ft-L|footlambert|footlamberts|foot-lambert", _times(3.4262590996)),  # 1/π cd·ft⁻²

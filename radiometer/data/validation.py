@@ -86,6 +86,8 @@ def _line(entry: Mapping[str, Any], model: type[BaseModel]) -> str:
     if entry["type"] == "extra_forbidden":
         allowed = ", ".join(sorted(_keys_at(model, entry["loc"][:-1])))
         return f"unknown key {key!r}" + (f"; allowed here: {allowed}" if allowed else "")
+    if isinstance(entry.get("input"), Mapping) and entry["type"] == "value_error":  # of a whole section, which names it
+        return ": ".join(filter(None, (key, entry["msg"].removeprefix("Value error, "))))
     shown = repr(entry.get("input"))
     shown = shown if len(shown) <= 60 else shown[:57] + "..."
     return f"{key} = {shown}: {entry['msg'][0].lower()}{entry['msg'][1:]}"

@@ -65,6 +65,7 @@ _KIND_ALONE: Final = re.compile(
     r"([ _-]*(flat|frame|field|image|exposure))?s?[ _-]*[\d.]*\s*(s|sec|ms)?"
 )
 _DARK_WORDS: Final = ("bias", "dark", "zero", "offset")
+_SHUTTER: Final = ("SHUTTER", "SHUTSTAT", "SHSTAT")
 _LIGHT_WORDS: Final = ("light", "flat", "object", "science", "lamp", "dome", "sky", "tricolor", "target")
 _PROCESSED_WORDS: Final = (
     "dark subtract", "darksub", "bias subtract", "bias-subtract", "flat field", "flatfield", "flat-field",
@@ -267,8 +268,8 @@ def _of_all(header: Any, key: str) -> Any:
     """
     if header.count(key) == 1:
         return header[key]
-    values = list(dict.fromkeys(str(header[key, n]) for n in range(header.count(key))))
-    return header[key] if len(values) == 1 else _OR.join(values)
+    values = list(dict.fromkeys(repr(header[key, n]) for n in range(header.count(key))))
+    return header[key] if len(values) == 1 else _OR.join(f"'{value}'" for value in values)
 
 
 def _history(header: Any) -> str:
@@ -341,9 +342,12 @@ def _exposure(
     if seconds is None or "(--map)" in taken["exposure_s"]:
         return seconds
     key = taken["exposure_s"]
-    others = {place.name: place.unit for place in _EXPOSURE if place.unit} | {
-        name: "" for name, card in header.items() if _is_exposure_in_words(card)
-    }
+    # LIVETIME is the sum over the frames of a stack in Siril's files: compared, and not a source.
+    others = (
+        {"LIVETIME": "s"}
+        | {place.name: place.unit for place in _EXPOSURE if place.unit}
+        | {name: "" for name, card in header.items() if _is_exposure_in_words(card)}
+    )
     for other, unit in others.items():
         if other != key and other in header:
             value = value_of(header[other], "exposure", other, [], defined=unit, where=str(path))
@@ -401,6 +405,8 @@ def _is_dark(
             return "flat" not in words or DARK_FLAT.search(words) is not None
         if any(word in words for word in _LIGHT_WORDS):
             taken["shutter"] = key
+            if (shutter := next((k for k in _SHUTTER if k in header), None)) and "clos" in _lower(header, shutter):
+                doubts.append(f"{key} states {words}, {shutter} a closed shutter: {key} is used")
             if exposure_s == 0:
                 doubts.append(f"{key} states {header[key].written} with an exposure of 0 s: a bias frame is assumed")
                 return True
@@ -414,6 +420,10 @@ def _is_dark(
         return True
     doubts.append("no IMAGETYP says whether the shutter was open: open is assumed")
     return False
+
+
+def _lower(header: Header, key: str) -> str:
+    return str(header[key].written).lower()
 
 
 def _processing(header: Header, history: str) -> list[str]:

@@ -242,9 +242,9 @@ def _of_plane(
     doubts = list[str]()
     # The schema (OME 2016-06, Plane) gives s where no unit is stated.
     exposure = _value(
-        "exposure", plane.get("ExposureTime"), "ExposureTime", doubts, "s", plane.get("ExposureTimeUnit", ""), where
+        "exposure", plane.get("ExposureTime"), "ExposureTime", doubts, "s", _unit(plane, "ExposureTimeUnit"), where
     )
-    after = _value("timestamp", plane.get("DeltaT"), "DeltaT", doubts, "s", plane.get("DeltaTUnit", ""), where)
+    after = _value("timestamp", plane.get("DeltaT"), "DeltaT", doubts, "s", _unit(plane, "DeltaTUnit"), where)
     return PlaneFacts(
         "OME-XML",
         exposure,
@@ -257,6 +257,12 @@ def _of_plane(
         {**device, **{f"Plane {name}": value for name, value in plane.attrib.items()}},
         tuple(doubts),
     )
+
+
+def _unit(plane: Any, name: str) -> str:
+    """Return a unit as it stands; "" where there is none. A blank one is none that the schema knows."""
+    unit = plane.get(name, "")
+    return str(unit) if unit.strip() or name not in plane.attrib else repr(unit)
 
 
 def _value(

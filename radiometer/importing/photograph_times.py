@@ -19,7 +19,7 @@ from radiometer.units import exact_exposure_s, exact_f_number, heading_parts, re
 
 _LONGEST_NAME: Final = 1_000  # characters; no file system has names of so many
 _GAP: Final = re.compile(r"[,;\s]+")
-_DECIMAL_COMMA: Final = re.compile(r"[;\s]+(\d+,\d+)(?![,\d])")
+_DECIMAL_COMMA: Final = re.compile(r"[;\s]+(\d+,\d+\s*[^\W\d]*)\s*(?![,\d])")
 _UNITS_OFFERED: Final = "write s, ms, us, ns or min behind the number, or in the heading"
 _NAME_COLUMN: Final = ("file", "name", "filename", "image")
 _TIME_COLUMN: Final = (
@@ -169,9 +169,10 @@ def _plain_name(text: str) -> str:
 
 def _refuse_decimal_comma(line: str, words: list[str], where: str) -> None:
     """Refuse `name 3,2` and `name;3,2`: the comma would part it into columns, and 3 s be taken."""
-    if len(words) != 3 or not (found := _DECIMAL_COMMA.search(line)) or found.group(1) != ",".join(words[1:]):
+    found = _DECIMAL_COMMA.search(line)
+    if found is None or _GAP.split(found.group(1).strip()) != words[1:]:
         return
-    raise CaptureError(f"{where}: {found.group(1)!r} has a decimal comma; write {'.'.join(words[1:])}")
+    raise CaptureError(f"{where}: {found.group(1)!r} has a decimal comma; write {found.group(1).replace(',', '.')}")
 
 
 def _is_heading(words: list[str]) -> bool:
