@@ -327,6 +327,8 @@ async def test_rates_and_connections_are_limited(serve: Any, session: aiohttp.Cl
             statuses.append(reply.status)
     assert statuses[:5] == [200] * 5
     assert 429 in statuses
+    async with session.post(f"{base}/light/off") as reply:
+        assert reply.status == 200
     host, port = base.removeprefix("http://").split(":")
     streams = [await asyncio.open_connection(host, int(port)) for _ in range(3)]
     assert b"503" in (await asyncio.wait_for(streams[-1][0].read(), within(20.0))).split(b"\r\n")[0]
