@@ -96,7 +96,7 @@ async def test_history_filters(base: str, session: aiohttp.ClientSession, statio
         ("/readings?limit=20001", "limit must be 1 to 20000"),
         ("/readings?clean=maybe", "clean"),
         ("/readings?stream=lamp", "stream"),
-        ("/readings?after=4611686018427387904", "after"),
+        ("/readings?after=9223372036854775808", "after"),
         ("/trend?points=9", "points must be 10 to 5000"),
         ("/trend?points=5001", "points must be 10 to 5000"),
         ("/events?limit=0", "limit must be 1 to 5000"),
