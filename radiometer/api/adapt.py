@@ -19,8 +19,7 @@ from radiometer.adaptation.journal import Event
 from radiometer.adaptation.outcome import Outcome, Verdict
 from radiometer.adaptation.protocol import SHIPPED, AdaptationProtocol, instructions, practice_of, read_protocol
 from radiometer.adaptation.reliability import NAMES, Reliability
-from radiometer.adaptation.report import LABELS, curve_csv, label_of, to_mapping, write_page
-from radiometer.adaptation.report_picture import short
+from radiometer.adaptation.report import LABELS, curve_csv, label_of, short, to_mapping, write_page
 from radiometer.adaptation.request import RunRequest
 from radiometer.adaptation.retest import FEWEST_PAIRS, Compared, compare_visits
 from radiometer.adaptation.run_facts import intercept_of, number_of

@@ -10,10 +10,9 @@ from radiometer.api.files import PathLike
 from radiometer.api.meter import PatchLike, as_patch
 from radiometer.api.result import Progress, Result
 from radiometer.archive.jobs import JOBS, JobSettings
-from radiometer.archive.journal import journal_of
 from radiometer.archive.passport import Passport as Passport
 from radiometer.archive.passport import passports
-from radiometer.archive.run import BatchSummary, run_batch
+from radiometer.archive.run import BatchSummary, journal_of, run_batch
 from radiometer.archive.sessions import find_captures, read_sessions
 from radiometer.archive.trend import Trend as Trend
 from radiometer.archive.trend import read_histories

@@ -9,9 +9,8 @@ from zlib import crc32
 import numpy as np
 import pytest
 
-from simulators.light_box.box import SimulatedLightBox
+from simulators.light_box.box import Commands, SimulatedLightBox
 from simulators.light_box.channel import REFERENCE_CHANNELS, ChannelLimits
-from simulators.light_box.commands import Commands
 from simulators.light_box.led_physics import REFERENCE_LEDS, LedState, effective_duty
 
 FIRMWARE = Path(__file__).resolve().parents[4] / "drivers" / "firmware" / "light_box"
