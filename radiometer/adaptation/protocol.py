@@ -5,13 +5,14 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated, Literal, Self
 
-from pydantic import Field, model_validator
+from pydantic import Field, field_validator, model_validator
 
 from radiometer.adaptation.bleach import bleached_fraction, retinal_illuminance_td
 from radiometer.data.config_files import shipped_config
+from radiometer.data.guards import safe_name
 from radiometer.data.storage import read_yaml
 from radiometer.data.validation import ConfigSection, validate
-from radiometer.errors import ConfigurationError, InputError
+from radiometer.errors import ConfigurationError, InputError, UsageError
 
 SHIPPED = ("classic", "classic-blue", "rapid", "quick", "led-only", "questplus", "steady-low", "screen-only")
 BLEACH_CHANNEL = "bleach"
@@ -237,6 +238,15 @@ class AdaptationProtocol(ConfigSection):
     shows: Literal["break", "recovery"] = "break"
     watch: Watch = Watch()
     safety: Safety = Safety()
+
+    @field_validator("name")
+    @classmethod
+    def _name_stays_in_its_folder(cls, name: str) -> str:
+        """Refuse a name that is none of a file: the journal of a run carries it."""
+        try:
+            return safe_name(name, "name")
+        except UsageError as error:
+            raise ValueError(str(error)) from None
 
     @model_validator(mode="after")
     def _criterion_within_reach(self) -> Self:

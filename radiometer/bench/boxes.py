@@ -287,7 +287,8 @@ def darken(name: str | None = None, channel: str | None = None) -> tuple[list[Da
         with _simulated(read_preset()).box as simulated:
             return [_darkened(simulated, channel)], []
     dark, failures = list[DarkBox](), list[DeviceError]()
-    held = [entry for entry in held_boxes() if name in (None, entry.serial, entry.port)]
+    all_held = held_boxes()
+    held = [entry for entry in all_held if name in (None, entry.serial, entry.port) or not entry.serial]
     for entry in held:
         try:
             ask_for_darkness(entry)
@@ -295,7 +296,7 @@ def darken(name: str | None = None, channel: str | None = None) -> tuple[list[Da
         except DeviceInUse as error:
             failures.append(error)
     is_port = name is not None and ("/" in name or Path(name).exists())
-    taken = {os.path.realpath(entry.port) for entry in held_boxes()}
+    taken = {os.path.realpath(entry.port) for entry in all_held}
     ports = [name] if name is not None and is_port else [] if held and name is not None else candidate_ports()
     for port in ports:
         if os.path.realpath(port) in taken:
