@@ -35,6 +35,7 @@ from radiometer.data.json_text import json_text
 from radiometer.data.storage import check_outputs, write_text_atomic
 from radiometer.errors import MeasurementError, UsageError
 from radiometer.numbers import rounded, unit_text
+from radiometer.plausible import PLAUSIBLE
 from radiometer.progress import Progress, unseen
 
 # Opens what watches a run for as long as it lasts, such as a live view of a terminal.
@@ -595,7 +596,14 @@ def adapt_bleach(
         field: Area of the field in square degrees.
         age: Age in years, for the natural pupil.
         scotopic_ratio: Scotopic over photopic luminance of the light, for the rods.
+
+    Raises:
+        UsageError: If a number is outside its plausible range.
     """
+    PLAUSIBLE["luminance"].check("luminance", luminance, UsageError)
+    PLAUSIBLE["exposure"].check("duration", duration, UsageError)
+    PLAUSIBLE["field"].check("field", field, UsageError)
+    PLAUSIBLE["scotopic_ratio"].check("scotopic ratio", scotopic_ratio, UsageError)
     diameter_mm = pupil if pupil is not None else pupil_diameter_mm(luminance, field, age)
     trolands = retinal_illuminance_td(luminance, diameter_mm)
     return Bleach(

@@ -105,7 +105,7 @@ class MapAnalysis(Drawn):
         return [(name, one) for name, one in (("UGR", self.ugr), ("DGP", self.dgp)) if one is not None]
 
     def write_csv(self, path: PathLike) -> None:
-        """Write a row for each region and figure. Raises OutputError if it cannot be written."""
+        """Write a row for each figure; one of no region has no name. Raises OutputError."""
         stream = io.StringIO()
         writer = csv.writer(stream, lineterminator="\n")
         writer.writerow(["region", "figure", "value", "u", "unit"])
@@ -113,6 +113,10 @@ class MapAnalysis(Drawn):
             for name in _FIGURES:
                 quantity = getattr(one, name)
                 writer.writerow([one.name, name, quantity.value, quantity.u, quantity.unit])
+        of_picture = {"contrast": self.contrast, "illuminance": self.illuminance, "ugr": self.ugr, "dgp": self.dgp}
+        for name, found in of_picture.items():
+            if found is not None:
+                writer.writerow(["", name, found.value, found.u, found.unit])
         write_text_atomic(Path(path), stream.getvalue())
 
     def write_report(self, path: PathLike) -> None:

@@ -8,14 +8,23 @@ from typing import Final
 from radiometer.data import Patch
 from radiometer.errors import UsageError
 
-# Places as shares of width and height. Nine are the middles of 3 × 3 equal fields. Thirteen add four places at 10 % of
-# the way from the corners to the centre. Source: IEC 61947-1, ANSI IT7.228.
+# Places as shares of width and height. Nine: the outer ones 10 % from the edges (IDMS 8.1). Thirteen: the middles of
+# 3 × 3 equal fields, and four places at 10 % of the way from the corners to the centre (IEC 61947-1, ANSI IT7.228).
+# Twenty-five: 5 × 5 places with the nine among them.
+_TENTHS: Final = (0.1, 0.5, 0.9)
 _THIRDS: Final = (1 / 6, 1 / 2, 5 / 6)
-_NINE: Final = tuple((x, y) for y in _THIRDS for x in _THIRDS)
 _CORNERS: Final = tuple((x, y) for y in (0.05, 0.95) for x in (0.05, 0.95))
-# Twenty-five: 5 × 5 places, the outer ones 10 % from the edges, as the IDMS samples.
 _FIFTHS: Final = (0.1, 0.3, 0.5, 0.7, 0.9)
-POINTS: Final = {9: _NINE, 13: (*_NINE, *_CORNERS), 25: tuple((x, y) for y in _FIFTHS for x in _FIFTHS)}
+POINTS: Final = {
+    9: tuple((x, y) for y in _TENTHS for x in _TENTHS),
+    13: (*((x, y) for y in _THIRDS for x in _THIRDS), *_CORNERS),
+    25: tuple((x, y) for y in _FIFTHS for x in _FIFTHS),
+}
+TITLES: Final = {
+    9: "Sampled vantage-point uniformity (9 points, IDMS 8.1.2)",
+    13: "Sampled uniformity (13 points, IEC 61947-1)",
+    25: "Sampled uniformity (25 points)",
+}
 CENTRE: Final = (0.5, 0.5)
 FIELD_SHARE: Final = 0.08  # side of a measuring field over the height: it fits at the corner places, 5 % from the edge
 _FEWEST_PX: Final = 3  # a field of fewer pixels on a side says nothing of its scatter
