@@ -12,8 +12,7 @@ import numpy as np
 
 from radiometer.adaptation.adaptation_fit import AdaptationFit
 from radiometer.adaptation.journal import Event, read_events
-from radiometer.adaptation.report import label_of, origin_of
-from radiometer.adaptation.report_picture import short
+from radiometer.adaptation.report import label_of, origin_of, short
 from radiometer.adaptation.request import RunRequest
 from radiometer.adaptation.threshold_series import ThresholdSeries
 from radiometer.errors import InputError, UsageError

@@ -19,8 +19,7 @@ from radiometer.adaptation.journal import Event
 from radiometer.adaptation.outcome import Outcome, Verdict
 from radiometer.adaptation.protocol import SHIPPED, AdaptationProtocol, instructions, practice_of, read_protocol
 from radiometer.adaptation.reliability import NAMES, Reliability
-from radiometer.adaptation.report import LABELS, curve_csv, label_of, to_mapping, write_page
-from radiometer.adaptation.report_picture import short
+from radiometer.adaptation.report import LABELS, curve_csv, label_of, short, to_mapping, write_page
 from radiometer.adaptation.request import RunRequest
 from radiometer.adaptation.retest import FEWEST_PAIRS, Compared, compare_visits
 from radiometer.adaptation.run_facts import intercept_of, number_of
@@ -384,15 +383,15 @@ def adapt_retest(visits: Sequence[PathLike]) -> Retest:
     """
     if len(visits) % 2:
         raise UsageError(f"{len(visits)} tables: give two for each subject, first and second visit")
-    fits = [_fitted(Path(one)) for one in visits]
+    fits = [_fitted(Path(one)).fit for one in visits]
     return Retest(tuple(compare_visits(list(zip(fits[::2], fits[1::2], strict=True)))))
 
 
-def _fitted(file: Path) -> AdaptationFit:
+def _fitted(file: Path) -> AdaptationCurve:
     series = ThresholdSeries.read(file)
     request = FitRequest(bootstrap_draws=0, intercept=intercept_of(series.facts))
     try:
-        return fit_adaptation(series, request, np.random.default_rng(1))
+        return AdaptationCurve(fit_adaptation(series, request, np.random.default_rng(1)), series, file.stem)
     except MeasurementError as error:
         raise MeasurementError(f"{file}: {error}") from error
 
@@ -524,17 +523,7 @@ def adapt_visits(visits: Sequence[PathLike], *, report: PathLike | None = None) 
     """
     if len(visits) < 2:
         raise UsageError(f"{len(visits)} visit: name two at least")
-    curves = []
-    for one in visits:
-        series = ThresholdSeries.read(Path(one))
-        request = FitRequest(bootstrap_draws=0, intercept=intercept_of(series.facts))
-        try:
-            curves.append(
-                AdaptationCurve(fit_adaptation(series, request, np.random.default_rng(1)), series, Path(one).stem)
-            )
-        except MeasurementError as error:
-            raise MeasurementError(f"{one}: {error}") from error
-    found = Visits(tuple(curves))
+    found = Visits(tuple(_fitted(Path(one)) for one in visits))
     if report is not None:
         found.write_report(report)
     return found

@@ -56,6 +56,7 @@ from radiometer.importing import imported_of, open_capture
 from radiometer.photographs.response import linear_doubt
 from radiometer.photographs.scene import UNTOLD_SHUTTER_U_S, Photographs, has_untold_shutter, with_offset
 from radiometer.photographs.stated import at_iso, reference_iso, with_f_number, with_gains, with_iso
+from radiometer.progress import counted
 from radiometer.units import exact_exposure_s
 
 if TYPE_CHECKING:
@@ -337,8 +338,8 @@ def _seen(
             raise UsageError("--patch is missing: say where in the photographs the known source is (X,Y,W,H)")
         if channel == "each":
             raise UsageError("--channel each: a calibration holds one channel; give luminance, red, green or blue")
-        report = None if progress is None else (lambda done, total: progress("reading", done, total))
-        taken = stack_of(open_source(Path(capture), channel, report=report), str(capture)).as_photographs()
+        read = open_source(Path(capture), channel, report=counted(progress, "reading"))
+        taken = stack_of(read, str(capture)).as_photographs()
         unstated = not any(frame.settings.iso for frame in taken.only.light)
         taken = taken.each(lambda one: with_gains(with_iso(one, iso if unstated else None), speeds)).placed(align)
         bracket = taken.without_absent()

@@ -41,7 +41,6 @@ AREAS: dict[str, tuple[str, ...]] = {
         "radiometer/daemon/bench_instrument.py",
         "radiometer/daemon/patches.py",
         "radiometer/bench/doctor.py",
-        "radiometer/daemon/keeper.py",
         "radiometer/bench/reopening.py",
         "radiometer/bench/box_holder.py",
     ),

@@ -22,8 +22,7 @@ from radiometer.adaptation.outcome import Outcome, Verdict
 from radiometer.adaptation.protocol import read_protocol
 from radiometer.adaptation.request import RunRequest
 from radiometer.adaptation.run import run_test
-from radiometer.adaptation.screen_levels import SpotLevels, within_reach
-from radiometer.adaptation.screen_setup import ScreenStage, open_screen_stage
+from radiometer.adaptation.screen_setup import ScreenStage, SpotLevels, open_screen_stage, within_reach
 from radiometer.bench.screen import lights, open_screen_bench
 from radiometer.errors import CalibrationError, ConfigurationError, DeviceLost, UsageError
 from radiometer.screen.browser_page import BrowserStimulus
