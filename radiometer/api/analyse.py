@@ -105,7 +105,7 @@ class MapAnalysis(Result):
         return [(name, one) for name, one in (("UGR", self.ugr), ("DGP", self.dgp)) if one is not None]
 
     def write_csv(self, path: PathLike) -> None:
-        """Write a row for each figure, that of no region without its name. Raises OutputError if it cannot be written."""
+        """Write a row for each figure; that of no region has no name. Raises OutputError if it cannot be written."""
         stream = io.StringIO()
         writer = csv.writer(stream, lineterminator="\n")
         writer.writerow(["region", "figure", "value", "u", "unit"])
