@@ -18,8 +18,8 @@ _PAGES: Final = {
     "adaptation": ("adaptation",),
     "files": ("reader",),
     "light-box": ("eye",),
-    "sensors": ("real-sensors",),
-    "naming": ("naming",),
+    "sensors": ("real-sensors", "taps"),
+    "naming": ("naming", "newton"),
 }
 
 

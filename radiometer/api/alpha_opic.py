@@ -16,9 +16,9 @@ from radiometer.analysis.photometry.alpha_opic import (
 from radiometer.analysis.photometry.facing import FacingSource
 from radiometer.analysis.photometry.photometry import spectrum as spectrum_of
 from radiometer.api.files import PathLike
-from radiometer.api.result import Result
+from radiometer.api.result import Drawn
 from radiometer.data import Quantity, Reading
-from radiometer.data.drawing import new_axes, picture, write_figure
+from radiometer.data.drawing import new_axes
 from radiometer.data.json_text import parsed_json
 from radiometer.data.storage import read_text
 from radiometer.errors import InputError, UsageError
@@ -35,7 +35,7 @@ _SPELT: Final = {
 
 
 @dataclass(frozen=True, repr=False)
-class AlphaOpicQuantities(Result):
+class AlphaOpicQuantities(Drawn):
     """The five α-opic quantities of one light.
 
     Examples:
@@ -91,13 +91,6 @@ class AlphaOpicQuantities(Result):
         where.invert_yaxis()
         where.set_xlabel(f"efficacy over that of daylight D65, of {self.spectrum} (k = 2)")
         return where
-
-    def write_plot(self, path: PathLike) -> None:
-        """Draw it into a PNG, PDF or SVG file. Raises UsageError for another ending, OutputError."""
-        write_figure(Path(path), self.plot())
-
-    def _repr_html_(self) -> str:
-        return picture(self.plot, repr(self))
 
     def __str__(self) -> str:
         """Return the melanopic equivalent daylight quantity in one line."""

@@ -71,22 +71,21 @@ def geometry_of(name: str) -> Geometry:
     return GEOMETRIES[name]
 
 
-def field_at(area: Patch, place: tuple[float, float], share: float = FIELD_SHARE) -> Patch:
+def field_at(area: Patch, place: tuple[float, float]) -> Patch:
     """Return the measuring field at a place of the screen.
 
     Args:
         area: Where the camera sees the whole screen.
         place: Its middle as shares of width and height.
-        share: Its side over the screen's height.
 
     Raises:
         UsageError: If it would have less than 3 pixels on a side.
     """
-    side = round(share * area.height)
+    side = round(FIELD_SHARE * area.height)
     if side < _FEWEST_PX:
         raise UsageError(
             f"the screen is {area.width} × {area.height} pixels in the camera's picture: too small for a measuring "
-            f"field of {100 * share:g} % of its height; move the camera closer"
+            f"field of {100 * FIELD_SHARE:g} % of its height; move the camera closer"
         )
     x = area.x + place[0] * area.width - side / 2
     y = area.y + place[1] * area.height - side / 2
