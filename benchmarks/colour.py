@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import colour as peer
 import numpy as np
@@ -39,9 +40,9 @@ class Lights:
     powers: Array
 
 
-def spectra(table: object, names: list[str]) -> Array:
+def spectra(table: Any, names: list[str]) -> Array:
     """Return spectra of a table by name, over the grid, shape (lights, wavelengths)."""
-    return np.stack([np.interp(GRID_NM, table[n].wavelengths, table[n].values, left=0, right=0) for n in names])  # type: ignore[index]
+    return np.stack([np.interp(GRID_NM, table[n].wavelengths, table[n].values, left=0, right=0) for n in names])
 
 
 def measured_displays() -> list[tuple[str, str, Array]]:
