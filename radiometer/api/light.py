@@ -615,8 +615,9 @@ class EngineLaws(Result):
 
 def _law_text(law: DriveLaw) -> str:
     half = with_u(100 * law.deviation_rel, 200 * law.u_deviation_rel, "%")
+    onset = f"onset {with_u(100 * law.onset, 200 * law.u_onset, '%')}, " if law.onset else ""
     return (
-        f"exponent {with_u(law.exponent, 2 * law.u_exponent)}, droop {with_u(law.droop, 2 * law.u_droop)}, "
+        f"exponent {with_u(law.exponent, 2 * law.u_exponent)}, droop {with_u(law.droop, 2 * law.u_droop)}, {onset}"
         f"half drive {half} off proportional, misfit {100 * law.misfit_rel:.2g} %"
     )
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
@@ -41,7 +41,7 @@ _FLOOR: Final = 1e-6  # relative noise of a table without any
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Data:
-    """All channels in one: ln(light/drive), drive, reading and number of the channel, shape (n,)."""
+    """All channels in one: ln of light over drive above onset, drive, reading and number of the channel, shape (n,)."""
 
     target: Array
     drive: Array
@@ -81,18 +81,19 @@ class DriveFit:
     def write_report(self, path: Path) -> str:
         """Write the laws of all channels and what was found as HTML."""
         rows = [
-            (name, *("–",) * 4)
+            (name, *("–",) * 5)
             if one is None
             else (
                 name,
                 with_u(one.exponent, 2 * one.u_exponent),
                 with_u(one.droop, 2 * one.u_droop),
+                with_u(100 * one.onset, 200 * one.u_onset, "%") if one.onset else "–",
                 with_u(100 * one.deviation_rel, 200 * one.u_deviation_rel, "%"),
                 f"{100 * one.misfit_rel:.2g} %",
             )
             for name, one in self.laws.items()
         ]
-        head = ("channel", "exponent", "droop", "deviation at half drive", "misfit (rms)")
+        head = ("channel", "exponent", "droop", "onset", "deviation at half drive", "misfit (rms)")
         found = [
             f"{one.name}: "
             + ", ".join(f"{n} {with_u(p.value, 2 * (p.u or 0.0), p.unit)}" for n, p in one.parameters.items())
@@ -121,9 +122,14 @@ def reconcile_drive_table(path: Path) -> DriveFit:
     begun = time.monotonic()
     known = read_drive_table(path)
     laws = {one.name: fit_drive_law(one.drive, one.light) for one in known.channels}
-    data = _pooled(known.channels)
-    steps = _range_steps(data)
-    effects, gaps = _named(data, steps)
+    onsets = {name: law.onset for name, law in laws.items() if law is not None and law.onset > 0.0}
+    data = _pooled(known.channels, {})
+    effects, gaps = _named(data, _range_steps(data))
+    if onsets and _verdict(effects, gaps[-1], data.target.size) is not Verdict.EFFECTS_FOUND:
+        data = _pooled(known.channels, onsets)
+        effects, gaps = _named(data, _range_steps(data))
+    else:
+        onsets = {}
     result = ReconcileResult(
         verdict=_verdict(effects, gaps[-1], data.target.size),
         effects=effects,
@@ -135,6 +141,10 @@ def reconcile_drive_table(path: Path) -> DriveFit:
             *known.taken,
             f"drives below {100 * LEAST_DRIVE:g} % of full are left out: a LED's onset and noise decide there",
             "relative noise of each channel is the same at all its drives",
+            *(
+                f"channel {name} gives no light below {100 * onset:.2g} % of full drive"
+                for name, onset in onsets.items()
+            ),
         ),
         seconds=time.monotonic() - begun,
         gap_unit=GAP_UNIT,
@@ -143,10 +153,12 @@ def reconcile_drive_table(path: Path) -> DriveFit:
     return DriveFit(result, known, laws, path.name)
 
 
-def _pooled(channels: Sequence[ChannelDrive]) -> _Data:
+def _pooled(channels: Sequence[ChannelDrive], onsets: Mapping[str, float]) -> _Data:
     parts = [(one.drive >= LEAST_DRIVE) & (one.light > 0.0) for one in channels]
     return _Data(
-        np.concatenate([np.log(c.light[k] / c.drive[k]) for c, k in zip(channels, parts, strict=True)]),
+        np.concatenate(
+            [np.log(c.light[k] / (c.drive[k] - onsets.get(c.name, 0.0))) for c, k in zip(channels, parts, strict=True)]
+        ),
         np.concatenate([c.drive[k] for c, k in zip(channels, parts, strict=True)]),
         np.concatenate([c.reading[k] for c, k in zip(channels, parts, strict=True)]),
         np.concatenate([np.full(int(k.sum()), n) for n, k in enumerate(parts)]),
