@@ -12,9 +12,10 @@ from radiometer.errors import RadiometerError
 from radiometer.plausible import PLAUSIBLE
 
 ModelT = TypeVar("ModelT", bound=BaseModel)
-# No quantity in the units of these files is so large, or so small but zero: products and powers of some stay finite.
+# No quantity in the units of these files is so large; what must be above 0 is not so small. Products and powers of
+# some stay finite.
 _LARGEST: Final = 1e30
-_SMALLEST: Final = 1e-60
+_SMALLEST: Final = 1e-30
 
 
 def within(quantity: str) -> AfterValidator:
@@ -48,7 +49,7 @@ class _Section(BaseModel):
     def _numbers_have_a_size(self) -> Self:
         for key in type(self).model_fields:
             for number in _numbers_of(getattr(self, key)):
-                if number and not _SMALLEST <= abs(number) <= _LARGEST:
+                if abs(number) > _LARGEST or (_is_above_zero(type(self), key) and number < _SMALLEST):
                     raise ValueError(f"{key} = {number:g}: no quantity has this size; correct the power of ten")
         return self
 
@@ -112,6 +113,11 @@ def _numbers_of(value: Any) -> Iterator[float]:
         for one in value.values() if isinstance(value, dict) else value:
             if isinstance(one, float | int):
                 yield one
+
+
+@functools.cache
+def _is_above_zero(model: type[BaseModel], name: str) -> bool:
+    return any(getattr(rule, "gt", None) == 0 for rule in model.model_fields[name].metadata)
 
 
 def _holds_truth(value: Any) -> bool:
