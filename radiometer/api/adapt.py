@@ -15,10 +15,9 @@ import numpy as np
 from radiometer.adaptation.adaptation_fit import AdaptationFit, FitRequest, fit_adaptation, intercept_verdict
 from radiometer.adaptation.bleach import bleached_fraction, bleached_range, pupil_diameter_mm, retinal_illuminance_td
 from radiometer.adaptation.controls import Controls
-from radiometer.adaptation.instructions import instructions
 from radiometer.adaptation.journal import Event
 from radiometer.adaptation.outcome import Outcome, Verdict
-from radiometer.adaptation.protocol import SHIPPED, AdaptationProtocol, practice_of, read_protocol
+from radiometer.adaptation.protocol import SHIPPED, AdaptationProtocol, instructions, practice_of, read_protocol
 from radiometer.adaptation.reliability import NAMES, Reliability
 from radiometer.adaptation.report import LABELS, curve_csv, label_of, to_mapping, write_page
 from radiometer.adaptation.report_picture import short
@@ -29,11 +28,9 @@ from radiometer.adaptation.session import Session as Session
 from radiometer.adaptation.session import Watcher as Watcher
 from radiometer.adaptation.session import open_session
 from radiometer.adaptation.threshold_series import ThresholdSeries
-from radiometer.adaptation.visits import moment_of, visit_at, visit_in
-from radiometer.adaptation.visits_page import OVERLAID, label_of_visit, visits_html
+from radiometer.adaptation.visits import OVERLAID, label_of_visit, moment_of, visit_at, visit_in, visits_html
 from radiometer.api.files import PathLike
-from radiometer.api.needed import require_other
-from radiometer.api.result import Notice, Result, unheard
+from radiometer.api.result import Notice, Result, require_other, unheard
 from radiometer.data.guards import safe_name
 from radiometer.data.json_text import json_text
 from radiometer.data.storage import check_outputs, write_text_atomic

@@ -151,6 +151,16 @@ def parse_radiance(text: str | None) -> float | str | None:
         raise UsageError(f"--radiance {text!r}: give a number in W·sr⁻¹·m⁻², or a certificate (.xml)") from error
 
 
+def parse_size(text: str | None) -> tuple[float, ...] | None:
+    """Return the lengths of "0.52x0.32" or of a diameter "0.1"; None where nothing is given. Raises UsageError."""
+    if text is None:
+        return None
+    try:
+        return tuple(float(part) for part in text.replace("×", "x").split("x"))
+    except ValueError as error:
+        raise UsageError(f"--size {text!r}: expected WIDTHxHEIGHT in m, such as 0.52x0.32, or a diameter") from error
+
+
 def parse_bounds(text: str, option: str) -> tuple[float, float]:
     """Return the two numbers of "LOW,HIGH". Raises UsageError if they are not two numbers with 0 < LOW < HIGH."""
     try:

@@ -113,16 +113,6 @@ def sensor_irradiance_w_m2(
     return radiance_w_sr_m2 * math.pi / 4.0 * (diameter_m / focal_length_m) ** 2 * math.cos(angle_rad) ** 4
 
 
-def radiance_of_exposure_w_sr_m2(
-    exposure_j_m2: float, exposure_s: float, diameter_m: float, focal_length_m: float, angle_rad: float = 0.0
-) -> float:
-    """Return the radiance in W·sr⁻¹·m⁻² behind an exposure H in J·m⁻²: L = (H/t)/((π/4)·(d/f)²·cos⁴α).
-
-    Source: thesis equations (2.11) and (2.12), solved for L.
-    """
-    return exposure_j_m2 / exposure_s / sensor_irradiance_w_m2(1.0, diameter_m, focal_length_m, angle_rad)
-
-
 def reference_exposure_j_m2(
     radiance_w_sr_m2: float, settings: MeterSettings, lens_factor_sr: float | None = None
 ) -> float:
