@@ -87,11 +87,12 @@ def _line(entry: Mapping[str, Any], model: type[BaseModel]) -> str:
     if entry["type"] == "extra_forbidden":
         allowed = ", ".join(sorted(_keys_at(model, entry["loc"][:-1])))
         return f"unknown key {key!r}" + (f"; allowed here: {allowed}" if allowed else "")
+    message = entry["msg"].removeprefix("Value error, ")
     if isinstance(entry.get("input"), Mapping) and entry["type"] == "value_error":  # of a whole section, which names it
-        return ": ".join(filter(None, (key, entry["msg"].removeprefix("Value error, "))))
+        return ": ".join(filter(None, (key, message)))
     shown = repr(entry.get("input"))
     shown = shown if len(shown) <= 60 else shown[:57] + "..."
-    return f"{key} = {shown}: {entry['msg'][0].lower()}{entry['msg'][1:]}"
+    return f"{key} = {shown}: {message[0].lower()}{message[1:]}"
 
 
 def _keys_at(model: type[BaseModel], path: tuple[Any, ...]) -> list[str]:
