@@ -23,6 +23,9 @@ def within(quantity: str) -> AfterValidator:
 
     Args:
         quantity: Key of `PLAUSIBLE`.
+
+    Raises:
+        ValueError: When a field is checked, of a number outside the range; pydantic reports it with the field.
     """
 
     def check(value: float | tuple[float, ...] | None) -> float | tuple[float, ...] | None:
