@@ -14,9 +14,9 @@ from typing import Any, Final
 from aiohttp import web
 
 from radiometer.adaptation.controls import Controls
-from radiometer.adaptation.journal import Event
 from radiometer.adaptation.live import LiveState, RunningFit, running_fit
 from radiometer.adaptation.protocol import AdaptationProtocol
+from radiometer.data.event_journal import Event
 from radiometer.devices.opening import Opened
 from radiometer.errors import DeviceError
 from radiometer.screen.loopback import Darken, LoopbackServer, Message, darkened, nothing_to_darken

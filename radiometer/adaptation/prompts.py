@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from radiometer.adaptation.journal import Event, RunJournal
+from radiometer.adaptation.journal import RunJournal
+from radiometer.data.event_journal import Event
 
 
 def prompts_after(event: Event) -> tuple[str, ...]:

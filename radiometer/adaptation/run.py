@@ -16,13 +16,14 @@ import numpy as np
 
 from radiometer.adaptation.checks import Check
 from radiometer.adaptation.controls import Controls
-from radiometer.adaptation.journal import FORMAT, REFUSED, Event, RunJournal
+from radiometer.adaptation.journal import FORMAT, REFUSED, RunJournal
 from radiometer.adaptation.methods import Method, begin
 from radiometer.adaptation.outcome import Outcome, Verdict, counting_trials, outcome_of, too_many_false
 from radiometer.adaptation.protocol import AdaptationProtocol, LimitsMethod, SteadyBleach
 from radiometer.adaptation.reliability import BLANK, BLIND_SPOT, BRIGHT, kind_of_catch
 from radiometer.adaptation.run_facts import facts_of
 from radiometer.adaptation.stage import DescribedStage, FixationStage, Stage, SteppedStage
+from radiometer.data.event_journal import START, Event
 from radiometer.errors import UsageError
 
 Watcher = Callable[[Event], None]
@@ -112,7 +113,7 @@ class _Run:
         facts: dict[str, Any] = {"format": FORMAT, "subject": self.subject, "protocol": name, "seed": self.seed}
         if self.eye is not None:
             facts["eye"] = self.eye
-        self.note("start", **{**facts, **self.visit}, unix_s=wall_s, facts=facts_of(self.protocol))
+        self.note(START, **{**facts, **self.visit}, unix_s=wall_s, facts=facts_of(self.protocol))
 
     def _check_journal(self) -> None:
         begun = self.journal.events[0]

@@ -10,7 +10,7 @@ from pathlib import Path
 from radiometer.adaptation.box_setup import open_box_stage
 from radiometer.adaptation.checks import Check
 from radiometer.adaptation.controls import Controls
-from radiometer.adaptation.journal import DEVICE_FACTS, Event, RunJournal
+from radiometer.adaptation.journal import DEVICE_FACTS, RunJournal
 from radiometer.adaptation.live_page import LivePage, replayed
 from radiometer.adaptation.live_text import LiveText, event_line
 from radiometer.adaptation.outcome import Outcome
@@ -23,6 +23,7 @@ from radiometer.adaptation.screen_stage import ScreenStage
 from radiometer.adaptation.simulated_stage import simulated_stage
 from radiometer.adaptation.stage import DescribedStage, Stage
 from radiometer.bench.box_holder import darken_held
+from radiometer.data.event_journal import Event
 from radiometer.data.json_text import json_text
 from radiometer.errors import UsageError
 

@@ -15,10 +15,11 @@ from typing import Final
 
 import numpy as np
 
-from radiometer.adaptation.journal import DEVICE_FACTS, is_journal, read_events
+from radiometer.adaptation.journal import DEVICE_FACTS
 from radiometer.adaptation.r_files import is_r_file, read_r_lists
 from radiometer.adaptation.trial_lists import changes_of_answer, column_of_answers, column_of_onsets
 from radiometer.data import text_table
+from radiometer.data.event_journal import is_journal, read_events
 from radiometer.data.reader_limits import bounded_reader
 from radiometer.errors import InputError
 from radiometer.units import heading_parts, unit_of

@@ -7,8 +7,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Final
 
-from radiometer.adaptation.journal import Event, read_events
 from radiometer.adaptation.request import RunRequest
+from radiometer.data.event_journal import Event, read_events
 from radiometer.errors import InputError, UsageError
 
 _STAMP: Final = "%Y-%m-%dT%H%M%SZ"

@@ -16,7 +16,6 @@ from radiometer.adaptation.adaptation_fit import AdaptationFit, FitRequest, fit_
 from radiometer.adaptation.bleach import bleached_fraction, bleached_range, pupil_diameter_mm, retinal_illuminance_td
 from radiometer.adaptation.controls import Controls
 from radiometer.adaptation.instructions import instructions
-from radiometer.adaptation.journal import Event
 from radiometer.adaptation.outcome import Outcome, Verdict
 from radiometer.adaptation.protocol import SHIPPED, AdaptationProtocol, practice_of, read_protocol
 from radiometer.adaptation.reliability import NAMES, Reliability
@@ -34,6 +33,7 @@ from radiometer.adaptation.visits_page import OVERLAID, label_of_visit, visits_h
 from radiometer.api.files import PathLike
 from radiometer.api.needed import require_other
 from radiometer.api.result import Notice, Result, unheard
+from radiometer.data.event_journal import Event
 from radiometer.data.guards import safe_name
 from radiometer.data.json_text import json_text
 from radiometer.data.storage import check_outputs, write_text_atomic

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import AbstractContextManager
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -14,6 +14,7 @@ from radiometer.api.result import Notice, Progress, Result, unheard
 from radiometer.bench.screen import BROWSER, SIMULATED_SIZE, ScreenBench, lights, open_screen_bench, primaries_of
 from radiometer.data import Quantity
 from radiometer.data.drawing import check_plot_name, new_axes, own_axes, picture, write_figure
+from radiometer.data.event_journal import kept_until_written
 from radiometer.data.statements import StatementMap
 from radiometer.data.storage import check_outputs
 from radiometer.devices import Display
@@ -34,6 +35,7 @@ from radiometer.screen.verification import COVERAGE, Verified, verify_screen
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
+RUN_FORMAT: Final = "radiometer-screen-run/1"  # of the journal of an unfinished calibration
 # Names of what a level is looked up by, as the command line writes them.
 _UNITS: Final[Mapping[str, str]] = {"cd": LUMINANCE, "scotopic": SCOTOPIC, "W": RADIANCE}
 
@@ -158,6 +160,8 @@ def screen_calibrate(
 ) -> CalibratedScreen:
     """Measure which level of a screen gives which radiance and luminance, with uncertainty.
 
+    A journal next to `out` keeps every patch until `out` is written. After an interruption the same call goes on there.
+
     Examples:
         >>> import radiometer as rm
         >>> rm.screen_calibrate("screen.yaml", "lcd", quick=True)
@@ -187,11 +191,12 @@ def screen_calibrate(
         seed: Seed of the random order.
         force: Replace exports that exist.
         announce: Called with the page's address.
-        notice: Gets warnings of the page.
+        notice: Gets warnings of the page, and where patches are kept after an interruption.
         progress: Called after every patch.
 
     Raises:
-        UsageError: If display, channel, level or form is unknown, or no camera looks at a browser's page.
+        UsageError: If display, channel, level or form is unknown, or no camera looks at a browser's page. Also if
+            `out` holds a journal of another calibration.
         MeasurementError: If white clips or is hardly brighter than black; before the screen warms up.
         DeviceError: If display or camera fails.
         OutputError: If a file cannot be written.
@@ -208,15 +213,21 @@ def screen_calibrate(
         chromaticities=known_xy,
     )  # fmt: skip
     lamps = lights(white, primaries_of(display, options.channels, primaries))
+    target = Path(out) if out is not None else None
     with opened_screen(display, bench, camera, calibration, patch, port, announce) as opened:
-        found = calibrate_screen(opened, options, lamps, progress=_advance(progress), waiting=warming(progress))
-        warn_of_page(opened.display, notice)
         serial = opened.instrument.camera.description.serial or ""
-        found = replace(found, instrument=serial, measured_with=opened.measured_with)
-    if out is not None:
-        found.write(Path(out))
-        _exports(found, kinds, Path(out))
-    done = CalibratedScreen(found, Path(out) if out is not None else None)
+        asked = asdict(options) | {"display": display, "camera": serial, **opened.measured_with}
+        asked["spectra"] = {name: light.spectrum for name, light in lamps.items()}
+        with kept_until_written(target, RUN_FORMAT, asked, notice) as journal:
+            found = calibrate_screen(
+                opened, options, lamps, journal=journal, progress=_advance(progress), waiting=warming(progress)
+            )
+            warn_of_page(opened.display, notice)
+            found = replace(found, instrument=serial, measured_with=opened.measured_with)
+            if target is not None:
+                found.write(target)
+                _exports(found, kinds, target)
+    done = CalibratedScreen(found, target)
     if plot is not None:
         done.write_plot(plot)
     return done

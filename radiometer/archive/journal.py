@@ -9,17 +9,13 @@ from pathlib import Path
 from typing import Self
 
 from radiometer.archive.jobs import COLUMNS, Row
+from radiometer.data.event_journal import journal_of
 from radiometer.data.json_text import json_text, parsed_json
 from radiometer.data.storage import write_bytes_atomic
 from radiometer.errors import OutputError, UsageError
 from radiometer.reporting.plain_text import spreadsheet_cell
 
 TABLE_ENDINGS = (".parquet", ".csv")
-
-
-def journal_of(table: Path) -> Path:
-    """Return the journal of a table, which holds its rows as they come."""
-    return table.with_name(table.name + ".journal")
 
 
 class ResultJournal:

@@ -63,6 +63,7 @@ def measure_steps(
     patch_size: float = 1.0,
     bits: int = 8,
     progress: Progress | None = None,
+    keep: Callable[[Measured], None] = lambda one: None,
 ) -> list[Measured]:
     """Show every step and read it.
 
@@ -72,6 +73,7 @@ def measure_steps(
         repeats: Readings of each.
         patch_size: Size of the patch as a fraction of the screen's.
         progress: Called after every step with (done, total, step).
+        keep: Gets every step with its readings before the next one is shown.
 
     Raises:
         DeviceError: If display or camera fail.
@@ -89,6 +91,7 @@ def measure_steps(
         done.append(Measured(step, readings))
         if len(done) == 2:
             _require_contrast(done)
+        keep(done[-1])
         if progress:
             progress(len(done), len(plan), step)
     return done

@@ -12,12 +12,13 @@ import numpy as np
 import pytest
 
 from radiometer.adaptation.controls import Controls
-from radiometer.adaptation.journal import Event, RunJournal
+from radiometer.adaptation.journal import RunJournal
 from radiometer.adaptation.live_page import LivePage
 from radiometer.adaptation.outcome import Outcome, Verdict
 from radiometer.adaptation.protocol import read_protocol
 from radiometer.adaptation.run import run_test
 from radiometer.adaptation.simulated_stage import simulated_stage
+from radiometer.data.event_journal import Event
 from testing.chromium import Browser, headless
 from testing.scripted_adaptation import SubjectCurve
 

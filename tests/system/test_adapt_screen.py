@@ -17,7 +17,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from radiometer.adaptation.journal import Event, RunJournal
+from radiometer.adaptation.journal import RunJournal
 from radiometer.adaptation.outcome import Outcome, Verdict
 from radiometer.adaptation.protocol import read_protocol
 from radiometer.adaptation.request import RunRequest
@@ -26,6 +26,7 @@ from radiometer.adaptation.screen_levels import SpotLevels, within_reach
 from radiometer.adaptation.screen_setup import open_screen_stage
 from radiometer.adaptation.screen_stage import ScreenStage
 from radiometer.bench.screen import lights, open_screen_bench
+from radiometer.data.event_journal import Event
 from radiometer.errors import CalibrationError, ConfigurationError, DeviceLost, UsageError
 from radiometer.screen.browser_stimulus import BrowserStimulus
 from radiometer.screen.calibration import ScreenCalibration
