@@ -18,7 +18,7 @@ from radiometer.data.event_journal import kept_until_written
 from radiometer.data.statements import StatementMap
 from radiometer.data.storage import check_outputs
 from radiometer.devices import Display
-from radiometer.errors import UsageError
+from radiometer.errors import RadiometerError, UsageError
 from radiometer.numbers import unit_text, with_u
 from radiometer.progress import counted
 from radiometer.reporting.origin import moment
@@ -177,7 +177,8 @@ def screen_calibrate(
         repeats: Readings of every patch.
         size: Patch size as a share of the screen's.
         pixel_mm: Distance of two pixels in mm, for an adaptation test.
-        chromaticities: Where a colorimeter's chromaticities of this screen are: a .ti3, or an earlier calibration.
+        chromaticities: Where a colorimeter's chromaticities of this screen are: a .ti3, or an earlier calibration. By
+            default those of the calibration that is replaced.
         warm_up_s: Longest wait for the screen to settle in s.
         white: Spectrum assumed for grey.
         primaries: Spectra of red, green and blue: a display type, or a CSV of them.
@@ -206,14 +207,14 @@ def screen_calibrate(
         check_outputs(*_export_files(kinds, Path(out)), force=force)
     if plot is not None:
         check_plot_name(Path(plot))
-    known_xy = chromaticities_in(Path(chromaticities)) if chromaticities is not None else {}
+    target = Path(out) if out is not None else None
+    known_xy = _known_chromaticities(chromaticities, target, name or display, notice)
     options = Options(
         name=name or display, levels=parse_levels("quick" if quick else levels), channels=tuple(channels),
         repeats=repeats, patch_size=size, warm_up_limit_s=warm_up_s, seed=seed, pixel_mm=pixel_mm,
         chromaticities=known_xy,
     )  # fmt: skip
     lamps = lights(white, primaries_of(display, options.channels, primaries))
-    target = Path(out) if out is not None else None
     with opened_screen(display, bench, camera, calibration, patch, port, announce) as opened:
         serial = opened.instrument.camera.description.serial or ""
         asked = asdict(options) | {"display": display, "camera": serial, **opened.measured_with}
@@ -231,6 +232,26 @@ def screen_calibrate(
     if plot is not None:
         done.write_plot(plot)
     return done
+
+
+def _known_chromaticities(
+    stated: PathLike | None, replaced: Path | None, name: str, notice: Notice
+) -> Mapping[str, tuple[float, float]]:
+    """Return the chromaticities of a screen: those stated, else those of its calibration that is replaced."""
+    if stated is not None:
+        return chromaticities_in(Path(stated))
+    if replaced is None or not replaced.is_file():
+        return {}
+    try:
+        before = ScreenCalibration.read(replaced)
+    except RadiometerError:  # it is replaced whatever it is
+        return {}
+    if before.name != name or not before.chromaticities:
+        return {}
+    notice(
+        f"{replaced}: its chromaticities of {', '.join(before.chromaticities)} are kept; --chromaticities replaces them"
+    )
+    return before.chromaticities
 
 
 @dataclass(frozen=True, repr=False)

@@ -117,23 +117,27 @@ class LensDescription(FileSection):
 class SourceDescription(FileSection):
     """The light source: its kind, wavelength in nm, relative reproducibility, polarisation and flicker in Hz."""
 
-    kind: Literal["screen", "led", "sphere", "scene"] = "scene"
-    wavelength_nm: float | None = Field(None, gt=0)
-    reproducibility_u_rel: float | None = Field(None, ge=0)
-    polarised: bool | None = None
-    flicker_hz: float | None = Field(None, gt=0)
+    kind: Literal["screen", "led", "sphere", "scene"] = Field("scene", description="What gives the light.")
+    wavelength_nm: float | None = Field(None, gt=0, description="Wavelength in nm; of a narrow line alone.")
+    reproducibility_u_rel: float | None = Field(
+        None, ge=0, description="Relative standard uncertainty of its light from one setting to the next."
+    )
+    polarised: bool | None = Field(None, description="Whether its light is polarised.")
+    flicker_hz: float | None = Field(None, gt=0, description="Frequency of its flicker in Hz.")
 
 
 class PatchDescription(FileSection):
     """A region of the scene and what is known of its radiance at source level 1 (None: unknown but constant)."""
 
-    name: str
-    x: int = Field(ge=0)
-    y: int = Field(ge=0)
-    width: int = Field(gt=0)
-    height: int = Field(gt=0)
-    radiance_W_per_sr_m2: float | dict[str, float] | None = None  # noqa: N815 (the file's key)
-    u_rel: float | None = Field(None, ge=0)
+    name: str = Field(description="Its name.")
+    x: int = Field(ge=0, description="Left edge in pixels.")
+    y: int = Field(ge=0, description="Upper edge in pixels.")
+    width: int = Field(gt=0, description="Width in pixels.")
+    height: int = Field(gt=0, description="Height in pixels.")
+    radiance_W_per_sr_m2: float | dict[str, float] | None = Field(  # noqa: N815 (the file's key)
+        None, description="Radiance in W·sr⁻¹·m⁻² at source level 1, or one for each pattern; unknown by default."
+    )
+    u_rel: float | None = Field(None, ge=0, description="Relative standard uncertainty of the radiance.")
 
     @property
     def patch(self) -> Patch:
