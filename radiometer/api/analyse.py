@@ -137,7 +137,11 @@ class MapAnalysis(Result):
             section("Flags and assumptions", listed([*flags, *self.assumptions])),
         ]
         outcome = f"{len(self.regions)} region{'' if len(self.regions) == 1 else 's'}"
-        origin = Origin(further=(("map", self.origin), ("exposure times", exposures)))
+        known = {name: str(value) for name, value in self.map.provenance.parameters.get("origin", {}).items()}
+        origin = Origin(
+            *(known.get(name, "") for name in ("taken", "camera", "lens", "calibration")),
+            further=(("map", self.origin), ("merged", known.get("merged", "")), ("exposure times", exposures)),
+        )
         write_text_atomic(Path(path), page("Figures of a radiance map", outcome, parts, kind="analyse", origin=origin))
 
     def plot(self, axes: Axes | None = None) -> Axes:

@@ -55,6 +55,7 @@ from radiometer.data.setup import Setup
 from radiometer.data.white_level import white_level_notes
 from radiometer.errors import MeasurementError
 from radiometer.numbers import unit_text
+from radiometer.reporting.origin import moment, span_of
 
 BLOCK_PIXELS: Final = 1 << 15  # a block's sums stay in a core's second-level cache
 _PARTS_PER_CORE: Final = (
@@ -655,10 +656,24 @@ class StreamingMerge:
                     "frames": len(self._terms),
                     "dark_frames": len(self._dark),
                     "saturated_dn": sorted({terms.high_dn for terms in self._terms}),
+                    "origin": self._origin(),
                 },
             ),
             not_in_u=not_in_u,
         )
+
+    def _origin(self) -> dict[str, str]:
+        """Return in words when and with what the frames were taken; "" where that is not stated."""
+        setup, calibration = self._situation.setup, self._calibration
+        settings = [terms.settings for terms in self._terms]
+        return {
+            "taken": span_of(one.timestamp_s for one in settings),
+            "camera": setup.camera.name,
+            "lens": setup.lens.in_words(one.f_number for one in settings),
+            "calibration": ""
+            if calibration is None
+            else f"{calibration.scale.reference or 'as stated'}, {moment(calibration.created)}",
+        }
 
 
 def _with_displacement(found: RadianceMap, displacement_px: float) -> Provenance:
