@@ -80,7 +80,7 @@ class LivePage(Opened):
         self._fitter.join()
         self._server.stop(self._say_goodbye)
 
-    def tell(self, event: Event) -> None:
+    def publish(self, event: Event) -> None:
         """Take an event of the run, at once and without waiting for any browser."""
         if event["kind"] == "trial":
             self._devices = self._ask_devices()
@@ -198,4 +198,4 @@ def replayed(page: LivePage, events: list[Event]) -> None:
     """Tell a page what a journal held already; its prompts are not sounded again."""
     for event in events:
         if event["kind"] != "prompt":
-            page.tell(event)
+            page.publish(event)

@@ -191,7 +191,7 @@ class _Run:
                 self._single(number, BRIGHT)
             case "blind_spot":
                 self._single(number, BLIND_SPOT)
-                self._tell_lost_fixation()
+                self._announce_lost_fixation()
             case _:
                 self._threshold(number, shift=rng.random())
 
@@ -262,7 +262,7 @@ class _Run:
         minutes = round((self._latest_s - self._dark_since_s) / 60, 5)
         self.note("trial", catch=True, of=of, seen=seen, false_press=False, threshold=None, minutes=minutes)
 
-    def _tell_lost_fixation(self) -> None:
+    def _announce_lost_fixation(self) -> None:
         """Journal that fixation is lost where enough of the latest lights in the blind spot were seen."""
         lost, of = LOST_OF
         announced = max((event["sequence"] for event in self.journal.of_kind("fixation")), default=-1)

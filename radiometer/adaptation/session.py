@@ -86,7 +86,7 @@ class Session:
         with LivePage(stage.protocol, self.controls, port, audio=audio, health=health, darken=darken_held) as page:
             announce(page.url)
             replayed(page, self.journal.events)
-            yield page.tell
+            yield page.publish
 
     def with_prompts(self, watch: Watcher, sound: Watcher) -> Watcher:
         """Return a watcher that journals prompts and has them sounded as well."""

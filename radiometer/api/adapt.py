@@ -209,11 +209,11 @@ def adapt_run(
             watchers.append(reported)
         if view:
             watchers.append(held.enter_context(view(session)))
-        tell = _all_of(watchers, slow_s)
+        notify = _all_of(watchers, slow_s)
         if audio:
             ring = (lambda: None) if page or page_port > 0 else bell
-            tell = session.with_prompts(tell, _sounded(tell, ring))
-        outcome = session.run(tell)
+            notify = session.with_prompts(notify, _sounded(notify, ring))
+        outcome = session.run(notify)
         table = table_file if csv or outcome.can_be_fitted else None
         if table is not None:
             write_text_atomic(table, session.table(outcome))
@@ -225,18 +225,18 @@ def _at(url: str) -> str:
 
 
 def _all_of(watchers: Sequence[Watcher], slow_s: float) -> Watcher:
-    def tell(event: Event) -> None:
+    def notify(event: Event) -> None:
         for watcher in watchers:
             watcher(event)
         if slow_s and event["kind"] == "trial":
             time.sleep(slow_s)
 
-    return tell
+    return notify
 
 
-def _sounded(tell: Watcher, ring: Callable[[], None]) -> Watcher:
+def _sounded(notify: Watcher, ring: Callable[[], None]) -> Watcher:
     def sound(event: Event) -> None:
-        tell(event)
+        notify(event)
         ring()
 
     return sound

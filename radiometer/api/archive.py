@@ -190,5 +190,5 @@ def passport(archive: PathLike, *, progress: Progress | None = None) -> Passport
     Raises:
         InputError: If it holds no session.
     """
-    heard = (lambda name: progress(f"reading {name}", 0, None)) if progress else (lambda _name: None)
-    return Passports(tuple(passports(read_sessions(Path(archive), heard))))
+    report = (lambda name: progress(f"reading {name}", 0, None)) if progress else (lambda _name: None)
+    return Passports(tuple(passports(read_sessions(Path(archive), report))))

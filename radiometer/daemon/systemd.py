@@ -1,4 +1,4 @@
-"""Tells systemd how the daemon is doing (sd_notify protocol, Type=notify, watchdog)."""
+"""Reports to systemd how the daemon is doing (sd_notify protocol, Type=notify, watchdog)."""
 
 from __future__ import annotations
 

@@ -171,7 +171,9 @@ def _require_same(journal: EventJournal, facts: Mapping[str, Any]) -> None:
     known = then if isinstance(then, dict) else {}
     for name in {**now, **known}:
         if known.get(name) != now.get(name):
-            raise UsageError(f"{journal.path}: begun with {name} {known.get(name)!r:.60}, not {now.get(name)!r:.60}; {way_out}")
+            raise UsageError(
+                f"{journal.path}: begun with {name} {known.get(name)!r:.60}, not {now.get(name)!r:.60}; {way_out}"
+            )
 
 
 def is_journal(beginning: bytes) -> bool:

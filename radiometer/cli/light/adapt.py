@@ -90,8 +90,8 @@ def run(
     @contextmanager
     def view(session: Session) -> Iterator[Watcher]:
         shown = _json_lines(session) if json else _live_curve(session)
-        with shown as tell, listening({"p": session.controls.toggle, "q": session.controls.stop}):
-            yield tell
+        with shown as notify, listening({"p": session.controls.toggle, "q": session.controls.stop}):
+            yield notify
 
     done = rm.adapt_run(
         protocol, subject, out, csv=csv, box=box, calibration=calibration, accept_stale=accept_stale, camera=camera,
@@ -126,12 +126,12 @@ def _live_curve(session: Session) -> Iterator[Watcher]:
     """Show the test while the block runs: a growing curve, dim and red; plain lines where there is no terminal."""
     if not sys.stdout.isatty():
 
-        def tell(event: dict[str, Any]) -> None:
+        def notify(event: dict[str, Any]) -> None:
             line = session.event_line(event)
             if line is not None:
                 console().print(line)
 
-        yield tell
+        yield notify
         return
     from rich.live import Live
     from rich.text import Text

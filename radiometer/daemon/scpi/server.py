@@ -20,8 +20,8 @@ from radiometer.daemon.limits import Limits, Network, ReplyBudget, TokenBucket, 
 from radiometer.daemon.places import Places
 from radiometer.daemon.scpi.errors import ScpiError
 from radiometer.daemon.scpi.lexer import block_end
+from radiometer.daemon.scpi.protocol_sniffing import is_other_protocol
 from radiometer.daemon.scpi.session import Session
-from radiometer.daemon.scpi.strangers import is_strange
 from radiometer.daemon.scpi.table import command_table
 from radiometer.daemon.station import Station
 from radiometer.errors import OutputError, UsageError
@@ -97,7 +97,7 @@ class ScpiConnection(asyncio.Protocol):
             return
         self._buffer += data
         self._heard_at = asyncio.get_running_loop().time()
-        if not self._discarding and is_strange(self._buffer):
+        if not self._discarding and is_other_protocol(self._buffer):
             self._hang_up()
             return
         if self._vetted_at is None:

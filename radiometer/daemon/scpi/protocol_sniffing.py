@@ -1,4 +1,4 @@
-"""Tells a browser, or any client of HTTP or TLS, from an instrument's client by what it sends.
+"""Distinguishes a browser, or any client of HTTP or TLS, from an instrument's client by what it sends.
 
 A web page may have the browser of this machine send bytes of its choice to any loopback port: the body of a POST, line
 by line. The browser cannot help sending its request line and headers before them; by these it is known. No program
@@ -22,7 +22,7 @@ _STRANGE: Final = re.compile(
 )
 
 
-def is_strange(received: bytes | bytearray) -> bool:
+def is_other_protocol(received: bytes | bytearray) -> bool:
     """Return whether bytes that begin with a line hold the beginning of a line of HTTP or TLS.
 
     Args:
