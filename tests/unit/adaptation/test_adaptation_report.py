@@ -54,7 +54,7 @@ def test_the_break_is_reported_with_its_interval(broken):
 
 @pytest.mark.usefixtures("unrendered")
 def test_published_values_are_shown_with_their_source_and_what_has_none_is_named(broken):
-    """Final threshold: 0.08 log₁₀ units a decade (Jackson and Owsley 2000); no intercept was fitted, so none is shown."""
+    """Final threshold: 0.08 log₁₀ units a decade (Jackson and Owsley 2000); no intercept was fitted: none is shown."""
     page = report_html(broken, "eye")
     assert "0.08 log₁₀ units higher for each decade" in page
     assert "Jackson and Owsley 2000" in page
