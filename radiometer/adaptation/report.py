@@ -31,7 +31,7 @@ LABELS: Final = {
     "rod_intercept_min": "Rod-intercept time",
     "criterion_min": "Time at the criterion",
     "final_threshold": "Final threshold",
-    "area_log10_min": "Area under the dark-adaptation curve (AUDAC), above the final threshold",
+    "area_log10_min": "Area under the curve (AUDAC)",
     "area_from_min": "AUDAC from",
     "area_to_min": "AUDAC cut at",
 }
@@ -212,6 +212,7 @@ def _assumptions(fit: AdaptationFit) -> list[str]:
     percent = f"{100 * fit.request.confidence:g} %"
     return [
         f"Model {fit.chosen.model.name}: {fit.chosen.model.meaning}.",
+        "The area under the dark-adaptation curve (AUDAC) counts from the final threshold upwards.",
         f"Intervals are of {percent}: of parameters by profile likelihood, of the others by "
         f"{fit.request.bootstrap_draws} bootstrap redraws.",
         f"The stimulus' calibration is uncertain by {fit.request.stimulus_u_log10:g} log₁₀ units, which the "

@@ -272,7 +272,8 @@ class AdaptationCurve(Result):
         for name, estimate in self.fit.estimates.items():
             interval = estimate.profile or estimate.bootstrap
             expanded = 2.0 * estimate.u
-            ends = [rounded(end, expanded)[0] for end in (interval.low, interval.high)] if interval else []
+            known = interval is not None and interval.low < interval.high  # ends of an area are chosen, not estimated
+            ends = [rounded(end, expanded)[0] for end in (interval.low, interval.high)] if interval and known else []
             shown = f"   {ends[0]} to {ends[1]} (95 %)" if ends else ""
             value = rounded(estimate.value, expanded)[0]
             found.append(f"{label_of(name, self.fit):<32} {value:>9} {unit_text(estimate.unit):<10}{shown}".rstrip())
@@ -491,7 +492,7 @@ class Visits(Result):
         return [
             f"{label_of_visit(one.series, one.name)}: "
             + ", ".join(
-                f"{label_of(name, one.fit).lower()} {short(one.fit, name)} {unit_text(one.fit.estimates[name].unit)}"
+                f"{label_of(name, one.fit)} {short(one.fit, name)} {unit_text(one.fit.estimates[name].unit)}"
                 for name in OVERLAID
                 if name in one.fit.estimates
             )

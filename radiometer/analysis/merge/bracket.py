@@ -667,7 +667,7 @@ class StreamingMerge:
         setup, calibration = self._situation.setup, self._calibration
         settings = [terms.settings for terms in self._terms]
         return {
-            "taken": span_of(one.timestamp_s for one in settings),
+            "taken": span_of(one.timestamp_s for one in settings) or setup.taken,
             "camera": setup.camera.name,
             "lens": setup.lens.in_words(one.f_number for one in settings),
             "calibration": ""

@@ -233,6 +233,7 @@ def fit(
     for line in found.lines():
         console().print(line)
     chosen = found.fit.chosen
+    note(f"levels in log₁₀ of: {found.series.level_name}")
     note(f"model {chosen.model.name}; scatter of a threshold {chosen.sigma:.3f} log₁₀ units")
     for line in found.series.taken:
         note(f"taken: {line}")

@@ -59,7 +59,7 @@ def test_published_values_are_shown_with_their_source_and_what_has_none_is_named
     assert "0.08 log₁₀ units higher for each decade" in page
     assert "Jackson and Owsley 2000" in page
     assert "Rod–cone break and S2 slope: no norm by age is known." in page
-    assert "Binns" not in page
+    assert "Owsley et al. 2014" not in page
 
 
 def test_the_picture_shows_what_the_sentence_claims(broken, monkeypatch):
