@@ -105,9 +105,16 @@ class DisplayReport(Result):
                 )
             )
         measured = [one for one in self.sections if one.figures]
-        ordered = sorted(
-            measured, key=lambda one: one.method == "warm_up"
-        )  # warming up is no result
+        ordered = sorted(measured, key=lambda one: one.method == "warm_up")  # warming up is no result
+        main = [f"{_in_words(one.method)} {figure_text(one.figures[0])}" for one in ordered]
+        outcome = f"{', '.join(main[:3])}{', …' if len(main) > 3 else ''} (k = 2)"
+        known = self.measured_with
+        origin = Origin(
+            moment(self.created), known["camera"], known["lens"], known["calibration"], box=self.screen,
+            protocol=f"geometry {self.geometry.name}",
+        )  # fmt: skip
+        measured = [one for one in self.sections if one.figures]
+        ordered = sorted(measured, key=lambda one: one.method == "warm_up")  # warming up is no result
         main = [f"{_in_words(one.method)} {figure_text(one.figures[0])}" for one in ordered]
         outcome = f"{', '.join(main[:3])}{', …' if len(main) > 3 else ''} (k = 2)"
         with_what = (self.measured_with[name] for name in ("camera", "lens", "calibration"))

@@ -5,10 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import BeforeValidator, Field
+from pydantic import BeforeValidator, ConfigDict, Field
 
 from radiometer.data import LensDescription, Patch, PatchDescription, SourceDescription
-from radiometer.data.capture_header import LensHandling
 from radiometer.data.config_files import shipped_config
 from radiometer.data.storage import read_yaml
 from radiometer.data.validation import ConfigSection, validate
@@ -71,22 +70,12 @@ class GenicamCameraConfig(ConfigSection):
 CameraConfig = Annotated[SimulatedCameraConfig | GenicamCameraConfig, Field(discriminator="kind")]
 
 
-class LensConfig(ConfigSection):
-    """The lens in front of the camera."""
+class LensConfig(LensDescription):
+    """The lens in front of the camera: as capture sets record it, with its focal length and f-number."""
 
+    model_config = ConfigDict(extra="forbid")
     focal_length_mm: float = Field(gt=0, description="Focal length in mm.")
     f_number: float = Field(gt=0, description="f-number that it is set to.")
-    transmittance: float | None = Field(None, gt=0, le=1, description="Transmittance.")
-    transmittance_u_rel: float | None = Field(None, ge=0, description="Its relative standard uncertainty.")
-    magnification: float = Field(0.0, ge=0, description="Image size over object size; 0 for a distant object.")
-    pupil_magnification: float = Field(1.0, gt=0, description="Exit pupil over entrance pupil.")
-    principal_point_px: tuple[float, float] | None = Field(
-        None, description="Where the optical axis meets the frame: x and y in pixels; its middle by default."
-    )
-    vignetting: Literal["none", "cos4"] = Field("none", description="Natural fall-off to the corners: cos⁴, or none.")
-    since_calibration: tuple[LensHandling, ...] = Field(
-        (), description="What was done to it since the camera was calibrated; each adds to the uncertainty."
-    )
 
     @property
     def description(self) -> LensDescription:

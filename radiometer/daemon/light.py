@@ -63,6 +63,11 @@ class Light:
         self._changed()
         return self.levels[channel]
 
+    def limit(self, channel: str) -> float:
+        """Return the highest level, 0 to 1, that the box allowed a channel when it was last asked."""
+        limits: dict[str, float] = getattr(self.box, "level_limits", {}) or {}
+        return limits.get(channel, 1.0)
+
     async def off(self) -> None:
         """Darken every channel, whatever is known of it; each is tried although another failed.
 
@@ -95,7 +100,11 @@ class Light:
         return self.box, self.keeper
 
     def _opened(self) -> None:
-        """A box that comes back is dark: the levels set before are gone, and must not be believed."""
+        """A box that comes back is dark: the levels set before are gone, which is an alarm, and not believed."""
+        for channel, level in self.levels.items():
+            if level:
+                message = f"{channel} was set to {level:.4g} and went dark when the light box was lost or restarted"
+                self._alarms.put_up(light_alarm(channel), message)
         self.levels = dict.fromkeys(self.box.channels, 0.0) if self.box else {}
 
     def _reported(self, report: DeviceReport) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import datetime as dt
 import errno
 import fcntl
@@ -87,7 +88,10 @@ class EventJournal:
             if lasting:
                 os.fsync(self._stream.fileno())
         except OSError as error:
-            raise OutputError(f"cannot write {path}: {error.strerror or error}") from error
+            raise OutputError(
+                f"cannot write {path}: {error.strerror or error}; what was measured before is kept, the same command "
+                "goes on from there"
+            ) from error
 
     def of_kind(self, kind: str) -> list[Event]:
         """Return the events of a kind, in order."""
@@ -98,7 +102,8 @@ class EventJournal:
 
     def __exit__(self, *_: object) -> None:
         if self._stream:
-            self._stream.close()
+            with contextlib.suppress(OSError):  # every event was flushed; what a full disk refused was reported then
+                self._stream.close()
             self._stream = None
 
     def _cut_torn_line(self, path: Path) -> None:
