@@ -113,12 +113,6 @@ class DisplayReport(Result):
             moment(self.created), known["camera"], known["lens"], known["calibration"], box=self.screen,
             protocol=f"geometry {self.geometry.name}",
         )  # fmt: skip
-        measured = [one for one in self.sections if one.figures]
-        ordered = sorted(measured, key=lambda one: one.method == "warm_up")  # warming up is no result
-        main = [f"{_in_words(one.method)} {figure_text(one.figures[0])}" for one in ordered]
-        outcome = f"{', '.join(main[:3])}{', …' if len(main) > 3 else ''} (k = 2)"
-        with_what = (self.measured_with[name] for name in ("camera", "lens", "calibration"))
-        origin = Origin(moment(self.created), *with_what, box=self.screen, protocol=f"geometry {self.geometry.name}")
         text = page(f"display {self.screen}", outcome, parts, kind="display report", origin=origin)
         write_text_atomic(Path(path), text)
 
