@@ -95,7 +95,7 @@ def bench_keys() -> str:
 
 
 def _section_title(name: str) -> str:
-    words = re.findall("[A-Z][a-z]+", name.removesuffix("Config").removesuffix("Description"))
+    words = re.findall("[A-Z][a-z]+", name.removesuffix("Config"))
     return " ".join(words).capitalize()
 
 
