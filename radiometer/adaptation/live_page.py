@@ -102,7 +102,7 @@ class LivePage(Opened):
                 self._controls.stop(_BY)
             case "lights_off":  # the test ends, or its next blink would light the box again
                 self._controls.stop(_LIGHTS_OFF)
-                self._keep(self._tell_dark())
+                self._keep(self._publish_dark())
             case _:
                 return
         self._broadcast()
@@ -159,7 +159,7 @@ class LivePage(Opened):
         self._tasks.add(task)
         task.add_done_callback(self._tasks.discard)
 
-    async def _tell_dark(self) -> None:
+    async def _publish_dark(self) -> None:
         self._send_all(await darkened(self._darken))
 
     async def _send(self, socket: web.WebSocketResponse, message: Message) -> None:
