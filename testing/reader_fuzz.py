@@ -32,7 +32,6 @@ import numpy as np
 import tifffile
 import yaml
 
-from radiometer.adaptation.journal import read_events
 from radiometer.adaptation.threshold_files import read_table
 from radiometer.analysis.exports.curves import read_curves, write_curves
 from radiometer.analysis.photometry.photometry import spectrum_from_csv
@@ -40,6 +39,7 @@ from radiometer.archive.trend import read_histories
 from radiometer.bench.boxes import read_preset
 from radiometer.data import Calibration, CaptureSet, ResponseCurve
 from radiometer.data.capture_set import read_digital_numbers
+from radiometer.data.event_journal import read_events
 from radiometer.data.light_calibration import LightCalibration
 from radiometer.data.storage import read_yaml
 from radiometer.errors import RadiometerError

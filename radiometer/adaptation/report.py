@@ -13,6 +13,7 @@ import numpy as np
 
 from radiometer.adaptation.adaptation_fit import AdaptationFit, intercept_verdict
 from radiometer.adaptation.branch_fit import BranchFit
+from radiometer.adaptation.norms import WITHOUT, norms_of
 from radiometer.adaptation.reliability import MEANINGS, NAMES, Reliability
 from radiometer.data.storage import write_text_atomic
 from radiometer.numbers import rounded, unit_text
@@ -36,7 +37,7 @@ LABELS: Final = {
     "rod_intercept_min": "Rod-intercept time",
     "criterion_min": "Time at the criterion",
     "final_threshold": "Final threshold",
-    "area_log10_min": "Area under the dark-adaptation curve (AUDAC), above the final threshold",
+    "area_log10_min": "Area under the curve (AUDAC)",
     "area_from_min": "AUDAC from",
     "area_to_min": "AUDAC cut at",
 }
@@ -192,6 +193,7 @@ def to_mapping(fit: AdaptationFit) -> dict[str, Any]:
         "criterion_log10": fit.criterion,
         "rod_intercept": intercept_verdict(fit),
         "reliability": Reliability.of_facts(fit.chosen.series.facts).to_mapping(),
+        "norms": [one.to_mapping() for one in norms_of(fit.estimates)],
         "taken": list(fit.chosen.series.taken),
         "facts": dict(fit.chosen.series.facts),
         "level_unit": fit.chosen.series.facts.get("level_unit"),
@@ -236,6 +238,7 @@ def report_html(fit: AdaptationFit, title: str = "Dark adaptation") -> str:
             section("Remarks", *(paragraph(text, "flag") for text in _remarks(fit))),
             section("Estimates", _estimates(fit)),
             section("The subject", _reliability(fit)),
+            section("Published values of healthy eyes", *_norms(fit)),
             section("Models compared", _models(fit)),
             folded("What the file states", table((), sorted(fit.chosen.series.facts.items()), words=(1,))),
             folded("What was assumed", listed(_assumptions(fit))),
@@ -343,6 +346,7 @@ def _assumptions(fit: AdaptationFit) -> list[str]:
     percent = f"{100 * fit.request.confidence:g} %"
     return [
         f"Model {fit.chosen.model.name}: {fit.chosen.model.meaning}.",
+        "The area under the dark-adaptation curve (AUDAC) counts from the final threshold upwards.",
         f"Intervals are of {percent}: of parameters by profile likelihood, of the others by "
         f"{fit.request.bootstrap_draws} bootstrap redraws.",
         f"The stimulus' calibration is uncertain by {fit.request.stimulus_u_log10:g} log₁₀ units, which the "
@@ -387,6 +391,21 @@ def _reliability(fit: AdaptationFit) -> str:
         for name, rate in rates.items()
     ]
     return table(("", "share", "95 % interval", "counted", "of what"), rows, words=(4,))
+
+
+def _norms(fit: AdaptationFit) -> list[str]:
+    """Return the published values of what was found, and which estimates have none."""
+    rows = [(label_of(one.estimate, fit), one.found, one.conditions, one.source) for one in norms_of(fit.estimates)]
+    if not rows:
+        return []
+    without = " and ".join(label_of(name, fit) for name in WITHOUT if name in fit.estimates)
+    return [
+        paragraph(
+            "They hold for their bleach, spot and place. Measure healthy eyes of the same age with this set-up before "
+            "you judge by them." + (f" {without}: no norm by age is known." if without else "")
+        ),
+        table(("", "found", "with", "source"), rows, words=(1, 2, 3)),
+    ]
 
 
 def _models(fit: AdaptationFit) -> str:

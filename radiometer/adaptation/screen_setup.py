@@ -432,8 +432,8 @@ def open_screen_stage(
     if display == BROWSER:
         if subject is not None:
             raise UsageError("a simulated subject sees simulated displays only: --display lcd, pwm_lcd or oled")
+        viewing = _viewing(protocol, known, None)
         with _browser(request.port, announce) as screen:
-            viewing = _viewing(protocol, known, None)
             screen.show(ScreenPicture())  # nothing but black while the room is looked at
             yield ScreenStage(screen, known, reached, viewing, time.monotonic, time.time, request.eye), checks
     elif display in SIMULATED_DISPLAYS:

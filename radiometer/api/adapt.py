@@ -15,7 +15,6 @@ import numpy as np
 from radiometer.adaptation.adaptation_fit import AdaptationFit, FitRequest, fit_adaptation, intercept_verdict
 from radiometer.adaptation.bleach import bleached_fraction, bleached_range, pupil_diameter_mm, retinal_illuminance_td
 from radiometer.adaptation.controls import Controls
-from radiometer.adaptation.journal import Event
 from radiometer.adaptation.outcome import Outcome, Verdict
 from radiometer.adaptation.protocol import SHIPPED, AdaptationProtocol, instructions, practice_of, read_protocol
 from radiometer.adaptation.reliability import NAMES, Reliability
@@ -30,6 +29,7 @@ from radiometer.adaptation.threshold_series import ThresholdSeries
 from radiometer.adaptation.visits import OVERLAID, label_of_visit, moment_of, visit_at, visit_in, visits_html
 from radiometer.api.files import PathLike
 from radiometer.api.result import Notice, Result, require_other, unheard
+from radiometer.data.event_journal import Event
 from radiometer.data.guards import safe_name
 from radiometer.data.json_text import json_text
 from radiometer.data.storage import check_outputs, write_text_atomic
@@ -206,11 +206,11 @@ def adapt_run(
             watchers.append(reported)
         if view:
             watchers.append(held.enter_context(view(session)))
-        tell = _all_of(watchers, slow_s)
+        notify = _all_of(watchers, slow_s)
         if audio:
             ring = (lambda: None) if page or page_port > 0 else bell
-            tell = session.with_prompts(tell, _sounded(tell, ring))
-        outcome = session.run(tell)
+            notify = session.with_prompts(notify, _sounded(notify, ring))
+        outcome = session.run(notify)
         table = table_file if csv or outcome.can_be_fitted else None
         if table is not None:
             write_text_atomic(table, session.table(outcome))
@@ -222,18 +222,18 @@ def _at(url: str) -> str:
 
 
 def _all_of(watchers: Sequence[Watcher], slow_s: float) -> Watcher:
-    def tell(event: Event) -> None:
+    def notify(event: Event) -> None:
         for watcher in watchers:
             watcher(event)
         if slow_s and event["kind"] == "trial":
             time.sleep(slow_s)
 
-    return tell
+    return notify
 
 
-def _sounded(tell: Watcher, ring: Callable[[], None]) -> Watcher:
+def _sounded(notify: Watcher, ring: Callable[[], None]) -> Watcher:
     def sound(event: Event) -> None:
-        tell(event)
+        notify(event)
         ring()
 
     return sound
@@ -269,7 +269,8 @@ class AdaptationCurve(Result):
         for name, estimate in self.fit.estimates.items():
             interval = estimate.profile or estimate.bootstrap
             expanded = 2.0 * estimate.u
-            ends = [rounded(end, expanded)[0] for end in (interval.low, interval.high)] if interval else []
+            known = interval is not None and interval.low < interval.high  # ends of an area are chosen, not estimated
+            ends = [rounded(end, expanded)[0] for end in (interval.low, interval.high)] if interval and known else []
             shown = f"   {ends[0]} to {ends[1]} (95 %)" if ends else ""
             value = rounded(estimate.value, expanded)[0]
             found.append(f"{label_of(name, self.fit):<32} {value:>9} {unit_text(estimate.unit):<10}{shown}".rstrip())
@@ -488,7 +489,7 @@ class Visits(Result):
         return [
             f"{label_of_visit(one.series, one.name)}: "
             + ", ".join(
-                f"{label_of(name, one.fit).lower()} {short(one.fit, name)} {unit_text(one.fit.estimates[name].unit)}"
+                f"{label_of(name, one.fit)} {short(one.fit, name)} {unit_text(one.fit.estimates[name].unit)}"
                 for name in OVERLAID
                 if name in one.fit.estimates
             )

@@ -12,11 +12,12 @@ from radiometer.api.result import Progress, Result
 from radiometer.archive.jobs import JOBS, JobSettings
 from radiometer.archive.passport import Passport as Passport
 from radiometer.archive.passport import passports
-from radiometer.archive.run import BatchSummary, journal_of, run_batch
+from radiometer.archive.run import BatchSummary, run_batch
 from radiometer.archive.sessions import find_captures, read_sessions
 from radiometer.archive.trend import Trend as Trend
 from radiometer.archive.trend import read_histories
 from radiometer.archive.trend_report import trend_report
+from radiometer.data.event_journal import journal_of
 from radiometer.data.storage import check_outputs, write_text_atomic
 from radiometer.errors import InputError, UsageError
 from radiometer.progress import counted, unseen

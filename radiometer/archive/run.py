@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, Self
 
 from radiometer.archive.jobs import COLUMNS, JobSettings, Row, run_job
+from radiometer.data.event_journal import journal_of
 from radiometer.data.json_text import json_text, parsed_json
 from radiometer.data.storage import write_bytes_atomic
 from radiometer.errors import DeviceNotFound, MissingLibrary, OutputError, UsageError
@@ -39,11 +40,6 @@ _MMAP_THRESHOLD: Final = -3  # malloc.h of glibc
 _LARGEST_BLOCK: Final = 32 << 20  # glibc's own upper limit on 64 bits
 _KEPT_BYTES: Final = 256 << 20  # a capture's frames are read again and again: giving them back costs page faults
 TABLE_ENDINGS = (".parquet", ".csv")
-
-
-def journal_of(table: Path) -> Path:
-    """Return the journal of a table, which holds its rows as they come."""
-    return table.with_name(table.name + ".journal")
 
 
 class ResultJournal:

@@ -252,9 +252,9 @@ def crosstalk(subject: Subject, taps: Sequence[TapDescription]) -> tuple[Crossta
             source = read[of] - float(np.median(read[of]))
             if float(np.max(np.abs(source))) < _BRIGHTER * noise_dn or float(read[of].max()) >= top:
                 continue
-            heard = read[into] - float(np.median(read[into]))
+            received = read[into] - float(np.median(read[into]))
             scale = float(np.sum(source**2))
-            share = Quantity(float(np.sum(source * heard)) / scale, robust_sigma(heard) / math.sqrt(scale), "1")
+            share = Quantity(float(np.sum(source * received)) / scale, robust_sigma(received) / math.sqrt(scale), "1")
             if (of, into) not in best or share.u < best[of, into].u:
                 best[of, into] = share
     return tuple(Crosstalk(of, into, share) for (of, into), share in best.items())
