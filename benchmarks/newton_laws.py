@@ -3,9 +3,9 @@
     python -m benchmarks newton_laws --laws NEWTONBENCH --sections 12 --first-seed 1302001
 
 NEWTONBENCH is a checkout of HKUST-KnowComp/NewtonBench; without it the benchmark says so and stops. A law shifts the
-black level of a simulated camera: its first variable goes with the exposure, its second one with the f-number, and
+black level of a simulated camera: its first variable follows the exposure, its second one the f-number, and
 the largest shift is 40 DN. Each frame's shift has the relative noise of their benchmark, 0, 1e-4 or 1e-2. Laws of one
-and two variables are hidden whole. Of the others the grammar can hold no more than a section: `--sections` of them are
+and two variables are hidden whole. Of the others the grammar can hold at most a section: `--sections` of them are
 drawn, with two drawn variables; the others rest at the middle of their ranges.
 """
 

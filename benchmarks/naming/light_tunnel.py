@@ -1,7 +1,7 @@
 """Sessions of a world by other people: the light tunnel of the package `causalchamber` (Gamella et al. 2025).
 
-The world is their model F3, which knows leaking polarisers and LEDs that every channel sees. The description that goes
-with the frames follows their simpler models: F2, whose polarisers block all light when crossed, or F1, which sees every
+The world is their model F3, which knows leaking polarisers and LEDs that every channel sees. The description of
+the frames follows their simpler models: F2, whose polarisers block all light when crossed, or F1, which sees every
 LED alike. A null session is described by F3. Photons, read noise and codes are drawn here; the package has none.
 """
 
