@@ -75,8 +75,8 @@ def make(folder: Path, count: int, first_seed: int) -> None:
 def _write(lt: Any, folder: Path, task: str, channel: int | None, seed: int) -> None:
     dice = np.random.default_rng([seed, sum(map(ord, task)), 3 if channel is None else channel])
     patterns = tuple(f"pol_{angle:02d}" for angle in _ANGLES) if TASKS[task][0] == "angles" else tuple(_LEDS)
-    base = {pattern: _value(lt, "F3", pattern, channel, 1.0, 1.0) for pattern in patterns}
-    exposure = _HIGHEST / max(base.values())
+    channels = (0, 1, 2) if channel is None else (channel,)  # each clips by itself
+    exposure = _HIGHEST / max(_value(lt, "F3", pattern, one, 1.0, 1.0) for pattern in patterns for one in channels)
     stated = {pattern: _stated(lt, task, pattern, channel) * exposure for pattern in patterns}
     per_value = _WELL_E * _STOP**2 / (_RIG.electrons_per_radiance_second * _BASE_S)
     errors = {pattern: 1 + _RIG.patch_error * dice.standard_normal(len(_PLACES)) for pattern in patterns}
