@@ -15,7 +15,7 @@ from radiometer.analysis.characterise.characterise import characterise
 from radiometer.analysis.characterise.group_statistics import GroupStatistics
 from radiometer.analysis.characterise.result import Characterisation
 from radiometer.analysis.characterise.subject import FrameGroup, Subject, subject_of_capture
-from radiometer.analysis.signal.borders import borders
+from radiometer.analysis.signal.borders import borders_of_grid
 from radiometer.data import CameraDescription, CaptureSet, Patch, Quantity, TapDescription
 from radiometer.errors import MeasurementError, UsageError
 from radiometer.statistics.scale import robust_sigma
@@ -180,9 +180,8 @@ def find_taps(subject: Subject) -> tuple[TapDescription, ...]:
     """
     pictures = _pictures(subject)
     height, width = pictures[0].shape
-    x_edges = [0, *borders(pictures), width]
-    y_edges = [0, *borders([picture.T for picture in pictures]), height]
-    cells = _grid(x_edges, y_edges)
+    columns, rows = borders_of_grid(pictures)
+    cells = _grid([0, *columns, width], [0, *rows, height])
     level = float(np.median(pictures[0]))
     lit = [float(np.median(pictures[0][cell.patch.slices])) > _UNLIT * level for cell in cells]
     taps = list[TapDescription]()

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
+from itertools import pairwise
 from typing import Any, Final
 
 import numpy as np
@@ -22,38 +23,68 @@ _NARROWEST_PX: Final = 4
 def borders(pictures: Iterable[NDArray[Any]]) -> list[int]:
     """Return the columns at which a tap begins, in rising order.
 
+    The clearest border is taken first. The next ones are looked for on each side of it, so that no line is drawn across
+    a border: narrow taps have many.
+
     Args:
         pictures: Light, dark signal or noise of each pixel, shape (height, width) each; transposed ones give rows.
     """
-    found: dict[int, float] = {}
-    for picture in pictures:
-        for column, strength in _steps(picture):
-            found[column] = max(strength, found.get(column, 0.0))
+    strips = [
+        np.stack([part.mean(axis=0, dtype=np.float64) for part in np.array_split(picture, _STRIPS)])
+        for picture in pictures
+        if picture.shape[0] >= 2 * _STRIPS
+    ]
+    waiting = [(0, strips[0].shape[1])] if strips else []
     kept: list[int] = []
-    for column in sorted(found, key=lambda at: -found[at]):
-        if all(abs(column - other) >= _NARROWEST_PX for other in kept):
-            kept.append(column)
+    while waiting:
+        begin, end = waiting.pop()
+        found = max((_clearest(picture[:, begin:end]) for picture in strips), key=lambda one: one[1])
+        if found[1] > _SIGMAS:
+            kept.append(begin + found[0])
+            waiting += [(begin, kept[-1]), (kept[-1], end)]
     return sorted(kept)
 
 
-def _steps(picture: NDArray[Any]) -> list[tuple[int, float]]:
-    """Return the columns at which all strips of one half step alike, with the strength of the step in sigmas."""
-    width = picture.shape[1]
-    reach = min(_WIDEST_PX, width // 8)
-    if reach < _NARROWEST_PX or picture.shape[0] < 2 * _STRIPS:
-        return []
-    strips = np.stack([part.mean(axis=0, dtype=np.float64) for part in np.array_split(picture, _STRIPS)])
+def borders_of_grid(pictures: Sequence[NDArray[Any]]) -> tuple[list[int], list[int]]:
+    """Return the columns and the rows at which taps begin that make a grid, each in rising order.
+
+    What is above another tap may step the other way. So rows are looked for in the columns of each tap by themselves,
+    and columns in its rows, until no further ones are found.
+
+    Args:
+        pictures: As for `borders`.
+    """
+    columns, rows = borders(pictures), list[int]()
+    turned = [picture.T for picture in pictures]
+    while True:
+        more_rows = _in_parts(turned, columns, rows)
+        more_columns = _in_parts(pictures, more_rows, columns)
+        if (more_columns, more_rows) == (columns, rows):
+            return columns, rows
+        columns, rows = more_columns, more_rows
+
+
+def _in_parts(pictures: Sequence[NDArray[Any]], parted: Sequence[int], known: Sequence[int]) -> list[int]:
+    """Return the known columns and those that parts of the pictures' rows show, none next to another."""
+    found = list(known)
+    for begin, end in pairwise([0, *parted, pictures[0].shape[0]]):
+        own = borders([picture[begin:end] for picture in pictures])
+        found += [column for column in own if all(abs(column - other) >= _NARROWEST_PX for other in found)]
+    return sorted(found)
+
+
+def _clearest(strips: Array) -> tuple[int, float]:
+    """Return the column at which all strips of one half step alike the most, and the step's strength in sigmas."""
+    reach = min(_WIDEST_PX, strips.shape[1] // 8)
+    if reach < _NARROWEST_PX:
+        return 0, 0.0
     narrow = np.array([_step_sigmas(strip, _NARROWEST_PX) for strip in strips])
     wide = np.array([_step_sigmas(strip, reach) for strip in strips])
     sigmas = np.where(np.abs(wide) > np.abs(narrow), wide, narrow)
     halves = sigmas[: _STRIPS // 2], sigmas[_STRIPS // 2 :]
     strength = np.max([_common(half) for half in halves], axis=0)
-    found = []
-    for column in np.flatnonzero(strength > _SIGMAS):
-        around = strength[max(column - reach, 0) : column + reach + 1]
-        if strength[column] == around.max():
-            found.append((int(column), float(strength[column])))
-    return found
+    column = int(np.argmax(strength))
+    return column, float(strength[column])
 
 
 def _common(sigmas: Array) -> Array:
