@@ -178,9 +178,9 @@ def find_taps(subject: Subject) -> tuple[TapDescription, ...]:
         MeasurementError: If there are no frames with light.
         CaptureError: If a frame is unreadable.
     """
-    pictures = _pictures(subject)
+    pictures, variance = _pictures(subject)
     height, width = pictures[0].shape
-    columns, rows = borders_of_grid(pictures)
+    columns, rows = borders_of_grid(pictures, variance)
     cells = _grid([0, *columns, width], [0, *rows, height])
     level = float(np.median(pictures[0]))
     lit = [float(np.median(pictures[0][cell.patch.slices])) > _UNLIT * level for cell in cells]
@@ -199,8 +199,8 @@ def _is_adjacent(one: TapDescription, other: TapDescription) -> bool:
     return across or along
 
 
-def _pictures(subject: Subject) -> list[Array]:
-    """Return mean light less dark, mean dark, and dark variance of each pixel where there are two dark frames."""
+def _pictures(subject: Subject) -> tuple[list[Array], Array | None]:
+    """Return light less dark and dark, each a mean, of each pixel; and its dark variance where there are two frames."""
     top = subject.camera.saturated_dn
     bright = [group for group in subject.groups if not group.settings.is_dark]
     dark = [group for group in subject.groups if group.settings.is_dark]
@@ -214,9 +214,7 @@ def _pictures(subject: Subject) -> list[Array]:
     pictures = [light]
     if dark:
         pictures.append(black[0])
-    if black[1] is not None:
-        pictures.append(black[1])
-    return pictures
+    return pictures, black[1]
 
 
 def _moments(group: FrameGroup, top: int) -> tuple[Array, Array | None]:

@@ -18,22 +18,23 @@ _SIGMAS: Final = 6.0  # of a step in a strip, over all strips: chance exceeds it
 _STRIP_SIGMAS: Final = 2.5  # of a step in one strip
 _WIDEST_PX: Final = 16  # columns on each side that a line is drawn through: shading is straight over so few
 _NARROWEST_PX: Final = 4
+_ROUNDING_DN2: Final = 1.0 / 12.0  # variance by rounding to whole codes: less noise cannot be seen
 
 
-def borders(pictures: Iterable[NDArray[Any]]) -> list[int]:
+def borders(pictures: Iterable[NDArray[Any]], variance: NDArray[Any] | None = None) -> list[int]:
     """Return the columns at which a tap begins, in rising order.
 
     The clearest border is taken first. The next ones are looked for on each side of it, so that no line is drawn across
     a border: narrow taps have many.
 
     Args:
-        pictures: Light, dark signal or noise of each pixel, shape (height, width) each; transposed ones give rows.
+        pictures: Light or dark signal of each pixel, shape (height, width) each; transposed ones give rows.
+        variance: Temporal variance of each pixel in DN². Its logarithm counts, which scatters alike in noisy taps and
+            in quiet ones.
     """
-    strips = [
-        np.stack([part.mean(axis=0, dtype=np.float64) for part in np.array_split(picture, _STRIPS)])
-        for picture in pictures
-        if picture.shape[0] >= 2 * _STRIPS
-    ]
+    strips = [_in_strips(picture) for picture in pictures if picture.shape[0] >= 2 * _STRIPS]
+    if variance is not None and variance.shape[0] >= 2 * _STRIPS:
+        strips.append(np.log(np.maximum(_in_strips(variance), _ROUNDING_DN2)))
     waiting = [(0, strips[0].shape[1])] if strips else []
     kept: list[int] = []
     while waiting:
@@ -45,7 +46,13 @@ def borders(pictures: Iterable[NDArray[Any]]) -> list[int]:
     return sorted(kept)
 
 
-def borders_of_grid(pictures: Sequence[NDArray[Any]]) -> tuple[list[int], list[int]]:
+def _in_strips(picture: NDArray[Any]) -> Array:
+    return np.stack([part.mean(axis=0, dtype=np.float64) for part in np.array_split(picture, _STRIPS)])
+
+
+def borders_of_grid(
+    pictures: Sequence[NDArray[Any]], variance: NDArray[Any] | None = None
+) -> tuple[list[int], list[int]]:
     """Return the columns and the rows at which taps begin that make a grid, each in rising order.
 
     What is above another tap may step the other way. So rows are looked for in the columns of each tap by themselves,
@@ -53,22 +60,25 @@ def borders_of_grid(pictures: Sequence[NDArray[Any]]) -> tuple[list[int], list[i
 
     Args:
         pictures: As for `borders`.
+        variance: As for `borders`.
     """
-    columns, rows = borders(pictures), list[int]()
-    turned = [picture.T for picture in pictures]
+    columns, rows = borders(pictures, variance), list[int]()
+    turned, turned_variance = [picture.T for picture in pictures], None if variance is None else variance.T
     while True:
-        more_rows = _in_parts(turned, columns, rows)
-        more_columns = _in_parts(pictures, more_rows, columns)
+        more_rows = _in_parts(turned, turned_variance, columns, rows)
+        more_columns = _in_parts(pictures, variance, more_rows, columns)
         if (more_columns, more_rows) == (columns, rows):
             return columns, rows
         columns, rows = more_columns, more_rows
 
 
-def _in_parts(pictures: Sequence[NDArray[Any]], parted: Sequence[int], known: Sequence[int]) -> list[int]:
+def _in_parts(
+    pictures: Sequence[NDArray[Any]], variance: NDArray[Any] | None, parted: Sequence[int], known: Sequence[int]
+) -> list[int]:
     """Return the known columns and those that parts of the pictures' rows show, none next to another."""
     found = list(known)
     for begin, end in pairwise([0, *parted, pictures[0].shape[0]]):
-        own = borders([picture[begin:end] for picture in pictures])
+        own = borders([one[begin:end] for one in pictures], None if variance is None else variance[begin:end])
         found += [column for column in own if all(abs(column - other) >= _NARROWEST_PX for other in found)]
     return sorted(found)
 
@@ -104,6 +114,6 @@ def _step_sigmas(profile: Array, reach: int) -> Array:
     right = windows[reach : reach + profile.size] @ weight
     left = windows[: profile.size] @ weight[::-1]
     step = right - left
-    step[:_NARROWEST_PX] = step[-_NARROWEST_PX:] = 0.0
-    spread = robust_sigma(step, 0.0)
+    spread = robust_sigma(step[reach:-reach], 0.0)
+    step[:reach] = step[-reach:] = 0.0  # a line must be drawn on each side
     return np.asarray(step / spread if spread > 0 else np.zeros_like(step))
