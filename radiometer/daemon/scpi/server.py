@@ -1,4 +1,9 @@
-"""SCPI over raw TCP and a Unix socket: one message per line."""
+"""SCPI over raw TCP and a Unix socket: one message per line.
+
+A web page may have the browser of this machine send bytes of its choice to any loopback port: the body of a POST, line
+by line. The browser cannot help sending its request line and headers before them; by these it is known. No program
+message of ours begins so: a mnemonic holds no hyphen, and no blank follows a root header but before its arguments.
+"""
 
 from __future__ import annotations
 
@@ -21,7 +26,6 @@ from radiometer.daemon.places import Places
 from radiometer.daemon.scpi.errors import ScpiError
 from radiometer.daemon.scpi.lexer import block_end
 from radiometer.daemon.scpi.session import Session
-from radiometer.daemon.scpi.strangers import is_strange
 from radiometer.daemon.scpi.table import command_table
 from radiometer.daemon.station import Station
 from radiometer.errors import OutputError, UsageError
@@ -41,6 +45,25 @@ _GUEST_S: Final = 2.0
 _DARKENS: Final = re.compile(
     rb"\s*:?outp(?:ut)?:all\s+(?:off|0)\s*(?:;\s*(?::?outp(?:ut)?:)?(?:all\?|\*opc\?)\s*)*", re.IGNORECASE
 )
+_METHODS: Final = rb"GET|HEAD|POST|PUT|DELETE|OPTIONS|CONNECT|PRI|PROPFIND"
+_METHODS_WITH_TARGET: Final = rb"(?:TRACE|PATCH)[ \t]+[/*h]"  # both are also long forms of our own mnemonics
+_HEADERS: Final = rb"Host|Connection|Accept|Origin|Referer|Cookie|Upgrade|Expect|Pragma|Range|[a-z]+(?:-[a-z]+)+"
+_STRANGE: Final = re.compile(
+    rb"(?:\A|\n)[\x00-\x09\x0b-\x20]*"  # what the lexer passes over at the beginning of a message
+    rb"(?:(?:" + _METHODS + rb")[ \t]|" + _METHODS_WITH_TARGET + rb"|(?:" + _HEADERS + rb")[ \t]*:"
+    rb"|[^\n]{0,4096}[ \t]HTTP/\d)"
+    rb"|(?:\A|\n)\x16\x03",  # a TLS record: handshake, version 3.x (RFC 8446, 5.1)
+    re.IGNORECASE,
+)
+
+
+def is_strange(received: bytes | bytearray) -> bool:
+    """Return whether bytes that begin with a line hold the beginning of a line of HTTP or TLS.
+
+    Args:
+        received: What came, from the beginning of a line on; its last line may be unfinished.
+    """
+    return _STRANGE.search(received) is not None
 
 
 class ScpiConnection(asyncio.Protocol):
@@ -61,6 +84,7 @@ class ScpiConnection(asyncio.Protocol):
         self._vetted_at: float | None = None
         self._idle_timer: asyncio.TimerHandle | None = None
         self._heard_at = 0.0
+        self._guest_for = ""  # why it has no place
         self._guest_until: asyncio.TimerHandle | None = None  # None but where every connection was in use
         self.session: Session | None = None
 
@@ -76,12 +100,14 @@ class ScpiConnection(asyncio.Protocol):
             self.refuse(reason)
             return
         self.session = Session(self._server.station, self._server.table, self._limits.reply_bytes)
-        if crowded := self._server.make_room():
+        host = _host(transport.get_extra_info("peername"))
+        if crowded := self._server.make_room(host):
             self._server.take_guest(self, crowded)
+            self._guest_for = crowded
             self._guest_until = asyncio.get_running_loop().call_later(_GUEST_S, self.refuse, crowded)
             return
         self._server.connections.add(self)
-        self._server.places.enter(self, _host(transport.get_extra_info("peername")))
+        self._server.places.enter(self, host)
         self._start_idle_timer()
 
     def refuse(self, reason: str) -> None:
@@ -234,7 +260,7 @@ class ScpiConnection(asyncio.Protocol):
     def _run(self, message: bytes) -> str | Coroutine[Any, Any, str | None] | None:
         assert self.session is not None
         if self._guest_until is not None and not _DARKENS.fullmatch(message):
-            self.refuse("too many connections")
+            self.refuse(self._guest_for)
             return None
         self._server.served.inc()
         try:
@@ -418,7 +444,7 @@ class ScpiServer:
         """Return why a client is refused; "" where it is taken."""
         if isinstance(peer, tuple) and not is_allowed(peer[0], self._allow):
             return "not on the allow-list"
-        return self.places.refusal(_host(peer))
+        return ""
 
     def take_guest(self, guest: ScpiConnection, reason: str) -> None:
         """Let one more in that may only switch the lights off; the one that has waited longest goes for it."""
@@ -428,13 +454,13 @@ class ScpiServer:
             oldest.refuse(reason)
         self.guests[guest] = None
 
-    def make_room(self) -> str:
+    def make_room(self, host: str) -> str:
         """Put the connection out that has the least claim to its place; return why the next one gets none."""
-        if (displaced := self.places.make_room()) is not None:
+        if (displaced := self.places.make_room(host)) is not None:
             displaced.drop("makes room for another client")
             self.connections.discard(displaced)
             self.places.leave(displaced)
-        return "too many connections" if self.places.is_full else ""
+        return self.places.refusal(host) or ("too many connections" if self.places.is_full else "")
 
     def _state_changed(self) -> None:
         for connection in self.connections:
