@@ -10,14 +10,21 @@ from typing import Any
 import numpy as np
 import pytest
 
-from radiometer.reconciliation.fit import full_fit
-from radiometer.reconciliation.fit.descent import coarse_fit, converged_fit, first_state, refit, refit_with
-from radiometer.reconciliation.fit.full_fit import FullFits, UnfitError
+from radiometer.reconciliation.fit import descent
+from radiometer.reconciliation.fit.descent import (
+    FullFits,
+    UnfitError,
+    coarse_fit,
+    converged_fit,
+    first_state,
+    refit,
+    refit_with,
+)
 from radiometer.reconciliation.fit.nuisances import NuisanceLayout
 from radiometer.reconciliation.fit.state import FitState, reweighted, with_effects
 from radiometer.reconciliation.measure.design import Design, slope_lengths, tile_groups
 from radiometer.reconciliation.measure.reduce import frame_reader, reduce_frames
-from radiometer.reconciliation.model.tile_model import predict_several
+from radiometer.reconciliation.tile_model import predict_several
 from simulators.effects.exposure_time_offset import ExposureTimeOffset
 from simulators.effects.prnu import Prnu
 from simulators.effects.response_nonlinearity import ResponseNonlinearity
@@ -106,7 +113,7 @@ def test_one_step_fits_nothing_twice(plain: FitState, monkeypatch: pytest.Monkey
         in_a_hurry.append(early_stop)
         return with_effects(state, [effect])
 
-    monkeypatch.setattr(full_fit, "included", counted)
+    monkeypatch.setattr(descent, "included", counted)
     fits, effect = FullFits(plain), ExposureTimeOffset(1e-6)
     first = fits.included(effect, far=True)
     assert fits.included(effect, far=True) is first
@@ -119,7 +126,7 @@ def test_one_step_fits_nothing_twice(plain: FitState, monkeypatch: pytest.Monkey
 def test_what_leaves_more_than_it_may_is_not_refitted_under_its_own_weights(plain: FitState) -> None:
     """The χ² under the weights of the state decides, once all parameters have followed."""
     effect = ExposureTimeOffset(1e-6)
-    near = coarse_fit(full_fit.accepted(plain, effect)).cost
+    near = coarse_fit(descent.accepted(plain, effect)).cost
     assert FullFits(plain, near + 1.0).included(effect, far=False).effects
     with pytest.raises(UnfitError, match=effect.name):
         FullFits(plain, near - 1.0).included(effect, far=False)

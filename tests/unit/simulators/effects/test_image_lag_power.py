@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from radiometer.data import CameraDescription, FrameSettings
-from radiometer.reconciliation.model.tile_context import TileContext
+from radiometer.reconciliation.tile_model import TileContext
 from simulators.effects.context import FrameGeometry
 from simulators.effects.image_lag import ImageLag
 from simulators.effects.tile_moments import TileMoments

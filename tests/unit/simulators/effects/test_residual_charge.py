@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from radiometer.reconciliation.model.tile_context import CapturesPast, FrameTimes
+from radiometer.reconciliation.tile_model import CapturesPast, FrameTimes
 from simulators.chain.virtual_sensor import FadingPast
 from simulators.effects.residual_charge import ResidualCharge
 from tests.unit.simulators.effects.test_laws_by_figures import at

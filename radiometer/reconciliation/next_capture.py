@@ -24,10 +24,10 @@ from radiometer.reconciliation.fit.descent import refit, refit_with
 from radiometer.reconciliation.fit.state import FitState, with_effects, with_terms
 from radiometer.reconciliation.measure.design import BRIGHT_SURROUND, DARK_SURROUND, Design
 from radiometer.reconciliation.measure.reduce import PatternImages
-from radiometer.reconciliation.model.tile_model import TileModel
 from radiometer.reconciliation.result import Limit, ReconcileResult
 from radiometer.reconciliation.search.screening import best_start
 from radiometer.reconciliation.statistics import Prediction
+from radiometer.reconciliation.tile_model import TileModel
 from radiometer.typing import Array
 from simulators.effects.catalogue import CatalogueEffect
 from simulators.effects.context import ExposureContext
