@@ -330,6 +330,8 @@ def without_essential(
 ) -> list[str]:
     """Return the names of effects of which an essential parameter is within three standard uncertainties of nothing.
 
+    One at the end of its range has no uncertainty, and is doubted where that end is nothing.
+
     Args:
         parameters: Their fitted parameters by effect and name.
     """
@@ -337,6 +339,6 @@ def without_essential(
     for effect in effects:
         sizes = {name: parameters[effect.name].get(name) for name in effect.essential}
         known = ((abs(size.value - effect.neutral(name)), size.u) for name, size in sizes.items() if size is not None)
-        if any(u is not None and far < ESSENTIAL_SIGMAS * u for far, u in known):
+        if any(far <= ESSENTIAL_SIGMAS * (u or 0.0) for far, u in known):
             found.append(effect.name)
     return found

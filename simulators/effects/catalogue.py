@@ -143,6 +143,10 @@ class CatalogueEffect(Effect):
         """Return the value at which a parameter does nothing."""
         return 1.0 if parameter in cls.neutral_at_one else 0.0
 
+    def is_nothing(self) -> bool:
+        """Return whether an essential parameter that is fitted does nothing: what the others do is no such effect."""
+        return any(getattr(self, name) == self.neutral(name) for name in self.essential if name in self.free())
+
     def remark(self, camera: CameraDescription, u: Mapping[str, float | None]) -> str:
         """Return what a finding says against a figure that the camera's description states; nothing by default.
 

@@ -297,7 +297,8 @@ def included(
         early_stop: Whether it ends where it creeps (`refit`).
 
     Raises:
-        UnfitError: If with it the model predicts what no camera does, or leaves more than that.
+        UnfitError: If with it the model predicts what no camera does or leaves more than that, or if its essential
+            parameter falls to nothing.
     """
     following = accepted(state, effect)
     try:
@@ -308,9 +309,12 @@ def included(
         near = coarse_fit(following, early_stop=early_stop)
         if near.cost > most:
             raise UnfitError(effect.name)
-        return converged_fit(near, early_stop=early_stop)
+        fitted = converged_fit(near, early_stop=early_stop)
     except (np.linalg.LinAlgError, ConfigurationError) as error:  # no covariance, or parameters that are no numbers
         raise UnfitError(effect.name) from error
+    if any(own.is_nothing() for own in fitted.effects if own.name == effect.name):
+        raise UnfitError(effect.name)
+    return fitted
 
 
 class FullFits:

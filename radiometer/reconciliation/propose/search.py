@@ -542,12 +542,13 @@ def held_to_laws(
     if law is None:
         return outcome
     is_plainer = law.law.size < outcome.state.parameters.size
-    if lead_nats(outcome, law) <= (0.0 if is_plainer else NAMED_NATS):
+    lead = lead_nats(outcome, law)
+    if lead <= (0.0 if is_plainer else NAMED_NATS):
         return outcome
     named = " and ".join(step.name for step in outcome.steps if step.name != "unnamed")
     remark = f"{law.name}, a law outside the catalogue, predicts better than {named}"
     say(remark)
-    if brings_most(outcome, law):
+    if lead <= NAMED_NATS or brings_most(outcome, law):
         return replace(outcome, remarks=(*outcome.remarks, remark))
     return without_names(outcome, law, f"{remark} (gap {law.after.gap:.3g}), which is therefore not named")
 
@@ -564,7 +565,8 @@ def own_covariates(effect: CatalogueEffect) -> tuple[str, ...]:
 def lead_nats(outcome: Search, law: Proposal) -> float:
     """Return by how many nats a law predicts better than what was found, each parameter paid for.
 
-    An entry is known beforehand, a law is not: it must lead by the odds of a name, unless it needs fewer parameters.
+    An entry is known beforehand, a law is not: it must lead by the odds of a name. A lead that it owes to fewer
+    parameters makes a name doubtful, and takes none away: the law may be a special case of the entry.
     """
     return (worth(law.after) - worth(outcome.state)) / scatter_of(outcome.state)
 

@@ -115,7 +115,10 @@ def search(
     if taken:
         say("; ".join(f"{effect.name} in place of {name}" for name, effect in taken.items()))
         run.steps = [_renamed(step, taken.get(step.name), likeliest) for step in run.steps]
-        state, tests = likeliest, localise(likeliest)
+        state, dropped = pruned(likeliest, say)  # what stood next to another name may be superfluous next to this one
+        for name in dropped:
+            _forget(run, name)
+        tests = localise(state)
     return Search(state, start, tuple(run.steps), significant(tests), tests, first)
 
 
@@ -176,7 +179,8 @@ def _one_step(state: FitState, tests: tuple[Disagreement, ...], run: _Run) -> Fi
     departed = [] if standing else departing(tests, state.effects)
     if not standing and not promising and not departed:
         return None
-    fitted = sorted((_fitted(state, c, run) for c in promising[:_FITTED]), key=lambda f: -penalised_chi2(f))
+    all_fitted = (_fitted(state, candidate, run) for candidate in promising[:_FITTED])
+    fitted = sorted((f for f in all_fitted if not f.effect.is_nothing()), key=lambda f: -penalised_chi2(f))
     run.first = run.first or [candidate.effect for candidate in fitted]
     judged = [(f, judged_gain(state, f)) for f in fitted[:_JUDGED]]
     shown = [entry for entry in judged if is_shown(*entry)]
