@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from scipy.linalg import solve_triangular
 
 from radiometer.errors import ConfigurationError
+from radiometer.reconciliation.fit.candidate_fit import Candidate, fit_candidate
 from radiometer.reconciliation.fit.linear import descended
 from radiometer.reconciliation.fit.nuisances import NuisanceLayout, rough_log_responsivity
 from radiometer.reconciliation.fit.state import FitState, reweighted, value_of, weighted, with_effects
@@ -306,7 +307,7 @@ def included(
             own = following.parameters.owner
             mine = frozenset(i for i, at in enumerate(own) if following.effects[at].name == effect.name)
             following = replace(coarse_fit(replace(following, frozen=mine), early_stop=early_stop), frozen=frozenset())
-        near = coarse_fit(following, early_stop=early_stop)
+        near = coarse_fit(_profiled_anew(following), early_stop=early_stop)
         if near.cost > most:
             raise UnfitError(effect.name)
         fitted = converged_fit(near, early_stop=early_stop)
@@ -315,6 +316,19 @@ def included(
     if any(own.is_nothing() for own in fitted.effects if own.name == effect.name):
         raise UnfitError(effect.name)
     return fitted
+
+
+def _profiled_anew(state: FitState) -> FitState:
+    """Return the state with a parameter in which the prediction jumps where it fits best next to the newest effect.
+
+    No step of a fit moves it: it would stay where it was next to the effects before.
+    """
+    for effect in state.effects[:-1]:
+        if effect.profiled:
+            others = with_effects(state, [other for other in state.effects if other is not effect])
+            found = fit_candidate(others, Candidate(effect, 0.0, len(effect.free()) or 1)).effect
+            state = with_effects(state, [found if other is effect else other for other in state.effects])
+    return state
 
 
 class FullFits:

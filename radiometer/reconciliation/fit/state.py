@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any, Final
 
@@ -131,10 +131,13 @@ def value_of(effect: CatalogueEffect, name: str) -> float:
 
 
 def _typical(effect: CatalogueEffect, name: str) -> float:
-    """Return a parameter's typical size: the largest among the trials, else its usual value, else 1 %."""
+    """Return a parameter's typical size: the largest among the trials, else its usual value, else 1 %.
+
+    A usual value at the upper end of the range is no size: a threshold there means that there is none.
+    """
     tried = [abs(trial[name]) for trial in effect.trials if name in trial]
-    usual = {entry.name: entry.default for entry in fields(effect)}.get(name)
-    return max(tried, default=abs(usual) if isinstance(usual, float) and usual else 0.01)
+    usual = {e.name: e.default for e in effect.parameters() if isinstance(e.default, float) and e.default != e.high}
+    return max(tried, default=abs(usual.get(name, 0.0)) or 0.01)
 
 
 ColumnBuilder = Callable[[Comparison, Prediction, Array], Array]
