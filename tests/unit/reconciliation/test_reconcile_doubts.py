@@ -14,6 +14,7 @@ from radiometer.reconciliation.verdict import uncertain, without_essential
 from simulators.effects.catalogue import CatalogueEffect
 from simulators.effects.conversion_gain_error import ConversionGainError
 from simulators.effects.crosstalk import Crosstalk
+from simulators.effects.dark_frame_subtracted import DarkFrameSubtracted
 from simulators.effects.exposure_time_offset import ExposureTimeOffset
 from simulators.effects.natural_vignetting import NaturalVignetting
 from simulators.effects.psf_blur import PsfBlur
@@ -64,7 +65,7 @@ def test_fall_off_without_its_oblique_part_lacks_its_essential() -> None:
 
 
 def test_scatter_of_any_width_lacks_its_essential() -> None:
-    """A wing whose width the data do not tell may be any glare, however well its share is known."""
+    """A wing whose width the data do not tell may be any glare; darks without noise, at the end of it, are none."""
     wing = (StrayLightKernel(0.002, 0.7),)
 
     def fitted(u: float) -> dict[str, dict[str, FittedParameter]]:
@@ -77,6 +78,8 @@ def test_scatter_of_any_width_lacks_its_essential() -> None:
 
     assert without_essential(wing, fitted(0.3)) == ["stray_light_kernel"]
     assert without_essential(wing, fitted(0.1)) == []
+    darks = {"dark_frame_subtracted": {"share": FittedParameter(0.0, None, "1")}}
+    assert without_essential((DarkFrameSubtracted(0.0),), darks) == ["dark_frame_subtracted"]
 
 
 @pytest.mark.parametrize(("u_s", "doubted"), [(1e-5, True), (1e-6, False)])
