@@ -11,15 +11,15 @@ FOLDER: Final = Path(__file__).resolve().parents[1] / "docs" / "benchmarks"
 # The page of a section is the first whose beginnings fit its name.
 _PAGES: Final = {
     "response": ("merge_photographs", "response", "photographs", "memorial", "left_out"),
-    "measuring": ("merge", "main-job", "characterise", "honest", "trend_claims", "archive"),
+    "measuring": ("merge", "main-job", "characterise", "honest", "trend_claims", "archive", "colour"),
     "wire": ("wire",),
     "daemon": ("daemon",),
     "reconcile": ("reconcile", "peer"),
     "adaptation": ("adaptation",),
     "files": ("reader",),
     "light-box": ("eye",),
-    "sensors": ("real-sensors",),
-    "naming": ("naming",),
+    "sensors": ("real-sensors", "taps"),
+    "naming": ("naming", "newton"),
 }
 
 

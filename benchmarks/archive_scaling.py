@@ -19,10 +19,10 @@ from typing import Any
 import numpy as np
 
 from benchmarks._sections import write_section
-from radiometer.archive.discovery import find_captures
-from radiometer.archive.history import read_histories
+from radiometer.archive.jobs import JobSettings
 from radiometer.archive.run import run_batch
-from radiometer.archive.settings import JobSettings
+from radiometer.archive.sessions import find_captures
+from radiometer.archive.trend import read_histories
 from radiometer.data import (
     CameraDescription,
     CaptureSetWriter,

@@ -17,8 +17,8 @@ from radiometer.bench.sources import open_source
 from radiometer.cli.main import run
 from radiometer.data import Bracket, CameraDescription, LensDescription, RadianceMap
 from radiometer.data.setup import Setup
-from radiometer.photographs.alignment import in_one_place
 from radiometer.photographs.response import recovered_curves, relative_calibration, with_found_times
+from radiometer.photographs.scene import in_one_place
 
 SETS = (
     ("memorial (film, 16 frames)", "memorial_film"),

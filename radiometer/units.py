@@ -13,6 +13,7 @@ from typing import Final, cast
 PLANCK_J_S: Final = 6.62607015e-34  # SI 2019, exact
 SPEED_OF_LIGHT_M_S: Final = 299_792_458.0  # exact
 BOLTZMANN_J_K: Final = 1.380649e-23  # SI 2019, exact
+ELEMENTARY_CHARGE_C: Final = 1.602176634e-19  # SI 2019, exact
 BASE_ISO: Final = 100.0  # the ISO speed that counts as 0 dB
 ZERO_CELSIUS_K: Final = 273.15
 _LONGEST_NUMBER: Final = 40  # characters; a fraction of 10^99999999 would fill the memory
@@ -135,6 +136,7 @@ _LUMINANCE: Final = {
         _times(1.0),
     ),
     **_all("mcd/m2|mcd m2|mcd m-2|mnit", _times(1e-3)),
+    **_all("ucd/m2|ucd m2|ucd m-2", _times(1e-6)),
     **_all("kcd/m2|kcd m2", _times(1e3)),
     **_all("asb|apostilb|apostilbs", _times(1.0 / math.pi)),
     **_all("fL|ftL|ft-L|footlambert|footlamberts|foot-lambert", _times(3.4262590996)),  # 1/π cd·ft⁻²

@@ -11,8 +11,7 @@ from pathlib import Path
 from drivers.light_box.box import SerialLightBox
 from drivers.light_box.link import BoxLink
 from drivers.light_box.serial_line import SerialLine
-from radiometer.daemon.bench_instrument import BenchInstrument
-from radiometer.daemon.bench_light import BenchLight
+from radiometer.daemon.bench_instrument import BenchInstrument, BenchLight
 from radiometer.daemon.journal import Journal
 from radiometer.daemon.keeper import KeeperTimes
 from radiometer.daemon.station import Station

@@ -387,7 +387,7 @@ class World:
 
     def moment(self) -> Moment:
         """Return the time by the computer's clocks."""
-        return Moment(f"boot {self.boot}", self.now_s - self.booted_s, self.now_s + self.wall_step_s)
+        return Moment(f"boot{self.boot}", self.now_s - self.booted_s, self.now_s + self.wall_step_s)
 
     @property
     def most_share(self) -> float:

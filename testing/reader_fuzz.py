@@ -36,7 +36,7 @@ from radiometer.adaptation.journal import read_events
 from radiometer.adaptation.threshold_files import read_table
 from radiometer.analysis.exports.curves import read_curves, write_curves
 from radiometer.analysis.photometry.photometry import spectrum_from_csv
-from radiometer.archive.history import read_histories
+from radiometer.archive.trend import read_histories
 from radiometer.bench.boxes import read_preset
 from radiometer.data import Calibration, CaptureSet, ResponseCurve
 from radiometer.data.capture_set import read_digital_numbers

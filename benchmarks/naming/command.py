@@ -11,11 +11,15 @@ import json
 from pathlib import Path
 
 from benchmarks._sections import write_section
+from benchmarks.naming import light_tunnel, sessions
 from benchmarks.naming.score import report
-from benchmarks.naming.sessions import make
 from benchmarks.naming.tools import TOOLS
 
 _STEPS = ("make", "solve", "score")
+_WORLDS = {  # who makes the sessions, and the section of the page
+    "generator": (sessions.make, "naming", "Naming what is missing"),
+    "light-tunnel": (light_tunnel.make, "naming-light-tunnel", "A world by other people: the light tunnel"),
+}
 
 
 def solve(folder: Path, tool: str) -> None:
@@ -35,11 +39,17 @@ def main() -> None:
     parser.add_argument("--folder", type=Path, default=Path("naming"), help="sessions, truth and answers; kept")
     parser.add_argument("--count", type=int, default=2, help="sessions of each kind")
     parser.add_argument("--first-seed", type=int, default=961_000)
+    parser.add_argument("--world", choices=_WORLDS, default="generator", help="who makes the sessions")
     parser.add_argument("--only", choices=_STEPS)
     chosen = parser.parse_args()
     steps = (chosen.only,) if chosen.only else _STEPS
+    make, place, title = _WORLDS[chosen.world]
     if "make" in steps and not (chosen.folder / "truth.json").exists():
-        make(chosen.folder, chosen.count, chosen.first_seed)
+        try:
+            make(chosen.folder, chosen.count, chosen.first_seed)
+        except ImportError as missing:
+            print(f"skipped: {missing}; `pip install causalchamber` into another folder and put it on PYTHONPATH")
+            return
     if "solve" in steps:
         for tool in TOOLS:
             solve(chosen.folder, tool)
@@ -49,5 +59,6 @@ def main() -> None:
         answers = {file.stem: json.loads(file.read_text(encoding="utf-8")) for file in files}
         body = report(answers, truth)
         print(body)
-        command = f"python -m benchmarks naming --count {chosen.count} --first-seed {chosen.first_seed}"
-        write_section("naming", "Naming what is missing", command, body)
+        world = "" if chosen.world == "generator" else f" --world {chosen.world}"
+        command = f"python -m benchmarks naming{world} --count {chosen.count} --first-seed {chosen.first_seed}"
+        write_section(place, title, command, body)

@@ -29,7 +29,7 @@ def drop_in_background(*objects: Any) -> None:
     threading.Thread(target=_drop, args=(list(objects),), name="camera release", daemon=True).start()
 
 
-def give_up_in_background(camera: Any, library_error: type[Exception], heartbeat_s: float = HEARTBEAT_S) -> None:
+def give_up_in_background(camera: Any, library_error: type[Exception]) -> None:
     """Take a camera of the library over that was lost; give up control and drop it once its heartbeat is over.
 
     A camera that is back by now is free for others as soon as control is given up.
@@ -37,17 +37,15 @@ def give_up_in_background(camera: Any, library_error: type[Exception], heartbeat
     Args:
         camera: An `Aravis.Camera`.
         library_error: The exception class of the library, `GLib.Error`.
-        heartbeat_s: How long the library may take to notice and report that the camera is gone, in s.
     """
-    given = ([camera], library_error, heartbeat_s)
-    threading.Thread(target=_give_up, args=given, name="camera release", daemon=True).start()
+    threading.Thread(target=_give_up, args=([camera], library_error), name="camera release", daemon=True).start()
 
 
-def _give_up(kept: list[Any], library_error: type[Exception], heartbeat_s: float) -> None:
+def _give_up(kept: list[Any], library_error: type[Exception]) -> None:
     if kept[0].is_gv_device():
         with suppress(library_error):  # it is gone: that it does not answer is no news
             kept[0].get_device().leave_control()
-        time.sleep(heartbeat_s)
+        time.sleep(HEARTBEAT_S)
     _drop(kept)
 
 

@@ -4,15 +4,16 @@ from __future__ import annotations
 
 import ipaddress
 import time
+from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
+from types import ModuleType
 from typing import Any, Final
 
 import structlog
 
 from drivers.cameras.background_release import give_up_in_background
 from drivers.cameras.call_thread import CallThread
-from drivers.cameras.camera_finding import FAKE_ID
 from drivers.cameras.camera_quirks import CameraQuirks, quirks_for
 from drivers.cameras.chunk_data import switch_on_chunks
 from drivers.cameras.feature_access import FeatureAccess, translated
@@ -23,7 +24,7 @@ from drivers.cameras.link_throughput import LinkThroughput, choose_throughput
 from drivers.cameras.pixel_unpacking import MONO_FORMATS, RAW_FORMATS
 from drivers.cameras.settings_access import SettingsAccess, bit_depth_of
 from radiometer.data import CameraDescription
-from radiometer.data.serials import serial_shown
+from radiometer.data.serials import same_serial, serial_shown
 from radiometer.devices import CameraCapabilities, CameraIdentity, CameraSettings
 from radiometer.errors import DeviceError, DeviceInUse, DeviceLost, DeviceNotFound
 
@@ -42,6 +43,61 @@ _PREPARED_FEATURES: Final = (
     ("DeviceTemperatureSelector", "Sensor"),
 )
 _USB_DEADLINE_S: Final = 5.0  # libusb's own patience with a transfer is endless; an access takes ms
+FAKE_ID: Final = "Fake_1"  # Aravis's camera inside the library
+
+
+def listed_cameras(aravis: ModuleType) -> list[CameraIdentity]:
+    """Return the cameras that answer on all network interfaces and USB ports; takes about 1 s."""
+    aravis.disable_interface("Fake")
+    aravis.update_device_list()
+    return [_listed(aravis, index) for index in range(aravis.get_n_devices())]
+
+
+def find_camera(aravis: ModuleType, name: str | None, discover: Callable[[], list[CameraIdentity]]) -> CameraIdentity:
+    """Return who is meant by a name.
+
+    Args:
+        aravis: The library's module.
+        name: Device id, serial number or IP address; None for the only camera connected.
+        discover: Lists the cameras; not called for an address or the fake camera.
+
+    Raises:
+        DeviceNotFound: If nothing of that name answers, or several cameras do where none was named.
+    """
+    if name == FAKE_ID:
+        aravis.enable_interface("Fake")
+        return CameraIdentity("Aravis", "Fake", "1", FAKE_ID, "Fake")
+    if name is not None and _is_address(name):
+        return CameraIdentity("", "", "", name, f"GigEVision {name}")
+    cameras = discover()
+    matching = [camera for camera in cameras if name is None or name in (camera.device_id, camera.serial)]
+    if not matching and name is not None:
+        matching = [camera for camera in cameras if same_serial(camera.serial, name)]
+    if len(matching) == 1:
+        return matching[0]
+    there = ", ".join(f"{camera.device_id} (serial {serial_shown(camera.serial)})" for camera in cameras) or "none"
+    if matching:
+        raise DeviceNotFound(f"several cameras answer; name one of them: {there}")
+    description = f"camera {name}" if name else "camera"
+    raise DeviceNotFound(f"no {description} answers; those that do: {there}; check cable, power and address")
+
+
+def _listed(aravis: ModuleType, index: int) -> CameraIdentity:
+    return CameraIdentity(
+        vendor=aravis.get_device_vendor(index) or "",
+        model=aravis.get_device_model(index) or "",
+        serial=aravis.get_device_serial_nbr(index) or "",
+        device_id=aravis.get_device_id(index),
+        interface=f"{aravis.get_device_protocol(index)} {aravis.get_device_address(index) or ''}".strip(),
+    )
+
+
+def _is_address(name: str) -> bool:
+    try:
+        ipaddress.ip_address(name)
+    except ValueError:
+        return False
+    return "." in name  # a bare number would be a serial
 
 
 @dataclass(slots=True)

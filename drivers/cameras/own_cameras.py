@@ -5,22 +5,19 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Final
 
-from drivers.cameras import gphoto_library, pi_library, v4l2_library
-from drivers.cameras.gphoto_library import GphotoLibrary
-from drivers.cameras.pi_library import PicameraLibrary
-from drivers.cameras.pi_link import PiLink
+from drivers.cameras import pi_link, tethered_link, v4l2_link
+from drivers.cameras.pi_link import PicameraLibrary, PiLink
 from drivers.cameras.plain_camera import FrameLink, PlainCamera
-from drivers.cameras.tethered_link import TetheredLink
-from drivers.cameras.v4l2_library import LinuxpyVideo
-from drivers.cameras.v4l2_link import V4l2Link
+from drivers.cameras.tethered_link import GphotoLibrary, TetheredLink
+from drivers.cameras.v4l2_link import LinuxpyVideo, V4l2Link
 from radiometer.data import CameraDescription, LensDescription
 from radiometer.devices import CameraIdentity, Finding, Health
 from radiometer.errors import DeviceError, DeviceNotFound, MissingLibrary
 
 _LISTED: Final[dict[str, Callable[[], list[CameraIdentity]]]] = {
-    "v4l2": v4l2_library.listed_cameras,
-    "picamera": pi_library.listed_cameras,
-    "gphoto2": gphoto_library.listed_cameras,
+    "v4l2": v4l2_link.listed_cameras,
+    "picamera": pi_link.listed_cameras,
+    "gphoto2": tethered_link.listed_cameras,
 }
 
 
@@ -62,9 +59,9 @@ def listed() -> tuple[list[CameraIdentity], list[str]]:
 def check_libraries() -> list[Finding]:
     """Return whether each library can be loaded; none is needed for the others."""
     loads = {
-        "v4l2": v4l2_library.load_library,
-        "picamera": pi_library.load_library,
-        "gphoto2": gphoto_library.load_library,
+        "v4l2": v4l2_link.load_library,
+        "picamera": pi_link.load_library,
+        "gphoto2": tethered_link.load_library,
     }
     findings = []
     for kind, load in loads.items():

@@ -23,6 +23,7 @@ _PLANNING_MARGIN = 1.0 + 3.0 / MINIMUM_SNR
 DISTINCT_RATIO = 2.0**0.5
 # Rates are gathered in bins this wide (natural logarithm): 1 %.
 _BIN_WIDTH = 0.01
+_COVER = 2  # frames in which every pixel is well exposed: one alone could not show that it contradicts
 _MAXIMUM_FRAMES = 64  # a ladder of 1/3 stop over 21 stops; more is a slip in --stops
 
 
@@ -106,10 +107,9 @@ def plan_exposures(
     gain_db: float,
     limits_s: tuple[float, float],
     *,
-    minimum_cover: int = 2,
     time_limit_s: float = math.inf,
 ) -> ExposurePlan:
-    """Return the fewest and shortest exposures that expose every pixel well at least `minimum_cover` times.
+    """Return the fewest and shortest exposures that expose every pixel well at least twice.
 
     The pixel that still lacks cover and is brightest sets the next exposure: the longest at which it does not
     clip, which reaches furthest down. Exposures are kept apart by DISTINCT_RATIO so that a response can be
@@ -121,7 +121,6 @@ def plan_exposures(
         window: What counts as well exposed at the gain used.
         gain_db: Analogue gain in dB.
         limits_s: Shortest and longest permitted exposure time in s.
-        minimum_cover: How often every pixel is to be well exposed.
         time_limit_s: Bound on the sum of the exposure times in s; the longest exposures are given up first.
     """
     bins = _occupied_bins(rates_dn_per_s * gain_factor(gain_db))
@@ -132,7 +131,7 @@ def plan_exposures(
     reachable_bottom = bins.lowest * limits_s[1] >= window.lowest_dn
     too_bright = int(counts[~reachable_top].sum()) + blinding
     too_dark += int(counts[~reachable_bottom].sum())
-    times = _greedy_cover(bins.only(reachable_top & reachable_bottom), window, limits_s, minimum_cover)
+    times = _greedy_cover(bins.only(reachable_top & reachable_bottom), window, limits_s)
     if not times:
         times = [limits_s[0] if too_bright >= too_dark else min(limits_s[1], time_limit_s)]
     kept = _within_time(times, time_limit_s)
@@ -233,13 +232,11 @@ def _occupied_bins(rates: NDArray[np.float64]) -> _Bins:
     return _Bins(positive[first], positive[first + pixels - 1], pixels.astype(np.int64))
 
 
-def _greedy_cover(
-    bins: _Bins, window: ExposureWindow, limits_s: tuple[float, float], minimum_cover: int
-) -> list[float]:
+def _greedy_cover(bins: _Bins, window: ExposureWindow, limits_s: tuple[float, float]) -> list[float]:
     cover = np.zeros(bins.pixels.size, np.int64)
     times: list[float] = []
     while bins.pixels.size and len(times) < _MAXIMUM_FRAMES:
-        lacking = np.flatnonzero(cover < minimum_cover)
+        lacking = np.flatnonzero(cover < _COVER)
         if lacking.size == 0:
             break
         longest = min(window.highest_dn / bins.highest[lacking[-1]], limits_s[1])

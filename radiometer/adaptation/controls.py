@@ -31,10 +31,10 @@ class Controls:
         with self._lock:
             self.paused_by = None
 
-    def toggle(self, by: str = "operator") -> None:
+    def toggle(self) -> None:
         """Ask for a pause, or take it back where there is one."""
         with self._lock:
-            self.paused_by = None if self.paused_by else by
+            self.paused_by = None if self.paused_by else "operator"
 
     def stop(self, by: str = "operator") -> None:
         """Ask for the end of the run; it cannot be taken back."""

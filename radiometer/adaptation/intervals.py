@@ -19,6 +19,7 @@ from radiometer.typing import Array
 # Measured: over 500 simulated subjects (69 thresholds, 3 nonlinear parameters) the mean likelihood ratio of the truth
 # was 1.11 ± 0.03 of its limit, averaged over the 7 parameters. These are other subjects than those of the benchmark.
 BARTLETT: Final = 2.6
+_K_95: Final = 1.96  # standard deviations of a normal distribution on either side of 95 % of it
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,10 +33,10 @@ class Interval:
         """Return whether a value is inside."""
         return self.low <= value <= self.high
 
-    def widened(self, u: float, coverage_factor: float = 1.96) -> Interval:
+    def widened(self, u: float) -> Interval:
         """Return the interval with a further standard uncertainty added to each side in quadrature."""
         middle = 0.5 * (self.low + self.high)
-        half = float(np.hypot(0.5 * (self.high - self.low), coverage_factor * u))
+        half = float(np.hypot(0.5 * (self.high - self.low), _K_95 * u))
         return Interval(middle - half, middle + half)
 
 

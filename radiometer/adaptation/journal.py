@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import errno
 import fcntl
 import os
@@ -90,7 +91,10 @@ class RunJournal:
             if lasting:
                 os.fsync(self._stream.fileno())
         except OSError as error:
-            raise OutputError(f"cannot write {self.path}: {error.strerror or error}") from error
+            raise OutputError(
+                f"cannot write {self.path}: {error.strerror or error}; what was measured before is kept, the same "
+                "command goes on from there"
+            ) from error
         self.events.append(event)
         return event
 
@@ -116,7 +120,8 @@ class RunJournal:
 
     def __exit__(self, *_: object) -> None:
         if self._stream:
-            self._stream.close()
+            with contextlib.suppress(OSError):  # every event was flushed; what a full disk refused was reported then
+                self._stream.close()
             self._stream = None
 
     def _cut_torn_line(self) -> None:

@@ -5,13 +5,14 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated, Literal, Self
 
-from pydantic import Field, model_validator
+from pydantic import Field, field_validator, model_validator
 
 from radiometer.adaptation.bleach import bleached_fraction, retinal_illuminance_td
 from radiometer.data.config_files import shipped_config
+from radiometer.data.guards import safe_name
 from radiometer.data.storage import read_yaml
 from radiometer.data.validation import ConfigSection, validate
-from radiometer.errors import ConfigurationError, InputError
+from radiometer.errors import ConfigurationError, InputError, UsageError
 
 SHIPPED = ("classic", "classic-blue", "rapid", "quick", "led-only", "questplus", "steady-low", "screen-only")
 BLEACH_CHANNEL = "bleach"
@@ -20,7 +21,6 @@ PRACTICE_CATCHES = 0.3
 # Conditions of the published rod intercept at 5·10⁻³ scotopic cd·m⁻²: spot of about 2°, 500 to 510 nm, 5° from
 # fixation. The bleach covered three quarters to four fifths of the rods (Jackson and Edwards 2008; Jackson et al. #
 # 2014).
-RIT_CRITERION_CD_M2 = 5e-3
 RIT_SIZE_DEG = (1.5, 2.5)
 RIT_PEAK_NM = (500.0, 510.0)
 RIT_ECCENTRICITY_DEG = (4.0, 6.0)
@@ -239,6 +239,15 @@ class AdaptationProtocol(ConfigSection):
     watch: Watch = Watch()
     safety: Safety = Safety()
 
+    @field_validator("name")
+    @classmethod
+    def _name_stays_in_its_folder(cls, name: str) -> str:
+        """Refuse a name that is none of a file: the journal of a run carries it."""
+        try:
+            return safe_name(name, "name")
+        except UsageError as error:
+            raise ValueError(str(error)) from None
+
     @model_validator(mode="after")
     def _criterion_within_reach(self) -> Self:
         criterion = self.end.criterion_log10
@@ -295,3 +304,45 @@ def read_protocol(name: str | Path) -> AdaptationProtocol:
     except InputError as error:
         raise ConfigurationError(f"{error}; shipped protocols are {', '.join(SHIPPED)}") from error
     return validate(AdaptationProtocol, mapping, str(file), ConfigurationError)
+
+
+def instructions(protocol: AdaptationProtocol) -> list[str]:
+    """Return what a subject must know, a sentence or two each, in the order of the test."""
+    bleach, watch, minutes = protocol.bleach, protocol.watch, protocol.end.duration_min
+    light = (
+        "You look straight into a flash of light."
+        if isinstance(bleach, FlashBleach) and bleach.source == "flash"
+        else f"First you look into a bright field for {_span(bleach.duration_s)}. Keep your eye open; you may blink."
+    )
+    whole_min = round(bleach.duration_s / 60 + minutes)
+    sentences = [
+        f"This test finds how your eye gets used to the dark. It takes about {whole_min} minutes. "
+        "You may end it at any time.",
+        light,
+        "Then it is dark. Look at the small red mark all the time, also while you wait.",
+        f"To the side of the mark a spot blinks, for {protocol.spot.on_s:g} s each time. "
+        "Press the button as soon as you notice it, however faint. Do not look at the spot.",
+        "Press only when you see a light. Now and then nothing is shown, to find out how often the button is pressed "
+        "by mistake.",
+    ]
+    if protocol.fixation_check is not None:
+        sentences.append(
+            "Now and then a red light is shown where you cannot see it as long as you look at the mark. "
+            "If you see a red light, press, and look at the mark again."
+        )
+    sentences += [
+        f"At first you may see nothing for up to {watch.blind_min:g} minutes. "
+        "That is normal: your eye recovers from the bright light.",
+        f"If you need a pause, hold the button for {watch.hold_to_pause_s:g} s. Press once to go on. "
+        f"In the pause stay in the dark; after {watch.longest_pause_min:g} minutes the test ends.",
+    ]
+    if bleach.pupil_mm is not None:
+        sentences.append(
+            f"(For the operator: the protocol counts on a pupil of {bleach.pupil_mm:g} mm. "
+            "Measure it in the dark, state it with --pupil, and cover the other eye.)"
+        )
+    return sentences
+
+
+def _span(seconds: float) -> str:
+    return f"{seconds:g} seconds" if seconds < 90 else f"{seconds / 60:g} minutes"

@@ -69,7 +69,7 @@ class Compared:
         }
 
 
-def limits_of_agreement(differences: NDArray[np.float64], confidence: float = 0.95) -> Agreement:
+def limits_of_agreement(differences: NDArray[np.float64]) -> Agreement:
     """Return the limits of agreement of differences, each with its interval.
 
     Mean by Student's t; the limits are bounds of a normal distribution's quantiles μ ± 1.96 σ, whose estimate has a
@@ -89,7 +89,7 @@ def limits_of_agreement(differences: NDArray[np.float64], confidence: float = 0.
     if count < 2:
         raise ValueError("limits of agreement need two differences at least")
     mean, sd = float(differences.mean()), float(differences.std(ddof=1))
-    tails, root = (0.5 - confidence / 2, 0.5 + confidence / 2), math.sqrt(count)
+    tails, root = (0.025, 0.975), math.sqrt(count)  # 95 %
     reach = float(stats.t.ppf(tails[1], count - 1)) * sd / root
     near, far = (float(stats.nct.ppf(tail, count - 1, NORMAL_95 * root)) * sd / root for tail in tails)
     width = NORMAL_95 * sd

@@ -14,19 +14,58 @@ from radiometer.adaptation.journal import DEVICE_FACTS, Event, RunJournal
 from radiometer.adaptation.live_page import LivePage, replayed
 from radiometer.adaptation.live_text import LiveText, event_line
 from radiometer.adaptation.outcome import Outcome
-from radiometer.adaptation.prompts import Prompter
 from radiometer.adaptation.request import SIMULATED_BOX, RunRequest
-from radiometer.adaptation.run import run_test
+from radiometer.adaptation.run import DescribedStage, Stage, run_test
 from radiometer.adaptation.run_facts import facts_of
-from radiometer.adaptation.screen_setup import open_screen_stage
-from radiometer.adaptation.screen_stage import ScreenStage
+from radiometer.adaptation.screen_setup import ScreenStage, open_screen_stage
 from radiometer.adaptation.simulated_stage import simulated_stage
-from radiometer.adaptation.stage import DescribedStage, Stage
 from radiometer.bench.box_holder import darken_held
 from radiometer.data.json_text import json_text
 from radiometer.errors import UsageError
 
 Watcher = Callable[[Event], None]
+
+
+def prompts_after(event: Event) -> tuple[str, ...]:
+    """Return the prompts that an event calls for, in order.
+
+    "bleach" (it begins), "dark" (it is over), "mark" (look at the red mark), "threshold" (found), "pause", "resume",
+    "end".
+    """
+    match event["kind"]:
+        case "dark":
+            return ("dark", "mark")
+        case "fixation":
+            return ("mark",)
+        case "bleach" | "pause" | "resume" | "end" as kind:
+            return (str(kind),)
+        case "trial" if not event["catch"] and event["threshold"] is not None:
+            return ("threshold",)
+        case _:
+            return ()
+
+
+@dataclass(frozen=True, slots=True)
+class Prompter:
+    """Journals prompts and has them sounded."""
+
+    journal: RunJournal  # the open journal of the test
+    sound: Callable[[Event], None]  # called with every prompt, as an event of kind "prompt"
+
+    def after(self, event: Event) -> None:
+        """Give the prompts that an event calls for. Raises OutputError."""
+        self._give(event, prompts_after(event))
+
+    def catch_up(self) -> None:
+        """Give what a crash left out after the newest event, so that the journal holds the same. Raises OutputError."""
+        for given, event in enumerate(reversed(self.journal.events)):
+            if event["kind"] != "prompt":
+                self._give(event, prompts_after(event)[given:])
+                return
+
+    def _give(self, event: Event, prompts: tuple[str, ...]) -> None:
+        for say in prompts:
+            self.sound(self.journal.write("prompt", float(event["time_s"]), say=say))
 
 
 @dataclass(frozen=True, slots=True)

@@ -8,18 +8,18 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Sequence
+import warnings
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from radiometer.adaptation.journal import DEVICE_FACTS, is_journal, read_events
-from radiometer.adaptation.r_files import is_r_file, read_r_lists
-from radiometer.adaptation.trial_lists import changes_of_answer, column_of_answers, column_of_onsets
 from radiometer.data import text_table
-from radiometer.data.reader_limits import bounded_reader
+from radiometer.data.reader_limits import bounded_reader, unpacked
 from radiometer.errors import InputError
 from radiometer.units import heading_parts, unit_of
 
@@ -37,6 +37,141 @@ _MOST_ROWS: Final = 1_000_000  # a run of one threshold per second for eleven da
 SECONDS_FROM: Final = 121.0  # no test lasts so many minutes; greater times without a unit are seconds
 MILLISECONDS_FROM: Final = 36_000.0  # 36 s as ms; as s it would be ten hours, as min 25 days
 LINEAR_RATIO: Final = 30.0  # all above 0, and the greatest so many times the least: no logarithms
+
+# gzip, bzip2 and xz, in which R packs; its own binary and ASCII forms, with and without the head of `save`.
+_BEGINNINGS: Final = (
+    b"\x1f\x8b", b"BZh", b"\xfd7zXZ", b"RDX2\n", b"RDX3\n", b"RDA2\n", b"RDA3\n", b"X\n", b"A\n3\n", b"A\n2\n",
+)  # fmt: skip
+_MOST_BYTES: Final = 64_000_000  # unpacked; a study of a hundred runs has less than 1 MB
+AS_TEXT: Final = "write.csv(data.frame(time=dark$time, thrs=dark$thrs), 'run.csv')"
+_TIME: Final = ("time", "Time", "t")
+_THRESHOLD: Final = ("thrs", "thresholds", "threshold", "Thrs")
+SEEN_WORDS: Final = ("seen", "response", "answer", "detected")
+ONSET_WORDS: Final = ("onset", "onset_s", "presented", "timestamp", "elapsed", "clock", "start", "t", "minutes", "time")
+YES: Final = ("true", "t", "1", "yes", "y", "seen")
+NO: Final = ("false", "f", "0", "no", "n", "unseen", "not seen")
+WIDEST_GAP: Final = 1.5  # times the typical gap: a search that begins anew far off shows little of the threshold
+
+
+def column_of_answers(header: Sequence[str]) -> int | None:
+    """Return the column that says whether a trial was seen; None where there is none."""
+    words = [cell.strip().lower() for cell in header]
+    return next((words.index(word) for word in SEEN_WORDS if word in words), None)
+
+
+def column_of_onsets(path: Path, header: Sequence[str], rows: Sequence[Sequence[str]], without: int) -> int:
+    """Return the column of when each trial was shown: the first of a known name whose numbers ascend.
+
+    OPI's own `time` is the reaction time in ms: it does not ascend. Raises InputError if there is none.
+    """
+    stems = [re.sub(r"[^a-z]+", "_", re.sub(r"[\[(].*?[\])]", "", cell.lower())).strip("_") for cell in header]
+    for word in ONSET_WORDS:
+        for at, stem in enumerate(stems):
+            named = stem == word or stem.startswith(word + "_") or stem.endswith("_" + word)
+            if at != without and named and _ascends([row[at] for row in rows if at < len(row)]):
+                return at
+    raise InputError(
+        f"{path}: a list of trials ({', '.join(header)}) without the time at which each was shown; OPI's `time` is the "
+        "reaction time: add a column `onset_s` with the time since the bleach in s"
+    )
+
+
+def _ascends(cells: Sequence[str]) -> bool:
+    try:
+        values = np.array([float(cell) for cell in cells])
+    except ValueError:
+        return False
+    return values.size > 1 and bool(np.all(np.diff(values) >= 0)) and bool(values[-1] > values[0])
+
+
+def changes_of_answer(path: Path, trials: NDArray[np.float64], answers: Sequence[str]) -> NDArray[np.float64]:
+    """Return time and log10 threshold, shape (m, 2), wherever the answer changes from one trial to the next.
+
+    The brighter of the two levels is the one that was seen, else one of the answers was an error; levels far apart,
+    where a search begins anew, are left out. The threshold is midway between the levels, its time between the times.
+
+    Args:
+        trials: Times in min, ascending, and log10 levels, shape (n, 2).
+
+    Raises:
+        InputError: If an answer is neither yes nor no, or none changes.
+    """
+    seen = np.array([_answer(path, word) for word in answers])
+    level = trials[:, 1]
+    rise = np.where(seen[1:], level[1:] - level[:-1], level[:-1] - level[1:])
+    changes = (seen[1:] != seen[:-1]) & (rise > 0)
+    if not changes.any():
+        raise InputError(f"{path}: a list of trials in which the answer never changes between two levels")
+    upward = changes & seen[1:]  # from not seen to seen: the steps of the search, not its new beginnings
+    typical = float(np.median(rise[upward] if upward.any() else rise[changes]))
+    kept = changes & (rise <= WIDEST_GAP * typical)
+    middle = 0.5 * (trials[1:] + trials[:-1])
+    return np.asarray(middle[kept], dtype=np.float64)
+
+
+def _answer(path: Path, word: str) -> bool:
+    plain = word.strip().strip('"').lower()
+    if plain not in YES and plain not in NO:
+        raise InputError(f"{path}: the answer {word!r} is neither TRUE nor FALSE")
+    return plain in YES
+
+
+def is_r_file(beginning: bytes) -> bool:
+    """Return whether a file with these first bytes is one that R saved."""
+    return beginning.startswith(_BEGINNINGS)
+
+
+@bounded_reader(error=InputError, apart="rdata")
+def read_r_lists(path: Path) -> tuple[str, list[float], list[float]]:
+    """Return name, times and thresholds of the one object with `time` and `thrs` in a file of R.
+
+    Args:
+        path: What `save`, `saveRDS` or `save(ascii = TRUE)` wrote.
+
+    Raises:
+        InputError: If there is none or several, `rdata` is not installed, or the file is damaged.
+    """
+    try:
+        import rdata
+    except ImportError as error:
+        raise InputError(
+            f"{path}: a file of R; `pip install 'radiometer[r]'` reads it, or write it as text there: {AS_TEXT}"
+        ) from error
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # classes that it does not know, such as "dark", are read as plain lists
+            parsed = rdata.parser.parse_data(unpacked(path, path.read_bytes(), _MOST_BYTES))
+            known = rdata.conversion.convert(parsed)
+    except (InputError, MemoryError):
+        raise
+    except Exception as error:  # whatever a damaged file makes the library raise
+        raise InputError(f"{path}: R's file cannot be read ({error}); write it as text there: {AS_TEXT}") from error
+    found = list(_with_thresholds("", known))
+    if len(found) != 1:
+        problem = "no object with time and thrs" if not found else f"several objects: {', '.join(f[0] for f in found)}"
+        raise InputError(f"{path}: holds {problem}; write one as text in R: {AS_TEXT}")
+    name, times, thresholds = found[0]
+    if len(times) != len(thresholds):
+        raise InputError(f"{path}: its list has {len(times)} times and {len(thresholds)} thresholds")
+    return name or "it", times, thresholds
+
+
+def _with_thresholds(name: str, known: Any) -> Iterator[tuple[str, list[float], list[float]]]:
+    """Yield what has times and thresholds, in lists and data frames and lists of them."""
+    if not (isinstance(known, Mapping) or hasattr(known, "columns")):
+        return
+    keys = list(known)
+    time = next((key for key in _TIME if key in keys), None)
+    threshold = next((key for key in _THRESHOLD if key in keys), None)
+    if time is not None and threshold is not None:
+        yield name, _numbers(known[time]), _numbers(known[threshold])
+    elif isinstance(known, Mapping):
+        for key, value in known.items():
+            yield from _with_thresholds(f"{name}${key}" if name else str(key), value)
+
+
+def _numbers(values: Any) -> list[float]:
+    return [float(value) for value in np.asarray(values, dtype=np.float64).ravel()]
 
 
 @dataclass(frozen=True, slots=True)

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from radiometer.adaptation.threshold_files import read_table
 from radiometer.data.reader_limits import bounded_reader
 from radiometer.errors import InputError, MeasurementError
+from radiometer.plausible import PLAUSIBLE
 from radiometer.statistics.scale import MEDIAN_U, neighbour_sigma
 
 FEWEST: Final = 8  # one more than the seven parameters of the largest model
@@ -58,6 +59,9 @@ class ThresholdSeries:
         """
         table = read_table(path)
         rows = table.rows
+        for time, threshold in rows[:, :2]:
+            PLAUSIBLE["time_in_dark"].check(f"{path}: time {time:g} min", time)
+            PLAUSIBLE["log10_threshold"].check(f"{path}: log10 threshold after {time:g} min", threshold)
         sigma = rows[:, 2] if rows.shape[1] == 3 else None
         return cls(rows[:, 0], rows[:, 1], sigma, table.facts, table.taken)
 

@@ -15,10 +15,9 @@ import numpy as np
 from radiometer.adaptation.adaptation_fit import AdaptationFit, FitRequest, fit_adaptation, intercept_verdict
 from radiometer.adaptation.bleach import bleached_fraction, bleached_range, pupil_diameter_mm, retinal_illuminance_td
 from radiometer.adaptation.controls import Controls
-from radiometer.adaptation.instructions import instructions
 from radiometer.adaptation.journal import Event
 from radiometer.adaptation.outcome import Outcome, Verdict
-from radiometer.adaptation.protocol import SHIPPED, AdaptationProtocol, practice_of, read_protocol
+from radiometer.adaptation.protocol import SHIPPED, AdaptationProtocol, instructions, practice_of, read_protocol
 from radiometer.adaptation.reliability import NAMES, Reliability
 from radiometer.adaptation.report import LABELS, curve_csv, label_of, to_mapping, write_page
 from radiometer.adaptation.report_picture import short
@@ -29,16 +28,15 @@ from radiometer.adaptation.session import Session as Session
 from radiometer.adaptation.session import Watcher as Watcher
 from radiometer.adaptation.session import open_session
 from radiometer.adaptation.threshold_series import ThresholdSeries
-from radiometer.adaptation.visits import moment_of, visit_at, visit_in
-from radiometer.adaptation.visits_page import OVERLAID, label_of_visit, visits_html
+from radiometer.adaptation.visits import OVERLAID, label_of_visit, moment_of, visit_at, visit_in, visits_html
 from radiometer.api.files import PathLike
-from radiometer.api.needed import require_other
-from radiometer.api.result import Notice, Result, unheard
+from radiometer.api.result import Notice, Result, require_other, unheard
 from radiometer.data.guards import safe_name
 from radiometer.data.json_text import json_text
 from radiometer.data.storage import check_outputs, write_text_atomic
 from radiometer.errors import MeasurementError, UsageError
 from radiometer.numbers import rounded, unit_text
+from radiometer.plausible import PLAUSIBLE
 from radiometer.progress import Progress, unseen
 
 # Opens what watches a run for as long as it lasts, such as a live view of a terminal.
@@ -599,7 +597,14 @@ def adapt_bleach(
         field: Area of the field in square degrees.
         age: Age in years, for the natural pupil.
         scotopic_ratio: Scotopic over photopic luminance of the light, for the rods.
+
+    Raises:
+        UsageError: If a number is outside its plausible range.
     """
+    PLAUSIBLE["luminance"].check("luminance", luminance, UsageError)
+    PLAUSIBLE["exposure"].check("duration", duration, UsageError)
+    PLAUSIBLE["field"].check("field", field, UsageError)
+    PLAUSIBLE["scotopic_ratio"].check("scotopic ratio", scotopic_ratio, UsageError)
     diameter_mm = pupil if pupil is not None else pupil_diameter_mm(luminance, field, age)
     trolands = retinal_illuminance_td(luminance, diameter_mm)
     return Bleach(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
@@ -12,11 +13,12 @@ from radiometer.analysis.photometry.alpha_opic import (
     SpectrumDoubt,
     alpha_opic_quantities,
 )
+from radiometer.analysis.photometry.facing import FacingSource
 from radiometer.analysis.photometry.photometry import spectrum as spectrum_of
 from radiometer.api.files import PathLike
-from radiometer.api.result import Result
+from radiometer.api.result import Drawn
 from radiometer.data import Quantity, Reading
-from radiometer.data.drawing import new_axes, picture, write_figure
+from radiometer.data.drawing import new_axes
 from radiometer.data.json_text import parsed_json
 from radiometer.data.storage import read_text
 from radiometer.errors import InputError, UsageError
@@ -33,7 +35,7 @@ _SPELT: Final = {
 
 
 @dataclass(frozen=True, repr=False)
-class AlphaOpicQuantities(Result):
+class AlphaOpicQuantities(Drawn):
     """The five α-opic quantities of one light.
 
     Examples:
@@ -90,13 +92,6 @@ class AlphaOpicQuantities(Result):
         where.set_xlabel(f"efficacy over that of daylight D65, of {self.spectrum} (k = 2)")
         return where
 
-    def write_plot(self, path: PathLike) -> None:
-        """Draw it into a PNG, PDF or SVG file. Raises UsageError for another ending, OutputError."""
-        write_figure(Path(path), self.plot())
-
-    def _repr_html_(self) -> str:
-        return picture(self.plot, repr(self))
-
     def __str__(self) -> str:
         """Return the melanopic equivalent daylight quantity in one line."""
         edi = self["melanopic"].equivalent_daylight
@@ -115,6 +110,9 @@ def alpha_opic(
     spectrum: str | None = None,
     spectrum_u_rel: float = 0.0,
     wavelength_u_nm: float = 0.0,
+    size_m: Sequence[float] | None = None,
+    distance_m: float | None = None,
+    u_distance_m: float = 0.0,
 ) -> AlphaOpicQuantities:
     """Convert a radiance, luminance, irradiance or illuminance into the five α-opic quantities of CIE S 026.
 
@@ -134,6 +132,10 @@ def alpha_opic(
         spectrum: Spectrum of the light by name, or a CSV of wavelength and relative power; a screen's own by default.
         spectrum_u_rel: Relative standard uncertainty of each entry of the spectrum, independent of the others.
         wavelength_u_nm: Standard uncertainty of the spectrum's wavelength scale in nm.
+        size_m: Width and height, or diameter, of the source in m: of a radiance or luminance this gives the
+            irradiance or illuminance on a parallel plane before its middle.
+        distance_m: Distance of that plane in m.
+        u_distance_m: Its standard uncertainty in m.
 
     Raises:
         UsageError: If not exactly one source is given, no spectrum is known, or options contradict each other.
@@ -167,6 +169,11 @@ def alpha_opic(
         raise UsageError("α-opic quantities depend on the spectrum: state --spectrum NAME or FILE.csv")
     if not spectrum_u_rel and not wavelength_u_nm:
         assumptions.append(f"the spectrum {named} is exact; --spectrum-u-rel states how well it is known")
+    if (size_m is None) != (distance_m is None) or (u_distance_m and distance_m is None):
+        raise UsageError("--size and --distance need each other, and --distance-u both")
+    if size_m is not None and distance_m is not None:
+        source = FacingSource(tuple(size_m), distance_m, u_distance_m).irradiance(source)
+        assumptions.append("the source is evenly bright, alike in all directions, and straight before the plane")
     light = spectrum_of(named)
     found = alpha_opic_quantities(source, light, SpectrumDoubt(spectrum_u_rel, wavelength_u_nm))
     return AlphaOpicQuantities(source, light.name, found, tuple(assumptions))

@@ -25,7 +25,7 @@ from radiometer.analysis.regions.glare import glare_of
 from radiometer.api.files import PathLike
 from radiometer.api.meter import PatchLike, as_patch
 from radiometer.api.radiance import Radiance
-from radiometer.api.result import Result
+from radiometer.api.result import Drawn
 from radiometer.data import Patch, Quantity, RadianceMap
 from radiometer.data.drawing import new_axes, picture
 from radiometer.data.storage import write_text_atomic
@@ -42,7 +42,7 @@ _FIGURES = ("mean", "median", "lowest", "highest", "deviation", "uniformity")
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class MapAnalysis(Result):
+class MapAnalysis(Drawn):
     """Figures of a radiance map; all uncertainties are standard ones (k = 1).
 
     Examples:
@@ -105,7 +105,7 @@ class MapAnalysis(Result):
         return [(name, one) for name, one in (("UGR", self.ugr), ("DGP", self.dgp)) if one is not None]
 
     def write_csv(self, path: PathLike) -> None:
-        """Write a row for each region and figure. Raises OutputError if it cannot be written."""
+        """Write a row for each figure; one of no region has no name. Raises OutputError."""
         stream = io.StringIO()
         writer = csv.writer(stream, lineterminator="\n")
         writer.writerow(["region", "figure", "value", "u", "unit"])
@@ -113,6 +113,10 @@ class MapAnalysis(Result):
             for name in _FIGURES:
                 quantity = getattr(one, name)
                 writer.writerow([one.name, name, quantity.value, quantity.u, quantity.unit])
+        of_picture = {"contrast": self.contrast, "illuminance": self.illuminance, "ugr": self.ugr, "dgp": self.dgp}
+        for name, found in of_picture.items():
+            if found is not None:
+                writer.writerow(["", name, found.value, found.u, found.unit])
         write_text_atomic(Path(path), stream.getvalue())
 
     def write_report(self, path: PathLike) -> None:
@@ -154,9 +158,6 @@ class MapAnalysis(Result):
             where.add_patch(Rectangle(corner, one.patch.width, one.patch.height, fill=False, color="red"))
             where.annotate(one.name, corner, color="red", va="bottom")
         return where
-
-    def _repr_html_(self) -> str:
-        return picture(self.plot, repr(self))
 
     def __str__(self) -> str:
         """Return the regions' means in one line."""

@@ -9,16 +9,14 @@ from typing import Any
 from radiometer.api.files import PathLike
 from radiometer.api.meter import PatchLike, as_patch
 from radiometer.api.result import Progress, Result
-from radiometer.archive.discovery import find_captures
-from radiometer.archive.history import read_histories
-from radiometer.archive.jobs import JOBS
+from radiometer.archive.jobs import JOBS, JobSettings
 from radiometer.archive.journal import journal_of
 from radiometer.archive.passport import Passport as Passport
 from radiometer.archive.passport import passports
 from radiometer.archive.run import BatchSummary, run_batch
-from radiometer.archive.sessions import read_sessions
-from radiometer.archive.settings import JobSettings
+from radiometer.archive.sessions import find_captures, read_sessions
 from radiometer.archive.trend import Trend as Trend
+from radiometer.archive.trend import read_histories
 from radiometer.archive.trend_report import trend_report
 from radiometer.data.storage import check_outputs, write_text_atomic
 from radiometer.errors import InputError, UsageError

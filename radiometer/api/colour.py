@@ -23,10 +23,10 @@ from radiometer.analysis.regions.figures import LOST, region_figures
 from radiometer.api.files import PathLike, stack_of
 from radiometer.api.meter import PatchLike, as_patch
 from radiometer.api.radiance import ResponseLike, merge
-from radiometer.api.result import Notice, Progress, Result, unheard
+from radiometer.api.result import Drawn, Notice, Progress, Result, unheard
 from radiometer.bench.sources import is_photographs, open_source
 from radiometer.data import CameraDescription, CaptureHeader, LensDescription, Patch, PixelMask, Quantity, RadianceMap
-from radiometer.data.drawing import new_axes, picture, write_figure
+from radiometer.data.drawing import new_axes, picture
 from radiometer.data.mosaic import COLOURS
 from radiometer.data.storage import check_outputs, write_text_atomic
 from radiometer.errors import InputError, MeasurementError, UsageError
@@ -83,7 +83,7 @@ class CalibratedColour(Result):
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class ColourReading(Result):
+class ColourReading(Drawn):
     """The colour of a patch; all uncertainties are standard ones (k = 1).
 
     Examples:
@@ -117,6 +117,7 @@ class ColourReading(Result):
     assumptions: tuple[str, ...]
     calibration: ColourCalibration
     maps: MapPicture | None = None
+    _inches = (6.4, 6.8)
 
     def __getitem__(self, name: str) -> Quantity | None:
         """Return a quantity by name, such as "Y". Raises KeyError."""
@@ -169,10 +170,6 @@ class ColourReading(Result):
         """Return the symbol of every quantity, and its value with U (k = 2)."""
         return [(_SYMBOLS.get(name, name), _shown(one)) for name, one in self.quantities.items()]
 
-    def write_plot(self, path: PathLike) -> None:
-        """Draw it into a PNG, PDF or SVG file. Raises UsageError for another ending, OutputError."""
-        write_figure(Path(path), self.plot(), (6.4, 6.8))
-
     def write_report(self, path: PathLike) -> None:
         """Write a self-contained page. Raises OutputError if it cannot be written."""
         raw = [(name, with_u(one.value, 2 * one.u)) for name, one in self.signals.items()]
@@ -197,9 +194,6 @@ class ColourReading(Result):
         if self.maps is None:
             raise UsageError("the quantities of every pixel were not asked for: give --map")
         _writer(Path(path))(Path(path), self.maps)
-
-    def _repr_html_(self) -> str:
-        return picture(self.plot, repr(self))
 
     def __str__(self) -> str:
         """Return luminance, chromaticity and colour temperature in one line."""

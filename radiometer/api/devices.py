@@ -13,8 +13,7 @@ from radiometer.api.result import Result
 from radiometer.bench.boxes import find_boxes
 from radiometer.bench.cameras import OWN_KINDS, SIMULATED, list_cameras
 from radiometer.bench.config import read_bench
-from radiometer.bench.daemon_probe import check_daemon
-from radiometer.bench.doctor import examine
+from radiometer.bench.doctor import check_daemon, examine
 from radiometer.bench.new_bench import write_bench
 from radiometer.bench.served_box import serve_box
 from radiometer.bench.served_camera import Faults, serve, served_camera

@@ -15,11 +15,11 @@ from radiometer.analysis.flicker.measures import Flicker, measure_flicker
 from radiometer.analysis.flicker.waveform import Waveform, find_period, read_waveform, waveform_of_rows
 from radiometer.api.files import PathLike
 from radiometer.api.meter import PatchLike, as_patch
-from radiometer.api.result import Notice, Result, unheard
+from radiometer.api.result import Drawn, Notice, unheard
 from radiometer.bench.assembly import open_bench_camera
 from radiometer.bench.instrument import central_patch, refuse_outside
 from radiometer.data import Quantity
-from radiometer.data.drawing import new_axes, picture, write_figure
+from radiometer.data.drawing import new_axes
 from radiometer.data.statements import StatementMap
 from radiometer.errors import InputError, UsageError
 from radiometer.importing.photograph_pixels import read_photograph
@@ -34,7 +34,7 @@ _LONGEST_S = 600.0  # of a camera's series: PstLM is defined over 180 s
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class FlickerReport(Result):
+class FlickerReport(Drawn):
     """The modulation of a light in time.
 
     Examples:
@@ -92,13 +92,6 @@ class FlickerReport(Result):
         where.set_ylabel("light over its mean")
         where.set_ylim(bottom=min(0.0, float(relative.min())))
         return where
-
-    def write_plot(self, path: PathLike) -> None:
-        """Draw it into a PNG, PDF or SVG file. Raises UsageError for another ending, OutputError."""
-        write_figure(Path(path), self.plot())
-
-    def _repr_html_(self) -> str:
-        return picture(self.plot, repr(self))
 
     def __str__(self) -> str:
         """Return frequency, depth and SVM in one line."""

@@ -19,7 +19,7 @@ from radiometer.analysis.photometry.photometry import spectrum as spectrum_of
 from radiometer.analysis.response.curves import black_of_curve
 from radiometer.api.files import PathLike, Stack, stack_of
 from radiometer.api.response import Response
-from radiometer.api.result import Progress, Result
+from radiometer.api.result import Drawn, Progress
 from radiometer.bench.sources import is_photographs, open_source
 from radiometer.data import (
     BlackLevel,
@@ -35,7 +35,7 @@ from radiometer.data import (
     Scale,
     SensorNoise,
 )
-from radiometer.data.drawing import new_axes, picture
+from radiometer.data.drawing import new_axes
 from radiometer.data.mosaic import COLOURS
 from radiometer.data.pile_up import with_white_levels
 from radiometer.data.setup import Setup
@@ -43,8 +43,8 @@ from radiometer.data.storage import check_outputs
 from radiometer.errors import CaptureError, MissingLibrary, UsageError
 from radiometer.importing import imported_of, is_foreign, open_capture
 from radiometer.numbers import unit_text
-from radiometer.photographs.alignment import ALIGN_CHOICES
 from radiometer.photographs.scene import (
+    ALIGN_CHOICES,
     Photographs,
     by_channel,
     curve_of_channel,
@@ -63,7 +63,7 @@ ResponseLike = Response | ResponseCurve | PathLike | Sequence[ResponseCurve | Pa
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Radiance(Result):
+class Radiance(Drawn):
     """Radiance per pixel: one map, or one for each colour of photographs.
 
     Examples:
@@ -227,9 +227,6 @@ class Radiance(Result):
         height, width = self.picture.first.shape
         names = "" if len(self.maps) == 1 else f" of {', '.join(self.maps)}"
         return f"<Radiance{names} {width} × {height} pixels in {unit_text(self.unit)}: {_summary(self.picture.first)}>"
-
-    def _repr_html_(self) -> str:
-        return picture(self.plot, repr(self))
 
 
 def _summary(found: RadianceMap) -> str:

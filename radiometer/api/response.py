@@ -16,10 +16,10 @@ from radiometer.analysis.response.auto import recover_colours_auto
 from radiometer.analysis.response.estimate import ResponseEstimate, median_uncertainty, telling
 from radiometer.analysis.response.methods import DEFAULT_METHOD, METHODS, RATIO_METHODS, compare_methods, method_names
 from radiometer.api.files import PathLike, Stack, stack_of
-from radiometer.api.result import Progress, Result
+from radiometer.api.result import Drawn, Progress
 from radiometer.bench.sources import open_source
 from radiometer.data import Bracket, ResponseCurve
-from radiometer.data.drawing import check_plot_name, new_axes, picture
+from radiometer.data.drawing import check_plot_name, new_axes
 from radiometer.data.iso_speeds import IsoSpeeds
 from radiometer.data.storage import check_outputs
 from radiometer.errors import MeasurementError, UsageError
@@ -36,7 +36,7 @@ _SUFFIXES: Final = (".csv", ".yaml", ".yml", *CURVE_SUFFIXES)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Response(Result):
+class Response(Drawn):
     """How digital numbers follow from exposure: one curve, or one per colour and method.
 
     Examples:
@@ -135,9 +135,6 @@ class Response(Result):
     def __repr__(self) -> str:
         """Return method, depth, range and median uncertainty in one line."""
         return f"<Response {'; '.join(map(_summary, self.estimates))}>"
-
-    def _repr_html_(self) -> str:
-        return picture(self.plot, repr(self))
 
 
 def _summary(estimate: ResponseEstimate) -> str:

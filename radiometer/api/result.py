@@ -3,11 +3,20 @@
 from __future__ import annotations
 
 import html
+from abc import abstractmethod
 from collections.abc import Callable, Mapping
-from typing import Any, Final
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, ClassVar, Final
 
+from radiometer.data.drawing import own_axes, picture, write_figure
 from radiometer.data.json_text import finite_or_null, json_text
+from radiometer.errors import UsageError
 from radiometer.progress import Progress as Progress
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+    from radiometer.api.files import PathLike
 
 # Callbacks that functions take, besides `Progress`. An ask returns once somebody has done what it asks for. A notice is
 # one line for the user.
@@ -15,6 +24,25 @@ Ask = Callable[[str], None]
 Notice = Callable[[str], None]
 
 _LONGEST_LIST: Final = 12  # entries of a list that a notebook shows; longer ones are counted
+
+
+def require_other(other: str, given: object, **dependents: Any) -> None:
+    """Refuse options that have no effect without another one.
+
+    Args:
+        other: The option that they need, as it is typed.
+        given: Whether it is there: None, False, 0 and "" count as absent.
+        dependents: The options by the names of their arguments, with the values given.
+
+    Raises:
+        UsageError: If one of them is given and the other one is not.
+    """
+    if given:
+        return
+    for name, value in dependents.items():
+        if value is not None and value is not False and value != 0:
+            option = "--" + name.rstrip("_").replace("_", "-")
+            raise UsageError(f"{option} has no effect without {other}: add {other}, or leave {option} out")
 
 
 def unheard(line: str) -> None:
@@ -41,6 +69,27 @@ class Result:
 
     def _repr_html_(self) -> str:
         return f"<p>{html.escape(repr(self))}</p>{_shown(finite_or_null(self.to_mapping()))}"
+
+
+class Drawn(Result):
+    """Base of results that have a picture."""
+
+    _inches: ClassVar[tuple[float, float] | None] = None  # size of the picture in a file; its usual one where None
+
+    @abstractmethod
+    def plot(self, axes: Axes | None = None) -> Axes:
+        """Draw it.
+
+        Args:
+            axes: Where to draw; a new figure by default.
+        """
+
+    def write_plot(self, path: PathLike) -> None:
+        """Draw it into a PNG, PDF or SVG file. Raises UsageError for another ending, OutputError."""
+        write_figure(Path(path), self.plot(own_axes()), self._inches)
+
+    def _repr_html_(self) -> str:
+        return picture(self.plot, repr(self))
 
 
 def _shown(value: Any) -> str:

@@ -10,10 +10,10 @@ from typing import TYPE_CHECKING, Any, Final
 
 from radiometer.api.files import PathLike
 from radiometer.api.meter import PatchLike, as_patch
-from radiometer.api.result import Notice, Progress, Result, unheard
+from radiometer.api.result import Drawn, Notice, Progress, Result, unheard
 from radiometer.bench.screen import BROWSER, SIMULATED_SIZE, ScreenBench, lights, open_screen_bench, primaries_of
 from radiometer.data import Quantity
-from radiometer.data.drawing import check_plot_name, new_axes, own_axes, picture, write_figure
+from radiometer.data.drawing import check_plot_name, new_axes
 from radiometer.data.statements import StatementMap
 from radiometer.data.storage import check_outputs
 from radiometer.devices import Display
@@ -39,7 +39,7 @@ _UNITS: Final[Mapping[str, str]] = {"cd": LUMINANCE, "scotopic": SCOTOPIC, "W": 
 
 
 @dataclass(frozen=True, repr=False)
-class CalibratedScreen(Result):
+class CalibratedScreen(Drawn):
     """A screen's calibration and where it stands.
 
     Attributes:
@@ -88,13 +88,6 @@ class CalibratedScreen(Result):
         draw_curves(where, self.calibration)
         where.set_title(f"{label(self.calibration.name)}, {moment(self.calibration.created)}", fontsize="medium")
         return where
-
-    def write_plot(self, path: PathLike) -> None:
-        """Draw the curves into a PNG, PDF or SVG file. Raises UsageError for another ending, OutputError."""
-        write_figure(Path(path), self.plot(own_axes()))
-
-    def _repr_html_(self) -> str:
-        return picture(self.plot, str(self))
 
     def __str__(self) -> str:
         """Return the name and each channel's brightest luminance."""

@@ -6,22 +6,85 @@ same keys whatever the job, so that all rows fit one table.
 
 from __future__ import annotations
 
+import hashlib
+import os
+import shutil
 from collections.abc import Callable
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 
-from radiometer.archive.settings import JobSettings
-from radiometer.data import Calibration, CaptureSet, Patch
+from radiometer.data import Calibration, CaptureSet, Patch, RadianceMap
+from radiometer.data.json_text import json_text
+from radiometer.data.provenance import source_hash
 from radiometer.data.setup import AS_CALIBRATED, Setup
-from radiometer.errors import MeasurementError, RadiometerError
+from radiometer.errors import MeasurementError, MissingLibrary, OutputError, RadiometerError
 
 Row = dict[str, Any]
 COLUMNS: Final = (
     "capture", "captured", "content_hash", "fingerprint", "job", "status", "patch", "quantity",
     "value", "u", "unit", "flags", "error", "software",
 )  # fmt: skip
+
+
+@dataclass(frozen=True, slots=True)
+class JobSettings:
+    """One job with everything that its result depends on in addition to the capture set."""
+
+    job: str  # name in the registry of `jobs.py`
+    calibration: str | None = None  # calibration file; None for relative values
+    # Region X,Y,W,H; None for the patches that each capture set names, else the whole frame
+    patch: tuple[int, int, int, int] | None = None
+    maps: str | None = None  # folder that radiance maps are written to; None for none
+
+    def fingerprint(self) -> str:
+        """Return a hash of the settings, the calibration's content and the code: equal means the same result."""
+        digest = hashlib.sha256(json_text(asdict(self), sort_keys=True, ascii_only=True).encode())
+        if self.calibration:
+            digest.update(Path(self.calibration).read_bytes())
+        digest.update(code_hash().encode())
+        return digest.hexdigest()[:16]
+
+
+def code_hash() -> str:
+    """Return a hash over the source of the packages that results depend on."""
+    return source_hash("data", "analysis", "importing", "photographs", "reconciliation", "statistics", "archive")
+
+
+def write_map(merged: RadianceMap, path: Path) -> None:
+    """Write a radiance map as a Zarr group with the arrays radiance, u_radiance and mask; whole or not at all.
+
+    Args:
+        path: Folder of the group; one that exists is replaced.
+
+    Raises:
+        MissingLibrary: If Zarr is not installed.
+        OutputError: If the disk refuses it.
+    """
+    try:
+        import zarr
+    except ImportError as error:
+        raise MissingLibrary(
+            "Zarr is not installed; `pip install 'radiometer[cluster]'`, or leave out --maps"
+        ) from error
+    unfinished = path.with_name(f".{path.name}.{os.getpid()}")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        group = zarr.open_group(str(unfinished), mode="w")
+        for name in ("radiance", "u_radiance", "mask"):
+            values = getattr(merged, name)
+            group.create_array(name, shape=values.shape, dtype=values.dtype)[:] = values
+        group.attrs.update(
+            unit=merged.unit, u_rel_common=merged.u_rel_common, provenance=merged.provenance.to_mapping()
+        )
+        shutil.rmtree(path, ignore_errors=True)
+        unfinished.rename(path)
+    except OSError as error:
+        raise OutputError(f"cannot write {path}: {error.strerror or error}") from error
+    finally:
+        shutil.rmtree(unfinished, ignore_errors=True)
 
 
 def run_job(capture: Path, settings: JobSettings, done_hashes: frozenset[str] = frozenset()) -> list[Row]:
@@ -106,7 +169,6 @@ def merge(capture_set: CaptureSet, settings: JobSettings) -> list[Row]:
         MeasurementError: If no pixel is good.
     """
     from radiometer.analysis.merge.bracket import merge as merge_frames
-    from radiometer.archive.maps import write_map
 
     header = capture_set.header
     calibration = Calibration.read(Path(settings.calibration)) if settings.calibration else None

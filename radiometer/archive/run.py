@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
+import ctypes
+import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import cache
 from itertools import islice
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Final
 
-from radiometer.archive.jobs import Row, run_job
+from radiometer.archive.jobs import JobSettings, Row, run_job
 from radiometer.archive.journal import ResultJournal
-from radiometer.archive.memory import keep_freed_memory
-from radiometer.archive.settings import JobSettings
 from radiometer.errors import DeviceNotFound, MissingLibrary
 from radiometer.one_thread import on_one_blas_thread
 
@@ -27,6 +28,28 @@ _LARGEST_TASK = 8
 SCHEDULER_PATIENCE_S = 10.0
 _Task = tuple[Path, JobSettings, frozenset[str]]
 Progress = Callable[[int, int, list[Row]], None]
+
+# mallopt(3): parameter numbers of glibc, and the largest block that a thread's heap may hold on 64-bit machines.
+_TRIM_THRESHOLD: Final = -1
+_MMAP_THRESHOLD: Final = -3  # malloc.h of glibc
+_LARGEST_BLOCK: Final = 32 << 20  # glibc's own upper limit on 64 bits
+_KEPT_BYTES: Final = 256 << 20  # a capture's frames are read again and again: giving them back costs page faults
+
+
+@cache
+def keep_freed_memory() -> bool:
+    """Let this process keep up to 256 MB that it has freed, and return whether that could be set (glibc only).
+
+    By default an array of a few megabytes comes from the kernel page by page and goes back when it is freed; Dask sets
+    its workers so that even less is kept. Half of a worker's processor time then goes into clearing pages.
+    """
+    if not sys.platform.startswith("linux"):
+        return False
+    try:
+        mallopt = ctypes.CDLL(None).mallopt
+    except (OSError, AttributeError):  # another C library
+        return False
+    return bool(mallopt(_MMAP_THRESHOLD, _LARGEST_BLOCK)) and bool(mallopt(_TRIM_THRESHOLD, _KEPT_BYTES))
 
 
 @dataclass(frozen=True, slots=True)

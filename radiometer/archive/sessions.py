@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import datetime as dt
+import glob
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -21,6 +22,34 @@ from radiometer.importing.emva_listing import DESCRIPTOR_NAME
 from radiometer.importing.sources import FITS_SUFFIXES, TIFF_SUFFIXES, as_capture
 
 _FEWEST_OF_A_SERIES: Final = 3  # two frames are a pair; a course needs a third
+
+
+def find_captures(archive: str) -> tuple[list[Path], list[Path]]:
+    """Return the finished capture sets of an archive and the folders that look unfinished, both sorted.
+
+    Args:
+        archive: A folder, searched at any depth, or a glob such as "2026-*/bench-1".
+
+    Raises:
+        InputError: If there is no capture set.
+    """
+    matches = [archive] if Path(archive).is_dir() else glob.glob(archive, recursive=True)  # noqa: PTH207 (any root)
+    roots = [Path(found) for found in matches]
+    finished = sorted({header.parent for root in roots if root.is_dir() for header in root.rglob(HEADER_NAME)})
+    unfinished = sorted(
+        {
+            frames.parent
+            for root in roots
+            if root.is_dir()
+            for frames in root.rglob("frames")
+            if frames.is_dir() and not (frames.parent / HEADER_NAME).exists()
+        }
+    )
+    if not finished:
+        raise InputError(
+            f"{archive}: holds no capture set (no folder with {HEADER_NAME}); name their folder, or a glob"
+        )
+    return finished, unfinished
 
 
 @dataclass(frozen=True, slots=True)

@@ -25,8 +25,8 @@ _LONGEST_WORD: Final = 4400  # characters: a path of 4095 bytes, a serial number
 class HeldBox:
     """A light box that a program holds."""
 
-    serial: str  # its serial number
-    port: str  # the port it is on
+    serial: str  # its serial number; empty where that program does not answer
+    port: str  # the port it is on; empty where that program does not answer
     pid: int  # process that holds it
     address: Path  # socket on which that program can be asked
 
@@ -93,15 +93,17 @@ def held_boxes() -> list[HeldBox]:
         words = _asked(address, "who").split(" ", 2)
         if len(words) == 3 and words[1].isdigit():
             found.append(HeldBox(words[0], words[2], int(words[1]), address))
+        elif words == [""] and (pid := address.name.split("-")[1:2]) and pid[0].isdigit() and address.exists():
+            found.append(HeldBox("", "", int(pid[0]), address))  # a program that was stopped, or hangs
     return sorted(found, key=lambda held: held.port)
 
 
 def ask_for_darkness(held: HeldBox) -> None:
     """Have the program that holds a box darken it. Raises DeviceInUse if it does not answer."""
-    if _asked(held.address, "off") != "dark":
+    if not held.serial or _asked(held.address, "off") != "dark":
         raise DeviceInUse(
-            f"process {held.pid} holds light box {held.serial} and does not darken it; end that process"
-            " (the box goes dark 1 s later), or hold the button of the box for 3 s"
+            f"process {held.pid} holds light box {held.serial or '(its number is unknown)'} and does not darken it;"
+            " end that process (the box goes dark 1 s after it fell silent), or hold the button of the box for 3 s"
         )
 
 

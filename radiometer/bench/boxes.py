@@ -1,4 +1,7 @@
-"""Light boxes: found by identity, opened by serial number or port, simulated as "sim"."""
+"""Light boxes: found by identity, opened by serial number or port, simulated as "sim".
+
+USB devices that answered as light boxes are remembered: no other device is asked without being named.
+"""
 
 from __future__ import annotations
 
@@ -16,13 +19,12 @@ from pydantic import Field, model_validator
 
 from drivers.light_box.box import FLASH, SerialLightBox
 from drivers.light_box.link import BoxLink
-from drivers.light_box.serial_line import SerialLine, list_serial_ports
+from drivers.light_box.serial_line import SerialLine, SerialPort, list_serial_ports
 from radiometer.bench.box_holder import ask_for_darkness, held_boxes, holding, is_ours
-from radiometer.bench.known_boxes import is_known, remember
 from radiometer.data.config_files import shipped_config
 from radiometer.data.guards import safe_file_name
 from radiometer.data.light_calibration import LightCalibration
-from radiometer.data.storage import read_yaml, state_folder
+from radiometer.data.storage import read_yaml, state_folder, write_yaml_atomic
 from radiometer.data.validation import ConfigSection, validate
 from radiometer.devices.exposure_account import ANY_EYE, NO_HISTORY, AccountStore, FileStore, MemoryStore
 from radiometer.devices.exposure_ledger import ExposureLedger
@@ -35,6 +37,7 @@ from radiometer.errors import (
     DeviceInUse,
     DeviceNotFound,
     InputError,
+    OutputError,
     UsageError,
 )
 from simulators.light_box.box import SimulatedBoxSettings, SimulatedLightBox
@@ -52,6 +55,47 @@ _SILENT: Final[
 _DIMMEST_REL: Final = 1e-4  # of the preset's bound: neutral filters before a spot have a density of 3
 _LINKED_WITHIN_S: Final = 0.1  # a box links its terminal at once; the clock of file times ticks in 4 ms
 SIMULATED_PORTS: Final = "radiometer-light-boxes"
+_FORMAT: Final = "radiometer-known-boxes/1"
+
+
+def is_known(port: SerialPort) -> bool:
+    """Return whether a device with this vendor, product and serial number has answered as a light box before.
+
+    A USB device without a serial number is never known: it cannot be distinguished from another of its kind.
+    """
+    return bool(port.usb_serial) and _identity(port) in _known()
+
+
+def remember(port: str, plugged: Sequence[SerialPort]) -> None:
+    """Remember the USB device behind a port, which has just answered as a light box.
+
+    Where it cannot be stored, the port has to be named next time as well.
+    """
+    real = os.path.realpath(port)
+    device = next((one for one in plugged if os.path.realpath(one.device) == real), None)
+    if device is None or not device.usb_serial or is_known(device):
+        return
+    try:
+        _file().parent.mkdir(parents=True, exist_ok=True)
+        write_yaml_atomic(_file(), {"format": _FORMAT, "devices": sorted({*_known(), _identity(device)})})
+    except (OSError, OutputError):
+        return
+
+
+def _identity(port: SerialPort) -> str:
+    return f"{port.vendor_id or 0:04x}:{port.product_id or 0:04x}:{port.usb_serial}"
+
+
+def _known() -> frozenset[str]:
+    try:
+        devices = read_yaml(_file()).get("devices")
+    except InputError:
+        return frozenset()  # none is known: the way out is to name the port once
+    return frozenset(map(str, devices)) if isinstance(devices, list) else frozenset()
+
+
+def _file() -> Path:
+    return state_folder() / "known-boxes.yaml"
 
 
 class PlaceConfig(ConfigSection):
@@ -188,16 +232,15 @@ def simulated_port_folder() -> Path:
     return Path(base) / f"{SIMULATED_PORTS}-{os.getuid()}"
 
 
-def find_boxes(ports: list[str] | None = None) -> tuple[list[LightBoxIdentity], list[str]]:
+def find_boxes() -> tuple[list[LightBoxIdentity], list[str]]:
     """Return the light boxes that answer, and ports that another program holds.
 
-    Args:
-        ports: Ports to try; all candidates where None. Opening a port resets an Arduino on it. One that was neither
-            named nor simulated is asked with one line; if that is not answered, it is left alone until replugged.
+    Opening a port resets an Arduino on it. One that was neither named nor simulated is asked with one line; if that is
+    not answered, it is left alone until replugged.
     """
     found, held = [], []
-    for port in candidate_ports() if ports is None else ports:
-        mild = ports is None and not _is_named_or_simulated(port)
+    for port in candidate_ports():
+        mild = not _is_named_or_simulated(port)
         if mild and _SILENT.get(port) == _when_plugged(port):
             continue
         box = _asked_box(port, mild=mild)
@@ -244,7 +287,8 @@ def darken(name: str | None = None, channel: str | None = None) -> tuple[list[Da
         with _simulated(read_preset()).box as simulated:
             return [_darkened(simulated, channel)], []
     dark, failures = list[DarkBox](), list[DeviceError]()
-    held = [entry for entry in held_boxes() if name in (None, entry.serial, entry.port)]
+    all_held = held_boxes()
+    held = [entry for entry in all_held if name in (None, entry.serial, entry.port) or not entry.serial]
     for entry in held:
         try:
             ask_for_darkness(entry)
@@ -252,7 +296,7 @@ def darken(name: str | None = None, channel: str | None = None) -> tuple[list[Da
         except DeviceInUse as error:
             failures.append(error)
     is_port = name is not None and ("/" in name or Path(name).exists())
-    taken = {os.path.realpath(entry.port) for entry in held_boxes()}
+    taken = {os.path.realpath(entry.port) for entry in all_held}
     ports = [name] if name is not None and is_port else [] if held and name is not None else candidate_ports()
     for port in ports:
         if os.path.realpath(port) in taken:

@@ -5,10 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import BeforeValidator, Field
+from pydantic import BeforeValidator, ConfigDict, Field
 
 from radiometer.data import LensDescription, Patch, PatchDescription, SourceDescription
-from radiometer.data.capture_header import LensHandling
 from radiometer.data.config_files import shipped_config
 from radiometer.data.storage import read_yaml
 from radiometer.data.validation import ConfigSection, validate
@@ -65,18 +64,12 @@ class GenicamCameraConfig(ConfigSection):
 CameraConfig = Annotated[SimulatedCameraConfig | GenicamCameraConfig, Field(discriminator="kind")]
 
 
-class LensConfig(ConfigSection):
-    """The lens in front of the camera."""
+class LensConfig(LensDescription):
+    """The lens in front of the camera: as capture sets record it, with its focal length and f-number."""
 
+    model_config = ConfigDict(extra="forbid")
     focal_length_mm: float = Field(gt=0)
     f_number: float = Field(gt=0)
-    transmittance: float | None = Field(None, gt=0, le=1)
-    transmittance_u_rel: float | None = Field(None, ge=0)
-    magnification: float = Field(0.0, ge=0)
-    pupil_magnification: float = Field(1.0, gt=0)
-    principal_point_px: tuple[float, float] | None = None
-    vignetting: Literal["none", "cos4"] = "none"
-    since_calibration: tuple[LensHandling, ...] = ()
 
     @property
     def description(self) -> LensDescription:

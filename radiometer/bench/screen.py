@@ -39,6 +39,7 @@ BROWSER: Final = "browser"
 START_TIMEOUT_S: Final = 600.0  # from the page's opening until somebody presses its Start
 # The whole of a simulated screen fills the picture; a small sensor shows as much and is quick.
 SIMULATED_SIZE: Final = (96, 64)
+_SHORT_S: Final = 1e-3  # short against the periods of dimmed backlights, 2 to 5 ms
 _FLICKER_FRAMES: Final = 16  # a scatter from 16 is known to 18 %
 PRIMARIES: Final = ("red", "green", "blue")
 _OBSERVERS: Final[tuple[Observer, ...]] = ("photopic", "scotopic")
@@ -80,11 +81,11 @@ class ScreenBench:
         parts = {name: getattr(whole, name)[area.slices] for name in ("radiance", "u_radiance", "mask")}
         return replace(whole, **parts)
 
-    def check_flicker(self, exposure_s: float = 1e-3) -> Flicker:
+    def check_flicker(self) -> Flicker:
         """Return whether the display's light changes from one short frame to the next. Raises DeviceError."""
         camera, patch = self.instrument.camera, self.instrument.patch
         low, high = camera.capabilities.exposure_s
-        settings = camera.configure(replace(camera.settings, exposure_s=float(np.clip(exposure_s, low, high))))
+        settings = camera.configure(replace(camera.settings, exposure_s=float(np.clip(_SHORT_S, low, high))))
         frames = camera.capture(_FLICKER_FRAMES)
         black = camera.description.black_level_dn or 0.0
         pixels = np.array([frame.dn[patch.slices] for frame in frames], dtype=np.float64) - black
@@ -94,11 +95,11 @@ class ScreenBench:
         means = pixels.mean(axis=(1, 2))
         return judge_flicker(means.tolist(), noise_dn / float(means.mean()), settings.exposure_s)
 
-    def check_uniformity(self, rows: int = 3, columns: int = 3) -> Uniformity:
-        """Return white over a grid of places in the camera's picture. Raises DeviceError, MeasurementError."""
+    def check_uniformity(self) -> Uniformity:
+        """Return white over three by three places in the camera's picture. Raises DeviceError, MeasurementError."""
         limits, patch = self.instrument.camera.capabilities, self.instrument.patch
-        xs = np.linspace(0, limits.width - patch.width, columns).astype(int)
-        ys = np.linspace(0, limits.height - patch.height, rows).astype(int)
+        xs = np.linspace(0, limits.width - patch.width, 3).astype(int)
+        ys = np.linspace(0, limits.height - patch.height, 3).astype(int)
         places = [[Patch(int(x), int(y), patch.width, patch.height) for x in xs] for y in ys]
         return Uniformity.of([[self.instrument.at(place).measure().radiance.value for place in row] for row in places])
 
@@ -224,7 +225,7 @@ def _browser_bench(
     port: int,
     announce: Callable[[str], None],
 ) -> Iterator[ScreenBench]:
-    from radiometer.screen.browser_display import BrowserDisplay
+    from radiometer.screen.browser_page import BrowserDisplay
 
     with open_bench_camera(bench, name) as (config, camera):
         where = patch or (config.patch.patch if config.patch else central_patch(camera))

@@ -13,16 +13,46 @@ from typing import Final
 import numpy as np
 
 from radiometer.bench.box_holder import runtime_folder
-from radiometer.bench.boxes import SIMULATED_PORTS, exposure_store, read_preset
-from radiometer.bench.seated_subject import places_of, seat_subject
+from radiometer.bench.boxes import SIMULATED_PORTS, LightBoxConfig, exposure_store, read_preset
 from radiometer.errors import OutputError, OutputRefused, UsageError
 from simulators.light_box.avr_box import AvrBox
 from simulators.light_box.box import SimulatedBoxSettings, SimulatedLightBox
-from simulators.light_box.line_faults import LineFaults
 from simulators.light_box.pty_line import PtyServer, WiredLightBox
+from simulators.light_box.virtual_line import LineFaults
+from simulators.observers.behaviours import behaviour_of
+from simulators.observers.observer import Observer
+from simulators.observers.observer_at_box import ObserverAtBox
 
 _LOOK_S: Final = 0.05  # a tenth of the shortest period that anybody presses or resets a box with
 _PRESS_S: Final = 0.2  # of a short press by a finger
+
+
+def places_of(preset: LightBoxConfig) -> dict[str, tuple[float, float]]:
+    """Return the places of the channels with separate openings, in degrees temporal of and above the mark."""
+    known = preset.channels
+    return {name: (c.place.temporal_deg, -c.place.below_deg) for name, c in known.items() if c.place is not None}
+
+
+def seat_subject(twin: SimulatedLightBox, behaviour: str, seed: int, filter_density: float) -> ObserverAtBox:
+    """Seat a simulated subject before a simulated box and return it.
+
+    Args:
+        behaviour: Name of a behaviour of `simulators.observers.behaviours`.
+        filter_density: Optical density of the filter before the spot.
+
+    Raises:
+        UsageError: If the behaviour is unknown.
+    """
+    chosen, rng = behaviour_of(behaviour), np.random.default_rng(seed)
+    subject = ObserverAtBox(
+        Observer(chosen.eye(rng), chosen.habits, rng),
+        twin,
+        filter_density=filter_density,
+        leaves_after_min=chosen.leaves_after_min,
+        taps=chosen.taps,
+    )
+    subject.sit_down()
+    return subject
 
 
 @dataclass(frozen=True, slots=True)

@@ -8,13 +8,13 @@ from typing import TYPE_CHECKING, Final, overload
 
 import radiometer as rm
 from radiometer.errors import UsageError
+from radiometer.plausible import PLAUSIBLE
 from radiometer.units import read_number, unit_of
 
 if TYPE_CHECKING:
     from radiometer import Patch
 
 _LONGEST_BARE_EXPOSURE_S: Final = 30.0  # the longest time that shutters offer; 60 and more are meant as 1/60 …
-_F_NUMBERS: Final = (0.5, 256.0)  # the least that a lens in air can have, and a pinhole's
 
 
 @overload
@@ -124,7 +124,7 @@ def parse_f_number(text: str | float | None, option: str) -> float | None:
     """
     if text is None or isinstance(text, float):
         return text
-    low, high = _F_NUMBERS
+    low, high = PLAUSIBLE["f_number"].low, PLAUSIBLE["f_number"].high
     try:
         number = float(text.strip().lower().removeprefix("f/"))
     except ValueError as error:
@@ -149,6 +149,16 @@ def parse_radiance(text: str | None) -> float | str | None:
         return float(text)
     except ValueError as error:
         raise UsageError(f"--radiance {text!r}: give a number in W·sr⁻¹·m⁻², or a certificate (.xml)") from error
+
+
+def parse_size(text: str | None) -> tuple[float, ...] | None:
+    """Return the lengths of "0.52x0.32" or of a diameter "0.1"; None where nothing is given. Raises UsageError."""
+    if text is None:
+        return None
+    try:
+        return tuple(float(part) for part in text.replace("×", "x").split("x"))
+    except ValueError as error:
+        raise UsageError(f"--size {text!r}: expected WIDTHxHEIGHT in m, such as 0.52x0.32, or a diameter") from error
 
 
 def parse_bounds(text: str, option: str) -> tuple[float, float]:

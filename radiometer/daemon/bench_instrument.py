@@ -1,26 +1,147 @@
-"""The bench as the daemon's instrument: opens, reopens, measures."""
+"""The bench as the daemon's devices: its camera, watched for late answers, and its light box; opened and reopened."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import math
+import time
+import zlib
+from collections.abc import Callable, Generator, Iterator, Mapping
+from contextlib import AbstractContextManager, ExitStack, contextmanager
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
+
+import numpy as np
 
 from radiometer.analysis.calibration.shared import require_camera
 from radiometer.analysis.photometry.photometry import spectrum
 from radiometer.bench.assembly import calibration_path, stated_source, states_spectrum
+from radiometer.bench.boxes import open_light_box
 from radiometer.bench.cameras import open_camera
 from radiometer.bench.config import BenchConfig, read_bench
 from radiometer.bench.instrument import Instrument, central_patch
 from radiometer.daemon.instrument import DeviceReport, Measurement, MeasurementSettings
-from radiometer.daemon.watched_camera import WatchedCamera
-from radiometer.data import Bracket, Calibration, Frame, Patch, ResponseCurve
-from radiometer.devices import Camera, CameraCapabilities, CameraIdentity
+from radiometer.data import Bracket, Calibration, CameraDescription, Flag, Frame, LensDescription, Patch, ResponseCurve
+from radiometer.devices import AcquisitionCounts, Camera, CameraCapabilities, CameraIdentity, CameraSettings
+from radiometer.devices.light_box import FULL_LEVEL, ChannelState, CurrentRange, DriveLevel, LightBox
+from radiometer.devices.opening import Opened
 from radiometer.errors import DeviceError
 
 _UNKNOWN = CameraIdentity("", "camera not seen yet", "", "")
 _FIXED_REPEATS = 2  # one repeat, so that flicker between two equal frames can be noticed
+GRACE_S: Final = 1.4  # beyond twice the exposure: what a healthy camera needs to read out, send, or answer
+# A camera rounds exposure times to its lines, 10 to 30 µs each, and to its clock: what differs more was not asked for.
+_ROUNDED_S: Final = 50e-6
+_ROUNDED_REL: Final = 0.02  # coarse line times at short exposures
+_EVERY_NTH_ROW: Final = 8  # noise in an eighth of the pixels never repeats either, and is looked at eight times faster
+_PICTURED: Final = 0.5  # below this share of pixels that are neither lowest nor highest, noise may not show
+
+
+class WatchedCamera(Opened):
+    """Passes every call on, notes by when it should have returned, and what is odd about its frames.
+
+    Args:
+        clock: Steady time in s.
+    """
+
+    def __init__(self, camera: Camera, clock: Callable[[], float] = time.monotonic) -> None:
+        self._camera, self._clock = camera, clock
+        self.late_at: float | None = None
+        self._asked_s: float | None = None
+        self._last: tuple[int, tuple[int, ...]] | None = None
+        self._doubts: set[Flag] = set()
+
+    def take_doubts(self) -> tuple[Flag, ...]:
+        """Return why the frames since the last call may not be believed, and forget it."""
+        doubts, self._doubts = tuple(sorted(self._doubts)), set()
+        return doubts
+
+    @property
+    def identity(self) -> CameraIdentity:
+        """Return who the camera is."""
+        return self._camera.identity
+
+    @property
+    def capabilities(self) -> CameraCapabilities:
+        """Return its limits."""
+        return self._camera.capabilities
+
+    @property
+    def settings(self) -> CameraSettings:
+        """Return the settings in force."""
+        return self._camera.settings
+
+    @property
+    def description(self) -> CameraDescription:
+        """Return what its datasheet says."""
+        return self._camera.description
+
+    @property
+    def lens(self) -> LensDescription:
+        """Return the lens in front of it."""
+        return self._camera.lens
+
+    @property
+    def counts(self) -> AcquisitionCounts:
+        """Return what went wrong and was put right."""
+        return self._camera.counts
+
+    def open(self) -> None:
+        """Open the device."""
+        self._camera.open()
+
+    def close(self) -> None:
+        """Release the device."""
+        self._camera.close()
+
+    def configure(self, settings: CameraSettings) -> CameraSettings:
+        """Set everything and return it as read back."""
+        with self._expected_within(GRACE_S):
+            applied = self._camera.configure(settings)
+        self._asked_s = settings.exposure_s
+        return applied
+
+    def capture(self, count: int = 1) -> list[Frame]:
+        """Return complete frames. Raises DeviceError, also where a frame states no possible exposure time."""
+        with self._expected_within(GRACE_S + 2 * count * self._camera.settings.exposure_s):
+            frames = self._camera.capture(count)
+        for frame in frames:
+            self._look_at(frame)
+        return frames
+
+    def stream(self) -> Generator[Frame, None, None]:
+        """Yield frames as they come. Raises DeviceError as `capture` does."""
+        for frame in self._camera.stream():
+            self._look_at(frame)
+            yield frame
+
+    def set_shutter(self, *, closed: bool) -> None:
+        """Close or open the shutter."""
+        self._camera.set_shutter(closed=closed)
+
+    def _look_at(self, frame: Frame) -> None:
+        stated_s = frame.settings.exposure_s
+        if not (math.isfinite(stated_s) and stated_s > 0):
+            raise DeviceError(
+                f"the camera states an exposure time of {stated_s:g} s for a frame; reset it, or update its driver"
+            )
+        if self._asked_s is not None:
+            rounded_s = max(_ROUNDED_S, _ROUNDED_REL * self._asked_s, 2 * self._camera.capabilities.exposure_step_s)
+            if abs(stated_s - self._asked_s) > rounded_s:
+                self._doubts.add(Flag.EXPOSURE_UNCONFIRMED)
+        rows = np.asarray(frame.dn[::_EVERY_NTH_ROW], dtype=np.uint16)
+        this = (zlib.crc32(rows.tobytes()), rows.shape)
+        if this == self._last and float(np.mean((rows > rows.min()) & (rows < frame.full_scale_dn))) > _PICTURED:
+            self._doubts.add(Flag.REPEATED_FRAME)
+        self._last = this
+
+    @contextmanager
+    def _expected_within(self, seconds: float) -> Iterator[None]:
+        self.late_at = self._clock() + seconds
+        try:
+            yield
+        finally:
+            self.late_at = None
 
 
 class BenchInstrument:
@@ -30,7 +151,6 @@ class BenchInstrument:
         bench: Bench file; the simulated bench where None.
         camera_name: "sim", or a GenICam id, serial number or address; the bench's own camera where None.
         calibration: Calibration file; the bench's own where None.
-        spectrum_name: Spectrum assumed for the luminance; the bench's, else the calibration's, where None.
 
     Raises:
         ConfigurationError: If the bench file is wrong.
@@ -44,12 +164,11 @@ class BenchInstrument:
         calibration: Path | None = None,
         *,
         uncalibrated: bool = False,
-        spectrum_name: str | None = None,
     ) -> None:
         self._config, self._where = read_bench(bench, camera_name)
         self._name = camera_name
         self._path = None if uncalibrated else calibration or calibration_path(self._config, bench)
-        self._spectrum = spectrum_name or self._config.spectrum
+        self._spectrum = self._config.spectrum
         self._calibration = self._read_calibration()
         self._camera: WatchedCamera | None = None
         self._limits: CameraCapabilities | None = None
@@ -189,3 +308,106 @@ class BenchInstrument:
 def _distinct(bracket: Bracket) -> tuple[Frame, ...]:
     """Return one frame per exposure: what a picture needs."""
     return tuple({frame.settings.effective_exposure_s: frame for frame in bracket.light}.values())
+
+
+class BenchLight:
+    """The light box that `open_box` gives.
+
+    Levels go from 0 to 1 of the high-current range; what a channel's own limit or the retinal-exposure account does
+    not allow is refused by the box's driver.
+
+    Args:
+        open_box: Returns a block in which the box is open; called again after each loss.
+    """
+
+    def __init__(self, open_box: Callable[[], AbstractContextManager[LightBox]], name: str = "light box") -> None:
+        self._open_box, self._name = open_box, name
+        self._box: LightBox | None = None
+        self._held = ExitStack()
+        self._channels: tuple[str, ...] = ()
+        self._limits: dict[str, float] = {}
+
+    @property
+    def name(self) -> str:
+        """Return the name for messages."""
+        return self._name
+
+    @property
+    def channels(self) -> tuple[str, ...]:
+        """Return the names of the channels; empty before the box was first open."""
+        return self._channels
+
+    @property
+    def level_limits(self) -> dict[str, float]:
+        """Return the highest level of each channel that the box would have accepted when it was last asked."""
+        return dict(self._limits)
+
+    @property
+    def late_at(self) -> float | None:
+        """Return None: every exchange with the box has a short deadline."""
+        return None
+
+    def open(self) -> None:
+        """Open the box, all channels dark. Raises DeviceError."""
+        self.close()
+        with ExitStack() as opening:
+            box = opening.enter_context(self._open_box())
+            self._channels = tuple(box.channels)
+            self._held = opening.pop_all()
+        self._box = box
+
+    def close(self) -> None:
+        """Switch every channel off and release the box."""
+        self._box = None
+        self._held.close()
+
+    def check(self) -> DeviceReport:
+        """Ask the box for temperature, counts and what each channel really does. Raises DeviceError."""
+        box = self._opened()
+        status, levels = box.status(), {name: _level(box.read_channel(name)) for name in self._channels}
+        self._limits = {name: _highest(box, name) for name in self._channels}
+        counts = {"damaged_lines": status.damaged_lines, "lost_bytes": status.lost_bytes, "darkened": status.darkened}
+        return DeviceReport(status.temperature_celsius, counts, levels)
+
+    def set_level(self, channel: str, level: float) -> float:
+        """Set a channel's level, 0 to 1, and return it as read back. Raises DeviceError."""
+        box = self._opened()
+        if level == 0.0:
+            box.off(channel)
+            return 0.0
+        state = box.set_level(channel, DriveLevel(max(1, round(level * FULL_LEVEL)), CurrentRange.HIGH))
+        return _level(state)
+
+    def _opened(self) -> LightBox:
+        if self._box is None:
+            raise DeviceError(f"the {self._name} is not open")
+        return self._box
+
+
+def _highest(box: LightBox, channel: str) -> float:
+    """Return the highest steady level that a box accepts now; its own limit where it keeps no account."""
+    highest = getattr(box, "highest_level", None)
+    level = highest(channel) if highest else box.channels[channel].level_limit[CurrentRange.HIGH]
+    return int(level) / FULL_LEVEL
+
+
+def _level(state: ChannelState) -> float:
+    """Return the level on the high range that a channel is driven at; one on the low range counts as what it is."""
+    return state.drive.level / FULL_LEVEL
+
+
+def bench_light(name: str, calibration: Path | None = None, preset: Path | None = None) -> BenchLight:
+    """Return the light box of a name as the daemon's light source, not yet open.
+
+    Args:
+        name: "sim", a serial number or a port.
+        calibration: Calibration file; the one kept for its serial number where None.
+        preset: Light-box preset; the reference box's where None.
+    """
+
+    @contextmanager
+    def open_box() -> Iterator[LightBox]:
+        with open_light_box(name, calibration=calibration, preset=preset) as opened:
+            yield opened.box
+
+    return BenchLight(open_box)

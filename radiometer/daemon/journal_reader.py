@@ -17,7 +17,8 @@ from radiometer.daemon.journal import APPLICATION_ID, MINUTE_US
 from radiometer.daemon.timestamps import iso_time
 from radiometer.data.json_text import parsed_json
 from radiometer.data.reader_limits import refuse_endless
-from radiometer.errors import InputError
+from radiometer.errors import InputError, UsageError
+from radiometer.plausible import PLAUSIBLE
 from radiometer.reporting.plain_text import spreadsheet_cell
 
 CSV_COLUMNS: Final = (
@@ -54,6 +55,11 @@ class ReadingFilter:
     limit: int | None = None  # at most this many; None for all
     newest_first: bool = False  # take (and give) the newest first
     stream: str | None = None  # only readings of this stream ("" is the patch measured for all); None for all
+
+    def __post_init__(self) -> None:
+        for name in ("after", "limit"):
+            if (number := getattr(self, name)) is not None:
+                PLAUSIBLE["journal_number"].check(name, number, UsageError)
 
     def where(self) -> tuple[str, list[Any]]:
         """Return the SQL condition and its values."""
@@ -163,6 +169,7 @@ class JournalReader:
 
     def budget(self, sequence: int) -> dict[str, float]:
         """Return the relative standard uncertainty per contribution of one reading. Raises InputError."""
+        PLAUSIBLE["journal_number"].check(f"reading {sequence} of {self._path}", sequence)
         with self._connect() as connection:
             row = connection.execute("SELECT budget FROM readings WHERE sequence = ?", (sequence,)).fetchone()
         if row is None:

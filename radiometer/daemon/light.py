@@ -63,6 +63,11 @@ class Light:
         self._changed()
         return self.levels[channel]
 
+    def limit(self, channel: str) -> float:
+        """Return the highest level, 0 to 1, that the box allowed a channel when it was last asked."""
+        limits: dict[str, float] = getattr(self.box, "level_limits", {}) or {}
+        return limits.get(channel, 1.0)
+
     async def off(self) -> None:
         """Darken every channel, whatever is known of it; each is tried although another failed.
 

@@ -23,9 +23,6 @@ class BleachingConstant:
     verified: bool  # whether the figure was read in a copy of the source or of a table that quotes it
 
 
-ROD_HALF_BLEACH_LOG10_TD: Final = 4.4  # CVRL, table of half-bleaching constants
-CONE_HALF_BLEACH_LOG10_TD: Final = 4.3  # likewise
-
 ROD_EXPOSURE: Final = BleachingConstant(
     "rod exposure",
     1.0e7,

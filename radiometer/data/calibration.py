@@ -18,7 +18,7 @@ from radiometer.data.provenance import Provenance, is_out_of_date, utc_now
 from radiometer.data.response_curve import ResponseCurve
 from radiometer.data.sensor_noise import SensorNoise
 from radiometer.data.storage import read_yaml, write_yaml_atomic
-from radiometer.data.validation import FileSection, validate
+from radiometer.data.validation import FileSection, validate, within
 from radiometer.errors import CalibrationError
 
 ScaleMethod = Literal["known_radiance", "light_meter_k", "datasheet", "relative"]
@@ -31,8 +31,8 @@ class ScaleConditions(FileSection):
 
     # Mean of 1/t over the exposures in s⁻¹, by their part in the value; 0 for long ones
     inverse_exposure_per_s: float = Field(0.0, ge=0)
-    gain_db: float = 0.0  # analogue gain in dB
-    temperature_c: float | None = None  # sensor temperature in °C; None where unknown
+    gain_db: Annotated[float, within("gain")] = 0.0  # analogue gain in dB
+    temperature_c: Annotated[float | None, within("temperature")] = None  # sensor temperature in °C; None where unknown
     level: float = Field(0.5, ge=0)  # signal as a part of full scale
     # Sensitivity at the patch relative to the optical axis, as it was reckoned with
     sensitivity: float = Field(1.0, gt=0)
@@ -47,12 +47,12 @@ class Scale(FileSection):
     """What turns the linear signal into exposure on the sensor: H = value · f(M)."""
 
     # J·m⁻² per unit of the linear signal: per exp(g) with a response curve, else per DN above black at 0 dB
-    value: float = Field(gt=0)
+    value: Annotated[float, within("scale")]
     u_rel: float = Field(ge=0)  # relative standard uncertainty
     method: ScaleMethod  # how it was got
     degrees_of_freedom: float | None = Field(None, gt=0)  # of the uncertainty; None for infinitely many
     # f-number it was got at; None where unknown (the lens is then part of the value)
-    f_number: float | None = Field(None, gt=0)
+    f_number: Annotated[float | None, within("f_number")] = None
     reference: str = ""  # what it was compared with, in words
     spectrum: str | None = None  # spectrum of what it was compared with; None where it is the calibration's
     # What of the reference was known: its radiance, or its luminance by way of its spectrum
@@ -60,10 +60,10 @@ class Scale(FileSection):
     # Relative standard uncertainties that `u_rel` is made up from, by name
     budget: dict[str, float] = Field(default_factory=dict)
     # ISO speed as really measured, or as stated where that is all, at which the gain of photographs is 0 dB
-    iso: float | None = Field(None, gt=0)
-    iso_stated: float | None = Field(None, gt=0)  # that speed as the camera states it; None where unknown
+    iso: Annotated[float | None, within("iso")] = None
+    iso_stated: Annotated[float | None, within("iso")] = None  # that speed as the camera states it; None where unknown
     conditions: ScaleConditions = ScaleConditions()  # what it was got under
-    unit: str = "J m-2 per unit of signal"  # of the value, for people
+    unit: Literal["J m-2 per unit of signal"] = "J m-2 per unit of signal"  # of the value
 
 
 class BlackLevel(FileSection):
@@ -103,7 +103,7 @@ class FlatField(FileSection):
     coefficients: tuple[float, float, float] = (0.0, 0.0, 0.0)  # k₂, k₄, k₆
     u_rel: float = Field(0.0, ge=0)  # relative standard uncertainty of the correction at a pixel
     shape: tuple[int, int]  # (height, width) of the frames it was made from; it fits no other size
-    f_number: float | None = Field(None, gt=0)  # f-number it was made at; vignetting changes with it
+    f_number: Annotated[float | None, within("f_number")] = None  # f-number it was made at; vignetting changes with it
 
     def at(self, x_px: NDArray[np.float64], y_px: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the relative sensitivity at pixel positions, same shape as the broadcast of x and y."""
@@ -121,14 +121,14 @@ class FoundEffects(FileSection):
 
     exposure_offset_s: float = 0.0  # real exposure times beyond the stated ones in s
     exposure_further_s: float = 0.0  # as much more above the gain `exposure_above_db`
-    exposure_above_db: float = 0.0  # that gain in dB
+    exposure_above_db: Annotated[float, within("gain")] = 0.0  # that gain in dB
     black_offset_dn: float = 0.0  # real black level beyond the stated one in DN
     # What the gain amplifies of it, b·(m + c·m²) with m = gain over that of `black_from_db` − 1
     black_slope_dn: float = 0.0
-    black_from_db: float = 0.0  # gain in dB from which on
+    black_from_db: Annotated[float, within("gain")] = 0.0  # gain in dB from which on
     black_bend: float = 0.0  # c
     gain_error_rel: float = 0.0  # relative error of gains in dB: a stated G is really G·(1 + error)
-    gains_db: tuple[float, ...] = ()  # gains in dB at which a table holds a further error
+    gains_db: Annotated[tuple[float, ...], within("gain")] = ()  # gains in dB at which a table holds a further error
     # Relative error of the gain factor at each; straight between them
     gain_errors_rel: tuple[Annotated[float, Field(gt=-1)], ...] = ()
     temperature_slope_per_k: float = 0.0  # relative change of the responsivity per K, from 25 °C
@@ -301,12 +301,12 @@ class Calibration:
 
 
 class _NoiseSection(FileSection):
-    conversion_gain_e_per_dn: float = Field(gt=0)
-    read_noise_e: float = Field(ge=0)
+    conversion_gain_e_per_dn: Annotated[float, within("conversion_gain")]
+    read_noise_e: Annotated[float, within("read_noise")]
     post_curve_dn2: float = Field(0.0, ge=0)
     dark_current_e_per_s: float = Field(0.0, ge=0)
-    dark_reference_c: float = 25.0
-    dark_doubling_k: float = Field(7.0, gt=0)
+    dark_reference_c: Annotated[float, within("temperature")] = 25.0
+    dark_doubling_k: Annotated[float, within("doubling")] = 7.0
     full_well_e: float = Field(10_000.0, gt=0)
     assumed: tuple[str, ...] = ()
 

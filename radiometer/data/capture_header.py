@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from typing import Literal
+from typing import Annotated, Literal
 
 from pydantic import Field
 
 from radiometer.data.reading import Patch
-from radiometer.data.validation import FileSection
+from radiometer.data.validation import FileSection, within
 from radiometer.data.white_level import WhiteLevel
 
 LensHandling = Literal["reseated", "refocused", "iris_reset"]
@@ -48,12 +48,12 @@ class CameraDescription(FileSection):
     serial: str | None = None
     pixel_pitch_um: float | None = Field(None, gt=0)
     pixel_spacing_um: float | None = Field(None, gt=0)
-    conversion_gain_e_per_dn: float | None = Field(None, gt=0)
-    read_noise_e: float | None = Field(None, ge=0)
+    conversion_gain_e_per_dn: Annotated[float | None, within("conversion_gain")] = None
+    read_noise_e: Annotated[float | None, within("read_noise")] = None
     full_well_e: float | None = Field(None, gt=0)
     dark_current_e_per_s: float | None = Field(None, ge=0)
-    dark_current_reference_C: float | None = None  # noqa: N815 (the file's key)
-    dark_current_doubling_K: float | None = Field(None, gt=0)  # noqa: N815
+    dark_current_reference_C: Annotated[float | None, within("temperature")] = None  # noqa: N815 (the file's key)
+    dark_current_doubling_K: Annotated[float | None, within("doubling")] = None  # noqa: N815
     black_level_dn: float | None = None
     white_level_dn: float | None = Field(None, gt=0)  # from which pixels are saturated, where the camera states it
     quantum_efficiency: float | None = Field(None, gt=0, le=1)
@@ -92,7 +92,7 @@ class LensDescription(FileSection):
     """
 
     focal_length_mm: float | None = Field(None, gt=0)
-    f_number: float | None = Field(None, gt=0)
+    f_number: Annotated[float | None, within("f_number")] = None
     transmittance: float | None = Field(None, gt=0, le=1)
     transmittance_u_rel: float | None = Field(None, ge=0)
     magnification: float = Field(0.0, ge=0)

@@ -10,7 +10,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Final, Literal, Protocol, Self
+from typing import Annotated, Any, Final, Literal, Protocol, Self
 
 import cv2
 import numpy as np
@@ -31,7 +31,7 @@ from radiometer.data.pile_up import streamed_with_white_levels
 from radiometer.data.raw_files import RAW_SUFFIXES, read_raw_colours
 from radiometer.data.reader_limits import bounded_reader
 from radiometer.data.storage import check_new_folder, dump_yaml, read_yaml, state_folder, write_bytes_atomic
-from radiometer.data.validation import FileSection, validate
+from radiometer.data.validation import FileSection, validate, within
 from radiometer.errors import CaptureError, OutputError, OutputRefused, UsageError
 
 FORMAT = "radiometer-capture/1"
@@ -51,11 +51,11 @@ class FrameEntry(FileSection):
     """One frame of a capture set as `capture.yaml` lists it."""
 
     file: str
-    exposure_s: float = Field(ge=0)  # 0 means a bias frame: shutter closed, read out at once
-    gain_db: float = 0.0
-    f_number: float | None = Field(None, gt=0)
+    exposure_s: Annotated[float, within("exposure")]  # 0 means a bias frame: shutter closed, read out at once
+    gain_db: Annotated[float, within("gain")] = 0.0
+    f_number: Annotated[float | None, within("f_number")] = None
     black_level_dn: float | None = None
-    temperature_C: float | None = None  # noqa: N815 (the file's key)
+    temperature_C: Annotated[float | None, within("temperature")] = None  # noqa: N815 (the file's key)
     timestamp_s: float | None = None
     source_level: float = Field(1.0, ge=0)
     pattern: str = "default"
@@ -75,8 +75,13 @@ class FrameEntry(FileSection):
 
     @classmethod
     def of(cls, file: str, settings: FrameSettings, **further: Any) -> FrameEntry:
-        """Return the entry for a frame stored under `file` (relative to the capture set), with further facts."""
-        return cls(file=file, **{key: getattr(settings, name) for name, key in _KEY_OF_SETTING.items()}, **further)
+        """Return the entry for a frame stored under `file` (relative to the capture set), with further facts.
+
+        Raises:
+            CaptureError: If a setting is outside its plausible range.
+        """
+        facts = {key: getattr(settings, name) for name, key in _KEY_OF_SETTING.items()}
+        return validate(cls, {"file": file, **facts, **further}, file, CaptureError)
 
 
 class SettingStatistics(FileSection):
@@ -86,13 +91,13 @@ class SettingStatistics(FileSection):
     all there is.
     """
 
-    exposure_s: float = Field(ge=0)
+    exposure_s: Annotated[float, within("exposure")]
     mean_dn: float
     variance_dn2: float | None = Field(None, ge=0)
     frames: int = Field(2, ge=1)
     pixels: int = Field(ge=1)
-    gain_db: float = 0.0
-    temperature_C: float | None = None  # noqa: N815 (the file's key)
+    gain_db: Annotated[float, within("gain")] = 0.0
+    temperature_C: Annotated[float | None, within("temperature")] = None  # noqa: N815 (the file's key)
     timestamp_s: float | None = None
     source_level: float = Field(1.0, ge=0)
     pattern: str = "default"

@@ -8,11 +8,17 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from radiometer.data.capture_header import CameraDescription
-from radiometer.units import gain_factor
+from radiometer.units import ELEMENTARY_CHARGE_C, gain_factor
 
 # Stand in where a datasheet says nothing; chosen for a small-pixel machine-vision sensor, and printed as assumed.
 _TYPICAL_FULL_WELL_E = 10_000.0
 _TYPICAL_READ_NOISE_E = 3.0
+# Greatest dark current of a camera that states none: 1 nA/cm² at 25 °C, the surface current of a CCD without pinning
+# (J. R. Janesick, Scientific Charge-Coupled Devices, SPIE 2001, chapter 7). Pinned pixels have a hundredth of it.
+_MOST_DARK_A_PER_M2 = 1e-5
+_LARGEST_PITCH_UM = 24.0  # of the pixels of scientific CCDs; counts where the pitch is not stated either
+_MOST_DARK_REFERENCE_C = 25.0
+_DARK_DOUBLING_K = 7.0  # silicon: 6 to 8 K near room temperature
 
 
 @dataclass(frozen=True, slots=True)
@@ -25,8 +31,8 @@ class SensorNoise:
     conversion_gain_e_per_dn: float  # electrons per DN at gain 0 dB
     read_noise_e: float  # temporal read noise σ_d in electrons, quantisation taken out
     dark_current_e_per_s: float = 0.0  # Dark current at the reference temperature in e⁻/s
-    dark_reference_c: float = 25.0  # that temperature in °C
-    dark_doubling_k: float = 7.0  # temperature step in K that doubles the dark current
+    dark_reference_c: float = _MOST_DARK_REFERENCE_C  # that temperature in °C
+    dark_doubling_k: float = _DARK_DOUBLING_K  # temperature step in K that doubles the dark current
     full_well_e: float = _TYPICAL_FULL_WELL_E  # saturation capacity in electrons
     assumed: tuple[str, ...] = ()  # names of the figures that were not known and are typical values
     # Variance in DN² of noise that arises behind a response curve (grain, compression, sharpening, registration),
@@ -62,8 +68,10 @@ class SensorNoise:
             conversion_gain_e_per_dn=camera.conversion_gain_e_per_dn or full_well / camera.full_scale_dn,
             read_noise_e=_TYPICAL_READ_NOISE_E if camera.read_noise_e is None else camera.read_noise_e,
             dark_current_e_per_s=camera.dark_current_e_per_s or 0.0,
-            dark_reference_c=25.0 if camera.dark_current_reference_C is None else camera.dark_current_reference_C,
-            dark_doubling_k=camera.dark_current_doubling_K or 7.0,
+            dark_reference_c=(
+                _MOST_DARK_REFERENCE_C if camera.dark_current_reference_C is None else camera.dark_current_reference_C
+            ),
+            dark_doubling_k=camera.dark_current_doubling_K or _DARK_DOUBLING_K,
             full_well_e=full_well,
             assumed=tuple(missing),
         )
@@ -91,3 +99,15 @@ class SensorNoise:
         gain = self.gain_dn_per_e(gain_db)
         light = np.maximum(np.asarray(signal_dn, dtype=np.float64), 0.0)
         return gain * light + gain**2 * (self.read_noise_e**2 + dark_e) + self.code_variance_dn2
+
+
+def most_dark_e_per_s(camera: CameraDescription, temperature_c: float | None) -> float:
+    """Return the greatest dark current in e⁻/s that a camera may have which states none: the one prior for it.
+
+    Args:
+        camera: The camera; its pixel pitch gives the area.
+        temperature_c: Temperature of the sensor in °C; None counts as 25 °C.
+    """
+    area_m2 = ((camera.pixel_pitch_um or _LARGEST_PITCH_UM) * 1e-6) ** 2
+    warmer_k = 0.0 if temperature_c is None else temperature_c - _MOST_DARK_REFERENCE_C
+    return float(_MOST_DARK_A_PER_M2 * area_m2 / ELEMENTARY_CHARGE_C * 2.0 ** (warmer_k / _DARK_DOUBLING_K))

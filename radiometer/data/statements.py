@@ -18,7 +18,8 @@ from typing import Any, Final
 
 from radiometer.data.storage import read_yaml
 from radiometer.errors import ConfigurationError, UnsettledError, UsageError
-from radiometer.units import ZERO_CELSIUS_K, Unit, read_number, unit_in_words, unit_names, unit_of
+from radiometer.plausible import PLAUSIBLE
+from radiometer.units import Unit, read_number, unit_in_words, unit_names, unit_of
 
 MAP_FORMAT: Final = "radiometer-import-map/1"
 
@@ -31,23 +32,29 @@ class Unknown:
     low: float = -math.inf  # least value in the base unit; anything below means "unknown"
     high: float = math.inf  # greatest value in the base unit; anything above means "unknown"
 
+    @classmethod
+    def outside(cls, quantity: str, numbers: frozenset[float]) -> Unknown:
+        """Return what is outside the plausible range of a quantity, and some numbers."""
+        return cls(numbers, PLAUSIBLE[quantity].low, PLAUSIBLE[quantity].high)
+
 
 # Gain steps by the maker's name in the header. ZWO: "ASI Cameras software development kit", ASI_GAIN, tenths of a dB.
 # QHY, Atik, Touptek and Player One count in steps that differ between models: their unit is unknown.
 _MAKERS_GAIN: Final = {"ZWO": "0.1dB", "ASI": "0.1dB"}
 # The sentinels: 65535 and 4294967295 are full 16- and 32-bit counters, the others are what makers' programs write.
 _COUNTERS: Final = frozenset({65_535.0, 4_294_967_295.0, -32_768.0, -1.0, -999.0, -9999.0})
+_MOST_DN: Final = 4_294_967_295.0  # of 32 bits
 UNKNOWN: Final[Mapping[str, Unknown]] = {
-    "exposure": Unknown(_COUNTERS, low=0.0),
-    # No image sensor works below 1 K or above 150 °C; −1 °C is a temperature.
-    "temperature": Unknown((_COUNTERS - {-1.0}) | {999.0, 9999.0}, low=1.0 - ZERO_CELSIUS_K, high=150.0),
-    "gain": Unknown(_COUNTERS | {999.0}),
-    "iso": Unknown(_COUNTERS | {0.0}, low=1.0),
-    "conversion_gain": Unknown(_COUNTERS | {0.0, 999.0}, low=0.0),
-    "read_noise": Unknown(_COUNTERS, low=0.0),
-    "f_number": Unknown(_COUNTERS | {0.0}, low=0.0),
-    "black_level": Unknown(_COUNTERS, low=0.0),
-    "luminance": Unknown(frozenset({-1.0, -999.0}), low=0.0),
+    "exposure": Unknown.outside("exposure", _COUNTERS),
+    # −1 °C is a temperature.
+    "temperature": Unknown.outside("temperature", (_COUNTERS - {-1.0}) | {999.0, 9999.0}),
+    "gain": Unknown.outside("gain", _COUNTERS | {999.0}),
+    "iso": Unknown.outside("iso", _COUNTERS | {0.0}),
+    "conversion_gain": Unknown.outside("conversion_gain", _COUNTERS | {0.0, 999.0}),
+    "read_noise": Unknown.outside("read_noise", _COUNTERS),
+    "f_number": Unknown.outside("f_number", _COUNTERS | {0.0}),
+    "black_level": Unknown(_COUNTERS, low=0.0, high=_MOST_DN),
+    "luminance": Unknown.outside("luminance", frozenset({-1.0, -999.0})),
     "wavelength": Unknown(low=0.0),
     "level": Unknown(low=0.0),
 }

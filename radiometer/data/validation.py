@@ -3,14 +3,34 @@
 from __future__ import annotations
 
 import functools
-from collections.abc import Mapping
-from typing import Any, TypeVar, get_args
+from collections.abc import Iterator, Mapping
+from typing import Any, Final, Self, TypeVar, get_args
 
-from pydantic import BaseModel, ConfigDict, ValidationError, model_validator
+from pydantic import AfterValidator, BaseModel, ConfigDict, ValidationError, model_validator
 
 from radiometer.errors import RadiometerError
+from radiometer.plausible import PLAUSIBLE
 
 ModelT = TypeVar("ModelT", bound=BaseModel)
+# No quantity in the units of these files is so large, or so small but zero: products and powers of some stay finite.
+_LARGEST: Final = 1e30
+_SMALLEST: Final = 1e-60
+
+
+def within(quantity: str) -> AfterValidator:
+    """Return what makes a field refuse numbers outside the plausible range of its quantity; None passes.
+
+    Args:
+        quantity: Key of `PLAUSIBLE`.
+    """
+
+    def check(value: float | tuple[float, ...] | None) -> float | tuple[float, ...] | None:
+        for one in value if isinstance(value, tuple) else () if value is None else (value,):
+            if not PLAUSIBLE[quantity].holds(one):
+                raise ValueError(PLAUSIBLE[quantity].refusal(one))
+        return value
+
+    return AfterValidator(check)
 
 
 class _Section(BaseModel):
@@ -23,6 +43,14 @@ class _Section(BaseModel):
             if _holds_truth(value) and key in cls.model_fields and not _takes_truth(cls, key):
                 raise ValueError(f"{key} = {value}: true and false are no numbers; state the number")
         return mapping
+
+    @model_validator(mode="after")
+    def _numbers_have_a_size(self) -> Self:
+        for key in type(self).model_fields:
+            for number in _numbers_of(getattr(self, key)):
+                if number and not _SMALLEST <= abs(number) <= _LARGEST:
+                    raise ValueError(f"{key} = {number:g}: no quantity has this size; correct the power of ten")
+        return self
 
 
 class FileSection(_Section):
@@ -58,6 +86,8 @@ def _line(entry: Mapping[str, Any], model: type[BaseModel]) -> str:
     if entry["type"] == "extra_forbidden":
         allowed = ", ".join(sorted(_keys_at(model, entry["loc"][:-1])))
         return f"unknown key {key!r}" + (f"; allowed here: {allowed}" if allowed else "")
+    if isinstance(entry.get("input"), Mapping) and entry["type"] == "value_error":  # of a whole section, which names it
+        return ": ".join(filter(None, (key, entry["msg"].removeprefix("Value error, "))))
     shown = repr(entry.get("input"))
     shown = shown if len(shown) <= 60 else shown[:57] + "..."
     return f"{key} = {shown}: {entry['msg'][0].lower()}{entry['msg'][1:]}"
@@ -73,6 +103,15 @@ def _keys_at(model: type[BaseModel], path: tuple[Any, ...]) -> list[str]:
             return []
         model = inner[0]
     return list(model.model_fields)
+
+
+def _numbers_of(value: Any) -> Iterator[float]:
+    if isinstance(value, float | int):
+        yield value
+    elif isinstance(value, dict | tuple):
+        for one in value.values() if isinstance(value, dict) else value:
+            if isinstance(one, float | int):
+                yield one
 
 
 def _holds_truth(value: Any) -> bool:

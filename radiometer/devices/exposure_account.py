@@ -240,7 +240,8 @@ class Account:
         """Bring the account to a later moment; return False where it was written after that, or by another computer.
 
         Within a boot the uptime counts, which cannot be set. Across boots the time that passed is the wall clock's or
-        the uptime of the new boot, whichever is less: how long the machine was off is not known.
+        the uptime of the new boot, whichever is less: how long the machine was off is not known. To a program whose
+        uptime is shifted (a time namespace) no time has passed since the last entry: its wall clock may be faked, too.
         """
         before = self.moment
         if moment.machine != before.machine:  # neither its uptime nor its wall clock can be compared with ours
@@ -250,7 +251,8 @@ class Account:
                 return False
             self.moment = moment
         else:
-            passed_s = min(moment.uptime_s, moment.wall_s - before.wall_s)
+            same_start = moment.boot.split()[:1] == before.boot.split()[:1]
+            passed_s = 0.0 if same_start else min(moment.uptime_s, moment.wall_s - before.wall_s)
             if not passed_s > -CLOCK_STEP_S:
                 return False
             self._change_boot(moment, max(passed_s, 0.0))

@@ -15,6 +15,7 @@ import numpy as np
 from radiometer.data import CameraDescription, CaptureHeader, FrameEntry, LensDescription, SourceDescription
 from radiometer.data.frame import DigitalNumbers
 from radiometer.data.guards import safe_file_name
+from radiometer.data.validation import validate
 from radiometer.errors import CaptureError, DamagedFileError
 from radiometer.importing.found import FoundFrame, ImportOptions
 from radiometer.importing.record import ImportRecord, by_wording, doubts_about, not_used_of, taken_from
@@ -110,7 +111,8 @@ def assemble(
         not_used_of(frames),
         options.mapped.words(),
     )
-    header = CaptureHeader.model_validate(
+    header = validate(
+        CaptureHeader,
         {
             "camera": camera,
             "lens": _lens(ordered),
@@ -119,7 +121,9 @@ def assemble(
             "frames": tuple(entry for _, entry in entries.values()),
             "imported": record.to_mapping(),
             **({"created": datetime.fromtimestamp(origin_s, UTC).isoformat()} if origin_s and origin_s > 1e9 else {}),
-        }
+        },
+        str(root),
+        CaptureError,
     )
     return Assembled(title, header, {name: frame for name, (frame, _) in entries.items()})
 
@@ -248,7 +252,7 @@ def _camera(frames: Sequence[FoundFrame], codes: _Codes, options: ImportOptions)
     top_dn, doubtful = _white_level(frames, codes, options)
     if top_dn is not None:
         facts["white_level_dn"] = top_dn
-    return CameraDescription.model_validate(facts), [*doubts, *doubtful]
+    return validate(CameraDescription, facts, frames[0].label, CaptureError), [*doubts, *doubtful]
 
 
 def _white_level(frames: Sequence[FoundFrame], codes: _Codes, options: ImportOptions) -> tuple[float | None, list[str]]:
@@ -274,7 +278,7 @@ def _lens(frames: Sequence[FoundFrame]) -> LensDescription:
     stops = {f.settings.f_number for f in frames if f.settings.f_number}
     if len(stops) == 1:
         facts["f_number"] = stops.pop()
-    return LensDescription.model_validate(facts)
+    return validate(LensDescription, facts, frames[0].label, CaptureError)
 
 
 def _black_by_gain(frames: Sequence[FoundFrame]) -> list[str]:
@@ -318,7 +322,7 @@ def _span(values: Sequence[float], how: str) -> str:
 def _missing(frames: Sequence[FoundFrame], camera: CameraDescription) -> list[str]:
     found = []
     if not any(f.settings.is_dark for f in frames):
-        found.append("no dark frames: black level and read noise cannot be separated from the light")
+        found += _without_darks(frames, camera)
     if all(f.settings.is_dark for f in frames):
         found.append("no frames with light: no photon transfer, no linearity, no saturation")
     if all(f.settings.temperature_c is None for f in frames):
@@ -332,3 +336,12 @@ def _missing(frames: Sequence[FoundFrame], camera: CameraDescription) -> list[st
     if single:
         found.append(f"{single} of {len(counts)} settings have one frame only: no temporal noise from them")
     return found
+
+
+def _without_darks(frames: Sequence[FoundFrame], camera: CameraDescription) -> list[str]:
+    """Return what is missing without dark frames: less where the sensor reads pixels without light in every frame."""
+    if all("masked_rows_dn" in frame.extra for frame in frames):
+        return []
+    if camera.taps and all(tap.overscan for tap in camera.taps):
+        return ["no dark frames: overscan gives the black level, and the dark signal stays in the light"]
+    return ["no dark frames: black level and read noise cannot be separated from the light"]

@@ -10,14 +10,15 @@ from typing import Final
 
 from radiometer.units import unit_of
 
-_NUMBER: Final = r"(\d+(?:[.,p]\d+)?)"
+_NUMBER: Final = r"(\d+(?:[.,p]\d+)?(?:e[-+]?\d+)?)"
 # A name cannot hold the stroke of 1/125 s: cameras' programs write 1-125s.
 _FRACTION: Final = re.compile(r"(?<![a-z\d.])1-(\d+)(s|sec|secs)(?![a-z\d])")
 _UNITS: Final = "ns|us|µs|μs|usec|ms|msec|s|sec|secs|min"
 _MINUTES_AND_SECONDS: Final = re.compile(rf"(?<![\da-z.]){_NUMBER}m{_NUMBER}s(?![a-z])")
-_TIME: Final = re.compile(rf"(?<![\d.,]){_NUMBER}({_UNITS})(?![a-z\d])")
+_TIME: Final = re.compile(rf"(?<![\d.,+])(?<!\de-){_NUMBER}({_UNITS})(?![a-z\d])")
 _BARE: Final = re.compile(rf"(?:expos|exposure|exptime|exp){_NUMBER}(?![\d.,]*[a-z])")
 _KINDS: Final = {"bias": "dark", "zero": "dark", "dark": "dark", "flat": "light", "light": "light"}
+DARK_FLAT: Final = re.compile(r"dark[ _-]*flat|flat[ _-]*dark")  # dark frames for flats; "bias-corrected flat" is none
 _SAME_REL: Final = 0.02  # names round exposures to two digits
 
 
@@ -35,9 +36,12 @@ def claims_of(file: Path) -> NameClaims:
     """Return what a file's name claims, such as 90 s and darkness in `dark_series_0c_1m30s.00000001.DARK.FIT`."""
     words = file.name.lower()
     found = [kind for word, kind in _KINDS.items() if word in words]
-    kind = found[0] if len(set(found)) == 1 else ""
+    kind = "dark" if DARK_FLAT.search(words) else found[0] if len(set(found)) == 1 else ""
     seconds, has_unit = _exposure(words)
     doubt = "" if has_unit or seconds is None else f"the file's name states {seconds:g} without a unit: s is assumed"
+    others = {unit.to_base(_value(n)) for n, u in _TIME.findall(words) if (unit := unit_of(u, "exposure"))} - {seconds}
+    if len(others) > 0 and has_unit and not _MINUTES_AND_SECONDS.search(words):
+        doubt = f"the file's name states {seconds:g} s and {min(others):g} s: the first is assumed"
     if (fraction := _FRACTION.search(words)) and int(fraction[1]) > 0:
         seconds, has_unit = 1.0 / int(fraction[1]), True
         doubt = f"the file's name states {fraction[0]}: 1/{fraction[1]} s is assumed, not {fraction[1]} s of number 1"

@@ -32,7 +32,7 @@ from radiometer.data.statements import (
 )
 from radiometer.errors import CaptureError, DamagedFileError, MissingLibrary
 from radiometer.importing.file_bytes import read_bytes
-from radiometer.importing.file_names import claims_of, contradictions
+from radiometer.importing.file_names import DARK_FLAT, claims_of, contradictions
 from radiometer.importing.fits_sections import Mosaic, taps_of
 from radiometer.importing.found import FoundFrame
 from radiometer.units import BASE_ISO, read_number, unit_in_words
@@ -65,6 +65,7 @@ _KIND_ALONE: Final = re.compile(
     r"([ _-]*(flat|frame|field|image|exposure))?s?[ _-]*[\d.]*\s*(s|sec|ms)?"
 )
 _DARK_WORDS: Final = ("bias", "dark", "zero", "offset")
+_SHUTTER: Final = ("SHUTTER", "SHUTSTAT", "SHSTAT")
 _LIGHT_WORDS: Final = ("light", "flat", "object", "science", "lamp", "dome", "sky", "tricolor", "target")
 _PROCESSED_WORDS: Final = (
     "dark subtract", "darksub", "bias subtract", "bias-subtract", "flat field", "flatfield", "flat-field",
@@ -72,12 +73,16 @@ _PROCESSED_WORDS: Final = (
 )  # fmt: skip
 _KELVINS: Final = (150.0, 400.0)  # without a unit, a number between them can only be kelvins
 _SETTLED_K: Final = 1.0  # coolers hold a tenth of a kelvin once they have settled
-# Counts of frames in a sum or mean: NOAO's and ESO's keywords, Seestar's and Siril's, MaxIm's.
-_COMBINED: Final = ("NCOMBINE", "SNAPSHOT", "STACKCNT", "NSUBEXP", "NCOADD", "NCOADDS", "COADDS", "NEXP")
+# Counts of frames in a sum or mean: NOAO's, ESO's and Keck's keywords, Seestar's and Siril's, MaxIm's.
+_COMBINED: Final = (
+    "NCOMBINE", "SNAPSHOT", "STACKCNT", "NSUBEXP", "NCOADD", "NCOADDS", "COADDS", "NCOADDED", "NEXP", "NDIT",
+    "ESO DET NDIT", "NSUMEXP",
+)  # fmt: skip
 # Units of data that are numbers of the converter (FITS standard 4.0, table 4; the rest are spellings in use).
 _DATA_UNITS: Final = ("", "adu", "dn", "count", "counts", "ct", "pixel value")
 _COLOURS: Final = ("CTYPE3", "COLORSPC", "COLORTYP", "COLORTYPE", "COLORSPACE")
 _MOSAIC: Final = ("BAYERPAT", "CFAPAT", "CFA")
+_OR: Final = " or "  # between the values of a keyword that stands several times
 _EXPOSURES_SAME_REL: Final = 0.01  # by which two keywords of the exposure may differ unnoticed
 
 
@@ -250,10 +255,21 @@ def _cards(header: Any) -> dict[str, Statement]:
     time_unit = str(header.get("TIMEUNIT", "")).strip()
     exposures = {place.name for place in _EXPOSURE}
     return {
-        key: Statement(header[key], time_unit if key in exposures else "", str(header.comments[key]))
+        key: Statement(_of_all(header, key), time_unit if key in exposures else "", str(header.comments[key]))
         for key in header
         if key not in ("", "HISTORY", "COMMENT")
     }
+
+
+def _of_all(header: Any, key: str) -> Any:
+    """Return the value of a keyword; all of them in words where it stands several times with different ones.
+
+    The FITS standard 4.0, section 4.4.1, leaves the value of such a keyword indeterminate.
+    """
+    if header.count(key) == 1:
+        return header[key]
+    values = list(dict.fromkeys(repr(header[key, n]) for n in range(header.count(key))))
+    return header[key] if len(values) == 1 else _OR.join(f"'{value}'" for value in values)
 
 
 def _history(header: Any) -> str:
@@ -326,9 +342,12 @@ def _exposure(
     if seconds is None or "(--map)" in taken["exposure_s"]:
         return seconds
     key = taken["exposure_s"]
-    others = {place.name: place.unit for place in _EXPOSURE if place.unit} | {
-        name: "" for name, card in header.items() if _is_exposure_in_words(card)
-    }
+    # LIVETIME is the sum over the frames of a stack in Siril's files: compared, and not a source.
+    others = (
+        {"LIVETIME": "s"}
+        | {place.name: place.unit for place in _EXPOSURE if place.unit}
+        | {name: "" for name, card in header.items() if _is_exposure_in_words(card)}
+    )
     for other, unit in others.items():
         if other != key and other in header:
             value = value_of(header[other], "exposure", other, [], defined=unit, where=str(path))
@@ -378,11 +397,16 @@ def _is_dark(
         words = str(header[key].written if key in header else named[1] if named else "").lower()
         if key == "OBJECT" and not _KIND_ALONE.fullmatch(words.strip()):
             continue  # a target's name: "Dark Nebula B33" is no dark frame
+        if _OR in words:
+            doubts.append(f"{key} states {words}: which of them is true is not known")
+            continue
         if any(word in words for word in _DARK_WORDS):
             taken["shutter"] = key
-            return "flat" not in words  # a "dark flat" is a dark; a "bias-corrected flat" is not
+            return "flat" not in words or DARK_FLAT.search(words) is not None
         if any(word in words for word in _LIGHT_WORDS):
             taken["shutter"] = key
+            if (shutter := next((k for k in _SHUTTER if k in header), None)) and "clos" in _lower(header, shutter):
+                doubts.append(f"{key} states {words}, {shutter} a closed shutter: {key} is used")
             if exposure_s == 0:
                 doubts.append(f"{key} states {header[key].written} with an exposure of 0 s: a bias frame is assumed")
                 return True
@@ -396,6 +420,10 @@ def _is_dark(
         return True
     doubts.append("no IMAGETYP says whether the shutter was open: open is assumed")
     return False
+
+
+def _lower(header: Header, key: str) -> str:
+    return str(header[key].written).lower()
 
 
 def _processing(header: Header, history: str) -> list[str]:
@@ -416,6 +444,8 @@ def _processing(header: Header, history: str) -> list[str]:
     unit = str(header["BUNIT"].written).strip() if "BUNIT" in header else ""
     if unit.lower() not in _DATA_UNITS:
         found.append(f"BUNIT states {unit}: its values are no digital numbers of the converter")
+    if (blank := _number(header, "BLANK")) is not None:  # FITS standard 4.0, section 4.4.2.5
+        found.append(f"BLANK {blank:g}: pixels with this stored number hold no value, and count as numbers here")
     added = _number(header, "PEDESTAL")
     if added:
         found.append(f"PEDESTAL {added:g}: a program added numbers to it")

@@ -25,6 +25,8 @@ Source: Unihedron, "Convert visual mags/arcsecond² to cd/m²" (unihedron.com/pr
 discussions of 2005, uncertain by at least 1 %; a constant factor, which the camera's responsivity takes up here.
 """
 _MAGNITUDES: Final = ("mag", "sqm", "mpsas", "msas")
+_DARKEST_MAG: Final = 30.0  # per arcsec²: the darkest sky has 22, the noise of meters 25
+_NO_READING: Final = f"0 or above {_DARKEST_MAG:g} mag is no reading"
 _GAP_S: Final = 3.0 * 3600.0  # without a reading: another night
 _DAY_S: Final = 86400.0  # a day
 _APART_S: Final = 300.0  # by which readings of a reference in a separate file may differ in time from the camera's
@@ -187,20 +189,21 @@ def _usable(
 ) -> tuple[TextTable, dict[str, list[Any]]]:
     """Return the rows whose values are known and not saturated, and their cells.
 
-    A meter writes 0 mag/arcsec² where it has no reading, and −999 or the like where a temperature is unknown.
+    A meter writes 0 or 99.99 mag/arcsec² where it has no reading, and −999 or the like where a temperature is unknown.
     """
     value = np.array(columns["value"], dtype=np.float64)
     top = float(value.max(initial=0.0))
     full = top in {2.0**bits - 1.0 for bits in _SATURATED_FROM_BITS} and np.count_nonzero(value == top) > 1
     reasons = {f"{top:g} DN is saturated": (value == top) & full}
     if "reference" in columns and any(sign in table.plain[places["reference"]] for sign in _MAGNITUDES):
-        reasons["a reference of 0 mag is no reading"] = np.array(columns["reference"], dtype=np.float64) <= 0.0
-    if "temperature" in columns:
-        written = np.array(columns["temperature"], dtype=np.float64)
-        factor, offset_c = _degrees(table, places)
-        celsius, known = written * factor + offset_c, UNKNOWN["temperature"]
-        is_word = np.isin(written, list(known.numbers))
-        reasons["the temperature is unknown"] = is_word | (celsius < known.low) | (celsius > known.high)
+        reasons[f"a reference of {_NO_READING}"] = ~_is_reading(np.array(columns["reference"], dtype=np.float64))
+    for key in ("exposure", "gain", "temperature"):
+        if key in columns:
+            written, known = np.array(columns[key], dtype=np.float64), UNKNOWN[key]
+            unit = heading_parts(table.header[places[key]], key)[1]
+            base = written if unit is None else np.array([unit.to_base(one) for one in written])
+            is_word = np.isin(written, list(known.numbers))
+            reasons[f"the {key} is unknown"] = is_word | (base < known.low) | (base > known.high)
     out = np.zeros(value.size, dtype=np.bool_)
     for reason, there in reasons.items():
         if there.any():
@@ -211,6 +214,10 @@ def _usable(
         replace(table, rows=tuple(table.rows[n] for n in kept)),
         {key: [cells[n] for n in kept] for key, cells in columns.items()},
     )
+
+
+def _is_reading(magnitudes: Array) -> NDArray[np.bool_]:
+    return np.asarray((magnitudes > 0.0) & (magnitudes <= _DARKEST_MAG))
 
 
 def _degrees(table: TextTable, places: Mapping[str, int]) -> tuple[float, float]:
@@ -337,9 +344,9 @@ def _joined_by_time(
     assumed: list[str] = []
     written = np.array(_cells(other, places["reference"], "reference"), dtype=np.float64)
     name = other.plain[places["reference"]]
-    read = written > 0.0 if any(sign in name for sign in _MAGNITUDES) else np.ones(written.size, dtype=np.bool_)
+    read = _is_reading(written) if any(sign in name for sign in _MAGNITUDES) else np.ones(written.size, dtype=np.bool_)
     if not read.all():
-        assumed.append(f"{int((~read).sum())} readings of {other.path.name} are left out: 0 mag is no reading")
+        assumed.append(f"{int((~read).sum())} readings of {other.path.name} are left out: {_NO_READING}")
     values, unit = linear(written[read], name, assumed)
     times = np.array(_cells(other, places["time"], "time"), dtype=np.float64)[read]
     order = np.argsort(times)

@@ -166,7 +166,7 @@ def _of_ome(text: str, path: Path, pages: Sequence[int]) -> list[PlaneFacts | No
         pixels = image.find("{*}Pixels")
         if pixels is None:
             continue
-        where = _pages_of(pixels, path, max(pages, default=-1) + 1)
+        where = _pages_of(pixels, path, root.get("UUID", ""), max(pages, default=-1) + 1)
         begun, bits = _stamp(image.findtext("{*}AcquisitionDate")), _bits(pixels.get("SignificantBits"))
         for plane in pixels.iterfind("{*}Plane"):
             page = where.get(_place_of(plane, "The"))
@@ -191,7 +191,7 @@ def _whole(text: str | None, default: int) -> int:
     return int(text) if text and text.strip().isdigit() else default
 
 
-def _pages_of(pixels: Any, path: Path, count: int) -> dict[tuple[int, int, int], int]:
+def _pages_of(pixels: Any, path: Path, own_uuid: str, count: int) -> dict[tuple[int, int, int], int]:
     """Return the directory of each place (C, Z, T): as TiffData states it, else by DimensionOrder.
 
     Source: OME data model, OME-TIFF specification: IFD, First*, PlaneCount and their defaults.
@@ -201,8 +201,7 @@ def _pages_of(pixels: Any, path: Path, count: int) -> dict[tuple[int, int, int],
     found: dict[tuple[int, int, int], int] = {}
     blocks = list(pixels.iterfind("{*}TiffData"))
     for block in blocks:
-        uuid = block.find("{*}UUID")
-        if uuid is not None and uuid.get("FileName", path.name) != path.name:
+        if not _is_of(block.find("{*}UUID"), path, own_uuid):
             continue  # a plane of another file
         first = _whole(block.get("IFD"), 0)
         several = _whole(block.get("PlaneCount"), 1 if block.get("IFD") is not None else count - first)
@@ -210,6 +209,14 @@ def _pages_of(pixels: Any, path: Path, count: int) -> dict[tuple[int, int, int],
         for n in range(min(several, count - first)):
             found.setdefault(_place_at(start + n, order, sizes), first + n)
     return found if blocks else {_place_at(n, order, sizes): n for n in range(count)}
+
+
+def _is_of(uuid: Any, path: Path, own_uuid: str) -> bool:
+    """Return whether a plane is of this file: by its UUID, which renaming keeps, else by the name."""
+    if uuid is None:
+        return True
+    stated = (uuid.text or "").strip()
+    return stated == own_uuid if stated and own_uuid else bool(uuid.get("FileName", path.name) == path.name)
 
 
 def _number_of(place: tuple[int, int, int], order: str, sizes: Mapping[str, int]) -> int:
@@ -235,9 +242,9 @@ def _of_plane(
     doubts = list[str]()
     # The schema (OME 2016-06, Plane) gives s where no unit is stated.
     exposure = _value(
-        "exposure", plane.get("ExposureTime"), "ExposureTime", doubts, "s", plane.get("ExposureTimeUnit", ""), where
+        "exposure", plane.get("ExposureTime"), "ExposureTime", doubts, "s", _unit(plane, "ExposureTimeUnit"), where
     )
-    after = _value("timestamp", plane.get("DeltaT"), "DeltaT", doubts, "s", plane.get("DeltaTUnit", ""), where)
+    after = _value("timestamp", plane.get("DeltaT"), "DeltaT", doubts, "s", _unit(plane, "DeltaTUnit"), where)
     return PlaneFacts(
         "OME-XML",
         exposure,
@@ -250,6 +257,12 @@ def _of_plane(
         {**device, **{f"Plane {name}": value for name, value in plane.attrib.items()}},
         tuple(doubts),
     )
+
+
+def _unit(plane: Any, name: str) -> str:
+    """Return a unit as it stands; "" where there is none. A blank one is none that the schema knows."""
+    unit = plane.get(name, "")
+    return str(unit) if unit.strip() or name not in plane.attrib else repr(unit)
 
 
 def _value(

@@ -14,11 +14,12 @@ from radiometer.data.reader_limits import bounded_reader
 from radiometer.data.storage import read_text
 from radiometer.errors import CaptureError, InputError
 from radiometer.importing.exif import exposure_of, f_number_of, iso_of, read_exif_header
+from radiometer.plausible import PLAUSIBLE
 from radiometer.units import exact_exposure_s, exact_f_number, heading_parts, read_number, unit_of
 
 _LONGEST_NAME: Final = 1_000  # characters; no file system has names of so many
 _GAP: Final = re.compile(r"[,;\s]+")
-_DECIMAL_COMMA: Final = re.compile(r"[;\s]+(\d+,\d+)(?![,\d])")
+_DECIMAL_COMMA: Final = re.compile(r"[;\s]+(\d+,\d+\s*[^\W\d]*)\s*(?![,\d])")
 _UNITS_OFFERED: Final = "write s, ms, us, ns or min behind the number, or in the heading"
 _NAME_COLUMN: Final = ("file", "name", "filename", "image")
 _TIME_COLUMN: Final = (
@@ -168,9 +169,10 @@ def _plain_name(text: str) -> str:
 
 def _refuse_decimal_comma(line: str, words: list[str], where: str) -> None:
     """Refuse `name 3,2` and `name;3,2`: the comma would part it into columns, and 3 s be taken."""
-    if len(words) != 3 or not (found := _DECIMAL_COMMA.search(line)) or found.group(1) != ",".join(words[1:]):
+    found = _DECIMAL_COMMA.search(line)
+    if found is None or _GAP.split(found.group(1).strip()) != words[1:]:
         return
-    raise CaptureError(f"{where}: {found.group(1)!r} has a decimal comma; write {'.'.join(words[1:])}")
+    raise CaptureError(f"{where}: {found.group(1)!r} has a decimal comma; write {found.group(1).replace(',', '.')}")
 
 
 def _is_heading(words: list[str]) -> bool:
@@ -205,7 +207,7 @@ def _settings_of_line(words: list[str], reciprocal: bool, unit: str, where: str)
             f"{where}: {shown!r} after {words[0]!r} is no exposure time; expected seconds above 0, such as 0.5, "
             f"1/125 or 20 ms"
         )
-    seconds = 1.0 / seconds if reciprocal else seconds
+    seconds = PLAUSIBLE["exposure"].check(where, 1.0 / seconds if reciprocal else seconds, CaptureError)
     return PhotographSettings(exposure_s=seconds, nominal_exposure_s=seconds)
 
 

@@ -248,7 +248,7 @@ def _written(one: Assembled, out: Path, source: Path, options: ImportOptions) ->
     return WrittenSet(out, len(written), 0, record_in(written.header))
 
 
-def copy_into(capture: CaptureSet, out: Path, report: Callable[[int, int], None] | None = None) -> CaptureSet:
+def copy_into(capture: CaptureSet, out: Path) -> CaptureSet:
     """Write a capture set's frames, as they are taken, as a capture set and return it.
 
     A frame whose file is damaged is left out, and the record names it; where all are, that is an error.
@@ -270,8 +270,6 @@ def copy_into(capture: CaptureSet, out: Path, report: Callable[[int, int], None]
                 writer.add(capture.read_frame(index), photons=entry.photons, **further)
             except DamagedFileError as error:
                 damaged.append(error)
-            if report is not None:
-                report(index + 1, len(capture))
         if len(damaged) == len(header.frames):
             raise damaged[0]
         if damaged and "imported" in extra:

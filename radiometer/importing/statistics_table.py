@@ -13,6 +13,7 @@ from radiometer.data.json_text import RepeatedKey, parsed_json
 from radiometer.data.reader_limits import bounded_reader
 from radiometer.data.statements import Statement, StatementMap, is_unknown, value_of
 from radiometer.data.text_table import decode_export, read_table
+from radiometer.data.validation import validate
 from radiometer.errors import CaptureError, InputError, UnsettledError
 from radiometer.importing.file_bytes import read_bytes
 from radiometer.importing.record import ImportRecord
@@ -119,13 +120,16 @@ def read_statistics_table(path: Path, mapped: StatementMap | None = None) -> Cap
         not_used=(f"{path.name}: columns {', '.join(left)}",) if left else (),
         mapped=map_of.words(),
     )
-    return CaptureHeader.model_validate(
+    return validate(
+        CaptureHeader,
         {
             "camera": CameraDescription(bit_depth=bits),
             "source": SourceDescription(),
             "statistics": entries,
             "imported": record.to_mapping(),
-        }
+        },
+        str(path),
+        CaptureError,
     )
 
 
@@ -252,7 +256,8 @@ def _entry(
     if variance is not None and variance < 0:
         raise CaptureError(f"{where}: exposure and variance must be 0 or above")
     frames = int(value("frames") or 2)
-    return SettingStatistics.model_validate(
+    return validate(
+        SettingStatistics,
         {
             "exposure_s": exposure_s,
             "mean_dn": mean,
@@ -268,7 +273,9 @@ def _entry(
             "spatial_variance_dn2": value("spatial"),
             "clipped_share": _clipped(row, value, where),
             "floor_share": value("floor") or 0.0,
-        }
+        },
+        where,
+        CaptureError,
     )
 
 

@@ -9,8 +9,9 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import reduce
 from pathlib import Path
-from typing import Final
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,7 +31,6 @@ from radiometer.data import (
 )
 from radiometer.data.setup import Setup
 from radiometer.errors import UsageError
-from radiometer.photographs.alignment import in_one_place
 from radiometer.photographs.lens_profile import lensfun_flat_field, read_lens_record
 from radiometer.photographs.response import (
     ENOUGH_PIXELS,
@@ -46,11 +46,57 @@ from radiometer.photographs.response import (
     with_offset_of_response,
 )
 from radiometer.photographs.stated import iso_speeds, with_f_number, with_gains, with_iso, with_iso_in_map
-from radiometer.progress import Progress, unseen
+from radiometer.progress import Progress, counted, unseen
+
+if TYPE_CHECKING:
+    from radiometer.data import Bracket
 
 # The offset of a shutter that photographs did not show. The travel of one curtain against the other is adjusted to
 # 0.1 ms (`analysis.response.shutter_offset` names the source), taken as a rectangle: 6 % (k = 1) at 1/1000 s.
 UNTOLD_SHUTTER_U_S: Final = 1e-4 / math.sqrt(3.0)
+ALIGN_CHOICES: Final = ("auto", "on", "off")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Placed:
+    """Photographs in one place."""
+
+    brackets: list[Bracket]  # by channel, as given or moved
+    common: list[Bracket]  # the part of them that all frames show
+    absent: list[Any]  # where each frame shows nothing, shape (height, width) each; empty where nothing was moved
+    sentence: str | None  # how they lay, for people; None where it was not asked for
+
+
+def in_one_place(brackets: Sequence[Bracket], align: str, progress: Progress = unseen) -> Placed:
+    """Return photographs in the place of that which shows most of the scene.
+
+    Args:
+        brackets: One per channel, of the same photographs; the movement is sought in green or the only one.
+        align: "auto" moves them where they need it, "on" always, "off" never looks.
+        progress: Called after every photograph.
+
+    Raises:
+        UsageError: If it is none of these.
+    """
+    import numpy as np
+
+    from radiometer.analysis.merge.alignment import aligned, find_alignment
+    from radiometer.analysis.response.labels import frame_name
+
+    if align not in ALIGN_CHOICES:
+        raise UsageError(f"--align {align}: choose one of {', '.join(ALIGN_CHOICES)}")
+    if align == "off" or len(brackets[0].light) < 2:
+        return Placed(list(brackets), list(brackets), [], None)
+    seen = next((one for one in brackets if one.light[0].extra.get("channel") == "green"), brackets[0])
+    alignment = find_alignment(seen, counted(progress, "aligning"))
+    sentence = alignment.sentence([frame_name(seen, k) for k in range(len(seen.light))], moved=align == "on")
+    if not (alignment.needed or align == "on"):
+        return Placed(list(brackets), list(brackets), [], sentence)
+    moved = [aligned(one, alignment) for one in brackets]
+    # A frame that shows nothing in one channel is not trusted in the others: their edges are the same.
+    absent = [reduce(np.logical_or, masks) for masks in zip(*(masks for _, masks in moved), strict=True)]
+    whole = [one for one, _ in moved]
+    return Placed(whole, [alignment.trimmed(one) for one in whole], absent, sentence)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

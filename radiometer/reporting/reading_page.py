@@ -256,7 +256,7 @@ def _pdf(record: ReadingRecord) -> bytes:
     return content.getvalue()
 
 
-def _wrapped(line: str, width: int = 110) -> list[str]:
+def _wrapped(line: str) -> list[str]:
     import textwrap
 
-    return textwrap.wrap(line, width, subsequent_indent="  ", drop_whitespace=False) or [""]
+    return textwrap.wrap(line, 110, subsequent_indent="  ", drop_whitespace=False) or [""]

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Callable, Mapping
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Final
 
+from radiometer.devices import DisplayPatch
 from radiometer.devices.opening import Opened
-from radiometer.errors import DeviceError
+from radiometer.errors import DeviceError, SettingOutOfRange
 from radiometer.screen.loopback import Darken, nothing_to_darken
 from radiometer.screen.page_server import PageServer
+from radiometer.screen.stimulus import Blink, Hold, Rest, ScreenPicture, Shape
 
 
 class BrowserPage(Opened):
@@ -104,3 +106,96 @@ def require_shown(seen: object, expected: object) -> None:
             f"the browser shows {seen} where {expected} was asked for; switch off colour filters, "
             "dark-mode extensions and forced colours"
         )
+
+
+_LEVELS: Final = 255  # a canvas holds 8 bits per channel
+
+
+class BrowserStimulus(BrowserPage):
+    """Shows pictures through the page; what stands on its canvas is read back and compared."""
+
+    _page, _what = "stimulus.html", "the test's page"
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """Return width and height of the page in pixels of the screen."""
+        seen = self._server.conditions
+        return int(seen.get("width", 0)), int(seen.get("height", 0))
+
+    def show(self, picture: ScreenPicture) -> None:
+        """Show a picture and return once it is painted. Raises DeviceTimeout, DeviceLost, DeviceError."""
+        seen = self._ask({"kind": "show", "field": picture.field, "rest": _shapes(picture)})["seen"]
+        _compare(picture, seen)
+
+    def blink(self, lit: ScreenPicture, rest: ScreenPicture, on_s: float, cycle_s: float) -> Blink:
+        """Show `lit`, then `rest`, timed by the page. Raises DeviceTimeout, DeviceLost, DeviceError."""
+        order = {"kind": "blink", "field": lit.field, "lit": _shapes(lit), "rest": _shapes(rest)}
+        answer = self._ask({**order, "on_ms": 1e3 * on_s, "cycle_ms": 1e3 * cycle_s}, cycle_s)
+        _compare(lit, answer["seen"])
+        return Blink(
+            tuple(1e-3 * float(t) for t in answer["presses_ms"] if t >= 0),
+            _hold(answer),
+            1e-3 * float(answer["on_ms"]),
+            1e-3 * float(answer["frame_ms"]),
+            1e-3 * float(answer["longest_frame_ms"]),
+        )
+
+    def rest(self, seconds: float) -> Rest:
+        """Let time pass and return what was pressed. Raises DeviceTimeout, DeviceLost."""
+        answer = self._ask({"kind": "rest", "ms": 1e3 * seconds}, seconds)
+        return Rest(int(answer["presses"]), _hold(answer))
+
+
+def _hold(answer: dict[str, Any]) -> Hold:
+    return Hold(1e-3 * float(answer["held_ms"]), 1e-3 * float(answer["held_ago_ms"]))
+
+
+def _shapes(picture: ScreenPicture) -> list[dict[str, Any]]:
+    return [_mapping(shape) for shape in picture.shapes]
+
+
+def _mapping(shape: Shape) -> dict[str, Any]:
+    return {"x": shape.x, "y": shape.y, "width": shape.width, "height": shape.height, "rgb": list(shape.rgb)}
+
+
+def _compare(picture: ScreenPicture, seen: list[list[int]]) -> None:
+    require_shown(seen, [list(picture.field), *(list(shape.rgb) for shape in picture.shapes)])
+
+
+class BrowserDisplay(BrowserPage):
+    """Shows patches through the page; every patch is acknowledged after it was painted, and read back."""
+
+    _page, _what = "display.html", "the screen's page"
+
+    def show(self, patch: DisplayPatch) -> None:
+        """Show a patch and return once the browser has painted it.
+
+        Raises:
+            SettingOutOfRange: If a drive is not between 0 and 1.
+            DeviceTimeout: If the page does not answer.
+            DeviceLost: If it was closed.
+            DeviceError: If it shows another level than asked for.
+        """
+        expected = _codes(patch.rgb)
+        order = {
+            "kind": "show",
+            "rgb": expected,
+            "surround": _codes(patch.surround_rgb),
+            "width": _fraction("width", patch.width_fraction),
+            "height": _fraction("height", patch.height_fraction),
+            "checkers": patch.checkers,
+        }
+        require_shown(self._ask(order).get("rgb"), expected)
+
+
+def _codes(rgb: tuple[float, float, float]) -> list[int]:
+    for name, drive in zip(("red", "green", "blue"), rgb, strict=True):
+        if not 0.0 <= drive <= 1.0:
+            raise SettingOutOfRange("screen", f"{name} drive", drive, 0.0, 1.0, "")
+    return [round(drive * _LEVELS) for drive in rgb]
+
+
+def _fraction(name: str, value: float) -> float:
+    if not 0.0 < value <= 1.0:
+        raise SettingOutOfRange("screen", f"patch {name}", value, 0.0, 1.0, "of the screen")
+    return value

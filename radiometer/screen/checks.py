@@ -12,6 +12,7 @@ import numpy as np
 from radiometer.screen.meter import Meter, ScreenReading
 
 STEADY_REL: Final = 0.002  # change over the window that counts as warmed up: the size of white's repeatability
+_PAUSE_S: Final = 60.0  # between two readings: a backlight settles in some ten minutes
 _WINDOW: Final = 5  # readings: a drift of 0.2 % is seen over five
 
 
@@ -29,7 +30,6 @@ def wait_until_steady(
     sleep: Callable[[float], None],
     *,
     limit_s: float,
-    interval_s: float = 60.0,
     progress: Callable[[float, float], None] | None = None,
 ) -> WarmUp:
     """Read white until five readings in a row agree within 0.2 % (or their noise), or the time is up.
@@ -37,7 +37,6 @@ def wait_until_steady(
     Args:
         sleep: Waits for a number of seconds.
         limit_s: Longest time to wait in s; 0 takes a single set of readings.
-        interval_s: Pause between readings in s.
         progress: Called after every reading with the time so far and the limit, both in s.
     """
     readings = [meter.read()]
@@ -49,7 +48,7 @@ def wait_until_steady(
         steady = len(readings) >= _WINDOW and drift <= max(STEADY_REL, 3.0 * noise)
         if steady or waited >= limit_s:
             return WarmUp(waited, drift, steady)
-        sleep(interval_s)
+        sleep(_PAUSE_S)
         readings.append(meter.read())
 
 

@@ -20,6 +20,7 @@ from radiometer.data.reader_limits import bounded_reader
 from radiometer.data.statements import StatementMap
 from radiometer.data.text_table import TextTable, finite, read_export, read_table
 from radiometer.errors import InputError, UnsettledError
+from radiometer.plausible import PLAUSIBLE
 from radiometer.screen.calibration import ChannelCurve, ScreenCalibration
 from radiometer.screen.run import Light
 from radiometer.typing import Array
@@ -47,6 +48,12 @@ class ScreenReadings:
     doubts: tuple[str, ...] = ()  # what the file leaves open and how it was read, in words
     # CIE 1931 (x, y) of the brightest level of each channel, where the file holds X and Z
     chromaticities: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        for levels in (self.grey, *self.primaries.values()):
+            for level, readings in levels.items():
+                for luminance in readings:
+                    PLAUSIBLE["screen"].check(f"{self.name}, level {level}", luminance)
 
 
 @bounded_reader(error=InputError)
@@ -116,7 +123,10 @@ def _curve(
     counts = np.array([len(levels[n]) for n in ordered])
     u = np.hypot(REPEAT_U_REL * means / np.sqrt(counts), readings.resolution_cd_m2 / math.sqrt(12.0))
     u = np.maximum(u, _scatter(np.array(ordered, dtype=np.float64), means))
-    u = np.hypot(u, readings.shape_u_rel * means)
+    spread = [
+        float(np.std(levels[n], ddof=1)) / math.sqrt(len(levels[n])) if len(levels[n]) > 1 else 0.0 for n in ordered
+    ]
+    u = np.hypot(np.maximum(u, spread), readings.shape_u_rel * means)
     factor = 1.0 / light.photopic_lm_per_w
     return ChannelCurve(
         name,
@@ -175,6 +185,7 @@ def _scatter(levels: Array, values: Array) -> Array:
 
 def _ti3(path: Path, text: str) -> ScreenReadings:
     """Return greys and primaries of an ArgyllCMS .ti3; its XYZ are relative to white where it says so."""
+    text = re.split(r"(?<=\bEND_DATA)\b", text, maxsplit=1)[0]  # further tables have other keywords
     keys = dict(re.findall(r'^([A-Z_0-9]+)\s+"([^"]*)"', text, re.MULTILINE))
     names, data = _block(text, "DATA_FORMAT"), _block(text, "DATA")
     if names is None or data is None:

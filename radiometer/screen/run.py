@@ -9,15 +9,55 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
 from radiometer.devices import Display
 from radiometer.errors import MeasurementError
 from radiometer.screen.calibration import ChannelCurve
-from radiometer.screen.drift import Drift
 from radiometer.screen.meter import Meter, ScreenReading
 from radiometer.screen.plan import ScreenStep
 
 LEAST_CONTRAST: Final = 1.5  # white over black; a screen in a lit room still has more
+
+
+@dataclass(frozen=True)
+class Drift:
+    """Output of the display over time, relative to its mean."""
+
+    times_s: NDArray[np.float64]  # times of the references in s
+    factors: NDArray[np.float64]  # white relative to the mean white at these times
+    u_rel: float  # relative standard uncertainty of a value between two references
+
+    @classmethod
+    def of(cls, whites: Sequence[ScreenReading]) -> Drift:
+        """Return the drift that reference readings of white show.
+
+        What is left of each reference about the straight line between its neighbours is the uncertainty of
+        interpolating; the readings' own noise is in it.
+        """
+        times = np.array([w.time_s for w in whites])
+        values = np.array([w.radiance for w in whites])
+        factors = values / values.mean()
+        return cls(times, factors, _leftover(times, factors, whites))
+
+    def at(self, time_s: ArrayLike) -> NDArray[np.float64]:
+        """Return the display's output relative to its mean at a time."""
+        return np.asarray(np.interp(np.asarray(time_s, dtype=np.float64), self.times_s, self.factors), dtype=np.float64)
+
+    @property
+    def range_rel(self) -> float:
+        """Return the highest less the lowest output, relative to the mean."""
+        return float(np.ptp(self.factors))
+
+
+def _leftover(times: NDArray[np.float64], factors: NDArray[np.float64], whites: Sequence[ScreenReading]) -> float:
+    noise = float(np.mean([w.u_independent / w.radiance for w in whites])) if whites else 0.0
+    if len(times) < 3:
+        return max(noise, float(np.ptp(factors)) / 2)
+    between = [np.interp(times[i], times[[i - 1, i + 1]], factors[[i - 1, i + 1]]) for i in range(1, len(times) - 1)]
+    # A point less the mean of two like it scatters by √1.5 of one; a line between two of them by √0.5.
+    scatter = float(np.sqrt(np.mean((factors[1:-1] - np.array(between)) ** 2) / 1.5))
+    return float(np.hypot(scatter, noise) * np.sqrt(0.5))
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,7 +101,6 @@ def measure_steps(
     *,
     repeats: int = 1,
     patch_size: float = 1.0,
-    bits: int = 8,
     progress: Progress | None = None,
 ) -> list[Measured]:
     """Show every step and read it.
@@ -79,7 +118,7 @@ def measure_steps(
     """
     done: list[Measured] = []
     for step in plan:
-        display.show(step.patch(bits, patch_size))
+        display.show(step.patch(patch_size))
         readings = tuple(meter.read() for _ in range(repeats))
         if any("saturated" in r.flags for r in readings):
             raise MeasurementError(
@@ -106,7 +145,7 @@ def _require_contrast(references: Sequence[Measured]) -> None:
 
 
 def curves_of(
-    measured: Sequence[Measured], lights: Mapping[str, Light], *, bits: int = 8, unsettled_rel: float = 0.0
+    measured: Sequence[Measured], lights: Mapping[str, Light], *, unsettled_rel: float = 0.0
 ) -> tuple[dict[str, ChannelCurve], Drift]:
     """Return the channels' curves with the display's drift taken out, and the drift.
 
@@ -128,7 +167,7 @@ def curves_of(
             levels[entry.step.channel][entry.step.level] = entry.mean
     unsettled = math.hypot(unsettled_rel, drift.range_rel) / math.sqrt(3.0)  # a rectangle of that half-width
     limit = _detection_limit([m.mean for m in measured if m.step.level == 0])
-    return {n: _curve(n, readings, lights[n], drift, (limit, unsettled), bits) for n, readings in levels.items()}, drift
+    return {n: _curve(n, readings, lights[n], drift, (limit, unsettled)) for n, readings in levels.items()}, drift
 
 
 def _detection_limit(blacks: Sequence[ScreenReading]) -> float:
@@ -146,7 +185,7 @@ def _detection_limit(blacks: Sequence[ScreenReading]) -> float:
 
 
 def _curve(
-    name: str, readings: Mapping[int, ScreenReading], light: Light, drift: Drift, limits: tuple[float, float], bits: int
+    name: str, readings: Mapping[int, ScreenReading], light: Light, drift: Drift, limits: tuple[float, float]
 ) -> ChannelCurve:
     if len(readings) < 3:
         raise MeasurementError(f"channel {name}: {len(readings)} levels are too few; take three or more")
@@ -164,5 +203,4 @@ def _curve(
         light.scotopic_lm_per_w,
         light.spectrum,
         detection_limit=limits[0],
-        bits=bits,
     )

@@ -1,11 +1,12 @@
-"""What differs between the quarters of a sensor that four amplifiers read, or between its halves."""
+"""What differs between the taps of a sensor: its quarters that four amplifiers read, its halves, or any others."""
 
 from __future__ import annotations
 
-from typing import Any, Final
+from typing import Any, ClassVar, Final, Self
 
 import numpy as np
 
+from simulators.effects.catalogue import CatalogueEffect
 from simulators.effects.context import ExposureContext
 
 # Starting points: halves side by side, halves on top of each other, and one quarter of four.
@@ -33,6 +34,44 @@ def by_quarter(context: ExposureContext, across: float, along: float, corner: fl
     return across * right + along * below + corner * right * below
 
 
-def has_several_amplifiers(context: ExposureContext) -> bool:
-    """Return whether the camera is described with taps: one amplifier has no quarters that could differ."""
-    return len(context.camera.taps or ()) > 1
+class OfTaps(CatalogueEffect):
+    """An effect whose size is even within each tap: of quarters and halves by three parameters, of others by a table.
+
+    Attributes:
+        table: Name of the parameter that holds a size for every tap that the camera describes, in its order; only
+            their differences count.
+    """
+
+    table: ClassVar[str]
+
+    @classmethod
+    def usable(cls, context: ExposureContext) -> bool:
+        """Return whether the camera is described with taps: one amplifier has none that could differ."""
+        return len(context.camera.taps or ()) > 1
+
+    @classmethod
+    def covers(cls, context: ExposureContext) -> tuple[Self, ...]:
+        """Return the table where taps are more than the quarters of the sensor tell apart."""
+        taps, geometry = context.camera.taps or (), context.geometry
+        quarters = {
+            (2 * tap.x + tap.width < geometry.sensor_width, 2 * tap.y + tap.height < geometry.sensor_height)
+            for tap in taps
+        }
+        return (cls(**{cls.table: (0.0,) * len(taps)}),) if len(taps) > len(quarters) else ()
+
+    def free(self) -> tuple[str, ...]:
+        """Return the parameters to fit: the table where there is one, but for its first tap."""
+        sizes = getattr(self, self.table)
+        return tuple(f"{self.table}[{index}]" for index in range(1, len(sizes))) if sizes else self.fitted
+
+    def sizes(self, context: ExposureContext) -> Any:
+        """Return the size at every place, less the mean of the taps."""
+        sizes = getattr(self, self.table)
+        if not sizes:
+            return by_quarter(context, *(getattr(self, name) for name in self.fitted))
+        x, y = context.geometry.x_px, context.geometry.y_px
+        found = np.zeros(np.broadcast_shapes(np.shape(x), np.shape(y)))
+        for tap, size in zip(context.camera.taps or (), sizes, strict=True):
+            across = (x > tap.x - 0.5) & (x < tap.x + tap.width - 0.5)  # pixels have whole numbers in their middle
+            found = np.where(across & (y > tap.y - 0.5) & (y < tap.y + tap.height - 0.5), size - np.mean(sizes), found)
+        return found

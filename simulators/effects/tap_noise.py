@@ -8,13 +8,12 @@ from typing import Any, cast
 import numpy as np
 
 from simulators.effects.base import ELECTRONS, KeepsMean, Stage, parameter
-from simulators.effects.catalogue import CatalogueEffect
 from simulators.effects.context import ExposureContext, Signal
-from simulators.effects.quarters import by_quarter, has_several_amplifiers, trials
+from simulators.effects.quarters import OfTaps, trials
 
 
 @dataclass(frozen=True)
-class TapNoise(KeepsMean, CatalogueEffect):
+class TapNoise(KeepsMean, OfTaps):
     """Adds normal noise that is even within each quarter: σ² = D − min D, D = a·s_x + b·s_y + c·s_x·s_y.
 
     The quietest quarter has the noise that is stated; more noise in all of them is `excess_read_noise`.
@@ -29,15 +28,12 @@ class TapNoise(KeepsMean, CatalogueEffect):
     block = "variance"
     trials = trials((4.0, -4.0), ("across_e2", "along_e2", "corner_e2"))
     fitted = ("across_e2", "along_e2", "corner_e2")
+    table = "taps_e2"
     settles = "many frames of no exposure"
     across_e2: float = parameter(0.0, "e-2", -1e5, 1e5, source="engineering prior; refined on a real rig")
     along_e2: float = parameter(0.0, "e-2", -1e5, 1e5, source="engineering prior; refined on a real rig")
     corner_e2: float = parameter(0.0, "e-2", -1e5, 1e5, source="engineering prior; refined on a real rig")
-
-    @classmethod
-    def usable(cls, context: ExposureContext) -> bool:
-        """Return whether the camera has several amplifiers."""
-        return has_several_amplifiers(context)
+    taps_e2: tuple[float, ...] = parameter((), "e-2", -100000.0, 100000.0, source="of every tap")
 
     def sample(self, signal: Signal, context: ExposureContext, rng: np.random.Generator) -> Signal:
         """Return the signal with the noise of each quarter."""
@@ -46,6 +42,7 @@ class TapNoise(KeepsMean, CatalogueEffect):
 
     def variance(self, signal: Signal, context: ExposureContext) -> Any:
         """Return σ² in e-²."""
+        if self.taps_e2:
+            return self.sizes(context) - (min(self.taps_e2) - np.mean(self.taps_e2))
         a, b, c = self.across_e2, self.along_e2, self.corner_e2
-        least = min(a + b + c, a - b - c, b - a - c, c - a - b)
-        return by_quarter(context, a, b, c) - least
+        return self.sizes(context) - min(a + b + c, a - b - c, b - a - c, c - a - b)

@@ -6,13 +6,12 @@ from dataclasses import dataclass
 from typing import Any, cast
 
 from simulators.effects.base import ELECTRONS, Stage, parameter
-from simulators.effects.catalogue import CatalogueEffect
 from simulators.effects.context import ExposureContext, Signal
-from simulators.effects.quarters import by_quarter, has_several_amplifiers, trials
+from simulators.effects.quarters import OfTaps, trials
 
 
 @dataclass(frozen=True)
-class TapNonlinearity(CatalogueEffect):
+class TapNonlinearity(OfTaps):
     """Bends the signal by an amount that is even within each quarter: n' = n·(1 + q·n/n_full), q from the quarter.
 
     q = a·s_x + b·s_y + c·s_x·s_y, and n_full is the full well.
@@ -31,15 +30,17 @@ class TapNonlinearity(CatalogueEffect):
     prior_reason = "amplifiers of one sensor mostly bend alike"
     trials = trials((0.01, -0.01), ("across_rel", "along_rel", "corner_rel"))
     fitted = ("across_rel", "along_rel", "corner_rel")
+    table = "taps_rel"
     settles = "even fields of many levels up to full well"
     across_rel: float = parameter(0.0, "1", -0.3, 0.3, source="0.1 to 3 % at full well")
     along_rel: float = parameter(0.0, "1", -0.3, 0.3, source="0.1 to 3 % at full well")
     corner_rel: float = parameter(0.0, "1", -0.3, 0.3, source="0.1 to 3 % at full well")
+    taps_rel: tuple[float, ...] = parameter((), "1", -0.3, 0.3, source="of every tap")
 
     @classmethod
     def usable(cls, context: ExposureContext) -> bool:
         """Return whether there are several amplifiers, and the full well is known, in shares of which the bend is."""
-        return has_several_amplifiers(context) and context.camera.full_well_e is not None
+        return super().usable(context) and context.camera.full_well_e is not None
 
     def mean(self, signal: Signal, context: ExposureContext) -> Signal:
         """Return the bent signal in electrons."""
@@ -50,5 +51,4 @@ class TapNonlinearity(CatalogueEffect):
         return 1.0 + 2.0 * self._bend(context) * signal
 
     def _bend(self, context: ExposureContext) -> Any:
-        known = by_quarter(context, self.across_rel, self.along_rel, self.corner_rel)
-        return known / (context.camera.full_well_e or 1.0)
+        return self.sizes(context) / (context.camera.full_well_e or 1.0)

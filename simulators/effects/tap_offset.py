@@ -8,11 +8,11 @@ from typing import Any
 from simulators.effects.base import DIGITAL_NUMBER, Stage, parameter
 from simulators.effects.catalogue import Offset
 from simulators.effects.context import ExposureContext
-from simulators.effects.quarters import by_quarter, has_several_amplifiers, trials
+from simulators.effects.quarters import OfTaps, trials
 
 
 @dataclass(frozen=True)
-class TapOffset(Offset):
+class TapOffset(OfTaps, Offset):
     """Adds an offset that is even within each quarter: y' = y + a·s_x + b·s_y + c·s_x·s_y.
 
     Source: Janesick (2001), Scientific Charge-Coupled Devices, ch. 2: each output amplifier has its own video chain.
@@ -28,16 +28,13 @@ class TapOffset(Offset):
     signal_power = 0
     trials = trials((2.0, -2.0), ("across_dn", "along_dn", "corner_dn"))
     fitted = ("across_dn", "along_dn", "corner_dn")
+    table = "taps_dn"
     settles = "an average of many frames of no exposure"
     across_dn: float = parameter(0.0, "DN", -0.1, 0.1, source="some DN to hundreds", of_full_scale=True)
     along_dn: float = parameter(0.0, "DN", -0.1, 0.1, source="some DN to hundreds", of_full_scale=True)
     corner_dn: float = parameter(0.0, "DN", -0.1, 0.1, source="some DN to hundreds", of_full_scale=True)
-
-    @classmethod
-    def usable(cls, context: ExposureContext) -> bool:
-        """Return whether the camera has several amplifiers."""
-        return has_several_amplifiers(context)
+    taps_dn: tuple[float, ...] = parameter((), "DN", -0.1, 0.1, source="of every tap", of_full_scale=True)
 
     def offset(self, context: ExposureContext) -> Any:
         """Return the offset in DN."""
-        return by_quarter(context, self.across_dn, self.along_dn, self.corner_dn)
+        return self.sizes(context)

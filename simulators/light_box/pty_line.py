@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Final, Protocol, Self
 
 from simulators.light_box.box import SimulatedLightBox
-from simulators.light_box.line_faults import LineFaults
+from simulators.light_box.virtual_line import LineFaults
 
 IDLE_S: Final = 0.002  # short against the 5 ms of a line at 115 200 baud
 LAG_S: Final = 0.5  # half of the box's dead-man time

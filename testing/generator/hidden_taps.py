@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 
 from testing.generator.plan import Shot
@@ -85,3 +87,24 @@ def tap_gain_of_halves(world: World, rng: np.random.Generator, scale: float) -> 
     half = 1 + step * (np.arange(world.rig.columns) >= world.rig.columns // 2)[None, :]
     world.voltage.append(lambda signal, shot, dice: signal * half)
     return {"step": step}
+
+
+def hide_in_taps(world: World, name: str, grid: tuple[int, int], rng: np.random.Generator) -> None:
+    """Hide an effect of taps whose size is drawn for each tap of a grid, in spread twice that of the quarters.
+
+    Args:
+        name: tap_offset, tap_gain, tap_noise or tap_nonlinearity.
+        grid: Rows and columns of taps.
+        rng: Draws the sizes.
+    """
+    values = rng.standard_normal(grid)
+    rows, columns = world.shape
+    own = np.kron((values - values.mean()) / values.std(), np.ones((rows // grid[0], columns // grid[1])))
+    bends = 0.02 * own / world.rig.full_well_e
+    hooks: dict[str, Callable[[], None]] = {
+        "tap_offset": lambda: world.digital.append(lambda value, shot: value + 2.0 * own),
+        "tap_gain": lambda: world.gain.append(lambda gain, shot: gain * (1 + 0.04 * own)),  # type: ignore[arg-type, return-value]
+        "tap_noise": lambda: world.read_noise.append(lambda sigma, shot: sigma * (1 + 0.6 * (own - own.min()))),  # type: ignore[arg-type, return-value]
+        "tap_nonlinearity": lambda: world.voltage.append(lambda signal, shot, dice: signal * (1 + bends * signal)),
+    }
+    hooks[name]()

@@ -115,6 +115,20 @@ def make_session(
     return session_in(world, hidden, truth, settings, seed, known_patches)
 
 
+def session_of_taps(name: str, grid: tuple[int, int], seed: int) -> Session:
+    """Return a rich session of a camera whose taps are a grid of rows and columns, each with a size of an effect.
+
+    Args:
+        name: Effect of `hide_in_taps`; nothing is hidden where it is empty.
+        grid: Rows and columns of taps.
+        seed: Of rig and session.
+    """
+    world = World(Rig(), Chart.scrambled(Rig(), np.random.default_rng([seed, 1])))
+    if name:
+        hidden_taps.hide_in_taps(world, name, grid, np.random.default_rng([seed, 8]))
+    return session_in(world, (), {}, settings_of("rich", [seed, 2]), [seed, 2], known_patches=True)
+
+
 def settings_of(plan: str | Callable[[np.random.Generator], list[Setting]], seed: list[int]) -> list[Setting]:
     """Return the settings of a plan, by its name or by its maker."""
     rng = np.random.default_rng([*seed, 3])

@@ -5,17 +5,21 @@ from __future__ import annotations
 import pytest
 
 from radiometer.data import TapDescription
-from radiometer.reconciliation import reconcile
+from radiometer.reconciliation import ReconcileResult, reconcile
 from testing.generator.rig import Rig
-from testing.generator.session import make_session
+from testing.generator.session import Session, make_session, session_of_taps
 
 RIG = Rig()
 
 
-def quarters(width: int, height: int) -> tuple[TapDescription, ...]:
-    """Return four taps of a sensor."""
-    w, h = width // 2, height // 2
-    return tuple(TapDescription(name=f"{x}{y}", x=x * w, y=y * h, width=w, height=h) for y in (0, 1) for x in (0, 1))
+def reconciled(session: Session, rows: int, columns: int) -> ReconcileResult:
+    """Return what is found in a session whose camera is described with rows and columns of taps."""
+    w, h = RIG.columns // columns, RIG.rows // rows
+    taps = tuple(TapDescription(name=f"{x}{y}", x=x * w, y=y * h, width=w, height=h)
+                 for y in range(rows) for x in range(columns))  # fmt: skip
+    camera = session.header.camera.model_copy(update={"taps": taps})
+    header = session.header.model_copy(update={"camera": camera})
+    return reconcile(header, list(session.frames()), with_limits=False)
 
 
 @pytest.mark.slow
@@ -26,8 +30,14 @@ def quarters(width: int, height: int) -> tuple[TapDescription, ...]:
 )  # fmt: skip
 def test_an_amplifier_s_effect_is_named_alone(name: str, seed: int) -> None:
     """Twice its smallest usual size in a rich session: the effect is named and nothing else is."""
-    session = make_session(name, camera_seed=seed, scale=2.0)
-    camera = session.header.camera.model_copy(update={"taps": quarters(RIG.columns, RIG.rows)})
-    header = session.header.model_copy(update={"camera": camera})
-    found = reconcile(header, list(session.frames()), with_limits=False)
+    found = reconciled(make_session(name, camera_seed=seed, scale=2.0), 2, 2)
     assert [effect.name for effect in found.effects] == [name]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("name", "seed"), [("tap_offset", 9421), ("tap_gain", 9422), ("tap_noise", 9423)])
+def test_sixteen_amplifiers_have_a_size_each(name: str, seed: int) -> None:
+    """Two rows of eight taps: the effect is named alone, with a size for every tap that the camera describes."""
+    found = reconciled(session_of_taps(name, (2, 8), seed), 2, 8)
+    assert [effect.name for effect in found.effects] == [name]
+    assert sum("[" in parameter for parameter in found.effects[0].parameters) == 15

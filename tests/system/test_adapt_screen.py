@@ -23,11 +23,10 @@ from radiometer.adaptation.protocol import read_protocol
 from radiometer.adaptation.request import RunRequest
 from radiometer.adaptation.run import run_test
 from radiometer.adaptation.screen_levels import SpotLevels, within_reach
-from radiometer.adaptation.screen_setup import open_screen_stage
-from radiometer.adaptation.screen_stage import ScreenStage
+from radiometer.adaptation.screen_setup import ScreenStage, open_screen_stage
 from radiometer.bench.screen import lights, open_screen_bench
 from radiometer.errors import CalibrationError, ConfigurationError, DeviceLost, UsageError
-from radiometer.screen.browser_stimulus import BrowserStimulus
+from radiometer.screen.browser_page import BrowserStimulus
 from radiometer.screen.calibration import ScreenCalibration
 from radiometer.screen.calibration_run import Options, calibrate_screen
 from radiometer.screen.stimulus import ScreenPicture, Viewing

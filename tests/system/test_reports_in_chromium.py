@@ -11,7 +11,7 @@ from radiometer.adaptation.adaptation_fit import FitRequest, fit_adaptation
 from radiometer.adaptation.report import report_html
 from radiometer.adaptation.rod_intercept import InterceptRule
 from radiometer.adaptation.threshold_series import ThresholdSeries
-from radiometer.adaptation.visits_page import visits_html
+from radiometer.adaptation.visits import visits_html
 from radiometer.analysis.characterise import characterise, read_subject
 from radiometer.analysis.characterise.report import datasheet
 from radiometer.archive.trend import MONTH_S, fit_trend

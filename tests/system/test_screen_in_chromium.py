@@ -18,7 +18,7 @@ import pytest
 from PIL import Image
 
 from radiometer.devices import DisplayPatch
-from radiometer.screen.browser_display import BrowserDisplay
+from radiometer.screen.browser_page import BrowserDisplay
 from testing.patience import within
 
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")

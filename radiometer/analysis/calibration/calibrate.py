@@ -6,7 +6,7 @@ import datetime as dt
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import Final, Literal
+from typing import Any, Final, Literal
 
 from radiometer.analysis.calibration.shared import settle
 from radiometer.analysis.photometry.photometry import Spectrum, luminous_efficacy_lm_per_w, spectrum
@@ -33,8 +33,10 @@ from radiometer.data import (
 from radiometer.data.calibration import DEFAULT_VALIDITY_DAYS
 from radiometer.data.reading import RADIANCE_UNIT
 from radiometer.data.setup import Setup
-from radiometer.errors import InputError, MeasurementError, UsageError
+from radiometer.data.validation import validate
+from radiometer.errors import CalibrationError, InputError, MeasurementError, UsageError
 from radiometer.numbers import unit_text
+from radiometer.plausible import PLAUSIBLE
 from radiometer.units import exact_exposure_s, exact_f_number
 
 # ISO 2720 allows K from 10.6 to 13.4 cd·m⁻²·s: ±11.7 %, taken as a rectangle, where the camera's K was not determined.
@@ -111,16 +113,6 @@ def sensor_irradiance_w_m2(
     return radiance_w_sr_m2 * math.pi / 4.0 * (diameter_m / focal_length_m) ** 2 * math.cos(angle_rad) ** 4
 
 
-def radiance_of_exposure_w_sr_m2(
-    exposure_j_m2: float, exposure_s: float, diameter_m: float, focal_length_m: float, angle_rad: float = 0.0
-) -> float:
-    """Return the radiance in W·sr⁻¹·m⁻² behind an exposure H in J·m⁻²: L = (H/t)/((π/4)·(d/f)²·cos⁴α).
-
-    Source: thesis equations (2.11) and (2.12), solved for L.
-    """
-    return exposure_j_m2 / exposure_s / sensor_irradiance_w_m2(1.0, diameter_m, focal_length_m, angle_rad)
-
-
 def reference_exposure_j_m2(
     radiance_w_sr_m2: float, settings: MeterSettings, lens_factor_sr: float | None = None
 ) -> float:
@@ -174,7 +166,7 @@ def scale_from_meter(
     exposure = reference_exposure_j_m2(radiance, settings, lens_factor_sr)
     u_of_k = K_UNKNOWN_U_REL if k_u_rel is None else k_u_rel
     budget = {"meter's resolution": METER_U_REL, "constant K": u_of_k, "response curve": signal_u_rel}
-    return Scale(
+    return _scale(
         value=exposure / reference_signal,
         u_rel=math.hypot(*budget.values()),
         budget=budget,
@@ -209,10 +201,9 @@ def scale_from_radiance(
     Raises:
         InputError: If radiance or reading are not above 0.
     """
-    _refuse_not_positive(
-        ("known radiance", radiance_w_sr_m2, "W sr-1 m-2"), ("reading of the known source", relative_rate, "")
-    )
-    return Scale(
+    PLAUSIBLE["radiance"].check("known radiance", radiance_w_sr_m2)
+    _refuse_not_positive(("reading of the known source", relative_rate, ""))
+    return _scale(
         value=radiance_w_sr_m2 / relative_rate,
         u_rel=math.hypot(u_rel, rate_u_rel),
         budget={"reference source": u_rel, **(reading_budget or {"reading": rate_u_rel})},
@@ -221,6 +212,11 @@ def scale_from_radiance(
         f_number=f_number,
         reference=f"{radiance_w_sr_m2:g} {unit_text(RADIANCE_UNIT)} known to {100 * u_rel:.3g} %",
     )
+
+
+def _scale(**facts: Any) -> Scale:
+    """Return the scale of facts. Raises CalibrationError if one is outside its plausible range."""
+    return validate(Scale, facts, "the scale", CalibrationError)
 
 
 def _refuse_not_positive(*quantities: tuple[str, float, str]) -> None:

@@ -125,7 +125,7 @@ def fit_matrix(training: Training) -> Fit:
         error_2 = max(float(found), _LEAST_ERROR**2)
     few = float(student_t.ppf(0.5 + _COVERED / 2.0, count - channels)) / 2.0
     error = _covering(left_out * np.sqrt(weight)[:, None], few)
-    return Fit(matrix, spread, error + _LEAST_ERROR**2 * np.eye(3), _hull(target))
+    return Fit(matrix, spread, error, _hull(target))
 
 
 def plausible_training(responsivities: Array) -> Training:
@@ -149,7 +149,8 @@ def _off(matrix: Array, responsivities: Array, powers: Array) -> Array:
 def _covering(off: Array, least: float = 1.0) -> Array:
     """Return the covariance of errors, shape (3, 3), of which k = 2 covers 95.45 % of them.
 
-    It is the mean of e·eᵀ, and wider where a few lights are far off, such as those of a lamp with lines.
+    It is the mean of e·eᵀ and of what no camera is better than. It is wider where a few lights are far off, such as
+    those of a lamp with lines.
 
     Args:
         off: Errors, shape (lights, 3).
@@ -157,7 +158,7 @@ def _covering(off: Array, least: float = 1.0) -> Array:
     """
     mean = off.T @ off / len(off)
     far = np.quantile(np.abs(off) / np.sqrt(np.maximum(np.diag(mean), 1e-30)), _COVERED)
-    return np.asarray(max(least, float(far) / 2.0) ** 2 * mean)
+    return np.asarray(max(least, float(far) / 2.0) ** 2 * mean + _LEAST_ERROR**2 * np.eye(3))
 
 
 def _hull(share: Array) -> Array:

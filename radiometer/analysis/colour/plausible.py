@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
+from collections.abc import Sequence
 from functools import cache
 from typing import Final
 
@@ -24,6 +25,14 @@ _BUMPS_NM: Final = (450.0, 500.0, 550.0, 600.0)
 _BUMP_NM: Final = 45.0  # standard deviation of a blue, green or purple pigment's band
 _DARK, _BRIGHT = 0.05, 0.75  # reflectances of coloured surfaces
 _DRIVES: Final = (0.0, 0.3, 1.0)  # of a display's primaries in mixtures
+# Displays of one type differ: emitters of other makers peak some nm off, and a colour is 30 nm wide by quantum dots or
+# a cavity, 75 nm by a phosphor. Lines of ions keep their place; CCFLs show mercury's as well, strongest at 435.8 nm.
+_MOVED_NM: Final = (-7.0, 7.0)
+_WIDTHS: Final = (0.6, 1.6)
+_LINE_NM: Final = 15.0  # full width up to which a part is a line
+_WITH_MERCURY: Final = "ccfl_lcd"
+_MERCURY: Final = (435.8, 5.0, 0.3)  # in its blue: peak and full width in nm, power over that of the rest
+_PHOSPHORS_NM: Final = (-2.0, 2.0)  # cathode-ray tubes share their phosphors but for batches and spectrometers
 # Colour cameras: peaks of the quantum efficiency in nm, full widths at half maximum, and what leaks through a filter
 # elsewhere. Source: data sheets of Sony Pregius colour sensors; Jiang et al. 2013, IEEE WACV, 168 (28 cameras).
 _PEAKS_NM: Final = (605.0, 535.0, 460.0)
@@ -64,8 +73,8 @@ def plausible_lights() -> dict[str, Array]:
         [on_grid(spectrum(f"band:{peak},{width}")) for peak in range(430, 661, 10) for width in (18, 32)]
     )
     for kind in (*LINES, CRT):
-        names = [f"display:{kind}:{one}" if kind != CRT else f"{CRT}_{one}" for one in COLOURS]
-        found[kind] = _mixtures(np.stack([on_grid(spectrum(name)) for name in names]))
+        usual, *others = _displays(kind)
+        found[kind] = np.vstack([_mixtures(usual, _DRIVES), *(_mixtures(one, (0.0, 1.0)) for one in others)])
     lights = np.stack([on_grid(spectrum(name)) for name in _LIGHTS])
     found[SURFACES] = (lights[:, None, :] * _reflectances()).reshape(-1, GRID_NM.size)
     return found
@@ -82,10 +91,35 @@ def _mixed_white() -> Array:
     return np.stack(found)
 
 
-def _mixtures(primaries: Array) -> Array:
+def _displays(kind: str) -> list[Array]:
+    """Return the primaries of displays of a type, shape (3, wavelengths) each: the usual one, then others."""
+    if kind == CRT:
+        usual = np.stack([on_grid(spectrum(f"{CRT}_{one}")) for one in COLOURS])
+        return [usual, *(np.stack([np.interp(GRID_NM - off, GRID_NM, row) for row in usual]) for off in _PHOSPHORS_NM)]
+    usual = np.stack([_primary(LINES[kind][one]) for one in COLOURS])
+    found = [usual]
+    for n, name in enumerate(COLOURS):
+        changed = [_primary(LINES[kind][name], moved_nm=off) for off in _MOVED_NM]
+        if kind == _WITH_MERCURY and name == "blue":
+            changed.append(_primary((*LINES[kind][name], _MERCURY)))
+        found += [np.stack([one if at == n else usual[at] for at in range(3)]) for one in changed]
+    return found + [np.stack([_primary(LINES[kind][one], wider=factor) for one in COLOURS]) for factor in _WIDTHS]
+
+
+def _primary(parts: Sequence[tuple[float, float, float]], moved_nm: float = 0.0, wider: float = 1.0) -> Array:
+    """Return the power of a primary; its parts that are no lines are moved and wider."""
+    found = np.zeros(GRID_NM.size)
+    for peak, width, share in parts:
+        off, factor = (0.0, 1.0) if width <= _LINE_NM else (moved_nm, wider)
+        bell = 0.5 ** (4.0 * ((GRID_NM - peak - off) / (factor * width)) ** 2)
+        found += share * bell / bell.sum()
+    return found
+
+
+def _mixtures(primaries: Array, steps: tuple[float, ...]) -> Array:
     """Return the primaries of a display in all mixtures of some drives but black; alike in power at full drive."""
     alike = primaries / primaries.sum(axis=1, keepdims=True)
-    drives = [drive for drive in itertools.product(_DRIVES, repeat=len(primaries)) if any(drive)]
+    drives = [drive for drive in itertools.product(steps, repeat=len(primaries)) if any(drive)]
     return np.asarray(np.array(drives) @ alike)
 
 

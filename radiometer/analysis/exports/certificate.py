@@ -20,7 +20,6 @@ from radiometer.data.validation import ConfigSection, validate
 from radiometer.errors import ConfigurationError, InputError
 
 SCHEMA_VERSION: Final = "3.1.2"
-LABORATORY_FORMAT: Final = "radiometer-laboratory/1"
 COVERAGE_PROBABILITY: Final = 0.9545  # of the coverage factors of readings
 _DCC, _SI = "https://ptb.de/dcc", "https://ptb.de/si"
 _XSI = "http://www.w3.org/2001/XMLSchema-instance"

@@ -13,7 +13,7 @@ from typing import Final
 
 import numpy as np
 from scipy.fft import irfft, rfft, rfftfreq
-from scipy.signal import bilinear, butter, lfilter, resample_poly
+from scipy.signal import butter, resample_poly
 from scipy.stats import t as student_t
 
 from radiometer.analysis.flicker.shape import LEAST_KEPT, ShapeMeasures, measure_record, measure_shape, other_line
@@ -40,7 +40,6 @@ _PST_PERCENTILES: Final = (
     (0.08, (30.0, 50.0, 80.0)),
 )
 _PST_TRANSIENT_S: Final = 20.0  # that the filters need to settle; left out (IEC TR 61547-1)
-_PST_REPEATED_S: Final = 5.0  # behind the transient, of a periodic record: its sensation repeats with it
 _PST_RATE_HZ: Final = 2000.0  # the least that the filters are specified for
 _MOST_BLOCKS: Final = 16  # of whole periods, of which the scatter is taken
 _COVERAGE: Final = 0.9545  # of the expanded uncertainty
@@ -104,10 +103,8 @@ def measure_flicker(waveform: Waveform) -> Flicker:
         )
     else:
         svm = with_u(stroboscopic_visibility)
-        other = stroboscopic_visibility(part, period, tn006_threshold)
-        assumptions.append(
-            f"SVM: weighted by the thresholds of Perz et al. 2018; those of CIE TN 006:2016 give {other:.3g}"
-        )
+        other = stroboscopic_visibility(part, period, power_law_threshold)
+        assumptions.append(f"SVM: thresholds of CIE TN 006:2016; those of Perz et al. 2018 give {other:.3g}")
         if waveform.duration_s < 1.0:
             assumptions.append(f"SVM: the light goes on after {waveform.duration_s:.3g} s as it did before")
     if waveform.rate_hz < _PST_RATE_HZ:
@@ -162,24 +159,23 @@ def svm_threshold(frequency_hz: Array) -> Array:
     Args:
         frequency_hz: Frequencies, any shape.
 
-    Source: Perz et al. 2018, J. Opt. Soc. Am. A 35, 309: T = 2.865e-5·(f/Hz)^1.543 + 0.225. Its constants were not
-    compared with the text of IEC TR 63158:2018, which is not public.
+    Source: CIE TN 006:2016, T = 1/(1 + exp(−0.00518·(f/Hz − 306.6))) + 20·exp(−f/10 Hz). The SVM meter of Aalto
+    University has the same constants, and agrees with the verification waveforms of IEC TR 63158:2018 (Mantela et al.
+    2023, Lighting Res. Technol., doi 10.1177/14771535231212404).
     """
-    return np.asarray(2.865e-5 * np.power(frequency_hz, 1.543) + 0.225)
+    f = np.asarray(frequency_hz, dtype=np.float64)
+    return np.asarray(1.0 / (1.0 + np.exp(-0.00518 * (f - 306.6))) + 20.0 * np.exp(-f / 10.0))
 
 
-def tn006_threshold(frequency_hz: Array) -> Array:
-    """Return the earlier fit of the same thresholds: 1.4 % below at 100 Hz, 19 % above at 400 Hz, 1 at most.
+def power_law_threshold(frequency_hz: Array) -> Array:
+    """Return a later fit of that threshold: 1.4 % above at 100 Hz, 16 % below at 400 Hz, and above 1 from 750 Hz.
 
     Args:
         frequency_hz: Frequencies, any shape.
 
-    Source: CIE TN 006:2016; with these constants in github.com/MantelV/Aalto-implementations-for-flickermeter-and-
-    SVM-meter (Aalto University, MIT): T = 1/(1 + exp(−0.00518·(f/Hz − 306.6))) + 20·exp(−f/10 Hz).
+    Source: Perz et al. 2018, J. Opt. Soc. Am. A 35, 309: T = 2.865e-5·(f/Hz)^1.543 + 0.225.
     """
-    return np.asarray(
-        1.0 / (1.0 + np.exp(-0.00518 * (frequency_hz - 306.6))) + 20.0 * np.exp(-np.asarray(frequency_hz) / 10.0)
-    )
+    return np.asarray(2.865e-5 * np.power(frequency_hz, 1.543) + 0.225)
 
 
 def stroboscopic_visibility(
@@ -190,10 +186,12 @@ def stroboscopic_visibility(
     C_m is the amplitude of a Fourier component over the mean, T_m the threshold of a sinusoid of its frequency. An
     average over the exposure time of each sample is corrected.
     """
-    part = whole_periods(waveform, period)[0]
+    part, periods = whole_periods(waveform, period)
     light = part.light
     amplitude = 2.0 * np.abs(rfft(light)) / light.size / light.mean()
     frequency_hz = rfftfreq(light.size, 1.0 / part.rate_hz)
+    if period is not None and periods:  # whole periods end between two samples: a harmonic at 2 kHz is in or out
+        frequency_hz *= period.frequency_hz * part.duration_s / periods
     within = (frequency_hz >= _SVM_BAND_HZ[0]) & (frequency_hz <= _SVM_BAND_HZ[1])
     kept = np.abs(np.sinc(frequency_hz[within] * part.averaged_s))  # numpy's sinc holds the π
     seen = amplitude[within] / np.maximum(kept, LEAST_KEPT)
@@ -204,17 +202,17 @@ def short_term_severity(waveform: Waveform, period: Period | None = None) -> flo
     """Return PstLM, the short-term flicker severity of a light waveform.
 
     The relative light passes a band-pass of 0.05 to 35 Hz and the eye's weighting, is squared and smoothed over 0.3 s;
-    percentiles of the result give the severity. A record below a minute is repeated by whole periods.
+    percentiles of the result give the severity. The filters have their analogue responses: digital ones of 2 kHz are
+    off by 4 % at 120 Hz. A record below a minute repeats by whole periods; of a longer one the first 20 s are left out.
     """
-    light, rate_hz = _for_severity(waveform, period)
-    relative = light / light.mean() - 1.0
-    relative = lfilter(*butter(1, _PST_BAND_HZ[0], "high", fs=rate_hz), relative)
-    start = min(round(rate_hz / 10.0), relative.size)
-    relative[:start] *= np.linspace(0.0, 1.0, start)
-    relative = lfilter(*butter(6, _PST_BAND_HZ[1], "low", fs=rate_hz), relative)
-    weighted = lfilter(*bilinear(_PST_NUMERATOR, _PST_DENOMINATOR, fs=rate_hz), relative)
-    smoothing = butter(1, 1.0 / (2.0 * math.pi * _PST_SMOOTHING_S), "low", fs=rate_hz)
-    sensation = _PST_SCALE * lfilter(*smoothing, weighted**2)[round(_PST_TRANSIENT_S * rate_hz) :]
+    light, rate_hz, transient = _for_severity(waveform, period)
+    s = 2j * np.pi * rfftfreq(light.size, 1.0 / rate_hz)
+    corner = 2.0 * math.pi * _PST_BAND_HZ[0]
+    numerator, denominator = butter(6, 2.0 * math.pi * _PST_BAND_HZ[1], "low", analog=True)
+    gain = s / (s + corner) * np.polyval(numerator, s) / np.polyval(denominator, s)
+    gain *= np.polyval(_PST_NUMERATOR, s) / np.polyval(_PST_DENOMINATOR, s)
+    seen = irfft(rfft(light / light.mean() - 1.0) * gain, light.size)
+    sensation = _PST_SCALE * irfft(rfft(seen**2) / (1.0 + _PST_SMOOTHING_S * s), light.size)[transient:]
     total = sum(
         weight * float(np.mean(np.percentile(sensation, 100.0 - np.array(exceeded))))
         for weight, exceeded in _PST_PERCENTILES
@@ -222,20 +220,15 @@ def short_term_severity(waveform: Waveform, period: Period | None = None) -> flo
     return math.sqrt(max(total, 0.0))
 
 
-def _for_severity(waveform: Waveform, period: Period | None) -> tuple[Array, float]:
-    """Return light and rate in Hz, at 2 to 4 kHz: long enough, repeated by whole periods where the record is short."""
-    if waveform.duration_s >= 3 * _PST_TRANSIENT_S:
-        down = max(1, int(waveform.rate_hz / _PST_RATE_HZ))
-        light = waveform.light if down == 1 else resample_poly(waveform.light, 1, down, padtype="mean")
-        return light, waveform.rate_hz / down
-    part = whole_periods(waveform, period)[0]
-    size = max(2, math.ceil(part.duration_s * _PST_RATE_HZ / 2.0) * 2)  # samples of one repetition
-    size = min(size, part.light.size)
-    spectrum = rfft(part.light)[: size // 2 + 1]
-    once = irfft(spectrum, size) * size / part.light.size
-    settling = math.ceil(_PST_TRANSIENT_S / part.duration_s)
-    repeats = settling + math.ceil(_PST_REPEATED_S / part.duration_s)
-    return np.tile(once, repeats), size / part.duration_s
+def _for_severity(waveform: Waveform, period: Period | None) -> tuple[Array, float, int]:
+    """Return light, rate in Hz, at 2 to 4 kHz where it is long, and how many samples the filters settle in."""
+    if waveform.duration_s < 3 * _PST_TRANSIENT_S:
+        part = whole_periods(waveform, period)[0]
+        return part.light, part.rate_hz, 0
+    down = max(1, int(waveform.rate_hz / _PST_RATE_HZ))
+    light = waveform.light if down == 1 else resample_poly(waveform.light, 1, down, padtype="mean")
+    rate_hz = waveform.rate_hz / down
+    return light, rate_hz, round(_PST_TRANSIENT_S * rate_hz)
 
 
 def _jackknife(

@@ -267,6 +267,7 @@ def whole_periods(waveform: Waveform, period: Period | None) -> tuple[Waveform, 
     """Return the longest part of whole periods, and their number; the waveform and 0 where it has no period."""
     if period is None:
         return waveform, 0
-    count = int(waveform.duration_s * period.frequency_hz + 1e-6)
+    # A part of whole periods ends at a sample, up to half a step too early: cut again it stays as it is.
+    count = int(waveform.duration_s * period.frequency_hz + 0.5 * period.frequency_hz / waveform.rate_hz + 1e-6)
     samples = round(count / period.frequency_hz * waveform.rate_hz)
     return (waveform, 0) if count < 1 else (waveform.cut(min(samples, waveform.light.size)), count)

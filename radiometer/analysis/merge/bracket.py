@@ -20,7 +20,7 @@ from radiometer.analysis.merge.displaced import (
     relative_shift,
     with_shift,
 )
-from radiometer.analysis.merge.finish import finish
+from radiometer.analysis.merge.finish import finish, merge_tables
 from radiometer.analysis.merge.frames import FrameTerms, frame_terms, with_taps
 from radiometer.analysis.merge.sums import (
     MANY,
@@ -30,7 +30,6 @@ from radiometer.analysis.merge.sums import (
     ScratchSums,
     merge_passes,
 )
-from radiometer.analysis.merge.tables import merge_tables
 from radiometer.analysis.photometry.photometry import KINDS
 from radiometer.analysis.reading.budget import common_u_rel, frame_u_rel, unstated_u_rel
 from radiometer.analysis.signal.lens import falloff_known, known_f_number, lens_factor_sr, relative_sensitivity

@@ -21,8 +21,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from radiometer.analysis.merge.finish import AGREEMENT_SIGMA, CONTRADICTION_SIGMA, MergeTables, scatter_limit
 from radiometer.analysis.merge.sums import MergeSample
-from radiometer.analysis.merge.tables import AGREEMENT_SIGMA, CONTRADICTION_SIGMA, MergeTables, scatter_limit
 from radiometer.compiled import compiled
 from radiometer.typing import Array
 

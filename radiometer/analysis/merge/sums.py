@@ -15,8 +15,8 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from radiometer.analysis.merge.finish import FIRST_POWER
 from radiometer.analysis.merge.frames import FrameTerms
-from radiometer.analysis.merge.tables import FIRST_POWER
 from radiometer.compiled import compiled
 from radiometer.data.radiance_map import PixelMask
 

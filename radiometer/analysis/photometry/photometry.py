@@ -256,6 +256,11 @@ def _places(table: TextTable, names: Mapping[str, Sequence[str]], form: str) -> 
             raise InputError(
                 f"{table.path}: no column is known as {name}; it has {', '.join(table.header)}: keep the columns {form}"
             )
+        if _PER_PHOTON.search(table.header[at].lower()) is not None:
+            raise InputError(
+                f"{table.path}: {table.header[at]!r} is an efficiency per photon; multiply it by the wavelength: a "
+                "responsivity is per watt"
+            )
         if (other := _OTHER_DENSITY.search(table.header[at].lower())) is not None:
             raise InputError(
                 f"{table.path}: {table.header[at]!r} is in {other[0]}; a spectrum needs power per wavelength"
@@ -264,9 +269,11 @@ def _places(table: TextTable, names: Mapping[str, Sequence[str]], form: str) -> 
     return found
 
 
-# Not proportional to power per nm: counts of photons, and densities per wavenumber or frequency.
+_PER_PHOTON: Final = re.compile(r"quantum|(?<![a-z])[ei]?qe(?![a-z])")  # quantum efficiency, as data sheets have it
+# Not proportional to power per nm: counts of photons, logarithms, and densities per wavenumber or frequency.
 _OTHER_DENSITY: Final = re.compile(
-    r"photons?|quanta|[µμu]mol|\bmol\b|einstein|(?:per |/ ?)(?:cm-1|cm\^-1|cm⁻¹|[tg]?hz|ev)\b|\blog(?:10)?\b|\bdb\w*"
+    r"photons?|quanta|ppfd?\b|absorbance|optical.density"
+    r"|[µμu]mol|\bmol\b|einstein|(?:per |/ ?)(?:cm-1|cm\^-1|cm⁻¹|[tg]?hz|ev)\b|\blog(?:10)?\b|\bdb\w*"
 )
 
 

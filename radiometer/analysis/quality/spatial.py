@@ -13,8 +13,7 @@ from radiometer.analysis.quality.signals import Deviation
 from radiometer.data import Patch
 from radiometer.data.radiance_map import PixelMask, RadianceMap
 from radiometer.errors import MeasurementError
-from radiometer.statistics.jackknife import jackknife_u
-from radiometer.statistics.scale import robust_sigma
+from radiometer.statistics.scale import jackknife_u, robust_sigma
 
 _TILES: Final = 10
 _BIN_PX: Final = 0.25  # ISO 12233: four bins a pixel

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from radiometer.analysis.signal.model import DarkLevel, PatchFrame, SignalModel
 from radiometer.statistics.model_choice import AKAIKE, FIVE_SIGMA, is_supported
-from radiometer.statistics.restricted_likelihood import common_deviance
+from radiometer.statistics.scale import common_deviance
 
 # Frames of a steady source through a good calibration agree to this; only more is called flicker.
 _FLICKER_FLOOR_REL = 1e-3

@@ -24,7 +24,7 @@ from radiometer.data.bracket import Bracket
 from radiometer.data.response_curve import ResponseCurve
 from radiometer.errors import MeasurementError
 from radiometer.one_thread import on_one_blas_thread
-from radiometer.statistics.jackknife import jackknife_u
+from radiometer.statistics.scale import jackknife_u
 from radiometer.typing import Array
 
 # Frames are left out one by one up to this many, then every so many together.

@@ -14,7 +14,7 @@ from radiometer.analysis.response.basis import ValueBasis
 from radiometer.analysis.response.samples import ResponseSamples
 from radiometer.errors import MeasurementError
 from radiometer.statistics.model_choice import STATED_IS_WRONG, is_supported
-from radiometer.statistics.restricted_likelihood import penalised_terms
+from radiometer.statistics.scale import penalised_terms
 from radiometer.typing import Array
 
 # What a curve over the digital numbers itself can be off by in ln H: no row is known better.

@@ -13,7 +13,7 @@ from radiometer.analysis.response.labels import exposure_labels
 from radiometer.analysis.response.limits import ValueLimits, find_limits
 from radiometer.data.bracket import Bracket
 from radiometer.errors import InputError, MeasurementError
-from radiometer.statistics.jackknife import jackknife_u
+from radiometer.statistics.scale import jackknife_u
 from radiometer.typing import Array
 
 # A group is left out of a frame where more than this part of its pixels clips there: the mean of the others would be

@@ -22,6 +22,7 @@ from radiometer.data import (
     SensorNoise,
 )
 from radiometer.data.frame import DigitalNumbers
+from radiometer.data.sensor_noise import most_dark_e_per_s
 from radiometer.errors import CalibrationError, MeasurementError
 from radiometer.statistics.scale import TWENTIETH_TO_SIGMA, neighbour_sigma
 from radiometer.units import gain_factor
@@ -33,10 +34,6 @@ _OTHER_EXPOSURE_REL = 0.05  # dark frames that differ by less say nothing of the
 _AS_WARM_K = 3.0  # a third more dark current, or a third less
 _U_DOUBLING_K = 1.0  # dark currents in silicon double within 6 to 8 K
 _OTHER = "dark frames of other exposures"
-# Of a camera that states no dark current: 0 to 20 e⁻/s, as of sensors without cooling near 40 °C. Darks show more.
-_MOST_DARK_E_PER_S = 20.0
-# Cameras that come with bias frames are used for long exposures: 1 nA/cm² at 25 °C in pixels of 24 µm (CCDs), warm.
-_MOST_WITH_BIAS_E_PER_S = 1e5
 _DARKEST_PERCENTILE = 5.0  # of a frame: its dark signal is not above that of its darkest pixels, hot ones left out
 # Masked pixels against those next to them: half a digital number (a rectangle), and a tenth of the modelled dark
 # signal.
@@ -63,6 +60,7 @@ class SignalModel:
     black_dn: float  # black level in DN that the table holds for
     electrons_per_unit: float  # electrons per unit of x
     noise: SensorNoise  # noise model of the sensor
+    camera: CameraDescription  # the camera
     linear: bool  # true without a response curve
     saturation_known: bool  # whether the full well is known rather than typical
 
@@ -168,6 +166,7 @@ def signal_model(
             black_dn,
             noise.conversion_gain_e_per_dn,
             noise,
+            camera,
             linear=True,
             saturation_known=known,
         )
@@ -187,6 +186,7 @@ def signal_model(
         black_dn,
         float(per_unit),
         noise,
+        camera,
         linear=False,
         saturation_known=known,
     )
@@ -332,9 +332,7 @@ def _from_other_exposures(
         # Shorter dark frames lack dark signal, up to all that the darkest pixels show; longer ones have too much, up to
         # all of theirs. Where they are brighter than the darkest pixels they do not belong to the frame.
         most = (darkest - offset) * apart_s / here if apart_s > 0 else offset if darkest > offset else 0.0
-        u_rate = u_unstated = _unknown_dark_u(
-            replace(settings, exposure_s=abs(apart_s)), model, most, _MOST_WITH_BIAS_E_PER_S
-        )
+        u_rate = u_unstated = _unknown_dark_u(replace(settings, exposure_s=abs(apart_s)), model, most)
     return DarkLevel(dark + offset, 0.0, float(np.hypot(noise, u_rate)), _OTHER, u_unstated)
 
 
@@ -384,24 +382,25 @@ def black_from_darks(dark_frames: Sequence[Frame], calibration: Calibration) -> 
         start = float(np.polynomial.polynomial.polyfit(times, means, 1)[0])
         return own.model_copy(update={"dn": max(start, 0.0)})
     modelled = gain * np.array([noise.dark_e(f.settings.exposure_s, f.settings.temperature_c) for f in used])
-    unknown_e = _MOST_DARK_E_PER_S / 2.0 if "dark_current_e_per_s" in noise.assumed else 0.0
-    u_dark = math.hypot(gain * unknown_e * float(times[0]), own.dark_u_rel * float(modelled[0]))
     start = float(np.mean(means - modelled))
+    unknown_dn = 0.0
+    if "dark_current_e_per_s" in noise.assumed:  # the frames are at least as bright as their dark signal
+        most_e = most_dark_e_per_s(calibration.camera, used[0].settings.temperature_c) * float(times[0])
+        unknown_dn = min(gain * most_e, max(start, 0.0)) / 2.0
+    u_dark = math.hypot(unknown_dn, own.dark_u_rel * float(modelled[0]))
     return own.model_copy(update={"dn": max(start, 0.0), "u_dn": math.hypot(own.u_dn, u_dark)})
 
 
-def _unknown_dark_u(
-    settings: FrameSettings, model: SignalModel, darkest: float, most_e_per_s: float = _MOST_DARK_E_PER_S
-) -> float:
+def _unknown_dark_u(settings: FrameSettings, model: SignalModel, darkest: float) -> float:
     """Return the standard uncertainty of the signal x of a dark current that nothing states: k = 2 covers the most.
 
     Args:
         settings: Of the light frame.
         model: Signal model of the camera.
         darkest: Signal x of the frame's darkest pixels; inf where it is not known.
-        most_e_per_s: Most dark current of such a camera.
     """
-    most = most_e_per_s * settings.exposure_s / model.electrons_per_unit
+    most_e = most_dark_e_per_s(model.camera, settings.temperature_c) * settings.exposure_s
+    most = most_e / model.electrons_per_unit
     lowest = min(max(darkest, 0.0), most)
     noise = math.sqrt(float(model.variance(lowest, settings)))  # a low percentile is that far below its level
     return min(most, lowest + 2.0 * noise) / 2.0

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 import radiometer as rm
-from radiometer.cli.arguments import parse_relative
+from radiometer.cli.arguments import parse_relative, parse_size
 from radiometer.cli.console import console
 from radiometer.cli.options import JsonOption
 from radiometer.cli.outputs import writes
@@ -40,6 +40,12 @@ def command(
         ),
     ] = 0.0,
     wavelength_u: Annotated[float, typer.Option(min=0.0, help="u (k = 1) of the spectrum's wavelengths in nm.")] = 0.0,
+    size: Annotated[
+        str | None,
+        typer.Option(metavar="M", help="Size of the source in m, 0.52x0.32 or a disc's diameter: gives irradiance."),
+    ] = None,
+    distance: Annotated[float | None, typer.Option(min=0.0, help="Distance from the source in m.")] = None,
+    distance_u: Annotated[float, typer.Option(min=0.0, help="u (k = 1) of the distance in m.")] = 0.0,
     plot: Annotated[
         Path | None, typer.Option(help="Draw the ratios to daylight into this PNG, PDF or SVG file.")
     ] = None,
@@ -60,6 +66,9 @@ def command(
         spectrum=spectrum,
         spectrum_u_rel=spectrum_u_rel,
         wavelength_u_nm=wavelength_u,
+        size_m=parse_size(size),
+        distance_m=distance,
+        u_distance_m=distance_u,
     )
     if plot is not None:
         found.write_plot(plot)

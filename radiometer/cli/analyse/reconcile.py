@@ -129,12 +129,7 @@ def _show_proposal(found: Proposal | None, folder: Path) -> None:
     out.print(f"\nproposed: [bold]{found.name}[/bold], stage {found.stage}{alike}: {found.sentence()}")
     out.print(f"   {found.to_mapping()['formula']}", highlight=False)
     for name, entry in found.parameters.items():
-        shown = (
-            with_u(entry.value, 0.0, entry.unit)
-            if entry.u is None
-            else with_u(entry.value, 2 * entry.u, entry.unit, k=2)
-        )
-        out.print(f"   {name} = {shown}", highlight=False)
+        out.print(f"   {name} = {with_u(entry.value, 2 * (entry.u or 0.0), entry.unit, k=2)}", highlight=False)
     out.print(f"   gap {found.before.gap:.3f} → {found.after.gap:.3f} with it alone ({found.nats:.0f} nats)")
     for rival in found.rivals:
         out.print(f"   rival: {rival.name}, {rival.behind_nats:g} nats behind")
@@ -198,12 +193,7 @@ def _show_effect(number: int, effect: FoundEffect) -> None:
         f"gap {effect.gap_before:.3f} → {effect.gap_after:.3f} ({effect.evidence}{weak})"
     )
     for name, entry in effect.parameters.items():
-        shown = (
-            with_u(entry.value, 0.0, entry.unit)
-            if entry.u is None
-            else with_u(entry.value, 2 * entry.u, entry.unit, k=2)
-        )
-        out.print(f"   {name} = {shown}", highlight=False)
+        out.print(f"   {name} = {with_u(entry.value, 2 * (entry.u or 0.0), entry.unit, k=2)}", highlight=False)
     if effect.curve is not None:
         low, high = min(effect.curve.factor), max(effect.curve.factor)
         where = " and ".join(effect.curve.along)

@@ -123,9 +123,9 @@ def report(
     seed: SeedOption = 1,
     json: JsonOption = False,
 ) -> None:
-    """Measure a display by methods of the IDMS: uniformity, contrast, gamma, primaries, black, warm-up, angle, mura.
+    """Measure a display: uniformity, contrast, gamma, primaries, black, warm-up, angle, mura.
 
-    Each figure has its uncertainty, each method its measuring conditions.
+    Each figure has its uncertainty, each method its measuring conditions; those of the IDMS carry its section.
     """
     with progress(shown=not json) as shown:
         found = rm.screen_report(

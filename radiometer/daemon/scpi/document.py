@@ -39,7 +39,8 @@ _RULES = (
     "s end.",
     "Limits: 256 connections, 4096 bytes per message, 1000 messages per second and client (more are delayed). "
     "Where all "
-    "connections are in use, the longest idle one is closed after a minute to make room.",
+    "connections are in use, the longest idle one is closed after a minute to make room. `OUTP:ALL OFF` is taken even "
+    "where none is idle.",
     "A client is dropped after 30 s if it does not take its replies or does not finish a message. It is also dropped "
     "after 4 h without a message; an entry of the error queue warns 24 min before.",
     "The replies of one message may have 4 MB without the largest of them. Replies above 1 MB that clients have not "

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import unicodedata
 from typing import Final
 
 from radiometer.daemon.journal import JournalError
@@ -15,6 +16,7 @@ from radiometer.errors import (
     UsageError,
 )
 
+_ASCII: Final = str.maketrans({"×": "x", "·": " ", "−": "-", "–": "-", "±": "+-", "μ": "u", "°": " deg"})  # after NFKD
 MESSAGES: Final = {
     0: "No error",
     -101: "Invalid character",
@@ -70,7 +72,8 @@ class ScpiError(Exception):
     def entry(self) -> str:
         """Return the reply to SYSTem:ERRor?, at most 255 characters in the quotes as the standard wants."""
         text = MESSAGES[self.number] + (f";{self.detail}" if self.detail else "")
-        clean = "".join(char if " " <= char <= "~" else "?" for char in text.replace("×", "x").replace("°", ""))
+        plain = unicodedata.normalize("NFKD", text).translate(_ASCII)
+        clean = "".join(char if " " <= char <= "~" else "?" for char in plain)
         return f'{self.number},"{clean[:255].replace(chr(34), chr(34) * 2)}"'
 
     @property

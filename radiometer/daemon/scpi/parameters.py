@@ -57,12 +57,12 @@ class Number:
     unit: str  # key of the table of suffixes: "S", "DB", "NM", "PCT" or ""
     limits: Callable[[Station], ParameterLimits]  # returns the limits in force
     integer: bool = False  # whether it is rounded to a whole number
-    also: tuple[str, ...] = ()  # words that are accepted instead of a number
+    also: tuple[str, ...] = ()  # words that the handler gets as they are, also in place of a limit
 
     @property
     def form(self) -> str:
         """Return what is accepted."""
-        words = "".join(f" | {word}" for word in self.also)
+        words = "".join(f" | {word}" for word in self.also if word != "MAXimum")
         unit = {"": "", "PCT": " (fraction, or PCT)"}.get(self.unit, f" ({self.unit.lower().replace('db', 'dB')})")
         return f"<{self.name}{unit}> | MINimum | MAXimum | DEFault{words}"
 
@@ -90,12 +90,12 @@ class Number:
 
     def _word(self, word: str, station: Station) -> float | int | str:
         limits = self.limits(station)
-        for name, value in (("MINimum", limits.low), ("MAXimum", limits.high), ("DEFault", limits.default)):
-            if word.upper() in (name.upper(), short_form(name)):
-                return round(value) if self.integer else value
         for name in self.also:
             if word.upper() in (name.upper(), short_form(name)):
                 return name
+        for name, value in (("MINimum", limits.low), ("MAXimum", limits.high), ("DEFault", limits.default)):
+            if word.upper() in (name.upper(), short_form(name)):
+                return round(value) if self.integer else value
         raise ScpiError(-141, f"{self.name}: {word[:20]}")
 
 

@@ -117,11 +117,14 @@ def _channel(call: Call) -> str:
 
 
 async def _set_level(call: Call) -> None:
-    await call.session.station.light.set_level(_channel(call), call.values[0])
+    light, channel = call.session.station.light, _channel(call)
+    await light.set_level(channel, light.limit(channel) if call.values[0] == "MAXimum" else call.values[0])
 
 
 def _ask_level(call: Call) -> str:
     station, channel = call.session.station, _channel(call)
+    if call.values:
+        return formats.number(station.light.limit(channel) if call.values[0] == "MAXimum" else 0.0)
     if not station.light.is_confirmed:
         raise ScpiError(-230, f"the level of {channel} is not confirmed: the light box does not answer")
     return formats.number(station.light.levels[channel])
@@ -235,12 +238,12 @@ COMMANDS: Final = (
             example="CAL:STAT?", group=CALIBRATION),
     Command("CALibration:RELoad", "Reads the calibration file named at start again, as SIGHUP does.", do=_reload,
             example="CAL:REL", group=CALIBRATION),
-    Command("SOURce:LED<n>:LEVel", "Sets the level of a channel of the light box, 0 (off) to 1. The query replies"
-            " the level that the box last reported; it reports twice a second. −230 means that the box does not answer."
-            " If the box ended the light itself (energy budget, its button), the level is 0 and an alarm is raised.",
-            do=_set_level, ask=_ask_level, parameters=(Number("level", "PCT", _level),),
-            reply="level",
-            example="SOUR:LED1:LEV 0.25;LEV?", group=SOURCE),
+    Command("SOURce:LED<n>:LEVel", "Sets the level of a channel of the light box, 0 (off) to 1. MAX is the highest"
+            " level that the box allows now. The query replies the level that the box last reported; it reports twice a"
+            " second. −230 means that the box does not answer. If the box ended the light itself (energy budget, its"
+            " button), the level is 0 and an alarm is raised.",
+            do=_set_level, ask=_ask_level, parameters=(Number("level", "PCT", _level, also=("MAXimum",)),),
+            ask_parameters=(_ANY_LIMIT,), reply="level", example="SOUR:LED1:LEV 0.25;LEV?", group=SOURCE),
     Command("SOURce:LED:CATalog", "Names the channels, from 1 on.", ask=_catalogue, reply='"name",…',
             example="SOUR:LED:CAT?", group=SOURCE),
     Command("OUTPut:ALL", "OFF switches every channel off at once, even as the first message of a connection. ON is"

@@ -1,4 +1,9 @@
-"""SCPI over raw TCP and a Unix socket: one message per line."""
+"""SCPI over raw TCP and a Unix socket: one message per line.
+
+A web page may have the browser of this machine send bytes of its choice to any loopback port: the body of a POST, line
+by line. The browser cannot help sending its request line and headers before them; by these it is known. No program
+message of ours begins so: a mnemonic holds no hyphen, and no blank follows a root header but before its arguments.
+"""
 
 from __future__ import annotations
 
@@ -21,7 +26,6 @@ from radiometer.daemon.places import Places
 from radiometer.daemon.scpi.errors import ScpiError
 from radiometer.daemon.scpi.lexer import block_end
 from radiometer.daemon.scpi.session import Session
-from radiometer.daemon.scpi.strangers import is_strange
 from radiometer.daemon.scpi.table import command_table
 from radiometer.daemon.station import Station
 from radiometer.errors import OutputError, UsageError
@@ -35,6 +39,31 @@ _DISCARD_LIMIT: Final = 16  # times the line limit that may be thrown away befor
 _MESSAGES_AT_ONCE: Final = 2
 _PIECE: Final = 262_144  # characters of a reply, of one byte each, handed to the system at a time
 _LIGHTS: Final = re.compile(rb"sour", re.IGNORECASE)  # no message that lights does without this root
+# Where every connection is in use by a busy client, so many more get in for a moment, to switch the lights off.
+_GUESTS: Final = 8
+_GUEST_S: Final = 2.0
+_DARKENS: Final = re.compile(
+    rb"\s*:?outp(?:ut)?:all\s+(?:off|0)\s*(?:;\s*(?::?outp(?:ut)?:)?(?:all\?|\*opc\?)\s*)*", re.IGNORECASE
+)
+_METHODS: Final = rb"GET|HEAD|POST|PUT|DELETE|OPTIONS|CONNECT|PRI|PROPFIND"
+_METHODS_WITH_TARGET: Final = rb"(?:TRACE|PATCH)[ \t]+[/*h]"  # both are also long forms of our own mnemonics
+_HEADERS: Final = rb"Host|Connection|Accept|Origin|Referer|Cookie|Upgrade|Expect|Pragma|Range|[a-z]+(?:-[a-z]+)+"
+_STRANGE: Final = re.compile(
+    rb"(?:\A|\n)[\x00-\x09\x0b-\x20]*"  # what the lexer passes over at the beginning of a message
+    rb"(?:(?:" + _METHODS + rb")[ \t]|" + _METHODS_WITH_TARGET + rb"|(?:" + _HEADERS + rb")[ \t]*:"
+    rb"|[^\n]{0,4096}[ \t]HTTP/\d)"
+    rb"|(?:\A|\n)\x16\x03",  # a TLS record: handshake, version 3.x (RFC 8446, 5.1)
+    re.IGNORECASE,
+)
+
+
+def is_strange(received: bytes | bytearray) -> bool:
+    """Return whether bytes that begin with a line hold the beginning of a line of HTTP or TLS.
+
+    Args:
+        received: What came, from the beginning of a line on; its last line may be unfinished.
+    """
+    return _STRANGE.search(received) is not None
 
 
 class ScpiConnection(asyncio.Protocol):
@@ -55,6 +84,7 @@ class ScpiConnection(asyncio.Protocol):
         self._vetted_at: float | None = None
         self._idle_timer: asyncio.TimerHandle | None = None
         self._heard_at = 0.0
+        self._guest_until: asyncio.TimerHandle | None = None  # None but where every connection was in use
         self.session: Session | None = None
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
@@ -65,21 +95,32 @@ class ScpiConnection(asyncio.Protocol):
         raw_socket = transport.get_extra_info("socket")
         if raw_socket is not None and raw_socket.family != socket.AF_UNIX:
             raw_socket.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
-        if reason := self._server.refusal(transport.get_extra_info("peername")) or self._server.make_room():
-            self._server.station.metrics.refused.labels(INTERFACE, reason).inc()
-            _log.warning("scpi client refused", reason=reason, peer=str(transport.get_extra_info("peername")))
-            transport.abort()
+        if reason := self._server.refusal(transport.get_extra_info("peername")):
+            self.refuse(reason)
             return
         self.session = Session(self._server.station, self._server.table, self._limits.reply_bytes)
+        if crowded := self._server.make_room():
+            self._server.take_guest(self, crowded)
+            self._guest_until = asyncio.get_running_loop().call_later(_GUEST_S, self.refuse, crowded)
+            return
         self._server.connections.add(self)
         self._server.places.enter(self, _host(transport.get_extra_info("peername")))
         self._start_idle_timer()
 
+    def refuse(self, reason: str) -> None:
+        """End the connection of a client that gets no place."""
+        peer = str(self._transport.get_extra_info("peername")) if self._transport is not None else ""
+        self._server.station.metrics.refused.labels(INTERFACE, reason).inc()
+        _log.warning("scpi client refused", reason=reason, peer=peer)
+        if self._transport is not None:
+            self._transport.abort()
+
     def connection_lost(self, exc: Exception | None) -> None:
         """Forget the client."""
         self._server.connections.discard(self)
+        self._server.guests.pop(self, None)
         self._server.places.leave(self)
-        for handle in (self._timer, self._resume, self._idle_timer):
+        for handle in (self._timer, self._resume, self._idle_timer, self._guest_until):
             if handle is not None:
                 handle.cancel()
         if self._task is not None:
@@ -215,6 +256,9 @@ class ScpiConnection(asyncio.Protocol):
 
     def _run(self, message: bytes) -> str | Coroutine[Any, Any, str | None] | None:
         assert self.session is not None
+        if self._guest_until is not None and not _DARKENS.fullmatch(message):
+            self.refuse("too many connections")
+            return None
         self._server.served.inc()
         try:
             outcome = self.session.execute(message.rstrip(b"\r").decode("latin-1"))
@@ -336,6 +380,7 @@ class ScpiServer:
         self.station, self.limits, self.table = station, limits or Limits(), command_table()
         self.budget = ReplyBudget(self.limits.large_replies_bytes)
         self.connections: set[ScpiConnection] = set()
+        self.guests: dict[ScpiConnection, None] = {}  # in the order in which they came
         self.places: Places[ScpiConnection] = Places(self.limits.scpi_connections, idle_s=_IDLE_S)
         self.served = station.metrics.requests.labels(INTERFACE)
         self._allow = tuple(allow)
@@ -381,7 +426,7 @@ class ScpiServer:
         """Stop listening and end every connection."""
         for server in self._servers:
             server.close()
-        for connection in tuple(self.connections):
+        for connection in (*self.connections, *self.guests):
             if connection._transport is not None:
                 connection._transport.close()
         for server in self._servers:
@@ -397,6 +442,14 @@ class ScpiServer:
         if isinstance(peer, tuple) and not is_allowed(peer[0], self._allow):
             return "not on the allow-list"
         return self.places.refusal(_host(peer))
+
+    def take_guest(self, guest: ScpiConnection, reason: str) -> None:
+        """Let one more in that may only switch the lights off; the one that has waited longest goes for it."""
+        if len(self.guests) >= _GUESTS:
+            oldest = next(iter(self.guests))
+            del self.guests[oldest]
+            oldest.refuse(reason)
+        self.guests[guest] = None
 
     def make_room(self) -> str:
         """Put the connection out that has the least claim to its place; return why the next one gets none."""

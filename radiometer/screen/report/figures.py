@@ -49,7 +49,7 @@ class Section:
 
     Attributes:
         method: Its name in commands and files.
-        title: Its name in the IDMS.
+        title: Its name, with the section of the IDMS where it is one of its methods.
         conditions: What was shown and how it was measured, a sentence each.
         figures: Its results.
         columns: Headings of its table.

@@ -8,14 +8,23 @@ from typing import Final
 from radiometer.data import Patch
 from radiometer.errors import UsageError
 
-# Places as shares of width and height. Nine are the middles of 3 × 3 equal fields. Thirteen add four places at 10 % of
-# the way from the corners to the centre. Source: IEC 61947-1, ANSI IT7.228.
+# Places as shares of width and height. Nine: the outer ones 10 % from the edges (IDMS 8.1). Thirteen: the middles of
+# 3 × 3 equal fields, and four places at 10 % of the way from the corners to the centre (IEC 61947-1, ANSI IT7.228).
+# Twenty-five: 5 × 5 places with the nine among them.
+_TENTHS: Final = (0.1, 0.5, 0.9)
 _THIRDS: Final = (1 / 6, 1 / 2, 5 / 6)
-_NINE: Final = tuple((x, y) for y in _THIRDS for x in _THIRDS)
 _CORNERS: Final = tuple((x, y) for y in (0.05, 0.95) for x in (0.05, 0.95))
-# Twenty-five: 5 × 5 places, the outer ones 10 % from the edges, as the IDMS samples.
 _FIFTHS: Final = (0.1, 0.3, 0.5, 0.7, 0.9)
-POINTS: Final = {9: _NINE, 13: (*_NINE, *_CORNERS), 25: tuple((x, y) for y in _FIFTHS for x in _FIFTHS)}
+POINTS: Final = {
+    9: tuple((x, y) for y in _TENTHS for x in _TENTHS),
+    13: (*((x, y) for y in _THIRDS for x in _THIRDS), *_CORNERS),
+    25: tuple((x, y) for y in _FIFTHS for x in _FIFTHS),
+}
+TITLES: Final = {
+    9: "Sampled vantage-point uniformity (9 points, IDMS 8.1.2)",
+    13: "Sampled uniformity (13 points, IEC 61947-1)",
+    25: "Sampled uniformity (25 points)",
+}
 CENTRE: Final = (0.5, 0.5)
 FIELD_SHARE: Final = 0.08  # side of a measuring field over the height: it fits at the corner places, 5 % from the edge
 _FEWEST_PX: Final = 3  # a field of fewer pixels on a side says nothing of its scatter
@@ -62,22 +71,21 @@ def geometry_of(name: str) -> Geometry:
     return GEOMETRIES[name]
 
 
-def field_at(area: Patch, place: tuple[float, float], share: float = FIELD_SHARE) -> Patch:
+def field_at(area: Patch, place: tuple[float, float]) -> Patch:
     """Return the measuring field at a place of the screen.
 
     Args:
         area: Where the camera sees the whole screen.
         place: Its middle as shares of width and height.
-        share: Its side over the screen's height.
 
     Raises:
         UsageError: If it would have less than 3 pixels on a side.
     """
-    side = round(share * area.height)
+    side = round(FIELD_SHARE * area.height)
     if side < _FEWEST_PX:
         raise UsageError(
             f"the screen is {area.width} × {area.height} pixels in the camera's picture: too small for a measuring "
-            f"field of {100 * share:g} % of its height; move the camera closer"
+            f"field of {100 * FIELD_SHARE:g} % of its height; move the camera closer"
         )
     x = area.x + place[0] * area.width - side / 2
     y = area.y + place[1] * area.height - side / 2

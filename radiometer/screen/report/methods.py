@@ -1,4 +1,8 @@
-"""Methods of a display report, named as the Information Display Measurements Standard (IDMS, SID) names them."""
+"""Methods of a display report: those of the Information Display Measurements Standard (IDMS) carry its section.
+
+Source: IDMS 1.1 and later (Society for Information Display), sections 5.3, 5.6, 5.14, 5.26, 8.1.2 and 9.4, as the
+Digital Cinema Compliance Test Plan 1.4.3 applies them; 8.2.3 by its title in IDMS 1.03.
+"""
 
 from __future__ import annotations
 
@@ -19,14 +23,14 @@ from radiometer.numbers import upper_limit
 from radiometer.screen.checks import WarmUp
 from radiometer.screen.meter import ScreenReading
 from radiometer.screen.report.figures import BLACK, WHITE, Examined, Figure, Section, contrast_of, derived
-from radiometer.screen.report.geometry import CENTRE, FIELD_SHARE, POINTS
+from radiometer.screen.report.geometry import CENTRE, FIELD_SHARE, POINTS, TITLES
 from radiometer.screen.report.mura import COARSE_SHARE, FINE_SHARE, mura_of
 from radiometer.typing import Array
 
 _FIELD: Final = f"measuring field {100 * FIELD_SHARE:g} % of the screen's height"
 _TOP: Final = 255  # highest of the 8-bit levels that patches are made of
 _STEEP: Final = 0.9  # of the drive: above it the logarithm that a local gamma is divided by is nearly 0
-_LIMITS: Final = (0.05, 0.01)  # warm-up is over within 5 % of the final luminance (IDMS), or within 1 %
+_LIMITS: Final = (0.05, 0.01)  # warm-up is over within 5 %, or within 1 %, of the final luminance
 _PRIMARIES: Final[Mapping[str, DisplayPatch]] = MappingProxyType(
     {
         "red": DisplayPatch((1.0, 0.0, 0.0)),
@@ -38,10 +42,9 @@ _PRIMARIES: Final[Mapping[str, DisplayPatch]] = MappingProxyType(
 
 @dataclass(frozen=True, slots=True)
 class Method:
-    """A method by its name in commands, its title in the IDMS, and what measures it."""
+    """A method by its name in commands, and what measures it."""
 
     name: str
-    title: str
     measure: Callable[[Examined], Section]
 
 
@@ -75,9 +78,7 @@ def warm_up_section(watched: list[ScreenReading], outcome: WarmUp, examined: Exa
         for t, v, u in zip(times.tolist(), values.tolist(), own_u.tolist(), strict=True)
     )
     conditions = ("full-screen white from the moment the display was taken", _FIELD)
-    return Section(
-        "warm_up", "Warm-up time", conditions, tuple(figures), ("time", "luminance (cd·m⁻²)"), rows, tuple(notes)
-    )
+    return Section("warm_up", "Warm-up", conditions, tuple(figures), ("time", "luminance (cd·m⁻²)"), rows, tuple(notes))
 
 
 def _relaxation(times: Array, values: Array, own_u: Array) -> tuple[Quantity, Quantity, float] | None:
@@ -121,7 +122,7 @@ def _white(examined: Examined) -> Section:
         Figure("luminance", examined.luminance(reading.radiance)),
         Figure("radiance", reading.radiance),
     )
-    return Section("white", "Full-screen white", ("full-screen white, centre", _FIELD), figures)
+    return Section("white", "Full-screen white (IDMS 5.3)", ("full-screen white, centre", _FIELD), figures)
 
 
 def _black_figure(examined: Examined, reading: Reading) -> Figure:
@@ -135,7 +136,7 @@ def _black_figure(examined: Examined, reading: Reading) -> Figure:
 def _black(examined: Examined) -> Section:
     (reading,) = examined.shown(BLACK)
     conditions = ("full-screen black, centre", _FIELD)
-    return Section("black", "Full-screen black", conditions, (_black_figure(examined, reading),))
+    return Section("black", "Full-screen black (IDMS 5.6)", conditions, (_black_figure(examined, reading),))
 
 
 def _sequential(examined: Examined) -> Section:
@@ -161,13 +162,13 @@ def _checkerboard(examined: Examined) -> Section:
         for (i, j), reading in zip(places, readings, strict=True)
     )
     conditions = (
-        f"checkerboard of {columns} × {rows} fields; mean of the white over mean of the black fields' middles",
+        f"checkerboard of {columns} × {rows} fields; mean of all white over mean of all black fields' middles (C_Cave)",
         _FIELD,
     )
     notes = ("light that the lens scatters from white into black fields counts as far as the calibration states it",)
     return Section(
         "checkerboard_contrast",
-        f"Checkerboard luminance and contrast ({columns} × {rows}; ANSI contrast for 4 × 4)",
+        f"Checkerboard luminance and contrast ({columns} × {rows}, IDMS 5.26; ANSI contrast for 4 × 4)",
         conditions,
         (figure,),
         ("field", "shown", "luminance (cd·m⁻²)"),
@@ -206,7 +207,7 @@ def _gamma(examined: Examined) -> Section:
     notes = () if all(clear) else ("levels that do not rise above black by three standard uncertainties are left out",)
     return Section(
         "gamma",
-        "Gamma determination: log-log model fit",
+        "Gamma of the greys",
         (f"{len(drives)} greys, full screen, centre; slope of ln(L − L_black) over ln(level)", _FIELD),
         (Figure("gamma", exponent), Figure("misfit_rms", derived(readings, misfit, drift_rel=drift))),
         ("level", "luminance (cd·m⁻²)", "local gamma"),
@@ -237,7 +238,7 @@ def _primaries(examined: Examined) -> Section:
     notes.append("a grey camera does not see chromaticity: measure it with radiometer colour")
     return Section(
         "primaries",
-        "Full-screen primary colors and white",
+        "Full-screen primary colors (IDMS 5.14) and white",
         ("full-screen red, green, blue and white, centre", _FIELD),
         tuple(figures),
         ("shown", "radiance (W·sr⁻¹·m⁻²)", "luminance (cd·m⁻²)", "spectrum assumed"),
@@ -257,7 +258,9 @@ def _additivity(examined: Examined) -> Section:
         _FIELD,
     )
     notes = ("colours are compared in radiance, so no spectrum is assumed beyond the calibration's",)
-    return Section("additivity", "Color additivity", conditions, (Figure("additivity_error", figure),), notes=notes)
+    return Section(
+        "additivity", "Additivity of the primaries", conditions, (Figure("additivity_error", figure),), notes=notes
+    )
 
 
 def _uniformity(examined: Examined) -> Section:
@@ -289,7 +292,7 @@ def _uniformity(examined: Examined) -> Section:
     )
     return Section(
         "uniformity",
-        f"Sampled uniformity ({examined.points} points)",
+        TITLES[examined.points],
         (f"full-screen white at {examined.points} points, all from the same frames; lowest over highest", _FIELD),
         figures,
         ("place (from left, from top)", "luminance (cd·m⁻²)", "over the centre"),
@@ -318,7 +321,14 @@ def _mura(examined: Examined) -> Section:
     notes = ["the pattern of the camera's own pixels is in the map unless its calibration holds a flat field"]
     if abs(found.spot.value) < found.detection_limit:
         notes.insert(0, f"the largest spot is no larger than noise can be ({100 * found.detection_limit:.2g} %)")
-    return Section("mura", "Mura analysis", conditions, figures, notes=tuple(notes), picture=100.0 * found.relative)
+    return Section(
+        "mura",
+        "Mura analysis (IDMS 8.2.3; band-pass filter as below)",
+        conditions,
+        figures,
+        notes=tuple(notes),
+        picture=100.0 * found.relative,
+    )
 
 
 def _viewing_angle(examined: Examined) -> Section:
@@ -341,8 +351,12 @@ def _viewing_angle(examined: Examined) -> Section:
         rows.append((f"{angle:g}°", examined.luminance(white[0].radiance), cell, share if angle else "1"))
     return Section(
         "viewing_angle",
-        "Viewing-angle luminance and contrast",
-        ("full-screen white and black at each angle, centre; white over that at the normal", _FIELD),
+        "Viewing-angle luminance (IDMS 9.4) and contrast",
+        (
+            "full-screen white and black at each angle, centre; white over that at the normal",
+            "the luminance change ratio of IDMS 9.4 is 1 less that",
+            _FIELD,
+        ),
         tuple(figures),
         ("angle", "white (cd·m⁻²)", "black (cd·m⁻²)", "white over the normal's"),
         tuple(rows),
@@ -352,15 +366,15 @@ def _viewing_angle(examined: Examined) -> Section:
 METHODS: Final = {
     one.name: one
     for one in (
-        Method("white", "Full-screen white", _white),
-        Method("black", "Full-screen black", _black),
-        Method("sequential_contrast", "Sequential contrast", _sequential),
-        Method("checkerboard_contrast", "Checkerboard luminance and contrast", _checkerboard),
-        Method("gamma", "Gamma determination", _gamma),
-        Method("primaries", "Full-screen primary colors", _primaries),
-        Method("additivity", "Color additivity", _additivity),
-        Method("uniformity", "Sampled uniformity", _uniformity),
-        Method("mura", "Mura analysis", _mura),
-        Method("viewing_angle", "Viewing-angle luminance and contrast", _viewing_angle),
+        Method("white", _white),
+        Method("black", _black),
+        Method("sequential_contrast", _sequential),
+        Method("checkerboard_contrast", _checkerboard),
+        Method("gamma", _gamma),
+        Method("primaries", _primaries),
+        Method("additivity", _additivity),
+        Method("uniformity", _uniformity),
+        Method("mura", _mura),
+        Method("viewing_angle", _viewing_angle),
     )
 }

@@ -269,7 +269,7 @@ def test_sine_of_known_modulation_is_covered(tmp_path: Path) -> None:
     for seed in range(8101, 8109):
         depth, hz = 0.1 + 0.05 * (seed % 7), 90.0 + 3.7 * (seed % 11)
         found = rm.flicker(bench=_bench(tmp_path, seed, hz, depth), duration=0.25).measures
-        svm = depth / (2.865e-5 * hz**1.543 + 0.225)  # Perz et al. 2018: one component
+        svm = depth * (1.0 + math.exp(-0.00518 * (hz - 306.6)))  # CIE TN 006:2016: one component
         assert found.frequency is not None
         assert found.svm is not None
         inside["frequency"] += abs(found.frequency.value - hz) <= found.coverage_factor * found.frequency.u

@@ -11,10 +11,15 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from radiometer.adaptation import adaptation_fit as rules
-from radiometer.adaptation.adaptation_fit import FitRequest, fit_adaptation, makes_sense
-from radiometer.adaptation.branch_fit import BranchFit, fit_model, project
-from radiometer.adaptation.branch_models import CONE_S2, CONE_S2_S3, MODELS, ONE_BRANCH
-from radiometer.adaptation.break_evidence import LEAST_DEVIANCE, convex_sum_of_squares, earliest_visible_break
+from radiometer.adaptation.adaptation_fit import (
+    LEAST_DEVIANCE,
+    FitRequest,
+    convex_sum_of_squares,
+    earliest_visible_break,
+    fit_adaptation,
+    makes_sense,
+)
+from radiometer.adaptation.branch_fit import CONE_S2, CONE_S2_S3, MODELS, ONE_BRANCH, BranchFit, fit_model, project
 from radiometer.adaptation.intervals import Interval, percentile_interval, profile_interval
 from radiometer.adaptation.threshold_series import ThresholdSeries
 from radiometer.cli.main import run

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 import pytest
 
-from radiometer.adaptation.box_stage import BoxLights, BoxStage
+from radiometer.adaptation.box_setup import BoxLights, BoxStage
 from radiometer.adaptation.protocol import read_protocol
 from radiometer.devices.light_box import ButtonEvent, Radiance
 from radiometer.errors import UsageError

@@ -19,8 +19,8 @@ from radiometer.adaptation.journal import Event, RunJournal
 from radiometer.adaptation.live import LiveState, running_fit
 from radiometer.adaptation.live_page import LivePage, replayed
 from radiometer.adaptation.live_text import LiveText, event_line, live_lines
-from radiometer.adaptation.prompts import Prompter, prompts_after
 from radiometer.adaptation.protocol import read_protocol
+from radiometer.adaptation.session import Prompter, prompts_after
 from radiometer.errors import DeviceInUse, DeviceTimeout
 from radiometer.reporting.terminal_chart import TerminalChart
 from testing.patience import within

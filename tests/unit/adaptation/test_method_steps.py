@@ -13,7 +13,7 @@ from scipy.stats import chi2
 
 import radiometer as rm
 from radiometer.adaptation.journal import RunJournal
-from radiometer.adaptation.methods import Ascent, Staircase
+from radiometer.adaptation.methods import Ascent, QuestPlusSearch, Staircase
 from radiometer.adaptation.outcome import Outcome, Verdict
 from radiometer.adaptation.protocol import (
     AdaptationProtocol,
@@ -23,7 +23,6 @@ from radiometer.adaptation.protocol import (
     StaircaseMethod,
     read_protocol,
 )
-from radiometer.adaptation.quest_plus import QuestPlusSearch
 from radiometer.adaptation.run import run_test
 from radiometer.errors import DeviceLost, MissingLibrary
 from simulators.observers.eye_kinetics import Eye, eye_after_bleach

@@ -7,11 +7,10 @@ import pytest
 from scipy.stats import t as student
 
 from radiometer.adaptation.adaptation_fit import FitRequest, fit_adaptation, intercept_verdict
-from radiometer.adaptation.method_bias import method_bias
 from radiometer.adaptation.methods import begin
 from radiometer.adaptation.protocol import AdaptationProtocol, DownUpMethod, LimitsMethod, Spot, read_protocol
 from radiometer.adaptation.rod_intercept import InterceptRule, rod_intercept
-from radiometer.adaptation.run_facts import facts_of, intercept_of
+from radiometer.adaptation.run_facts import facts_of, intercept_of, method_bias
 from radiometer.adaptation.threshold_series import ThresholdSeries
 from radiometer.data.validation import validate
 from radiometer.errors import ConfigurationError

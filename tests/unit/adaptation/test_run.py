@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import os
+import resource
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
@@ -15,10 +16,10 @@ from radiometer.adaptation.checks import Finding, judge_room
 from radiometer.adaptation.controls import Controls
 from radiometer.adaptation.journal import Event, RunJournal, read_events
 from radiometer.adaptation.outcome import Outcome, Verdict
-from radiometer.adaptation.prompts import prompts_after
 from radiometer.adaptation.protocol import AdaptationProtocol, read_protocol
 from radiometer.adaptation.run import run_test
 from radiometer.adaptation.run_facts import facts_of
+from radiometer.adaptation.session import prompts_after
 from radiometer.errors import ConfigurationError, DeviceLost, InputError, MeasurementError, OutputError, UsageError
 from testing.scripted_adaptation import Eye, ScriptedStage, eye, threshold
 
@@ -555,3 +556,28 @@ def test_an_event_is_on_the_disk_unless_it_need_not_last(tmp_path: Path, monkeyp
         journal.write("trial", 2.0)
         assert len(synced) == after_start + 1
     assert after_start >= 1
+
+
+def test_a_full_disk_names_the_journal_and_keeps_what_was_measured(tmp_path: Path) -> None:
+    """The error states the file and that the same command goes on; the events before are read back."""
+    file = tmp_path / "j"
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    try:
+        with RunJournal(file) as journal:
+            journal.write("start", 0.0)
+            resource.setrlimit(resource.RLIMIT_FSIZE, (200, before[1]))
+            with pytest.raises(OutputError, match=r"cannot write .*/j: .*goes on"):
+                journal.write("trial", 1.0, text="x" * 400)
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+    with RunJournal(file) as journal:
+        assert [event["kind"] for event in journal.events] == ["start"]
+
+
+@pytest.mark.parametrize("name", ["../../x", "a/b", "", ".hidden"])
+def test_a_protocols_name_leads_to_no_other_folder(tmp_path: Path, project_root: Path, name: str) -> None:
+    """The journal's file carries it."""
+    text = (project_root / "configs/protocols/quick.yaml").read_text()
+    (tmp_path / "p.yaml").write_text(text.replace("name: quick", f"name: '{name}'", 1))
+    with pytest.raises(ConfigurationError, match="name"):
+        read_protocol(tmp_path / "p.yaml")

@@ -12,9 +12,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from radiometer.adaptation.threshold_files import read_table
+from radiometer.adaptation.threshold_files import column_of_onsets, read_table
 from radiometer.adaptation.threshold_series import ThresholdSeries
-from radiometer.adaptation.trial_lists import column_of_onsets
 from radiometer.cli.main import run
 from radiometer.errors import InputError
 

@@ -11,10 +11,9 @@ import time
 import numpy as np
 import pytest
 
-from radiometer.archive.discovery import find_captures
-from radiometer.archive.jobs import COLUMNS, JOBS
+from radiometer.archive.jobs import COLUMNS, JOBS, JobSettings
 from radiometer.archive.run import run_batch
-from radiometer.archive.settings import JobSettings
+from radiometer.archive.sessions import find_captures
 from radiometer.data import Calibration, CaptureSet, LensDescription, Scale, SensorNoise
 from radiometer.errors import DeviceNotFound, InputError, UsageError
 from testing.patience import within

@@ -10,8 +10,7 @@ import pandas as pd
 import pytest
 
 from radiometer.archive.cycles import near_the_season, slow_cycles
-from radiometer.archive.history import read_histories
-from radiometer.archive.trend import MONTH_S, fit_trend
+from radiometer.archive.trend import MONTH_S, fit_trend, read_histories
 from radiometer.archive.trend_report import advice, outcome, trend_report
 from radiometer.errors import InputError
 from testing.report_checks import HOSTILE

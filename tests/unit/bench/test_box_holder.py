@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import pty
+import socket
 import threading
 import time
 import tty
@@ -81,6 +82,18 @@ def test_light_off_asks_only_the_holder_of_the_box_named(capsys: pytest.CaptureF
         assert run(["light", "off", "--box", "/dev/a"]) == 0
     assert dark == ["b", "a"]
     assert held_boxes() == []
+
+
+def test_a_program_that_hangs_while_it_holds_a_box_is_named(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A stopped program takes the question and never answers: `light off` fails with its number."""
+    monkeypatch.chdir(runtime_folder("radiometer-held-boxes"))
+    with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as hangs:
+        hangs.bind(f"0123456789ab-{os.getppid()}-1")  # the whole path may be longer than a socket's
+        hangs.listen(4)
+        assert run(["light", "off"]) == 1
+    assert f"process {os.getppid()} holds light box" in capsys.readouterr().err
 
 
 def test_what_answers_otherwise_is_no_box() -> None:

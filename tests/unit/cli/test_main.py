@@ -28,7 +28,7 @@ from radiometer.cli.arguments import (
     parse_seconds,
 )
 from radiometer.cli.commands import COMMANDS
-from radiometer.cli.keys import listening
+from radiometer.cli.light.adapt import listening
 from radiometer.cli.logging_setup import configure_logging
 from radiometer.cli.main import run
 from radiometer.daemon.journal import Journal

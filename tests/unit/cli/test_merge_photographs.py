@@ -13,7 +13,7 @@ import tifffile
 from radiometer import Radiance
 from radiometer.analysis.response import auto
 from radiometer.analysis.response.debevec1997 import recover_response_debevec1997
-from radiometer.cli.analyse.merge_report import displacement_in_words, show_map_report
+from radiometer.cli.analyse.merge import displacement_in_words, show_map_report
 from radiometer.cli.main import run
 from radiometer.data import PixelMask, Provenance, RadianceMap, ResponseCurve, provenance
 
@@ -169,7 +169,7 @@ def test_a_displacement_that_frames_cannot_determine_is_not_reported_as_zero(px,
 def test_a_fall_off_that_is_not_known_is_refused_before_the_work(folder, tmp_path, capsys, monkeypatch):
     """PNG files without an EXIF record: refused at once, not after frames were aligned and their response recovered."""
     pytest.importorskip("lensfunpy")
-    monkeypatch.setattr("radiometer.photographs.alignment.in_one_place", lambda *_: pytest.fail("aligned first"))
+    monkeypatch.setattr("radiometer.photographs.scene.in_one_place", lambda *_: pytest.fail("aligned first"))
     words = ["merge", str(folder), "--vignetting", "lensfun", "-o", str(tmp_path / "map.exr")]
     assert run(words) == 1
     assert "lensfun's fall-off needs it" in capsys.readouterr().err

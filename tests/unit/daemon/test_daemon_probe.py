@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from radiometer.bench.daemon_probe import check_daemon
+from radiometer.bench.doctor import check_daemon
 from radiometer.daemon.http.server import HttpServer
 from radiometer.daemon.scpi.server import ScpiServer
 from radiometer.daemon.station import Station

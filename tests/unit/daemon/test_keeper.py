@@ -9,8 +9,7 @@ import pytest
 
 from radiometer.daemon.alarms import Alarms
 from radiometer.daemon.instrument import DeviceReport
-from radiometer.daemon.keeper import DeviceKeeper
-from radiometer.daemon.patience import Patience
+from radiometer.daemon.keeper import DeviceKeeper, Patience
 from radiometer.errors import DeviceLost
 
 

@@ -7,7 +7,7 @@ import logging
 import pytest
 import structlog
 
-from radiometer.daemon.log_throttle import LogThrottle
+from radiometer.daemon.serving import LogThrottle
 
 
 @pytest.mark.parametrize("library", [False, True])

@@ -529,10 +529,12 @@ async def test_who_never_made_sense_makes_room():
     first, known, silent = client(of), client(of), client(of)
     first[0].data_received(b"?x\n")
     known[0].data_received(b"wait\n")
-    assert client(of)[2] is None
+    late, wire, heard = client(of)
+    late.data_received(b"?x\n")
+    assert (wire.aborted, heard.heard) == (True, [])
     assert refused(of, "too many connections") == 1
     await asyncio.sleep(1.5)
-    assert client(of)[2] is not None
+    assert not client(of)[1].aborted
     assert silent[1].aborted
     assert refused(of, "dropped") == 1
     assert silent[0] not in of.connections
@@ -548,11 +550,34 @@ async def test_a_known_client_that_was_idle_for_a_minute_makes_room():
     for connection, _, _ in several:
         connection.data_received(b"?x\n")
         await asyncio.sleep(10.0)
-    await asyncio.sleep(29.0)  # 59 s after the first
-    assert client(of)[2] is None
-    await asyncio.sleep(1.5)
-    assert client(of)[2] is not None
+    await asyncio.sleep(27.5)  # 57.5 s after the first
+    late = client(of)[1]
+    await asyncio.sleep(2.2)
+    assert late.aborted
+    await asyncio.sleep(0.8)
+    assert not client(of)[1].aborted
     assert [wire.aborted for _, wire, _ in several] == [True, False, False]
+
+
+@in_virtual_time
+@pytest.mark.parametrize("message", [b"OUTP:ALL OFF\r\n", b":output:all 0;all?\n", b"OUTP:ALL OFF;*OPC?\n"])
+async def test_lights_go_off_though_every_connection_is_in_use(message):
+    """Busy clients hold all places: one more is heard if it darkens, however many wait in silence; for nothing else."""
+    of = server()
+    for _ in range(3):
+        client(of)[0].data_received(b"wait\n")
+    silent = [client(of)[1] for _ in range(20)]
+    late, wire, session = client(of)
+    late.data_received(message + b"SOUR:LED1:LEV 1\n")
+    await asyncio.sleep(1.0)
+    assert [heard.rstrip("\r") for heard in session.heard] == [message.decode().strip()]
+    assert wire.aborted  # for its second message
+    assert sum(not each.aborted for each in silent) < 8
+    for light in (b"OUTP:ALL ON\n", b"OUTP:ALL OFF;:SOUR:LED1:LEV 1\n", b"MEAS:RAD?\n"):
+        other, _, its = client(of)
+        other.data_received(light)
+        await asyncio.sleep(1.0)
+        assert its.heard == []
 
 
 @in_virtual_time

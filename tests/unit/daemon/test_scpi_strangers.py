@@ -9,8 +9,7 @@ from typing import Any
 
 import pytest
 
-from radiometer.daemon.scpi.server import ScpiServer
-from radiometer.daemon.scpi.strangers import is_strange
+from radiometer.daemon.scpi.server import ScpiServer, is_strange
 from radiometer.daemon.scpi.table import command_table
 from radiometer.daemon.station import Station
 from testing.fake_station import PORTS

@@ -11,9 +11,8 @@ from unittest.mock import MagicMock
 import pytest
 
 from radiometer.daemon import bench_instrument
-from radiometer.daemon.bench_instrument import BenchInstrument
+from radiometer.daemon.bench_instrument import BenchInstrument, WatchedCamera
 from radiometer.daemon.instrument import MeasurementSettings
-from radiometer.daemon.watched_camera import WatchedCamera
 from radiometer.data import Flag, Frame
 from radiometer.devices import Camera, CameraSettings
 from radiometer.errors import DeviceError

@@ -7,7 +7,7 @@ with.
 from __future__ import annotations
 
 import struct
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -119,6 +119,65 @@ def black_levels_of_previews(folder: Path) -> Path:
     return path
 
 
+def repeated(folder: Path) -> Path:
+    """Write a header that states the exposure twice, 1 s and 10 s."""
+    unit = fits.PrimaryHDU(flat())
+    unit.header.extend([("IMAGETYP", "Light"), ("EXPTIME", 1.0)])
+    unit.header.append(("EXPTIME", 10.0))
+    unit.writeto(folder / "a.fits")
+    return folder / "a.fits"
+
+
+def ome_of(images: Sequence[str], pages: int = 1, **root: str) -> Callable[[Path], Path]:
+    """Return what writes an OME-TIFF of some images, each given by what its pixels hold."""
+
+    def make(folder: Path) -> Path:
+        size = 'Type="uint16" SizeX="24" SizeY="16" SizeZ="1" SizeC="1" SizeT="2"'
+        inner = "".join(
+            f'<Image ID="Image:{n}"><Pixels ID="Pixels:{n}" DimensionOrder="XYZCT" {size}>{body}</Pixels></Image>'
+            for n, body in enumerate(images)
+        )
+        attributes = "".join(f' {key}="{value}"' for key, value in root.items())
+        space = "http://www.openmicroscopy.org/Schemas/OME/2016-06"
+        xml = f'<?xml version="1.0"?><OME xmlns="{space}"{attributes}>{inner}</OME>'
+        stack = np.stack([flat()] * pages)
+        tifffile.imwrite(folder / "a.ome.tif", stack, description=xml, metadata=None, photometric="minisblack")
+        return folder / "a.ome.tif"
+
+    return make
+
+
+def plane(seconds: float, t: int = 0) -> str:
+    """Return the OME-XML of a plane's exposure."""
+    return f'<Plane TheZ="0" TheC="0" TheT="{t}" ExposureTime="{seconds}"/>'
+
+
+def of_uuid(t: int, uuid: str) -> str:
+    """Return the OME-XML of where a plane is: in the first directory of the file of a UUID."""
+    return f'<TiffData FirstT="{t}" IFD="0" PlaneCount="1"><UUID>{uuid}</UUID></TiffData>'
+
+
+def interval(folder: Path) -> Path:
+    """Write ImageJ's stack with the time from frame to frame, which is no exposure."""
+    metadata = {"finterval": 0.5, "axes": "TYX"}
+    tifffile.imwrite(folder / "a.tif", np.stack([flat()] * 3), imagej=True, metadata=metadata)
+    return folder / "a.tif"
+
+
+def pyramid(folder: Path) -> Path:
+    """Write a picture with a smaller copy in a directory of it."""
+    with tifffile.TiffWriter(folder / "a_8ms.tif") as writer:
+        writer.write(flat(), subifds=1, metadata=None)
+        writer.write(flat()[::2, ::2], subfiletype=1, metadata=None)
+    return folder / "a_8ms.tif"
+
+
+def signed(folder: Path) -> Path:
+    """Write signed numbers below zero."""
+    tifffile.imwrite(folder / "a_8ms.tif", flat(np.int16) - 1000)
+    return folder / "a_8ms.tif"
+
+
 def read_image(path: Path) -> tuple[Facts, str]:
     """Return facts of the first frame, and doubts."""
     header = import_sources([path])[0].header
@@ -194,6 +253,34 @@ IMAGES: dict[str, tuple[Any, Facts, str]] = {
     "LuminanceHDR/LuminanceHDR/issues/177": (
         in_tiff((37380, "2i", 1, (-2, 1), True), seconds=None), {}, "refused: exposure"),
     "OME DeltaT is no exposure": (in_ome('DeltaT="0.5"'), {}, "refused: exposure"),
+    "astropy/ccdproc/issues/464": (repeated, {}, "refused: '1.0' or '10.0'"),
+    "CARTAvis/carta-backend/issues/1492": (in_fits({"BLANK": -32768}), {}, "BLANK -32768"),
+    "AstarVienna/ScopeSim/issues/464": (in_fits({"HIERARCH ESO DET NDIT": 10}), {}, "10 frames were combined"),
+    "punch-mission/punchbowl/issues/63": (in_fits({"NSUMEXP": 3}), {}, "3 frames were combined"),
+    "desihub/desispec/issues/1078": (in_fits({"LIVETIME": 60.0}), {"s": 1.0}, "LIVETIME 60"),
+    "gordtulloch/astrofiler-gui/issues/47": (in_fits({"IMAGETYP": "FlatDark"}), {"shutter": "closed"}, ""),
+    "indigo-astronomy/indigo/issues/387": (in_tiff(name="dark_flat.tif"), {"shutter": "closed"}, ""),
+    "macro-consortium/pyscope/issues/346": (in_fits({"SHUTTER": "CLOSED"}), {"shutter": "open"}, "a closed shutter"),
+    "indilib/indi-3rdparty/pull/1245": (in_fits({"EXPTIME": 0.0}), {}, "a bias frame is assumed"),
+    "isbeorn/nina/issues/220": (in_fits({"EGAIN": -1.0}), {"e/DN": None}, "EGAIN states -1"),
+    "the reciprocal of EGAIN": (in_fits({"EGAIN": (0.5, "[ADU/e-]")}), {"e/DN": 2.0}, ""),
+    "tenths of a degree": (in_fits({"CCD-TEMP": (-100, "[0.1 C]")}), {"C": -10.0}, ""),
+    "an exposure in hours and minutes": (in_fits({"EXPTIME": "00:00:30"}), {}, "refused: 00:00:30"),
+    "an exposure beyond all": (in_fits({"EXPTIME": 1e30}), {}, r"refused: 1e\+30"),
+    "a gain beyond all": (in_fits({"GAIN": (1e9, "[dB]")}), {"dB": 0.0}, "no gain is known"),
+    "a pixel beyond all": (in_fits({"XPIXSZ": 1e40}), {}, "refused: pixel_pitch_um"),
+    "cgohlke/tifffile/issues/61": (signed, {}, "refused: negative values"),
+    "cgohlke/tifffile/issues/152": (interval, {}, "refused: exposure"),
+    "geotiffjs/geotiff.js/issues/202": (pyramid, {"frames": 1, "last": float(LEVEL)}, ""),
+    "immich-app/immich/issues/2601": (in_tiff((34855, "H", 3, (64, 0, 0), True)), {"dB": 0.0}, "iso unknown"),
+    "two times in a name": (in_tiff(name="a_1s_2s.tif", seconds=None), {"s": 1.0}, "1 s and 2 s"),
+    "a power of ten in a name": (in_tiff(name="a_1.5e-3s.tif", seconds=None), {"s": 0.0015}, ""),
+    "ome/bioformats/issues/3062": (
+        ome_of([of_uuid(0, "urn:a") + of_uuid(1, "urn:b") + plane(0.5) + plane(2.0, 1)], UUID="urn:b"), {"s": 2.0}, ""),
+    "ome/bioformats/pull/1839": (
+        ome_of(['<TiffData IFD="1" PlaneCount="1"/>' + plane(2.0), '<TiffData IFD="0" PlaneCount="1"/>' + plane(0.5)],
+               pages=2), {"s": 0.5, "frames": 2}, ""),
+    "ilastik/ilastik/issues/3092": (in_ome('ExposureTime="500" ExposureTimeUnit=""'), {}, "refused: exposure"),
 }  # fmt: skip
 
 
@@ -354,6 +441,47 @@ TABLES: dict[str, tuple[Any, str, Facts, str]] = {
         read_screen, ti3('NORMALIZED_TO_Y_100 "NO"', 1.0).replace("230.20000", "-nan(ind)"), {}, "refused: nan"),
     "ZEISS/czicompress/issues/39": (
         read_screen, levels("level,Lv", lambda n, v: f"{n},{v:.2f}".replace(".", ",")), {}, "refused: decimal"),
+    "a second table in a .ti3": (
+        read_screen, ti3('NORMALIZED_TO_Y_100 "NO"', 1.0) + ti3(f'{WHITE}\nNORMALIZED_TO_Y_100 "YES"', 2.0),
+        SCREEN, ""),
+    "RobTillaart/Max44009/issues/15": (
+        read_screen, levels("level,Lv", lambda n, v: f"{n},{99999999 if n == 255 else v}"), {}, r"refused: 1e\+08"),
+    "pacsdisplay/pacsdisplay/issues/3": (
+        read_screen, levels("level,Lv", lambda n, v: f"{n},{v if n else '<0.3'}"), {}, "refused: <0.3"),
+    "a heading twice": (read_screen, levels("level,Lv,Lv", lambda n, v: f"{n},{v},{2 * v}"), {}, "refused: may both"),
+    "levels of 12 bits": (
+        read_screen, levels("level,Lv", lambda n, v: f"{n * 4095 / 255:.0f},{v}"), {}, "refused: 4095"),
+    "levels up to 100": (
+        read_screen, levels("level,Lv", lambda n, v: f"{n * 100 / 255:.4f},{v}"), SCREEN, "read as per cent"),
+    "a second line of units": (
+        read_screen, levels("level,Lv\n[8bit],[mcd/m2]", lambda n, v: f"{n},{1e3 * v}"), SCREEN, ""),
+    "BurntSushi/xsv/issues/245": (
+        read_meter, "luminance,f_number,time,iso\nkcd/m2,,ms,\n1,8,8,100\n2,8,4,100\n", METER, ""),
+    "colour-science/colour/issues/796": (
+        read_spectrum, spectrum(lambda n, p: f"{n},{p}", "Spectral Data 5[nm]\n") + "Spectral Data 1[nm]\n" + spectrum(
+            lambda n, p: f"{n},{p}"), {}, "refused: cells"),
+    "luox-app/luox/pull/67": (
+        read_spectrum, spectrum(lambda n, p: f"<SpectralData wavelength=\"{n}\">{p}</SpectralData>"), {},
+        "refused: wavelength"),
+    "units in the cells": (read_spectrum, spectrum(lambda n, p: f"{n}nm;{p}", "wl;power"), NM_MEAN, ""),
+    "a quantum efficiency": (read_spectrum, spectrum(lambda n, p: f"{n},{p}", "nm,QE"), {}, "refused: per photon"),
+    "an absorbance": (
+        read_spectrum, spectrum(lambda n, p: f"{n},{-np.log10(p)}", "nm,absorbance"), {}, "refused: absorbance"),
+    "indilib/indi-3rdparty/pull/203": (read_times, "p.jpg 1m\n", {}, "refused: 1m"),
+    "horshack-dpreview/Canomate/issues/3": (read_times, 'p.jpg 30"\n', {}, "refused: 30"),
+    "a decimal comma and a unit": (read_times, "p.jpg 2,5s\n", {}, "refused: decimal comma"),
+    "gphoto/gphoto2/issues/326": (read_times, "p.jpg 3.8s\n", {"s": 3.8}, ""),
+    "a time beyond all": (read_times, "p.jpg 1e30\n", {}, r"refused: 1e\+09 s"),
+    "astrorama/SourceXtractorPlusPlus/pull/113": (
+        read_nights, nights(SKY, lambda k: f"{3e4 + k},0.5,20,{99.99 if k == 2 else 20 + k / 10}"), {"rows": 16},
+        "above 30 mag is no reading"),
+    "ropensci/nasapower/issues/36": (
+        read_nights,
+        nights("utc,adu,exposure_s,gain_db,sqm", lambda k: f"{3e4 + k},0.5,{-999 if k == 2 else 6},20.{k}"),
+        {"rows": 16}, "the gain is unknown"),
+    "a time of 65535": (read_means, "exposure_ms,mean,variance\n65535,120,4\n2,140,5\n5,200,6\n", {}, "refused: 65535"),
+    "logarithms of ucd/m2": (
+        read_dark_adaptation, thresholds("time_min,log threshold (ucd/m2)", lambda v: v + 6), CURVE, ""),
     "Argyll relative": (read_screen, ti3(f'{WHITE}\nNORMALIZED_TO_Y_100 "YES"', 100 / 230.2), SCREEN, ""),
     "Argyll absolute": (read_screen, ti3('NORMALIZED_TO_Y_100 "NO"', 1.0), SCREEN, ""),
     "old Argyll, relative": (read_screen, ti3(WHITE, 100 / 230.2), SCREEN, ""),

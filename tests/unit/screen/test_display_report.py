@@ -173,7 +173,7 @@ def test_uncertainty_covers_the_truth(name: str) -> None:
 
 @pytest.mark.slow
 def test_page_and_json_name_methods_conditions_and_figures(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """The page has a section of the IDMS's name for each method; JSON has the same figures with unit and u."""
+    """The page has a section for each method, with that of the IDMS; JSON has the same figures with unit and u."""
     page = tmp_path / "lcd.html"
     words = ["screen", "report", "--display", "lcd", "--methods", "white,uniformity", "--points", "9", "--warm-up", "0"]
     assert run([*words, "-o", str(page), "--json"]) == 0
@@ -182,7 +182,7 @@ def test_page_and_json_name_methods_conditions_and_figures(tmp_path: Path, capsy
     assert found["methods"]["uniformity"]["figures"]["uniformity"]["u"] > 0
     assert len(found["methods"]["uniformity"]["table"]) == 9
     text = page.read_text()
-    for words_shown in ("Full-screen white", "Sampled uniformity (9 points)", "Measuring conditions"):
+    for words_shown in ("Full-screen white", "9 points, IDMS 8.1.2", "Measuring conditions"):
         assert words_shown in text
     assert run([*words, "-o", str(page)]) == 2  # the page exists
 

@@ -14,14 +14,12 @@ from hypothesis import strategies as st
 from radiometer.devices import DisplayPatch
 from radiometer.errors import CalibrationError, MeasurementError, SettingOutOfRange, UsageError
 from radiometer.screen import ChannelCurve, ScreenCalibration
-from radiometer.screen.calibration import LUMINANCE, RADIANCE, SCOTOPIC
+from radiometer.screen.calibration import LUMINANCE, RADIANCE, SCOTOPIC, LevelTable, rising
 from radiometer.screen.calibration_run import Options, calibrate_screen
 from radiometer.screen.checks import Uniformity, additivity, judge_flicker, wait_until_steady
-from radiometer.screen.drift import Drift
-from radiometer.screen.interpolation import LevelTable, rising
 from radiometer.screen.meter import ScreenReading
 from radiometer.screen.plan import ScreenStep, make_plan, parse_levels
-from radiometer.screen.run import Light, Measured, curves_of, measure_steps
+from radiometer.screen.run import Drift, Light, Measured, curves_of, measure_steps
 from radiometer.screen.transfer_models import MODELS, fit_transfer
 
 

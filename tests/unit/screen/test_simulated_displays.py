@@ -12,8 +12,8 @@ from radiometer.bench.screen import SIMULATED_DISPLAYS, lights, open_screen_benc
 from radiometer.devices import Display, DisplayPatch
 from radiometer.errors import DeviceError, SettingOutOfRange
 from radiometer.screen import ScreenCalibration
+from radiometer.screen.calibration import LevelTable
 from radiometer.screen.calibration_run import Options, calibrate_screen
-from radiometer.screen.interpolation import LevelTable
 from radiometer.screen.plan import parse_levels
 from radiometer.screen.transfer_models import fit_transfer
 from simulators.clock import SimulatedClock

@@ -8,11 +8,17 @@ import numpy as np
 import pytest
 from scipy.stats import norm
 
-from radiometer.statistics.jackknife import jackknife_u
 from radiometer.statistics.least_squares import chi_square, residual, solve
 from radiometer.statistics.model_choice import AKAIKE, FIVE_SIGMA, THREE_SIGMA, aicc, is_supported
-from radiometer.statistics.restricted_likelihood import common_deviance
-from radiometer.statistics.scale import MAD_TO_SIGMA, MEDIAN_U, TWENTIETH_TO_SIGMA, neighbour_sigma, robust_sigma
+from radiometer.statistics.scale import (
+    MAD_TO_SIGMA,
+    MEDIAN_U,
+    TWENTIETH_TO_SIGMA,
+    common_deviance,
+    jackknife_u,
+    neighbour_sigma,
+    robust_sigma,
+)
 
 
 def test_factors_of_normal_values_are_those_of_the_distribution():

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -10,49 +9,18 @@ import pytest
 
 import radiometer as rm
 from radiometer.errors import MeasurementError, UsageError
+from testing.tap_camera import EXPOSURES_S, Taps
 
 fits = pytest.importorskip("astropy.io.fits")
-
-_EXPOSURES_S = (0.1, 0.2, 0.4, 0.8, 1.2, 1.6, 2.0)
-_E_PER_S = 9000.0
-
-
-@dataclass(frozen=True)
-class Taps:
-    """The truth of taps, each an array of (rows, columns) of taps."""
-
-    gain: np.ndarray  # DN/e⁻
-    black: np.ndarray  # DN
-    noise: np.ndarray  # e⁻
-
-    @classmethod
-    def drawn(cls, rng: np.random.Generator, rows: int, columns: int) -> Taps:
-        """Draw taps that differ by some percent of gain, some DN of black level and some tenths of read noise."""
-        shape = (rows, columns)
-        return cls(0.5 * rng.uniform(0.9, 1.1, shape), rng.uniform(180, 220, shape), rng.uniform(6.0, 9.0, shape))
-
-    def spread(self, values: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
-        """Return values of taps at every pixel of a frame."""
-        return np.kron(values, np.ones((shape[0] // values.shape[0], shape[1] // values.shape[1])))
-
-
-def frame(rng: np.random.Generator, taps: Taps, exposure_s: float, shape: tuple[int, int], *, dark: bool) -> np.ndarray:
-    """Return one frame of even light, or a dark one, in DN."""
-    light = np.zeros(shape) if dark else np.full(shape, _E_PER_S * exposure_s)
-    electrons = rng.poisson(light) + rng.normal(0.0, taps.spread(taps.noise, shape))
-    return np.rint(taps.spread(taps.black, shape) + taps.spread(taps.gain, shape) * electrons).astype(np.uint16)
 
 
 def write_frames(folder: Path, seed: int, taps: Taps, shape: tuple[int, int] = (128, 192)) -> Path:
     """Write pairs of flats and of darks as FITS files."""
     rng = np.random.default_rng(seed)
     folder.mkdir(parents=True, exist_ok=True)
-    for number, exposure_s in enumerate(_EXPOSURES_S):
-        for kind in ("flat", "dark"):
-            for copy in range(2):
-                header = {"EXPTIME": exposure_s, "IMAGETYP": kind, "INSTRUME": "four taps"}
-                data = frame(rng, taps, exposure_s, shape, dark=kind == "dark")
-                write(folder / f"{kind}{number}{copy}.fits", data, header)
+    for kind, exposure_s, copy, data in taps.frames(rng, shape):
+        header = {"EXPTIME": exposure_s, "IMAGETYP": kind, "INSTRUME": "four taps"}
+        write(folder / f"{kind}{exposure_s}{copy}.fits", data, header)
     return folder
 
 
@@ -105,11 +73,8 @@ def test_units_of_amplifiers_make_one_frame_of_taps(tmp_path: Path) -> None:
     rng = np.random.default_rng(9106)
     folder = tmp_path / "set"
     folder.mkdir()
-    for number, exposure_s in enumerate(_EXPOSURES_S):
-        for kind in ("flat", "dark"):
-            for copy in range(2):
-                whole = frame(rng, truth, exposure_s, (64, 96), dark=kind == "dark")
-                write_units(folder / f"{kind}{number}{copy}.fits", whole, exposure_s, kind, truth)
+    for kind, exposure_s, copy, whole in truth.frames(rng, (64, 96)):
+        truth.write_units(folder / f"{kind}{exposure_s}{copy}.fits", rng, whole, exposure_s, kind)
     found = rm.characterise(folder)
     assert [one.tap.name for one in found.taps] == ["A", "B", "C", "D"]
     assert {one.tap.first_pixel for one in found.taps} == {"upper left", "upper right"}
@@ -118,35 +83,11 @@ def test_units_of_amplifiers_make_one_frame_of_taps(tmp_path: Path) -> None:
         assert one.overscan.value == pytest.approx(black, abs=0.5)
 
 
-def write_units(path: Path, whole: np.ndarray, exposure_s: float, kind: str, truth: Taps) -> None:
-    """Write the quarters of a picture as units of a file, each with eight columns of overscan behind its data."""
-    units = [fits.PrimaryHDU()]
-    units[0].header.update({"EXPTIME": exposure_s, "IMAGETYP": kind})
-    height, width = whole.shape[0] // 2, whole.shape[1] // 2
-    for number, name in enumerate("ABCD"):
-        row, column = divmod(number, 2)
-        part = whole[row * height : (row + 1) * height, column * width : (column + 1) * width]
-        x1, x2 = column * width + 1, (column + 1) * width
-        if column:
-            part, x1, x2 = part[:, ::-1], x2, x1
-        overscan = np.full((height, 8), round(truth.black[row, column]), dtype=np.uint16)
-        unit = fits.ImageHDU(np.hstack([part, overscan]), name=name)
-        unit.header.update(
-            {
-                "DETSEC": f"[{x1}:{x2},{row * height + 1}:{(row + 1) * height}]",
-                "DATASEC": f"[1:{width},1:{height}]",
-                "BIASSEC": f"[{width + 1}:{width + 8},1:{height}]",
-            }
-        )
-        units.append(unit)
-    fits.HDUList(units).writeto(path)
-
-
 def test_cross_talk_is_the_share_of_a_spot_that_an_even_tap_repeats(tmp_path: Path) -> None:
     """A spot in one tap of which another reads 0.5 % at the same time is found within 3 u; the others read nothing."""
     rng, folder = np.random.default_rng(9107), tmp_path / "set"
     folder.mkdir()
-    for number, exposure_s in enumerate(_EXPOSURES_S):
+    for number, exposure_s in enumerate(EXPOSURES_S):
         for copy in range(2):
             for kind in ("flat", "dark"):
                 light = np.full((64, 96), 0.0 if kind == "dark" else 2000.0 * exposure_s)

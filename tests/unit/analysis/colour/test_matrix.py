@@ -97,6 +97,22 @@ def test_a_display_has_a_matrix_whatever_the_camera(display: str, shared_data: P
     assert np.median(np.sqrt(known.error("mine")[1, 1])) < 0.02
 
 
+@pytest.mark.parametrize("responsivities", [CAMERA, None], ids=["known", "unknown"])
+@pytest.mark.parametrize(("display", "kind"), [("LCD-Dell", "ccfl_lcd"), ("OLED-Sony", "oled")])
+def test_another_display_of_the_type_is_within_u(
+    display: str, kind: str, responsivities: Array | None, shared_data: Path
+) -> None:
+    """The usual display of a type gives the matrix, a real one of that type is measured: u is not that of the first."""
+    rng = np.random.default_rng(46_032)
+    usual = np.stack([on_grid(spectrum(f"display:{kind}:{one}")) for one in COLOURS])
+    known = trained(rng.uniform(0.1, 1.0, (12, 3)) @ usual, rng, "mine", responsivities=responsivities)
+    table = np.loadtxt(shared_data / f"displays/isetbio/{display}_spd_W_sr_m2_nm.csv", delimiter=",", skiprows=1)
+    primaries = np.stack([np.interp(GRID_NM, table[:, 0], table[:, n]) for n in (1, 2, 3)])
+    off, _, _ = deviations(known, read(rng.uniform(0.0, 1.0, (40, 3)) @ primaries, [kind] * 40, rng), kind)
+    assert np.mean(np.abs(off) < 2.0) >= 0.93
+    assert all(np.sqrt(known.error(one)[1, 1]) >= 1e-4 for one in known.errors)
+
+
 @pytest.mark.parametrize("camera", ["simulated", "Nikon 5100 (NPL)"])
 @pytest.mark.parametrize("responsivities", [True, False])
 def test_u_holds_for_spectra_outside_the_training_set(camera: str, responsivities: bool, reflectances: Array) -> None:
@@ -156,8 +172,8 @@ def test_a_known_light_five_times_as_bright_scales_x_y_z_and_each_term_of_their_
 def test_a_matrix_for_each_kind_is_better_for_it_and_asks_for_the_kind() -> None:
     """Two displays have two matrices, each with less error than the one for both."""
     rng, lights = np.random.default_rng(46_027), plausible_lights()
-    powers = np.vstack([lights["oled"], lights["ccfl_lcd"]])
-    kinds = ["oled"] * len(lights["oled"]) + ["ccfl_lcd"] * len(lights["ccfl_lcd"])
+    powers = np.vstack([lights["oled"][:26], lights["ccfl_lcd"][:26]])  # the mixtures of one display each
+    kinds = ["oled"] * 26 + ["ccfl_lcd"] * 26
     training = read(powers, kinds, rng)
     each = train_on_lights(ColourCamera(("x", "y", "z")), training, **{**PLAIN, "per_kind": True})
     both = train_on_lights(ColourCamera(("x", "y", "z")), training, **PLAIN)

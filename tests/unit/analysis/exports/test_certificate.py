@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import xml.etree.ElementTree as ET
 from pathlib import Path
 
@@ -10,7 +11,7 @@ import pytest
 import yaml
 
 import radiometer as rm
-from radiometer.analysis.exports.certificate import read_certificate
+from radiometer.analysis.exports.certificate import SCHEMA_VERSION, read_certificate
 from radiometer.data import Contribution, Patch, Quantity, Reading
 from radiometer.errors import ConfigurationError, InputError, UsageError
 
@@ -78,6 +79,23 @@ def test_a_calibration_is_certified_as_its_camera(project_root: Path, laboratory
     name, scale, k = made.content.results[0]
     assert (name, scale.unit, k) == ("exposure per unit of the linear signal", "J m-2", 2.0)
     assert scale.u > 0
+
+
+def test_certificates_are_valid_against_the_schema(project_root: Path, tmp_path: Path, laboratory: Path) -> None:
+    """dcclib of PTB finds no error in that of a reading, and of a calibration.
+
+    It downloads the schema, unless RADIOMETER_DCC_SCHEMA names the file.
+    """
+    dcclib = pytest.importorskip("dcclib.validation")
+    schema = os.environ.get("RADIOMETER_DCC_SCHEMA")
+    try:
+        judge = dcclib.XsdValidator.from_file(schema) if schema else dcclib.XsdValidator.from_version(SCHEMA_VERSION)
+    except dcclib.SchemaDownloadError as error:
+        pytest.skip(str(error))
+    for source in (reading(), project_root / "configs" / "calibrations" / "simulated.yaml"):
+        rm.certificate(source, tmp_path / "c.xml", laboratory=laboratory, identifier="1", force=True)
+        found = judge.validate_file(str(tmp_path / "c.xml"))
+        assert found.is_valid, [str(error) for error in found.errors]
 
 
 def test_a_reading_in_a_file_is_certified_as_the_reading(tmp_path: Path, laboratory: Path) -> None:

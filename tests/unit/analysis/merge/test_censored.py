@@ -7,8 +7,7 @@ import pytest
 from scipy.optimize import minimize_scalar
 from scipy.stats import norm
 
-from radiometer.analysis.merge.finish import include_nearest_censored, with_censored
-from radiometer.analysis.merge.tables import NEAREST, RECORD_SIZE
+from radiometer.analysis.merge.finish import NEAREST, RECORD_SIZE, include_nearest_censored, with_censored
 
 # Exposure, noise variance and clipping level of each frame, as `fill_record` has them, with the noise at clipping last.
 FRAMES = np.array(

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from radiometer.analysis.merge.bracket import StreamingMerge, merge
+from radiometer.analysis.merge.finish import merge_tables, mixture
 from radiometer.analysis.merge.frames import frame_terms
 from radiometer.analysis.merge.sums import MergeSample, MergeSums, merge_passes
-from radiometer.analysis.merge.tables import merge_tables, mixture
 from radiometer.analysis.signal.situation import situation_of
 from radiometer.data import (
     BlackLevel,

@@ -10,8 +10,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from radiometer.analysis.merge.bracket import merge
+from radiometer.analysis.merge.finish import merge_tables
 from radiometer.analysis.merge.frames import frame_terms
-from radiometer.analysis.merge.tables import merge_tables
 from radiometer.analysis.signal.situation import situation_of
 from radiometer.data import (
     BlackLevel,

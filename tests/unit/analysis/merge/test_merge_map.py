@@ -13,7 +13,6 @@ from scipy.stats import norm
 
 from radiometer import compiled as merge_compile
 from radiometer.analysis.merge import finish as merge_finish
-from radiometer.analysis.merge import tables as merge_tables
 from radiometer.analysis.merge.bracket import StreamingMerge, merge
 from radiometer.data import (
     BlackLevel,
@@ -99,11 +98,11 @@ def test_two_sums_are_as_good_as_all_weights(step):
     kappa = 1.0
     for readout in np.geomspace(1e-4, 1e4, 33) * exposures[-1]:
         frames = np.array([[t, readout, 1e30, 1.0, 0.0] for t in exposures])
-        record = np.zeros(merge_tables.RECORD_SIZE)
-        merge_tables.fill_record(record, np.uint64(2**10 - 1), frames, kappa, np.ones(10), 1.0)
-        apart = record[merge_tables.R0] + record[merge_tables.R1]
-        inverse, gap = 1.0 / apart, apart - record[merge_tables.P0] - record[merge_tables.P1]
-        variance = record[merge_tables.A0] + record[merge_tables.A1] - gap**2 * inverse
+        record = np.zeros(merge_finish.RECORD_SIZE)
+        merge_finish.fill_record(record, np.uint64(2**10 - 1), frames, kappa, np.ones(10), 1.0)
+        apart = record[merge_finish.R0] + record[merge_finish.R1]
+        inverse, gap = 1.0 / apart, apart - record[merge_finish.P0] - record[merge_finish.P1]
+        variance = record[merge_finish.A0] + record[merge_finish.A1] - gap**2 * inverse
         best = 1.0 / np.sum(exposures**2 / (readout + kappa * exposures))
         assert 1.0 - 1e-9 < variance / best < 1.015
 

@@ -98,6 +98,21 @@ def test_a_level_of_a_screen_and_a_reading_are_sources(tmp_path: Path) -> None:
     assert of_file["rhodopic"] == of_level["rhodopic"]
 
 
+def test_a_source_of_known_size_and_distance_gives_the_illuminance_at_the_eye() -> None:
+    """Small: L·A/d². A disc of 45° half angle: half of πL. A wide wall: πL. A rectangle: the sum of its parts."""
+    small = rm.alpha_opic(100.0, u=1.0, spectrum="cie_d65", size_m=(0.02, 0.01), distance_m=2.0, u_distance_m=0.02)
+    assert small.source.value == pytest.approx(100.0 * 2e-4 / 4.0, rel=1e-4)
+    assert small.source.u / small.source.value == pytest.approx(np.hypot(0.01, 2 * 0.02 / 2.0), rel=1e-3)
+    assert (small.source.unit, small["melanopic"].equivalent_daylight.unit) == ("lx", "lx")
+    disc = rm.alpha_opic(1.0, "W/sr/m2", spectrum="cie_a", size_m=[2.0], distance_m=1.0)
+    assert (disc.source.value, disc.source.unit) == (pytest.approx(np.pi / 2), "W m-2")
+    assert rm.alpha_opic(1.0, spectrum="cie_a", size_m=(1e5, 1e5), distance_m=1.0).source.value == pytest.approx(np.pi)
+    x, y = np.meshgrid(*((np.arange(500) + 0.5) / 500 * side - side / 2 for side in (0.52, 0.32)))
+    summed = np.sum(0.6**2 / (x**2 + y**2 + 0.6**2) ** 2) * 0.52 * 0.32 / 500**2  # cos⁴θ/d² of each part
+    found = rm.alpha_opic(1.0, spectrum="cie_a", size_m=(0.52, 0.32), distance_m=0.6)
+    assert found.source.value == pytest.approx(summed, rel=1e-5)
+
+
 @pytest.mark.parametrize(
     ("given", "error"),
     [
@@ -111,6 +126,9 @@ def test_a_level_of_a_screen_and_a_reading_are_sources(tmp_path: Path) -> None:
         ({"value": -1.0, "spectrum": "cie_a"}, InputError),
         ({"value": float("nan"), "spectrum": "cie_a"}, InputError),
         ({"reading": "missing.json", "spectrum": "cie_a"}, InputError),
+        ({"value": 1.0, "spectrum": "cie_a", "size_m": (0.1,)}, UsageError),
+        ({"value": 1.0, "spectrum": "cie_a", "size_m": (0.1, 0.0), "distance_m": 1.0}, UsageError),
+        ({"value": 1.0, "unit": "lx", "spectrum": "cie_a", "size_m": (0.1,), "distance_m": 1.0}, UsageError),
     ],
 )
 def test_what_gives_no_quantity_is_refused(given: dict[str, object], error: type[Exception]) -> None:

@@ -31,7 +31,7 @@ from radiometer.analysis.response.samples import gather_samples, u_by_groups
 from radiometer.analysis.response.settle import places_as_one, tones_as_one
 from radiometer.data import Bracket, Frame, FrameSettings, ResponseCurve
 from radiometer.errors import InputError, MeasurementError, UsageError
-from radiometer.statistics.jackknife import jackknife_u
+from radiometer.statistics.scale import jackknife_u
 
 
 def test_saturation_below_full_scale_is_found(make_stack):

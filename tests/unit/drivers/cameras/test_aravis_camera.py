@@ -8,11 +8,11 @@ from types import SimpleNamespace
 import pytest
 
 from drivers.cameras import aravis_camera
-from drivers.cameras.camera_finding import find_camera
+from drivers.cameras.camera_opening import find_camera
 from drivers.cameras.camera_quirks import quirks_for
 from drivers.cameras.chunk_data import holds_other_settings
-from drivers.cameras.frame_assembly import assemble
 from drivers.cameras.frame_stream import RawFrame
+from drivers.cameras.fresh_frames import assemble
 from radiometer.data import LensDescription
 from radiometer.devices import CameraIdentity, CameraSettings
 from radiometer.errors import DeviceError, DeviceNotFound, MissingLibrary
@@ -51,9 +51,9 @@ def test_without_aravis_the_message_names_the_debian_package(library_to_be_loade
 
 OWNERS = {
     "gi": "drivers/cameras/aravis_camera.py",
-    "linuxpy": "drivers/cameras/v4l2_library.py",
-    "picamera2": "drivers/cameras/pi_library.py",
-    "gphoto2": "drivers/cameras/gphoto_library.py",
+    "linuxpy": "drivers/cameras/v4l2_link.py",
+    "picamera2": "drivers/cameras/pi_link.py",
+    "gphoto2": "drivers/cameras/tethered_link.py",
 }
 
 

@@ -8,7 +8,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from drivers.cameras.v4l2_library import LinuxpyDevice, LinuxpyVideo
+from drivers.cameras.v4l2_link import LinuxpyDevice, LinuxpyVideo
 from radiometer.errors import DeviceError, DeviceInUse, DeviceLost, DeviceNotFound, DeviceTimeout
 from testing.patience import within
 

@@ -18,8 +18,7 @@ from radiometer.devices.light_box import CurrentRange, DriveLevel
 from radiometer.devices.retinal_safety import ChannelOptics
 from radiometer.errors import DeviceLost, DeviceTimeout, UnsafeStimulus
 from simulators.light_box.box import SimulatedBoxSettings, SimulatedLightBox
-from simulators.light_box.line_faults import LineFaults
-from simulators.light_box.virtual_line import VirtualLine
+from simulators.light_box.virtual_line import LineFaults, VirtualLine
 from testing.eye_world import PROMISED, Eye, live_through
 
 BRIGHT = 5950.0  # W·sr⁻¹·m⁻²: twelve times 40 s of its white light are 116 % of the blue-light limit

@@ -15,8 +15,7 @@ from radiometer.devices.exposure_ledger import ExposureLedger
 from radiometer.devices.retinal_safety import ChannelOptics
 from radiometer.errors import DeviceError, DeviceLost
 from simulators.light_box.box import SimulatedBoxSettings, SimulatedLightBox
-from simulators.light_box.line_faults import LineFaults
-from simulators.light_box.virtual_line import VirtualLine
+from simulators.light_box.virtual_line import LineFaults, VirtualLine
 
 CHANNELS = ("bleach", "spot", "spot_red", "fixation")
 OPTICS = {name: ChannelOptics(640.0, 18.0, 1.5, 1.0) for name in CHANNELS}

@@ -12,10 +12,10 @@ import pytest
 from radiometer.data import LensDescription
 from radiometer.devices import CameraPreset
 from radiometer.errors import ConfigurationError
-from simulators.cameras.awkward_features import CHUNK_IDS, awkward_features
+from simulators.cameras.blackfly_awkward import CHUNK_IDS, awkward_features
 from simulators.cameras.blackfly_features import blackfly_features
 from simulators.cameras.blackfly_pictures import ForwardModelSource, PictureRequest, PooledSource
-from simulators.cameras.blackfly_processing import gamma_corrected, sharpened, steered
+from simulators.cameras.blackfly_registers import gamma_corrected, sharpened, steered
 from simulators.cameras.genicam_document import genicam_xml
 from simulators.cameras.pixel_packing import WIRE_FORMATS, pack_pixels
 from simulators.cameras.simulated_camera import default_limits

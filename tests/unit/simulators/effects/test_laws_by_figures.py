@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from radiometer.data import CameraDescription, FrameSettings, LensDescription
+from radiometer.data import CameraDescription, FrameSettings, LensDescription, TapDescription
 from simulators.effects.adc_saturation import AdcSaturation
 from simulators.effects.ambient_light_leak import AmbientLightLeak
 from simulators.effects.base import Parameter
@@ -43,6 +43,8 @@ from simulators.effects.response_nonlinearity import ResponseNonlinearity
 from simulators.effects.source_not_proportional_to_exposure import SourceNotProportionalToExposure
 from simulators.effects.source_warmup_drift import SourceWarmupDrift
 from simulators.effects.spectral_mismatch import SpectralMismatch
+from simulators.effects.tap_gain import TapGain
+from simulators.effects.tap_noise import TapNoise
 from simulators.effects.tile_moments import TileMoments
 from testing.effect_context import effect_context
 
@@ -184,6 +186,20 @@ def test_hot_pixels_that_stand_out_are_counted() -> None:
     nothing = TileMoments.exactly(np.zeros((1, 1, 1)))
     predicted = effect.tile(nothing, nothing, tiles).outliers
     assert float(np.sum(predicted)) == pytest.approx(10.0 * math.exp(-9.0 / 80.0))
+
+
+def test_taps_that_are_no_quarters_have_a_size_each() -> None:
+    """Four taps of one column each, of sizes 0, 1, 2 and 5 %: gains of −2, −1, 0 and 3 % about their mean."""
+    taps = tuple(TapDescription(name=str(x), x=x, y=0, width=1, height=3) for x in range(4))
+    context = replace(at(), camera=CAMERA.model_copy(update={"taps": taps}))
+    (cover,) = TapGain.covers(context)
+    assert cover.free() == ("taps_rel[1]", "taps_rel[2]", "taps_rel[3]")
+    known = replace(cover, taps_rel=(0.0, 0.01, 0.02, 0.05))
+    np.testing.assert_allclose(known.mean(np.full((3, 4), 100.0), context), [[98.0, 99.0, 100.0, 103.0]] * 3)
+    noisy = replace(TapNoise(), taps_e2=(4.0, 1.0, 1.0, 9.0))
+    np.testing.assert_allclose(noisy.variance(np.full((3, 4), 100.0), context), [[3.0, 0.0, 0.0, 8.0]] * 3)
+    halves = (taps[0].model_copy(update={"width": 2}), taps[2].model_copy(update={"width": 2}))
+    assert TapGain.covers(replace(context, camera=CAMERA.model_copy(update={"taps": halves}))) == ()
 
 
 def test_leaks_that_differ_are_drawn_with_the_spread_that_is_stated() -> None:
