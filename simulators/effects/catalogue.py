@@ -54,7 +54,6 @@ class CatalogueEffect(Effect):
         log_prior_odds: Natural logarithm of how likely the effect is before any data, against a usual one; added to
             its score.
         prior_reason: Why they are not even.
-        weight_unseen: How much more than others it is worth seeing where data are blind to it.
         acts_by_square: Whether its first parameter is a standard deviation, whose square is what shows.
         is_stepwise: Whether it does not grow from nothing with its first parameter; its limit is a form that shows.
         saturates: `sharply` or `softly` for what limits the signal: the higher the limit the milder. Below a sharp one
@@ -84,7 +83,6 @@ class CatalogueEffect(Effect):
     proportional: ClassVar[bool] = False
     log_prior_odds: ClassVar[float] = 0.0
     prior_reason: ClassVar[str] = ""
-    weight_unseen: ClassVar[float] = 1.0
     acts_by_square: ClassVar[bool] = False
     is_stepwise: ClassVar[bool] = False
     saturates: ClassVar[Literal["", "softly", "sharply"]] = ""
