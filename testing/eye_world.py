@@ -379,7 +379,9 @@ class World:
     def __post_init__(self) -> None:
         for serial in ("DESK0001", "DESK0002"):
             box = DeskBox(serial, self)
-            box.hardware = self.make(serial, self.rng.uniform(-5000, 5000), box.look)
+            broken = self.rng.random() < 0.2  # a wrong resonator, or none
+            clock_ppm = self.rng.uniform(-700_000, 700_000) if broken else self.rng.uniform(-5000, 5000)
+            box.hardware = self.make(serial, clock_ppm, box.look)
             self.boxes.append(box)
             self._store(None).folder.mkdir(parents=True, exist_ok=True)
             with self._store(None).change() as account:

@@ -11,8 +11,9 @@ from typing import Final, Protocol
 
 import structlog
 
+from drivers.light_box.clock import MOST_RATE
 from drivers.light_box.frames import PROTOCOL_VERSIONS, Event
-from drivers.light_box.link import ATTEMPTS, BoxLink, BoxRefusal
+from drivers.light_box.link import ATTEMPTS, DARK_SOON, BoxLink, BoxRefusal
 from radiometer.devices.exposure_ledger import ExposureLedger, Stimulus
 from radiometer.devices.light_box import (
     FULL_LEVEL,
@@ -49,6 +50,8 @@ LISTEN_S: Final = 0.02  # a press is read within this time; its time is the box'
 BOOT_S: Final = 2.2  # the boot loader's wait, after which the program of an Arduino runs
 FLASH: Final = "flash"  # its name in the account of the exposure
 WRONG_VERSION: Final = 9  # refusal code of the protocol: a version that the firmware does not know
+_COMPARED_S: Final = 1.0  # delays of 10 ms, more than those of USB adapters, then leave MOST_RATE
+_UNKNOWN_RATE: Final = 0.1  # no resonator is off by so much, and no connection so slow: something is broken
 AUDIT_INTERVAL_S: Final = 5.0  # a twentieth of a per mille of the window
 # The box's dead man waits 1 s by its own clock; the rest is what USB adapters and operating systems hold back.
 DARK_AFTER_S: Final = 1.5
@@ -500,6 +503,8 @@ class SerialLightBox(Opened):
 
         The box is tended while the account is stored, for the disk may take long.
         """
+        if math.isfinite(stimulus.bright_s) or stimulus.ramp_s:
+            self._know_clock()
         name = self.ledger.reserve(stimulus)
         with self._exchanging():
             if not self.ledger.holds(name):
@@ -513,6 +518,20 @@ class SerialLightBox(Opened):
             self.ledger.begun(name)
             yield answer
         self.ledger.settle()
+
+    def _know_clock(self) -> None:
+        """Compare the clocks until it is known how much longer the box's times may be, and count them so."""
+        with self._exchanging():
+            until_s = self.link.line.now() + _COMPARED_S
+            while (off := self.link.clock.most_rate()) > MOST_RATE and self.link.line.now() < until_s:
+                self.link.listen(_COMPARED_S / 50)
+                self._compare_clocks()
+            if off > _UNKNOWN_RATE:
+                self.link.give_up(
+                    f"{self._name}: its clock may be off by {100 * min(off, 1.0):.2g} %, so its light may last longer "
+                    f"than asked; use a port with less delay, or flash its firmware; {DARK_SOON}"
+                )
+            self.ledger.clock_factor = 1.0 + max(off, MOST_RATE)
 
     def _refuse_other_than(self, drive: DriveLevel, state: ChannelState, *, steady: bool) -> None:
         if steady and drive.level and state.drive != drive:

@@ -94,6 +94,11 @@ class BoxClock:
                     return max(0.0, min(rates), -max(rates))
         return 0.0
 
+    def most_rate(self) -> float:
+        """Return by how much the clocks' rates differ at most, wherever delays were; inf before a second exchange."""
+        samples = list(self.samples)
+        return min((_most_rate(samples[0], later) for later in samples[1:]), default=math.inf)
+
     def _latest(self) -> ClockSample:
         if not self.samples:
             raise MeasurementError("the box's clock has not been compared with the host's yet; call synchronise()")
@@ -118,3 +123,9 @@ class BoxClock:
         u_asymmetry_s = least_s / 2 / math.sqrt(3)
         u_offset_s = math.sqrt(u_asymmetry_s**2 + sigma_s**2 / len(good) + (u_rate * away_s) ** 2 + TICK_S**2 / 12)
         return mean_offset_s + rate * away_s, u_offset_s, rate, u_rate
+
+
+def _most_rate(first: ClockSample, later: ClockSample) -> float:
+    passed_s = later.box_received_s - first.box_received_s
+    moved_s = abs(later.offset_s - first.offset_s) + (later.free_delay_s + first.free_delay_s) / 2.0
+    return moved_s / passed_s if passed_s > 0.0 else math.inf

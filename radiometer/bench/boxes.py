@@ -277,7 +277,7 @@ def darken(name: str | None = None, channel: str | None = None) -> tuple[list[Da
     No box that fails, is simulated or is dead keeps another one lit. Neither calibration nor preset is needed.
 
     Args:
-        name: A serial number or port, where only one is meant.
+        name: A serial number or port, by any of its names, where only one is meant.
         channel: One channel; all where None. A program that holds a box darkens all of it.
 
     Returns:
@@ -288,7 +288,8 @@ def darken(name: str | None = None, channel: str | None = None) -> tuple[list[Da
             return [_darkened(simulated, channel)], []
     dark, failures = list[DarkBox](), list[DeviceError]()
     all_held = held_boxes()
-    held = [entry for entry in all_held if name in (None, entry.serial, entry.port) or not entry.serial]
+    port = None if name is None else os.path.realpath(name)
+    held = [e for e in all_held if name in (None, e.serial) or os.path.realpath(e.port) == port or not e.serial]
     for entry in held:
         try:
             ask_for_darkness(entry)

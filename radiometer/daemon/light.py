@@ -100,7 +100,11 @@ class Light:
         return self.box, self.keeper
 
     def _opened(self) -> None:
-        """A box that comes back is dark: the levels set before are gone, and must not be believed."""
+        """A box that comes back is dark: the levels set before are gone, which is an alarm, and not believed."""
+        for channel, level in self.levels.items():
+            if level:
+                message = f"{channel} was set to {level:.4g} and went dark when the light box was lost or restarted"
+                self._alarms.put_up(light_alarm(channel), message)
         self.levels = dict.fromkeys(self.box.channels, 0.0) if self.box else {}
 
     def _reported(self, report: DeviceReport) -> None:

@@ -78,6 +78,7 @@ class MqttPublisher:
         self._waiting: dict[int, float] = {}  # when each message without an acknowledgement was published, by its id
         self._dropped = 0
         self._retained: set[str] = set()
+        self._ended = False
 
     @property
     def topic(self) -> str:
@@ -118,6 +119,7 @@ class MqttPublisher:
 
     async def stop(self) -> None:
         """Clear what is retained, say goodbye and disconnect."""
+        self._ended = True
         for task in self._tasks:
             task.cancel()
         for callback in (self._start_once_known, self._clear_outdated):
@@ -191,6 +193,7 @@ class MqttPublisher:
             self._tell(f"MQTT broker {self.target} refuses: {reason}; look at user, password and TLS")
             return
         client.subscribe(f"{self.topic}/{_patch_topic('+', quoted=True)}", qos=_AT_LEAST_ONCE)
+        client.subscribe(f"{self.topic}/state", qos=_AT_LEAST_ONCE)
         self._tell("")
 
     def _disconnected(self, client: Any, userdata: Any, flags: Any, reason: Any, properties: Any) -> None:
@@ -207,9 +210,19 @@ class MqttPublisher:
         self._in_loop(lambda: self._waiting.pop(mid, None))
 
     def _found(self, client: Any, userdata: Any, message: Any) -> None:
-        """Called in paho's thread: a reading that an earlier daemon left behind is cleared if its patch is gone."""
-        if message.retain and message.payload:
+        """Called in paho's thread: a reading that an earlier daemon left behind is cleared if its patch is gone.
+
+        The last will of an earlier daemon may come late: its connection ended by a power cut, say.
+        """
+        if message.topic == f"{self.topic}/state":
+            if message.payload == b"offline":
+                self._in_loop(self._online)
+        elif message.retain and message.payload:
             self._in_loop(lambda: self._left_behind(message.topic.removeprefix(f"{self.topic}/")))
+
+    def _online(self) -> None:
+        if not self._ended:
+            self._publish("state", "online")
 
     def _left_behind(self, name: str) -> None:
         self._retained.add(name)

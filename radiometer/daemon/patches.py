@@ -14,6 +14,7 @@ from radiometer.errors import UsageError
 MAIN: Final = "main"  # means the patch that is measured for all where a name is asked for
 MOST_PATCHES: Final = 12  # engineering choice: each takes a measurement in every period
 _LONGEST_NAME: Final = 32  # fits a column of the page and a level of a topic
+UNSEEN: Final = "unseen"  # in place of the limit that is broken: a bound does not show whether it is
 _CONFIRMATIONS: Final = 2  # so many readings in a row must say the same: one outlier is no alarm, and no all-clear
 DEFAULT_HYSTERESIS_REL: Final = 0.01  # a few times the noise of a reading
 
@@ -41,20 +42,23 @@ class PatchLimits:
         return {"low": self.low, "high": self.high, "hysteresis_rel": self.hysteresis_rel}
 
     def breach(self, reading: Reading, *, standing: bool) -> str:
-        """Return which limit a reading breaks, "" where it is well.
+        """Return which limit a reading breaks, "" where it is well, UNSEEN where the reading cannot show it.
 
         A saturated value is a lower bound and one below the noise an upper bound: neither breaks the limit that it may
-        well be within.
+        well be within, nor shows that it is within.
 
         Args:
             standing: Whether an alarm is up: then the limits are drawn in by the hysteresis.
         """
         value, drawn_in = reading.radiance.value, self.hysteresis_rel if standing else 0.0
-        if self.high is not None and value > self.high - abs(self.high) * drawn_in and not _is_upper_bound(reading):
+        least, most = -math.inf if _is_upper_bound(reading) else value, math.inf if _is_lower_bound(reading) else value
+        high = math.inf if self.high is None else self.high - abs(self.high) * drawn_in
+        low = -math.inf if self.low is None else self.low + abs(self.low) * drawn_in
+        if least > high:
             return "high"
-        if self.low is not None and value < self.low + abs(self.low) * drawn_in and not _is_lower_bound(reading):
+        if most < low:
             return "low"
-        return ""
+        return "" if low <= least and most <= high else UNSEEN
 
 
 @dataclass(slots=True)
@@ -63,14 +67,16 @@ class PatchWatch:
 
     limits: PatchLimits = field(default_factory=PatchLimits)  # the limits
     latest: Reading | None = None  # its latest reading; None where there is none
-    breached: str = ""  # which limit it is beyond, as alarmed; "" where it is well
+    breached: str = ""  # which limit it is beyond, as alarmed; "" where it is well, UNSEEN where that is not known
     _saying: str = ""
     _count: int = 0
 
     def take(self, reading: Reading) -> bool:
         """Take a reading and return whether the alarm has to be put up or taken down."""
         self.latest = reading
-        found = self.limits.breach(reading, standing=bool(self.breached))
+        found = self.limits.breach(reading, standing=self.breached in ("high", "low"))
+        if found == UNSEEN:
+            found = self.breached or UNSEEN  # what was seen stays
         self._count = self._count + 1 if found == self._saying else 1
         self._saying = found
         if found == self.breached or self._count < _CONFIRMATIONS:
@@ -85,6 +91,8 @@ class PatchWatch:
     def message(self, name: str) -> str:
         """Return what is wrong in words."""
         assert self.latest is not None
+        if self.breached == UNSEEN:
+            return f"patch {name} reads {self.latest}: whether it keeps its limits cannot be seen; change the exposure"
         limit = self.limits.high if self.breached == "high" else self.limits.low
         side = "above its high" if self.breached == "high" else "below its low"
         return f"patch {name} reads {self.latest}, {side} limit {limit:g}"

@@ -55,17 +55,22 @@ class Places(Generic[_C]):
         held = sum(place.peer == peer for place in self._places.values())
         return "too many connections of one address" if held >= max(1, self._limit // 4) else ""
 
-    def make_room(self) -> _C | None:
-        """Return who must go for the next one; None where there is room or none may be dropped (see `is_full`)."""
-        if not self.is_full:
+    def make_room(self, peer: str) -> _C | None:
+        """Return who must go for the next one of a peer; None where there is room or none may be dropped.
+
+        Where the peer has its part of the places, it is one of its own connections.
+        """
+        own = bool(self.refusal(peer))
+        if not own and not self.is_full:
             return None
         now = self._clock()
-        strangers = [connection for connection, place in self._places.items() if not place.known]
+        places = {c: place for c, place in self._places.items() if not own or place.peer == peer}
+        strangers = [connection for connection, place in places.items() if not place.known]
         crowd = len(strangers) >= max(_CROWD, self._limit // 2)
         waited = [c for c in strangers if crowd or now - self._places[c].since >= self._patience_s]
         idle = [
             connection
-            for connection, place in self._places.items()
+            for connection, place in places.items()
             if place.known and not place.busy and now - place.since >= self._idle_s
         ]
         return min(waited or idle, key=lambda connection: self._places[connection].since, default=None)

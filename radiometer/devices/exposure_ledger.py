@@ -22,7 +22,7 @@ from radiometer.devices.retinal_safety import (
 from radiometer.errors import UnsafeStimulus
 
 # An Arduino's ceramic resonator runs up to 0.5 % slow (docs/reference/light-box-protocol.md); twice that counts.
-BOX_CLOCK_FACTOR: Final = 1.01
+_CLOCK_FACTOR: Final = 1.01
 _LINE_NM: Final = 20.0  # width of a coloured LED where the preset states none
 _BY_FAR: Final = 1.5  # LEDs of one type differ by up to 10 nm, which is 1.3 times in the steepest part of B(λ)
 # A command may be repeated for 1.6 s, each time feeding the dead man, who waits 1 s: the old light may last that long.
@@ -62,6 +62,7 @@ class ExposureLedger:
     store: AccountStore  # keeps the account of all boxes and eyes
     allowed_fraction: float = DEFAULT_FRACTION  # largest fraction of either limit that may be used up
     eye: str | None = None  # whose eye looks into the box; None where it is not known, NO_EYE where none does
+    clock_factor: float = _CLOCK_FACTOR  # how much longer than planned the box's light may last
     _box: str = ""
     _open: dict[str, _Open] = field(default_factory=dict)  # by name in the account
     _dark_s: dict[str, float] = field(default_factory=dict)  # by name: from when on it is dark, where not yet stored
@@ -236,11 +237,11 @@ class ExposureLedger:
             highest = max(self._before(stimulus, now_s), stimulus.radiance_w_sr_m2)
             lights.append((highest, stimulus.ramp_s))
         phases = tuple(self._phase(stimulus.channel, radiance, bright_s) for radiance, bright_s in lights)
-        over_s = now_s + stimulus.lasting_s * BOX_CLOCK_FACTOR + CHANGE_S
+        over_s = now_s + stimulus.lasting_s * self.clock_factor + CHANGE_S
         return Planned(self._box, self.eye, stimulus.channel, self.store.holder, now_s, over_s, phases)
 
     def _phase(self, channel: str, radiance_w_sr_m2: float, bright_s: float) -> Phase:
-        longest_s = bright_s * BOX_CLOCK_FACTOR
+        longest_s = bright_s * self.clock_factor
         optics = self.optics[channel]
         each_s = hazard_fractions(optics, radiance_w_sr_m2, 1.0).blue_light  # the limits are linear for 100 s at least
         most = hazard_fractions(optics, radiance_w_sr_m2, math.inf).blue_light

@@ -10,7 +10,7 @@ import numpy as np
 from aiohttp import web
 
 from radiometer.daemon.http.requests import LightBody, MeasureBody, SettingsBody, read_body
-from radiometer.daemon.http.route import STATION, Route, json_reply
+from radiometer.daemon.http.route import LIGHTS_OFF, STATION, Route, json_reply
 from radiometer.daemon.metrics import CONTENT_TYPE
 from radiometer.daemon.station import Station
 from radiometer.errors import UsageError
@@ -112,7 +112,7 @@ ROUTES: Final = (
     Route("POST", "/settings", change_settings, "Change settings for all later measurements.", body=SettingsBody,
           schema="Status"),
     Route("POST", "/light", set_light, "Set the level of a light channel.", body=LightBody, schema="Light"),
-    Route("POST", "/light/off", switch_off, "Switch every light channel off.", schema="Light"),
+    Route("POST", LIGHTS_OFF, switch_off, "Switch every light channel off.", schema="Light"),
     Route("GET", "/status", show_status, "State of devices, settings, calibration and alarms.", schema="Status"),
     Route("GET", "/response", show_response, "Response curve in use, at most 512 points; `linear` is true where "
     "none is.",

@@ -17,6 +17,7 @@ from radiometer.data.json_text import json_text
 Handler = Callable[[web.Request], Awaitable[web.StreamResponse]]
 STATION: Final = web.AppKey("station", Station)
 LIMITS: Final = web.AppKey("limits", Limits)
+LIGHTS_OFF: Final = "/light/off"
 QUERIES: Final = web.AppKey("queries", asyncio.Semaphore)
 BUDGET: Final = web.AppKey("budget", ReplyBudget)
 

@@ -13,7 +13,7 @@ from aiohttp import web
 from aiohttp.typedefs import Middleware
 
 from radiometer.daemon.http.requests import read_whole
-from radiometer.daemon.http.route import STATION, Route, json_reply
+from radiometer.daemon.http.route import LIGHTS_OFF, STATION, Route, json_reply
 from radiometer.daemon.journal import JournalError
 from radiometer.daemon.limits import TokenBucket, is_loopback
 from radiometer.daemon.places import Places
@@ -89,7 +89,7 @@ def guard(
 
     @web.middleware
     async def check(request: web.Request, handler: Handler) -> web.StreamResponse:
-        within_rate = await rates.admits(request)
+        within_rate = darkens(request) or await rates.admits(request)
         if within_rate:
             await read_whole(request)  # before it is busy: who drips a body has no claim to its place
         places.note(request.protocol, busy=True)
@@ -97,6 +97,11 @@ def guard(
             return await serve(request, handler) if within_rate else _too_fast(request)
         finally:
             places.note(request.protocol, busy=False)
+
+    def darkens(request: web.Request) -> bool:
+        """Return whether it switches the lights off, with the right to do so: others of its address cannot delay it."""
+        darkens = request.method == "POST" and request.path == LIGHTS_OFF
+        return darkens and (token is None or _has_token(request, token))
 
     def _too_fast(request: web.Request) -> web.Response:
         return _refused(request, "rate", 429, f"more than {requests_per_s:g} requests per second")

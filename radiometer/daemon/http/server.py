@@ -129,7 +129,7 @@ class HttpServer:
             return None
         for gone in self._places.connections() - set(server.connections):
             self._places.leave(gone)
-        if (displaced := self._places.make_room()) is not None:
+        if (displaced := self._places.make_room(peer)) is not None:
             self._end(displaced)
         reason = self._places.refusal(peer) or ("too many connections" if self._places.is_full else "")
         if reason:

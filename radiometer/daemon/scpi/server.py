@@ -84,6 +84,7 @@ class ScpiConnection(asyncio.Protocol):
         self._vetted_at: float | None = None
         self._idle_timer: asyncio.TimerHandle | None = None
         self._heard_at = 0.0
+        self._guest_for = ""  # why it has no place
         self._guest_until: asyncio.TimerHandle | None = None  # None but where every connection was in use
         self.session: Session | None = None
 
@@ -99,12 +100,14 @@ class ScpiConnection(asyncio.Protocol):
             self.refuse(reason)
             return
         self.session = Session(self._server.station, self._server.table, self._limits.reply_bytes)
-        if crowded := self._server.make_room():
+        host = _host(transport.get_extra_info("peername"))
+        if crowded := self._server.make_room(host):
             self._server.take_guest(self, crowded)
+            self._guest_for = crowded
             self._guest_until = asyncio.get_running_loop().call_later(_GUEST_S, self.refuse, crowded)
             return
         self._server.connections.add(self)
-        self._server.places.enter(self, _host(transport.get_extra_info("peername")))
+        self._server.places.enter(self, host)
         self._start_idle_timer()
 
     def refuse(self, reason: str) -> None:
@@ -257,7 +260,7 @@ class ScpiConnection(asyncio.Protocol):
     def _run(self, message: bytes) -> str | Coroutine[Any, Any, str | None] | None:
         assert self.session is not None
         if self._guest_until is not None and not _DARKENS.fullmatch(message):
-            self.refuse("too many connections")
+            self.refuse(self._guest_for)
             return None
         self._server.served.inc()
         try:
@@ -441,7 +444,7 @@ class ScpiServer:
         """Return why a client is refused; "" where it is taken."""
         if isinstance(peer, tuple) and not is_allowed(peer[0], self._allow):
             return "not on the allow-list"
-        return self.places.refusal(_host(peer))
+        return ""
 
     def take_guest(self, guest: ScpiConnection, reason: str) -> None:
         """Let one more in that may only switch the lights off; the one that has waited longest goes for it."""
@@ -451,13 +454,13 @@ class ScpiServer:
             oldest.refuse(reason)
         self.guests[guest] = None
 
-    def make_room(self) -> str:
+    def make_room(self, host: str) -> str:
         """Put the connection out that has the least claim to its place; return why the next one gets none."""
-        if (displaced := self.places.make_room()) is not None:
+        if (displaced := self.places.make_room(host)) is not None:
             displaced.drop("makes room for another client")
             self.connections.discard(displaced)
             self.places.leave(displaced)
-        return "too many connections" if self.places.is_full else ""
+        return self.places.refusal(host) or ("too many connections" if self.places.is_full else "")
 
     def _state_changed(self) -> None:
         for connection in self.connections:

@@ -28,6 +28,7 @@ class Broker:
         self.retained: dict[str, bytes] = {}
         self.published: list[tuple[str, bytes]] = []
         self.deaf = False
+        self._writers: list[asyncio.StreamWriter] = []
         self._unanswered: list[Callable[[], None]] = []
 
     def hear(self) -> None:
@@ -37,7 +38,14 @@ class Broker:
             answer()
         self._unanswered.clear()
 
+    def announce(self, topic: str, payload: bytes) -> None:
+        """Publish a last will to everybody."""
+        self.retained[topic] = payload
+        for writer in self._writers:
+            _send(writer, topic, payload)
+
     async def serve(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        self._writers.append(writer)
         with suppress(asyncio.IncompleteReadError, ConnectionError):
             while True:
                 kind, length, shift = (await reader.readexactly(1))[0], 0, 0
@@ -58,9 +66,7 @@ class Broker:
             for topic, payload in self.retained.items():
                 if not fnmatch(topic, asked.replace("+", "*")):
                     continue
-                name = topic.encode()
-                content = len(name).to_bytes(2, "big") + name + payload
-                writer.write(b"\x31" + _varint(len(content)) + content)
+                _send(writer, topic, payload)
         elif kind >> 4 == 3:
             end = 2 + int.from_bytes(body[:2], "big")
             topic, identity, payload = body[2:end].decode(), body[end : end + 2], body[end + 2 :]
@@ -72,6 +78,12 @@ class Broker:
             self._unanswered.append(answer) if self.deaf else answer()
         elif kind >> 4 == 12:
             writer.write(b"\xd0\x00")
+
+
+def _send(writer: asyncio.StreamWriter, topic: str, payload: bytes) -> None:
+    name = topic.encode()
+    content = len(name).to_bytes(2, "big") + name + payload
+    writer.write(b"\x31" + _varint(len(content)) + content)
 
 
 def _varint(number: int) -> bytes:
@@ -121,6 +133,18 @@ async def test_each_patch_is_retained_as_long_as_it_is_measured(
     await eventually(lambda: broker.retained == {base + "state": b"offline"})
     read = [json.loads(line) for topic, line in broker.published if topic.endswith("/reading") and line]
     assert 40 not in {reading["patch"]["x"] for reading in read}
+
+
+async def test_the_last_will_of_an_earlier_daemon_comes_late(
+    published: tuple[Broker, MqttPublisher], eventually: Eventually
+) -> None:
+    """Its connection ended by a power cut, say: a daemon that runs is online again at once, one that ended is not."""
+    broker, publisher = published
+    await eventually(lambda: broker.retained.get("radiometer/4711/state") == b"online")
+    broker.announce("radiometer/4711/state", b"offline")
+    await eventually(lambda: broker.retained["radiometer/4711/state"] == b"online")
+    await publisher.stop()
+    await eventually(lambda: broker.retained["radiometer/4711/state"] == b"offline")
 
 
 async def test_a_broker_that_acknowledges_nothing_is_an_alarm_until_it_has(

@@ -61,6 +61,9 @@ async def test_a_client_that_stops_measuring_silences_no_limit(station: Station)
     assert [alarm.name for alarm in station.alarms.active] == ["stopped"]
     station.set_every(1.0)
     assert [alarm.name for alarm in station.alarms.active] == []
+    for every_s, alarmed in ((24.9, False), (25.1, True), (86_400.0, True), (5.0, False)):  # five times the first one
+        station.set_every(every_s)
+        assert [alarm.name for alarm in station.alarms.active] == ["stopped"] * alarmed
     station.set_every(None)
     station.patches.set_limits("main", PatchLimits())
     assert [alarm.name for alarm in station.alarms.active] == []
@@ -121,19 +124,36 @@ def test_an_alarm_does_not_flap(make_reading: Callable[..., Reading]) -> None:
     assert course(-0.85, -0.85) == ["well"]
 
 
+def test_a_saturated_reading_ends_no_alarm_and_raises_one(make_reading: Callable[..., Reading]) -> None:
+    """A lamp above its limit that saturates an exposure fixed meanwhile stays above; unseen from the start is one."""
+    bright = make_reading(radiance=Quantity(1.5, 0.01, "W sr-1 m-2"))
+    bound = make_reading(radiance=Quantity(0.15, 0.3, "W sr-1 m-2"), flags=(Flag.SATURATED,))
+    watch = PatchWatch(PatchLimits(high=1.0))
+    taken = [watch.take(reading) for reading in (bright, bright, bound, bound, bound)]
+    assert taken == [False, True, False, False, False]
+    assert watch.breached == "high"
+    watch.limit(PatchLimits(high=1.0))
+    assert [watch.take(bound), watch.take(bound), watch.breached] == [False, True, "unseen"]
+    assert "cannot be seen" in watch.message("main")
+    watch.limit(PatchLimits(low=0.1))
+    assert [watch.take(bound), watch.take(bound)] == [False, False]
+
+
 @pytest.mark.parametrize(
     ("flag", "value", "breach"),
     [
-        (Flag.SATURATED, 0.5, ""),
+        (Flag.SATURATED, 0.5, "unseen"),
+        (Flag.SATURATED, 1.5, "unseen"),
         (Flag.SATURATED, 3.0, "high"),
-        (Flag.BELOW_NOISE, 3.0, ""),
+        (Flag.BELOW_NOISE, 3.0, "unseen"),
+        (Flag.BELOW_NOISE, 1.5, "unseen"),
         (Flag.BELOW_NOISE, 0.5, "low"),
     ],
 )
 def test_a_bound_breaks_only_the_limit_it_is_beyond(
     make_reading: Callable[..., Reading], flag: Flag, value: float, breach: str
 ) -> None:
-    """A saturated value is at least so large, one below the noise at most."""
+    """A saturated value is at least so large, one below the noise at most: neither shows that it is within."""
     reading = make_reading(radiance=Quantity(value, 0.1, "W sr-1 m-2"), flags=(flag,))
     assert PatchLimits(1.0, 2.0).breach(reading, standing=False) == breach
 

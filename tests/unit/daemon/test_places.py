@@ -49,22 +49,22 @@ def test_the_silent_go_first_then_the_longest_idle() -> None:
         places.note(name, busy=False)
         now[0] += 0.1
     places.note("busy", busy=True)
-    assert (places.is_full, places.make_room()) == (True, None)
+    assert (places.is_full, places.make_room("127.0.0.1")) == (True, None)
     now[0] = 1.0
-    assert places.make_room() == "silent"
+    assert places.make_room("127.0.0.1") == "silent"
     places.leave("silent")
-    assert places.make_room() is None
+    assert places.make_room("127.0.0.1") is None
     places.enter("new", "127.0.0.1")
     places.note("new", busy=True)
     now[0] = 3.0
-    assert places.make_room() == "idler"
+    assert places.make_room("127.0.0.1") == "idler"
     places.leave("idler")
     places.leave("idle")
     for name in ("c", "d"):
         places.enter(name, "127.0.0.1")
         places.note(name, busy=True)
     now[0] = 99.0
-    assert places.make_room() is None
+    assert places.make_room("127.0.0.1") is None
 
 
 def test_a_crowd_of_silent_ones_makes_room_at_once() -> None:
@@ -74,12 +74,13 @@ def test_a_crowd_of_silent_ones_makes_room_at_once() -> None:
     for number in range(16):
         places.enter(str(number), "127.0.0.1")
         now[0] += 0.001
-    assert places.make_room() == "0"
+    assert places.make_room("127.0.0.1") == "0"
 
 
 def test_one_address_beyond_loopback_has_a_quarter() -> None:
     """Others find room; loopback is one address for all of this machine and has no such limit."""
-    places = _made(8, [0.0])
+    now = [0.0]
+    places = _made(8, now)
     for name in ("a", "b"):
         places.enter(name, "10.0.0.1")
     assert places.refusal("10.0.0.1") != ""
@@ -87,6 +88,11 @@ def test_one_address_beyond_loopback_has_a_quarter() -> None:
     for name in "cdefg":
         places.enter(name, "127.0.0.1")
     assert places.refusal("127.0.0.1") == ""
+    places.note("a", busy=True)
+    now[0] = 1.5
+    assert places.make_room("10.0.0.1") == "b"  # one of its own, which has made no sense for a second
+    places.note("b", busy=True)
+    assert places.make_room("10.0.0.1") is None
 
 
 async def test_half_open_connections_lock_no_client_out_of_http(station: Station, opened: Any) -> None:

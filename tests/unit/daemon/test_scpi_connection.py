@@ -517,7 +517,10 @@ async def test_one_address_holds_no_more_than_its_part():
     """A quarter of the places, and one at least; loopback is not counted."""
     of = server(allow=parse_networks(["10.0.0.0/8"]))
     assert client(of, ("10.0.0.1", 1))[2] is not None
-    assert client(of, ("10.0.0.1", 2))[2] is None
+    late, wire, heard = client(of, ("10.0.0.1", 2))
+    late.data_received(b"OUTP:ALL OFF\n?x\n")
+    await asyncio.sleep(0.1)
+    assert (wire.aborted, heard.heard) == (True, ["OUTP:ALL OFF"])
     assert refused(of, "too many connections of one address") == 1
     assert client(of, ("10.0.0.2", 3))[2] is not None
 

@@ -96,6 +96,7 @@ def test_light_whose_answer_was_lost_is_on_and_in_the_account(tmp_path, command)
     box = bench.open()
     level = DriveLevel(300 if command == "set_level" else 60000)
     box.set_level("field", DriveLevel(0))
+    bench.wait(0.5, box)
 
     class Deaf(LineFaults):
         """Lets the host's lines through and loses the box's."""
@@ -188,14 +189,29 @@ def test_light_counts_as_the_box_or_its_preset_says_whichever_harms_more(tmp_pat
 
 @pytest.mark.parametrize(("clock_ppm", "taken"), [(-500_000, False), (-20_000, False), (-5000, True), (9e5, False)])
 def test_a_box_whose_clock_is_off_gives_no_timed_light(tmp_path: Path, clock_ppm: float, taken: bool):
-    """At half the rate a blink of 5 s lasts 10 s: the box is given up within some 3 s, and dark."""
+    """At half the rate a blink of 5 s would last 10 s: the box is given up within some 3 s, and dark."""
     bench = Bench(tmp_path, clock_ppm=clock_ppm)
     box = bench.open()
-    box.blink("field", DriveLevel(1000), 5.0, 10.0, 1)
     with nullcontext() if taken else pytest.raises(DeviceLost, match="clock"):
+        box.blink("field", DriveLevel(1000), 5.0, 10.0, 1)
         bench.wait(4.0, box)
     bench.wait(0.1)  # until the request for darkness has come
     assert (bench.twin.duty("field") > 0) == taken
+
+
+@pytest.mark.parametrize("clock_ppm", [-700_000, -200_000, -50_000, -9000])
+def test_programs_that_die_at_once_give_no_more_through_a_slow_clock(tmp_path: Path, clock_ppm: float):
+    """Each lights for 1 s of the box's time and is killed: the clock counts from the first light on."""
+    bench = Bench(tmp_path, clock_ppm=clock_ppm)
+    for _ in range(200):
+        try:
+            bench.open(reset=False).pulse("field", DriveLevel(60000), 1.0)
+        except (DeviceLost, UnsafeStimulus):
+            break
+        bench.wait(1.2)
+    bench.wait(3.0)
+    assert bench.share <= PROMISED
+    assert (bench.share > 0.5 * PROMISED) == (clock_ppm > -60_000)
 
 
 def test_darkness_is_reported_where_the_box_is_dark(tmp_path: Path):
