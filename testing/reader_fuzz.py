@@ -51,7 +51,7 @@ from radiometer.importing.photograph_times import read_exif, read_list
 from radiometer.importing.statistics_table import read_statistics_table
 from radiometer.importing.tiff_files import read_tiff_headers, read_tiff_pixels
 from radiometer.importing.xmp import read_xmp
-from radiometer.reconciliation.inputs.light_meter import read_meter_table
+from radiometer.reconciliation.inputs.tables import read_meter_table
 from radiometer.screen.measured_elsewhere import read_screen_readings
 from simulators.scenes.image_file import ImageScene
 from testing.sky_log import sky_log

@@ -107,7 +107,10 @@ class BoxClock:
             if later.sent_s - sample.sent_s >= SPAN_S:
                 moved_s = later.offset_s - sample.offset_s
                 least_s = abs(moved_s) - (later.free_delay_s + sample.free_delay_s) / 2.0
-                rates.append(math.copysign(max(least_s, 0.0), moved_s) / (later.box_received_s - sample.box_received_s))
+                passed_s = later.box_received_s - sample.box_received_s
+                if passed_s <= 0.0:
+                    return math.inf  # a clock that stands
+                rates.append(math.copysign(max(least_s, 0.0), moved_s) / passed_s)
                 later = sample
                 if len(rates) == SPANS:
                     return max(0.0, min(rates), -max(rates))

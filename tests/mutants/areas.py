@@ -56,10 +56,10 @@ AREAS: dict[str, tuple[str, ...]] = {
     "adaptation": ("radiometer/adaptation/*.py",),
     "reconcile": (
         "radiometer/reconciliation/fit/*.py",
-        "radiometer/reconciliation/noise/*.py",
+        "radiometer/reconciliation/repeatability.py",
+        "radiometer/reconciliation/shared_errors.py",
         "radiometer/reconciliation/verdict.py",
         "radiometer/reconciliation/statistics.py",
-        "radiometer/reconciliation/chances.py",
         "radiometer/reconciliation/search/*.py",
     ),
     "sensor_effects": ("simulators/effects/*.py",),
@@ -73,8 +73,7 @@ AREAS: dict[str, tuple[str, ...]] = {
     "archive_and_bench": ("radiometer/archive/*.py", "radiometer/bench/*.py", "radiometer/devices/*.py"),
     "reconcile_rooms": (
         "radiometer/reconciliation/*.py",
-        *(f"radiometer/reconciliation/{room}/*.py" for room in ("advice", "inputs", "logs", "measure", "model")),
-        *(f"radiometer/reconciliation/{room}/*.py" for room in ("propose", "report", "drive")),
+        *(f"radiometer/reconciliation/{room}/*.py" for room in ("inputs", "logs", "measure", "propose")),
     ),
     "alarms_and_networks": (
         "radiometer/adapters/*.py",

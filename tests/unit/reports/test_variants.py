@@ -29,7 +29,7 @@ from radiometer.importing.emva_listing import EmvaListing
 from radiometer.importing.log_table import read_log
 from radiometer.importing.photograph_times import read_exif, read_list
 from radiometer.importing.record import record_in
-from radiometer.reconciliation.inputs.light_meter import reconcile_meter_table
+from radiometer.reconciliation.inputs.tables import reconcile_meter_table
 from radiometer.screen.measured_elsewhere import read_screen_readings
 
 # Written down anew and not taken from the product: what each spelling means in s. None: no unit of time.

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from radiometer.data import CameraDescription, FrameSettings
-from radiometer.reconciliation.model.tile_context import CapturesPast, FrameTimes, TileContext
+from radiometer.reconciliation.tile_model import CapturesPast, FrameTimes, TileContext
 from simulators.chain.virtual_sensor import FadingPast
 from simulators.effects.context import FrameGeometry
 from simulators.effects.image_lag import ImageLag
